@@ -14,7 +14,7 @@ from handctl.core.gains.gains import Gains, GainsProvenance, gains_text
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.session.calibration import write_calibration
-from tests.runtime.processes import time_scale_options
+from tests.runtime.processes import make_time_scale_options
 
 PACKAGED_FORCE_N = Gains().motion.force_N
 UNCHANGED_GAIN = f"tension.force_N={Gains().tension.force_N}"
@@ -167,7 +167,7 @@ def test_gains_that_give_no_controller_are_not_applied(work_folder, capsys):
 
 @pytest.mark.realtime
 def test_set_on_a_running_hand_is_in_its_log(work_folder, repeat_time_scale):
-    scale = time_scale_options(repeat_time_scale)
+    scale = make_time_scale_options(repeat_time_scale)
     handctl = [sys.executable, "-m", "handctl.cli"]
     sim = [
         sys.executable,

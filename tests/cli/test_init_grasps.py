@@ -41,11 +41,17 @@ HAND_CASES = [
     for tendons in ("one", "each")
     if tendons == "one" or "," in links
 ]
-SAMPLE_CASES = [(1, "70,50", "one", 0), (2, "50,30,20", "each", 1), (2, "24,16", "each", 0)]
-"""Reproduce defects: the first two hands dropped the cylinder, and the last hand reported N04 during the release.
+SAMPLE_CASES = [
+    (1, "70,50", "one", 0),
+    (2, "50,30,20", "each", 1),
+    (2, "24,16", "each", 0),
+    (1, "50,30,20", "each", 1),
+]
+"""Reproduce defects of four hands. The first two dropped the cylinder, and the others reported N04 and T02b.
 
-The size of the cylinder did not depend on the hand, so the fingertips touched each other. In the last
-hand, friction held a motor at rest, while the motor of another tendon changed the tension.
+The size of the cylinder did not depend on the hand, so the fingertips touched each other. In the third
+hand, friction held a motor at rest, while the motor of another tendon changed the tension (N04). In the
+last hand, the position feedback paid out a slack tendon while the hand opened (T02b).
 """
 MAX_SLIP_MM = 5.0
 

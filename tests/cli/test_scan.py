@@ -17,7 +17,7 @@ from firmware_sim.programs.drive_types import drive_spec
 from handctl.cli.checks.hand_file_snippet import hand_file_snippet
 from handctl.cli.checks.scan import _print_scans
 from handctl.cli.main import main
-from handctl.drives.discovery import TWO_DRIVES_WARNING
+from handctl.drives.discovery import DUPLICATE_NODE_WARNING
 from handctl.drives.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
 from handctl.drives.protocol_registry import make_drive
 from handctl.hand.file.sections import Bus, Motor
@@ -241,9 +241,9 @@ def test_the_hand_file_part_marks_firmware_05_as_concluded():
 )
 def test_two_drives_with_one_number_are_found(drive_spec):
     (only_node,) = scan_bench(drive_spec)[0].found_nodes
-    assert (only_node.twins, TWO_DRIVES_WARNING in only_node.notes) == (False, False)
+    assert (only_node.twins, DUPLICATE_NODE_WARNING in only_node.notes) == (False, False)
     (drive,) = scan_bench(drive_spec, fault_command="twin")[0].found_nodes
-    assert (drive.twins, drive.notes[0]) == (True, TWO_DRIVES_WARNING)
+    assert (drive.twins, drive.notes[0]) == (True, DUPLICATE_NODE_WARNING)
 
 
 def test_two_motors_that_answer_on_one_identifier_are_found():

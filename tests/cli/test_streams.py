@@ -156,7 +156,7 @@ def test_an_interrupted_search_names_the_study_to_continue(monkeypatch, capsys):
     def send_termination(*words):
         os.kill(os.getpid(), signal.SIGTERM)
 
-    monkeypatch.setattr("handctl.tune.search.search.run_search", send_termination)
+    monkeypatch.setattr("handctl.tune.search.gain_search.run_search", send_termination)
     monkeypatch.setattr("handctl.cli.tuning.tune_search._designed_gains", lambda *words: ())
     assert main(["tune", "search", "--plants", "1", "--json"]) == 143
     assert capsys.readouterr() == (

@@ -45,12 +45,12 @@ def gains_with_tendon_force(force_N: float) -> Gains:
 
 
 def test_a_tendon_with_a_force_of_its_own_differs_from_the_others(jamia_model: HandModel) -> None:
-    default_design = design_motion(jamia_model.space, Gains(), jamia_model.period)
+    default_design = design_motion(jamia_model.tendon_constants, Gains(), jamia_model.period)
     tendon_force_design = design_motion(
-        jamia_model.space, gains_with_tendon_force(5.0), jamia_model.period
+        jamia_model.tendon_constants, gains_with_tendon_force(5.0), jamia_model.period
     )
     design_with_common_force = design_motion(
-        jamia_model.space,
+        jamia_model.tendon_constants,
         gains_with_values(Gains(), {"motion.force_N": 5.0}, "test"),
         jamia_model.period,
     )
@@ -62,7 +62,7 @@ def test_a_tendon_with_a_force_of_its_own_differs_from_the_others(jamia_model: H
     assert np.array_equal(tendon_force_design.stiffness[1:], default_design.stiffness[1:])
     assert np.array_equal(tendon_force_design.tension, default_design.tension)
     tension = gains_with_values(Gains(), {"tendon.index_tendon.tension_force_N": 2.0}, "test")
-    tension_force_design = design_motion(jamia_model.space, tension, jamia_model.period)
+    tension_force_design = design_motion(jamia_model.tendon_constants, tension, jamia_model.period)
     assert tension_force_design.tension[0] < default_design.tension[0]
     assert np.array_equal(tension_force_design.stiffness, default_design.stiffness)
 
@@ -142,9 +142,9 @@ def test_a_running_controller_refuses_a_tendon_of_another_hand(jamia_model: Hand
     gains = gains_with_values(
         Gains(), {"tendon.wrist_flex.motion_force_N": 5.0}, "test", is_live=True
     )
-    progress = DesignCache().advance(jamia_model, PendingGains(gains))
+    progress = DesignCache().design_next_loop(jamia_model, PendingGains(gains))
     assert progress is not None
-    assert progress.pending is None
+    assert progress.pending_gains is None
     assert "no tendon 'wrist_flex'" in progress.events[0].text
 
 

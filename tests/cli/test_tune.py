@@ -24,7 +24,7 @@ from handctl.log.write.log_writer import LogWriter
 from handctl.session.calibration import load_calibration, write_calibration
 from handctl.tune.gains_verification import BlockedDigit, GainsRollback
 from handctl.tune.scoring import GainScore
-from handctl.tune.search.search import SearchResult, SearchTrial
+from handctl.tune.search.gain_search import SearchResult, SearchTrial
 from tests.cli.command_refusals import refusal_line
 
 GOLDEN_LOG = str(Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap")
@@ -39,7 +39,7 @@ def fake_search(monkeypatch):
     """
     trials = []
     monkeypatch.setattr(
-        "handctl.tune.search.search.run_search",
+        "handctl.tune.search.gain_search.run_search",
         lambda *words: SearchResult.from_trials(tuple(trials)),
     )
     monkeypatch.setattr("handctl.cli.tuning.tune_search._designed_gains", lambda *words: ())
@@ -350,7 +350,7 @@ def result_of_digit(digit_name, spring_stiffness, blocked="", met="", names=("te
         judged,
         1.0,
         spectrum,
-        blocked_event=blocked,
+        blocked_event_text=blocked,
         contact_text=met,
     )
 

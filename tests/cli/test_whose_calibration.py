@@ -99,7 +99,7 @@ def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibrati
     assert first_bench.jog(calibration, "again").state.failure == ""
     outcome = second_bench.jog(calibration, "other")
     assert outcome.state.mode == HandMode.DONE
-    assert not outcome.state.unconfirmed
+    assert not outcome.state.unconfirmed_motors
     assert (
         "the calibration is of another hand, give that of this hand or commission it"
         in outcome.state.failure

@@ -246,7 +246,7 @@ class RandomHand:
                 for feedback_message in drive.cyclic_messages.feedback
             ]
         sensors = self.controller.sensors
-        counter = self.state.run_integer(s.SYNC_COUNTER) & 0xF
+        counter = self.state.run_table_integer(s.SYNC_COUNTER) & 0xF
         for message in sensors.messages:
             late = rng.random() < CORRUPT_FRACTION
             given_quantities = {
@@ -311,7 +311,7 @@ class RandomHand:
         for i in range(TICKS_PER_HAND):
             if i < TICKS_PER_HAND - LAST_TICKS_WITH_FAULTS:
                 self.state.mode = HandMode.ACTIVE
-                self.state.decide(latched=())
+                self.state.decide(latched_faults=())
             k += 1 if self.random.random() > SKIPPED_FRACTION else int(self.random.integers(2, 5))
             t_ns = k * self.period_ns
             entry = TickIn(
@@ -325,7 +325,7 @@ class RandomHand:
             self.state, out = self.controller.tick(self.state, entry)
             hashed_arrays = [
                 out.state_hash,
-                out.telemetry.packed(),
+                out.telemetry.to_bytes(),
                 repr(tuple(out.frames)).encode(),
                 repr(out.events).encode(),
             ]
@@ -337,23 +337,25 @@ def _status_while_enabled(drive: Any, protocol: str) -> int:
     if protocol == "mit":
         return int(mit.ENABLED << 4 | drive.node_id & 0xF)
     if protocol == "moteus":
-        return int(moteus.joined_status(moteus.POSITION, 0))
+        return int(moteus.join_mode_and_fault(moteus.POSITION, 0))
     return int(cia402.ENABLED_STATUS) if protocol == "cia402" else 0
 
 
 def _enabled_drive_state(drive: Any, protocol: str) -> DriveState:
     """Return the state of a drive that is configured and obeys commands."""
     state: DriveState = drive.initial_state()
-    private: Any = state.private
+    protocol_state: Any = state.protocol_state
     if protocol != "odrive":
-        private = private._replace(enable_sent=True)
+        protocol_state = protocol_state._replace(is_enable_sent=True)
     if protocol in ("mit", "moteus", "robstride"):
-        private = private._replace(configured=True)
+        protocol_state = protocol_state._replace(is_configured=True)
     if protocol == "cia402":
-        cursor = private.cursor._replace(step=len(drive.steps))
-        private = private._replace(cursor=cursor, power=cia402.OPERATION_ENABLED, life_sign_ns=0)
+        cursor = protocol_state.cursor._replace(step=len(drive.steps))
+        protocol_state = protocol_state._replace(
+            cursor=cursor, power_state=cia402.OPERATION_ENABLED, life_sign_ns=0
+        )
     check = readback.first_recheck(drive.node_id, 0)
-    return state._replace(phase=DrivePhase.ENABLED, recheck=check, private=private)
+    return state._replace(phase=DrivePhase.ENABLED, recheck=check, protocol_state=protocol_state)
 
 
 def tick_hashes(tendons: int, seed: int) -> list[str]:

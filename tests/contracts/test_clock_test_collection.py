@@ -20,11 +20,11 @@ def test_run() -> None:
 
 
 def test_the_stages_select_what_the_makefile_selects() -> None:
-    selections = re.findall(
+    marker_expressions = re.findall(
         r'-m "?([^"$]*?)"? \$\(PYTEST_FLAGS\)', (REPOSITORY / "Makefile").read_text()
     )
     assert {*conftest.REAL_CLOCK_MARKER_EXPRESSIONS} == {
-        selection for selection in selections if not selection.startswith("not ")
+        selection for selection in marker_expressions if not selection.startswith("not ")
     }
 
 

@@ -17,13 +17,13 @@ import os, signal, time
 import pytest
 from tests.conftest import TIME_SCALE_PER_REPEAT
 
-TRIES = []
+STALLED_TRIES = []
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("stalled", [True, False])
 def test_each_repeat_runs_in_slower_time(stalled, request, repeat_time_scale):
-    TRIES.append(stalled)
-    expected = TIME_SCALE_PER_REPEAT ** (TRIES.count(stalled) - 1)
+    STALLED_TRIES.append(stalled)
+    expected = TIME_SCALE_PER_REPEAT ** (STALLED_TRIES.count(stalled) - 1)
     assert repeat_time_scale == pytest.approx(expected), "each try in slower time"
     repeats = request.config.pluginmanager.get_plugin("repeats")
     if stalled:
@@ -31,7 +31,7 @@ def test_each_repeat_runs_in_slower_time(stalled, request, repeat_time_scale):
         time.sleep(0.05)
         os.kill(repeats.pause_meter.pids[0], signal.SIGCONT)
         time.sleep(0.05)
-    assert TRIES.count(stalled) == 3
+    assert STALLED_TRIES.count(stalled) == 3
 """
 
 

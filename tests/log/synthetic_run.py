@@ -110,7 +110,7 @@ class SyntheticRunTicks:
                 else HandMode.DISARM
             )
             action = SafetyAction.WARN if 0.5 <= fraction < 0.51 else SafetyAction.PASS
-            self._hash.update(telemetry.packed())
+            self._hash.update(telemetry.to_bytes())
             frames = self._sent_frames(k, telemetry)
             yield (
                 tick_in,

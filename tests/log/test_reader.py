@@ -84,7 +84,9 @@ def test_a_log_without_the_latest_fields_is_read(
     monkeypatch.setitem(TELEMETRY_AXES, "coming", "joint")
     for module in ("tick_batch", "read.reader"):
         monkeypatch.setattr(f"handctl.log.{module}.TELEMETRY_FIELDS", (*TELEMETRY_FIELDS, "coming"))
-    monkeypatch.setattr("handctl.log.tick_batch.FIRST_TELEMETRY_FIELD_COUNT", len(TELEMETRY_FIELDS))
+    monkeypatch.setattr(
+        "handctl.log.tick_batch.ORIGINAL_TELEMETRY_FIELD_COUNT", len(TELEMETRY_FIELDS)
+    )
     with RunLog(varied_log) as log:
         assert log.fields == TELEMETRY_FIELDS
         assert np.isnan(log.field("coming")).all()

@@ -17,7 +17,7 @@ from handctl.core.tick_types import (
     IoEvent,
     PackedTelemetry,
     Telemetry,
-    TelemetryPlaces,
+    TelemetrySlices,
     TickEvent,
     TickIn,
     TickOut,
@@ -97,7 +97,7 @@ TICK_OUTPUT_STRATEGY = st.builds(
 def test_a_tick_comes_back_bit_for_bit(tick_in: TickIn, out: TickOut) -> None:
     unpacked_input, unpacked_output = unpack_tick_record(pack_tick_record(tick_in, out))
     assert unpacked_input == tick_in
-    assert unpacked_output.telemetry.packed() == out.telemetry.packed()
+    assert unpacked_output.telemetry.to_bytes() == out.telemetry.to_bytes()
     for name in ("frames", "mode", "phase", "action", "events", "state_hash"):
         assert getattr(unpacked_output, name) == getattr(out, name), name
 
@@ -152,7 +152,7 @@ def test_records_are_packed_as_frames_are(tick_in: TickIn, out: TickOut) -> None
         tick_in._replace(frames=frames_as_records(tick_in.frames)),
         out._replace(frames=frames_as_records(out.frames)),
     )
-    places, at = TelemetryPlaces(), 0
+    places, at = TelemetrySlices(), 0
     for name, values in zip(TELEMETRY_AXES, out.telemetry, strict=True):
         places[name], at = slice(at, at + len(values)), at + len(values)
     packed = PackedTelemetry(np.concatenate(tuple(out.telemetry)), places)

@@ -172,8 +172,8 @@ def test_every_program_is_rebuilt_from_its_setup(program: Program) -> None:
     assert rebuilt_controller.program == program
     assert rebuilt_controller.arm_at_once is False
     assert rebuilt_controller.model.period == first_controller.model.period
-    assert rebuilt_controller.tare.tobytes() == first_controller.tare.tobytes()
-    assert rebuilt_controller.zero.tobytes() == first_controller.zero.tobytes()
+    assert rebuilt_controller.tare_tensions.tobytes() == first_controller.tare_tensions.tobytes()
+    assert rebuilt_controller.motor_zeros.tobytes() == first_controller.motor_zeros.tobytes()
     assert rebuilt_controller.initial_state().digest() == first_controller.initial_state().digest()
 
 

@@ -16,7 +16,7 @@ from handctl.campaign.run_stages import hand_with_protocol, homed_run
 from handctl.controller.controller_state import ControllerState
 from handctl.controller.state_snapshot import restore_state, snapshot_bytes
 from handctl.controller.tick import Controller
-from handctl.core.plain_values import plain_bytes
+from handctl.core.plain_data import serialized_bytes
 from handctl.core.tick_types import HandMode, TickIn, TickOut
 from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.errors import LogError
@@ -89,7 +89,9 @@ def test_a_snapshot_restores_the_state_unchanged(recorded_grasp_log: Path) -> No
         controller = rebuild_controller(log)
         state = controller.initial_state()
         for logged in log.ticks():
-            repeated_state = restore_state(controller.derived.layout, snapshot_bytes(state))
+            repeated_state = restore_state(
+                controller.derived_constants.layout, snapshot_bytes(state)
+            )
             assert (repeated_state.digest(), snapshot_bytes(repeated_state)) == (
                 state.digest(),
                 snapshot_bytes(state),
@@ -111,9 +113,11 @@ def test_a_snapshot_restores_the_state_of_every_protocol(protocol: str) -> None:
                 break
             seen_modes.add(simulation.state.mode)
             repeated_state = restore_state(
-                simulation.controller.derived.layout, snapshot_bytes(simulation.state)
+                simulation.controller.derived_constants.layout, snapshot_bytes(simulation.state)
             )
-            assert plain_bytes(repeated_state.decisions) == plain_bytes(simulation.state.decisions)
+            assert serialized_bytes(repeated_state.decisions) == serialized_bytes(
+                simulation.state.decisions
+            )
             assert repeated_state.digest() == simulation.state.digest()
     assert {HandMode.SILENT, HandMode.INVENTORY, HandMode.ARMING} <= seen_modes
 
@@ -167,7 +171,7 @@ def test_a_decision_that_differs_is_named(recorded_grasp_log: Path) -> None:
     with RunLog(recorded_grasp_log) as log:
         state, logged_tick = rebuild_controller(log).initial_state(), next(log.ticks())
         other_state = state.copy()
-        other_state.decide(unconfirmed=("index_motor",))
+        other_state.decide(unconfirmed_motors=("index_motor",))
         assert state_difference(log.header, logged_tick, state, state) is None
         difference = state_difference(log.header, logged_tick, state, other_state)
     assert difference is not None
@@ -230,4 +234,4 @@ def test_a_snapshot_with_other_objects_than_decisions_is_refused(
         state = controller.initial_state()
         head = snapshot_bytes(state)[: 8 + state.block.nbytes]
         with pytest.raises(ValueError, match=r"."):
-            restore_state(controller.derived.layout, head + snapshot_text.encode())
+            restore_state(controller.derived_constants.layout, head + snapshot_text.encode())

@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 
 from handctl import blas_kernels
-from handctl.blas_kernels import KERNELS_VARIABLE, PORTABLE_MATRIX_KERNELS, cpu_features
+from handctl.blas_kernels import OPENBLAS_CORE_VARIABLE, PORTABLE_MATRIX_KERNELS, cpu_features
 
 CPUINFO_WITH_AVX2 = "processor : 0\nflags\t\t: fpu fma avx avx2\nprocessor : 1\n"
 PROGRAM_THAT_PRINTS_KERNELS = (
     "import os, sys; import handctl.cli.main as cli; print('numpy' in sys.modules); "
-    f"cli.use_portable_kernels(); print(os.environ.get('{KERNELS_VARIABLE}'))"
+    f"cli.use_portable_kernels(); print(os.environ.get('{OPENBLAS_CORE_VARIABLE}'))"
 )
 
 
@@ -51,17 +51,19 @@ def test_kernels_are_chosen_where_the_processor_can_execute_them(
     path = tmp_path / "cpuinfo"
     if description is not None:
         path.write_text(description)
-    monkeypatch.setattr(blas_kernels, "CPU_DESCRIPTION", path)
+    monkeypatch.setattr(blas_kernels, "CPU_INFO_PATH", path)
     if preset_kernels is None:
-        monkeypatch.delenv(KERNELS_VARIABLE, raising=False)
+        monkeypatch.delenv(OPENBLAS_CORE_VARIABLE, raising=False)
     else:
-        monkeypatch.setenv(KERNELS_VARIABLE, preset_kernels)
+        monkeypatch.setenv(OPENBLAS_CORE_VARIABLE, preset_kernels)
     blas_kernels.use_portable_kernels()
-    assert os.environ.get(KERNELS_VARIABLE) == kernels
+    assert os.environ.get(OPENBLAS_CORE_VARIABLE) == kernels
 
 
 def test_command_line_chooses_the_kernels_before_numpy_is_imported() -> None:
-    environment = {name: value for name, value in os.environ.items() if name != KERNELS_VARIABLE}
+    environment = {
+        name: value for name, value in os.environ.items() if name != OPENBLAS_CORE_VARIABLE
+    }
     result = subprocess.run(
         [sys.executable, "-c", PROGRAM_THAT_PRINTS_KERNELS],
         env=environment,
@@ -71,16 +73,18 @@ def test_command_line_chooses_the_kernels_before_numpy_is_imported() -> None:
     )
     numpy_imported, kernels = result.stdout.split()
     assert numpy_imported == "False"
-    assert kernels == (os.environ.get(KERNELS_VARIABLE) or "None")
+    assert kernels == (os.environ.get(OPENBLAS_CORE_VARIABLE) or "None")
 
 
 @pytest.mark.skipif(
-    not blas_kernels.portable_kernels_run(), reason="this processor cannot execute the kernels"
+    not blas_kernels.can_run_portable_kernels(), reason="this processor cannot execute the kernels"
 )
 @pytest.mark.parametrize("log_name", ["jamia-grasp", "jamia11-grasp"])
 def test_golden_log_repeats_to_the_bit_in_a_new_process(log_name: str) -> None:
     """A new process chooses the same kernels as the tests, without inheriting their choice."""
-    environment = {name: value for name, value in os.environ.items() if name != KERNELS_VARIABLE}
+    environment = {
+        name: value for name, value in os.environ.items() if name != OPENBLAS_CORE_VARIABLE
+    }
     log = Path(__file__).parents[2] / "logs" / "golden" / f"{log_name}.mcap"
     result = subprocess.run(
         [sys.executable, "-m", "handctl", "replay", "execute", str(log)],

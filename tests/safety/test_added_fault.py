@@ -18,7 +18,7 @@ REPOSITORY = Path(__file__).parents[2]
 ADDING_A_FAULT_PAGE = (REPOSITORY / "docs" / "how-to" / "adding-a-fault.md").read_text(
     encoding="utf-8"
 )
-TRY_FAULT_CODE = """
+ADDED_FAULT_SCRIPT = """
 import json
 from handctl.controller.tick import _fault_event
 from handctl.safety.faults.markdown import catalogue_markdown, fault_table_markdown
@@ -49,7 +49,7 @@ def add_example_fault(package_folder: Path) -> None:
     source = source.replace(preceding_line, preceding_line + lines, 1)
     source = source.replace(
         "from handctl.safety.faults.tendon import (\n",
-        "from handctl.safety.faults.tendon import (\n    HEAVY_N,\n    T10,\n",
+        "from handctl.safety.faults.tendon import (\n    HEAVY_N,\n    FAULT_T10,\n",
     )
     path.write_text(source, encoding="utf-8")
 
@@ -69,7 +69,7 @@ def test_a_fault_is_declared_once_and_found_by_one_detector(
         "NUMBA_DISABLE_JIT": numba_disabled,
         "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
     }
-    words = [sys.executable, "-W", "ignore", "-c", TRY_FAULT_CODE]
+    words = [sys.executable, "-W", "ignore", "-c", ADDED_FAULT_SCRIPT]
     done = subprocess.run(
         words,
         env=os.environ | added_variables,

@@ -97,7 +97,7 @@ def load_limits(path: Path, controller: Controller) -> SafetyLimits:
         ConfigError: the file cannot be read or names a tendon that the hand does not have.
     """
     new_limits = load_document(path, LimitsFile)
-    old_limits = controller.derived.limits
+    old_limits = controller.derived_constants.limits
     period = controller.model.period
     trip_limits = new_limits.tension_trip_N if isinstance(new_limits.tension_trip_N, dict) else {}
     for name in trip_limits.keys() - set(old_limits.tendons):
@@ -164,7 +164,7 @@ def _judge_ticks(
     The judgement of a tick starts from the logged state. Only the debounce counters and the latched
     faults follow from the new limits.
     """
-    judging_controller = replace(controller, other_limits=limits)
+    judging_controller = replace(controller, replacement_limits=limits)
     state = controller.initial_state()
     judging_state = judging_controller.initial_state()
     limit_stops: list[StoppingFault] = []
@@ -177,7 +177,7 @@ def _judge_ticks(
         judged_state = state.copy()
         judged_state.view("fault_ticks")[...] = judging_state.view("fault_ticks")
         judged_state.decide(
-            latched=judging_state.latched,
+            latched_faults=judging_state.latched_faults,
             reported_faults=judging_state.decisions.reported_faults,
         )
         try:
