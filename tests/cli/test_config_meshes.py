@@ -37,7 +37,7 @@ from tests.hand.mesh_files import (
 )
 from tools.meshes.solids import stl
 
-LINK_LINE = 'link_mesh = ["t42/inner.stl", "t42/outer.stl"]'
+LINK_MESH_LINE = 'link_mesh = ["t42/inner.stl", "t42/outer.stl"]'
 """Line of t42.toml with the mesh files of a finger's two links. Both fingers share this line."""
 
 
@@ -81,7 +81,7 @@ def replace_once(text_file: Path, original_text: str, replacement_text: str) -> 
             'default.digit.link_mesh[0]: "inner.glb"; expected a file of type .stl or .obj',
         ),
         (
-            LINK_LINE,
+            LINK_MESH_LINE,
             'link_mesh = ["t42/inner.stl"]',
             "link_mesh: 1 values; expected 2, one per link_length_m",
         ),

@@ -40,10 +40,10 @@ def leaf_parsers() -> dict[str, VerbParser]:
     parser_by_words = {}
     for verb in VERB_HELP:
         parser = verb_parser(verb)
-        leaf_by_words = {
+        parser_by_subcommand = {
             f"{verb} {name}": sub_parser for name, sub_parser in sub_parsers(parser).items()
         }
-        parser_by_words.update(leaf_by_words or {verb: parser})
+        parser_by_words.update(parser_by_subcommand or {verb: parser})
     return parser_by_words
 
 

@@ -46,8 +46,8 @@ for path in sorted(folder.glob("*.mcap")):
         begin = time.process_time()
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             code = main([*words, str(path), *([str(path)] if words[-1] == "diff" else [])])
-        said = (err.getvalue() + out.getvalue()).splitlines()
-        found.append([path.name, words, code, said, time.process_time() - begin])
+        lines = (err.getvalue() + out.getvalue()).splitlines()
+        found.append([path.name, words, code, lines, time.process_time() - begin])
     for made in folder.glob("*.recovered.mcap"):
         made.unlink()
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024

@@ -97,14 +97,14 @@ def test_a_cut_gives_the_exact_prefix(smallest_log: Path, tmp_path: Path, every:
         tension, k = log.field("tension"), log.k
     cut_positions: Iterable[int] = range(8, len(raw) + 1)
     if not every:
-        borders = {chunk.end + step for chunk in scan.chunks for step in (-1, 0, 1)}
+        chunk_borders = {chunk.end + step for chunk in scan.chunks for step in (-1, 0, 1)}
         cut_positions = (
             np.random.default_rng(0).choice(
-                len(raw) - 8, SAMPLE_COUNT - len(borders), replace=False
+                len(raw) - 8, SAMPLE_COUNT - len(chunk_borders), replace=False
             )
             + 8
         )
-        cut_positions = sorted({*cut_positions.tolist(), *borders})
+        cut_positions = sorted({*cut_positions.tolist(), *chunk_borders})
     for cut in cut_positions:
         complete = sum(chunk.end <= cut for chunk in scan.chunks)
         recovery, out = _recover_bytes(raw[:cut], tmp_path)

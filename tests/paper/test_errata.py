@@ -22,11 +22,11 @@ TIME_SYMBOL = sp.Symbol("t")
 DERIVATIVE_SYMBOLS = {
     f"{'d' * order}th{i}": sp.Symbol(f"{'d' * order}th{i}") for order in range(3) for i in (1, 2, 3)
 }
-PLAIN_SYMBOLS = {str(symbol): symbol for symbol in PARAMETER_SYMBOLS} | DERIVATIVE_SYMBOLS
+SYMBOL_BY_NAME = {str(symbol): symbol for symbol in PARAMETER_SYMBOLS} | DERIVATIVE_SYMBOLS
 
 
 def symbolic_expression(formula_text: str) -> sp.Expr:
-    return sp.sympify(formula_text, locals=PLAIN_SYMBOLS)
+    return sp.sympify(formula_text, locals=SYMBOL_BY_NAME)
 
 
 @cache
@@ -55,7 +55,7 @@ def expression_in_symbols(expression: sp.Expr) -> sp.Expr:
     return sp.expand(sp.expand_trig(expression))
 
 
-def total_of_terms(terms: tuple[equations.EquationTerm, ...]) -> sp.Expr:
+def sum_of_terms(terms: tuple[equations.EquationTerm, ...]) -> sp.Expr:
     return sp.expand(
         sp.expand_trig(sum(symbolic_expression(term.correct_form.text) for term in terms))
     )
@@ -65,10 +65,9 @@ def test_corrected_energies_are_those_of_three_links() -> None:
     kinetic_energies, potential = derived_energies()
     printed = (equations.KINETIC_TERMS_1, equations.KINETIC_TERMS_2, equations.KINETIC_TERMS_3)
     for handctl_torques, derived in zip(printed, kinetic_energies, strict=True):
-        assert sp.simplify(total_of_terms(handctl_torques) - expression_in_symbols(derived)) == 0
+        assert sp.simplify(sum_of_terms(handctl_torques) - expression_in_symbols(derived)) == 0
     assert (
-        sp.simplify(total_of_terms(equations.POTENTIAL_TERMS) - expression_in_symbols(potential))
-        == 0
+        sp.simplify(sum_of_terms(equations.POTENTIAL_TERMS) - expression_in_symbols(potential)) == 0
     )
 
 
@@ -81,7 +80,7 @@ def test_corrected_torques_follow_from_the_lagrangian(link_index: int) -> None:
     )
     assert (
         sp.simplify(
-            total_of_terms(equations.TORQUE_TERMS[link_index]) - expression_in_symbols(torque)
+            sum_of_terms(equations.TORQUE_TERMS[link_index]) - expression_in_symbols(torque)
         )
         == 0
     )
@@ -153,12 +152,14 @@ def test_each_verdict_on_a_term_agrees_with_sympy(errata_item: ErrataItem) -> No
 
 
 def test_the_corrected_mass_matrix_is_symmetric_and_the_printed_one_is_not() -> None:
-    def matrix(which: str) -> sp.Matrix:
+    def matrix(formula_source: str) -> sp.Matrix:
         rows = []
         for equation_terms in equations.TORQUE_TERMS:
             torque = sum(
                 symbolic_expression(
-                    term.readings[0].text if which == "readings" else term.correct_form.text
+                    term.readings[0].text
+                    if formula_source == "readings"
+                    else term.correct_form.text
                 )
                 for term in equation_terms
             )
@@ -242,8 +243,8 @@ def test_items_have_the_known_values(item_id: str, expected_value: float) -> Non
 @pytest.mark.parametrize("printed_number", ["1", "0.86"])
 def test_a_printed_number_of_the_abstract_is_judged_once(printed_number: str) -> None:
     items = [item for item in sections.page_errata(None) if item.where == "Abstract"]
-    judged = [item.id for item in items if item.printed.split()[0] == printed_number]
-    assert len(judged) == 1
+    item_ids = [item.id for item in items if item.printed.split()[0] == printed_number]
+    assert len(item_ids) == 1
 
 
 def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> None:

@@ -172,13 +172,13 @@ def test_every_program_is_rebuilt_from_its_setup(program: Program) -> None:
         hand, gains, rate, program, make_calibration("jamia"), arm_at_once=False
     )
     text = RunSetup.from_controller(first_controller, rate).model_dump_json(by_alias=True)
-    again = RunSetup.model_validate_json(text).controller(hand, gains)
-    assert again.program == program
-    assert again.arm_at_once is False
-    assert again.model.period == first_controller.model.period
-    assert again.tare.tobytes() == first_controller.tare.tobytes()
-    assert again.zero.tobytes() == first_controller.zero.tobytes()
-    assert again.initial_state().digest() == first_controller.initial_state().digest()
+    rebuilt_controller = RunSetup.model_validate_json(text).controller(hand, gains)
+    assert rebuilt_controller.program == program
+    assert rebuilt_controller.arm_at_once is False
+    assert rebuilt_controller.model.period == first_controller.model.period
+    assert rebuilt_controller.tare_tensions.tobytes() == first_controller.tare_tensions.tobytes()
+    assert rebuilt_controller.motor_zeros.tobytes() == first_controller.motor_zeros.tobytes()
+    assert rebuilt_controller.initial_state().digest() == first_controller.initial_state().digest()
 
 
 def test_a_log_without_a_setup_is_refused_in_one_line(recorded_grasp_log: Path) -> None:

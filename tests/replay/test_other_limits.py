@@ -37,9 +37,9 @@ def test_a_lower_trip_stops_at_the_first_sample_above_it(
             log, write_limits(tmp_path, "tension_trip_N = { thumb_tendon = 20 }")
         )
         raw = log.field("tension_raw")[:, log.header.tendons.index("thumb_tendon")]
-        first_tick_above = int(log.k[raw > 20.0][0])
-        tick_count_after = int((log.k >= first_tick_above).sum())
-    assert judgement.stopping_faults[0][:1] == (first_tick_above,)
+        first_tick_above_limit = int(log.k[raw > 20.0][0])
+        tick_count_after = int((log.k >= first_tick_above_limit).sum())
+    assert judgement.stopping_faults[0][:1] == (first_tick_above_limit,)
     assert {
         (stop.fault, stop.instance, stop.occurs_in_logged_run) for stop in judgement.stopping_faults
     } == {("T03", "thumb_tendon", False)}

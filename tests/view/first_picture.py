@@ -48,13 +48,13 @@ def _time_first_picture(data_received: threading.Event) -> None:
         time.sleep(0.02)
     size = len(client.take_screenshot())
     seconds = time.time() - psutil.Process().create_time()
-    spent = [sum(process.cpu_times()[:2]) for process in (psutil.Process(), viewer)]
+    cpu_times_s = [sum(process.cpu_times()[:2]) for process in (psutil.Process(), viewer)]
     print(
         json.dumps(
             {
                 "seconds": seconds,
-                "handctl_cpu_s": spent[0],
-                "viewer_cpu_s": spent[1],
+                "handctl_cpu_s": cpu_times_s[0],
+                "viewer_cpu_s": cpu_times_s[1],
                 "png_bytes": size,
             }
         )

@@ -142,14 +142,14 @@ def test_lateness_and_bus_load_add_up(
         atol=1e-9,
     )
     period = run_log.header.period_ns * 1e-9
-    spent, expected = [], []
+    bus_times, expected = [], []
     for tick in run_log.ticks():
         frames = (*tick.tick_in.frames, *tick.frames)
-        spent.append(
+        bus_times.append(
             (tick.tick_in.t_ns, sum(frame_time_s(len(frame.data), False, 1e6) for frame in frames))
         )
         now = tick.tick_in.t_ns
-        times_in_window = [time for t, time in spent if now - BUS_LOAD_WINDOW_NS < t <= now]
+        times_in_window = [time for t, time in bus_times if now - BUS_LOAD_WINDOW_NS < t <= now]
         expected.append(
             100 * sum(times_in_window) / min(BUS_LOAD_WINDOW_NS * 1e-9, now * 1e-9 + period)
         )

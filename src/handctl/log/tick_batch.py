@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.tick_types import FIRST_TELEMETRY_FIELD_COUNT, TELEMETRY_AXES, TELEMETRY_FIELDS
+from handctl.core.tick_types import ORIGINAL_TELEMETRY_FIELD_COUNT, TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.log.header import RunHeader
 from handctl.log.tick_record import (
     FRAME_RECORD_BYTES,
@@ -72,7 +72,7 @@ class TickBatch(NamedTuple):
         t_ns, late_ns: (n,) time since the start of the run, and lateness of each tick [ns].
         mode, action: (n,) mode and reaction to faults in each tick, as uint8.
         phases: grasp phase of each tick.
-        numbers: (n, columns) telemetry of each tick, in the order of Telemetry.packed.
+        numbers: (n, columns) telemetry of each tick, in the order of Telemetry.to_bytes.
         received, sent: CAN frames that the controller has received and sent.
         ticks_with_events: decoded record of each tick with events, requests or io events, by the
             index of the tick.
@@ -100,7 +100,7 @@ def row_field_names(header: RunHeader, width: int) -> tuple[str, ...]:
         header: header of the run.
         width: number of columns of a row.
     """
-    earlier_fields = TELEMETRY_FIELDS[:FIRST_TELEMETRY_FIELD_COUNT]
+    earlier_fields = TELEMETRY_FIELDS[:ORIGINAL_TELEMETRY_FIELD_COUNT]
     return earlier_fields if width == column_count(header, earlier_fields) else TELEMETRY_FIELDS
 
 

@@ -43,9 +43,9 @@ from handctl.core.tick_types import (
     TickOut,
 )
 from handctl.drives.frame_records import (
+    CLASSICAL_RECORD_BYTES,
     FRAME_RECORD_DTYPE,
     NO_FRAMES,
-    SHORT_RECORD_BYTES,
     Frames,
     RecordArray,
     frames_as_records,
@@ -79,12 +79,12 @@ TICK_SIZES_STRUCT = struct.Struct("<IHHHH")
 """Layout of the start of the body of a tick's record: size of the Tick message, lengths of the telemetry axes."""
 TICK_HEAD_STRUCT = struct.Struct("<qqq8sBB2xI")
 """Layout of a Tick message's first part: k, t_ns, late_ns, state hash, mode, action, number of received frames."""
-FRAME_RECORD_BYTES = SHORT_RECORD_BYTES
+FRAME_RECORD_BYTES = CLASSICAL_RECORD_BYTES
 """Size of a CAN frame in a Tick message [bytes].
 
 The size is that of the first part of a frame's record, with eight data bytes.
 """
-_SHORT_FRAME_DTYPE = np.dtype(f"V{SHORT_RECORD_BYTES}")
+_CLASSICAL_FRAME_DTYPE = np.dtype(f"V{CLASSICAL_RECORD_BYTES}")
 """numpy type of a frame in a Tick message, as raw bytes."""
 _LENGTH_OFFSET = 15
 """Offset of the length byte in a frame of a Tick message."""
@@ -221,7 +221,7 @@ def pack_tick(tick_in: TickIn, tick_output: TickOut) -> bytes:
         len(received_records),
     )
     frame_starts = [
-        records.getfield(_SHORT_FRAME_DTYPE).tobytes()
+        records.getfield(_CLASSICAL_FRAME_DTYPE).tobytes()
         for records in (received_records, sent_records)
     ]
     long_payload_bytes = _NO_LONG_DATA
@@ -264,7 +264,7 @@ def pack_tick_record(tick_in: TickIn, tick_output: TickOut) -> bytes:
     This function raises the same errors as `pack_tick`.
     """
     message = pack_tick(tick_in, tick_output)
-    values = tick_output.telemetry.packed()
+    values = tick_output.telemetry.to_bytes()
     sizes = TICK_SIZES_STRUCT.pack(len(message), *_axis_lengths(tick_output.telemetry))
     return b"".join(
         (
@@ -286,7 +286,7 @@ def pack_snapshot(tick_in: TickIn, data: bytes) -> bytes:
 def _axis_lengths(numbers: Telemetry | PackedTelemetry) -> tuple[int, ...]:
     """Return the numbers of joints, tendons, motors and digits in the telemetry."""
     if isinstance(numbers, PackedTelemetry):
-        return numbers.places.axis_lengths
+        return numbers.slices.axis_lengths
     return tuple(len(getattr(numbers, name)) for name in FIELD_BY_AXIS)
 
 
@@ -350,7 +350,7 @@ def _decode_frames(frame_starts: bytes, long_data: bytes) -> tuple[Frames, bytes
     if not count:
         return NO_FRAMES, long_data
     records = np.zeros(count, FRAME_RECORD_DTYPE)
-    records.setfield(np.frombuffer(frame_starts, _SHORT_FRAME_DTYPE), _SHORT_FRAME_DTYPE, 0)
+    records.setfield(np.frombuffer(frame_starts, _CLASSICAL_FRAME_DTYPE), _CLASSICAL_FRAME_DTYPE, 0)
     max_length = max(lengths)
     if max_length > _MAX_DATA_BYTES:
         raise ValueError(f"payload of {max_length} bytes, expected at most {_MAX_DATA_BYTES}")

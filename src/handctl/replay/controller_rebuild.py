@@ -5,7 +5,7 @@ from typing import TypeVar
 
 from pydantic import ValidationError
 
-from handctl.controller.run_setup import SETUP_ATTACHMENT, RunSetup
+from handctl.controller.run_setup import SETUP_ATTACHMENT_NAME, RunSetup
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
 from handctl.errors import ConfigError, LogError
@@ -43,7 +43,7 @@ def logged_setup(log: RunLog) -> RunSetup:
     Raises:
         LogError: the log was written by a version of handctl that did not record the set-up.
     """
-    return _read_attachment(log, SETUP_ATTACHMENT, RunSetup)
+    return _read_attachment(log, SETUP_ATTACHMENT_NAME, RunSetup)
 
 
 def rebuild_controller(log: RunLog, gains: Gains | None = None) -> Controller:

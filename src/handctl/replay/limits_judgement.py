@@ -97,7 +97,7 @@ def load_limits(path: Path, controller: Controller) -> SafetyLimits:
         ConfigError: the file cannot be read or names a tendon that the hand does not have.
     """
     new_limits = load_document(path, LimitsFile)
-    old_limits = controller.derived.limits
+    old_limits = controller.derived_constants.limits
     period = controller.model.period
     trip_limits = new_limits.tension_trip_N if isinstance(new_limits.tension_trip_N, dict) else {}
     for name in trip_limits.keys() - set(old_limits.tendons):
@@ -164,7 +164,7 @@ def _judge_ticks(
     The judgement of a tick starts from the logged state. Only the debounce counters and the latched
     faults follow from the new limits.
     """
-    controller_with_new_limits = replace(controller, other_limits=limits)
+    controller_with_new_limits = replace(controller, replacement_limits=limits)
     state = controller.initial_state()
     state_with_new_limits = controller_with_new_limits.initial_state()
     limit_stops: list[StoppingFault] = []
@@ -177,7 +177,7 @@ def _judge_ticks(
         start_state = state.copy()
         start_state.view("fault_ticks")[...] = state_with_new_limits.view("fault_ticks")
         start_state.decide(
-            latched=state_with_new_limits.latched,
+            latched_faults=state_with_new_limits.latched_faults,
             reported_faults=state_with_new_limits.decisions.reported_faults,
         )
         try:

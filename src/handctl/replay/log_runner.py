@@ -205,7 +205,7 @@ class LogRunner:
         """Compare the controller's state after a tick with the snapshot in the log, and return the first difference."""
         try:
             snapshot_state = restore_state(
-                self.controller.derived.layout, self.snapshots[logged_tick.tick_in.k]
+                self.controller.derived_constants.layout, self.snapshots[logged_tick.tick_in.k]
             )
         except ValueError:
             return None  # if another version wrote the state, its fields are different

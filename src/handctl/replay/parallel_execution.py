@@ -172,7 +172,8 @@ def _state_after_tick(runner: LogRunner, tick_index: int) -> ControllerState | N
     """
     try:
         state = restore_state(
-            runner.controller.derived.layout, runner.snapshots[int(runner.log.k[tick_index])]
+            runner.controller.derived_constants.layout,
+            runner.snapshots[int(runner.log.k[tick_index])],
         )
     except ValueError:
         return None
@@ -231,7 +232,7 @@ def _wait_for_result(
         ),
     )
     return restore_state(
-        runner.controller.derived.layout, bytes.fromhex(result["state"])
+        runner.controller.derived_constants.layout, bytes.fromhex(result["state"])
     ), difference_tally
 
 

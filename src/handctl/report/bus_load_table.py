@@ -38,7 +38,7 @@ class BusLoadTableRow(NamedTuple):
     shared: tuple[int, ...]
 
     @property
-    def tick_s(self) -> float:
+    def frame_time_per_tick_s(self) -> float:
         """Return the time that the frames of one tick take on the bus [s]."""
         sizes = [*self.per_motor * self.motors, *self.shared]
         return bus_time_s(
@@ -47,11 +47,11 @@ class BusLoadTableRow(NamedTuple):
 
     def as_json(self) -> dict[str, Any]:
         """Return the row as a mapping for JSON output."""
-        loads = {f"{rate:g}": rate * self.tick_s for rate in BUS_LOAD_RATES_HZ}
+        loads = {f"{rate:g}": rate * self.frame_time_per_tick_s for rate in BUS_LOAD_RATES_HZ}
         return self._asdict() | {
-            "tick_us": self.tick_s * 1e6,
+            "tick_us": self.frame_time_per_tick_s * 1e6,
             "load": loads,
-            "max_hz": MAX_BUS_LOAD / self.tick_s,
+            "max_hz": MAX_BUS_LOAD / self.frame_time_per_tick_s,
         }
 
 

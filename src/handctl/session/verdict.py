@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from handctl.controller.run_setup import make_sensors
-from handctl.core.state_block import STALE_FRAMES
+from handctl.core.state_block import STALE_FRAME_COUNT
 from handctl.log.read.reader import RunLog
 from handctl.programs.task import HoldPhase, Task
 from handctl.report.frame_counts import frame_counts
@@ -66,7 +66,7 @@ def judge_run(
         "time_scale": plan.time_scale,
         "frames_tx": stats.frames_tx,
         "frames_rx": stats.frames_rx,
-        "frames_late": outcome.state.run_integer(STALE_FRAMES),
+        "frames_late": outcome.state.run_table_integer(STALE_FRAME_COUNT),
         "frames_lost": lost_frames(plan, outcome),
         "silent_ticks": silent_ticks,
         "bus_load": max(plan.bus_loads),

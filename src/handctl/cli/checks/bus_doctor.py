@@ -7,7 +7,7 @@ from typing import Any
 from handctl.cli.checks.scan import undiscoverable_protocols_text
 from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import is_quiet, print_note
-from handctl.drives.discovery import TWO_DRIVES_WARNING, DiscoveredNode
+from handctl.drives.discovery import DUPLICATE_NODE_WARNING, DiscoveredNode
 from handctl.drives.protocol_registry import DISCOVERY_BY_PROTOCOL
 from handctl.errors import BusError, ConfigError
 from handctl.hand.description import Hand
@@ -142,7 +142,9 @@ def _check_node_round_trips(
         *map(_answers_text, round_trips),
     ]
     rows += [
-        LinkFinding(f"{node.protocol} {node.node_id}: two drives answer", False, TWO_DRIVES_WARNING)
+        LinkFinding(
+            f"{node.protocol} {node.node_id}: two drives answer", False, DUPLICATE_NODE_WARNING
+        )
         for node in _duplicate_nodes(result, round_trips)
     ]
     if result.foreign_frames:
@@ -233,7 +235,7 @@ def _trip_fields(trip: RoundTrip) -> dict[str, Any]:
         "shortest": trip.shortest_s,
         "median": trip.median_s,
         "longest": trip.longest_s,
-        "twice": trip.double_answer_count,
+        "twice": trip.duplicate_answer_count,
     }
 
 

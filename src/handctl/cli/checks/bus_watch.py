@@ -57,7 +57,9 @@ def run(args: argparse.Namespace) -> int:
             stack.enter_context(bus_lock(spec))
         opened_buses = []
         for index, (spec, section) in enumerate(zip(specs, hand.bus, strict=True)):
-            bus = open_bus(spec, index, section.bitrate, section.data_bitrate, clock.run_time_of)
+            bus = open_bus(
+                spec, index, section.bitrate, section.data_bitrate, clock.convert_to_run_time
+            )
             stack.callback(bus.close)
             opened_buses.append(bus)
         watch = BusWatch(drives, make_sensors(hand), opened_buses, clock, clock.period_ns)

@@ -19,7 +19,7 @@ from handctl.controller.run_setup import (
 )
 from handctl.core.gains.gain_bounds import values_by_key
 from handctl.core.identified_parameters import PARAMETER_UNITS
-from handctl.drives.dbc_export import dbc_of_bus
+from handctl.drives.dbc_export import export_bus_dbc
 from handctl.drives.protocol_registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
@@ -47,7 +47,7 @@ from handctl.hand.readiness import arm_table_fit_lines
 from handctl.hand.tendon_strength import strength_warnings
 from handctl.output_files import (
     FIGURE_SUFFIXES,
-    check_output,
+    check_output_path,
     path_with_suffix,
     write_text_atomically,
 )
@@ -185,7 +185,7 @@ def _show_graph(args: argparse.Namespace, hand: Hand) -> int:
         raise ConfigError(
             str(args.output), "--output", "a file ending in " + ", ".join(sorted(FIGURE_SUFFIXES))
         )
-    check_output(args.output, "--output", Path(args.hand))
+    check_output_path(args.output, "--output", Path(args.hand))
     draw_hand(args.output, hand)
     if args.json:
         print_json({"output": str(args.output)})
@@ -206,7 +206,7 @@ def _show_or_check_hand(args: argparse.Namespace, hand: Hand) -> int:
     calibration = _calibration_fields(args, hand)
     loads = bus_loads(hand)
     rate = highest_rate_of_buses(loads)
-    load = {bus_load.name: bus_load.load_at(rate) for bus_load in loads}
+    load = {bus_load.name: bus_load.load_at_rate(rate) for bus_load in loads}
     source = str(hand_path(args.hand).name)
     warnings = _hand_warnings(hand)
     if args.what == "check":
@@ -344,7 +344,9 @@ def _export_buses(args: argparse.Namespace, hand: Hand) -> int:
     for bus, name in enumerate(buses):
         path = output if len(buses) == 1 else path_with_suffix(output, f".{name}{output.suffix}")
         write_text_atomically(
-            path, dbc_of_bus(bus, drives, sensors, hand.tendon_names, hand.joints), must_be_new=True
+            path,
+            export_bus_dbc(bus, drives, sensors, hand.tendon_names, hand.joints),
+            must_be_new=True,
         )
         written_paths.append({"bus": name, "output": str(path)})
     if args.json:

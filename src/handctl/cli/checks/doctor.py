@@ -13,7 +13,7 @@ from pathlib import Path
 from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import is_quiet, is_verbose, print_detail
 from handctl.errors import BusError
-from handctl.extras import extras_installed
+from handctl.extras import installed_by_extra
 from handctl.runtime.clocks.realtime_priority import (
     GrantedPriority,
     realtime_priority,
@@ -86,12 +86,12 @@ def _version_fields() -> dict[str, object]:
         "version": version("handctl"),
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "extras": extras_installed(),
+        "extras": installed_by_extra(),
     }
 
 
 def _optional_package_finding() -> DoctorFinding:
-    missing_names = [extra for extra, installed in extras_installed().items() if not installed]
+    missing_names = [extra for extra, installed in installed_by_extra().items() if not installed]
     return (
         f"optional packages; not installed: {', '.join(missing_names) or 'none'}",
         True,
@@ -116,7 +116,7 @@ def _check_priority() -> DoctorFinding:
 
 
 def _check_locked_memory() -> DoctorFinding:
-    is_memory_locked = _granted_priority().memory_locked
+    is_memory_locked = _granted_priority().is_memory_locked
     return (
         "locked memory",
         is_memory_locked,

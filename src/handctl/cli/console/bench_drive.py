@@ -20,7 +20,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.drives.protocol_registry import PROTOCOL_ENTRIES, make_drive
-from handctl.drives.robstride.mit_mode import FACTORY_HOST
+from handctl.drives.robstride.mit_mode import FACTORY_HOST_ID
 from handctl.errors import BusError, ConfigError, DriveError
 from handctl.hand.file.error_text import toml_spelling
 from handctl.hand.file.sections import Motor
@@ -42,7 +42,7 @@ This time is longer than the delays of a desktop computer without real-time prio
 BENCH_OPTIONS: dict[str, dict[str, Any]] = {
     "odrive": {"torque_feedback": True},
     "cia402": {"sync": True},
-    "robstride_mit": {"host_id": FACTORY_HOST},
+    "robstride_mit": {"host_id": FACTORY_HOST_ID},
 }
 """Options for a single drive on a bench, by protocol.
 
@@ -244,7 +244,7 @@ def open_drive_rig(args: argparse.Namespace, drive: Drive) -> Iterator[tuple[Dri
         drive: drive on the bus.
     """
     clock = RealClock(PERIOD_NS)
-    bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate, clock.run_time_of)
+    bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate, clock.convert_to_run_time)
     clock.busy_wait = request_priority().is_realtime
     try:
         yield DriveRig(drive, bus, clock), bus

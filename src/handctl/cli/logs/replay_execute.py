@@ -9,7 +9,7 @@ from typing import Any
 from handctl.cli.console.options import check_count, print_escaped, print_json, warn_if_lossy
 from handctl.cli.console.progress import progress_bar
 from handctl.errors import ConfigError, LogError
-from handctl.output_files import check_output, path_with_suffix
+from handctl.output_files import check_output_path, path_with_suffix
 from handctl.processes import usable_cores
 from handctl.session.exit_codes import ExitCode
 
@@ -154,7 +154,7 @@ def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:
 
     commands = CommandCollector()
     picture = args.picture or path_with_suffix(args.recorded, ".gains.png")
-    check_output(picture, "--picture", args.recorded, args.gains)
+    check_output_path(picture, "--picture", args.recorded, args.gains)
     gains = load_gains(args.gains)
     with progress_bar("executing", len(log), args.json) as update_progress:
         execution = execute_log(log, gains, commands.add_tick, update_progress)

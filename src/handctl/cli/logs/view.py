@@ -10,7 +10,7 @@ from typing import Any
 from handctl.cli.console.options import print_escaped, print_json, warn_if_lossy
 from handctl.cli.console.progress import progress_bar
 from handctl.errors import ConfigError
-from handctl.output_files import atomic_path, check_output
+from handctl.output_files import atomic_path, check_output_path
 from handctl.session.exit_codes import ExitCode
 
 
@@ -89,7 +89,7 @@ def _check_options(args: argparse.Namespace) -> None:
                 str(path), option, f"a file name ending in {suffix} in a folder that exists"
             )
         if path:
-            check_output(path, option, args.log)
+            check_output_path(path, option, args.log)
     if args.picture:
         software_vulkan()
     elif not args.save:

@@ -56,7 +56,7 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
                 "value": value,
                 "origin": layers.origins[key],
                 "bounds": str(gain_bounds[key]),
-                "live": gain_bounds[key].is_live_changeable,
+                "live": gain_bounds[key].is_changeable_live,
                 "meaning": gain_meaning(gain_bounds[key]),
             }
             for key, value in values.items()
@@ -69,7 +69,7 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
     for key, value in values.items():
         when = (
             "changes at any time"
-            if gain_bounds[key].is_live_changeable
+            if gain_bounds[key].is_changeable_live
             else "changes before arming"
         )
         print_escaped(f"{key:<38} {value:<10g} {layers.origins[key]}")

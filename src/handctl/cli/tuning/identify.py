@@ -30,7 +30,7 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.excitation import ExciteProgram
 from handctl.replay.controller_rebuild import logged_hand
 from handctl.runtime.buses.bus_opening import real_buses
-from handctl.runtime.hold_limit import HoldLimit
+from handctl.runtime.hold_timeout import HoldTimeout
 from handctl.session.calibration import (
     ensure_calibration,
     load_calibration,
@@ -104,9 +104,9 @@ def run(args: argparse.Namespace) -> int:
             plan, path, reason, run_live, commissioning_log_path(log)
         )
         controller = make_controller(plan, program, calibration, arm_at_once=True)
-        hold_limit = HoldLimit()
-        outcome = run_live(plan, controller, log, observer=hold_limit)
-        hold_limit.raise_if_stopped(f"identifying {plan.hand.name}, log {log}")
+        hold_timeout = HoldTimeout()
+        outcome = run_live(plan, controller, log, observer=hold_timeout)
+        hold_timeout.raise_if_stopped(f"identifying {plan.hand.name}, log {log}")
     outcome.raise_if_not_finished(f"identifying {plan.hand.name}, log {log}")
     with RunLog(log) as record:
         results = identify_tendons(record, plan.hand, print_note)
@@ -242,14 +242,14 @@ def _report_results(
     )
     all_results = [tendon for tendons in results_of_log.values() for tendon in tendons.values()]
     blocked_events = {
-        tendon_result.data.digit: tendon_result.blocked_event
+        tendon_result.data.digit: tendon_result.blocked_event_text
         for tendon_result in all_results
-        if tendon_result.blocked_event
+        if tendon_result.blocked_event_text
     }
     blocked_results = {
         result.data.digit: result.contact_text
         for result in all_results
-        if result.contact_text and not result.blocked_event
+        if result.contact_text and not result.blocked_event_text
     }
     incoherent_names = [result.data.tendon for result in all_results if result.is_incoherent]
     any_identified = False
@@ -261,7 +261,7 @@ def _report_results(
             new_entry is not None for new_entry in new_entries.values()
         )
         identified |= {
-            name: new_entry.merged_with_older(identified.get(name))
+            name: new_entry.merge_older_parameters(identified.get(name))
             for name, new_entry in new_entries.items()
             if new_entry is not None
         }

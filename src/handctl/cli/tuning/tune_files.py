@@ -12,7 +12,7 @@ from handctl.core.identified_parameters import identified_hand
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
-from handctl.output_files import check_output, path_with_suffix, write_text_atomically
+from handctl.output_files import check_output_path, path_with_suffix, write_text_atomically
 from handctl.session.calibration import identified_parameters_in_file
 from handctl.tune.search.ensemble import factor_half_widths, sample_ensemble
 
@@ -29,9 +29,9 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
         Path(f"{hand}.{suffix}") for suffix in ("calibration.toml", "gains.toml", "study")
     ]
     read = (*hand_files, Path(args.hand), args.gains, args.fit, getattr(args, "study", None))
-    check_output(output_path, "--output", *read)
+    check_output_path(output_path, "--output", *read)
     picture: Path = args.picture or path_with_suffix(output_path, ".png")
-    check_output(picture, "--picture", *read)
+    check_output_path(picture, "--picture", *read)
     if picture.resolve() == output_path.resolve():
         raise ConfigError(
             "is the name of the picture, too",

@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
 
     The command fails if no trial has large enough stability margins.
     """
-    from handctl.tune.search.search import SearchPlan, run_search
+    from handctl.tune.search.gain_search import SearchPlan, run_search
     from handctl.tune.search.workers import make_workers
     from handctl.tune.tuning_figures import draw_search
 

@@ -363,7 +363,7 @@ class RunLog:
             yield data[:, VALUES_START_OFFSET:VALUES_END_OFFSET], rows.sequence()
 
     def packed_telemetry(self, chunks: slice = slice(None)) -> Iterator[bytes]:
-        """Yield the telemetry of each tick in the layout of `Telemetry.packed`.
+        """Yield the telemetry of each tick in the layout of `Telemetry.to_bytes`.
 
         At any time, only a part of the file is in memory.
 
