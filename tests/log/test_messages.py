@@ -140,10 +140,9 @@ EXPECTED_LABEL = {"header": {"stamp": EXPECTED_STAMP, "frame_id": ""}, "name": "
         ),
         (
             "handctl_msgs/Mode",
-            encode_labelled_number(T_NS, 6, "hold"),
+            encode_enum_message(T_NS, 6, "hold"),
             EXPECTED_LABEL | {"mode": 6},
         ),
-        ("handctl_msgs/Mode", encode_enum_message(T_NS, 6, "hold"), LABEL_VALUE | {"mode": 6}),
         (
             "ros2_socketcan_msgs/FdFrame",
             encode_fd_frame("main", T_NS, 0x8000_1234, bytes(range(20))),

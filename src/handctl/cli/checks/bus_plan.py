@@ -134,7 +134,9 @@ def _print_table() -> None:
         f"{'protocol':<34}{'bus':<11}motors  us a tick   % at {rates} Hz   Hz at {MAX_BUS_LOAD:.0%}"
     )
     for row in BUS_LOAD_ROWS:
-        loads = " / ".join(f"{100 * rate * row.frame_time_per_tick_s:.0f}" for rate in BUS_LOAD_RATES_HZ)
+        loads = " / ".join(
+            f"{100 * rate * row.frame_time_per_tick_s:.0f}" for rate in BUS_LOAD_RATES_HZ
+        )
         kind = "FD 1/5" if row.fd else "classical"
         print(f"{row.protocol:<34}{kind:<11}{row.motors:>6}{row.frame_time_per_tick_s * 1e6:>11.0f}   {loads:<22}"
               f"{MAX_BUS_LOAD / row.frame_time_per_tick_s:>6.0f}")  # fmt: skip
