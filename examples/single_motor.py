@@ -28,7 +28,7 @@ MOTOR_SPEC = Motor.model_validate({
 
 with bus_lock(BUS_SPEC):  # only one host may use the bus
     clock = RealClock(PERIOD_NS)
-    bus = open_bus(BUS_SPEC, 0, 1_000_000, convert_time=clock.run_time_of)
+    bus = open_bus(BUS_SPEC, 0, 1_000_000, convert_time=clock.convert_to_run_time)
     rig = DriveRig(make_drive(MOTOR_SPEC, 0), bus, clock)
     try:
         if not rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):

@@ -130,7 +130,7 @@ def simulate_grasp(
         for entry, tick_output in simulation.run_ticks(timeout_s):
             k = entry.k
             state = simulation.state
-            states = state.tendon[s.TRAVEL : s.STRETCH_OFFSET + 1].T.ravel()
+            states = state.tendon[s.SPOOL_TRAVEL : s.STRETCH_OFFSET + 1].T.ravel()
             force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
             pose = plant.engine.object_pose()
             numbers = tick_output.telemetry

@@ -14,7 +14,7 @@ from firmware_sim.bus.local_ports import HubPort
 from firmware_sim.lockstep_hand import LockstepHand
 from firmware_sim.realtime_priority import request_realtime_priority
 
-SPECIAL_COMMAND_HEAD = b"\xff" * 7
+SPECIAL_COMMAND_PREFIX = b"\xff" * 7
 ENABLED_STATE = 1
 
 
@@ -32,7 +32,7 @@ class CachedReplies:
     def replies_to(self, frame: Frame) -> bytes:
         """Return the replies of all nodes to a frame, as frame records of the local bus."""
         if frame.can_id != self.sync and (
-            frame.can_id > 0xFF or frame.data.startswith(SPECIAL_COMMAND_HEAD)
+            frame.can_id > 0xFF or frame.data.startswith(SPECIAL_COMMAND_PREFIX)
         ):
             self.replies.clear()
             return b"".join(map(pack_record, self.rig.world.receive(frame)))

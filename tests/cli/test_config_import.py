@@ -75,7 +75,7 @@ JOINT_KEYS = ("joint_armature_kg_m2", "spring_stiffness_N_m_per_rad", "spring_pr
 FILE_BY_OPTION = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
 
 
-def text_with_all_values(hand_file_text: str) -> str:
+def replace_todo_values(hand_file_text: str) -> str:
     """Return the text of a hand file after each TODO was replaced by a value."""
     return re.sub(
         r'^(\w+) = "TODO".*$',
@@ -200,7 +200,7 @@ def test_moment_arms_and_springs_of_a_model_are_imported(work_folder: Path) -> N
 
 def test_links_in_any_frames_have_the_dynamics_of_pinocchio(work_folder: Path) -> None:
     Path("full.toml").write_text(
-        text_with_all_values(import_description("--urdf", TRIPOD_URDF, *IMPORT_OPTIONS))
+        replace_todo_values(import_description("--urdf", TRIPOD_URDF, *IMPORT_OPTIONS))
     )
     tree = LinkTree.from_hand(load_hand("full.toml"))
     model = pinocchio.buildModelFromUrdf(str(TRIPOD_URDF))
@@ -238,7 +238,7 @@ def test_each_missing_value_is_refused_until_it_is_given(
         "one line for each value"
     )
     assert all("# TODO" in line for line in text.splitlines() if '"TODO"' in line)
-    full_text = text_with_all_values(text)
+    full_text = replace_todo_values(text)
     for key, value in MEASURED_VALUES.items():
         Path("mine.toml").write_text(full_text.replace(f"{key} = {value}\n", f'{key} = "TODO"\n'))
         assert all(
@@ -408,7 +408,7 @@ def test_an_imported_hand_grasps(
         reimport_packaged_hand(format_option, hand_name)
     else:
         Path("mine.toml").write_text(
-            text_with_all_values(import_description("--urdf", TRIPOD_URDF, *IMPORT_OPTIONS))
+            replace_todo_values(import_description("--urdf", TRIPOD_URDF, *IMPORT_OPTIONS))
         )
     capsys.readouterr()
     code = main(["demo", "--lockstep", "--hand", "mine.toml", "--log", "run.mcap", "--json"])

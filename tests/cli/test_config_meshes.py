@@ -15,7 +15,7 @@ import pytest
 from firmware_sim.model_file import read_model_file
 from handctl.cli.checks.config_import import read_hand_description
 from handctl.cli.main import main
-from handctl.cli.runs.other_protocol import hand_in_protocol
+from handctl.cli.runs.protocol_hand_file import use_protocol_hand_file
 from handctl.hand.formats.link_meshes import LinkMesh, mesh_mistakes, meshes_of_hand
 from handctl.hand.hand_loading import (
     PACKAGED_HANDS_FOLDER,
@@ -37,7 +37,7 @@ from tests.hand.mesh_files import (
 )
 from tools.meshes.solids import stl
 
-LINK_LINE = 'link_mesh = ["t42/inner.stl", "t42/outer.stl"]'
+LINK_MESH_LINE = 'link_mesh = ["t42/inner.stl", "t42/outer.stl"]'
 """Line of t42.toml with the mesh files of a finger's two links. Both fingers share this line."""
 
 
@@ -81,7 +81,7 @@ def replace_once(text_file: Path, original_text: str, replacement_text: str) -> 
             'default.digit.link_mesh[0]: "inner.glb"; expected a file of type .stl or .obj',
         ),
         (
-            LINK_LINE,
+            LINK_MESH_LINE,
             'link_mesh = ["t42/inner.stl"]',
             "link_mesh: 1 values; expected 2, one per link_length_m",
         ),
@@ -168,7 +168,7 @@ def test_a_hand_in_another_protocol_keeps_its_meshes(copy_t42_with_meshes: Path)
     from argparse import Namespace
 
     args = Namespace(hand=str(copy_t42_with_meshes), protocol="odrive", motor_type=None)
-    with hand_in_protocol(args):
+    with use_protocol_hand_file(args):
         assert args.hand != str(copy_t42_with_meshes)
         assert not list(mesh_mistakes(load_hand(args.hand), Path(args.hand).parent))
 

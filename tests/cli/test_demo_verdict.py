@@ -12,7 +12,7 @@ from handctl.hand.file.toml_text import toml_text
 from handctl.hand.hand_loading import hand_content, load_hand
 from handctl.session.calibration import load_calibration
 from tests.cli.command_refusals import refusal_line
-from tests.runtime.processes import run_handctl, time_scale_options
+from tests.runtime.processes import make_time_scale_options, run_handctl
 
 GRASP_TASK = """schema = 1
 name = "two fingers"
@@ -116,7 +116,7 @@ def test_a_hand_of_two_buses_works_in_real_time(work_folder, repeat_time_scale):
         'schema = 1\nname = "bend"\n[[phase]]\nkind = "move"\nangle_deg = 20.0\n'
     )
     words = ("--hand", "buses.toml", "--task", "bend.toml", "--scene", "none", "--log", "x.mcap")
-    done = run_handctl("demo", "--json", *words, *time_scale_options(repeat_time_scale))
+    done = run_handctl("demo", "--json", *words, *make_time_scale_options(repeat_time_scale))
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["failure"] == ""
 

@@ -49,10 +49,10 @@ def test_a_gripper_grasps_holds_releases_and_is_re_executed(
     assert abs(truth.interpolated_columns(forces, truth.t_ns[-1:])).max() == 0.0, (
         "the hand has released"
     )
-    opened_columns = truth.interpolated_columns(
+    final_joint_positions = truth.interpolated_columns(
         [f"q/{joint}" for joint in load_hand(hand_file).joints], truth.t_ns[-1:]
     )
-    assert np.abs(opened_columns).max() < 0.06
+    assert np.abs(final_joint_positions).max() < 0.06
     assert main(["replay", "execute", "run.mcap", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["differing"] == 0
 

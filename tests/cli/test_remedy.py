@@ -27,7 +27,7 @@ def run_with_faults(*fault_ids: str, cpu_s: float = 0.0) -> RunOutcome:
     The control loop of the run used ``cpu_s`` of CPU time [s].
     """
     latched = [SimpleNamespace(id=row) for row in fault_ids]
-    state = SimpleNamespace(latched=latched, failure="fault" if fault_ids else "", k=1000)
+    state = SimpleNamespace(latched_faults=latched, failure="fault" if fault_ids else "", k=1000)
     return RunOutcome(cast(ControllerState, state), LoopStats(cpu_s=cpu_s), {}, None, 0)
 
 

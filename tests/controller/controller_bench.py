@@ -82,7 +82,7 @@ class ToyHand:
         self._advance_tendons()
         return [answer._replace(t_ns=t_ns + 100_000 + i) for i, answer in enumerate(answers)]
 
-    def tear_tendon(self, tendon_index: int) -> None:
+    def snap_tendon(self, tendon_index: int) -> None:
         """Tear tendon i.
 
         A torn tendon has no tension, at any speed of its spool.
@@ -183,16 +183,16 @@ class ControllerBench:
     Attributes:
         controller: the controller under test.
         toy_hand: the simple hand, which replies to the controller.
-        change_host_frames, change_node_frames: functions that change the frames of a tick on their way to the host and
-            to the nodes.
+        modify_frames_to_host, modify_frames_to_nodes: functions that change the frames of a tick on
+            their way to the host and to the nodes.
         tick_history: for every tick so far, its input, its output, and the state of the controller
             before the tick.
     """
 
     controller: Controller
     toy_hand: ToyHand
-    change_host_frames: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
-    change_node_frames: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
+    modify_frames_to_host: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
+    modify_frames_to_nodes: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
     tick_history: list[tuple[ControllerState, TickIn, TickOut]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -216,14 +216,14 @@ class ControllerBench:
             self.k,
             t_ns,
             lateness_ns,
-            (*self.change_host_frames(self.frames_on_bus), *extra_frames),
+            (*self.modify_frames_to_host(self.frames_on_bus), *extra_frames),
             io_events,
             requests,
         )
         state_before = self.state
         self.state, out = self.controller.tick(state_before, entry)
         self.tick_history.append((state_before, entry, out))
-        self.frames_on_bus = self.toy_hand.step(t_ns, self.change_node_frames(list(out.frames)))
+        self.frames_on_bus = self.toy_hand.step(t_ns, self.modify_frames_to_nodes(list(out.frames)))
         self.k += 1
         return out
 

@@ -14,7 +14,7 @@ StageRecord = tuple[str, tuple[DigitGoal, ...], tuple[bool, ...]]
 """Name of a stage, the goals of all digits, and a flag for each digit that rests on a stop or an object."""
 
 
-def stages_of_exercise(model: HandModel) -> list[StageRecord]:
+def exercise_stages(model: HandModel) -> list[StageRecord]:
     """Return the stages of the exercise program in the order of execution.
 
     In this run, the hand is at rest, and its tendons are taut.
@@ -44,7 +44,7 @@ def test_a_wrist_keeps_its_angle_while_the_other_digits_exercise(hand_name: str)
     """
     hand = load_hand(hand_name) if hand_name == "orca_like" else mount_on_wrist(hand_name)
     model = HandModel.from_hand(hand, packaged_gains(hand_name), 400.0)
-    records = stages_of_exercise(model)
+    records = exercise_stages(model)
     wrist = model.hand.digit_names.index("wrist")
     assert {"settle", "move", "close", "hold"} == {stage for stage, _, _ in records}
     assert len(records) >= 8
@@ -72,7 +72,7 @@ def test_only_digits_without_springs_close_with_a_slow_rise(hand_name: str) -> N
     moving = [d for d, digit in enumerate(model.hand.digit_names) if digit != "wrist"]
     rates = [
         (stage, {goals[d].rate for d in moving})
-        for stage, goals, _ in stages_of_exercise(model)
+        for stage, goals, _ in exercise_stages(model)
         if stage in ("close", "hold")
     ]
     stage_before_hold = rates[[stage for stage, _ in rates].index("hold") - 1]

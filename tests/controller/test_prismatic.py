@@ -34,7 +34,7 @@ SIMULATOR_SEEDS = range(5)
 RATE_HZ = 500.0
 
 
-def to_and_fro_task(hand_name: str) -> Task:
+def back_and_forth_task(hand_name: str) -> Task:
     """Return a task that moves the digits of a hand to and fro, in mm and deg."""
     angles = (
         [{"left": 20.0, "right": 10.0}, {"left": 2.0, "right": 18.0}]
@@ -70,7 +70,7 @@ def test_a_hand_is_commissioned_and_moves(hand_name: str, seed: int) -> None:
         )
         for row in calibration.tendon.values():
             assert row.answer_N == pytest.approx(PULL_TENSION_N, abs=1.5)
-        run = begin(TaskProgram(to_and_fro_task(hand_name)), calibration, run.k)
+        run = begin(TaskProgram(back_and_forth_task(hand_name)), calibration, run.k)
         errors = list[np.ndarray]()
         largest = np.zeros(len(hand.joints))
         for _, out in run.run_ticks(run.k / RATE_HZ + 30.0):
@@ -100,11 +100,11 @@ def test_the_mean_of_a_sliding_digit_is_its_position() -> None:
     gripper = load_hand(HAND_FILE_FOLDER / "parallel_gripper.toml")
     q = np.array([[0.01, 0.02]])
     np.testing.assert_allclose(mean_angles(gripper, q), q)
-    mixed = load_hand(HAND_FILE_FOLDER / "mixed_gripper.toml")
+    mixed_gripper = load_hand(HAND_FILE_FOLDER / "mixed_gripper.toml")
     # The test treats 10 mm of the prismatic joint like 1 rad of a revolute joint.
-    mean = mean_angles(mixed, np.array([[0.005, 0.01, 1.0]]))
+    mean = mean_angles(mixed_gripper, np.array([[0.005, 0.01, 1.0]]))
     np.testing.assert_allclose(mean, [[0.005, 1.0]])
-    assert mixed.display_units.names == ("mm", "mm", "deg")
+    assert mixed_gripper.display_units.names == ("mm", "mm", "deg")
 
 
 def model_of(hand_name: str) -> HandModel:

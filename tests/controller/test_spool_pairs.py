@@ -135,7 +135,7 @@ def begin_run(
     run = SimulatedRun.start_run(controller, simulated_hand)
     run.k = first_tick
     run.are_ticks_recorded = False
-    run.state.set_run_integer(s.K, first_tick - 1)
+    run.state.set_run_table_integer(s.K, first_tick - 1)
     return run
 
 
@@ -179,7 +179,9 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
         wound = [tendon.extra_length + hand.tendon[i].pretension_N / hand.tendon[i].stiffness_N_per_m
                  for i, (tendon, _) in enumerate(plant.tendons[: len(hand.tendon)])]  # fmt: skip
-        travel_errors = (calibration.zero(hand) - offset) * run.controller.model.space.spool - wound
+        travel_errors = (
+            calibration.motor_zeros(hand) - offset
+        ) * run.controller.model.tendon_constants.spool_radius - wound
         np.testing.assert_allclose(travel_errors, 0.0, atol=1e-4)
 
         run = begin_run(peer, hand, TaskProgram(MOVES_TASK), calibration, run.k)

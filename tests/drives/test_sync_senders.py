@@ -146,4 +146,4 @@ def test_each_bus_of_a_split_has_room_for_its_sync() -> None:
         hand = hand_with_protocol("jamia11", "cia402")
         hand_with_buses = with_more_buses(hand, rate)
         loads = bus_loads(hand_from_content(tomllib.loads(hand_with_buses.to_toml()), "split"))
-        assert max(load.load_at(rate) for load in loads) <= MAX_BUS_LOAD, rate
+        assert max(load.load_at_rate(rate) for load in loads) <= MAX_BUS_LOAD, rate

@@ -31,6 +31,7 @@ from handctl.campaign.run_stages import (
     FREE_MOTION_STAGE_DELAY_S,
     MIN_CONTROL_RATE_HZ,
     advance_to_stage,
+    hand_with_drives,
     hand_with_protocol,
     homed_run,
     run_in_forked_processes,
@@ -39,6 +40,7 @@ from handctl.campaign.scenario_run import ScenarioResult, run_scenario
 from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands
 from handctl.safety.faults.tendon import RELAXING_TIME_S
+from handctl.safety.missing_sensors import sensing_warnings
 from handctl.safety.safety_action import SafetyAction
 from handctl.safety.safety_limits import MAX_STALL_S, MIN_STALLED_TICKS, tick_count_for_time
 from handctl.session.lockstep_simulation import SimulatedRun
@@ -167,7 +169,7 @@ def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed:
         advance_to_stage(simulation, GRASP_STAGE)
         simulation.simulated_hand.inject("swap node=left_motor with=right_motor")
         assert simulation.run_until(lambda out: out.mode == HandMode.RELAX, 0.6)
-        assert {mark.id for mark in simulation.state.latched} == {"N17"}
+        assert {mark.id for mark in simulation.state.latched_faults} == {"N17"}
 
 
 @pytest.mark.parametrize("hand", packaged_hands())
@@ -437,6 +439,18 @@ def test_only_missing_sensors_extend_a_time_limit():
         assert any(scenario.missing_sensor_ticks for scenario in scenarios) == some
 
 
+@pytest.mark.parametrize(("protocol", "is_judged"), [("mit", True), ("odrive", False)])
+def test_torque_after_a_cut_needs_a_load_cell_or_torque_in_each_reply(protocol, is_judged):
+    """For the fault N16, the campaign and `config check` agree.
+
+    An ODrive sends its torque in a separate frame, and sends none after a cut.
+    """
+    hand = hand_with_drives(load_hand("orca_like"), protocol)
+    rows = {scenario.row.id for scenario in scenarios_of_hand(hand, protocol, 5.0)}
+    assert ("N16" in rows) == is_judged
+    assert any("N16" in line for line in sensing_warnings(hand)) != is_judged
+
+
 def test_a_stall_of_the_host_is_a_stall_at_every_control_rate():
     """The scenario of H03 misses more ticks at a faster rate.
 
@@ -530,10 +544,13 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
     hand = hand_with_protocol("jamia", "mit")
     with homed_run(hand, RATE_HZ, 0) as simulation:
         advance_to_stage(simulation, GRASP_STAGE)
-        space = simulation.controller.model.space
+        space = simulation.controller.model.tendon_constants
         at = simulation.simulated_hand.truth()["tension"][0]
         v = (
-            abs(float(simulation.last_output.telemetry.motor_velocity[0]) * float(space.spool[0]))
+            abs(
+                float(simulation.last_output.telemetry.motor_velocity[0])
+                * float(space.spool_radius[0])
+            )
             + 0.01
         )
         row = next(row for row in FAULT_MATRIX if row.fault == "runaway node={node} size=1 seed=1")

@@ -108,14 +108,14 @@ def test_a_sequence_that_breaks_a_rule_names_it(copy_of_arming_simulation, monke
 def test_violated_rule_of_a_tick_is_found(copy_of_arming_simulation):
     state_before = copy_of_arming_simulation.state.copy()
     state_before.mode = HandMode.RELAX
-    state_before.decide(latched=(LatchedFault("T03", "index_tendon"),))
+    state_before.decide(latched_faults=(LatchedFault("T03", "index_tendon"),))
     state_after = state_before.copy()
     state_after.view("setpoint")[...] += 1.0
     assert violations_in_tick(state_before, state_after, is_cleared=False) == [
         "a setpoint rises while the hand relaxes"
     ]
     state_without_fault = state_before.copy()
-    state_without_fault.decide(latched=())
+    state_without_fault.decide(latched_faults=())
     assert violations_in_tick(state_before, state_without_fault, is_cleared=False) == [
         "no longer latched: T03"
     ]

@@ -20,7 +20,7 @@ from handctl.campaign.run_stages import (
     hand_with_protocol,
     homed_run,
 )
-from handctl.controller.relaxing import SETPOINT_MARGIN_N
+from handctl.controller.relaxation import MAX_SETPOINT_EXCESS_N
 from handctl.core import state_block as s
 from handctl.core.tick_types import HandMode
 from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
@@ -66,7 +66,7 @@ class TrueTendonState(NamedTuple):
 
 def observe_instant(simulation: SimulatedRun) -> TrueTendonState:
     peer: Any = simulation.simulated_hand
-    spool = simulation.controller.model.space.spool
+    spool = simulation.controller.model.tendon_constants.spool_radius
     motors = [
         peer.world.plant.motors[motor.name] for motor in simulation.controller.model.hand.motor
     ]
@@ -88,7 +88,7 @@ def tension_bound(
     stiffness k of the tendon. From a tension T, the tension rises to at most F + sqrt((F - T)^2 + k
     m v^2). While the finger moves freely, the force also increases the speed of the rotor.
     """
-    space = simulation.controller.model.space
+    space = simulation.controller.model.tendon_constants
     largest = np.maximum(motor_force, 0.0)
     gained = np.abs(decision_instant.speed) + largest / space.motor_mass * COMMAND_DELAY_S * (
         decision_instant.tension < 10.0
@@ -193,14 +193,17 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
             out = simulation.run_tick()
         simulation.simulated_hand.inject(fault_command)
         assert simulation.run_until(lambda out: out.mode == HandMode.RELAX, 2.0)
-        latched_ids = {mark.id for mark in simulation.state.latched}
+        latched_ids = {mark.id for mark in simulation.state.latched_faults}
         # With some seeds, the unstable loop first makes the tension too large (T03), or makes the
         # tendon slack (T01).
         assert latched_ids & {"T04b", "T03", "T01"}
         if "T04b" in latched_ids:
             table, model = simulation.state.tendon, simulation.controller.model
-            explained = np.maximum(table[s.TENSION], model.relaxed_tensions) + model.space.coulomb
-            assert (simulation.state.view("asked") <= explained + SETPOINT_MARGIN_N).all()
+            explained = (
+                np.maximum(table[s.TENSION], model.relaxed_tensions)
+                + model.tendon_constants.coulomb_friction
+            )
+            assert (simulation.state.view("asked") <= explained + MAX_SETPOINT_EXCESS_N).all()
         if fault_command.startswith("cross"):
             peak = 0.0
             while simulation.run_tick().mode != HandMode.DONE:

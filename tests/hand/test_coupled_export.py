@@ -9,7 +9,7 @@ import pytest
 from handctl.hand.formats.mjcf import mjcf_text
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.hand_loading import load_hand
-from tests.docs.command_blocks import REPOSITORY_ROOT
+from tests.docs.code_blocks import REPOSITORY_ROOT
 
 SHADOW_LIKE_HAND = load_hand(REPOSITORY_ROOT / "examples" / "hands" / "shadow_like.toml")
 DRIVER_BY_COUPLED_JOINT = {

@@ -13,7 +13,7 @@ from handctl.hand.formats.link_meshes import meshes_of_hand
 from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER, load_hand
 from handctl.log import attached_meshes as module
 from handctl.log.attached_meshes import MAX_MESH_BYTES, attached_meshes, mesh_attachments
-from handctl.log.read.log_hand import described_hand
+from handctl.log.read.hand_in_log import described_hand
 from handctl.log.read.reader import RunLog
 from handctl.log.read.recover import recover_log
 from tests.hand.mesh_files import hand_with_meshes, tetrahedron_triangles, write_meshes

@@ -72,11 +72,11 @@ def started_recorders(tmp_path, monkeypatch):
     started = []
     start = Recorder.start
 
-    def start_and_store(*words):
+    def start_recorder(*words):
         started.append(start(*words))
         return started[-1]
 
-    monkeypatch.setattr(run.Recorder, "start", start_and_store)
+    monkeypatch.setattr(run.Recorder, "start", start_recorder)
     return started
 
 

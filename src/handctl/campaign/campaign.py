@@ -21,7 +21,7 @@ QUICK_SCENARIO_STEP = 7
 
 A quick campaign runs only every seventh scenario of the fault matrix.
 """
-NOISE_FACTOR = 3.0
+POSITION_NOISE_FACTOR = 3.0
 """Factor by which the specified sensor noise is increased in the runs without faults."""
 FRAME_LOSS_PROBABILITY = 0.001
 """Probability with which each CAN frame is lost in the runs without faults."""
@@ -192,7 +192,7 @@ def simulate_without_faults(
     alarms: list[str] = []
     remaining_s = duration_s
     while remaining_s > 0.0:
-        with homed_run(hand, rate_hz, seed, {"noise": NOISE_FACTOR}) as simulation:
+        with homed_run(hand, rate_hz, seed, {"noise": POSITION_NOISE_FACTOR}) as simulation:
             for bus in hand.bus_names:
                 # The fault command `drop` loses frames that the drives send to the host. The fault
                 # command `deaf` loses frames that the host sends to the drives.

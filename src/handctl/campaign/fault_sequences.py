@@ -259,7 +259,7 @@ def violations_in_tick(
         violations.append(
             f"the mode goes back: {state_before.mode.name} to {state_after.mode.name}"
         )
-    unlatched_faults = set(state_before.latched) - set(state_after.latched)
+    unlatched_faults = set(state_before.latched_faults) - set(state_after.latched_faults)
     if unlatched_faults and not is_cleared:
         violations.append(
             f"no longer latched: {', '.join(sorted(latched_fault.id for latched_fault in unlatched_faults))}"
@@ -286,7 +286,7 @@ def _tension_bound(
     """
     # Without a runaway drive, the bound is the larger of two tensions: the largest trip tension,
     # and the largest tension at the start.
-    limits = simulation.controller.derived.limits
+    limits = simulation.controller.derived_constants.limits
     model = simulation.controller.model
     if not any(step.fault.startswith(RUNAWAY_FAULT) for step in sequence.steps):
         return max(*limits.tension_trip, *start_tension)

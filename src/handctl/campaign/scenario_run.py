@@ -171,7 +171,7 @@ def _tendon_speeds(simulation: SimulatedRun) -> list[float]:
     """
     if simulation.last_output is None:
         return [0.0] * simulation.controller.model.tendon_count
-    spool = simulation.controller.model.space.spool
+    spool = simulation.controller.model.tendon_constants.spool_radius
     return [
         float(v)
         for v in np.nan_to_num(np.abs(simulation.last_output.telemetry.motor_velocity * spool))
@@ -199,7 +199,7 @@ def tension_bound(
         duration_s: time from the start of the fault until all torques are zero [s].
     """
     if RUNAWAY_FAULT not in (scenario.fault.split()[0], *scenario.second_fault.split()[:1]):
-        return max(*simulation.controller.derived.limits.tension_trip, *start_tension)
+        return max(*simulation.controller.derived_constants.limits.tension_trip, *start_tension)
     return runaway_tension(
         simulation.controller.model,
         start_tension,
@@ -227,12 +227,12 @@ def runaway_tension(
         spool_speeds: speed of each tendon when the fault begins [m/s].
         duration_s: time for which the finger moves freely [s].
     """
-    space = model.space
+    tendons = model.tendon_constants
     bounds = []
     for tendon, k, m, tension, v in zip(
         model.hand.tendon,
-        space.stiffness,
-        space.motor_mass,
+        tendons.stiffness,
+        tendons.motor_mass,
         start_tension,
         spool_speeds,
         strict=True,
@@ -302,7 +302,9 @@ class ReactionStart:
     def _motor_force(self, simulation: SimulatedRun) -> float:
         """Return the force of the scenario's motor at its tendon [N]."""
         torque = simulation.simulated_hand.truth()["torque"][self._tendon]
-        return float(torque / simulation.controller.model.space.spool[self._tendon])
+        return float(
+            torque / simulation.controller.model.tendon_constants.spool_radius[self._tendon]
+        )
 
 
 def _observe_tick(

@@ -175,8 +175,8 @@ class FingertipStream(TargetStream):
     def _present_values(self) -> NDArray[np.float64]:
         """Return the present joint angles [deg]."""
         present_angles = self._hand.observe().named("q_rad")
-        units = self._hand.description.display_units
+        display_units = self._hand.description.display_units
         factor_by_joint = dict(
-            zip(self._hand.description.joints, units.factor.tolist(), strict=True)
+            zip(self._hand.description.joints, display_units.factor.tolist(), strict=True)
         )
         return np.array([factor_by_joint[joint] * present_angles[joint] for joint in self.joints])

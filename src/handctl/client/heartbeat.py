@@ -46,7 +46,7 @@ class Heartbeat:
         )
         self._thread.start()
 
-    def note_call(self) -> None:
+    def record_call_time(self) -> None:
         """Store the present time as the time at which the program last called the client."""
         self._last_call_s = time.monotonic()
 

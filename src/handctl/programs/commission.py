@@ -197,7 +197,7 @@ class CommissionProgram:
         # The new average has as much weight as all earlier readings together.
         tendons_with_new_tare = (
             slice(i, i + 1)
-            if model.redundancy.is_sprung[i]
+            if model.redundancy.has_return_springs[i]
             else model.digit_tendons[model.digit_of_tendon[i]]
         )
         table[tendons_with_new_tare, TARE_SUM] += (
@@ -208,7 +208,7 @@ class CommissionProgram:
         table[tendons_with_new_tare, REST_SUM] = 0.0
         table[:, START_TRAVEL] = measured.travel
         progress = _with_new_tare(_with_commissioning_table(progress, table))
-        if not model.redundancy.is_sprung[i]:
+        if not model.redundancy.has_return_springs[i]:
             hold_progress, events = self._begin_holding_digit(model, progress, t, is_taut=False)
             return self._check_tare(model, progress) or (hold_progress, events)
         goals = tuple(_pull_goal(tendons, i) for tendons in model.digit_tendons)
@@ -296,10 +296,10 @@ class CommissionProgram:
         table[:, REST_SUM] += tension
         table[:, REST_SAMPLES] += 1.0
         if is_first_tendon:
-            stretch = tension[digit_tendons] / model.space.stiffness[digit_tendons]
+            stretch = tension[digit_tendons] / model.tendon_constants.stiffness[digit_tendons]
             table[digit_tendons, ZERO_COLUMN] += (
                 measurements.travel[digit_tendons] - stretch - excursion
-            ) / model.space.spool[digit_tendons]
+            ) / model.tendon_constants.spool_radius[digit_tendons]
         progress = replace(
             _with_commissioning_table(progress, table),
             touching=(touching_ticks + 1, *progress.touching[1:]),
@@ -353,10 +353,10 @@ class CommissionProgram:
             return progress, ()
         table = _commissioning_table(progress)
         table[:, PULL_SUM] += tension
-        if model.redundancy.is_sprung[i]:
+        if model.redundancy.has_return_springs[i]:
             # The motor angle [rad] is the travel of the tendon [m] divided by the radius of the
             # spool.
-            table[i, ZERO_COLUMN] += measurements.travel[i] / model.space.spool[i]
+            table[i, ZERO_COLUMN] += measurements.travel[i] / model.tendon_constants.spool_radius[i]
         samples = progress.touching[0]
         if samples * model.period >= MEASUREMENT_DURATION_S:
             other_encoder = _encoder_that_turned(model, table, i, measurements.travel)
@@ -414,7 +414,7 @@ class CommissionProgram:
             1 < step <= model.tendon_count
             and model.digit_of_tendon[step - 1] == model.digit_of_tendon[step - 2]
         )
-        if is_same_digit and not model.redundancy.is_sprung[step - 1]:
+        if is_same_digit and not model.redundancy.has_return_springs[step - 1]:
             return self._begin_holding_digit(model, replace(progress, step=step), t, is_taut=True)
         zero_torque_goals = (DigitGoal(),) * len(model.digits)
         if step > model.tendon_count:
@@ -567,21 +567,23 @@ def _table_with_pull_results(model: HandModel, table: Vector, i: int, samples: i
     """Return the table after the results for tendon i are stored and the sums are set to zero."""
     rest_tensions = table[:, REST_SUM] / table[i, REST_SAMPLES]
     rise = table[:, PULL_SUM] / samples - rest_tensions
-    if model.redundancy.is_sprung[i]:
+    if model.redundancy.has_return_springs[i]:
         # The pull stretches the tendon. So the motor turns beyond the position at which the tendon
         # becomes taut.
-        stretch = rise[i] / model.space.stiffness[i] / model.space.spool[i]
+        stretch = (
+            rise[i] / model.tendon_constants.stiffness[i] / model.tendon_constants.spool_radius[i]
+        )
         table[i, ZERO_COLUMN] = (
             table[i, ZERO_COLUMN] / samples
             - stretch
-            - model.redundancy.excursion_at_lower_limits[i] / model.space.spool[i]
+            - model.redundancy.excursion_at_lower_limits[i] / model.tendon_constants.spool_radius[i]
         )
     table[i, ANSWER_COLUMN] = rise[i]
     tendons = np.arange(model.tendon_count)
     # Friction holds tension in a tendon that was pulled before. This tension falls without a
     # command. So only an increase counts as crosstalk.
     spring_tensions = np.where(
-        model.redundancy.is_sprung & (tendons < i), np.maximum(rest_tensions, 0.0), 0.0
+        model.redundancy.has_return_springs & (tendons < i), np.maximum(rest_tensions, 0.0), 0.0
     )
     other_tendons = model.hand.has_cell & (tendons != i)
     table[i, CROSSTALK_COLUMN] = np.maximum(rise, -rise - spring_tensions)[other_tendons].max(
@@ -603,10 +605,10 @@ def _encoder_that_turned(model: HandModel, table: Vector, i: int, travel: Vector
         i: index of the pulled tendon.
         travel: (N,) measured travel at the end of the pull [m].
     """
-    is_sprung = model.redundancy.is_sprung
-    joint_travel = np.where(is_sprung, np.abs(travel - table[:, START_TRAVEL]), 0.0)
+    has_return_springs = model.redundancy.has_return_springs
+    joint_travel = np.where(has_return_springs, np.abs(travel - table[:, START_TRAVEL]), 0.0)
     largest = int(joint_travel.argmax())
-    are_encoders_exchanged = is_sprung[i] and joint_travel[largest] > max(
+    are_encoders_exchanged = has_return_springs[i] and joint_travel[largest] > max(
         joint_travel[i], MIN_EXCHANGED_ENCODER_MOTION_M
     )
     return largest if are_encoders_exchanged else None

@@ -98,7 +98,7 @@ class GripPlan:
 
 def grip_excursions(model: HandModel, estimate: HandEstimate) -> Vector:
     """Return the excursion (N,) of each tendon up to a constant [m]: the wound length minus the stretch."""
-    return np.asarray(estimate.travel - estimate.tension / model.space.stiffness)
+    return np.asarray(estimate.travel - estimate.tension / model.tendon_constants.stiffness)
 
 
 def advance_grip(
@@ -131,7 +131,7 @@ def advance_grip(
     if is_slip_judged:
         # A tendon that opens a digit is pulled out while the digit closes.
         opening_travel = np.where(
-            np.isnan(grip.tension), 0.0, model.redundancy.side * estimate.grip_opening
+            np.isnan(grip.tension), 0.0, model.redundancy.closing_sign * estimate.grip_opening
         )
         if opening_travel.max() > SLIP_EXCURSION_M:
             grip, events = _raise_tension_after_slip(model, grip, plan, opening_travel, t)
@@ -158,7 +158,7 @@ def _raise_tension_after_slip(
     slip_text = f"{digit} is pushed open, {1e6 * opening_distances[worst_digit]:.0f} um of tendon"
     # The tendon that is farthest below its limit determines the largest possible factor. All
     # tensions are multiplied by the same factor.
-    is_closing_side = model.redundancy.side > 0.0
+    is_closing_side = model.redundancy.closing_sign > 0.0
     factor_limits = plan.limit[is_closing_side] / grip.tension[is_closing_side]
     max_factor = float(np.nanmax(np.append(factor_limits, 1.0)))
     if grip.tension_factor < max_factor:
@@ -184,7 +184,7 @@ def _goals_of_held_grip(
     No tension is below the floor.
     """
     limit = np.fmax(plan.limit, grip.tension)
-    tension_factors = np.where(model.redundancy.side > 0.0, grip.tension_factor, 1.0)
+    tension_factors = np.where(model.redundancy.closing_sign > 0.0, grip.tension_factor, 1.0)
     target = np.minimum(tension_factors * grip.tension, limit) + plan.stiffness * (
         grip.reference_excursion - excursion
     )

@@ -268,8 +268,8 @@ def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector
         # The stiffness of a prismatic joint is converted as if it moved on a circle whose radius is
         # the joint's scale.
         arms = ((digit.reduced_moment_arms * digit.coordinate_units.scale) ** 2).sum(axis=1)
-        mass = (model.space.motor_mass + model.space.load_mass)[digit.tendons]
-        full_stiffness = arms * mass * model.motion.stiffness[digit.tendons]
+        mass = (model.tendon_constants.motor_mass + model.tendon_constants.load_mass)[digit.tendons]
+        full_stiffness = arms * mass * model.motion_design.stiffness[digit.tendons]
         stiffness[digit.tendons] = np.clip(
             stream.joint_stiffness / full_stiffness, MIN_STIFFNESS_FRACTION, 1.0
         )

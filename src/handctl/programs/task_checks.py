@@ -24,6 +24,7 @@ from handctl.programs.task import (
     end_angles,
     interpolating_curve,
     joint_values,
+    phase_key,
     shapes_of_digits,
     value_for_digit,
 )
@@ -83,7 +84,7 @@ def check_speed(task: Task, models: Sequence[DigitModel], task_name: str) -> Non
     }  # when the hand is armed, its digits are open
     for i, phase in enumerate(task.phase):
         if isinstance(phase, FollowPhase):
-            _check_curves(phase, models, f"{task_name}: phase[{i}].angle_deg")
+            _check_curves(phase, models, f"{task_name}: {phase_key(i, phase)}.angle_deg")
         for digit, angle_range in range_by_digit.items():
             low, high = angle_range
             end_from_low = _coordinates_after_phase(phase, digits[digit], low)
@@ -106,7 +107,9 @@ def check_speed(task: Task, models: Sequence[DigitModel], task_name: str) -> Non
                     distance = f"{digit} may have {distances[worst_coordinate]:g} {unit} to go, at {limit:.4g} {unit}/s"
                     expected = f"at least {min_duration:g} s: {distance}"
                     raise ConfigError(
-                        f"{phase.duration_s:g}", f"{task_name}: phase[{i}].duration_s", expected
+                        f"{phase.duration_s:g}",
+                        f"{task_name}: {phase_key(i, phase)}.duration_s",
+                        expected,
                     )
             is_close_phase = isinstance(phase, ClosePhase)  # a close phase may end at any angle
             end_angles_text = (
@@ -194,7 +197,10 @@ def check_joint_range(task: Task, hand: Hand, task_name: str, digits: Sequence[D
             continue
         for digit in digits:
             _check_joints(
-                phase, digit, hand.digit_named(digit.name), f"{task_name}: phase[{i}].angle_deg"
+                phase,
+                digit,
+                hand.digit_named(digit.name),
+                f"{task_name}: {phase_key(i, phase)}.angle_deg",
             )
         for name, ((low, high), names) in range_and_units.items():
             for row in _required_angles(phase, name):
@@ -202,7 +208,7 @@ def check_joint_range(task: Task, hand: Hand, task_name: str, digits: Sequence[D
                     *np.broadcast_arrays(row, low, high), names, strict=True
                 ):
                     if not lower - ROUNDING_DEG <= angle <= upper + ROUNDING_DEG:
-                        angle_key = f"{task_name}: phase[{i}].angle_deg"
+                        angle_key = f"{task_name}: {phase_key(i, phase)}.angle_deg"
                         raise ConfigError(
                             f"{angle:g} {unit} for {name}",
                             angle_key,
@@ -281,7 +287,9 @@ def check_tip_force(task: Task, hand: Hand, task_name: str) -> None:
                 tendons_text = f"{tendon_count} tendon{'s' * (tendon_count > 1)}"
                 problem = f"{name} has {tendons_text} for {joint_count} joints: no force at its tip can be made"
                 raise ConfigError(
-                    problem, f"{task_name}: phase[{i}].tip_force_N", f"tension_N for {name}"
+                    problem,
+                    f"{task_name}: {phase_key(i, phase)}.tip_force_N",
+                    f"tension_N for {name}",
                 )
 
 
@@ -311,7 +319,9 @@ def check_slip_limit(task: Task, hand: Hand, task_name: str) -> None:
             if limit is not None and tension is not None and np.max(limit) < np.max(tension):
                 expected = f"at least tension_N of {name}, {np.max(tension):g}"
                 raise ConfigError(
-                    f"{np.max(limit):g}", f"{task_name}: phase[{i}].slip_limit_N", expected
+                    f"{np.max(limit):g}",
+                    f"{task_name}: {phase_key(i, phase)}.slip_limit_N",
+                    expected,
                 )
 
 

@@ -309,7 +309,7 @@ class TaskProgram:
                 contact[d] = True
                 # If a digit already pulls harder than the contact tension, it keeps this tension.
                 start = pull_tensions(model, d, phase.contact_tension_N, estimate)
-                side = model.redundancy.side[tendons]
+                side = model.redundancy.closing_sign[tendons]
                 pulling_tension = np.maximum(side * estimate.tension[tendons], side * start)
                 is_closing_tendon = np.where(model.is_pair[tendons], side != 0.0, side > 0.0)
                 start = np.where(is_closing_tendon, side * pulling_tension, start)
@@ -395,7 +395,9 @@ def _tensioned_digits(
 
     Only digits under tension control are checked.
     """
-    limit = np.maximum(phase.tension_N, model.redundancy.balance) + MAX_TENSION_ABOVE_RELEASE_N
+    limit = (
+        np.maximum(phase.tension_N, model.redundancy.balance_tension) + MAX_TENSION_ABOVE_RELEASE_N
+    )
     rows = zip(model.hand.digit_names, progress.goals, model.digit_tendons, strict=True)
     return [
         name
@@ -463,7 +465,9 @@ def _curve_of_digit(
         si_factor = digit.coordinate_units.si_factor.tolist()
         rows = phase.angle_deg[digit.name]
         if len(set(si_factor)) > 1:
-            return CurveTrajectory.through_points(phase.time_s, np.outer(rows, si_factor), count)
+            return CurveTrajectory.curve_through_points(
+                phase.time_s, np.outer(rows, si_factor), count
+            )
         angles = tuple(si_factor[0] * angle for angle in rows)
         return replace(interpolating_curve(phase.time_s, angles), coordinates=count)
     goal_angles = joint_values(phase.angle_deg, digit)
@@ -477,7 +481,7 @@ def _curve_of_digit(
         )
         for row in zip(*goal_angles.values(), strict=True)
     ]
-    return CurveTrajectory.through_points(phase.time_s, np.array(points), count)
+    return CurveTrajectory.curve_through_points(phase.time_s, np.array(points), count)
 
 
 @functools.lru_cache(maxsize=64)
@@ -487,7 +491,7 @@ def contact_margin_without_cells(model: HandModel, d: int) -> float:
     If all tendons have load cells, the margin is 0.
     """
     digit = model.digits[d]
-    margin = float(model.blind_margin[digit.tendons].mean())
+    margin = float(model.margin_without_cell[digit.tendons].mean())
     if margin == 0.0:
         return 0.0
     # The response contains the tension of each tendon per tip force, for the open digit. The

@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 VERSION_PREFIX = "v3."
 """Beginning of the codebase version that a dataset must have."""
-MAX_CLIPPED_DEG = 3.0
+MAX_CLIP_DISTANCE_DEG = 3.0
 """Largest distance of an angle from its joint's range at which the angle is moved to the nearer limit [deg].
 
 An angle farther outside is refused.
@@ -90,7 +90,7 @@ def find_episode(
             )
         units = hand.display_units
         slowest = np.where(units.is_prismatic, units.scale, 1.0)
-        angles = _limit_rate(angles, np.radians(speed_deg_s) * slowest / rate)
+        angles = _limit_angle_steps(angles, np.radians(speed_deg_s) * slowest / rate)
     return _smooth_curve(angles, float(rate), hand, period, where)
 
 
@@ -235,7 +235,7 @@ def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Ar
         np.maximum(low - angles_of_frames, angles_of_frames - high)
     )
     # The negated comparison also finds NaN.
-    is_beyond_limit = ~(distance_beyond_range <= MAX_CLIPPED_DEG)
+    is_beyond_limit = ~(distance_beyond_range <= MAX_CLIP_DISTANCE_DEG)
     if is_beyond_limit.any():
         frame, joint = (int(index) for index in np.argwhere(is_beyond_limit)[0])
         unit = units.names[joint]
@@ -246,7 +246,7 @@ def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Ar
     return np.clip(angles_of_frames, low, high)
 
 
-def _limit_rate(angles: Array, max_step: Array) -> Array:
+def _limit_angle_steps(angles: Array, max_step: Array) -> Array:
     """Limit the change of joint angles per frame.
 
     The returned angles (frames, J) follow the given angles, but change by at most `max_step` (J,)

@@ -246,9 +246,11 @@ def _draw_tendon(
     motor = hand.motor_of_tendon(tendon.name)
     bus = hand.bus_names.index(motor.bus)
     colour = BUS_COLOURS[bus % len(BUS_COLOURS)]
-    mean_arms = hand.moment_arms[hand.tendon.index(tendon)]
+    mean_moment_arms = hand.moment_arms[hand.tendon.index(tendon)]
     arm_by_joint = {
-        joint: mean_arms[hand.joints.index(joint)] for joint in tendon.arms if joint in column_x
+        joint: mean_moment_arms[hand.joints.index(joint)]
+        for joint in tendon.arms
+        if joint in column_x
     }
     last_column = max(column_x[joint] for joint in arm_by_joint)
     axes.plot([_bus_x(bus), MOTOR_COLUMN_X], [y, y], color=colour, linewidth=1.2, zorder=1)

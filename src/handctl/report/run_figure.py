@@ -290,7 +290,7 @@ def _mark_phases(axes_grid: Any, log: RunLog) -> None:
         for axes in axes_grid.flat:
             axes.axvline(t_s, color=colour, linewidth=0.6)
         if position:
-            _write_mark(axes_grid[0], position, name, colour)
+            _write_mark_name(axes_grid[0], position, name, colour)
 
 
 def _mark_positions(
@@ -321,7 +321,7 @@ def _mark_positions(
     return positions
 
 
-def _write_mark(
+def _write_mark_name(
     axes_row: Sequence[Any], position: tuple[float, float], name: str, colour: str
 ) -> None:
     """Write the name of a mark at the given time [s] and height into each plot of a row."""

@@ -56,7 +56,7 @@ def summarise_run(
     Returns:
         the numbers and texts, by name.
     """
-    truth = truth if truth and truth.covers_any_time(log.t_ns + offset_ns) else None
+    truth = truth if truth and truth.contains_any_time(log.t_ns + offset_ns) else None
     lateness_us = log.late_ns / 1e3
     active = np.isin(log.mode, (int(HandMode.ACTIVE),))
     result: dict[str, Any] = {
@@ -426,7 +426,7 @@ def angle_source(hand: Hand, name: str) -> str:
     return "encoders" if set(digit.joint_names) <= set(hand.sensor_node.joints) else "assumed"
 
 
-ANGLE_SOURCE_TEXTS = {
+TEXT_BY_ANGLE_SOURCE = {
     "excursion": "measured by the tendons",
     "encoders": "measured by joint encoders",
     "assumed": "assumed, not measured",
@@ -445,7 +445,7 @@ def angle_rows(angle_summaries: dict[str, dict[str, Any]]) -> list[tuple[str, st
         digits = 1 if unit == "deg" else 2
         if angle["error_deg"] == angle["error_deg"]:  # a number that equals itself is not NaN
             error = f", {angle['error_deg']:.{digits}f} {unit} rms error"
-        source = ANGLE_SOURCE_TEXTS[angle["source"]]
+        source = TEXT_BY_ANGLE_SOURCE[angle["source"]]
         text = f"{source}: sigma {angle['sigma_deg']:.{digits}f} {unit}{error}"
         rows.append((f"{name} joint {'angles' if unit == 'deg' else 'positions'}", text))
     return rows

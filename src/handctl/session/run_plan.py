@@ -143,7 +143,7 @@ def make_plan(
         refuse_default_hand(buses, "--hand")
     loads = bus_loads(hand)
     rate = control_rate(options.rate_hz, hand, loads)
-    load = tuple(bus_load.load_at(rate) for bus_load in loads)
+    load = tuple(bus_load.load_at_rate(rate) for bus_load in loads)
     time_scale = chosen_time_scale(options.time_scale, buses)
     _check_log(options.log_path)
     attachments = {"gains.toml": layers.file.read_bytes()} if layers.file else {}
@@ -242,9 +242,9 @@ def control_rate(requested_hz: float | None, hand: Hand, load_of_bus: Sequence[B
             problem_text, "--rate", f"at least {min_rate_hz:g}, for the drives' watchdogs"
         )
     for name, load in zip(hand.bus_names, load_of_bus, strict=True):
-        if load.load_at(rate) > MAX_BUS_LOAD:
+        if load.load_at_rate(rate) > MAX_BUS_LOAD:
             problem_text = (
-                f"bus {name} would be {100 * load.load_at(rate):.0f} % full at {rate:g} Hz"
+                f"bus {name} would be {100 * load.load_at_rate(rate):.0f} % full at {rate:g} Hz"
             )
             raise ConfigError(problem_text, "--rate", f"at most {highest_rate_hz:g}")
     return rate
@@ -265,7 +265,8 @@ def _check_log(log: Path | None) -> None:
 def highest_control_rate(load_of_bus: Sequence[BusLoad]) -> float:
     """Return the highest of the usual control rates at which no bus is overloaded [Hz]."""
     return highest_rate(
-        (load.tick_s for load in load_of_bus), (load.periodic_load_fraction for load in load_of_bus)
+        (load.frame_time_per_tick_s for load in load_of_bus),
+        (load.periodic_load_fraction for load in load_of_bus),
     )
 
 

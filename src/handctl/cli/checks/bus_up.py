@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
         command for spec, section in _bus_rates(args) for command in _commands_of_bus(spec, section)
     ]
     if args.yes:
-        _check_root(commands)
+        _check_root_user(commands)
         for command in commands:
             _run_command(command)
     lines = [("" if args.yes else "sudo ") + shlex.join(command) for command in commands]
@@ -76,7 +76,7 @@ def _commands_of_bus(spec: str, section: BusSection) -> tuple[CommandWords, ...]
     return interface_setup_commands(channel, section.bitrate, section.data_bitrate, exists)
 
 
-def _check_root(commands: list[CommandWords]) -> None:
+def _check_root_user(commands: list[CommandWords]) -> None:
     """Raise an error if --yes is given but the user may not set up an interface.
 
     Raises:

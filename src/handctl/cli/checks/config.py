@@ -19,7 +19,7 @@ from handctl.controller.run_setup import (
 )
 from handctl.core.gains.gain_bounds import values_by_key
 from handctl.core.identified_parameters import PARAMETER_UNITS
-from handctl.drives.dbc_export import dbc_of_bus
+from handctl.drives.dbc_export import export_bus_dbc
 from handctl.drives.protocol_registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
@@ -47,7 +47,7 @@ from handctl.hand.readiness_checks import moment_arm_fit_lines
 from handctl.hand.tendon_strength import strength_warnings
 from handctl.output_files import (
     FIGURE_SUFFIXES,
-    check_output,
+    check_output_path,
     path_with_suffix,
     write_text_atomically,
 )
@@ -69,7 +69,7 @@ from handctl.session.task_loading import PACKAGED_TASKS_FOLDER, load_task_for_ha
 def run(args: argparse.Namespace) -> int:
     """Run the selected subcommand of ``config``, and return the exit code."""
     if args.what == "list":
-        return _list_packaged(args.json)
+        return _print_packaged_files(args.json)
     if args.what == "init":
         from handctl.cli.checks.config_init import run as init
 
@@ -185,7 +185,7 @@ def _show_graph(args: argparse.Namespace, hand: Hand) -> int:
         raise ConfigError(
             str(args.output), "--output", "a file ending in " + ", ".join(sorted(FIGURE_SUFFIXES))
         )
-    check_output(args.output, "--output", Path(args.hand))
+    check_output_path(args.output, "--output", Path(args.hand))
     draw_hand(args.output, hand)
     if args.json:
         print_json({"output": str(args.output)})
@@ -206,7 +206,7 @@ def _show_or_check_hand(args: argparse.Namespace, hand: Hand) -> int:
     calibration = _calibration_fields(args, hand)
     loads = bus_loads(hand)
     rate = highest_control_rate(loads)
-    load = {bus_load.name: bus_load.load_at(rate) for bus_load in loads}
+    load = {bus_load.name: bus_load.load_at_rate(rate) for bus_load in loads}
     source = str(hand_path(args.hand).name)
     warnings = _hand_warnings(hand)
     if args.what == "check":
@@ -344,7 +344,9 @@ def _export_buses(args: argparse.Namespace, hand: Hand) -> int:
     for bus, name in enumerate(buses):
         path = output if len(buses) == 1 else path_with_suffix(output, f".{name}{output.suffix}")
         write_text_atomically(
-            path, dbc_of_bus(bus, drives, sensors, hand.tendon_names, hand.joints), must_be_new=True
+            path,
+            export_bus_dbc(bus, drives, sensors, hand.tendon_names, hand.joints),
+            must_be_new=True,
         )
         written_paths.append({"bus": name, "output": str(path)})
     if args.json:
@@ -402,7 +404,7 @@ def _convert_file(args: argparse.Namespace) -> int:
     return 0
 
 
-def _list_packaged(as_json: bool) -> int:
+def _print_packaged_files(as_json: bool) -> int:
     """Print the packaged hands and tasks."""
     tasks = sorted(path.name for path in PACKAGED_TASKS_FOLDER.glob("*.toml"))
     if as_json:

@@ -12,13 +12,13 @@ import numpy as np
 from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.questions import (
     DRIVE_AND_SENSOR_QUESTIONS,
-    SPRING_FIELD,
+    SPRING_ANSWER_FIELD,
     TENDON_QUESTIONS,
     HandQuestion,
     ask_motor_type,
     ask_question,
     check_terminal,
-    write_with_schema,
+    write_new_hand_file,
 )
 from handctl.drives.motor_description import (
     PROTOCOL_TRAITS,
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
         import_answers = _ask_questions(
             import_answers, {"tendons", "pulley_mm"} if tendons else set()
         )
-    _check_answers(import_answers)
+    _check_tendon_answers(import_answers)
     if not tendons:
         check_springs(import_answers.tendons, import_answers.springs)
     check_protocol_given(import_answers.protocol, import_answers.motor_type)
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     )
     mistakes = inspect_hand_content(parse_toml(text, str(args.output))).mistakes
     missing_values = [mistake for mistake in mistakes if UNMEASURED_PLACEHOLDER in mistake.what]
-    schema = write_with_schema(args.output, text)
+    schema = write_new_hand_file(args.output, text)
     warnings = [*notes, *unread, *_unexpected_mistakes(mistakes, missing_values, args.output)]
     joints = sum(len(digit.joints) for digit in imported_hand.digits)
     if args.json:
@@ -188,7 +188,7 @@ def _ask_questions(import_answers: ImportAnswers, known_keys: set[str]) -> Impor
     """Ask the questions that neither the options nor the description answer."""
     check_terminal()
     for question in IMPORT_QUESTIONS:
-        if question.answer_field == SPRING_FIELD and import_answers.tendons == "one":
+        if question.answer_field == SPRING_ANSWER_FIELD and import_answers.tendons == "one":
             continue  # if only one tendon closes a digit, springs must open it
         if (
             getattr(import_answers, question.answer_field) is None
@@ -204,7 +204,7 @@ def _ask_questions(import_answers: ImportAnswers, known_keys: set[str]) -> Impor
     )
 
 
-def _check_answers(import_answers: ImportAnswers) -> None:
+def _check_tendon_answers(import_answers: ImportAnswers) -> None:
     """Raise an error if a hand file cannot be written with these answers.
 
     All other mistakes are found when the new hand file is checked.

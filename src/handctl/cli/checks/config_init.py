@@ -7,13 +7,13 @@ from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.questions import (
     DRIVE_AND_SENSOR_QUESTIONS,
     SCHEMA_FILE,
-    SPRING_FIELD,
+    SPRING_ANSWER_FIELD,
     TENDON_QUESTIONS,
     HandQuestion,
     ask_motor_type,
     ask_question,
     check_terminal,
-    write_with_schema,
+    write_new_hand_file,
 )
 from handctl.drives.motor_description import PROTOCOL_TRAITS, options_with_motor_type
 from handctl.errors import ConfigError
@@ -87,15 +87,15 @@ def run(args: argparse.Namespace) -> int:
     options = options_with_motor_type(hand_answers.protocol, hand_answers.motor_type)
     can_fd = PROTOCOL_TRAITS[hand_answers.protocol].can_fd
     text = f"#:schema {SCHEMA_FILE}\n" + new_hand_text(hand_answers, options, can_fd)
-    inspected = inspect_hand_content(parse_toml(text, str(args.output)))
-    if inspected.mistakes or inspected.hand is None:
-        raise inspected.mistakes[0].error("the answers")
+    inspected_hand = inspect_hand_content(parse_toml(text, str(args.output)))
+    if inspected_hand.mistakes or inspected_hand.hand is None:
+        raise inspected_hand.mistakes[0].error("the answers")
     warnings = [
         *opposition_warnings(hand_answers),
         *palm_warnings(hand_answers),
-        *grasp_warnings(inspected.hand),
+        *grasp_warnings(inspected_hand.hand),
     ]
-    schema = write_with_schema(args.output, text)
+    schema = write_new_hand_file(args.output, text)
     assumed_count = sum("ASSUMED" in line for line in text.splitlines()) - 1
     if args.json:
         print_json(
@@ -128,7 +128,7 @@ def _ask_questions(args: argparse.Namespace, hand_answers: NewHandAnswers) -> Ne
     for question in HAND_QUESTIONS:
         if getattr(args, question.answer_field) is not None:
             continue
-        if question.answer_field == SPRING_FIELD and hand_answers.tendons == "one":
+        if question.answer_field == SPRING_ANSWER_FIELD and hand_answers.tendons == "one":
             continue  # if only one tendon closes a digit, springs must open it
         default = getattr(
             hand_answers, SCALED_DEFAULT_BY_KEY.get(question.answer_field, question.answer_field)

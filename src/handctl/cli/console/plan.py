@@ -17,7 +17,7 @@ from handctl.cli.console.verbosity import (
 from handctl.core.calibration import Calibration
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.output_files import check_output
+from handctl.output_files import check_output_path
 from handctl.session import calibration, gains, run_plan
 from handctl.session.lockstep_simulation import SimulatorSettings
 
@@ -110,7 +110,7 @@ def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
             motion.
     """
     path: Path = args.calibration or Path(f"{hand.name}.calibration.toml")
-    check_output(
+    check_output_path(
         path,
         "--calibration",
         Path(args.hand),

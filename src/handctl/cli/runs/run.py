@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     """Run a task on a hand, and return the exit code."""
     refuse_view_without_screen(args.view)
     plan = make_plan(args)
-    program, attached = _program_of_task(args, plan)
+    program, attached = _program_and_attachments(args, plan)
     path, calibration, reason = find_calibration(args, plan.hand, plan.buses)
     if args.dry_run:
         load = f"bus load {100 * max(plan.bus_loads):.0f} %"
@@ -56,7 +56,9 @@ def run(args: argparse.Namespace) -> int:
     return print_run_result(result, outcome, plan, args.json)
 
 
-def _program_of_task(args: argparse.Namespace, plan: RunPlan) -> tuple[Program, dict[str, bytes]]:
+def _program_and_attachments(
+    args: argparse.Namespace, plan: RunPlan
+) -> tuple[Program, dict[str, bytes]]:
     """Return the program of the task or dataset, and the files to attach to the log.
 
     If neither a task nor a dataset is given, the program waits for requests.

@@ -8,7 +8,7 @@ import numpy as np
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.formats.urdf import PALM_BOX_MARGIN_M, PALM_THICKNESS_M
 from handctl.hand.kinematics import joint_points
-from handctl.paper import sources as src
+from handctl.paper import paper_data as src
 from handctl.paper.figures.style import DIGIT_COLOURS
 
 HAND_FIGURE_SIZE_IN = (7.2, 5.6)

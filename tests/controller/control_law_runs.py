@@ -12,7 +12,7 @@ from handctl.compiled import kernel
 from handctl.controller.controller_state import ControllerState
 from handctl.core import state_block as s
 from handctl.core import tick_stages
-from handctl.core.block_schema import BlockArray, TablePlaces
+from handctl.core.block_schema import BlockArray, TableOffsets
 from handctl.core.constants import constant_tables
 from handctl.core.control_law import computed_torque, digit_reference
 from handctl.core.control_law.digit_goal import DigitGoal
@@ -24,13 +24,13 @@ from handctl.safety.safety_action import SafetyAction
 from tests.controller.synthetic_states import (
     SyntheticEstimate,
     active_state,
+    constant_args_of,
     controller_of,
-    stage_constants,
     state_with_estimate,
 )
 
 
-class LawState(NamedTuple):
+class ControlLawState(NamedTuple):
     """State of the control law between two ticks. Each attribute has one value per tendon (N,).
 
     Attributes:
@@ -59,17 +59,17 @@ class LawState(NamedTuple):
     friction_slider: np.ndarray | None = None
 
     @staticmethod
-    def initial_law_state(n: int) -> "LawState":
+    def initial_state(n: int) -> "ControlLawState":
         """Return the state of the control law of N tendons before its first command."""
-        return LawState.idle_at_tensions(np.zeros(n))
+        return ControlLawState.initial_state_at_tensions(np.zeros(n))
 
     @staticmethod
-    def idle_at_tensions(tension: np.ndarray) -> "LawState":
+    def initial_state_at_tensions(tension: np.ndarray) -> "ControlLawState":
         """Return the state of the control law before its first command, with given tensions (N,) [N] as setpoints."""
-        return LawState(tension, *np.zeros((4, len(tension))))
+        return ControlLawState(tension, *np.zeros((4, len(tension))))
 
 
-class LawCommand(NamedTuple):
+class ControlLawCommand(NamedTuple):
     """Output of the control law.
 
     For each tendon (N,), a command contains a motor torque [N m] and a tension goal [N]. For each
@@ -89,7 +89,7 @@ def temperatures_for_limits(model: HandModel, tension_limit: np.ndarray) -> np.n
 
     Each limit must be between the lowest and the highest tension that the hand allows.
     """
-    limits = controller_of(model).derived.limits
+    limits = controller_of(model).derived_constants.limits
     fraction = (tension_limit - model.floor) / (model.ceiling - model.floor)
     return limits.temperature_hard - fraction * (limits.temperature_hard - limits.temperature_soft)
 
@@ -108,15 +108,15 @@ def run_control_law(
     controller_of(model)._compute_torques(state, action, 1)
 
 
-def run_law_tick(
+def run_control_law_tick(
     model: HandModel,
-    law: LawState,
+    law: ControlLawState,
     estimate: SyntheticEstimate,
     goals: tuple[DigitGoal, ...],
     t: float,
     temperature_limit_N: np.ndarray | None = None,
     held_limit_N: np.ndarray | None = None,
-) -> tuple[LawState, LawCommand]:
+) -> tuple[ControlLawState, ControlLawCommand]:
     """Run one tick of the control law for all digits of a hand.
 
     Args:
@@ -130,7 +130,7 @@ def run_law_tick(
         state.view(name)[...] = getattr(law, name)
     if law.trim is not None:
         state.view("trim")[...] = law.trim
-        state.set_run_integer(s.TRIM_ACTIVE, 1)
+        state.set_run_table_integer(s.TRIM_ACTIVE, 1)
     if law.friction_state is not None:
         state.view("friction_state")[...] = law.friction_state
     if law.friction_slider is not None:
@@ -139,37 +139,39 @@ def run_law_tick(
         state.view("temperature")[...] = temperatures_for_limits(model, temperature_limit_N)
     if held_limit_N is not None:
         state.view("limit_held")[...] = held_limit_N
-        state.set_run_integer(s.SAFETY_HOLD_ACTIVE, 1)
+        state.set_run_table_integer(s.SAFETY_HOLD_ACTIVE, 1)
     run_control_law(
         model, state, goals, t, SafetyAction.PASS if held_limit_N is None else SafetyAction.HOLD
     )
-    return law_state_of(state), law_command_of(state)
+    return control_law_state_of(state), control_law_command_of(state)
 
 
-def law_state_of(state: ControllerState) -> LawState:
+def control_law_state_of(state: ControllerState) -> ControlLawState:
     """Return the state of the control law after a tick."""
     block_values = {
-        name: state.view(name).copy() for name in LawState._fields if name not in ("trim", "held")
+        name: state.view(name).copy()
+        for name in ControlLawState._fields
+        if name not in ("trim", "held")
     }
-    trim = state.view("trim").copy() if state.run_integer(s.TRIM_ACTIVE) else None
+    trim = state.view("trim").copy() if state.run_table_integer(s.TRIM_ACTIVE) else None
     held_limits = (
-        state.view("limit_held").copy() if state.run_integer(s.SAFETY_HOLD_ACTIVE) else None
+        state.view("limit_held").copy() if state.run_table_integer(s.SAFETY_HOLD_ACTIVE) else None
     )
-    return LawState(**block_values, trim=trim, held=held_limits)
+    return ControlLawState(**block_values, trim=trim, held=held_limits)
 
 
-def law_command_of(state: ControllerState) -> LawCommand:
+def control_law_command_of(state: ControllerState) -> ControlLawCommand:
     """Return the commands that the control law has written into a controller's state."""
     names = ("torque", "tension_goal", "joint_torque", "q_goal", "dq_goal")
-    return LawCommand(*(state.view(name).copy() for name in names))
+    return ControlLawCommand(*(state.view(name).copy() for name in names))
 
 
 @kernel("block", "layout", "constants", "layout")
 def _tension_limits(
     block: BlockArray,
-    state_places: TablePlaces,
+    state_places: TableOffsets,
     constants: BlockArray,
-    constant_places: TablePlaces,
+    constant_places: TableOffsets,
 ) -> np.ndarray:
     return computed_torque.temporary_tension_limits(
         state_tables(block, state_places), constant_tables(constants, constant_places)
@@ -182,15 +184,15 @@ def tension_limits_of(model: HandModel, state: ControllerState) -> np.ndarray:
     For a tendon without a limit, the value is infinity. Tension limits of the hand file are not
     included.
     """
-    return _tension_limits(state.block, state.layout.places, *stage_constants(model))
+    return _tension_limits(state.block, state.layout.offsets, *constant_args_of(model))
 
 
 @kernel("block", "layout", "constants", "layout", "matrix")
 def _required_tensions(
     block: BlockArray,
-    state_places: TablePlaces,
+    state_places: TableOffsets,
     constants: BlockArray,
-    constant_places: TablePlaces,
+    constant_places: TableOffsets,
     motion: np.ndarray,
 ) -> int:
     x, c = state_tables(block, state_places), constant_tables(constants, constant_places)
@@ -205,12 +207,12 @@ def required_tensions_of(
     state = active_state(model)
     write_goals(model, state.layout, state.block, goals)
     unsolved_digits = _required_tensions(
-        state.block, state.layout.places, *stage_constants(model), motion
+        state.block, state.layout.offsets, *constant_args_of(model), motion
     )
     allocate_bounded_tensions(
         model,
         state.layout,
-        controller_of(model).derived.constants,
+        controller_of(model).derived_constants.constants,
         state.block,
         unsolved_digits,
         motion,
@@ -222,4 +224,4 @@ def joint_motion_at(model: HandModel, goals: tuple[DigitGoal, ...], t: float) ->
     """Return the angle, rate and acceleration (3, J) of each joint on its trajectory at time t [s]."""
     state = active_state(model)
     run_control_law(model, state, goals, t, SafetyAction.PASS)
-    return tick_stages.joint_motion(state.block, state.layout.places, *stage_constants(model))
+    return tick_stages.joint_motion(state.block, state.layout.offsets, *constant_args_of(model))

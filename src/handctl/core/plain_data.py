@@ -3,7 +3,7 @@
 The state hash and the snapshots use the plain values. Plain values consist of numbers, strings,
 bytes and tuples only. A named tuple or dataclass becomes a tuple that begins with the name of the
 type. Equal objects have equal bytes, even if one of the objects contains the same part several
-times. ``object_from_plain_form`` creates only objects of registered types. A log therefore cannot
+times. ``object_from_plain_data`` creates only objects of registered types. A log therefore cannot
 create objects of other types.
 """
 
@@ -24,7 +24,7 @@ Version 2 is the last one that writes no references to shared values.
 """
 ARRAY_MARK, MODEL_MARK, BYTES_MARK = ":array", ":model", ":bytes"
 """Marks that replace the type name in the plain form of arrays, pydantic models and bytes."""
-NAMES_IN_LOGS = {
+LOGGED_NAME_BY_TYPE = {
     "controller.pending_gains.PendingGains": "controller.coming.Coming",
     "drives.contract.DriveTarget": "drives.contract.Want",
     "controller.controller_state.ControllerDecisions": "controller.state.Decisions",
@@ -33,7 +33,7 @@ NAMES_IN_LOGS = {
     "core.control_law.trajectory.MinimumJerk": "core.law.trajectory.MinimumJerk",
     "core.control_law.digit_goal.GoalKind": "core.law.goal.Kind",
     "safety.tick_verdict.LatchedFault": "safety.judge.Latched",
-    "safety.tick_verdict.CountedFault": "safety.judge.Counting",
+    "safety.tick_verdict.ReportedFault": "safety.judge.Counting",
     "core.control_law.trajectory.StreamedTrajectory": "core.law.trajectory.Streamed",
     "core.control_law.trajectory.BlendTrajectory": "core.law.trajectory.Blend",
     "core.control_law.trajectory.CurveTrajectory": "core.law.trajectory.Curve",
@@ -56,26 +56,26 @@ NAMES_IN_LOGS = {
 
 Hashes and snapshots in logs contain the first name.
 """
-_TYPE_BY_PLAIN_NAME: dict[str, type] = {}
+_TYPE_BY_LOGGED_NAME: dict[str, type] = {}
 _TYPES_WITHOUT_CONVERSION = frozenset((type(None), bool, int, float, str, bytes))
 
 
 @functools.cache
-def plain_name(type_: type) -> str:
+def logged_type_name(type_: type) -> str:
     """Return the name of a type in plain values.
 
     The name consists of the module and the class name that the type had when it was introduced.
     """
     name = f"{type_.__module__.removeprefix('handctl.')}.{type_.__qualname__}"
-    return ":" + NAMES_IN_LOGS.get(name, name)
+    return ":" + LOGGED_NAME_BY_TYPE.get(name, name)
 
 
 def register_restorable_types(*types: type) -> None:
-    """Register types whose objects ``object_from_plain_form`` may create."""
-    _TYPE_BY_PLAIN_NAME.update({plain_name(type_): type_ for type_ in types})
+    """Register types whose objects ``object_from_plain_data`` may create."""
+    _TYPE_BY_LOGGED_NAME.update({logged_type_name(type_): type_ for type_ in types})
 
 
-def plain_form(value: Any) -> Any:
+def to_plain_data(value: Any) -> Any:
     """Return the plain form of a value.
 
     Raises:
@@ -89,54 +89,54 @@ def plain_form(value: Any) -> Any:
         # This code runs in the ticks in which settings of drives are read. For speed, no function
         # is called for an item that is already plain.
         elements = [
-            element if type(element) in _TYPES_WITHOUT_CONVERSION else plain_form(element)
+            element if type(element) in _TYPES_WITHOUT_CONVERSION else to_plain_data(element)
             for element in value
         ]
-        return (plain_name(kind), *elements) if hasattr(value, "_fields") else tuple(elements)
+        return (logged_type_name(kind), *elements) if hasattr(value, "_fields") else tuple(elements)
     if isinstance(value, enum.IntEnum):
-        return (plain_name(kind), int(value))
+        return (logged_type_name(kind), int(value))
     if isinstance(value, np.ndarray):
         return (ARRAY_MARK, value.dtype.str, value.shape, np.ascontiguousarray(value).tobytes())
     if isinstance(value, BaseModel):
-        return (MODEL_MARK, plain_name(type(value)), value.model_dump_json(by_alias=True))
+        return (MODEL_MARK, logged_type_name(type(value)), value.model_dump_json(by_alias=True))
     if is_dataclass(value) and not isinstance(value, type):
-        own_values = tuple(
-            [plain_form(getattr(value, field.name)) for field in fields(value) if field.init]
+        field_values = tuple(
+            [to_plain_data(getattr(value, field.name)) for field in fields(value) if field.init]
         )
-        return (plain_name(type(value)), *own_values)
+        return (logged_type_name(type(value)), *field_values)
     raise TypeError(f"{type(value).__name__} is no plain value")
 
 
-def plain_bytes(value: Any) -> bytes:
+def serialized_bytes(value: Any) -> bytes:
     """Return the plain form of a value as bytes."""
-    return marshal.dumps(plain_form(value), MARSHAL_VERSION)
+    return marshal.dumps(to_plain_data(value), MARSHAL_VERSION)
 
 
 @functools.cache
-def _first_bytes(type_: type) -> tuple[bytes, tuple[str, ...]]:
+def _serialized_header(type_: type) -> tuple[bytes, tuple[str, ...]]:
     """Return the first bytes of a dataclass in plain form, and the names of the fields that follow."""
     names = tuple([field.name for field in fields(type_) if field.init])
     start = b"(" + (1 + len(names)).to_bytes(4, "little")
-    return start + marshal.dumps(plain_name(type_), MARSHAL_VERSION), names
+    return start + marshal.dumps(logged_type_name(type_), MARSHAL_VERSION), names
 
 
-def join_field_bytes(value: Any, bytes_of_field: Callable[[Any], bytes]) -> bytes:
-    """Return ``plain_bytes(value)`` for an object of a dataclass, joined from the bytes of its fields.
+def join_serialized_fields(value: Any, serialize_field: Callable[[Any], bytes]) -> bytes:
+    """Return ``serialized_bytes(value)`` for an object of a dataclass, joined from the bytes of its fields.
 
     The bytes of the fields can come from a cache. This is fast if most fields stay the same
     objects.
 
     Args:
         value: object of a dataclass.
-        bytes_of_field: function that returns ``plain_bytes`` of a field.
+        serialize_field: function that returns ``serialized_bytes`` of a field.
     """
     kind: type = type(value)
-    start, names = _first_bytes(kind)
+    start, names = _serialized_header(kind)
     # In this version of the format, a tuple is a mark, the number of items, and the items.
-    return start + b"".join([bytes_of_field(getattr(value, name)) for name in names])
+    return start + b"".join([serialize_field(getattr(value, name)) for name in names])
 
 
-def object_from_plain_form(value: Any) -> Any:
+def object_from_plain_data(value: Any) -> Any:
     """Return the object that a plain value represents.
 
     The function also accepts lists from JSON in place of tuples.
@@ -147,11 +147,11 @@ def object_from_plain_form(value: Any) -> Any:
     if not isinstance(value, tuple | list):
         return value
     if not value or not isinstance(value[0], str) or not value[0].startswith(":"):
-        return tuple([object_from_plain_form(element) for element in value])
+        return tuple([object_from_plain_data(element) for element in value])
     mark, *arguments = value
     if mark == ARRAY_MARK:
         kind, shape, data = arguments
-        return np.frombuffer(object_from_plain_form(data), np.dtype(kind)).reshape(shape).copy()
+        return np.frombuffer(object_from_plain_data(data), np.dtype(kind)).reshape(shape).copy()
     if mark == BYTES_MARK:
         return bytes.fromhex(arguments[0])
     if mark == MODEL_MARK:
@@ -159,12 +159,12 @@ def object_from_plain_form(value: Any) -> Any:
         return model.model_validate_json(arguments[1])
     registered_type: Any = _registered_type(mark)
     try:
-        return registered_type(*[object_from_plain_form(argument) for argument in arguments])
+        return registered_type(*[object_from_plain_data(argument) for argument in arguments])
     except TypeError as error:
         raise ValueError(f"{mark[1:]} cannot be restored: {error}") from None
 
 
 def _registered_type(name: str) -> type:
-    if name not in _TYPE_BY_PLAIN_NAME:
+    if name not in _TYPE_BY_LOGGED_NAME:
         raise ValueError(f"a snapshot names the type {name[1:]!r}, which none may hold")
-    return _TYPE_BY_PLAIN_NAME[name]
+    return _TYPE_BY_LOGGED_NAME[name]

@@ -19,7 +19,7 @@ EQUATION_TERMS = [
 HANDCTL_TORQUE_FUNCTION = dynamics._rigid_body_torque
 
 
-def torque_of_eq10(digit, gravity, q, dq, ddq):
+def torque_from_equation_10(digit, gravity, q, dq, ddq):
     """Return the joint torques of a digit.
 
     The torque of the first joint follows from Eq. 10 for T_1. The torques of the other joints come
@@ -29,12 +29,12 @@ def torque_of_eq10(digit, gravity, q, dq, ddq):
     r1, r2, _ = (*digit.armature, 0.0, 0.0)[:3]
     states = {"g": 1.0}
     for i in range(3):
-        exists = i < digit.joint_count
+        has_joint = i < digit.joint_count
         states |= {
-            f"L{i + 1}": digit.lengths[i] if exists else 0.0,
-            f"d{i + 1}": digit.centres_of_mass[i, 0] if exists else 0.0,
-            f"m{i + 1}": digit.masses[i] if exists else 0.0,
-            f"I{i + 1}": digit.inertias[i, 2, 2] if exists else 0.0,
+            f"L{i + 1}": digit.lengths[i] if has_joint else 0.0,
+            f"d{i + 1}": digit.centres_of_mass[i, 0] if has_joint else 0.0,
+            f"m{i + 1}": digit.masses[i] if has_joint else 0.0,
+            f"I{i + 1}": digit.inertias[i, 2, 2] if has_joint else 0.0,
             f"th{i + 1}": sum(q[: i + 1]),
             f"dth{i + 1}": sum(dq[: i + 1]),
             f"ddth{i + 1}": sum(ddq[: i + 1]),
@@ -48,4 +48,4 @@ def torque_of_eq10(digit, gravity, q, dq, ddq):
     return (float(tau1), tau2, tau3)[: digit.joint_count]
 
 
-dynamics._rigid_body_torque = torque_of_eq10
+dynamics._rigid_body_torque = torque_from_equation_10

@@ -22,7 +22,7 @@ def rich_console(error: bool = False, min_width: int = 1) -> Any:
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.segment import Segment
 
-    class Screen(Console):
+    class EscapingConsole(Console):
         def render(
             self, renderable: RenderableType, options: ConsoleOptions | None = None
         ) -> Iterable[Segment]:
@@ -52,7 +52,7 @@ def rich_console(error: bool = False, min_width: int = 1) -> Any:
                 raise BrokenPipeError
             self.quiet = True
 
-    console = Screen(stderr=error, markup=False, emoji=False, highlight=False)
+    console = EscapingConsole(stderr=error, markup=False, emoji=False, highlight=False)
     if console.width < min_width:
         console.width = min_width
     return console

@@ -65,7 +65,7 @@ class FilterBlock:
         Q: (7, 7) covariance of the process noise over a period.
         R: (2,) variances of encoder and load cell.
         P: (7, 7) constant covariance of the predicted states.
-        cell_error_observable: True if the measurements distinguish a load-cell error from tension.
+        is_cell_error_observable: True if the measurements distinguish a load-cell error from tension.
         cell_error_variance: part of ``tension_variance`` that an unobservable load-cell error
             causes [N^2].
         tension_row: (7,) tension per unit of each state.
@@ -82,7 +82,7 @@ class FilterBlock:
     Q: Matrix
     R: Matrix
     P: Matrix
-    cell_error_observable: bool
+    is_cell_error_observable: bool
     cell_error_variance: float
     tension_row: Matrix
     tension_variance: float

@@ -16,7 +16,7 @@ from handctl.view.viewer import Viewer, launched_viewer
 if TYPE_CHECKING:
     from rerun.chunk import Chunk
 
-FIRST_SLICE_NS = 2_000_000_000
+FIRST_SLICE_DURATION_NS = 2_000_000_000
 """Length of the part of the run that is sent first [ns].
 
 The first part is short, so that the hand appears at once.
@@ -58,7 +58,7 @@ def browse_log(
             chunks_of_run_by_part,
         )  # Rerun is imported while the viewer starts
 
-        chunk_lists = chunks_of_run_by_part(path, run, FIRST_SLICE_NS, scan)
+        chunk_lists = chunks_of_run_by_part(path, run, FIRST_SLICE_DURATION_NS, scan)
         first_parts = list(islice(chunk_lists, 2))
         viewer_process = starting_viewer.wait_until_ready()
         _send_chunks(viewer_process, run, chain.from_iterable(chain(first_parts, chunk_lists)))

@@ -1,4 +1,4 @@
-"""Send ticks to a recorder until this process is killed: `python recorder_feeder.py PATH`.
+"""Send ticks to a recorder until this process is killed: `python tick_sender.py PATH`.
 
 The program prints the number of each tick that the pipe has accepted.
 """

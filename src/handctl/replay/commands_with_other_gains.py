@@ -20,9 +20,9 @@ from handctl.output_files import save_figure
 from handctl.replay.run_comparison import rms_and_peak_difference
 
 Array = NDArray[np.float64]
-LOGGED_COLOR = "#3b6fb6"
+LOGGED_COMMAND_COLOUR = "#3b6fb6"
 """Colour of the line that shows the logged command."""
-OTHER_COLOR = "#d9822b"
+NEW_COMMAND_COLOUR = "#d9822b"
 """Colour of the line that shows the command of the other gains."""
 
 
@@ -69,7 +69,7 @@ class CommandCollector:
         return np.array(self._tension)
 
 
-def command_change(
+def command_differences(
     log: RunLog, commands: CommandCollector, tick_count: int
 ) -> dict[str, dict[str, dict[str, float]]]:
     """Return the RMS and the peak of the difference between new and logged commands.
@@ -136,10 +136,18 @@ def draw_commands(
         for i, name in enumerate(names):
             axes = rows[i, column]
             axes.plot(
-                log.times, logged_values[:, i], color=LOGGED_COLOR, linewidth=0.9, label="as logged"
+                log.times,
+                logged_values[:, i],
+                color=LOGGED_COMMAND_COLOUR,
+                linewidth=0.9,
+                label="as logged",
             )
             axes.plot(
-                log.times, new_values[:, i], color=OTHER_COLOR, linewidth=0.7, label="these gains"
+                log.times,
+                new_values[:, i],
+                color=NEW_COMMAND_COLOUR,
+                linewidth=0.7,
+                label="these gains",
             )
             if tick_count < len(log.times):
                 axes.axvspan(

@@ -6,7 +6,7 @@ from handctl.compiled import kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
-from handctl.core.estimation.filter_stack import SLACK_REGIME
+from handctl.core.estimation.filter_types import SLACK_REGIME
 from handctl.core.state_block import StateTables
 
 MAX_SLACK_TENSION_N = 1.0
@@ -17,17 +17,17 @@ This tension is two standard deviations of the load cell's noise.
 SLACK_TICKS = 3
 """Number of ticks in a row below ``MAX_SLACK_TENSION_N`` after which a tendon counts as slack."""
 MIN_TAUT_TENSION_N = 2.5
-POINTS_OF_CERTAIN_TENSION = 6
+CERTAINLY_TAUT_POINTS = 6
 LIKELY_TAUT_ABOVE_N = 1.5
-POINTS_OF_LIKELY_TENSION = 2
+LIKELY_TAUT_POINTS = 2
 POSSIBLY_TAUT_ABOVE_N = 1.0
-POINTS_OF_POSSIBLE_TENSION = 1
+POSSIBLY_TAUT_POINTS = 1
 """Tensions [N], and the points that a load-cell sample above each tension adds. Points are evidence of a taut tendon.
 
 A sample below all three tensions subtracts ``POINTS_AGAINST``. A sample above the first tension
 (five standard deviations) makes a slack tendon count as taut at once.
 """
-POINTS_AGAINST, POINTS_OF_TAUT = 2, 6
+POINTS_AGAINST, TAUT_POINTS = 2, 6
 """Points that a low sample subtracts, and points from which a tendon counts as taut.
 
 Load-cell noise of 0.5 N alone almost never reaches the points of a taut tendon. A drift of the load
@@ -78,11 +78,11 @@ def regime_evidence(
         return evidence_count
     evidence = -POINTS_AGAINST
     if cell_tension - cell_error > MIN_TAUT_TENSION_N:
-        evidence = POINTS_OF_CERTAIN_TENSION
+        evidence = CERTAINLY_TAUT_POINTS
     elif cell_tension - cell_error > LIKELY_TAUT_ABOVE_N:
-        evidence = POINTS_OF_LIKELY_TENSION
+        evidence = LIKELY_TAUT_POINTS
     elif cell_tension - cell_error > POSSIBLY_TAUT_ABOVE_N:
-        evidence = POINTS_OF_POSSIBLE_TENSION
+        evidence = POSSIBLY_TAUT_POINTS
     if evidence > 0 and is_nearly_taut:
         evidence *= NEARLY_TAUT_FACTOR
     return max(evidence_count + evidence, 0)
@@ -116,8 +116,7 @@ def regime_evidence_without_cell(
     if regime != SLACK_REGIME:
         return evidence_count + 1 if tension < MAX_SLACK_TENSION_N else 0
     return max(
-        evidence_count
-        + (POINTS_OF_LIKELY_TENSION if missing > TAUT_WITHOUT_CELL_N else -POINTS_AGAINST),
+        evidence_count + (LIKELY_TAUT_POINTS if missing > TAUT_WITHOUT_CELL_N else -POINTS_AGAINST),
         0,
     )
 
@@ -126,7 +125,7 @@ def regime_evidence_without_cell(
 def is_nearly_taut(x: StateTables, n: int) -> bool:
     """Return True if a slack tendon is nearly taut, by the encoder and the known tendon length."""
     return (
-        x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n]
+        x.tendon[s.SPOOL_TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n]
         > -NEARLY_TAUT_M
     )
 
@@ -138,7 +137,7 @@ def is_regime_over(regime: int, evidence_count: int, has_no_cell: bool) -> bool:
     A taut tendon without load cell (``has_no_cell``) counts as slack only after more ticks.
     """
     slack_ticks = SLACK_TICKS_WITHOUT_CELL if has_no_cell else SLACK_TICKS
-    return evidence_count >= (POINTS_OF_TAUT if regime == SLACK_REGIME else slack_ticks)
+    return evidence_count >= (TAUT_POINTS if regime == SLACK_REGIME else slack_ticks)
 
 
 @kernel_helper
@@ -161,11 +160,13 @@ def set_offset_of_newly_taut_tendon(
     if x.tendon_int[s.DIGIT_ON_OPEN_STOP, n]:
         x.tendon[s.EXCURSION, n] = c.tendon[h.OPEN_EXCURSION, n]
     stretch = (cell_tension - x.tendon[s.CELL_ERROR, n]) / c.tendon[h.TENDON_STIFFNESS, n]
-    excursion = x.tendon[s.TRAVEL, n] - x.tendon[s.STRETCH_OFFSET, n] - stretch
-    low = c.tendon[h.EXCURSION_LOW, n] - EXCURSION_MARGIN_M
-    high = c.tendon[h.EXCURSION_HIGH, n] + EXCURSION_MARGIN_M
+    excursion = x.tendon[s.SPOOL_TRAVEL, n] - x.tendon[s.STRETCH_OFFSET, n] - stretch
+    low = c.tendon[h.MIN_EXCURSION, n] - EXCURSION_MARGIN_M
+    high = c.tendon[h.MAX_EXCURSION, n] + EXCURSION_MARGIN_M
     if c.tendon_int[h.HAS_CONSTANT_LENGTH, n] and low <= excursion <= high:
         x.tendon[s.EXCURSION, n] = excursion
     else:
-        x.tendon[s.STRETCH_OFFSET, n] = x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - stretch
-    x.tendon[s.EXCURSION_RATE, n] = x.tendon[s.DISTURBANCE, n] = 0.0
+        x.tendon[s.STRETCH_OFFSET, n] = (
+            x.tendon[s.SPOOL_TRAVEL, n] - x.tendon[s.EXCURSION, n] - stretch
+        )
+    x.tendon[s.EXCURSION_RATE, n] = x.tendon[s.MOTOR_DISTURBANCE, n] = 0.0

@@ -106,7 +106,7 @@ def execute_log(
         if worker_count > 1 and not gains and not observer:
             difference_tally = run_parallel(runner, worker_count, progress or _ignore_progress)
         else:
-            _, difference_tally = runner.execute_part(
+            _, difference_tally = runner.execute_log_part(
                 0, len(log), runner.controller.initial_state(), observer, add_progress
             )
     wall_time_s = time.perf_counter() - start

@@ -41,7 +41,7 @@ class SearchPlan:
         plants: factors of the plants of the ensemble.
         seed: seed of the samplers and of the simulated noise.
         trials: number of trials.
-        others: further gains that are tried before the random trials, for example those of a
+        further_gains: further gains that are tried before the random trials, for example those of a
             design.
     """
 
@@ -51,7 +51,7 @@ class SearchPlan:
     plants: tuple[dict[str, float], ...]
     seed: int
     trials: int
-    others: tuple[Gains, ...] = ()
+    further_gains: tuple[Gains, ...] = ()
 
     def gains_of(self, trial_number: int, gain_values: Mapping[str, float]) -> Gains:
         """Return the gains of a trial.
@@ -133,14 +133,14 @@ class SearchResult:
             if feasible_trials
             else None
         )
-        front_trials = [
+        pareto_numbers = [
             trial.number
             for trial in feasible_trials
             if not any(
                 _dominates(other_trial.score, trial.score) for other_trial in feasible_trials
             )
         ]
-        return SearchResult(trials, best, tuple(front_trials))
+        return SearchResult(trials, best, tuple(pareto_numbers))
 
     def relative_cost(self, trial: SearchTrial) -> float:
         """Return the cost of a trial relative to the cost of the first trial.
@@ -309,7 +309,7 @@ def _unscored_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[
         return [OptunaTrial(study, trial._trial_id) for trial in open_trials]
     _fail_unfinished_trials(study)
     if finished_count == 0:
-        for gains in (plan.gains, *plan.others):
+        for gains in (plan.gains, *plan.further_gains):
             study.enqueue_trial(clamped_gains(gains))
     study.sampler = _make_sampler(plan.seed, finished_count // BATCH_SIZE)
     return [study.ask(_gain_distributions()) for _ in range(count)]

@@ -30,12 +30,12 @@ from handctl.safety.safety_action import RelaxMethod
 
 RELAX_RATE_N_PER_S = 500.0
 OVER_TENSION_RATE_N_PER_S = 2000.0
-START_MARGIN_N = 15.0
+MAX_START_FORCE_EXCESS_N = 15.0
 """Largest amount by which the first setpoint may exceed the last commanded force [N], for friction and motion."""
 
 RELAXED_TOLERANCE_N = 3.0
 """Distance above the tension of a relaxed tendon within which a tendon counts as relaxed [N]."""
-SETPOINT_MARGIN_N = 3.0
+MAX_SETPOINT_EXCESS_N = 3.0
 """Largest margin of the first setpoint above the present tension [N].
 
 During a steady hold the margin is at most 2 N.
@@ -58,12 +58,14 @@ def start_relaxation(model: HandModel, state: ControllerState) -> None:
     # last command.
     sign = np.where(model.is_pair & (table[s.COMMANDED_FORCE] < 0.0), -1.0, 1.0)
     present_tensions = (
-        np.maximum(sign * table[s.TENSION], model.relaxed_tensions) + SETPOINT_MARGIN_N
+        np.maximum(sign * table[s.TENSION], model.relaxed_tensions) + MAX_SETPOINT_EXCESS_N
     )
-    setpoint = sign * table[s.SETPOINT]
+    setpoint = sign * table[s.TENSION_SETPOINT]
     # A digit that follows a position goal has no tension setpoint.
     setpoint = np.where(in_tension_loop, np.minimum(setpoint, present_tensions), setpoint)
-    start = np.minimum(setpoint, np.maximum(sign * table[s.FILTER_FORCE], 0.0) + START_MARGIN_N)
+    start = np.minimum(
+        setpoint, np.maximum(sign * table[s.FILTER_INPUT_FORCE], 0.0) + MAX_START_FORCE_EXCESS_N
+    )
     goals = tuple(
         DigitGoal(
             GoalKind.TENSION,
@@ -73,12 +75,13 @@ def start_relaxation(model: HandModel, state: ControllerState) -> None:
         for tendons in model.digit_tendons
     )
     state.decide(progress=replace(state.progress, goals=goals))
-    table[s.SETPOINT] = sign * start
+    table[s.TENSION_SETPOINT] = sign * start
     # COMMANDED_FORCE is the commanded motor force. The envelope starts from this force in the next
     # tick.
     explained_force = present_tensions
     if any(
-        FAULT_BY_ID[latched_fault.id].makes_tension_unreliable for latched_fault in state.latched
+        FAULT_BY_ID[latched_fault.id].makes_tension_unreliable
+        for latched_fault in state.latched_faults
     ):
         # If the load cell may be wrong, the true tension may be as large as the tension setpoint. A
         # digit that follows a position goal has no tension setpoint.
@@ -99,7 +102,7 @@ def _relaxed_goal(model: HandModel, start_tensions: Vector) -> Vector:
 
 
 def _envelope_start(
-    model: HandModel, state: ControllerState, sign: Vector, accounted_force: Vector
+    model: HandModel, state: ControllerState, sign: Vector, plausible_tension: Vector
 ) -> Vector:
     """Return the motor force (N,) at which the envelope of each tendon starts [N].
 
@@ -111,11 +114,13 @@ def _envelope_start(
         model: model of the hand.
         state: state when relaxing starts.
         sign: (N,) direction of the commanded force.
-        accounted_force: (N,) largest tension in this direction that agrees with the measurement or
+        plausible_tension: (N,) largest tension in this direction that agrees with the measurement or
             the setpoint [N].
     """
     commanded_force = np.nan_to_num(state.tendon[s.COMMANDED_FORCE], nan=0.0)
-    return sign * np.minimum(sign * commanded_force, accounted_force + model.space.coulomb)
+    return sign * np.minimum(
+        sign * commanded_force, plausible_tension + model.tendon_constants.coulomb_friction
+    )
 
 
 def are_commands_relaxed(model: HandModel, state: ControllerState) -> bool:
@@ -156,7 +161,7 @@ def present_relax_rate(state: ControllerState) -> float:
     """Return the rate at which the envelope of the motor forces falls [N/s]."""
     return (
         OVER_TENSION_RATE_N_PER_S
-        if RelaxMethod.FAST_TENSION_LOOP in _release_methods(state)
+        if RelaxMethod.FAST_TENSION_LOOP in _relax_methods(state)
         else RELAX_RATE_N_PER_S
     )
 
@@ -166,9 +171,9 @@ def is_open_loop(state: ControllerState) -> bool:
 
     These commands do not depend on measurements.
     """
-    return RelaxMethod.OPEN_LOOP in _release_methods(state)
+    return RelaxMethod.OPEN_LOOP in _relax_methods(state)
 
 
-def _release_methods(state: ControllerState) -> set[RelaxMethod]:
+def _relax_methods(state: ControllerState) -> set[RelaxMethod]:
     """Return the methods of relaxing that the latched faults require."""
-    return {FAULT_BY_ID[latched_fault.id].relax_method for latched_fault in state.latched}
+    return {FAULT_BY_ID[latched_fault.id].relax_method for latched_fault in state.latched_faults}

@@ -41,8 +41,8 @@ from handctl.tune.identify.fit_tendon import (
     STRETCH_OFFSET_SCALE_M,
     TendonFit,
     TendonFitProblem,
+    add_model_error,
     parameter_scales,
-    with_model_error,
 )
 from handctl.tune.identify.fit_travel import SENSOR_SKEW_S, tendon_excursions
 from handctl.tune.identify.least_squares import (
@@ -53,7 +53,7 @@ from handctl.tune.identify.least_squares import (
 )
 from handctl.tune.identify.tendon_data import TendonData
 
-PAIR_PARAMETERS = (
+SPOOL_PAIR_PARAMETERS = (
     "motor_inertia", "motor_viscous", "motor_coulomb", "delay", "tendon_stiffness", "capstan", "moment_arm",
     "joint_damping", "link_mass", "pretension", "stretch_offset",
 )  # fmt: skip
@@ -62,7 +62,7 @@ PAIR_PARAMETERS = (
 In the vector of the fit, two parameters follow: the error of the model's link inertia, and the time
 difference of the encoders.
 """
-PAIR_PRIOR_DEVIATIONS = {
+SPOOL_PAIR_PRIOR_DEVIATIONS = {
     "link_mass": 0.5, "joint_damping": 0.4, "pretension": 0.5, "tendon_stiffness": 1.0, "stretch_offset": 100.0,
 }  # fmt: skip
 """Prior standard deviation of parameters of a spool pair, divided by the scale of the parameter.
@@ -72,7 +72,7 @@ gain. The damping of a joint and the viscous friction of its motor have the same
 prior for the pretension, a pair with two taut tendons could not be distinguished from a pair of
 twice the stiffness with one slack tendon.
 """
-PAIR_MODEL_ERROR = {
+SPOOL_PAIR_MODEL_ERROR = {
     "motor_coulomb": 0.025, "capstan": 0.03, "pretension": 0.03, "tendon_stiffness": 0.01,
 }  # fmt: skip
 """Standard deviation of the errors of the model by parameter, as a fraction of the value.
@@ -100,15 +100,15 @@ MIN_READINGS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class PairWindows:
+class SpoolPairWindows:
     """Signals of a spool pair, averaged with a time window. Each array has the shape (m,).
 
     Attributes:
         motor: windows of the motor equation. In these windows, the tension is not known.
         is_free: True if the digit moves freely, and False if the pair is stretched while the digit is
             pressed against a stop.
-        inertial: net tension that is necessary at the joints because of inertia and weight [N].
-        damping: net tension that is necessary at the joints because of joint damping [N].
+        inertial_tension: net tension that is necessary at the joints because of inertia and weight [N].
+        damping_tension: net tension that is necessary at the joints because of joint damping_tension [N].
         wrap_angle: wrap angle of the pair [rad].
         friction_fraction: friction of the tendons with its sign, as a fraction of the friction at
             high speed.
@@ -120,8 +120,8 @@ class PairWindows:
 
     motor: MotorWindows
     is_free: NDArray[np.bool_]
-    inertial: Array
-    damping: Array
+    inertial_tension: Array
+    damping_tension: Array
     wrap_angle: Array
     friction_fraction: Array
     travel: Array
@@ -133,22 +133,22 @@ class PairWindows:
         hand: Hand,
         digit: DigitModel,
         tendon: int,
-        tendons_data: Sequence[TendonData],
+        data_of_tendons: Sequence[TendonData],
         rest_angles: Array,
-    ) -> "PairWindows":
+    ) -> "SpoolPairWindows":
         """Return the signals of a spool pair, averaged with time windows.
 
         Args:
             hand: description of the hand.
             digit: model of the digit.
             tendon: index of the pair among the pairs of the digit.
-            tendons_data: data of all pairs of the digit, in their order.
+            data_of_tendons: data of all pairs of the digit, in their order.
             rest_angles: (J,) angles of all joints [rad]. The joints of the other digits keep these angles.
 
         Raises:
             LogError: the pair hardly moves.
         """
-        own_data = tendons_data[tendon]
+        own_data = data_of_tendons[tendon]
         spool = hand.motor_of_tendon(own_data.tendon).spool_radius_m
         windows = motor_windows(replace(own_data, tension=np.zeros_like(own_data.travel)), spool)
         weights = WindowWeights.from_period(own_data.period)
@@ -157,16 +157,16 @@ class PairWindows:
             + weights.samples
         )
         is_on_stop = own_data.stop[rows]
-        clear = np.asarray(is_on_stop.all(axis=1) | ~is_on_stop.any(axis=1))
+        is_usable = np.asarray(is_on_stop.all(axis=1) | ~is_on_stop.any(axis=1))
         mean_derivatives = np.array(
-            [weights.derivatives(pair.travel[rows]) for pair in tendons_data]
+            [weights.derivatives(pair.travel[rows]) for pair in data_of_tendons]
         )
-        clear &= np.isfinite(mean_derivatives).all(axis=(0, 1))
-        windows, rows = select_windows(windows, clear), rows[clear]
+        is_usable &= np.isfinite(mean_derivatives).all(axis=(0, 1))
+        windows, rows = select_windows(windows, is_usable), rows[is_usable]
         if len(windows.t) < 20:
             raise LogError(f"{own_data.tendon} hardly moves", "the log", "a run in which it moves")
         q, dq, ddq = _joint_motion(
-            digit, mean_derivatives[:, :, clear], tendons_data, rest_angles[digit.joints]
+            digit, mean_derivatives[:, :, is_usable], data_of_tendons, rest_angles[digit.joints]
         )
         tree = LinkTree.from_hand(hand)
         rigid_body_torque = np.array(
@@ -177,15 +177,15 @@ class PairWindows:
         )
         torque_to_tension = digit.torque_to_tension[tendon]
         passes_joint = (digit.moment_arms[tendon] != 0.0) & ~digit.is_prismatic
-        quick = speed_from_difference(own_data.travel, own_data.period)[rows]
+        quick_speed = speed_from_difference(own_data.travel, own_data.period)[rows]
         travel, excursion, readings = _stretch_readings(digit, tendon, own_data, rows, weights)
-        return PairWindows(
+        return SpoolPairWindows(
             motor=windows,
             is_free=~own_data.stop[rows].any(axis=1),
-            inertial=rigid_body_torque @ torque_to_tension,
-            damping=(dq * np.array(digit.joint_damping)) @ torque_to_tension,
+            inertial_tension=rigid_body_torque @ torque_to_tension,
+            damping_tension=(dq * np.array(digit.joint_damping)) @ torque_to_tension,
             wrap_angle=digit.wrap[tendon] + q[:, passes_joint].sum(axis=1),
-            friction_fraction=np.tanh(quick / CAPSTAN_FRICTION_SPEED_M_S) @ weights.mean,
+            friction_fraction=np.tanh(quick_speed / CAPSTAN_FRICTION_SPEED_M_S) @ weights.mean,
             travel=travel,
             excursion=excursion,
             reading_count=readings,
@@ -203,7 +203,7 @@ def select_windows(windows: MotorWindows, selection_mask: NDArray[np.bool_]) -> 
 def _joint_motion(
     digit: DigitModel,
     mean_derivatives: Array,
-    tendons_data: Sequence[TendonData],
+    data_of_tendons: Sequence[TendonData],
     rest_angles: Array,
 ) -> tuple[Array, Array, Array]:
     """Return angles, rates and accelerations (m, joints) of a digit, computed from the motion of its pairs (n_t, 3, m).
@@ -212,17 +212,17 @@ def _joint_motion(
     the mean of the joint readings.
     """
     travel, speed, acceleration = (mean_derivatives[:, i].T for i in range(3))
-    joints_of_excursion = digit.excursion_to_joints.T
-    angles = np.column_stack([pair.travel for pair in tendons_data]) @ joints_of_excursion
+    joints_from_excursions = digit.excursion_to_joints.T
+    angles = np.column_stack([pair.travel for pair in data_of_tendons]) @ joints_from_excursions
     offset = (
-        np.nanmean(tendons_data[0].joints - angles, axis=0)
-        if np.isfinite(tendons_data[0].joints).any()
+        np.nanmean(data_of_tendons[0].joints - angles, axis=0)
+        if np.isfinite(data_of_tendons[0].joints).any()
         else rest_angles - angles[0]
     )
     return (
-        travel @ joints_of_excursion + offset,
-        speed @ joints_of_excursion,
-        acceleration @ joints_of_excursion,
+        travel @ joints_from_excursions + offset,
+        speed @ joints_from_excursions,
+        acceleration @ joints_from_excursions,
     )
 
 
@@ -254,12 +254,14 @@ def _stretch_readings(
     such a window, the travel is averaged over all ticks, and not only over the times of the
     readings.
     """
-    read: NDArray[np.bool_] = np.asarray(np.isfinite(data.joints).all(axis=1))
-    excursion = np.where(read, tendon_excursions(digit, tendon, np.nan_to_num(data.joints)), 0.0)
-    weight = weights.mean * read[window_rows]
+    has_reading: NDArray[np.bool_] = np.asarray(np.isfinite(data.joints).all(axis=1))
+    excursion = np.where(
+        has_reading, tendon_excursions(digit, tendon, np.nan_to_num(data.joints)), 0.0
+    )
+    weight = weights.mean * has_reading[window_rows]
     total = np.maximum(weight.sum(axis=1), 1e-12)
     travel = (data.travel[window_rows] * weight).sum(axis=1) / total
-    count = read[window_rows].sum(axis=1)
+    count = has_reading[window_rows].sum(axis=1)
     is_on_stop = data.stop[window_rows].all(axis=1)
     travel = np.where(is_on_stop, data.travel[window_rows] @ weights.mean, travel)
     known_stretch = np.where(
@@ -269,7 +271,7 @@ def _stretch_readings(
     return travel, known_stretch, total**2 / np.maximum((weight**2).sum(axis=1), 1e-12)
 
 
-def tension_of_pair(net_tension: Array, pretension: float, pulley_ratios: Array) -> Array:
+def spool_pair_tension(net_tension: Array, pretension: float, pulley_ratios: Array) -> Array:
     """Return the net tension at the spool (m,) that is necessary for a given net tension at a joint [N].
 
     Args:
@@ -293,7 +295,7 @@ def tension_of_pair(net_tension: Array, pretension: float, pulley_ratios: Array)
     )
 
 
-def stretch_of_pair(net_tension: Array, stiffness: float, pretension: float) -> Array:
+def spool_pair_stretch(net_tension: Array, stiffness: float, pretension: float) -> Array:
     """Return the stretch of a pair (m,) [m]: the length by which the spool is ahead of the joints.
 
     The net tension (m,) is in N.
@@ -305,7 +307,7 @@ def stretch_of_pair(net_tension: Array, stiffness: float, pretension: float) -> 
 
 
 @dataclass(frozen=True, slots=True)
-class PairProblem:
+class SpoolPairProblem:
     """Input for the fit of a spool pair.
 
     Attributes:
@@ -319,7 +321,7 @@ class PairProblem:
             hand file.
     """
 
-    windows: PairWindows
+    windows: SpoolPairWindows
     spool_radius_m: float
     parameter_scales: Array
     motor_noise: float
@@ -329,7 +331,8 @@ class PairProblem:
     def parameter_value(self, z: Array, name: str) -> float:
         """Return a parameter in SI units, or as a factor for a value of the hand file."""
         return float(
-            z[PAIR_PARAMETERS.index(name)] * self.parameter_scales[PARAMETER_NAMES.index(name)]
+            z[SPOOL_PAIR_PARAMETERS.index(name)]
+            * self.parameter_scales[PARAMETER_NAMES.index(name)]
         )
 
     def measured_tension(self, z: Array) -> Array:
@@ -349,22 +352,22 @@ class PairProblem:
         """Return the net tension (m,) that links and tendon friction require in free motion [N]."""
         w = self.windows
         load = (
-            self.parameter_value(z, "link_mass") * w.inertial
-            + self.parameter_value(z, "joint_damping") * w.damping
+            self.parameter_value(z, "link_mass") * w.inertial_tension
+            + self.parameter_value(z, "joint_damping") * w.damping_tension
         )
         rotor = (
             self.parameter_scales[PARAMETER_NAMES.index("motor_inertia")] / self.spool_radius_m**2
         )
         load = load + z[-2] * LOAD_INERTIA_SIGMA * rotor * w.motor.acceleration
-        passed_ratio = np.exp(
+        transmitted_ratio = np.exp(
             np.clip(
                 -self.parameter_value(z, "capstan") * w.friction_fraction * w.wrap_angle, -3.0, 3.0
             )
         )
-        return tension_of_pair(
+        return spool_pair_tension(
             load / self.parameter_value(z, "moment_arm"),
             self.parameter_value(z, "pretension"),
-            passed_ratio,
+            transmitted_ratio,
         )
 
     def stretch(self, z: Array) -> Array:
@@ -373,12 +376,12 @@ class PairProblem:
         If a window contains too few joint-encoder readings, the length is NaN.
         """
         w = self.windows
-        time_skew_travel = np.where(w.is_free, z[-1] * SENSOR_SKEW_S * w.motor.speed, 0.0)
+        travel_during_skew = np.where(w.is_free, z[-1] * SENSOR_SKEW_S * w.motor.speed, 0.0)
         return np.asarray(
             w.travel
             - self.parameter_value(z, "moment_arm") * w.excursion
             - self.parameter_value(z, "stretch_offset")
-            - time_skew_travel
+            - travel_during_skew
         )
 
     def residuals(self, z: Array) -> Array:
@@ -388,7 +391,7 @@ class PairProblem:
         pretension = self.parameter_value(z, "pretension")
         measured_tension = self.measured_tension(z)
         needed_tension = self.tension_in_free_motion(z)
-        stretch_from_tension = stretch_of_pair(
+        stretch_from_tension = spool_pair_stretch(
             np.where(w.is_free, needed_tension, measured_tension), stiffness, pretension
         )
         motor_residuals = (
@@ -407,8 +410,8 @@ class PairProblem:
         spread = np.array(
             [
                 *(
-                    PAIR_PRIOR_DEVIATIONS.get(name, DEFAULT_PRIOR_DEVIATION)
-                    for name in PAIR_PARAMETERS
+                    SPOOL_PAIR_PRIOR_DEVIATIONS.get(name, DEFAULT_PRIOR_DEVIATION)
+                    for name in SPOOL_PAIR_PARAMETERS
                 ),
                 1.0,
                 1.0,
@@ -420,14 +423,14 @@ class PairProblem:
 
     def parameter_bounds(self) -> tuple[Array, Array]:
         """Return lower and upper bounds of the scaled parameters."""
-        signed_parameters = np.array(
-            [name in ("delay", "stretch_offset") for name in PAIR_PARAMETERS] + [True, True]
+        is_signed = np.array(
+            [name in ("delay", "stretch_offset") for name in SPOOL_PAIR_PARAMETERS] + [True, True]
         )
-        return np.where(signed_parameters, -np.inf, MIN_SCALED_PARAMETER), np.where(
-            signed_parameters, np.inf, MAX_SCALED_PARAMETER
+        return np.where(is_signed, -np.inf, MIN_SCALED_PARAMETER), np.where(
+            is_signed, np.inf, MAX_SCALED_PARAMETER
         )
 
-    def with_estimated_noise(self, z: Array) -> "PairProblem":
+    def with_estimated_noise(self, z: Array) -> "SpoolPairProblem":
         """Return the input of the fit, after a new estimate of the noise of the motor equation.
 
         The noise is estimated from the median of the absolute residuals.
@@ -442,7 +445,7 @@ class PairProblem:
         return replace(self, motor_noise=max(size, MIN_NOISE_N))
 
 
-def fit_pair(
+def fit_spool_pair(
     hand: Hand, digit: DigitModel, tendon: int, pair_data: Sequence[TendonData]
 ) -> TendonFit:
     """Fit the parameters of a spool pair.
@@ -458,11 +461,11 @@ def fit_pair(
     """
     own_data = pair_data[tendon]
     rest_angles = np.clip(np.zeros(len(hand.joints)), hand.joint_limits[0], hand.joint_limits[1])
-    windows = PairWindows.from_data(hand, digit, tendon, pair_data, rest_angles)
+    windows = SpoolPairWindows.from_data(hand, digit, tendon, pair_data, rest_angles)
     reading = hand.sensor_node.joint_noise_rad * float(np.linalg.norm(digit.moment_arms[tendon]))
     motor = hand.motor_of_tendon(own_data.tendon)
     value_scales = parameter_scales(hand, own_data.tendon)
-    problem = PairProblem(
+    problem = SpoolPairProblem(
         windows,
         motor.spool_radius_m,
         value_scales,
@@ -482,22 +485,24 @@ def fit_pair(
     solution = solve_least_squares(
         problem.residuals, first_solution.z, problem.parameter_bounds(), times
     )
-    return with_model_error(_as_tendon_fit(hand, problem, solution), PAIR_MODEL_ERROR)
+    return add_model_error(_as_tendon_fit(hand, problem, solution), SPOOL_PAIR_MODEL_ERROR)
 
 
-def _start_parameters(windows: PairWindows) -> Array:
+def _start_parameters(windows: SpoolPairWindows) -> Array:
     """Return the scaled parameters at which the fit starts.
 
     They consist of the values in the hand file and of a first estimate of the stretch offset.
     """
-    first_parameters = np.ones(len(PAIR_PARAMETERS) + 2)
+    first_parameters = np.ones(len(SPOOL_PAIR_PARAMETERS) + 2)
     is_measured = np.isfinite(windows.excursion)
     offset = (
         float(np.median(windows.travel[is_measured] - windows.excursion[is_measured]))
         if is_measured.any()
         else 0.0
     )
-    first_parameters[PAIR_PARAMETERS.index("stretch_offset")] = offset / STRETCH_OFFSET_SCALE_M
+    first_parameters[SPOOL_PAIR_PARAMETERS.index("stretch_offset")] = (
+        offset / STRETCH_OFFSET_SCALE_M
+    )
     first_parameters[-2:] = 0.0
     return first_parameters
 
@@ -512,7 +517,7 @@ def _start_candidates(first_candidate: Array) -> list[Array]:
     start_candidates = []
     for factor in PRETENSION_START_FACTORS:
         start = first_candidate.copy()
-        start[PAIR_PARAMETERS.index("pretension")] *= factor
+        start[SPOOL_PAIR_PARAMETERS.index("pretension")] *= factor
         start_candidates.append(start)
     return start_candidates
 
@@ -525,20 +530,20 @@ def _robust_cost(residual: Array) -> float:
     return float((np.sqrt(1.0 + (residual / OUTLIER_RESIDUAL) ** 2) - 1.0).sum())
 
 
-def _as_tendon_fit(hand: Hand, problem: PairProblem, solution: FitSolution) -> TendonFit:
+def _as_tendon_fit(hand: Hand, problem: SpoolPairProblem, solution: FitSolution) -> TendonFit:
     """Return the result for a spool pair in the same form as the fit of a single tendon."""
     windows = problem.windows
     count = len(PARAMETER_NAMES)
-    target = [PARAMETER_NAMES.index(name) for name in PAIR_PARAMETERS]
-    own_count = len(target)
+    target = [PARAMETER_NAMES.index(name) for name in SPOOL_PAIR_PARAMETERS]
+    parameter_count = len(target)
     z = np.append(np.ones(count), (0.0, 0.0))
-    z[target] = solution.z[:own_count]
+    z[target] = solution.z[:parameter_count]
     covariance = np.eye(count + 2) * DEFAULT_PRIOR_DEVIATION**2
-    covariance[np.ix_(target, target)] = solution.covariance[:own_count, :own_count]
+    covariance[np.ix_(target, target)] = solution.covariance[:parameter_count, :parameter_count]
     degrees_of_freedom = np.full(count + 2, MIN_DEGREES_OF_FREEDOM)
-    degrees_of_freedom[target] = solution.degrees_of_freedom[:own_count]
+    degrees_of_freedom[target] = solution.degrees_of_freedom[:parameter_count]
     sensitivity = np.zeros((2 * len(windows.motor.t), count))
-    sensitivity[:, target] = solution.jacobian[: len(sensitivity), :own_count]
+    sensitivity[:, target] = solution.jacobian[: len(sensitivity), :parameter_count]
     measured_tension = problem.measured_tension(solution.z)
     empty_array = np.zeros(0)
     empty_bins = SignalBins(empty_array, empty_array, empty_array, empty_array, empty_array, 1)

@@ -1,7 +1,7 @@
 """Alternatives that the exchange benchmark compares.
 
 ``send(torques)`` sends a torque to each MIT motor, and ``receive()`` reads the replies. Clients
-from PyPI are in the module ``package_clients``.
+from PyPI are in the module ``pypi_clients``.
 """
 
 from functools import cache
@@ -105,7 +105,7 @@ class HandctlExchange:
     def receive(self):
         frames = self.bus.drain()
         state = self.state
-        places = self.controller.derived.layout.places
+        places = self.controller.derived_constants.layout.offsets
         self.begin_tick(state.block, places, state.k, self.t_ns, 0, 0, len(frames))
         self.controller._receive_frames(state, frames, 0)
         return frames
@@ -114,7 +114,7 @@ class HandctlExchange:
         self.bus.close()
 
 
-class ScalarCodecExchange:
+class HandwrittenCodecExchange:
     """Exchange over python-can that encodes and decodes with typical hand-written code.
 
     It sends and receives one message at a time.
@@ -154,7 +154,7 @@ class ScalarCodecExchange:
         self.bus.shutdown()
 
 
-class CantoolsExchange(ScalarCodecExchange):
+class CantoolsExchange(HandwrittenCodecExchange):
     """Exchange over python-can with a codec that cantools makes from a DBC file.
 
     It sends and receives one message at a time.
@@ -179,6 +179,6 @@ class CantoolsExchange(ScalarCodecExchange):
 
 EXCHANGE_BY_NAME = {
     "handctl": HandctlExchange,
-    "python-can, scalar codec": ScalarCodecExchange,
+    "python-can, scalar codec": HandwrittenCodecExchange,
     "python-can, cantools": CantoolsExchange,
 }

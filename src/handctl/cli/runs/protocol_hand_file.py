@@ -18,7 +18,7 @@ from handctl.output_files import write_text_atomically
 
 
 @contextmanager
-def hand_in_protocol(args: argparse.Namespace) -> Iterator[None]:
+def use_protocol_hand_file(args: argparse.Namespace) -> Iterator[None]:
     """Replace ``args.hand`` by a hand file with drives of ``args.protocol``.
 
     The end of the context restores ``args.hand``.
@@ -42,7 +42,7 @@ def hand_in_protocol(args: argparse.Namespace) -> Iterator[None]:
             args.hand = original_hand
 
 
-def path_in_protocol(args: argparse.Namespace) -> Path:
+def protocol_hand_path(args: argparse.Namespace) -> Path:
     """Return the path in the present folder for the hand file with drives of ``args.protocol``.
 
     Raises:
@@ -56,9 +56,9 @@ def path_in_protocol(args: argparse.Namespace) -> Path:
     return path
 
 
-def write_in_protocol(args: argparse.Namespace) -> Path:
-    """Write the hand file at ``path_in_protocol``, and return the path."""
-    path = path_in_protocol(args)
+def write_protocol_hand(args: argparse.Namespace) -> Path:
+    """Write the hand file at ``protocol_hand_path``, and return the path."""
+    path = protocol_hand_path(args)
     write_text_atomically(path, _hand_text(args))
     return path
 

@@ -30,14 +30,14 @@ class FencedBlock(NamedTuple):
     text: str
 
 
-def read_blocks(path: Path) -> list[FencedBlock]:
+def read_code_blocks(path: Path) -> list[FencedBlock]:
     """Return the fenced blocks of a page in order."""
-    code_blocks = FENCE_PATTERN.finditer(path.read_text(encoding="utf-8"))
+    matches = FENCE_PATTERN.finditer(path.read_text(encoding="utf-8"))
     return [
         FencedBlock(
             match[2], match[3] or "", re.sub(f"^{match[1]}", "", match[4], flags=re.MULTILINE)
         )
-        for match in code_blocks
+        for match in matches
     ]
 
 
@@ -61,15 +61,15 @@ def keeps_running(block: FencedBlock) -> bool:
     return "stays open" in block.title
 
 
-def run_blocks(
-    page_blocks: Sequence[FencedBlock],
+def run_code_blocks(
+    code_blocks: Sequence[FencedBlock],
     prepare: Callable[[Path], None] | None = None,
     parallel_commands: Sequence[str] = (),
 ) -> None:
     """Execute the commands of a page in an empty folder.
 
     Args:
-        page_blocks: blocks of the page. The function writes the files of the page before it
+        code_blocks: blocks of the page. The function writes the files of the page before it
             executes commands.
         prepare: function that writes further files into the folder.
         parallel_commands: further commands, which run during the commands of the page.
@@ -81,12 +81,12 @@ def run_blocks(
     background_processes: list[subprocess.Popen[str]] = []
     if prepare:
         prepare(folder)
-    for block in filter(is_file_block, page_blocks):
+    for block in filter(is_file_block, code_blocks):
         (folder / block.title).write_text(replace_socketcan_buses(block.text))
     try:
         for command in parallel_commands:
             start_in_background_shell(command, background_processes, words)
-        for block in page_blocks:
+        for block in code_blocks:
             if block.language != "sh" or not is_executed(block):
                 continue
             if keeps_running(block):

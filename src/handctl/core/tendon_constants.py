@@ -21,7 +21,7 @@ from handctl.hand.link_tree import LinkTree
 
 
 @dataclass(frozen=True, slots=True)
-class TendonSpace:
+class TendonConstants:
     """Names and constants of the N tendons of a hand, with shape (N,).
 
     The constants are in SI units along the tendon.
@@ -30,13 +30,13 @@ class TendonSpace:
         names: names of the tendons.
         motor_mass: rotor inertia J_m / r_a^2, converted to a mass at the tendon [kg].
         motor_damping: viscous friction of the motor b_m / r_a^2 [N s/m].
-        coulomb: Coulomb friction of the motor tau_c / r_a [N].
+        coulomb_friction: Coulomb friction of the motor tau_c / r_a [N].
         stiffness: stiffness of the tendon [N/m].
         damping: damping of the tendon [N s/m].
         load_mass: mass of the half-closed digit, converted to the tendon [kg].
         load_stiffness: stiffness of the return springs, converted to the tendon [N/m].
         load_damping: damping of the joints, converted to the tendon [N s/m].
-        spool: radius of the spool [m].
+        spool_radius: radius of the spool [m].
         encoder_step: smallest measurable change of the motor position, converted to the tendon [m].
         tension_noise: standard deviation of a load-cell reading [N].
         has_cell: 1 for a tendon with a load cell, 0 without.
@@ -45,13 +45,13 @@ class TendonSpace:
     names: tuple[str, ...]
     motor_mass: Vector
     motor_damping: Vector
-    coulomb: Vector
+    coulomb_friction: Vector
     stiffness: Vector
     damping: Vector
     load_mass: Vector
     load_stiffness: Vector
     load_damping: Vector
-    spool: Vector
+    spool_radius: Vector
     encoder_step: Vector
     tension_noise: Vector
     has_cell: Vector
@@ -66,7 +66,7 @@ class TendonSpace:
         )
 
 
-def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
+def collect_tendon_constants(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonConstants:
     """Collect the constants of all tendons of a hand.
 
     Args:
@@ -83,12 +83,12 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
     load = np.concatenate(
         [_load_along_tendons(digit, mass[digit.joints, digit.joints]) for digit in digits], axis=1
     )
-    return TendonSpace(
+    return TendonConstants(
         names=hand.tendon_names,
         motor_mass=inertia / spool**2,
         motor_damping=np.array([motors[tendon.motor].viscous_N_m_s_per_rad for tendon in tendons])
         / spool**2,
-        coulomb=np.array([motors[tendon.motor].coulomb_N_m for tendon in tendons]) / spool,
+        coulomb_friction=np.array([motors[tendon.motor].coulomb_N_m for tendon in tendons]) / spool,
         # While both tendons of a spool pair are taut, both tendons resist a stretch.
         stiffness=np.array([tendon.stiffness_N_per_m for tendon in tendons])
         * np.where(hand.is_pair, 2.0, 1.0),
@@ -97,7 +97,7 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
         load_mass=load[0],
         load_stiffness=load[1],
         load_damping=load[2],
-        spool=spool,
+        spool_radius=spool,
         encoder_step=np.array([_position_step(motors[tendon.motor]) for tendon in tendons]) * spool,
         tension_noise=np.full(len(tendons), hand.sensor_node.tension_noise_N),
         has_cell=hand.has_cell.astype(np.float64),

@@ -15,11 +15,11 @@ from handctl.drives.frame_time import MAX_BUS_LOAD, bus_time_s
 # phase of CAN FD.
 BITRATE_BIT_PER_S = 1_000_000
 DATA_BITRATE_BIT_PER_S = 5_000_000
-TABLE_RATES_HZ = (250.0, 500.0, 1000.0)
+BUS_LOAD_RATES_HZ = (250.0, 500.0, 1000.0)
 """Control rates for which the table gives the bus load [Hz]."""
 
 
-class LoadTableRow(NamedTuple):
+class BusLoadTableRow(NamedTuple):
     """Row of the table of bus loads.
 
     Attributes:
@@ -38,7 +38,7 @@ class LoadTableRow(NamedTuple):
     shared: tuple[int, ...]
 
     @property
-    def tick_s(self) -> float:
+    def frame_time_per_tick_s(self) -> float:
         """Return the time that the frames of one tick take on the bus [s]."""
         sizes = [*self.per_motor * self.motors, *self.shared]
         return bus_time_s(
@@ -47,23 +47,23 @@ class LoadTableRow(NamedTuple):
 
     def as_json(self) -> dict[str, Any]:
         """Return the row as a mapping for JSON output."""
-        loads = {f"{rate:g}": rate * self.tick_s for rate in TABLE_RATES_HZ}
+        loads = {f"{rate:g}": rate * self.frame_time_per_tick_s for rate in BUS_LOAD_RATES_HZ}
         return self._asdict() | {
-            "tick_us": self.tick_s * 1e6,
+            "tick_us": self.frame_time_per_tick_s * 1e6,
             "load": loads,
-            "max_hz": MAX_BUS_LOAD / self.tick_s,
+            "max_hz": MAX_BUS_LOAD / self.frame_time_per_tick_s,
         }
 
 
 BUS_LOAD_ROWS = (
-    LoadTableRow("MIT", False, 4, (8, 8), (8,)),
-    LoadTableRow("MIT", False, 11, (8, 8), (8, 8, 8)),
-    LoadTableRow("MIT", True, 4, (8, 8), (12,)),
-    LoadTableRow("MIT", True, 11, (8, 8), (32,)),
-    LoadTableRow("CiA 402", False, 4, (4, 8), (0, 8)),
-    LoadTableRow("CiA 402", False, 11, (4, 8), (0, 8, 8, 8)),
-    LoadTableRow("CiA 402, four torques in one RPDO", False, 4, (8,), (0, 8, 8)),
-    LoadTableRow("ODrive, torque and encoder", False, 4, (4, 8), (8,)),
-    LoadTableRow("ODrive, with torque feedback", False, 4, (8, 8, 8), (8,)),
+    BusLoadTableRow("MIT", False, 4, (8, 8), (8,)),
+    BusLoadTableRow("MIT", False, 11, (8, 8), (8, 8, 8)),
+    BusLoadTableRow("MIT", True, 4, (8, 8), (12,)),
+    BusLoadTableRow("MIT", True, 11, (8, 8), (32,)),
+    BusLoadTableRow("CiA 402", False, 4, (4, 8), (0, 8)),
+    BusLoadTableRow("CiA 402", False, 11, (4, 8), (0, 8, 8, 8)),
+    BusLoadTableRow("CiA 402, four torques in one RPDO", False, 4, (8,), (0, 8, 8)),
+    BusLoadTableRow("ODrive, torque and encoder", False, 4, (4, 8), (8,)),
+    BusLoadTableRow("ODrive, with torque feedback", False, 4, (8, 8, 8), (8,)),
 )
 """Rows of the table: (protocol, CAN FD, motors, payloads of each motor, shared payloads)."""

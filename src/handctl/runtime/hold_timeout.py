@@ -18,7 +18,7 @@ MAX_HOLD_S = 5.0
 
 
 @dataclass
-class HoldLimit:
+class HoldTimeout:
     """Observer of a run. The observer stops the run if a fault holds the hand for too long.
 
     Attributes:

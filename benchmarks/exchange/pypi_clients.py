@@ -15,7 +15,7 @@ import struct
 from types import SimpleNamespace
 
 import can
-from exchange.torque_exchanges import feedback_frame
+from exchange.can_exchanges import feedback_frame
 
 
 class DamiaoClient:
@@ -30,9 +30,9 @@ class DamiaoClient:
         from damiao_motor import DaMiaoController
 
         self.controller = DaMiaoController(channel=channel, bustype=interface)
-        add = self.controller.add_motor
+        add_motor = self.controller.add_motor
         self.motors = [
-            add(motor_id=i, feedback_id=i + 0x10, motor_type="4310")
+            add_motor(motor_id=i, feedback_id=i + 0x10, motor_type="4310")
             for i in range(1, motor_count + 1)
         ]
         self.controller._stop_polling()

@@ -57,7 +57,7 @@ def exact_millimetres(lengths_m: tuple[float, ...]) -> tuple[Fraction, ...]:
     return tuple(1000 * Fraction(str(length)) for length in lengths_m)
 
 
-def levers_mm(digit: Digit) -> tuple[Fraction, ...]:
+def tip_distances_mm(digit: Digit) -> tuple[Fraction, ...]:
     """Return, for each joint of a straight digit, the distance between the joint and the tip [mm].
 
     The distance in mm is also the moment at the joint in N mm for a force of 1 N at the tip.
@@ -71,10 +71,10 @@ def tension_per_newton(digit: Digit) -> Fraction:
 
     The balance holds at joint 1.
     """
-    return levers_mm(digit)[0] / PULLEY_RADIUS_MM
+    return tip_distances_mm(digit)[0] / PULLEY_RADIUS_MM
 
 
-def tension_of_payload_kg(mass: int) -> Fraction:
+def tension_for_payload(mass: int) -> Fraction:
     """Return the tension in each finger's tendon with which three fingers hold a mass [N].
 
     The fingers hold the mass [kg] by friction.
@@ -97,6 +97,6 @@ def wire_stress_mpa(tension_n: Fraction | float, diameter_mm: float) -> float:
     return 4.0 * float(tension_n) / (math.pi * diameter_mm**2)
 
 
-def payload_kg(normal_n: Fraction) -> Fraction:
+def payload_kg(normal_force_N: Fraction) -> Fraction:
     """Return the mass that the friction of a contact holds, for a given normal force [kg]."""
-    return FRICTION_COEFFICIENT * normal_n / GRAVITY_M_PER_S2
+    return FRICTION_COEFFICIENT * normal_force_N / GRAVITY_M_PER_S2

@@ -25,7 +25,7 @@ from handctl.report.run_summary import angle_rows, summarise_run, tracking_text
 from handctl.report.svg_pictures import draw_bus_loads, draw_lateness, draw_poses
 from handctl.report.truth_record import TruthRecord
 
-MAX_EVENTS = 500
+MAX_LISTED_EVENTS = 500
 """Largest number of events on the page. If a run has more, only the first events are shown."""
 MAX_LISTED_CONTACTS = 20
 """Largest number of contacts on the page. If a run has more, only the first contacts are shown."""
@@ -217,7 +217,7 @@ def _events_named(log: RunLog, name: str) -> Iterator[LoggedEvent]:
 
 def _event_table(log: RunLog) -> str:
     """Return the HTML table of the events of a run."""
-    hidden_event_count = len(log.events) - MAX_EVENTS
+    hidden_event_count = len(log.events) - MAX_LISTED_EVENTS
     more_text = (
         f"<p>and {hidden_event_count} more: handctl log info</p>" if hidden_event_count > 0 else ""
     )
@@ -225,6 +225,6 @@ def _event_table(log: RunLog) -> str:
         f'<tr class="{_escaped_text(event.level)}"><td class=n>{t_ns / 1e9:.3f} s</td>'
         f"<td>{_escaped_text(event.level)}</td>"
         f"<td>{_escaped_text(event.name)}</td><td>{_escaped_text(event.text)}</td></tr>"
-        for _, t_ns, event in log.events[:MAX_EVENTS]
+        for _, t_ns, event in log.events[:MAX_LISTED_EVENTS]
     )
     return "<table>" + "".join(rows) + "</table>" + more_text

@@ -59,7 +59,7 @@ def _distribute_jobs(
     job_by_worker: dict[WorkerProcess, int] = {}
     with selectors.DefaultSelector() as answer_selector:
         for child in workers:
-            answer_selector.register(_checked_pipe(child.stdout), selectors.EVENT_READ, child)
+            answer_selector.register(_require_pipe(child.stdout), selectors.EVENT_READ, child)
             _send_next_job(child, pending_jobs, job_by_worker, report)
         while job_by_worker:
             for key, _ in answer_selector.select():
@@ -81,7 +81,7 @@ def _send_next_job(
     for index, job in waiting_jobs:
         job_of_worker[worker] = index
         report(job, False)
-        pipe = _checked_pipe(worker.stdin)
+        pipe = _require_pipe(worker.stdin)
         pipe.write(json.dumps(job) + "\n")
         pipe.flush()
         return
@@ -93,7 +93,7 @@ def _read_result(child: WorkerProcess) -> ExperimentResult:
     Raises:
         HandctlError: the experiment failed, or the worker process ended without a result.
     """
-    line = _checked_pipe(child.stdout).readline()
+    line = _require_pipe(child.stdout).readline()
     if not line:
         raise HandctlError(
             "a worker ended before its experiment did",
@@ -107,7 +107,7 @@ def _read_result(child: WorkerProcess) -> ExperimentResult:
     return result
 
 
-def _checked_pipe(worker_pipe: IO[str] | None) -> IO[str]:
+def _require_pipe(worker_pipe: IO[str] | None) -> IO[str]:
     """Return a pipe, if it exists."""
     assert worker_pipe is not None
     return worker_pipe

@@ -21,7 +21,7 @@ from handctl.view.scene.run_info import RunInfo
 from handctl.view.scene.topic_converters import TopicConverters
 from handctl.view.viewer import Viewer, check_screen_exists, software_vulkan, start_viewer
 
-CHECK_PERIOD_S = 0.2
+LOG_CHECK_PERIOD_S = 0.2
 """Interval between checks for new data in the log [s]."""
 FLUSH_TIMEOUT_S = 5.0
 """Longest wait until the viewer has received all sent data [s]."""
@@ -134,7 +134,7 @@ def _follow_until_end(follower: LogFollower, running_viewer: Viewer, stop: Termi
             return
         # After a slow step, the pause before the next step is shorter. Even the shortest pause
         # leaves processor time to other programs.
-        time.sleep(max(CHECK_PERIOD_S - (time.monotonic() - start), CHECK_PERIOD_S / 4))
+        time.sleep(max(LOG_CHECK_PERIOD_S - (time.monotonic() - start), LOG_CHECK_PERIOD_S / 4))
 
 
 def _wait_for_header(log: Path, stop: TerminationFlag) -> RunInfo | None:
@@ -150,5 +150,5 @@ def _wait_for_header(log: Path, stop: TerminationFlag) -> RunInfo | None:
         except LogError:
             if time.monotonic() > end:
                 raise
-        time.sleep(CHECK_PERIOD_S)
+        time.sleep(LOG_CHECK_PERIOD_S)
     return None

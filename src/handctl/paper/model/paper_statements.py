@@ -5,25 +5,29 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from handctl.paper import sources as src
+from handctl.paper import paper_data as src
 from handctl.paper.errata_item import ErrataItem
 from handctl.paper.model import equations
 from handctl.paper.model.equations import EquationTerm
 from handctl.paper.model.lagrange import RELATIVE_TOLERANCE, SYMBOL_DIMENSIONS, random_states
-from handctl.paper.verdicts import verdict_of_number, verdict_of_readings, verdict_of_statement
+from handctl.paper.verdicts import (
+    verdict_of_ambiguous_statement,
+    verdict_of_number,
+    verdict_of_statement,
+)
 
 COUNT_TAG = ("count",)
 SYMBOL_PATTERN = re.compile(r"(?<![A-Za-z])[A-Za-z](?:_[A-Za-z]|[₀-₉])?(?![A-Za-z])")
 """Pattern of a symbol in a printed equation: a letter with or without an index."""
 CONTROL_WORDS = ("desired", "error", "gain", "measured", "reference", "feedback")
 """Words that occur in the meanings of a control law's symbols."""
-SYMBOL_WORDS = {
+MEANING_BY_SYMBOL = {
     "I": "moment of inertia", "m": "mass", "L": "length", "d": "distance of the centre of mass", "g": "gravity",
 }  # fmt: skip
 """Meaning of each letter in the paper."""
 
 
-def text_items() -> list[ErrataItem]:
+def text_errata() -> list[ErrataItem]:
     """Return the errata items about counts, and about statements in the text of the paper."""
     return [
         *_check_degrees_of_freedom(),
@@ -55,7 +59,9 @@ def _check_degrees_of_freedom() -> list[ErrataItem]:
             verdict_of_number("11", total),
              f"{spread} joints.", COUNT_TAG),
         ErrataItem("abstract.joints_each", "Abstract, Sec. 1", "each finger having three DOF", min(joints), "",
-             verdict_of_readings([verdict_of_number("3", count) == verdict_of_number("3", 3) for count in joints]),
+             verdict_of_ambiguous_statement(
+                 [verdict_of_number("3", count) == verdict_of_number("3", 3) for count in joints]
+             ),
              f"This is true for the fingers, and not for the thumb: with {joints_per_digit} each the sum would be "
              f"{joints_per_digit * len(joints)}, not {total}. The paper does not state whether the thumb "
              "counts as a finger.", COUNT_TAG),
@@ -84,7 +90,7 @@ def _check_palm_joint() -> ErrataItem:
     readings = [joints - 1 == len(angles), joints == len(angles)]
     return ErrataItem(
         "sec3.palm", "Sec. 3", "the joint in the palm link is fixed; one in both the median and distal connections",
-        len(angles), "", verdict_of_readings(readings),
+        len(angles), "", verdict_of_ambiguous_statement(readings),
         f"If the finger's first joint is meant, {joints - 1} joints move, against the {len(angles)} angles of Eq. 1 to "
         f"12 and the 11 DOF of the abstract. If the palm is meant, which the next sentence calls the foundation, the "
         f"statement is right, and the first of {joints} joints is not mentioned.", COUNT_TAG)  # fmt: skip
@@ -145,8 +151,8 @@ def _printed_symbols() -> set[str]:
     return {
         symbol
         for term in terms
-        if not term.printed.startswith("(")
-        for symbol in SYMBOL_PATTERN.findall(term.printed)
+        if not term.printed_form.startswith("(")
+        for symbol in SYMBOL_PATTERN.findall(term.printed_form)
     }
 
 
@@ -193,7 +199,7 @@ def _check_axis_of_inertia() -> ErrataItem:
 
 def _check_control_law() -> ErrataItem:
     """Check whether any symbol of a control law occurs in the printed equations."""
-    meanings = {SYMBOL_WORDS.get(symbol[0], "") for symbol in _printed_symbols()} | {
+    meanings = {MEANING_BY_SYMBOL.get(symbol[0], "") for symbol in _printed_symbols()} | {
         "angle",
         "torque",
     }

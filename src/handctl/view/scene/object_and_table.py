@@ -12,7 +12,7 @@ from rerun.chunk import Chunk
 
 from handctl.errors import LogError
 from handctl.report.truth_record import TruthRecord
-from handctl.view.scene.chunk_arrays import static_chunk, timed_chunk
+from handctl.view.scene.chunk_arrays import static_chunk, temporal_chunk
 from handctl.view.scene.palette import Colour
 from handctl.view.scene.run_info import RunInfo
 
@@ -29,7 +29,7 @@ The components of the quaternion are in Rerun's order.
 """
 
 
-def true_shape_chunks(run: RunInfo) -> Iterator[Chunk]:
+def object_and_table_chunks(run: RunInfo) -> Iterator[Chunk]:
     """Yield the chunks with the shapes and the poses of object and table.
 
     If the run has no truth file with shapes, yield no chunks.
@@ -55,7 +55,7 @@ def true_shape_chunks(run: RunInfo) -> Iterator[Chunk]:
             parent_frame=["palm"] * len(times),
             child_frame=[f"true_{name}"] * len(times),
         )
-        yield timed_chunk(f"/true/{name}_pose", times - offset, pose)
+        yield temporal_chunk(f"/true/{name}_pose", times - offset, pose)
 
 
 def _solid_shape(true_shape: Mapping[str, Any], colour: Colour) -> Any:

@@ -1,6 +1,6 @@
 """Measure the CPU time that a log costs per tick.
 
-`python tests/log/log_cost.py` prints microseconds per tick on this machine. The program prints the
+`python tests/log/log_cpu_time.py` prints microseconds per tick on this machine. The program prints the
 times, but checks no limits.
 """
 
@@ -19,12 +19,12 @@ from handctl.log.write.recorder import Recorder
 
 def _us_per_item(item_count: int, measured_work: Callable[[], object]) -> float:
     """Run a function three times, and return its shortest CPU time per item [us]."""
-    spent = []
+    times_s = []
     for _ in range(3):
         start = time.process_time()
         measured_work()
-        spent.append(time.process_time() - start)
-    return min(spent) / item_count * 1e6
+        times_s.append(time.process_time() - start)
+    return min(times_s) / item_count * 1e6
 
 
 def _write_log(
@@ -52,15 +52,15 @@ def main() -> None:
             print(
                 f"{hand} at {rate_hz} Hz, {len(records[9])} bytes and {_frame_count(ticks[9])} frames a tick"
             )
-            packing = _us_per_item(
+            packing_us = _us_per_item(
                 number, lambda ticks=ticks: [pack_tick_record(*tick) for tick in ticks]
             )
-            print(f"  pack            {packing:7.1f} us")
-            writing = _us_per_item(
+            print(f"  pack            {packing_us:7.1f} us")
+            writing_us = _us_per_item(
                 number, lambda path=path, run=run, bodies=bodies: _write_log(path, run, bodies)
             )
             print(
-                f"  write (child)   {writing:7.1f} us, {path.stat().st_size / number:.0f} bytes in the file"
+                f"  write (child)   {writing_us:7.1f} us, {path.stat().st_size / number:.0f} bytes in the file"
             )
             print(
                 f"  pipe, lockstep  {_lockstep_write_us(Path(folder) / 'b.mcap', run, records):7.1f} us wall time"
