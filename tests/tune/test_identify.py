@@ -188,7 +188,9 @@ def test_the_controller_s_hand_is_the_identified_one() -> None:
     controller_hand = identified_hand(hand, identified)
     assert controller_hand.tendon[3].stiffness_N_per_m == 8e4
     assert controller_hand.motor_of_tendon("thumb_tendon").inertia_kg_m2 == 1e-4
-    assert controller_hand.digit_named("thumb").spring_stiffness_N_m_per_rad == pytest.approx((0.036, 0.036))
+    assert controller_hand.digit_named("thumb").spring_stiffness_N_m_per_rad == pytest.approx(
+        (0.036, 0.036)
+    )
     assert controller_hand.tendon[:3] == hand.tendon[:3]
     assert torque_gain(hand, identified).tolist() == [1.0, 1.0, 1.0, 0.9]
     assert set(identified["thumb_tendon"].names) <= PARAMETER_UNITS.keys()

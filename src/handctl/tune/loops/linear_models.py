@@ -423,7 +423,9 @@ def _operating_point_state(
     block = layout.initial.copy()
     table = layout.table(block, "tendon")
     digits = [digit.with_moment_arms_at(q[digit.joints]) for digit in model.digits]
-    table[s.EXCURSION] = np.concatenate([digit.excursion_at_angles(q[digit.joints]) for digit in digits])
+    table[s.EXCURSION] = np.concatenate(
+        [digit.excursion_at_angles(q[digit.joints]) for digit in digits]
+    )
     table[s.SPOOL_TRAVEL] = (
         table[s.EXCURSION] + OPERATING_TENSION_N / model.tendon_constants.stiffness
     )
