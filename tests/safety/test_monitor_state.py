@@ -129,7 +129,7 @@ def test_at_rest_nothing_is_reported():
 def test_a_hand_that_is_armed_while_its_tendons_are_taut_is_not_stuck():
     """When a hand is armed, its filters start at the present values of tension and force.
 
-    In this test, both values then stay constant. Constant readings are therefore no sign of a stuck_joint_names
+    In this test, both values then stay constant. Constant readings are therefore no sign of a stuck
     sensor.
     """
     _, findings = run_ticks(200, monitor_at_20_newton(wanted=NAN, followed=NAN, asked=NAN))

@@ -128,7 +128,7 @@ def test_replies_match_requests_and_the_rest_is_excess(
 def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(
     ticks_without_reply: int,
 ) -> None:
-    """After has_surplus ticks without a reply, all missing replies may arrive at once.
+    """After some ticks without a reply, all missing replies may arrive at once.
 
     A further reply after these replies is a duplicate.
     """

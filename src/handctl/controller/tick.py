@@ -377,7 +377,7 @@ class Controller:
     ) -> tuple[str, ...]:
         """Process received frames, and correct and predict the filter that estimates tensions.
 
-        Return texts that describe second_controller_signs of a second controller on the bus.
+        Return texts that describe signs of a second controller on the bus.
         """
         block = state.block
         places = self.derived_constants.layout.offsets
@@ -819,7 +819,7 @@ class TickInProgress:
         last_state: state after the previous tick.
         state: state of the tick. Each step modifies this state.
         tick_input: inputs of the tick, without requests.
-        second_controller_signs: second_controller_signs of a second controller.
+        second_controller_signs: signs of a second controller.
         targets: targets of streams among the requests, which ``command`` applies.
         sent_frames: frames to send, which ``command`` has computed.
         action: reaction that the safety monitor demands, which ``decide`` has determined.

@@ -108,7 +108,7 @@ class SpoolPairWindows:
         is_free: True if the digit moves freely, and False if the pair is stretched while the digit is
             pressed against a stop.
         inertial_tension: net tension that is necessary at the joints because of inertia and weight [N].
-        damping_tension: net tension that is necessary at the joints because of joint damping_tension [N].
+        damping_tension: net tension that is necessary at the joints because of joint damping [N].
         wrap_angle: wrap angle of the pair [rad].
         friction_fraction: friction of the tendons with its sign, as a fraction of the friction at
             high speed.
