@@ -1,6 +1,6 @@
 """Simulate drives and load cells at rest.
 
-The replies of the nodes are stored, and each drive reports the torque of its last command. There are
+The replies of the nodes are stored, and each drive reports the torque of the command before. There are
 no tendons and no digits. The drives are Damiao motors in MIT mode.
 
 ``python benchmarks/loops/simulated_drives.py HAND NAME`` serves ``local:NAME`` and prints a line
@@ -29,12 +29,13 @@ class CachedReplies:
     """Cache of the replies of the simulated nodes.
 
     A reply that was computed once is not computed again. Only the torque in the reply of a drive follows
-    the command. Otherwise the controller would see that the drive does not obey (fault N14).
+    the commands. Otherwise the controller would see that the drive does not obey (fault N14).
     """
 
     def __init__(self, hand_name: str) -> None:
         self.rig = LockstepHand(hand_name, homed=True)
         self.replies: dict[tuple[int, int], bytes] = {}
+        self.last_commands: dict[int, bytes] = {}
         self.sync = self.rig.world.hand.sensors.sync_id
 
     def replies_to(self, frame: Frame) -> bytes:
@@ -49,7 +50,11 @@ class CachedReplies:
         key = (frame.can_id, frame.data[0] & 0xF if frame.can_id == self.sync else 0)
         if key in self.replies:
             reply = self.replies[key]
-            return reply if frame.can_id == self.sync else with_torque_of_command(reply, frame.data)
+            if frame.can_id == self.sync:
+                return reply
+            previous_command = self.last_commands.get(frame.can_id, frame.data)
+            self.last_commands[frame.can_id] = frame.data
+            return with_torque_of_command(reply, previous_command)
         answer_frames = self.rig.world.receive(frame)
         records = b"".join(map(pack_record, answer_frames))
         if frame.can_id == self.sync or (
