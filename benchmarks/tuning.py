@@ -1,10 +1,10 @@
 """Measure the benefit of tuning if the real hand differs from its hand file.
 
 A simulated hand takes the place of the real hand (the true plant). The parameters of this simulated
-hand differ from the hand file by up to 30 %. The initial gains are wrong by a factor of 3. One
-search scores gains on an ensemble of hands near the hand file. Another search scores gains on the
-true plant. With ``--fit``, a third search scores gains on a hand with the identified parameters.
-The gains of all searches are then tried on the true plant. The ratio of their costs shows how much
+hand differ from the hand file by up to 30 %. The initial gains are wrong by a factor of 3. A first
+search tries gains on an ensemble of hands near the hand file, and a second search tries gains on the
+true plant. With ``--fit``, a third search tries gains on a hand with the identified parameters.
+The best gains of each search are then tried on the true plant. The ratio of their costs shows how much
 is lost if the true parameters are unknown.
 
     python benchmarks/tuning.py [--quick] [--json] [--trials N] [--plants N] [--workers N]

@@ -225,8 +225,8 @@ def has_required_margins(hand_name: str, law_name: str, lqr_weights: tuple[float
 def tuned_weights(hand_name: str, law_name: str, with_margins: bool = False) -> tuple[float, float]:
     """Return the best LQR weights of a control law.
 
-    If ``with_margins`` is True, only weights that keep the stability margins are considered. If no
-    such weights complete the motions, the softest weights are returned.
+    If ``with_margins`` is True, only weights that keep the stability margins are considered. If a
+    hand completes its motions with none of these weights, the smallest weights are returned.
     """
     table = json.loads(TUNED_WEIGHTS_FILE.read_text("utf-8"))
     errors = table["rmse_deg"][hand_name][law_name]

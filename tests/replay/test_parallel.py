@@ -176,7 +176,7 @@ def test_a_decision_that_differs_is_named(recorded_grasp_log: Path) -> None:
         difference = state_difference(log.header, logged_tick, state, other_state)
     assert difference is not None
     assert (difference.field, difference.logged, difference.computed) == (
-        "state unconfirmed",
+        "state unconfirmed_motors",
         "()",
         "('index_motor',)",
     )

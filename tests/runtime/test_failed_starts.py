@@ -93,7 +93,7 @@ def plan_and_controller(tmp_path, start_display):
 def check_recorder_closed(recorder: Recorder, log_path: Path) -> None:
     """Check that a recorder process has ended, and that its log has an end mark."""
     assert recorder._child.poll() is not None
-    assert scan_path(log_path).complete
+    assert scan_path(log_path).is_complete
 
 
 def check_failed_lockstep_run(started_recorders, work_folder, start_display):

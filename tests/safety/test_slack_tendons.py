@@ -305,8 +305,8 @@ def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(
 ):
     """If a disabled drive keeps its torque, the drive is detected from the torque in its reports.
 
-    Earlier defect: without load cells, such a drive did not cause the fault N16 (a drive does not
-    release). With a load cell, a drive that kept 9 N did not cause this fault either.
+    Reproduce two defects. The fault N16 (a drive does not release) was not reported for a tendon
+    without load cell. With a load cell, it was not reported for a drive that kept 9 N.
     """
     tendons = FilteredTensionMonitor(1)
     tendons.set_constants(cell_group=cell_group)

@@ -315,7 +315,7 @@ def _observe_tick(
     reaction_start_ns: int,
     t_ns: int,
 ) -> None:
-    """Add to the result of a scenario the information in the output of a tick."""
+    """Update the result of a scenario by the output of a tick."""
     row = scenario.row
     truth = simulation.simulated_hand.truth()
     result.tension = max(result.tension, *truth["tension"])

@@ -106,9 +106,9 @@ def _envelope_start(
 ) -> Vector:
     """Return the motor force (N,) at which the envelope of each tendon starts [N].
 
-    The start is the last command or a smaller force. An unstable control loop may have commanded
-    100 N for a tendon whose tension is 10 N. In this case, the envelope starts at the present
-    tension plus the friction of the motor.
+    Usually, the envelope starts at the last commanded force. An unstable control loop may have
+    commanded 100 N for a tendon whose tension is 10 N. In this case, the envelope starts at the
+    present tension plus the friction of the motor.
 
     Args:
         model: model of the hand.

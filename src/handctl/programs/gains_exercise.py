@@ -128,7 +128,7 @@ class ExerciseProgram:
         return _stages_of_program(self, model.hand.has_springs)
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress before the hand is armed. The motors make no torque."""
+        """Return the first step of the program. The hand is not armed in this step."""
         return LiveProgram().initial_progress(model)
 
     def advance(

@@ -60,7 +60,7 @@ class LiveProgram:
     """
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress before the hand is armed. The motors make no torque."""
+        """Return the first step of the program. The hand is not armed in this step."""
         return ProgramProgress.initial(len(model.digits), "start")
 
     def advance(
@@ -198,7 +198,7 @@ class JogProgram:
     duration: float
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress before the hand is armed. The motors make no torque."""
+        """Return the first step of the program. The hand is not armed in this step."""
         return LiveProgram().initial_progress(model)
 
     def advance(

@@ -76,7 +76,7 @@ class Program(Protocol):
     """
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress before the hand is armed."""
+        """Return the first step of the program. The hand is not armed in this step."""
         ...
 
     def advance(

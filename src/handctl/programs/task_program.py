@@ -75,7 +75,7 @@ class TaskProgram:
     task: Task
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress before the hand is armed. The motors make no torque."""
+        """Return the first step of the program. The hand is not armed in this step."""
         return ProgramProgress.initial(len(model.digits), "start")
 
     def advance(

@@ -56,7 +56,7 @@ If an option already answers a question, the question is skipped.
 """
 OPTIONS_WITH_DESCRIPTION = ("first_node",)
 """Options that are valid only for a hand imported from a robot description."""
-SCALED_DEFAULT_BY_KEY = {"palm_mm": "palm", "pulley_mm": "pulley"}
+SCALED_DEFAULT_BY_KEY = {"palm_mm": "palm", "pulley_mm": "joint_moment_arm_mm"}
 """Attribute of the answers that computes the default of each of these fields.
 
 The default is proportional to other answers.

@@ -40,8 +40,8 @@ def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Fram
 def discovered_sensor_nodes(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the discovered sensor nodes.
 
-    A node is found by its identifiers, from which both SYNC frames were answered. Consecutive
-    identifiers belong to one node.
+    An identifier belongs to a sensor node if a frame with this identifier answered each of the two
+    SYNC frames. Consecutive identifiers belong to one node.
     """
     ids = sorted(
         {

@@ -348,9 +348,8 @@ def sync_counters(decimation: int) -> bytes:
     the distance of two ticks is less than ``DISTINCT_COUNTER_TICKS``, the low four bits of their
     counters differ. At a larger distance, these bits are equal only by chance. The node sends angle
     frames by the remainder of the counter modulo ``decimation``. This remainder therefore equals
-    the tick modulo ``decimation``. With some decimations, such as multiples of 8, at most two
-    values of the four bits have the same remainder. The bits of ticks at a small distance may then
-    be equal.
+    the tick modulo ``decimation``. If ``decimation`` is a multiple of 8, the remainder leaves only
+    two values for the low four bits. These bits may then be equal at a small distance, too.
     """
     rows = [range(remainder, 256, decimation) for remainder in range(decimation)]
     byte_by_nibble = [{byte & 0xF: byte for byte in row} for row in rows]

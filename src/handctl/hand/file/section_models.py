@@ -258,8 +258,8 @@ class Digit(Section):
     z. A positive angle flexes towards y. A prismatic joint (``joint_type``) moves its link along
     the joint's axis.
 
-    A key with an angle in its unit has one value per revolute joint. The corresponding key in
-    metres has one value per prismatic joint.
+    Keys in degrees or radians, such as ``joint_max_deg``, have one value per revolute joint. Keys in
+    metres, such as ``joint_max_m``, have one value per prismatic joint.
     """
 
     name: qty.Name
