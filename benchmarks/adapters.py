@@ -27,8 +27,8 @@ class AdapterRunOutcome(NamedTuple):
     error [N], and the cause of the end.
     """
 
-    is_possible: bool
-    tracking_deg: float
+    is_rate_held: bool
+    tracking_error_deg: float
     hold_error_n: float
     end_cause: str
 
@@ -96,9 +96,13 @@ def _print_outcomes() -> None:
         for rate in args.rates:
             for seed in range(args.seeds):
                 result = run_demo_with_adapter(args.hand, adapter, rate, seed)
-                print(f"{args.hand} {adapter} {rate:g} Hz, seed {seed}: {'held' if result.is_possible else 'NOT HELD'},"
-                      f" tracking {result.tracking_deg:.2f} deg, hold {result.hold_error_n:.2f} N, {result.end_cause}",
-                      flush=True)  # fmt: skip
+                outcome_text = "held" if result.is_rate_held else "NOT HELD"
+                print(
+                    f"{args.hand} {adapter} {rate:g} Hz, seed {seed}: {outcome_text},"
+                    f" tracking {result.tracking_error_deg:.2f} deg,"
+                    f" hold {result.hold_error_n:.2f} N, {result.end_cause}",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

@@ -147,9 +147,9 @@ def combine_rounds(round_rows: list[dict]) -> dict:
 def measure_round(bus_kind: str, c_program: str, motor_count: int, tick_count: int):
     """Measure the alternatives one after another, and yield the name and the times of each."""
     sys.path.insert(0, str(BENCHMARKS_FOLDER))
-    from exchange.package_clients import CLIENT_BY_PACKAGE
-    from exchange.simulated_motors import MOTORS_AND_INTERFACE_BY_BUS_KIND, open_simulated_motors
-    from exchange.torque_exchanges import EXCHANGE_BY_NAME
+    from exchange.can_exchanges import EXCHANGE_BY_NAME
+    from exchange.pypi_clients import CLIENT_BY_PACKAGE
+    from exchange.simulated_motors import BUS_SETTINGS_BY_KIND, open_simulated_motors
 
     warnings.simplefilter("ignore")  # The clients print warnings.
     if c_program:
@@ -158,7 +158,7 @@ def measure_round(bus_kind: str, c_program: str, motor_count: int, tick_count: i
             measure_c_program(
                 c_program,
                 bus_kind,
-                MOTORS_AND_INTERFACE_BY_BUS_KIND[bus_kind][2],
+                BUS_SETTINGS_BY_KIND[bus_kind][2],
                 motor_count,
                 tick_count,
             ),
@@ -270,13 +270,13 @@ def print_results(result: dict) -> None:
                 if "skipped" in row:
                     print(f"  {name:<26} skipped: {row['skipped']}")
                     continue
-                floors = (
+                ratio_texts = (
                     f"{value:.1f}" if value else "-"
                     for value in (row["times_floor"], row["times_packets"])
                 )
                 ratio = row["times_faster_than_python_can"]
                 times = f"{row['wall_us']:7.1f}{row['cpu_us']:8.1f}"
-                print("  {:<26}{}{:>6}{:>15}{:>30.2f}".format(name, times, *floors, ratio))
+                print("  {:<26}{}{:>6}{:>15}{:>30.2f}".format(name, times, *ratio_texts, ratio))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import pstats
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 
-CODE_MARKS_BY_PART = {
+CODE_PATTERNS_BY_PART = {
     "mj_step": ("mj_step", "firmware_sim/plant/drivetrain.py/steps"),
     "plant around its steps": ("firmware_sim/plant/plant", "firmware_sim/plant/tendon", "firmware_sim/plant/motor",
         "firmware_sim/plant/rigid_body_engine", "firmware_sim/scene/support_table", "firmware_sim/plant/drivetrain"),
@@ -19,7 +19,7 @@ CODE_MARKS_BY_PART = {
     "law: goals, inverse dynamics, allocation": ("core/control_law/", "handctl/hand/", "tick.py/_command_drives"),
     "program": ("handctl/programs/",),
     "safety": ("handctl/safety/", "controller/monitor/", "tick.py/_judge_faults"),
-    "hash of the state": ("controller/controller_state", "core/identity_cache", "core/plain_values"),
+    "hash of the state": ("controller/controller_state", "core/identity_cache", "core/plain_data"),
     "telemetry": ("controller/telemetry",),
     "tick and modes": ("handctl/controller/", "handctl/core/"),
     "reading a log": ("handctl/log/", "handctl/replay/"),
@@ -70,7 +70,7 @@ def _parts_of_function(
     code_part = next(
         (
             marked_part
-            for marked_part, function_marks in CODE_MARKS_BY_PART.items()
+            for marked_part, function_marks in CODE_PATTERNS_BY_PART.items()
             if any(mark in name for mark in function_marks)
         ),
         None,

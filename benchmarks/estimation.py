@@ -26,7 +26,7 @@ from trials.alternative_filters import (
     cell_only_estimate,
     exponential_average,
 )
-from trials.benchmark_hands import FREE_MOTION_SCENE, SPREAD_DIGITS_SUFFIX, hand_by_name
+from trials.benchmark_hands import FREE_MOTION_SCENE, SPACED_HAND_SUFFIX, hand_by_name
 from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
 from trials.lockstep_trial import RATES_HZ, LockstepTrial, TrialRecord, run_trial
 from trials.reference_filter import CELL_DRIFT_VARIANCE_N2_PER_S, reference_sigma
@@ -62,7 +62,7 @@ GRASP_TASK = {
         {"kind": "release", "name": "release", "tension_N": 9.0, "rate_N_per_s": 100.0},
     ],
 }  # fmt: skip
-STRONG_GRASP = {
+STRONG_GRASP_TASK = {
     **GRASP_TASK,
     "name": "beyond the knee",
     "phase": [
@@ -92,14 +92,14 @@ def trials_of_seed(hand_name: str, plant_name: str, seed: int) -> list[LockstepT
         return [
             LockstepTrial(
                 hand_name,
-                _task_program(STRONG_GRASP),
+                _task_program(STRONG_GRASP_TASK),
                 seed,
                 SCENE_NAME,
                 PLANT_VARIATIONS[plant_name],
             )
         ]
     free_motion_trial = LockstepTrial(
-        hand_name + SPREAD_DIGITS_SUFFIX,
+        hand_name + SPACED_HAND_SUFFIX,
         MOTION_SCRIPT,
         seed,
         FREE_MOTION_SCENE,
@@ -167,7 +167,7 @@ def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarra
         f"average {w:g}": exponential_average(raw_tension, float(w)) - true_tension
         for w in AVERAGE_WEIGHTS
     }
-    noise = float(model.space.tension_noise[0])
+    noise = float(model.tendon_constants.tension_noise[0])
     result |= {
         f"cell alone {r:g}": cell_only_estimate(raw_tension, period, noise, float(r)) - true_tension
         for r in TENSION_RATE_NOISES
@@ -195,7 +195,7 @@ def _reference_sigmas(hand_name: str, is_digit_held: bool) -> np.ndarray:
 
     The first is that at the last sample, and the second is that at present.
     """
-    name = hand_name.removesuffix(SPREAD_DIGITS_SUFFIX)
+    name = hand_name.removesuffix(SPACED_HAND_SUFFIX)
     model = HandModel.from_hand(hand_by_name(name), Gains(), RATES_HZ[name])
     return np.array([reference_sigma(model, i, is_digit_held) for i in range(model.tendon_count)])
 
@@ -253,7 +253,7 @@ def _means_of_quantities(sums: dict[str, list[float]]) -> dict[str, float]:
 
 
 def measure_estimators(
-    seed_count: int, wrong_plant_seed_count: int, plant_names: list[str], plan: JobPlan
+    seed_count: int, mismatch_seed_count: int, plant_names: list[str], plan: JobPlan
 ) -> dict:
     """Measure all tables.
 
@@ -262,7 +262,7 @@ def measure_estimators(
     """
     cases = [(hand, plant) for plant in plant_names for hand in MEASURED_HANDS]
     cases.insert(len(MEASURED_HANDS), ("jamia_bench", "as known"))
-    counts = [seed_count if case[1] == "as known" else wrong_plant_seed_count for case in cases]
+    counts = [seed_count if case[1] == "as known" else mismatch_seed_count for case in cases]
     # Sort the jobs by seed. A benchmark that is stopped early then has results for the same number
     # of seeds in each case.
     jobs = [
@@ -346,7 +346,7 @@ def main() -> None:
     result["wall_s"] = time.monotonic() - start
     print(json.dumps(result, indent=2)) if args.json else print_results(result)
     if args.page:
-        control_page.write_part("estimation", estimation_page.page_section(result))
+        control_page.write_page_part("estimation", estimation_page.page_section(result))
         estimation_page.draw_picture(result)
 
 

@@ -26,7 +26,7 @@ DEFAULT_OBJECTS = (1, 6, 8, 11, 16)
 
 ``QUICK_OBJECTS`` has the numbers for a run with ``--quick``.
 """
-FREE_RUN_S = 30.0
+FREE_MOTION_DURATION_S = 30.0
 """Simulated time of a run of free motion [s]."""
 
 
@@ -122,7 +122,7 @@ def measure_grasps(args: argparse.Namespace, plan: JobPlan) -> dict[str, Any]:
 
 
 def _measure_contact_detection(
-    hand_names: tuple[str, ...], wall_seeds: int, simulated_minutes: float, plan: JobPlan
+    hand_names: tuple[str, ...], wall_seed_count: int, simulated_minutes: float, plan: JobPlan
 ) -> list[dict[str, Any]]:
     """Measure contact detection for each hand.
 
@@ -132,14 +132,16 @@ def _measure_contact_detection(
     """
     results = collect_results(
         contact_detection.find_contacts,
-        [(hand, seed) for seed in range(wall_seeds) for hand in hand_names],
+        [(hand, seed) for seed in range(wall_seed_count) for hand in hand_names],
         plan,
     )
-    stretch = min(FREE_RUN_S, 60.0 * simulated_minutes)
-    count = max(1, round(60.0 * simulated_minutes / stretch / contact_detection.MOVING_FRACTION))
+    run_duration_s = min(FREE_MOTION_DURATION_S, 60.0 * simulated_minutes)
+    count = max(
+        1, round(60.0 * simulated_minutes / run_duration_s / contact_detection.MOVING_TIME_FRACTION)
+    )
     free_results = collect_results(
         contact_detection.measure_false_contacts,
-        [(hand, stretch, seed) for seed in range(count) for hand in hand_names],
+        [(hand, run_duration_s, seed) for seed in range(count) for hand in hand_names],
         plan,
     )
     return [

@@ -15,12 +15,12 @@ import math
 
 import numpy as np
 from trials import control_page, tracking
-from trials.benchmark_hands import FINGERTIP_LOAD, FREE_MOTION_SCENE, SIDEWAYS_SUFFIX
+from trials.benchmark_hands import FINGERTIP_LOAD, FREE_MOTION_SCENE, SIDEWAYS_HAND_SUFFIX
 from trials.control_laws import GRAVITY_LAW_BY_NAME
 from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
 from trials.lockstep_trial import RATES_HZ, LockstepTrial, run_trial
 
-TUNED_LAW_NAME_BY_LAW_NAME = dict(
+TUNED_LAW_BY_NAME = dict(
     zip(
         GRAVITY_LAW_BY_NAME,
         ("+ gravity and springs",) * 2 + ("+ full computed torque",) * 2,
@@ -43,11 +43,11 @@ def run_gravity_trial(job: tuple) -> dict[str, dict[str, float]]:
     """
     hand, law, seed = job
     gains = GRAVITY_LAW_BY_NAME[law].gains(
-        *tracking.tuned_weights(hand, TUNED_LAW_NAME_BY_LAW_NAME[law], with_margins=True),
+        *tracking.tuned_weights(hand, TUNED_LAW_BY_NAME[law], with_margins=True),
         RATES_HZ[hand],
     )
     trial = LockstepTrial(
-        hand + SIDEWAYS_SUFFIX,
+        hand + SIDEWAYS_HAND_SUFFIX,
         tracking.motion_script(MEASURED_SPEEDS),
         seed,
         FREE_MOTION_SCENE,
@@ -141,11 +141,11 @@ All numbers are means over the seeds, with their spread.
 
 {control_page.markdown_table(column_titles, rows)}
 
-{_benefit_text(result)}
+{_compensation_benefit_text(result)}
 """
 
 
-def _benefit_text(result: dict) -> str:
+def _compensation_benefit_text(result: dict) -> str:
     """Describe the benefit of gravity compensation for each hand, pair of laws and speed."""
     hand_texts = []
     for hand, laws in result.items():
@@ -194,7 +194,7 @@ def main() -> None:
     result = measure_gravity_compensation(args.seeds, job_plan_of(args))
     print(json.dumps(result, indent=2) if args.json else page_section(result))
     if args.page:
-        control_page.write_part("gravity", page_section(result))
+        control_page.write_page_part("gravity", page_section(result))
 
 
 if __name__ == "__main__":

@@ -22,8 +22,8 @@ from handctl.campaign.run_stages import CAMPAIGN_TASK, hand_with_protocol, homed
 from handctl.core.tick_types import HandMode
 from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.safety.safety_action import SafetyAction
+from handctl.session.lockstep_simulation import SimulatedRun
 from handctl.session.run_plan import default_control_rate
-from handctl.session.simulate import SimulatedRun
 
 OPERATOR_DELAY_S = 2.0
 """Time from the fault until the operator stops the run [s]."""
@@ -32,12 +32,12 @@ TIME_AFTER_STOP_S = 1.5
 STOP_REQUEST = '{"do": "stop"}'
 HIGH_HOLD_TENSION_N = 90.0
 FAST_TENSION_RATE_N_PER_S = 60.0
-FREE_STAGE = "free"
+FREE_MOTION_STAGE = "free"
 LOW_HOLD_STAGE = "hold 24"
 RISING_STAGE = "rising"
 HIGH_HOLD_STAGE = "hold 90"
-FAULT_STAGES = (FREE_STAGE, LOW_HOLD_STAGE, RISING_STAGE, HIGH_HOLD_STAGE)
-GRASPED_STAGES = (LOW_HOLD_STAGE, HIGH_HOLD_STAGE)
+FAULT_STAGES = (FREE_MOTION_STAGE, LOW_HOLD_STAGE, RISING_STAGE, HIGH_HOLD_STAGE)
+HOLD_STAGES = (LOW_HOLD_STAGE, HIGH_HOLD_STAGE)
 HIDDEN_FAULTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("registers lost, as saved", "forget node={motor}", FAULT_STAGES),
     ("registers lost, TMAX 10 N m", "forget node={motor} size=10", FAULT_STAGES),
@@ -86,7 +86,7 @@ def is_at_stage(stage_name: str, tick_output: Any, first_tick: int) -> bool:
     ``first_tick`` is the number of ticks of the free motion so far.
     """
     tension = float(tick_output.telemetry.tension.max())
-    if stage_name == FREE_STAGE:
+    if stage_name == FREE_MOTION_STAGE:
         return bool(tick_output.phase == "free" and first_tick > 100)
     if stage_name == LOW_HOLD_STAGE:
         return bool(tick_output.phase == "hold" and tension > 20.0)
@@ -105,15 +105,15 @@ def run_with_fault(simulation: SimulatedRun, fault_text: str) -> dict[str, Any]:
     simulation.simulated_hand.inject(fault_text)
     start = simulation.k
     detected_faults = []
-    reaction_time_s = -1.0
-    tension = 0.0
-    stop_time_s = 0.0
-    watched_motor, end = (
+    reaction_time_ms = -1.0
+    max_tension = 0.0
+    tension_after_stop = 0.0
+    stop_tick, end_tick = (
         round(s * 1e9 / simulation.period_ns)
         for s in (OPERATOR_DELAY_S, OPERATOR_DELAY_S + TIME_AFTER_STOP_S)
     )
-    for i in range(end):
-        must_stop = i == watched_motor and reaction_time_s < 0
+    for i in range(end_tick):
+        must_stop = i == stop_tick and reaction_time_ms < 0
         tick_output = simulation.run_tick(requests=(STOP_REQUEST,) if must_stop else ())
         effect = simulation.simulated_hand.fault_states()[-1]
         effect_ns = effect["first_ns"] if effect["first_ns"] >= 0 else start * simulation.period_ns
@@ -121,21 +121,23 @@ def run_with_fault(simulation: SimulatedRun, fault_text: str) -> dict[str, Any]:
             e.text.split()[0] for e in tick_output.events if e.name == "fault" and e.level != "info"
         ]
         if (
-            reaction_time_s < 0
-            and i < watched_motor
+            reaction_time_ms < 0
+            and i < stop_tick
             and (
                 tick_output.action >= SafetyAction.RELAX
                 or tick_output.mode in (HandMode.RELAX, HandMode.CUT)
             )
         ):
-            reaction_time_s = (simulation.k * simulation.period_ns - effect_ns) * 1e-6
-        largest = max(simulation.simulated_hand.truth()["tension"])
-        tension = max(tension, largest)
-        stop_time_s = max(stop_time_s, largest) if i >= watched_motor else stop_time_s
+            reaction_time_ms = (simulation.k * simulation.period_ns - effect_ns) * 1e-6
+        tick_tension = max(simulation.simulated_hand.truth()["tension"])
+        max_tension = max(max_tension, tick_tension)
+        tension_after_stop = (
+            max(tension_after_stop, tick_tension) if i >= stop_tick else tension_after_stop
+        )
         if tick_output.mode == HandMode.DONE:
             break
-    return {"found": list(dict.fromkeys(detected_faults)), "ms": reaction_time_s, "tension": tension,
-            "stopped": stop_time_s,
+    return {"found": list(dict.fromkeys(detected_faults)), "ms": reaction_time_ms, "tension": max_tension,
+            "stopped": tension_after_stop,
             "felt": bool(simulation.simulated_hand.fault_states()[-1]["felt"])}  # fmt: skip
 
 

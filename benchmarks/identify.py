@@ -24,15 +24,15 @@ from typing import Any
 
 from handctl.core.gains.gain_bounds import gains_with_values
 from handctl.core.gains.gains import Gains, packaged_gains
-from handctl.core.identified_parameters import DIGIT_KEYS
+from handctl.core.identified_parameters import DIGIT_KEY_BY_PARAMETER
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.excitation import ExciteProgram
-from handctl.runtime.hold_limit import HoldLimit
+from handctl.runtime.hold_timeout import HoldTimeout
+from handctl.session.lockstep_simulation import SimulatorSettings
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.run_plan import RunPlan, default_control_rate
-from handctl.session.simulate import SimulatorSettings
 from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.identify import TendonResult, identify_tendons
 
@@ -41,7 +41,7 @@ FitResultRow = dict[str, Any]
 MAX_PARAMETER_ERROR = 0.3
 MAX_ARM_ERROR = 0.1
 MAX_GAIN_FACTOR = 3.0
-DRAWN_PARAMETERS = (
+RANDOM_PARAMETERS = (
     "stiffness",
     "damping",
     "friction",
@@ -60,7 +60,7 @@ DETUNED_GAIN_KEYS = ("motion.position_error_m", "motion.speed_error_m_s", "motio
              "tension.speed_error_m_s", "tension.force_N", "tension.integral_per_s")  # fmt: skip
 
 
-def gains_for(hand: Hand, digit_name: str, seed: int) -> Gains:
+def gains_of_digit(hand: Hand, digit_name: str, seed: int) -> Gains:
     """Return random gains for a digit with springs, and the packaged gains for other digits."""
     packaged = packaged_gains(hand.name)
     return draw_gains(packaged, seed) if hand.digit_named(digit_name).has_springs else packaged
@@ -74,7 +74,7 @@ def draw_plant(seed: int, with_springs: bool = True) -> dict[str, float]:
     chance = random.Random(f"plant {seed}")
     factors = {
         key: chance.uniform(1.0 - MAX_PARAMETER_ERROR, 1.0 + MAX_PARAMETER_ERROR)
-        for key in DRAWN_PARAMETERS
+        for key in RANDOM_PARAMETERS
     }
     return (
         factors
@@ -100,7 +100,7 @@ def true_parameters(
 ) -> dict[str, float]:
     """Return the true values of the parameters that the identification of a tendon estimates."""
     tendon = hand.tendon[hand.tendon_names.index(tendon_name)]
-    motor = hand.motor_of(tendon_name)
+    motor = hand.motor_of_tendon(tendon_name)
     # Without load cells all forces are identified in units of the commanded torque.
     unit = 1.0 if tendon.pretension_N is None else plant_factors["torque_constant"]
     values = {
@@ -153,16 +153,16 @@ def excite_and_fit(
     with SimulatorSettings(hand_name, None, seed, plant_factors, homed=True).lockstep_clock(
         plan.period_ns
     ) as clock:
-        hold_limit = HoldLimit()
-        outcome = run_lockstep(plan, controller, log, clock, hold_limit)
+        hold_timeout = HoldTimeout()
+        outcome = run_lockstep(plan, controller, log, clock, hold_timeout)
     row: FitResultRow = {
         "seed": seed,
         "digit": digit_name,
         "simulated_s": outcome.state.k * 1e-9 * plan.period_ns,
     }
     row["excite_cpu_s"] = time.process_time() - start_cpu_s
-    if outcome.state.failure or hold_limit.stop_reason:
-        return {}, row | {"failure": hold_limit.stop_reason or outcome.state.failure}
+    if outcome.state.failure or hold_timeout.stop_reason:
+        return {}, row | {"failure": hold_timeout.stop_reason or outcome.state.failure}
     with RunLog(log) as record:
         result = identify_tendons(record, hand)
     log.unlink()
@@ -182,7 +182,7 @@ def measure_digit(
     has_springs = hand.digit_named(digit_name).has_springs
     factors = draw_plant(seed, has_springs)
     result, row = excite_and_fit(
-        hand_name, digit_name, seed, factors, gains_for(hand, digit_name, seed), log_folder
+        hand_name, digit_name, seed, factors, gains_of_digit(hand, digit_name, seed), log_folder
     )
     if not result:
         return row
@@ -190,7 +190,7 @@ def measure_digit(
         {
             reason
             for parameter_row in result.values()
-            for reason in (parameter_row.contact_text, parameter_row.blocked_event)
+            for reason in (parameter_row.contact_text, parameter_row.blocked_event_text)
             if reason
         }
     )
@@ -198,13 +198,14 @@ def measure_digit(
         name: tendon_fit
         for tendon, tendon_fit in result.items()
         for name in tendon_fit.identifiability.names
-        if name in DIGIT_KEYS
+        if name in DIGIT_KEY_BY_PARAMETER
     }
     row["parameters"] = [
         compare_parameter(name, tendon, true_value, shared_parameters.get(name, tendon_fit))
         for tendon, tendon_fit in result.items()
         for name, true_value in true_parameters(hand, tendon, factors).items()
-        if name not in DIGIT_KEYS or tendon_fit is shared_parameters.get(name, tendon_fit)
+        if name not in DIGIT_KEY_BY_PARAMETER
+        or tendon_fit is shared_parameters.get(name, tendon_fit)
     ]
     return row
 

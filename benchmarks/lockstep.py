@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 from cpu_profile import cpu_time_fractions
-from lockstep_stack import RATE_BY_HAND_HZ, FreeMotionSetup, GraspSetup, LockstepStack
+from lockstep_stack import CONTROL_RATES_HZ, FreeMotionSetup, GraspSetup, LockstepStack
 
 SIMULATED_TIME_S = 4.0
 QUICK_SIMULATED_TIME_S = 1.2
@@ -57,7 +57,7 @@ def main() -> None:
             )
             for name in SETUP_BY_SCENE
         }
-        for hand, rate in RATE_BY_HAND_HZ.items()
+        for hand, rate in CONTROL_RATES_HZ.items()
     }
     print(json.dumps(result, indent=2)) if args.json else print_results(result)
 
@@ -75,10 +75,10 @@ def measure_lockstep_speed(
         repeat_rollout(LockstepStack(hand_name, rate_hz, run_setup), rollout)
         for _ in range(RUNS_PER_CASE)
     )
-    whole_s = sum_of_shortest(
+    total_s = sum_of_shortest(
         LockstepStack(hand_name, rate_hz, run_setup).run(simulated_s) for _ in range(RUNS_PER_CASE)
     )
-    peer = sum_of_shortest(
+    simulator_s = sum_of_shortest(
         LockstepStack(hand_name, rate_hz, run_setup).simulator_tick_times(simulated_s)
         for _ in range(RUNS_PER_CASE // 2)
     )
@@ -88,11 +88,11 @@ def measure_lockstep_speed(
         "simulated_s": simulated_s,
         "contacts": rollout.contacts,
         "bare_times_real_time": simulated_s / engine_only_s,
-        "whole_times_real_time": simulated_s / whole_s,
-        "share_of_bare": engine_only_s / whole_s,
+        "whole_times_real_time": simulated_s / total_s,
+        "share_of_bare": engine_only_s / total_s,
         "bare_us_a_tick": engine_only_s / ticks * 1e6,
-        "rest_us_a_tick": (whole_s - engine_only_s) / ticks * 1e6,
-        "simulator_us_a_tick": (peer - engine_only_s) / ticks * 1e6,
+        "rest_us_a_tick": (total_s - engine_only_s) / ticks * 1e6,
+        "simulator_us_a_tick": (simulator_s - engine_only_s) / ticks * 1e6,
         "spent": cpu_time_fractions(
             lambda: LockstepStack(hand_name, rate_hz, run_setup).run(simulated_s)
         ),
@@ -115,14 +115,14 @@ def record_rollout(lockstep_stack: LockstepStack, simulated_s: float) -> BodyRol
     rows = []
     contacts = []
 
-    def step_by_step(count: int) -> None:
+    def advance_stepwise(count: int) -> None:
         for _ in range(count):
             table = engine._data.mocap_pos.copy()
             advance(1)
             rows.append((engine.applied.copy(), engine.tendon_damping.copy(), table))
             contacts.append(engine._data.ncon)
 
-    plant.advance = step_by_step
+    plant.advance = advance_stepwise
     lockstep_stack.run(simulated_s)
     torque, damping, table = (np.array(column) for column in zip(*rows, strict=True))
     return BodyRollout(torque, damping, table, engine.q.copy(), float(np.mean(contacts)))

@@ -17,11 +17,11 @@ from handctl.core.gains.gains import Gains
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import load_task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatorSettings
+from handctl.session.lockstep_simulation import SimulatorSettings
 
-RATE_BY_HAND_HZ = {"jamia": 500.0, "jamia11": 200.0}
+CONTROL_RATES_HZ = {"jamia": 500.0, "jamia11": 200.0}
 """Default control rate of each hand on one classical bus [Hz]."""
-TASK_HEAD = 'schema = 1\nname = "benchmark"\ndescription = "for lockstep.py"\n'
+TASK_HEADER = 'schema = 1\nname = "benchmark"\ndescription = "for lockstep.py"\n'
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class FreeMotionSetup:
         '[[phase]]\nkind = "move"\nname = "out"\nangle_deg = 25.0\nduration_s = 0.5\n'
         '[[phase]]\nkind = "move"\nname = "back"\nangle_deg = 5.0\nduration_s = 0.5\n'
     )
-    repeat: ClassVar[int] = 9
+    repeat_count: ClassVar[int] = 9
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class GraspSetup:
         '[[phase]]\nkind = "close"\nangle_deg = 85.0\nspeed_deg_s = 120.0\ncontact_tension_N = 14.0\n'
         '[[phase]]\nkind = "hold"\ntension_N = 24.0\nrate_N_per_s = 80.0\nduration_s = 9.0\n'
     )
-    repeat: ClassVar[int] = 1
+    repeat_count: ClassVar[int] = 1
 
 
 class LockstepStack:
@@ -66,7 +66,7 @@ class LockstepStack:
     ) -> None:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "task.toml"
-            path.write_text(TASK_HEAD + setup.task * setup.repeat)
+            path.write_text(TASK_HEADER + setup.task * setup.repeat_count)
             program = TaskProgram(load_task(path))
         controller = make_controller(
             load_hand(hand_name), Gains(), rate_hz, program, None, arm_at_once=True
@@ -100,12 +100,12 @@ class LockstepStack:
         read_cpu_time = time.process_time
         exchange = clock._exchange
 
-        def timed(t_ns: int, records: np.ndarray) -> np.ndarray:
+        def timed_exchange(t_ns: int, records: np.ndarray) -> np.ndarray:
             start_time_s = read_cpu_time()
             answer_frames = exchange(t_ns, records)
             tick_times.append(read_cpu_time() - start_time_s)
             return answer_frames
 
-        clock._exchange = timed
+        clock._exchange = timed_exchange
         self.run(simulated_s)
         return tick_times

@@ -16,12 +16,12 @@ if (
     import importlib.machinery
     import importlib.util
 
-    elsewhere = [
+    other_folders = [
         search_path
         for search_path in sys.path
         if Path(search_path or ".").resolve() != BENCHMARKS_FOLDER
     ]
-    spec = importlib.machinery.PathFinder.find_spec("logging", elsewhere)
+    spec = importlib.machinery.PathFinder.find_spec("logging", other_folders)
     sys.modules["logging"] = module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
 else:

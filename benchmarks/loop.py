@@ -19,7 +19,7 @@ import numpy as np
 
 LATENESS_RATE_HZ = 500.0
 MAX_MISSED_FRACTION = 0.01
-RATE_REDUCTION = 0.85
+RATE_REDUCTION_FACTOR = 0.85
 """The search for the highest rate multiplies a rate that was too high by this factor."""
 LOOP_MODULES = {"ours": "loops.handctl_loop", "usual": "loops.handwritten_loop"}
 """For each key in the results, the module of its loop."""
@@ -57,34 +57,34 @@ def measure_loops(duration_s: float, quick: bool) -> dict:
     for hand, motors in (("jamia", 4), ("jamia11", 11)):
         with simulated_drives(hand) as bus:
             if motors == 4:
-                own_late_us = measure_in_child("ours", hand, bus, 2 * duration_s, LATENESS_RATE_HZ)[
-                    "late_us"
-                ]
-                bare_late_us = measure_in_child(
+                handctl_lateness_us = measure_in_child_process(
+                    "ours", hand, bus, 2 * duration_s, LATENESS_RATE_HZ
+                )["late_us"]
+                sleep_lateness_us = measure_in_child_process(
                     "bare", hand, bus, 2 * duration_s, LATENESS_RATE_HZ
                 )["late_us"]
                 result["lateness_us"] = {
                     "rate_hz": LATENESS_RATE_HZ,
-                    "handctl": own_late_us,
-                    "bare_sleep": bare_late_us,
+                    "handctl": handctl_lateness_us,
+                    "bare_sleep": sleep_lateness_us,
                 }
             if motors == 11:
                 result["at_rate"] = {
-                    rate: measure_in_child(
+                    rate: measure_in_child_process(
                         "ours", hand, bus, 2 * duration_s if quick else 30.0, rate
                     )
                     for rate in (500.0, 1000.0)
                 }
                 with both_cores_loaded():
                     result["loaded_us"] = {
-                        loop_kind: measure_in_child(
+                        loop_kind: measure_in_child_process(
                             loop_kind, hand, bus, 2 * duration_s, LATENESS_RATE_HZ
                         )["late_us"]
                         for loop_kind in ("ours", "bare_spin")
                     }
             rates = {
-                which: free_and_highest_rate(which, hand, bus, duration_s, quick)
-                for which in ("ours", "usual")
+                loop_name: measure_max_rates(loop_name, hand, bus, duration_s, quick)
+                for loop_name in ("ours", "usual")
             }
         result["motors"][motors] = rates | {
             f"{name}_ratio": rate_ratio(rates, name) for name in ("free_hz", "held_hz")
@@ -92,23 +92,23 @@ def measure_loops(duration_s: float, quick: bool) -> dict:
     return result
 
 
-def free_and_highest_rate(
+def measure_max_rates(
     loop_name: str, hand_name: str, bus_name: str, duration_s: float, quick: bool
 ) -> dict:
     """Measure ticks per second without deadlines, and the highest rate with deadlines.
 
     At the highest rate, less than 1 % of the deadlines are missed.
     """
-    unpaced_rate = measure_in_child(loop_name, hand_name, bus_name, duration_s, 0.0)["hz"]
-    rate = (0.6 if quick else 0.9) * unpaced_rate
+    unlimited_rate = measure_in_child_process(loop_name, hand_name, bus_name, duration_s, 0.0)["hz"]
+    rate = (0.6 if quick else 0.9) * unlimited_rate
     for _ in range(1 if quick else 12):
         if (
-            measure_in_child(loop_name, hand_name, bus_name, duration_s, rate)["missed"]
+            measure_in_child_process(loop_name, hand_name, bus_name, duration_s, rate)["missed"]
             < MAX_MISSED_FRACTION
         ):
-            return {"free_hz": unpaced_rate, "held_hz": rate}
-        rate *= RATE_REDUCTION
-    return {"free_hz": unpaced_rate, "held_hz": None}
+            return {"free_hz": unlimited_rate, "held_hz": rate}
+        rate *= RATE_REDUCTION_FACTOR
+    return {"free_hz": unlimited_rate, "held_hz": None}
 
 
 def rate_ratio(rates: dict, rate_name: str) -> float | None:
@@ -121,7 +121,7 @@ def rate_ratio(rates: dict, rate_name: str) -> float | None:
     return handctl_rate / baseline if handctl_rate and baseline else None
 
 
-def measure_in_child(
+def measure_in_child_process(
     loop_name: str, hand_name: str, bus_name: str, duration_s: float, rate_hz: float
 ) -> dict:
     """Run one measurement in a separate process and return its result."""
@@ -137,7 +137,7 @@ def measure_in_child(
 def measure_in_this_process(
     loop_name: str, hand_name: str, bus_name: str, duration_text: str, rate_text: str
 ) -> dict:
-    """Run one measurement in this process. ``measure_in_child`` has started the process."""
+    """Run one measurement in this process. ``measure_in_child_process`` has started the process."""
     sys.path.insert(0, str(Path(__file__).parent))
     log = Path(os.environ["HANDCTL_RUN_DIR"]) / f"{os.getpid()}.log"
     if loop_name == "bare":
@@ -246,10 +246,13 @@ def print_results(result: dict) -> None:
     print(f"lateness at {lateness_us['rate_hz']:g} Hz [us]       p50     p99   p99.9     max")
     for name in ("handctl", "bare_sleep"):
         print(f"  {name:<24}" + "".join(f"{value:8.1f}" for value in lateness_us[name].values()))
-    loaded_us = result["loaded_us"]
+    loaded_lateness_us = result["loaded_us"]
     print("lateness, cores loaded [us]     p50     p99   p99.9     max")
     for name, label in (("ours", "handctl"), ("bare_spin", "bare sleep and spin")):
-        print(f"  {label:<24}" + "".join(f"{value:8.1f}" for value in loaded_us[name].values()))
+        print(
+            f"  {label:<24}"
+            + "".join(f"{value:8.1f}" for value in loaded_lateness_us[name].values())
+        )
     for rate, row in result["at_rate"].items():
         if "tick_us" not in row:
             print(f"11 motors at {rate:g} Hz: the run did not become active")
@@ -263,10 +266,10 @@ def print_results(result: dict) -> None:
     for motors, rates in result["motors"].items():
         for kind in ("free_hz", "held_hz"):
             handctl_rate = rates["ours"][kind]
-            usual_rate = rates["usual"][kind]
+            baseline = rates["usual"][kind]
             by = rate_ratio(rates, kind)
             print(
-                f"  {motors:>2} motors, {kind[:4]:<12}{handctl_rate or 0:10.0f}{usual_rate or 0:8.0f}{by or 0:8.2f}"
+                f"  {motors:>2} motors, {kind[:4]:<12}{handctl_rate or 0:10.0f}{baseline or 0:8.0f}{by or 0:8.2f}"
             )
 
 

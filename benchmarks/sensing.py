@@ -23,10 +23,10 @@ from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_content, hand_from_content
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatorSettings, homed_controller
+from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
 
 PAGE_FILE = Path(__file__).parents[1] / "docs" / "evidence" / "control-sensing.md"
-RATE_BY_HAND_HZ = {"jamia": 500.0, "n_plus_1": 250.0}
+CONTROL_RATES_HZ = {"jamia": 500.0, "n_plus_1": 250.0}
 CYLINDER_DIAMETER_M = {"jamia": 0.035, "n_plus_1": 0.042}
 PRESHAPE_ANGLES_DEG = {"jamia": (8.0, 0.0), "n_plus_1": (4.0, 0.0)}
 """Angles of fingers and thumb before closing [deg]. At these angles the digits do not touch the object yet."""
@@ -232,7 +232,7 @@ def measure_sensing(seed_count: int) -> dict[str, Any]:
     result: dict[str, Any] = {"seeds": seed_count, "cases": [], "faults": {}}
     for name, sensors in SENSING_CASES:
         model = HandModel.from_hand(
-            hand_with_sensors(name, sensors), Gains(), RATE_BY_HAND_HZ[name]
+            hand_with_sensors(name, sensors), Gains(), CONTROL_RATES_HZ[name]
         )
         records = [
             run_grasp(model, cylinder_scene_of(name), grasp_task_of(model.hand), seed)
@@ -244,7 +244,7 @@ def measure_sensing(seed_count: int) -> dict[str, Any]:
     names = {"tendon": "index_tendon", "motor": "index_motor", "other": "middle_motor"}
     for sensors in ("load cells", "neither"):
         model = HandModel.from_hand(
-            hand_with_sensors("jamia", sensors), Gains(), RATE_BY_HAND_HZ["jamia"]
+            hand_with_sensors("jamia", sensors), Gains(), CONTROL_RATES_HZ["jamia"]
         )
         for title, text in INJECTED_FAULTS.items():
             record = run_grasp(

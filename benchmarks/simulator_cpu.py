@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 from lockstep import SETUP_BY_SCENE, record_rollout, repeat_rollout, sum_of_shortest
-from lockstep_stack import RATE_BY_HAND_HZ, LockstepStack
+from lockstep_stack import CONTROL_RATES_HZ, LockstepStack
 
 from handctl.campaign.run_stages import hand_with_protocol
 from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
@@ -22,7 +22,7 @@ from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 SIMULATED_TIME_S = 3.0
 QUICK_SIMULATED_TIME_S = 1.2
 RUNS_PER_CASE = 4
-CLOCK_READS = 10_000
+CLOCK_READ_COUNT = 10_000
 
 
 def main() -> None:
@@ -33,7 +33,7 @@ def main() -> None:
     args = parser.parse_args()
     seconds = QUICK_SIMULATED_TIME_S if args.quick else SIMULATED_TIME_S
     rows = []
-    for hand in RATE_BY_HAND_HZ:
+    for hand in CONTROL_RATES_HZ:
         for protocol in VERIFIABLE_PROTOCOLS:
             for scene in SETUP_BY_SCENE:
                 rows.append(measure_simulator_cpu(hand, protocol, scene, seconds))
@@ -51,34 +51,34 @@ def measure_simulator_cpu(
         path = Path(folder) / "hand.toml"
         path.write_text(hand_with_protocol(hand_name, protocol).to_toml())
 
-        def new_stack() -> LockstepStack:
-            return LockstepStack(str(path), RATE_BY_HAND_HZ[hand_name], SETUP_BY_SCENE[scene_name])
+        def make_lockstep_stack() -> LockstepStack:
+            return LockstepStack(str(path), CONTROL_RATES_HZ[hand_name], SETUP_BY_SCENE[scene_name])
 
-        rollout = record_rollout(new_stack(), simulated_s)
+        rollout = record_rollout(make_lockstep_stack(), simulated_s)
         engine_only_s = sum_of_shortest(
-            repeat_rollout(new_stack(), rollout) for _ in range(RUNS_PER_CASE)
+            repeat_rollout(make_lockstep_stack(), rollout) for _ in range(RUNS_PER_CASE)
         )
-        peer = sum_of_shortest(
-            new_stack().simulator_tick_times(simulated_s) for _ in range(RUNS_PER_CASE)
+        simulator_s = sum_of_shortest(
+            make_lockstep_stack().simulator_tick_times(simulated_s) for _ in range(RUNS_PER_CASE)
         )
-    ticks = round(simulated_s * RATE_BY_HAND_HZ[hand_name])
+    ticks = round(simulated_s * CONTROL_RATES_HZ[hand_name])
     steps = len(rollout.torque)
-    bare_us = (engine_only_s - steps * clock_read_cpu_s()) / ticks * 1e6
-    exchange_us = (peer - ticks * clock_read_cpu_s()) / ticks * 1e6
+    engine_us = (engine_only_s - steps * clock_read_cpu_s()) / ticks * 1e6
+    exchange_us = (simulator_s - ticks * clock_read_cpu_s()) / ticks * 1e6
     return {
         "hand": hand_name,
         "protocol": protocol,
         "scene": scene_name,
-        "bare_us_per_tick": bare_us,
+        "bare_us_per_tick": engine_us,
         "exchange_us_per_tick": exchange_us,
-        "behind_the_wire_us_per_tick": exchange_us - bare_us,
+        "behind_the_wire_us_per_tick": exchange_us - engine_us,
     }
 
 
 def clock_read_cpu_s() -> float:
     """Measure the CPU time of two successive readings of the clock [s]."""
     read_cpu_time = time.process_time
-    return min(-(read_cpu_time() - read_cpu_time()) for _ in range(CLOCK_READS))
+    return min(-(read_cpu_time() - read_cpu_time()) for _ in range(CLOCK_READ_COUNT))
 
 
 def print_case(case_row: dict) -> None:

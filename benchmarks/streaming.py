@@ -57,7 +57,7 @@ from the streamed sine by less than 0.001 deg.
 """
 WAIT_AFTER_KILL_S = 2.0
 """Time for a hand to relax after its client was killed, on the clock of the simulated hand [s]."""
-TARGET_REPEATS = 5
+TARGET_REPEAT_COUNT = 5
 """Number of times that a repeating client sends each target."""
 LATENCY_DURATION_S = 10.0
 QUICK_LATENCY_DURATION_S = 2.0
@@ -179,7 +179,7 @@ def repeat_targets(client: MisbehavingClient) -> None:
     for _ in client.periods(MISBEHAVIOUR_DURATION_S):
         value = sine_angle_deg(client.t_s + client.stream.horizon_s)
         client.send(value)
-        for _ in range(TARGET_REPEATS - 1):
+        for _ in range(TARGET_REPEAT_COUNT - 1):
             client.send(value, sequence_number=client.number)
 
 
@@ -193,7 +193,7 @@ def swap_targets(client: MisbehavingClient) -> None:
             client.send(value, sequence_number=client.number - 1, age_s=1.0 / STREAM_RATE_HZ)
 
 
-def jump_randomly(client: MisbehavingClient) -> None:
+def send_random_jumps(client: MisbehavingClient) -> None:
     """Send random angles, as a faulty policy may do.
 
     Some of these angles are beyond the range of the joints.
@@ -220,7 +220,7 @@ CLIENT_BEHAVIOURS: dict[str, tuple[str, Any]] = {
     "late-150": ("each target 150 ms late", send_late_targets(0.15)),
     "repeating": ("each target five times", repeat_targets),
     "overtaking": ("targets in pairs, in the wrong order", swap_targets),
-    "jumping": ("random angles from -30 to 130 deg", jump_randomly),
+    "jumping": ("random angles from -30 to 130 deg", send_random_jumps),
     "straining": ("1000 N, in a stream of tensions", exceed_tension_limit),
     "killed": ("killed", stream_while_paused),
     "killed-owner": ("killed, had started the controller", stream_while_paused),
@@ -232,14 +232,14 @@ If a client is killed, the run ends.
 
 
 def run_client(
-    client_name: str, bus_name: str, time_scale: float, behaviour_words: list[str]
+    client_name: str, bus_name: str, time_scale: float, connect_options: list[str]
 ) -> None:
     """Stream as the client ``client_name``.
 
     Print the first and the last tick of the client's misbehaviour, and how many targets were
     accepted and refused.
     """
-    with handctl.connect("jamia", bus_name, *behaviour_words) as hand:
+    with handctl.connect("jamia", bus_name, *connect_options) as hand:
         hand.move({STREAMED_DIGIT: SINE_MIDDLE_DEG}, duration_s=0.5)
         space = "tension" if client_name == "straining" else "digit"
         names = (
@@ -370,9 +370,9 @@ def measure_clients(
     shared_client_names = sorted(
         (name for name in client_names if name != "killed-owner"), key=lambda name: name == "killed"
     )
-    groups = [shared_client_names, [name for name in client_names if name == "killed-owner"]]
+    client_groups = [shared_client_names, [name for name in client_names if name == "killed-owner"]]
     rows: dict[str, Any] = {}
-    for group in filter(None, groups):
+    for group in filter(None, client_groups):
         with hand_process(bus_name, time_scale, commissioned_hand) as process:
             windows, start_ns = _run_clients(process, group)
             process.close()
@@ -550,7 +550,7 @@ def measure_tracking(
 def _sine_task() -> str:
     """Return a task that has the same motion as the stream."""
     times = np.arange(0.0, TRACKED_DURATION_S + 1e-9, TRAJECTORY_KNOT_INTERVAL_S).round(3).tolist()
-    stay_phase = {
+    start_phase = {
         "kind": "move",
         "name": "stay",
         "angle_deg": {STREAMED_DIGIT: SINE_MIDDLE_DEG},
@@ -558,7 +558,7 @@ def _sine_task() -> str:
     }
     angles = {STREAMED_DIGIT: [round(sine_angle_deg(t), 4) for t in times]}
     follow_phase = {"kind": "follow", "name": "follow", "time_s": times, "angle_deg": angles}
-    return toml_text({"schema": 1, "name": "sine", "phase": [stay_phase, follow_phase]})
+    return toml_text({"schema": 1, "name": "sine", "phase": [start_phase, follow_phase]})
 
 
 def _tracking_error(truth: TruthRecord, motion_start_ns: int) -> float:
@@ -566,12 +566,12 @@ def _tracking_error(truth: TruthRecord, motion_start_ns: int) -> float:
     t = (truth.t_ns - motion_start_ns) / 1e9
     evaluation_mask = (t > 1.0) & (t < TRACKED_DURATION_S - 0.05)
     joints = [i for i, name in enumerate(truth.columns) if name.startswith(f"q/{STREAMED_DIGIT}")]
-    true = np.degrees(truth.values[evaluation_mask][:, joints]).mean(axis=1)
+    true_angle = np.degrees(truth.values[evaluation_mask][:, joints]).mean(axis=1)
     return float(
         np.sqrt(
             np.mean(
                 (
-                    true
+                    true_angle
                     - SINE_MIDDLE_DEG
                     - SINE_AMPLITUDE_DEG * np.sin(2.0 * math.pi * t[evaluation_mask])
                 )

@@ -1,10 +1,10 @@
 """Measure the benefit of tuning if the real hand differs from its hand file.
 
 A simulated hand takes the place of the real hand (the true plant). The parameters of this simulated
-hand differ from the hand file by up to 30 %. The initial gains are wrong by a factor of 3. One
-search scores gains on an ensemble of hands near the hand file. Another search scores gains on the
-true plant. With ``--fit``, a third search scores gains on a hand with the identified parameters.
-The gains of all searches are then tried on the true plant. The ratio of their costs shows how much
+hand differ from the hand file by up to 30 %. The initial gains are wrong by a factor of 3. A first
+search tries gains on an ensemble of hands near the hand file, and a second search tries gains on the
+true plant. With ``--fit``, a third search tries gains on a hand with the identified parameters.
+The best gains of each search are then tried on the true plant. The ratio of their costs shows how much
 is lost if the true parameters are unknown.
 
     python benchmarks/tuning.py [--quick] [--json] [--trials N] [--plants N] [--workers N]
@@ -31,7 +31,7 @@ from handctl.session.run_plan import default_control_rate
 from handctl.tune.loops.gain_design import linear_factors, worst_margins
 from handctl.tune.scoring import GainScore, score_exercise
 from handctl.tune.search.ensemble import sample_ensemble
-from handctl.tune.search.search import SearchPlan, SearchResult, run_search
+from handctl.tune.search.gain_search import SearchPlan, SearchResult, run_search
 from handctl.tune.search.workers import SearchWorkers, make_workers
 
 TRUE_PLANT_FACTORS = {
@@ -58,7 +58,7 @@ DETUNING_FACTORS = {
 
 The factors were fixed before anything was tuned.
 """
-JUDGE_SEED = 1000
+EVALUATION_SEED = 1000
 """Seed of the noise in the final comparison. No search uses this seed."""
 
 
@@ -115,16 +115,16 @@ def compare_searches(
     calibration_file: Path | None,
 ) -> dict[str, Any]:
     """Run the searches and compare their gains on the true plant. Store the studies in a folder if one is given."""
-    hand, twin, spread = load_tuned_hand(hand_name, calibration_file)
+    hand, identified_hand, spread = load_tuned_hand(hand_name, calibration_file)
     packaged = Gains()
     detuned = detuned_gains()
     rate = default_control_rate(hand)
-    crew = make_workers(worker_count, None)
+    workers = make_workers(worker_count, None)
     try:
-        with tempfile.TemporaryDirectory() as passing_folder:
-            folder = study_folder or Path(passing_folder)
+        with tempfile.TemporaryDirectory() as temporary_folder:
+            folder = study_folder or Path(temporary_folder)
             folder.mkdir(parents=True, exist_ok=True)
-            blind = SearchPlan(
+            blind_plan = SearchPlan(
                 hand.to_toml(),
                 rate,
                 detuned,
@@ -133,13 +133,13 @@ def compare_searches(
                 trial_count,
                 (packaged,),
             )
-            knowing = SearchPlan(
-                blind.hand, rate, detuned, (TRUE_PLANT_FACTORS,), 1, trial_count, (packaged,)
+            informed_plan = SearchPlan(
+                blind_plan.hand, rate, detuned, (TRUE_PLANT_FACTORS,), 1, trial_count, (packaged,)
             )
-            search_jobs, spent = _run_timed_search(blind, folder / "blind", crew)
-            informed, _ = _run_timed_search(knowing, folder / "knowing", crew)
-            around = SearchPlan(
-                twin.to_toml(),
+            blind_result, search_time_s = _run_timed_search(blind_plan, folder / "blind", workers)
+            informed_result, _ = _run_timed_search(informed_plan, folder / "knowing", workers)
+            identified_plan = SearchPlan(
+                identified_hand.to_toml(),
                 rate,
                 detuned,
                 sample_ensemble(plant_count, 0, spread),
@@ -147,31 +147,34 @@ def compare_searches(
                 trial_count,
                 (packaged,),
             )
-            fitted = (
-                _run_timed_search(around, folder / "identified", crew)[0]
+            identified_result = (
+                _run_timed_search(identified_plan, folder / "identified", workers)[0]
                 if calibration_file
                 else None
             )
         jobs = [
-            _judge_job(knowing, gains)
+            _evaluation_job(informed_plan, gains)
             for gains in (
                 detuned,
                 packaged,
-                _best_gains(detuned, search_jobs),
-                _best_gains(detuned, informed),
+                _best_gains(detuned, blind_result),
+                _best_gains(detuned, informed_result),
             )
         ]
         scores = [
             GainScore(**score)
-            for _, score in sorted(crew.compute_scores(jobs), key=lambda pair: pair[0])
+            for _, score in sorted(workers.compute_scores(jobs), key=lambda pair: pair[0])
         ]
     finally:
-        crew.close()
+        workers.close()
     names = ["detuned", "packaged", "tuned", "tuned_knowing_the_plant"]
-    if fitted:
+    if identified_result:
         names.append("tuned_as_identified")
         scores.append(
-            _with_model(hand, HandModel.from_hand(twin, _best_gains(detuned, fitted), rate))
+            _with_model(
+                hand,
+                HandModel.from_hand(identified_hand, _best_gains(detuned, identified_result), rate),
+            )
         )
     costs = [score.relative_cost(scores[0]) for score in scores]
     return {
@@ -179,7 +182,7 @@ def compare_searches(
         "rate_hz": rate,
         "trials": trial_count,
         "plants": plant_count,
-        "search_s": spent,
+        "search_s": search_time_s,
         "on_the_real_plant": {
             name: {
                 "cost": cost,
@@ -188,14 +191,14 @@ def compare_searches(
             for name, cost, score in zip(names, costs, scores, strict=True)
         },
         "cost_of_not_knowing": costs[2] / costs[3],
-        "cost_with_identification": costs[4] / costs[3] if fitted else None,
+        "cost_with_identification": costs[4] / costs[3] if identified_result else None,
     }
 
 
 def _run_timed_search(
     plan: SearchPlan, study_file: Path, workers: SearchWorkers
 ) -> tuple[SearchResult, float]:
-    began = time.monotonic()
+    start_time = time.monotonic()
 
     def print_progress(result: SearchResult) -> None:
         best = f"{result.relative_cost(result.best):.3f}" if result.best else "none good yet"
@@ -207,7 +210,7 @@ def _run_timed_search(
 
     result = run_search(plan, study_file, workers, print_progress)
     print(file=sys.stderr)
-    return result, time.monotonic() - began
+    return result, time.monotonic() - start_time
 
 
 def _best_gains(initial_gains: Gains, result: SearchResult) -> Gains:
@@ -220,14 +223,14 @@ def _best_gains(initial_gains: Gains, result: SearchResult) -> Gains:
     )
 
 
-def _judge_job(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
+def _evaluation_job(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
     """Return a job that scores gains on the true plant, even if their stability margins are too small.
 
     The job uses noise that no search has used.
     """
     table = {
         "gains": gains.model_dump(by_alias=True),
-        "seed": JUDGE_SEED,
+        "seed": EVALUATION_SEED,
         "must_keep_margins": False,
     }
     return plan.trial_job(0, {}) | table
@@ -240,7 +243,8 @@ def _with_model(hand: Hand, model: HandModel) -> GainScore:
     """
     margins = worst_margins(model, (linear_factors(dict.fromkeys(TRUE_PLANT_FACTORS, 1.0)),))
     return replace(
-        score_exercise(hand, model, TRUE_PLANT_FACTORS, JUDGE_SEED), shortfall=margins.shortfall
+        score_exercise(hand, model, TRUE_PLANT_FACTORS, EVALUATION_SEED),
+        shortfall=margins.shortfall,
     )
 
 

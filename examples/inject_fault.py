@@ -11,7 +11,7 @@ from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.live_session import LiveProgram
-from handctl.session.simulate import SimulatorSettings, homed_controller
+from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
 
 model = HandModel.from_hand(load_hand("jamia"), Gains(), 500.0)
 with SimulatorSettings("jamia", seed=1, homed=True).begin_run(

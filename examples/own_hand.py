@@ -11,7 +11,7 @@ from handctl.core.gains.gains import Gains
 from handctl.hand.hand_loading import hand_path, load_hand
 from handctl.programs.default_task import default_task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatorSettings, simulate_controller
+from handctl.session.lockstep_simulation import SimulatorSettings, simulate_controller
 
 own_hand_path = Path("mine.toml")
 own_hand_text = hand_path("jamia").read_text("utf-8").replace('name = "jamia"', 'name = "mine"', 1)

@@ -14,7 +14,7 @@ from handctl.core.gains.gains import Gains
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatorSettings
+from handctl.session.lockstep_simulation import SimulatorSettings
 
 PUSH_SCENE = """
 name = "push"

@@ -11,7 +11,7 @@ lines below.
 
 from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.protocol_registry import make_drive
-from handctl.hand.file.sections import Motor
+from handctl.hand.file.section_models import Motor
 from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.clocks.real_clock import RealClock
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
@@ -28,7 +28,7 @@ MOTOR_SPEC = Motor.model_validate({
 
 with bus_lock(BUS_SPEC):  # only one host may use the bus
     clock = RealClock(PERIOD_NS)
-    bus = open_bus(BUS_SPEC, 0, 1_000_000, convert_time=clock.run_time_of)
+    bus = open_bus(BUS_SPEC, 0, 1_000_000, convert_time=clock.convert_to_run_time)
     rig = DriveRig(make_drive(MOTOR_SPEC, 0), bus, clock)
     try:
         if not rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):

@@ -6,7 +6,7 @@ arguments.
 
 MAX_MESSAGE_LENGTH = 500
 """Maximum length of a message [characters]."""
-OMITTED_TEXT_MARK = " [...] "
+OMISSION_MARK = " [...] "
 """Text in place of the middle of a message that is too long."""
 
 
@@ -34,6 +34,4 @@ def one_line_message(text: str) -> str:
     if len(line) <= MAX_MESSAGE_LENGTH:
         return line
     end = MAX_MESSAGE_LENGTH // 3
-    return (
-        line[: MAX_MESSAGE_LENGTH - end - len(OMITTED_TEXT_MARK)] + OMITTED_TEXT_MARK + line[-end:]
-    )
+    return line[: MAX_MESSAGE_LENGTH - end - len(OMISSION_MARK)] + OMISSION_MARK + line[-end:]

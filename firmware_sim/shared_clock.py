@@ -26,7 +26,7 @@ from firmware_sim.hand_description import SimulatorError
 CLOCK_FILE_VERSION = 1
 GATE_INDEX, PAUSED_INDEX, SENT_INDEX, ANSWERED_INDEX, REACHED_INDEX = 1, 2, 3, 4, 5
 """Indices of the integers in the file."""
-INTEGER_COUNT = 6
+CLOCK_FILE_INTEGER_COUNT = 6
 OPEN_GATE_NS = 2**63 - 1
 """Value of the gate without a controller."""
 MAX_GATE_WAIT_NS = 120_000_000
@@ -60,7 +60,7 @@ class SharedClock:
         self.scale = scale
         self._path: Path | None = None
         self._numbers = memoryview(
-            array("q", [CLOCK_FILE_VERSION, OPEN_GATE_NS, *[0] * (INTEGER_COUNT - 2)])
+            array("q", [CLOCK_FILE_VERSION, OPEN_GATE_NS, *[0] * (CLOCK_FILE_INTEGER_COUNT - 2)])
         )
 
     def create_file(self, path: Path) -> None:

@@ -3,7 +3,11 @@
 import argparse
 import sys
 
-from tests.runtime.killed_controllers import KillVerdict, disturb_in_batches, summary_of_kills
+from tests.runtime.killed_controllers import (
+    KillVerdict,
+    disturb_controllers_in_batches,
+    summary_of_kills,
+)
 
 
 def main() -> int:
@@ -27,7 +31,7 @@ def main() -> int:
     )
     args = parser.parse_args()
     runs: list[KillVerdict] = []
-    for batch in disturb_in_batches(args.times, args.seed, args.time_scale):
+    for batch in disturb_controllers_in_batches(args.times, args.seed, args.time_scale):
         for run in batch:
             if not (run.torque_ended_in_time and run.has_complete_log):
                 print(run, flush=True)

@@ -88,13 +88,13 @@ def mutated_content(
         if source.is_empty:
             break
         path = paths[source.take_number(len(paths))]
-        parent = _copied_node(mutated, path[:-1])
+        parent = _copy_node(mutated, path[:-1])
         if parent is not None:
-            _change_entry(parent, path[-1], source)
+            _mutate_entry(parent, path[-1], source)
     return mutated
 
 
-def _copied_node(root_table: dict[str, Any], node_path: KeyPath) -> Any:
+def _copy_node(root_table: dict[str, Any], node_path: KeyPath) -> Any:
     """Replace each node on a path by a copy, and return the copy of the last node.
 
     Return None if an earlier change has removed a node of the path.
@@ -107,13 +107,13 @@ def _copied_node(root_table: dict[str, Any], node_path: KeyPath) -> Any:
             return None
         if not isinstance(child, dict | list):
             return None
-        copied = child.copy()
-        node[key] = copied
-        node = copied
+        copied_child = child.copy()
+        node[key] = copied_child
+        node = copied_child
     return node
 
 
-def _change_entry(parent_node: Any, entry_key: Any, source: ByteSource) -> None:
+def _mutate_entry(parent_node: Any, entry_key: Any, source: ByteSource) -> None:
     try:
         old_entry = parent_node[entry_key]
     except (LookupError, TypeError):

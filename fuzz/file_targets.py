@@ -30,7 +30,7 @@ from handctl.hand.hand_loading import (
     read_toml,
 )
 from handctl.programs.task import Task, task_from_trajectory_file
-from handctl.session.tasks import check_task_for_hand
+from handctl.session.task_loading import check_task_for_hand
 
 FuzzTarget = Callable[[bytes], bool]
 FileContent = Mapping[str, Any]
@@ -46,7 +46,7 @@ def construct_hand_parts(hand: Hand) -> None:
     bus_loads(hand)
 
 
-def hand_target(folder: Path) -> FuzzTarget:
+def hand_fuzz_target(folder: Path) -> FuzzTarget:
     """Return the target that loads a packaged hand file with up to four changes."""
     contents = [hand_content(name) for name in packaged_hands()]
     paths = [list(paths_of_values(content)) for content in contents]
@@ -60,20 +60,20 @@ def hand_target(folder: Path) -> FuzzTarget:
     return target
 
 
-def hand_text_target(folder: Path) -> FuzzTarget:
+def hand_text_fuzz_target(folder: Path) -> FuzzTarget:
     """Return the target that loads arbitrary bytes as a hand file."""
-    return _text_target(
+    return _text_fuzz_target(
         folder / "hand.toml", lambda path: construct_hand_parts(load_hand(str(path)))
     )
 
 
-def check_one_line(error: Exception) -> None:
+def check_single_line_message(error: Exception) -> None:
     """Check that the message of an error is exactly one line."""
     assert str(error), "an error without text"
     assert "\n" not in str(error), str(error)
 
 
-def _text_target(file_path: Path, load_file: Callable[[Path], object]) -> FuzzTarget:
+def _text_fuzz_target(file_path: Path, load_file: Callable[[Path], object]) -> FuzzTarget:
     def target(data: bytes) -> bool:
         file_path.write_bytes(data)
         return _is_accepted(lambda: load_file(file_path))
@@ -89,12 +89,12 @@ def _is_accepted(load_input: Callable[[], object]) -> bool:
     try:
         load_input()
     except HandctlError as error:
-        check_one_line(error)
+        check_single_line_message(error)
         return False
     return True
 
 
-DOCUMENTS_PER_TEXT = 32
+INPUT_KIND_COUNT = 32
 """Number of values of the number that selects the kind of an input.
 
 One value selects random bytes. Another value selects a changed document that is written as text and
@@ -102,7 +102,7 @@ parsed. All other values select changed documents that need no parsing, because 
 """
 
 
-def _document_target(
+def _document_fuzz_target(
     file_path: Path,
     file_contents: list[FileContent],
     process_content: Callable[[FileContent], object],
@@ -112,27 +112,27 @@ def _document_target(
     Inputs are arbitrary bytes, or a valid document with up to four changes.
     """
     paths = [list(paths_of_values(content)) for content in file_contents]
-    noise = _text_target(file_path, lambda file: process_content(read_toml(file)))
+    parse_text = _text_fuzz_target(file_path, lambda file: process_content(read_toml(file)))
 
     def target(data: bytes) -> bool:
         source = ByteSource(data)
-        kind = source.take_number(DOCUMENTS_PER_TEXT)
+        kind = source.take_number(INPUT_KIND_COUNT)
         if kind == 1:
-            return noise(data[source.at :])
+            return parse_text(data[source.at :])
         i = source.take_number(len(file_contents))
         content = mutated_content(file_contents[i], paths[i], source)
         if kind == 2:
-            return noise(toml_text(content).encode("utf-8", "surrogatepass"))
+            return parse_text(toml_text(content).encode("utf-8", "surrogatepass"))
         return _is_accepted(lambda: process_content(content))
 
     return target
 
 
-def task_target(folder: Path) -> FuzzTarget:
+def task_fuzz_target(folder: Path) -> FuzzTarget:
     """Return the target that reads a task and checks whether it fits a hand."""
     jamia = load_hand("jamia")
     contents = [tomllib.loads(path.read_text()) for path in sorted(TASKS_FOLDER.glob("*.toml"))]
-    return _document_target(
+    return _document_fuzz_target(
         folder / "task.toml",
         list(contents),
         lambda content: check_task_for_hand(
@@ -141,7 +141,7 @@ def task_target(folder: Path) -> FuzzTarget:
     )
 
 
-def trajectory_target(folder: Path) -> FuzzTarget:
+def trajectory_fuzz_target(folder: Path) -> FuzzTarget:
     """Return the target that reads a trajectory file and checks whether it fits a hand."""
     jamia = load_hand("jamia")
     angles = [30.0 * math.sin(0.5 * i) ** 2 for i in range(8)]
@@ -151,7 +151,7 @@ def trajectory_target(folder: Path) -> FuzzTarget:
         "time_s": [0.3 * i for i in range(8)],
         "angle_deg": {"index": angles},
     }
-    return _document_target(
+    return _document_fuzz_target(
         folder / "trajectory.toml",
         [content],
         lambda content: check_task_for_hand(
@@ -160,7 +160,7 @@ def trajectory_target(folder: Path) -> FuzzTarget:
     )
 
 
-def gains_target(folder: Path) -> FuzzTarget:
+def gains_fuzz_target(folder: Path) -> FuzzTarget:
     """Return the target for a gains file and the provenance of its gains."""
     packaged = Gains().model_dump(by_alias=True)
     content = packaged | {
@@ -168,14 +168,14 @@ def gains_target(folder: Path) -> FuzzTarget:
     }
     del content["provenance"]["restores"]
     validate_content(content, GainsFile, "packaged")
-    return _document_target(
+    return _document_fuzz_target(
         folder / "gains.toml",
         [content],
         lambda content: validate_content(content, GainsFile, "fuzzed").gains,
     )
 
 
-def calibration_target(folder: Path) -> FuzzTarget:
+def calibration_fuzz_target(folder: Path) -> FuzzTarget:
     """Return the target that reads a calibration with identified values, and applies it to a hand."""
     jamia = load_hand("jamia")
     tendon = {"tare_N": 0.1, "zero_rad": 1.0, "answer_N": 3.0, "crosstalk_N": 0.1}
@@ -196,7 +196,7 @@ def calibration_target(folder: Path) -> FuzzTarget:
 
     def use_calibration(content: FileContent) -> None:
         loaded_calibration = parse_calibration(content, jamia, "fuzzed")
-        loaded_calibration.tare(jamia), loaded_calibration.zero(jamia)
+        loaded_calibration.tare_tensions(jamia), loaded_calibration.motor_zeros(jamia)
         identified_hand(jamia, loaded_calibration.identified)
 
-    return _document_target(folder / "calibration.toml", [content], use_calibration)
+    return _document_fuzz_target(folder / "calibration.toml", [content], use_calibration)

@@ -23,7 +23,7 @@ from tests.drives.wired_drives import WiredDrives
 FuzzTarget = Callable[[bytes], bool]
 STEP_NS, LONG_SILENCE_NS = 2_000_000, 1_000_000_000
 """Time from one frame to the next, and silence after which every drive counts as lost [ns]."""
-SILENCE_MARKER_BYTE = 240
+LONG_SILENCE_MIN_BYTE = 240
 """If the third byte of a frame header in the input is at least this value, a long silence precedes the frame."""
 IDENTIFIER_FLAGS = (0, 0, 0, 0, 0, EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG)
 MAX_FRAMES = 5
@@ -56,7 +56,7 @@ def frames_of_input(
         )
         size = 8 if shape_byte & 3 else control_byte % (MAX_PAYLOAD_BYTES + 1)
         payload = data[at + 3 : at + 3 + size]
-        t_ns += LONG_SILENCE_NS if control_byte >= SILENCE_MARKER_BYTE else STEP_NS
+        t_ns += LONG_SILENCE_NS if control_byte >= LONG_SILENCE_MIN_BYTE else STEP_NS
         yield (
             Frame(
                 can_id | IDENTIFIER_FLAGS[shape_byte >> 5],
@@ -78,7 +78,7 @@ class RecordedState(NamedTuple):
     received_frames: tuple[Frame, ...]
 
 
-def states_until_torque(drive_name: str, folder: Path) -> tuple[Drive, list[RecordedState]]:
+def record_states_until_torque(drive_name: str, folder: Path) -> tuple[Drive, list[RecordedState]]:
     """Return a drive of ``FUZZED_DRIVES``, and its recorded states.
 
     The states are recorded from the first tick until the drive makes torque.
@@ -112,12 +112,13 @@ def recorded_inputs(drive_name: str, folder: Path) -> list[bytes]:
 
     The frames were recorded from the first tick until the drive made torque.
     """
-    motor, recorded_states = states_until_torque(drive_name, folder)
-    own_identifiers = selectable_identifiers(motor, recorded_states)
+    motor, recorded_states = record_states_until_torque(drive_name, folder)
+    drive_identifiers = selectable_identifiers(motor, recorded_states)
     inputs = []
     for i, (_, _, received_frames) in enumerate(recorded_states):
         operations = [
-            bytes((own_identifiers.index(frame.can_id), *_payload_header(frame.data))) + frame.data
+            bytes((drive_identifiers.index(frame.can_id), *_payload_header(frame.data)))
+            + frame.data
             for frame in received_frames[:MAX_FRAMES]
         ]
         inputs.append(bytes((i,)) + b"".join(operations))
@@ -142,16 +143,16 @@ def _payload_header(payload: bytes) -> tuple[int, int]:
     return (1, int(DriveTarget.POLL)) if len(payload) == 8 else (0, len(payload))
 
 
-def drive_target_factory(drive_name: str) -> Callable[[Path], FuzzTarget]:
+def drive_fuzz_target_factory(drive_name: str) -> Callable[[Path], FuzzTarget]:
     """Return the function that makes the target for a drive of ``FUZZED_DRIVES``."""
 
     def make_target(folder: Path) -> FuzzTarget:
-        motor, recorded_states = states_until_torque(drive_name, folder)
-        own_identifiers = selectable_identifiers(motor, recorded_states)
+        motor, recorded_states = record_states_until_torque(drive_name, folder)
+        drive_identifiers = selectable_identifiers(motor, recorded_states)
         return lambda data: _feed_drive(
             motor,
             recorded_states[data[0] % len(recorded_states)] if data else recorded_states[0],
-            own_identifiers,
+            drive_identifiers,
             data,
         )
 
@@ -159,7 +160,7 @@ def drive_target_factory(drive_name: str) -> Callable[[Path], FuzzTarget]:
 
 
 def _feed_drive(
-    motor: Drive, start_state: RecordedState, own_identifiers: Sequence[int], data: bytes
+    motor: Drive, start_state: RecordedState, drive_identifiers: Sequence[int], data: bytes
 ) -> bool:
     """Feed the frames of an input to a drive, and request a phase of the drive after each frame.
 
@@ -167,7 +168,7 @@ def _feed_drive(
     """
     state = start_state.state
     is_accepted = False
-    for frame, control_byte in frames_of_input(data, own_identifiers, start_state.t_ns):
+    for frame, control_byte in frames_of_input(data, drive_identifiers, start_state.t_ns):
         state_after = motor.receive(state, frame)
         is_accepted = is_accepted or state_after is not state
         state, sent_frames = _advance_drive(motor, state_after, frame.t_ns + STEP_NS, control_byte)
@@ -191,21 +192,19 @@ def _advance_drive(
     return motor.advance(state, t_ns, target, 0.1 if target == DriveTarget.ENABLE else 0.0)
 
 
-def sensor_target(folder: Path) -> FuzzTarget:
+def sensor_fuzz_target(folder: Path) -> FuzzTarget:
     """Return the target for the decoder of the sensor node."""
     bench = ProtocolBench(hand_file(folder, ["mit"]))
     bench.simulated_hand.close()
     wired_drives = WiredDrives((), bench.sensor_node)
-    own_node_ids = sorted(bench.sensor_node.node_ids)
-    return lambda data: _feed_sensor_node(
-        wired_drives, wired_drives.block.copy(), own_node_ids, data
-    )
+    node_ids = sorted(bench.sensor_node.node_ids)
+    return lambda data: _feed_sensor_node(wired_drives, wired_drives.block.copy(), node_ids, data)
 
 
 def _feed_sensor_node(
     wired_drives: WiredDrives,
     initial_block: BlockArray,
-    own_identifiers: Sequence[int],
+    node_ids: Sequence[int],
     data: bytes,
 ) -> bool:
     """Feed the frames of an input to the decoder of the sensor node.
@@ -216,7 +215,7 @@ def _feed_sensor_node(
     """
     wired_drives.block[:] = initial_block
     accepted_count = 0
-    for frame, control_byte in frames_of_input(data, own_identifiers, STEP_NS):
+    for frame, control_byte in frames_of_input(data, node_ids, STEP_NS):
         wired_drives.begin_tick_with_sync(control_byte)
         wired_drives.receive([frame]).observe_readings()
         accepted_count += (

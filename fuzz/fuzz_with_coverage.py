@@ -42,10 +42,10 @@ def main() -> None:
     target = TARGET_FACTORIES[name](folder)
     verdicts = Counter[bool]()
 
-    def count_verdict(data: bytes) -> None:
+    def run_target(data: bytes) -> None:
         verdicts[target(data)] += 1
 
-    atheris.Setup([sys.argv[0], *options, corpus], count_verdict)
+    atheris.Setup([sys.argv[0], *options, corpus], run_target)
     atheris.Fuzz()
 
 

@@ -21,7 +21,7 @@ INPUTS_PER_CLOCK_READ = 256
 """Number of inputs between two readings of the clock."""
 
 
-def changed_inputs(
+def mutated_inputs(
     random_source: random.Random, corpus: list[bytes], max_bytes: int
 ) -> Iterator[bytes]:
     """Yield randomly changed inputs of the corpus, without end.
@@ -29,14 +29,14 @@ def changed_inputs(
     A change replaces, removes or inserts bytes, or copies the end of another input. One in sixteen
     inputs is entirely random.
     """
-    choose = random_source.choice
+    random_choice = random_source.choice
     bits = random_source.getrandbits
     while True:
         kind = bits(4)
         if kind == 0:
             yield random_source.randbytes(bits(16) % max_bytes)
             continue
-        data = bytearray(choose(corpus))
+        data = bytearray(random_choice(corpus))
         for _ in range(1 + (kind & 3)):
             at = bits(16) % (len(data) + 1)
             operation = bits(3)
@@ -49,7 +49,7 @@ def changed_inputs(
             elif operation == 6:
                 data[at:at] = random_source.randbytes(1 + bits(3))
             else:
-                data[at:] = choose(corpus)[at:]
+                data[at:] = random_choice(corpus)[at:]
         yield bytes(data[:max_bytes])
 
 
@@ -98,7 +98,7 @@ def main() -> None:
     corpus_inputs = [path.read_bytes()[: int(longest)] for path in sorted(Path(corpus).iterdir())]
     corpus_inputs += [seed[: int(longest)] for seed in seed_inputs(name, folder)] or [bytes(8)]
     start = time.monotonic()
-    inputs = changed_inputs(random.Random(time.time_ns()), corpus_inputs, int(longest))
+    inputs = mutated_inputs(random.Random(time.time_ns()), corpus_inputs, int(longest))
     number, accepted_count = feed_inputs(
         TARGET_FACTORIES[name](folder), inputs, Path(crashes), float(seconds), int(runs)
     )

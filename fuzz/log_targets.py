@@ -20,18 +20,18 @@ from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.log.read.recover import recover_log
 from handctl.log.topics.clock_pair_topic import CLOCK_PAIRS_TOPIC as CLOCK_TOPIC
-from handctl.log.topics.hash_chain import CHAIN_TOPIC as CHAIN_TOPIC
+from handctl.log.topics.hash_chain import HASH_CHAIN_TOPIC as HASH_CHAIN_TOPIC
 from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
 from tests.log import synthetic_run
 
 FuzzTarget = Callable[[bytes], bool]
 MAX_EDITS = 4
-FUZZED_TOPICS = (TICK_TOPIC, VALUES_TOPIC, CHAIN_TOPIC, CLOCK_TOPIC, "/rosout")
+FUZZED_TOPICS = (TICK_TOPIC, VALUES_TOPIC, HASH_CHAIN_TOPIC, CLOCK_TOPIC, "/rosout")
 """Topics that stay in the fuzzed log. The reader skips /rosout and decodes the other topics."""
 PER_TOPIC_RECORDS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX)
 """Kinds of records that a log has after its chunks, one record for each topic."""
 MCAP_MAGIC = b"\x89MCAP0\r\n"
-NUMERIC_START_BYTES = 48
+NUMERIC_FIELD_BYTES = 48
 """Length of the numeric fields at the start of a record [bytes].
 
 Half of the changes are made in these fields.
@@ -70,18 +70,20 @@ def _is_readable(path: Path) -> bool:
     try:
         read_whole_log(path)
     except LogError as error:
-        file_targets.check_one_line(error)
+        file_targets.check_single_line_message(error)
         return False
     return True
 
 
-def log_target(folder: Path) -> FuzzTarget:
+def log_fuzz_target(folder: Path) -> FuzzTarget:
     """Return the target for a log in which records inside and outside of chunks are changed.
 
     Most of the changed records have a valid length.
     """
-    log_parts = _log_parts(write_small_log(folder))
-    joined = [_join_records(i, records_of_part) for i, records_of_part in enumerate(log_parts)]
+    log_parts = _split_log(write_small_log(folder))
+    joined_parts = [
+        _join_records(i, records_of_part) for i, records_of_part in enumerate(log_parts)
+    ]
     path = folder / "log.mcap"
 
     def target(data: bytes) -> bool:
@@ -93,11 +95,13 @@ def log_target(folder: Path) -> FuzzTarget:
             i = source.take_number(len(log_parts))
             records = changed_records.setdefault(i, log_parts[i].copy())
             at = source.take_number(len(records))
-            records[at] = _changed_record(records[at], source)
+            records[at] = _mutated_record(records[at], source)
         path.write_bytes(
             b"".join(
                 [
-                    _join_records(i, changed_records[i]) if i in changed_records else joined[i]
+                    _join_records(i, changed_records[i])
+                    if i in changed_records
+                    else joined_parts[i]
                     for i in range(len(log_parts))
                 ]
             )
@@ -107,7 +111,7 @@ def log_target(folder: Path) -> FuzzTarget:
     return target
 
 
-def _log_parts(path: Path) -> list[list[bytes]]:
+def _split_log(path: Path) -> list[list[bytes]]:
     """Split a log into lists of records: before the chunks, in each chunk, and after the chunks.
 
     Set the checksums in the records to zero.
@@ -178,14 +182,14 @@ def _join_records(part_index: int, records: list[bytes]) -> bytes:
     )
 
 
-def _changed_record(record: bytes, source: ByteSource) -> bytes:
+def _mutated_record(record: bytes, source: ByteSource) -> bytes:
     """Return a record with changed content. One in eight of these records gets a wrong length."""
     body = bytearray(record[9:])
     kind = source.take_number(8)
     if kind == 0:
         body = bytearray(record)
     at = source.take_number(1 << 16) % max(
-        1, len(body) if source.take_number(2) else min(len(body), NUMERIC_START_BYTES)
+        1, len(body) if source.take_number(2) else min(len(body), NUMERIC_FIELD_BYTES)
     )
     new_record = (
         UNUSUAL_BYTES[source.take_number(len(UNUSUAL_BYTES))]
@@ -206,7 +210,7 @@ def _chunk_record(content: bytes) -> bytes:
     return struct.pack("<BQ", Opcode.CHUNK, len(body)) + body
 
 
-def log_bytes_target(folder: Path) -> FuzzTarget:
+def log_bytes_fuzz_target(folder: Path) -> FuzzTarget:
     """Return the target that reads arbitrary bytes as a log.
 
     The bytes go to the reader of logs and to the recovery of incomplete logs.

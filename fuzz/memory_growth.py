@@ -22,9 +22,9 @@ from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import load_task
 from handctl.programs.task_program import TaskProgram
 from handctl.runtime.mailbox import STOP_REQUEST
+from handctl.session.lockstep_simulation import SimulatorSettings
 from handctl.session.run import run_lockstep
 from handctl.session.run_plan import RunPlan
-from handctl.session.simulate import SimulatorSettings
 
 SAMPLE_PERIOD_S = 30.0
 WARM_UP_S = 600.0

@@ -9,7 +9,7 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-REASONS_DOCUMENT = Path("docs/evidence/mutation.md")
+EXPLANATIONS_FILE = Path("docs/evidence/mutation.md")
 SURVIVED_CODES, UNTESTED_CODES, NOT_RUN_CODES = (0,), (5, 33), (None, 2, 34)
 """Exit codes of mutants in the records of mutmut.
 
@@ -24,9 +24,9 @@ def main() -> int:
     Return 1 if the document gives no reason for a surviving mutant. Also return 1 if the tests of
     no mutant have ended.
     """
-    reasons = REASONS_DOCUMENT.read_text() if REASONS_DOCUMENT.exists() else ""
+    reasons = EXPLANATIONS_FILE.read_text() if EXPLANATIONS_FILE.exists() else ""
     unexplained_mutants = list[str]()
-    judged_total = 0
+    executed_total = 0
     for path in sorted(Path("mutants/src").rglob("*.meta")):
         codes: dict[str, int | None] = json.loads(path.read_text())["exit_code_by_key"]
         count = Counter(codes.values())
@@ -34,16 +34,16 @@ def main() -> int:
             sum(count[code] for code in kind)
             for kind in (SURVIVED_CODES, UNTESTED_CODES, NOT_RUN_CODES)
         )
-        judged_count = len(codes) - not_run
-        if not judged_count:
+        executed_count = len(codes) - not_run
+        if not executed_count:
             continue
-        judged_total += judged_count
-        killed_count = judged_count - survived - untested
+        executed_total += executed_count
+        killed_count = executed_count - survived - untested
         name = str(path.relative_to("mutants/src/handctl")).removesuffix(".py.meta")
         counts = f"{survived:4} survived {untested:4} untested {not_run:4} not run"
         print(
-            f"{name:32} {killed_count:4} of {judged_count:4} killed "
-            f"{100 * killed_count / judged_count:5.1f} %  {counts}"
+            f"{name:32} {killed_count:4} of {executed_count:4} killed "
+            f"{100 * killed_count / executed_count:5.1f} %  {counts}"
         )
         unexplained_mutants += [
             key
@@ -52,9 +52,9 @@ def main() -> int:
         ]
     for key in unexplained_mutants:
         print(f"no reason: {key}   (mutmut show {key})")
-    if not judged_total:
+    if not executed_total:
         print("no mutant was judged")
-    return 1 if unexplained_mutants or not judged_total else 0
+    return 1 if unexplained_mutants or not executed_total else 0
 
 
 if __name__ == "__main__":

@@ -9,18 +9,18 @@ from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER
 
 FuzzTarget = Callable[[bytes], bool]
 TARGET_FACTORIES: dict[str, Callable[[Path], FuzzTarget]] = {
-    **{name: frame_targets.drive_target_factory(name) for name in FUZZED_DRIVES},
-    "sensor-node": frame_targets.sensor_target,
-    "hand": file_targets.hand_target,
-    "hand-text": file_targets.hand_text_target,
-    "task": file_targets.task_target,
-    "trajectory": file_targets.trajectory_target,
-    "gains": file_targets.gains_target,
-    "calibration": file_targets.calibration_target,
-    "log": log_targets.log_target,
-    "log-bytes": log_targets.log_bytes_target,
-    "request": text_targets.request_target,
-    "fault": text_targets.fault_target,
+    **{name: frame_targets.drive_fuzz_target_factory(name) for name in FUZZED_DRIVES},
+    "sensor-node": frame_targets.sensor_fuzz_target,
+    "hand": file_targets.hand_fuzz_target,
+    "hand-text": file_targets.hand_text_fuzz_target,
+    "task": file_targets.task_fuzz_target,
+    "trajectory": file_targets.trajectory_fuzz_target,
+    "gains": file_targets.gains_fuzz_target,
+    "calibration": file_targets.calibration_fuzz_target,
+    "log": log_targets.log_fuzz_target,
+    "log-bytes": log_targets.log_bytes_fuzz_target,
+    "request": text_targets.request_fuzz_target,
+    "fault": text_targets.fault_fuzz_target,
 }
 
 

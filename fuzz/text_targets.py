@@ -10,13 +10,13 @@ from firmware_sim.faults.fault_text import FAULT_KINDS, parse_fault
 from firmware_sim.hand_description import SimulatorError
 from firmware_sim.hand_description import load_hand as load_simulated_hand
 from fuzz.document_mutation import ByteSource
-from fuzz.file_targets import check_one_line
+from fuzz.file_targets import check_single_line_message
 from handctl.programs.requests import parse_request
 
 FuzzTarget = Callable[[bytes], bool]
 
 
-def request_target(folder: Path) -> FuzzTarget:
+def request_fuzz_target(folder: Path) -> FuzzTarget:
     """Return the target that parses requests in the same way as a running controller does."""
 
     def target(data: bytes) -> bool:
@@ -29,12 +29,12 @@ def request_target(folder: Path) -> FuzzTarget:
     return target
 
 
-FAULT_TEXT_WORDS = ("node", "bus", "encoder", "joint", "cell", "tendon", "digit", "size", "p", "at", "for", "seed",
+FAULT_WORDS = ("node", "bus", "encoder", "joint", "cell", "tendon", "digit", "size", "p", "at", "for", "seed",
     "3", "main",
          "index_tendon", "thumb", "sensors", "3s", "20ms", "0x10", "nan", "1e400", "-1", "0.5", "1_0", "٣")  # fmt: skip
 
 
-def fault_target(folder: Path) -> FuzzTarget:
+def fault_fuzz_target(folder: Path) -> FuzzTarget:
     """Return the target that parses descriptions of injected faults.
 
     Inputs are arbitrary bytes, or random sequences of the words of such descriptions.
@@ -48,12 +48,12 @@ def fault_target(folder: Path) -> FuzzTarget:
         else:
             text = list(FAULT_KINDS)[source.take_number(len(FAULT_KINDS))]
             while not source.is_empty:
-                key = FAULT_TEXT_WORDS[source.take_number(len(FAULT_TEXT_WORDS))]
-                text += f" {key}={FAULT_TEXT_WORDS[source.take_number(len(FAULT_TEXT_WORDS))]}"
+                key = FAULT_WORDS[source.take_number(len(FAULT_WORDS))]
+                text += f" {key}={FAULT_WORDS[source.take_number(len(FAULT_WORDS))]}"
         try:
             parse_fault(text, hand)
         except SimulatorError as error:
-            check_one_line(error)
+            check_single_line_message(error)
             return False
         return True
 

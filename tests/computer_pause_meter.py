@@ -44,7 +44,7 @@ class ComputerPauseMeter:
         self.pids = [sleeper.pid for sleeper in self._sleepers]
         self._unread: list[tuple[float, float]] = []
 
-    def longest_since(self, start_time_s: float) -> float:
+    def longest_stall_since(self, start_time_s: float) -> float:
         """Return the duration of the longest stall that ended after a given time of ``time.monotonic`` [s].
 
         If there was no stall, return zero.

@@ -52,12 +52,14 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 # Without stored byte code, each program that the tests start compiles 300 modules. The compilation
 # takes half of the start-up time of such a program.
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
-    BYTE_CODE = tempfile.TemporaryDirectory(prefix="handctl-byte-code-", ignore_cleanup_errors=True)
+    BYTE_CODE_FOLDER = tempfile.TemporaryDirectory(
+        prefix="handctl-byte-code-", ignore_cleanup_errors=True
+    )
     """Folder for the byte code of the programs that tests start.
 
     The folder is removed at the end of this process.
     """
-    os.environ["PYTHONPYCACHEPREFIX"] = BYTE_CODE.name
+    os.environ["PYTHONPYCACHEPREFIX"] = BYTE_CODE_FOLDER.name
 if "HANDCTL_RUN_DIR" not in os.environ:
     RUN_DIR = tempfile.TemporaryDirectory(prefix="handctl-", ignore_cleanup_errors=True)
     """Folder for sockets of buses and truth files of tests.
@@ -67,7 +69,7 @@ if "HANDCTL_RUN_DIR" not in os.environ:
     os.environ["HANDCTL_RUN_DIR"] = RUN_DIR.name
 
 
-REAL_CLOCK_SELECTIONS = ("alone", "realtime and not alone")
+REAL_CLOCK_MARKER_EXPRESSIONS = ("alone", "realtime and not alone")
 """Test selections of `make realtime`. These selections contain only tests on the real clock."""
 REAL_CLOCK_MARKERS = ("mark.realtime", "mark.alone")
 """Markers of tests on the real clock.
@@ -75,13 +77,13 @@ REAL_CLOCK_MARKERS = ("mark.realtime", "mark.alone")
 Every file with tests on the real clock contains one of these markers. The folder tests/vcan is an
 exception, because its conftest.py marks all tests.
 """
-REAL_CLOCK_FOLDER = Path(__file__).parent / "vcan"
+VCAN_TESTS_FOLDER = Path(__file__).parent / "vcan"
 
 
-def has_clock_tests(path: Path) -> bool:
+def has_real_clock_tests(path: Path) -> bool:
     """Return True if a test file may have tests on the real clock."""
     text = path.read_text(encoding="utf-8")
-    return path.is_relative_to(REAL_CLOCK_FOLDER) or any(
+    return path.is_relative_to(VCAN_TESTS_FOLDER) or any(
         mark in text for mark in REAL_CLOCK_MARKERS
     )
 
@@ -91,14 +93,14 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
     The import of all test files would take 15 s.
     """
-    if config.getoption("markexpr") not in REAL_CLOCK_SELECTIONS or not collection_path.match(
-        "test_*.py"
-    ):
+    if config.getoption(
+        "markexpr"
+    ) not in REAL_CLOCK_MARKER_EXPRESSIONS or not collection_path.match("test_*.py"):
         return None
-    return None if has_clock_tests(collection_path) else True
+    return None if has_real_clock_tests(collection_path) else True
 
 
-class RepeatAfterStall:
+class RepeatAfterStallPlugin:
     """Plugin that repeats a failed test on the real clock.
 
     The test is repeated only if the machine stalled during the test. A test has at most three
@@ -112,7 +114,7 @@ class RepeatAfterStall:
     Attributes:
         stalls: name of each repeated test, with the longest stall of the machine during the test
             [s].
-        meter: stall meter, which starts before the first test on the real clock.
+        pause_meter: stall meter, which starts before the first test on the real clock.
     """
 
     def __init__(self) -> None:
@@ -135,7 +137,9 @@ class RepeatAfterStall:
 
         ``error`` is None if the try passed.
         """
-        longest = self.pause_meter.longest_since(self._start) if self.pause_meter and error else 0.0
+        longest = (
+            self.pause_meter.longest_stall_since(self._start) if self.pause_meter and error else 0.0
+        )
         if longest:
             self.stalls.append((self._test, longest))
             self.wait_without_stall()
@@ -151,7 +155,7 @@ class RepeatAfterStall:
         while time.monotonic() < until:
             begin = time.monotonic()
             time.sleep(STALL_FREE_TIME_S)
-            if not self.pause_meter.longest_since(begin):
+            if not self.pause_meter.longest_stall_since(begin):
                 return
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
@@ -194,7 +198,7 @@ def pytest_configure(config: pytest.Config) -> None:
     test.
     """
     if "HANDCTL_VCAN_REPORTS" not in os.environ:
-        config.pluginmanager.register(RepeatAfterStall(), "repeats")
+        config.pluginmanager.register(RepeatAfterStallPlugin(), "repeats")
     if path := config.getoption("--durations-file"):
         config.pluginmanager.register(DurationRecorder(path), "durations_file")
 
@@ -211,7 +215,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                     pytest.mark.skip(reason="runs with HANDCTL_NIGHTLY=1 (make nightly)")
                 )
     for path in {item.path for item in items if item.get_closest_marker("realtime")}:
-        if not has_clock_tests(path):
+        if not has_real_clock_tests(path):
             raise pytest.UsageError(
                 f"{path}: tests on the real clock, but none of {REAL_CLOCK_MARKERS} in the source"
             )

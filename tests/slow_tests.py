@@ -12,9 +12,10 @@ A test run leaves out the listed tests whose cost is higher than ``HANDCTL_SLOW_
 sets the value 0. CI sets the value 3, but a higher value for tests on the real clock. `make
 nightly` and plain pytest run all listed tests. The cost of a test is its processor time. For a test
 on the real clock, the cost is its elapsed time. A run that leaves out tests still executes the
-first cases of each test function. The total cost of these cases is at most ``FUNCTION_BUDGET_S`` or
-``REAL_CLOCK_BUDGET_S``. Such a run also executes the cheapest test of each file, if that test costs
-no more than ``FILE_LIMIT_S``. At least one test of nearly every file is therefore executed.
+first cases of each test function. The total cost of these cases is at most
+``TEST_FUNCTION_BUDGET_S`` or ``REAL_CLOCK_BUDGET_S``. Such a run also executes the cheapest test of
+each file, if that test costs no more than ``CHEAPEST_TEST_LIMIT_S``. At least one test of nearly
+every file is therefore executed.
 """
 
 import json
@@ -28,13 +29,13 @@ from pathlib import Path
 import pytest
 
 SLOW_TESTS_FILE = Path(__file__).parent / "slow_tests.txt"
-FUNCTION_BUDGET_S = 0.5
+TEST_FUNCTION_BUDGET_S = 0.5
 """Processor time that the cases of one test function may take in `make test` [s]."""
 REAL_CLOCK_BUDGET_S = 3.0
 """Elapsed time that the cases of one test function on the real clock may take in `make test` [s]."""
-CHEAP_TEST_CASE_S = 0.05
+MIN_SLOW_TEST_COST_S = 0.05
 """A test case that costs no more than this never counts as slow [s]."""
-FILE_LIMIT_S = 15.0
+CHEAPEST_TEST_LIMIT_S = 15.0
 """Largest cost of a file's cheapest test [s].
 
 If this test costs more, an incomplete test run leaves out the whole file.
@@ -43,10 +44,10 @@ If this test costs more, an incomplete test run leaves out the whole file.
 
 def tests_slower_than(limit_s: float) -> frozenset[str]:
     """Return the node identifiers of the listed tests that cost more than a limit [s]."""
-    return frozenset(test for test, cost_s in listed_costs().items() if cost_s > limit_s)
+    return frozenset(test for test, cost_s in read_slow_test_costs().items() if cost_s > limit_s)
 
 
-def listed_costs() -> dict[str, float]:
+def read_slow_test_costs() -> dict[str, float]:
     """Return the cost of each listed test [s], by its node identifier."""
     lines = SLOW_TESTS_FILE.read_text(encoding="utf-8").splitlines()
     rows = [line.partition(" ") for line in lines if not line.startswith("#")]
@@ -106,21 +107,21 @@ def choose_slow_tests(rows: list[tuple[str, float, float, bool]]) -> dict[str, f
             a test on the real clock, in the order of the run.
     """
     files: dict[str, list[tuple[float, str]]] = {}
-    spent: dict[str, float] = {}
+    cost_by_function: dict[str, float] = {}
     slow: dict[str, float] = {}
     for test, processor, elapsed, clock in rows:
         cost = elapsed if clock else processor
         function = re.sub(r"\[.*", "", test, flags=re.DOTALL)
         files.setdefault(test.partition("::")[0], []).append((cost, test))
-        spent[function] = spent.get(function, 0.0) + cost
+        cost_by_function[function] = cost_by_function.get(function, 0.0) + cost
         if (
-            spent[function] > (REAL_CLOCK_BUDGET_S if clock else FUNCTION_BUDGET_S)
-            and cost > CHEAP_TEST_CASE_S
+            cost_by_function[function] > (REAL_CLOCK_BUDGET_S if clock else TEST_FUNCTION_BUDGET_S)
+            and cost > MIN_SLOW_TEST_COST_S
         ):
             slow[test] = cost
     for tests in files.values():
         cost, cheapest = min(tests)
-        if all(test in slow for _, test in tests) and cost <= FILE_LIMIT_S:
+        if all(test in slow for _, test in tests) and cost <= CHEAPEST_TEST_LIMIT_S:
             del slow[cheapest]
     return slow
 
@@ -134,7 +135,7 @@ def main(path: Path, add: bool) -> None:
             run has left out listed tests.
     """
     rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    slow = choose_slow_tests(rows) | (listed_costs() if add else {})
+    slow = choose_slow_tests(rows) | (read_slow_test_costs() if add else {})
     head = "# Written by `python -m tests.slow_tests`: seconds, test. `make test` leaves these to longer runs."
     lines = [head, *(f"{slow[test]:.1f} {test}" for test in sorted(slow))]
     SLOW_TESTS_FILE.write_text("\n".join(lines) + "\n", encoding="utf-8")

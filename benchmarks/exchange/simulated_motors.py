@@ -75,7 +75,7 @@ class VcanMotors:
         self.link.close()
 
 
-MOTORS_AND_INTERFACE_BY_BUS_KIND = {
+BUS_SETTINGS_BY_KIND = {
     "local": (LocalMotors, "local", "b"),
     "vcan": (VcanMotors, "socketcan", "vcan0"),
 }
@@ -88,7 +88,7 @@ def open_simulated_motors(bus_kind: str):
 
     Yield the motors, and the interface and channel of the bus.
     """
-    motors_class, interface, channel = MOTORS_AND_INTERFACE_BY_BUS_KIND[bus_kind]
+    motors_class, interface, channel = BUS_SETTINGS_BY_KIND[bus_kind]
     motors = motors_class(channel)
     try:
         yield motors, interface, channel

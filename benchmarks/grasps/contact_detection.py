@@ -13,12 +13,12 @@ from grasps.grasp_trial import GraspRun, hand_model, simulate_grasp
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
 
-CONTACT_N = 1.0
+CONTACT_FORCE_N = 1.0
 DETECTION_LIMIT_S = 0.020
-SPEED_DEG_S = (20.0, 100.0)
+CLOSING_SPEEDS_DEG_S = (20.0, 100.0)
 """Smallest and largest speed of closing [deg/s]. The packaged tasks close with 40 to 50 deg/s."""
-TRUE_CONTACT_N = 0.01
-MOVING_FRACTION = 0.85
+TRUE_CONTACT_FORCE_N = 0.01
+MOVING_TIME_FRACTION = 0.85
 """Fraction of a free-motion run in which the digits move."""
 WALL_SCENE = """name = "wall"
 [object]
@@ -51,7 +51,7 @@ def find_contacts(job: tuple[str, int]) -> list[float]:
     wall_text = WALL_SCENE.format(
         x=0.045 + chance.uniform(-3e-3, 3e-3), y=chance.uniform(-4e-3, 2e-3)
     )
-    speed = chance.uniform(*SPEED_DEG_S)
+    speed = chance.uniform(*CLOSING_SPEEDS_DEG_S)
     phases = [
         {
             "kind": "move",
@@ -73,14 +73,14 @@ def _detection_latencies(run: GraspRun, digits: tuple[str, ...]) -> list[float]:
     }
     latencies = []
     for d, name in enumerate(digits):
-        contact_ticks = np.flatnonzero(run.force[:, d] > CONTACT_N)
+        contact_ticks = np.flatnonzero(run.force[:, d] > CONTACT_FORCE_N)
         if name in contact_times:
             at = float(run.t[contact_ticks[0]]) if len(contact_ticks) else np.inf
-            first_contact_tick = (
+            is_true_contact = (
                 run.force[: np.searchsorted(run.t, contact_times[name]) + 1, d].max()
-                > TRUE_CONTACT_N
+                > TRUE_CONTACT_FORCE_N
             )
-            latencies += [max(contact_times[name] - at, -1.0)] if first_contact_tick else []
+            latencies += [max(contact_times[name] - at, -1.0)] if is_true_contact else []
         elif len(contact_ticks):
             latencies.append(np.inf)
     return latencies
@@ -97,7 +97,7 @@ def measure_false_contacts(job: tuple[str, float, int]) -> dict[str, float]:
     phases: list[dict[str, Any]] = []
     planned_duration_s = 0.0
     while planned_duration_s < seconds:
-        speed = chance.uniform(*SPEED_DEG_S)
+        speed = chance.uniform(*CLOSING_SPEEDS_DEG_S)
         limits = {"index": 15, "middle": 8, "ring": 15, "thumb": 3}
         home = {name: chance.uniform(0, limit) for name, limit in limits.items()}
         goal = {"index": chance.uniform(25, 50)}
@@ -115,7 +115,7 @@ def measure_false_contacts(job: tuple[str, float, int]) -> dict[str, float]:
     run = simulate_grasp(
         hand, program_of_phases(phases), None, seed=seed, last_phase="end", timeout_s=seconds
     )
-    assert run.force.max() < TRUE_CONTACT_N, "the digits touched each other"
+    assert run.force.max() < TRUE_CONTACT_FORCE_N, "the digits touched each other"
     alarms = sum(event.name == "contact" for _, event in run.events)
     moving = np.isin(run.phase, ("move", "close")).sum() * (run.t[1] - run.t[0])
     return {"minutes": float(moving) / 60.0, "alarms": alarms}

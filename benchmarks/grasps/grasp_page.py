@@ -18,7 +18,7 @@ TABLE_COMMENT_TEMPLATES = "<!-- {}: written by benchmarks/grasp.py -->", "<!-- e
 def tables_text(result: dict[str, Any]) -> str:
     """Return all tables as text."""
     return "\n\n".join(
-        write(result[key]) for key, write in TABLE_FUNCTIONS.items() if result.get(key)
+        write(result[key]) for key, write in TABLE_FUNCTION_BY_KEY.items() if result.get(key)
     )
 
 
@@ -30,7 +30,7 @@ def _markdown_table(column_titles: list[str], rows: list[list[str]]) -> str:
     return "\n".join(lines)
 
 
-def _grouped_rows(
+def _group_rows(
     rows: list[dict[str, Any]], *group_keys: str
 ) -> dict[tuple[str, ...], list[dict[str, Any]]]:
     groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
@@ -42,7 +42,7 @@ def _grouped_rows(
 def _success_table(rows: list[dict[str, Any]]) -> str:
     hands = list(dict.fromkeys(row["hand"] for row in rows))
     table = []
-    for (grasp, grasped_object), trial_rows in _grouped_rows(rows, "grasp", "object").items():
+    for (grasp, grasped_object), trial_rows in _group_rows(rows, "grasp", "object").items():
         cells = []
         for hand in hands:
             hand_rows = [row for row in trial_rows if row["hand"] == hand]
@@ -62,10 +62,10 @@ def _success_table(rows: list[dict[str, Any]]) -> str:
                 f"{hand} {grasp} {100 * np.mean([row['ok'] for row in hand_rows]):.0f} % of {len(hand_rows)}"
             )
     failures = []
-    for (hand, grasp, grasped_object), failed_rows in _grouped_rows(
+    for (hand, grasp, grasped_object), failed_rows in _group_rows(
         [row for row in rows if row["why"]], "hand", "grasp", "object"
     ).items():
-        rows_by_reason = _grouped_rows(failed_rows, "why")
+        rows_by_reason = _group_rows(failed_rows, "why")
         reasons = [
             f"{reason} (seed {', '.join(str(row['seed']) for row in selected)})"
             for (reason,), selected in rows_by_reason.items()
@@ -83,7 +83,7 @@ def _success_table(rows: list[dict[str, Any]]) -> str:
 
 def _payload_table(rows: list[dict[str, Any]]) -> str:
     table = []
-    for (hand, direction), group_rows in _grouped_rows(rows, "hand", "direction").items():
+    for (hand, direction), group_rows in _group_rows(rows, "hand", "direction").items():
         masses = [row["mass_kg"] for row in group_rows]
         normal = np.mean([row["normal_N"] for row in group_rows], axis=0)
         prefix_text = "" if all(row["slid"] for row in group_rows) else "over "
@@ -102,11 +102,13 @@ def _payload_table(rows: list[dict[str, Any]]) -> str:
 
 def _tip_force_table(rows: list[dict[str, Any]]) -> str:
     table = []
-    for (hand, digit, command), group_rows in _grouped_rows(rows, "hand", "digit", "asked").items():
-        true, estimated = (np.array([row[name] for row in group_rows]) for name in ("felt", "told"))
-        error = estimated - true
+    for (hand, digit, command), group_rows in _group_rows(rows, "hand", "digit", "asked").items():
+        true_force, estimated = (
+            np.array([row[name] for row in group_rows]) for name in ("felt", "told")
+        )
+        error = estimated - true_force
         table.append([
-            hand, digit, f"{command:g}", f"{true.mean():.2f} ± {true.std():.2f}", f"{estimated.mean():.2f}",
+            hand, digit, f"{command:g}", f"{true_force.mean():.2f} ± {true_force.std():.2f}", f"{estimated.mean():.2f}",
             f"{np.sqrt((error**2).mean()):.2f}", f"{np.mean([row['noise'] for row in group_rows]):.2f}",
             str(len(group_rows)),
         ])  # fmt: skip
@@ -137,7 +139,7 @@ def _contact_table(rows: list[dict[str, Any]]) -> str:
 
 def _slip_table(rows: list[dict[str, Any]]) -> str:
     table = []
-    for (hand, has_slip_reaction), trial_rows in _grouped_rows(rows, "hand", "answered").items():
+    for (hand, has_slip_reaction), trial_rows in _group_rows(rows, "hand", "answered").items():
         loss_forces = [row["lost_at_N"] for row in trial_rows if row["lost_at_N"] is not None]
         detection_motions_mm = [
             row["first_event_mm"] for row in trial_rows if row["first_event_mm"] is not None
@@ -170,7 +172,7 @@ def _range_text(values: list[float], decimals: int) -> str:
     return " to ".join(dict.fromkeys(limit_texts))
 
 
-TABLE_FUNCTIONS = {
+TABLE_FUNCTION_BY_KEY = {
     "success": _success_table,
     "payload": _payload_table,
     "contact": _contact_table,
@@ -186,7 +188,7 @@ def write_page(result: dict[str, Any]) -> None:
     If the result contains grasps, also draw the picture.
     """
     page = PAGE_FILE.read_text("utf-8")
-    for key, table in TABLE_FUNCTIONS.items():
+    for key, table in TABLE_FUNCTION_BY_KEY.items():
         if result.get(key):
             start = TABLE_COMMENT_TEMPLATES[0].format(key)
             end = TABLE_COMMENT_TEMPLATES[1].format(key)

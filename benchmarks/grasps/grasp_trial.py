@@ -16,9 +16,9 @@ from handctl.hand.hand_loading import load_hand
 from handctl.programs.program import Program
 from handctl.programs.task import HoldPhase
 from handctl.programs.task_program import TaskProgram
+from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
 from handctl.session.run_plan import default_control_rate
-from handctl.session.simulate import SimulatorSettings, homed_controller
-from handctl.session.tasks import load_task_for_hand
+from handctl.session.task_loading import load_task_for_hand
 
 TIMEOUT_S = 120.0
 LOST_DISTANCE_M = 0.3
@@ -130,7 +130,7 @@ def simulate_grasp(
         for entry, tick_output in simulation.run_ticks(timeout_s):
             k = entry.k
             state = simulation.state
-            states = state.tendon[s.TRAVEL : s.STRETCH_OFFSET + 1].T.ravel()
+            states = state.tendon[s.SPOOL_TRAVEL : s.STRETCH_OFFSET + 1].T.ravel()
             force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
             pose = plant.engine.object_pose()
             numbers = tick_output.telemetry

@@ -19,7 +19,7 @@ The friction is so low that a hand with 20 N per tendon loses the cylinder befor
 """
 GRASP_TENSION_N = 20.0
 SLIP_LIMIT_N = 60.0
-LOST_MOTION_M = 10e-3
+OBJECT_LOSS_DISTANCE_M = 10e-3
 
 
 def measure_slip(job: tuple[str, bool, int]) -> dict[str, Any]:
@@ -51,15 +51,15 @@ def measure_slip(job: tuple[str, bool, int]) -> dict[str, Any]:
         run.object_position[load_ticks] - run.object_position[load_ticks[0]], axis=1
     )
     load = LOAD_RATE_N_PER_S * (run.t[load_ticks] - LOAD_START_S)
-    lost_ticks = np.flatnonzero(motion > LOST_MOTION_M)
-    every_tenth = slice(None, None, 10)
+    lost_ticks = np.flatnonzero(motion > OBJECT_LOSS_DISTANCE_M)
+    every_tenth_sample = slice(None, None, 10)
     return {
         "hand": hand, "answered": has_slip_reaction, "seed": seed,
         "lost_at_N": round(float(load[lost_ticks[0]]), 1) if len(lost_ticks) else None,
         "motion_mm": round(1e3 * float(motion[-1]), 2), "load_end_N": round(float(load[-1]), 1),
         "tension_end_N": round(float(run.tension[-1].max()), 1),
         "first_event_mm": _motion_at_first_slip(run, motion, load_ticks),
-        "curve": np.round([load[every_tenth], 1e3 * np.minimum(motion[every_tenth], 0.05)], 3).tolist(),
+        "curve": np.round([load[every_tenth_sample], 1e3 * np.minimum(motion[every_tenth_sample], 0.05)], 3).tolist(),
     }  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from grasps.grasp_trial import hand_model, simulate_grasp
 
 COMMANDED_FORCES_N = (2.0, 4.0, 6.0)
 HOLD_DURATION_S = 0.8
-EVALUATED_HOLD_S = 0.4
+EVALUATION_WINDOW_S = 0.4
 
 
 def measure_tip_force(job: tuple[str, int]) -> list[dict[str, Any]]:
@@ -44,11 +44,11 @@ def measure_tip_force(job: tuple[str, int]) -> list[dict[str, Any]]:
     rows = []
     for command in COMMANDED_FORCES_N:
         mask = np.array(run.phase) == f"{command:g}"
-        mask &= run.t > run.t[mask].max(initial=0.0) - EVALUATED_HOLD_S
+        mask &= run.t > run.t[mask].max(initial=0.0) - EVALUATION_WINDOW_S
         for d, name in enumerate(hand_model(hand)[0].hand.digit_names):
             if mask.any() and run.contact[mask, d].all():
                 estimated = run.tip_force[mask, d]
-                true = run.force[mask, d]
+                true_force = run.force[mask, d]
                 rows.append(
                     {
                         "hand": hand,
@@ -56,8 +56,8 @@ def measure_tip_force(job: tuple[str, int]) -> list[dict[str, Any]]:
                         "digit": name,
                         "asked": command,
                         "told": round(float(estimated.mean()), 3),
-                        "felt": round(float(true.mean()), 3),
-                        "noise": round(float((estimated - true).std()), 3),
+                        "felt": round(float(true_force.mean()), 3),
+                        "noise": round(float((estimated - true_force).std()), 3),
                     }
                 )
     return rows

@@ -27,7 +27,7 @@ from handctl.session.run_plan import RunPlan
 DESIGN_RATE_HZ = 1000.0
 
 
-class StayProgram:
+class HoldPositionProgram:
     """Program that holds every digit at its present position."""
 
     def initial_progress(self, model):
@@ -43,7 +43,7 @@ class StayProgram:
 
 
 @dataclass
-class UnpacedClock:
+class ReplyDrivenClock:
     """Clock without deadlines.
 
     The next tick begins as soon as a reply to the last tick has arrived, or after 2 ms.
@@ -61,7 +61,7 @@ class UnpacedClock:
     def now_ns(self):
         return 0
 
-    def clock_facts(self):
+    def clock_statistics(self):
         return {}
 
 
@@ -84,9 +84,9 @@ def run_loop(
     hand = load_hand(hand_name)
     rate = rate_hz or DESIGN_RATE_HZ
     plan = RunPlan(hand, Gains(), rate, (0.0,), (f"local:{bus_name}",))
-    controller = make_controller(plan, StayProgram(), None, arm_at_once=True)
+    controller = make_controller(plan, HoldPositionProgram(), None, arm_at_once=True)
     bus = open_bus(plan.buses[0], 0, 1_000_000)
-    clock = RealClock(plan.period_ns) if rate_hz else UnpacedClock(bus.fileno())
+    clock = RealClock(plan.period_ns) if rate_hz else ReplyDrivenClock(bus.fileno())
     priority = request_priority()
     if rate_hz:
         clock.busy_wait = priority.is_realtime

@@ -1,6 +1,7 @@
 """Simulate drives and load cells at rest.
 
-The replies of the nodes are stored. There are no tendons and no digits.
+The replies of the nodes are stored, and each drive reports the torque of the command before. There are
+no tendons and no digits. The drives are Damiao motors in MIT mode.
 
 ``python benchmarks/loops/simulated_drives.py HAND NAME`` serves ``local:NAME`` and prints a line
 when it is ready.
@@ -9,36 +10,51 @@ when it is ready.
 import select
 import sys
 
-from firmware_sim.bus.frame import Frame, pack_record
+from firmware_sim.bus.frame import RECORD_SIZE, Frame, pack_record
 from firmware_sim.bus.local_ports import HubPort
 from firmware_sim.lockstep_hand import LockstepHand
 from firmware_sim.realtime_priority import request_realtime_priority
 
-SPECIAL_COMMAND_HEAD = b"\xff" * 7
+CANFD_PAYLOAD_BYTES = 64
+SPECIAL_COMMAND_PREFIX = b"\xff" * 7
+ENABLE_COMMAND = SPECIAL_COMMAND_PREFIX + b"\xfc"
 ENABLED_STATE = 1
+HOLD_TENSION_N = 5.0
+"""Tension of each tendon after its drive was enabled [N]."""
+FIRST_TORQUE_BYTE = RECORD_SIZE - CANFD_PAYLOAD_BYTES + 4
+"""Byte of a frame record that contains the highest bits of the reported torque."""
 
 
 class CachedReplies:
     """Cache of the replies of the simulated nodes.
 
-    A reply that was computed once is not computed again.
+    A reply that was computed once is not computed again. Only the torque in the reply of a drive follows
+    the commands. Otherwise the controller would see that the drive does not obey (fault N14).
     """
 
     def __init__(self, hand_name: str) -> None:
         self.rig = LockstepHand(hand_name, homed=True)
         self.replies: dict[tuple[int, int], bytes] = {}
+        self.last_commands: dict[int, bytes] = {}
         self.sync = self.rig.world.hand.sensors.sync_id
 
     def replies_to(self, frame: Frame) -> bytes:
         """Return the replies of all nodes to a frame, as frame records of the local bus."""
         if frame.can_id != self.sync and (
-            frame.can_id > 0xFF or frame.data.startswith(SPECIAL_COMMAND_HEAD)
+            frame.can_id > 0xFF or frame.data.startswith(SPECIAL_COMMAND_PREFIX)
         ):
             self.replies.clear()
+            if frame.data == ENABLE_COMMAND:
+                self.pull_tendon(frame.can_id)
             return b"".join(map(pack_record, self.rig.world.receive(frame)))
         key = (frame.can_id, frame.data[0] & 0xF if frame.can_id == self.sync else 0)
         if key in self.replies:
-            return self.replies[key]
+            reply = self.replies[key]
+            if frame.can_id == self.sync:
+                return reply
+            previous_command = self.last_commands.get(frame.can_id, frame.data)
+            self.last_commands[frame.can_id] = frame.data
+            return with_torque_of_command(reply, previous_command)
         answer_frames = self.rig.world.receive(frame)
         records = b"".join(map(pack_record, answer_frames))
         if frame.can_id == self.sync or (
@@ -46,6 +62,31 @@ class CachedReplies:
         ):
             self.replies[key] = records
         return records
+
+    def pull_tendon(self, node_id: int) -> None:
+        """Turn a motor until the tension of its tendon is ``HOLD_TENSION_N``.
+
+        With slack tendons, the controller would take up the slack, and see that no tension follows.
+        """
+        plant = self.rig.world.plant
+        index = next(i for i, motor in enumerate(plant.hand.motors) if motor.node_id == node_id)
+        motor = list(plant.motors.values())[index]
+        for _ in range(1000):
+            if plant.tensions()[index] >= HOLD_TENSION_N:
+                return
+            motor.theta += 1e-4
+        raise RuntimeError(f"the tendon of node {node_id:#x} does not become taut")
+
+
+def with_torque_of_command(reply: bytes, command: bytes) -> bytes:
+    """Return the stored reply of a drive with the torque of a command.
+
+    The torque is the lowest 12 bits of the command, and 4 bits of byte 4 and byte 5 of the reply. Both
+    have the same scale.
+    """
+    first, second = FIRST_TORQUE_BYTE, FIRST_TORQUE_BYTE + 1
+    torque_bytes = bytes((reply[first] & 0xF0 | command[6] & 0x0F, command[7]))
+    return reply[:first] + torque_bytes + reply[second + 1 :]
 
 
 def main(hand_name: str, bus_name: str) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_content, hand_from_content, hand_path, load_hand
 
-SPREAD_DIGITS_SUFFIX = ".clear"
+SPACED_HAND_SUFFIX = ".clear"
 """Suffix in the names of the variants with free space around every digit."""
 FREE_MOTION_SCENE = "no_palm"
 """Scene of the variants.
@@ -20,7 +20,7 @@ FREE_MOTION_SCENE = "no_palm"
 The simulator places the palm behind the mounts of the digits, at any distance between the mounts.
 Digits that are farther apart can therefore still touch the palm.
 """
-SIDEWAYS_SUFFIX = ".side"
+SIDEWAYS_HAND_SUFFIX = ".side"
 """Suffix in the names of the variants that also lie on their side.
 
 Gravity then acts in the plane in which the digits flex.
@@ -42,28 +42,28 @@ DIGIT_DISTANCE_M = 0.1
 @cache
 def hand_by_name(hand_name: str) -> Hand:
     """Return the hand with this name: a packaged hand or one of its variants."""
-    if not hand_name.endswith((SPREAD_DIGITS_SUFFIX, SIDEWAYS_SUFFIX)):
+    if not hand_name.endswith((SPACED_HAND_SUFFIX, SIDEWAYS_HAND_SUFFIX)):
         return load_hand(hand_name)
-    content = hand_content(packaged_name(hand_name))
+    content = hand_content(packaged_hand_name(hand_name))
     for i, digit in enumerate(content["digit"]):
         x, y, z = digit["mount_position_m"]
         digit["mount_position_m"] = [x, y, z + i * DIGIT_DISTANCE_M]
-        if hand_name.endswith(SIDEWAYS_SUFFIX):
+        if hand_name.endswith(SIDEWAYS_HAND_SUFFIX):
             for key in ("link_mass_kg", "link_inertia_kg_m2"):
                 digit[key][-1] *= FINGERTIP_LOAD
-    if hand_name.endswith(SIDEWAYS_SUFFIX):
+    if hand_name.endswith(SIDEWAYS_HAND_SUFFIX):
         content["mount"]["gravity_m_s2"] = SIDE_GRAVITY_M_S2
     return hand_from_content(content, hand_name)
 
 
-def packaged_name(hand_name: str) -> str:
+def packaged_hand_name(hand_name: str) -> str:
     """Return the name of the packaged hand from which a variant is derived."""
-    return hand_name.removesuffix(SPREAD_DIGITS_SUFFIX).removesuffix(SIDEWAYS_SUFFIX)
+    return hand_name.removesuffix(SPACED_HAND_SUFFIX).removesuffix(SIDEWAYS_HAND_SUFFIX)
 
 
 def hand_file_of(hand_name: str, file_folder: Path) -> Path:
     """Return the path of the hand file for the simulator. The file of a variant is written into the folder."""
-    if not hand_name.endswith((SPREAD_DIGITS_SUFFIX, SIDEWAYS_SUFFIX)):
+    if not hand_name.endswith((SPACED_HAND_SUFFIX, SIDEWAYS_HAND_SUFFIX)):
         return hand_path(hand_name)
     path = file_folder / f"{hand_name}.toml"
     path.write_text(hand_by_name(hand_name).to_toml())

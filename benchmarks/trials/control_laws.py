@@ -20,7 +20,7 @@ from handctl.hand.digit import DigitModel, JointValues
 from handctl.hand.dynamics import damping_torque, required_torque, spring_torque, static_torque
 from handctl.paper.model import equations
 
-NO_FORCE_LOOP = {"disturbance_rejection": 0.0, "tension_feedback": 0.0}
+NO_FORCE_LOOP_GAINS = {"disturbance_rejection": 0.0, "tension_feedback": 0.0}
 
 
 def zero_torque(
@@ -74,11 +74,11 @@ def misprinted_torque(
             total += float(values[i]) if i < digit.joint_count else 0.0
             names[f"{order}th{i + 1}"] = total
     for i in range(3):
-        is_own_joint = i < digit.joint_count
-        names[f"L{i + 1}"] = digit.lengths[i] if is_own_joint else 0.0
-        names[f"d{i + 1}"] = float(digit.centres_of_mass[i, 0]) if is_own_joint else 0.0
-        names[f"m{i + 1}"] = digit.masses[i] if is_own_joint else 0.0
-        names[f"I{i + 1}"] = float(digit.inertias[i, 2, 2]) if is_own_joint else 0.0
+        has_joint = i < digit.joint_count
+        names[f"L{i + 1}"] = digit.lengths[i] if has_joint else 0.0
+        names[f"d{i + 1}"] = float(digit.centres_of_mass[i, 0]) if has_joint else 0.0
+        names[f"m{i + 1}"] = digit.masses[i] if has_joint else 0.0
+        names[f"I{i + 1}"] = float(digit.inertias[i, 2, 2]) if has_joint else 0.0
     names["g"] = -float((digit.gravity @ digit.mount_rotation)[1])
     printed_torque = [
         sum(float(term.readings[0].evaluate(names)) for term in equation_terms)
@@ -184,13 +184,13 @@ def _replace_control_law(
     return controller_on_raw_tension(other_controller) if with_raw_tension else other_controller
 
 
-NO_INERTIA_GAINS = {"inertia_share": 0.0, "friction_share": 0.0, **NO_FORCE_LOOP}
-NO_FRICTION_GAINS = {"friction_share": 0.0, **NO_FORCE_LOOP}
+NO_INERTIA_GAINS = {"inertia_share": 0.0, "friction_share": 0.0, **NO_FORCE_LOOP_GAINS}
+NO_FRICTION_GAINS = {"friction_share": 0.0, **NO_FORCE_LOOP_GAINS}
 GRAVITY_LAW_BY_NAME = {
     "PD and springs": AblationLaw(springs_without_gravity, NO_INERTIA_GAINS),
     "PD and springs, + gravity": AblationLaw(gravity_and_spring_torque, NO_INERTIA_GAINS),
-    "computed torque without gravity": AblationLaw(torque_without_gravity, NO_FORCE_LOOP),
-    "computed torque": AblationLaw(required_torque, NO_FORCE_LOOP),
+    "computed torque without gravity": AblationLaw(torque_without_gravity, NO_FORCE_LOOP_GAINS),
+    "computed torque": AblationLaw(required_torque, NO_FORCE_LOOP_GAINS),
 }
 """Two pairs of control laws for a hand that lies on its side.
 
@@ -200,8 +200,8 @@ ABLATION_LAW_BY_NAME = {
     "PD alone": AblationLaw(zero_torque, NO_INERTIA_GAINS),
     "+ gravity and springs": AblationLaw(gravity_and_spring_torque, NO_INERTIA_GAINS),
     "+ motor inertia": AblationLaw(gravity_and_spring_torque, NO_FRICTION_GAINS),
-    "+ friction": AblationLaw(gravity_and_spring_torque, NO_FORCE_LOOP),
-    "+ full computed torque": AblationLaw(required_torque, NO_FORCE_LOOP),
+    "+ friction": AblationLaw(gravity_and_spring_torque, NO_FORCE_LOOP_GAINS),
+    "+ full computed torque": AblationLaw(required_torque, NO_FORCE_LOOP_GAINS),
     "+ force loop, raw sensor": AblationLaw(required_torque, {}, with_raw_tension=True),
     "+ force loop, estimate": AblationLaw(required_torque, {}),
     "the same, Eq. 10-12 as printed": AblationLaw(misprinted_torque, {}),

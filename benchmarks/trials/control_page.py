@@ -15,10 +15,10 @@ the true values of the plant.
 Nothing on this page was measured on hardware. The objects and the physical effects of the plant are fixed in the
 benchmarks, and were not changed to improve a result. Results that are weak or negative are stated as well.
 """
-PART_ORDER = ("estimation", "tracking", "gravity", "force", "tip", "grasps")
+PAGE_PART_ORDER = ("estimation", "tracking", "gravity", "force", "tip", "grasps")
 
 
-def write_part(part_name: str, part_text: str) -> None:
+def write_page_part(part_name: str, part_text: str) -> None:
     """Replace one part of the page by a Markdown text.
 
     All other parts of the page stay unchanged.
@@ -27,7 +27,9 @@ def write_part(part_name: str, part_text: str) -> None:
     text_by_part[part_name] = part_text.strip()
     ordered_parts = sorted(
         text_by_part,
-        key=lambda name: PART_ORDER.index(name) if name in PART_ORDER else len(PART_ORDER),
+        key=lambda name: (
+            PAGE_PART_ORDER.index(name) if name in PAGE_PART_ORDER else len(PAGE_PART_ORDER)
+        ),
     )
     blocks = [
         f"<!-- {name} -->\n{text_by_part[name]}\n<!-- end of {name} -->\n" for name in ordered_parts

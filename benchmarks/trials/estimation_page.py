@@ -26,8 +26,8 @@ FIGURE_LEGEND = (
     "In the figure, *raw* and *filtered* are the load cell and the filter at the sample. *raw now*, *reference now* "
     "and *estimate* (of the filter) are the values at present."
 )
-WRONG_PLANT_RATIOS = ("filtered / raw", "estimate / raw now")
-MAX_RATIO = 1.3
+PLANT_MISMATCH_RATIOS = ("filtered / raw", "estimate / raw now")
+MAX_ERROR_RATIO = 1.3
 NIS_RANGE = (0.8, 1.3)
 
 
@@ -87,12 +87,12 @@ def page_section(result: dict) -> str:
                 "",
                 markdown_table(
                     column_titles,
-                    [_wrong_plant_row(plant, plants[plant], regimes) for plant in other_plants],
+                    [_plant_mismatch_row(plant, plants[plant], regimes) for plant in other_plants],
                 ),
             ]
     paragraphs += [
         "",
-        _conclusion(result),
+        _conclusion_text(result),
         "",
         FIGURE_LEGEND,
         "",
@@ -101,9 +101,9 @@ def page_section(result: dict) -> str:
     return "\n".join(paragraphs)
 
 
-def _wrong_plant_row(plant_name: str, regimes_table: dict, regimes: list[str]) -> list[str]:
+def _plant_mismatch_row(plant_name: str, regimes_table: dict, regimes: list[str]) -> list[str]:
     cells = [
-        f"{row['estimate']:.2f} N, {' and '.join(f'{row[ratio]:.2f}' for ratio in WRONG_PLANT_RATIOS)}"
+        f"{row['estimate']:.2f} N, {' and '.join(f'{row[ratio]:.2f}' for ratio in PLANT_MISMATCH_RATIOS)}"
         for row in (regimes_table[regime] for regime in regimes)
     ]
     return [
@@ -114,38 +114,38 @@ def _wrong_plant_row(plant_name: str, regimes_table: dict, regimes: list[str]) -
     ]
 
 
-def _conclusion(result: dict) -> str:
+def _conclusion_text(result: dict) -> str:
     """Return the conclusion of the section, derived from the numbers."""
-    met_texts = []
-    missed_texts = []
-    strict_texts = []
+    passing_cases = []
+    failing_cases = []
+    stricter_ratios = []
     for hand, plants in result["hands"].items():
         for regime in [regime for regime in ("free", "hold") if regime in plants["as known"]]:
             row = plants["as known"][regime]
             ratio = row["filtered / limit"]
             nis = row["nis"]
-            is_good = ratio <= MAX_RATIO and NIS_RANGE[0] <= nis <= NIS_RANGE[1]
-            (met_texts if is_good else missed_texts).append(
+            is_good = ratio <= MAX_ERROR_RATIO and NIS_RANGE[0] <= nis <= NIS_RANGE[1]
+            (passing_cases if is_good else failing_cases).append(
                 f"{hand} {regime}: {ratio:.2f} times the reference, NIS {nis:.2f}"
             )
-            strict_texts.append(f"{hand} {regime}: {row['estimate / limit']:.2f}")
+            stricter_ratios.append(f"{hand} {regime}: {row['estimate / limit']:.2f}")
     text = (
-        f"At the sample, the error of the filter must be at most {MAX_RATIO} times the reference, and NIS must "
+        f"At the sample, the error of the filter must be at most {MAX_ERROR_RATIO} times the reference, and NIS must "
         f"be between "
         f"{NIS_RANGE[0]} and {NIS_RANGE[1]}. "
     )
-    text += f"Cases that meet both requirements: {'; '.join(met_texts) or 'none'}. "
-    text += f"Cases that miss one of them: {'; '.join(missed_texts)}. " if missed_texts else ""
+    text += f"Cases that meet both requirements: {'; '.join(passing_cases) or 'none'}. "
+    text += f"Cases that miss one of them: {'; '.join(failing_cases)}. " if failing_cases else ""
     text += (
         "\n\nA stricter comparison divides the error of the prediction for the present by the reference at the "
         "sample, "
-        f"although the two belong to different instants. The ratios are: {', '.join(strict_texts)}. "
+        f"although the two belong to different instants. The ratios are: {', '.join(stricter_ratios)}. "
     )
     raw_text = "\n".join(
-        f"- {_regimes_worse_than_raw(result, ratio)}" for ratio in RATIO_INSTANT_TEXTS
+        f"- {_regimes_worse_than_raw(result, ratio)}" for ratio in INSTANT_TEXT_BY_RATIO
     )
     heading = "Comparison of the filter with the load cell alone:"
-    paragraphs = (text.strip(), heading, raw_text, _wrong_plant_text(result), *EXPLANATION_TEXTS)
+    paragraphs = (text.strip(), heading, raw_text, _plant_mismatch_text(result), *EXPLANATION_TEXTS)
     return "\n\n".join(paragraph for paragraph in paragraphs if paragraph)
 
 
@@ -169,7 +169,7 @@ EXPLANATION_TEXTS = (
     "than the "
     "filter in some regimes.",
 )
-RATIO_INSTANT_TEXTS = {
+INSTANT_TEXT_BY_RATIO = {
     "filtered / raw": "At the sample",
     "estimate / raw now": "At present",
     "estimate / raw": "When the filter is judged at present and the load cell at the sample,",
@@ -188,22 +188,22 @@ def _regimes_worse_than_raw(result: dict, ratio_name: str) -> str:
         if plant == "as known" or plant.startswith("stiffness")
         for regime, row in rows_by_regime.items()
     ]
-    texts_above_one = [f"{name} ({value:.2f})" for value, name in rows if value > 1.0]
+    worse_cases = [f"{name} ({value:.2f})" for value, name in rows if value > 1.0]
     worst_ratio, name = max(rows)
-    if not texts_above_one:
+    if not worse_cases:
         return (
-            f"{RATIO_INSTANT_TEXTS[ratio_name]} the filter is never worse than the load cell, even if the "
+            f"{INSTANT_TEXT_BY_RATIO[ratio_name]} the filter is never worse than the load cell, even if the "
             f"stiffness in the hand file is wrong "
             f"by 50 %. The largest ratio of the errors is {worst_ratio:.2f} ({name})."
         )
     return (
-        f"{RATIO_INSTANT_TEXTS[ratio_name]} the filter is worse than the load cell"
+        f"{INSTANT_TEXT_BY_RATIO[ratio_name]} the filter is worse than the load cell"
         " in these cases (ratio of the errors): "
-        f"{'; '.join(texts_above_one)}."
+        f"{'; '.join(worse_cases)}."
     )
 
 
-def _wrong_plant_text(result: dict) -> str:
+def _plant_mismatch_text(result: dict) -> str:
     """List the tendon regimes in which the raw load cell is better, for hands with other wrong parameters."""
     rows = [
         (row["estimate / raw now"], row["nis"], f"{hand} {regime}, {plant}")
@@ -214,16 +214,16 @@ def _wrong_plant_text(result: dict) -> str:
     ]
     if not rows:
         return ""
-    texts_above_one = [f"{name} ({value:.2f})" for value, _, name in rows if value > 1.0]
+    worse_cases = [f"{name} ({value:.2f})" for value, _, name in rows if value > 1.0]
     nis, name = max((nis, name) for _, nis, name in rows)
-    if not texts_above_one:
+    if not worse_cases:
         return (
             "With a wrong mass, a wrong friction or a bias of the load cell, the filter at present is never "
             "worse than the load cell."
         )
     return (
         "With other wrong parameters, the filter at present is worse than the load cell in: "
-        f"{'; '.join(texts_above_one)}. "
+        f"{'; '.join(worse_cases)}. "
         f"The innovations show this (the largest NIS is {nis:.2f}, {name}), and `handctl identify` measures "
         f"the friction "
         "within some per cent."

@@ -43,7 +43,7 @@ def page_section(result: dict[str, Any]) -> str:
                     ],
                 ),
             ]
-    return "\n".join([*paragraphs, "", _conclusion(result)])
+    return "\n".join([*paragraphs, "", _conclusion_text(result)])
 
 
 def _loop_row(loop_name: str, row: dict[str, Any]) -> list[str]:
@@ -60,14 +60,14 @@ def _rmse_cell(row: dict[str, Any] | None) -> str:
     return "-" if row is None else f"{row['rmse_N']:.2f} ({row['steady_N']:.2f})"
 
 
-def _conclusion(result: dict[str, Any]) -> str:
+def _conclusion_text(result: dict[str, Any]) -> str:
     """Return the conclusion of the section, derived from the numbers."""
     texts = []
     for hand, plants in result["hands"].items():
         without_estimate, raw_row, estimate_row = plants["as known"].values()
         margin = raw_row["rmse_N"] - estimate_row["rmse_N"]
         spread = max(raw_row["rmse_spread_N"], estimate_row["rmse_spread_N"])
-        word = (
+        comparison_text = (
             "better than"
             if margin > 2 * spread
             else "worse than"
@@ -75,7 +75,7 @@ def _conclusion(result: dict[str, Any]) -> str:
             else "no better than"
         )
         texts.append(
-            f"{hand}: the loop on the estimate is {word} the loop on the raw sensor (RMSE "
+            f"{hand}: the loop on the estimate is {comparison_text} the loop on the raw sensor (RMSE "
             f"{estimate_row['rmse_N']:.2f} and "
             f"{raw_row['rmse_N']:.2f} N, spread {spread:.2f} N). The error of the loop on the estimate is "
             f"{without_estimate['rmse_N'] / estimate_row['rmse_N']:.1f} "

@@ -47,7 +47,7 @@ FORCE_TASK = {
          "duration_s": HOLD_DURATION_S},
     ],
 }  # fmt: skip
-FORCE_PLANTS = {
+FORCE_STEP_PLANTS = {
     plant: wrong_factors
     for plant, wrong_factors in simulated_plants.PLANT_FACTORS.items()
     if "mass" not in wrong_factors
@@ -113,7 +113,7 @@ def force_trial(hand_name: str, loop_name: str, seed: int, plant_name: str) -> L
         program,
         seed,
         "cylinder",
-        FORCE_PLANTS[plant_name],
+        FORCE_STEP_PLANTS[plant_name],
         gains,
         change_controller=controller_on_raw_tension
         if loop.with_raw_tension
@@ -161,21 +161,22 @@ def run_force_trial(job: tuple) -> dict[str, Any]:
 
 
 def measure_force(
-    hand_names: tuple[str, ...], seed_count: int, wrong_plant_seed_count: int, plan: JobPlan
+    hand_names: tuple[str, ...], seed_count: int, mismatch_seed_count: int, plan: JobPlan
 ) -> dict[str, Any]:
     """Measure the errors for each hand, set of simulated parameters and force loop.
 
     Return their means over the seeds, and the range of the RMSE.
     """
     cases = [
-        (hand, law, plant) for plant in FORCE_PLANTS for hand in hand_names for law in FORCE_LOOPS
+        (hand, law, plant)
+        for plant in FORCE_STEP_PLANTS
+        for hand in hand_names
+        for law in FORCE_LOOPS
     ]
-    counts = [
-        seed_count if plant == "as known" else wrong_plant_seed_count for _, _, plant in cases
-    ]
+    counts = [seed_count if plant == "as known" else mismatch_seed_count for _, _, plant in cases]
     jobs = [
         (hand, law, k, plant)
-        for k in range(max(seed_count, wrong_plant_seed_count))
+        for k in range(max(seed_count, mismatch_seed_count))
         for (hand, law, plant), n in zip(cases, counts, strict=True)
         if k < n
     ]

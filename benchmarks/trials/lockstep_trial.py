@@ -17,14 +17,14 @@ from handctl.controller.controller_state import ControllerState
 from handctl.controller.run_setup import make_controller
 from handctl.controller.tick import Controller
 from handctl.core import state_block as s
-from handctl.core.estimation.filter_stack import FilterDesign
+from handctl.core.estimation.filter_types import FilterDesign
 from handctl.core.gains.gains import Gains
 from handctl.core.tick_types import TELEMETRY_FIELDS, HandMode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.programs.program import Program
 from handctl.report.truth_record import TruthRecord, read_truth
-from handctl.session.simulate import SimulatorSettings
-from trials.benchmark_hands import FREE_MOTION_SCENE, hand_by_name, hand_file_of, packaged_name
+from handctl.session.lockstep_simulation import SimulatorSettings
+from trials.benchmark_hands import FREE_MOTION_SCENE, hand_by_name, hand_file_of, packaged_hand_name
 
 RATES_HZ = {"jamia": 500.0, "jamia_bench": 500.0, "jamia11": 200.0}
 """Default control rate of each hand [Hz]. One classical CAN bus can carry these rates."""
@@ -137,7 +137,7 @@ def run_trial(trial: LockstepTrial) -> TrialRecord:
         RuntimeError: a digit touched something in the scene of free motion.
     """
     hand = hand_by_name(trial.hand)
-    rate = trial.rate_hz or RATES_HZ[packaged_name(trial.hand)]
+    rate = trial.rate_hz or RATES_HZ[packaged_hand_name(trial.hand)]
     controller = trial.change_controller(
         make_controller(hand, trial.gains, rate, trial.program, None, arm_at_once=True)
     )
@@ -149,10 +149,10 @@ def run_trial(trial: LockstepTrial) -> TrialRecord:
         )
         rows: list[TickRow] = []
         with simulator_settings.begin_run(controller) as run:
-            inputs = run.state.tendon[[s.FILTER_FORCE, s.PLANNED_TENSION_RATE]].T
+            inputs = run.state.tendon[[s.FILTER_INPUT_FORCE, s.PLANNED_TENSION_RATE]].T
             for entry, tick_output in run.run_ticks(trial.time_limit_s):
                 rows.append((entry, tick_output, inputs, run.state))
-                inputs = run.state.tendon[[s.FILTER_FORCE, s.PLANNED_TENSION_RATE]].T
+                inputs = run.state.tendon[[s.FILTER_INPUT_FORCE, s.PLANNED_TENSION_RATE]].T
         record = _trial_record(hand, controller, rows, read_truth(path), run.state)
     # A digit that hits something makes all results of a motion larger, and no other check sees it.
     if trial.scene == FREE_MOTION_SCENE and record.contact_force().any():
@@ -173,7 +173,7 @@ def _filtered_tension(
             tick.
     """
     result = []
-    states = controller_state.tendon[s.TRAVEL : s.STRETCH_OFFSET + 1].T
+    states = controller_state.tendon[s.SPOOL_TRAVEL : s.STRETCH_OFFSET + 1].T
     for i, (kind, x) in enumerate(
         zip(controller_state.tendon_int[s.FILTER_KIND], states, strict=True)
     ):
@@ -201,7 +201,7 @@ def _trial_record(
         for entry, tick_output, *_ in rows
         for event in tick_output.events
     ]
-    design = controller.model.filter
+    design = controller.model.filter_design
     return TrialRecord(
         hand,
         controller,

@@ -16,12 +16,12 @@ from scipy.linalg import expm, solve_discrete_are
 from handctl.core.hand_model import HandModel
 
 MOTOR_NOISE_N_M = 10e-3
-MOTOR_NOISE_S = 0.05
+MOTOR_CORRELATION_TIME_S = 0.05
 JOINT_NOISE_N_M = 5e-3
-JOINT_NOISE_S = 0.02
+JOINT_CORRELATION_TIME_S = 0.02
 STRETCH_OFFSET_M = 0.2e-3
-STRETCH_OFFSET_S = 60.0
-CONTACT_N_M_PER_RAD = 40.0
+OFFSET_CORRELATION_TIME_S = 60.0
+CONTACT_STIFFNESS_N_M_PER_RAD = 40.0
 """Stiffness with which a held object resists the motion of each joint of a digit [N m/rad].
 
 Source of all constants: MODEL, section 5.
@@ -49,9 +49,13 @@ def reference_sigma(
         with_joint_encoder: True if the filter uses both the encoder of the motor and the load cell. False if
             the filter uses only the load cell.
     """
-    space = model.space
+    space = model.tendon_constants
     arm = float(np.abs(model.hand.moment_arms[tendon_index]).sum())
-    spring = CONTACT_N_M_PER_RAD / arm**2 if is_digit_held else space.load_stiffness[tendon_index]
+    spring = (
+        CONTACT_STIFFNESS_N_M_PER_RAD / arm**2
+        if is_digit_held
+        else space.load_stiffness[tendon_index]
+    )
     k = space.stiffness[tendon_index]
     c = space.damping[tendon_index]
     m = space.motor_mass[tendon_index]
@@ -66,13 +70,21 @@ def reference_sigma(
     A[3, 2] -= spring / load
     A[3, 3] -= space.load_damping[tendon_index] / load
     A[3, 5] = 1.0 / load
-    A[4, 4] = -1.0 / MOTOR_NOISE_S
-    A[5, 5] = -1.0 / JOINT_NOISE_S
-    A[6, 6] = -1.0 / STRETCH_OFFSET_S
-    sigma = (MOTOR_NOISE_N_M / space.spool[tendon_index], JOINT_NOISE_N_M / arm, STRETCH_OFFSET_M)
+    A[4, 4] = -1.0 / MOTOR_CORRELATION_TIME_S
+    A[5, 5] = -1.0 / JOINT_CORRELATION_TIME_S
+    A[6, 6] = -1.0 / OFFSET_CORRELATION_TIME_S
+    sigma = (
+        MOTOR_NOISE_N_M / space.spool_radius[tendon_index],
+        JOINT_NOISE_N_M / arm,
+        STRETCH_OFFSET_M,
+    )
     noise = [0.0] * 4 + [
         2.0 * s**2 / t
-        for s, t in zip(sigma, (MOTOR_NOISE_S, JOINT_NOISE_S, STRETCH_OFFSET_S), strict=True)
+        for s, t in zip(
+            sigma,
+            (MOTOR_CORRELATION_TIME_S, JOINT_CORRELATION_TIME_S, OFFSET_CORRELATION_TIME_S),
+            strict=True,
+        )
     ]
     A = A * STATE_SCALE / STATE_SCALE[:, None]
     Q = np.diag(noise) / np.outer(STATE_SCALE, STATE_SCALE)

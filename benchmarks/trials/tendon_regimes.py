@@ -51,16 +51,16 @@ def _time_since_rise(signals: MaskArray, times: FloatArray) -> FloatArray:
     time_since_rise = np.full(signals.shape, np.inf)
     for i in range(signals.shape[1]):
         rise = -np.inf
-        last_true_time = -np.inf
+        last_signal_time = -np.inf
         for k, value in enumerate(signals[:, i]):
             if (
                 value
                 and not (k and signals[k - 1, i])
-                and times[k] - last_true_time > SETTLING_TIME_S
+                and times[k] - last_signal_time > SETTLING_TIME_S
             ):
                 rise = times[k]
             if value:
-                last_true_time = times[k]
+                last_signal_time = times[k]
             time_since_rise[k, i] = times[k] - rise
     return time_since_rise
 
@@ -81,13 +81,13 @@ def _reversal_mask(record: TrialRecord) -> MaskArray:
     return has_reversed
 
 
-def _widened_mask(signals: MaskArray, times: FloatArray, time_distance: float) -> MaskArray:
+def _widened_mask(signals: MaskArray, times: FloatArray, max_time_difference: float) -> MaskArray:
     """Return a mask (ticks, N) that is also True near the ticks in which a signal is True.
 
-    A tick is near another tick if the time between the ticks is at most ``time_distance`` [s].
+    A tick is near another tick if the time between the ticks is at most ``max_time_difference`` [s].
     """
-    tick_distance = round(time_distance / (times[1] - times[0]))
-    kernel = np.ones(2 * tick_distance + 1)
+    max_tick_difference = round(max_time_difference / (times[1] - times[0]))
+    kernel = np.ones(2 * max_tick_difference + 1)
     return np.column_stack(
         [np.convolve(column, kernel, "same") > 0.5 for column in signals.T.astype(float)]
     )

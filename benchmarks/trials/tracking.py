@@ -30,7 +30,7 @@ from handctl.tune.loops.gain_design import keeps_required_margins, linear_factor
 from handctl.tune.loops.linear_models import LoopKind
 from handctl.tune.search.ensemble import sample_ensemble
 from trials import control_page, force_page, force_step, tracking_page
-from trials.benchmark_hands import FREE_MOTION_SCENE, SPREAD_DIGITS_SUFFIX, hand_by_name
+from trials.benchmark_hands import FREE_MOTION_SCENE, SPACED_HAND_SUFFIX, hand_by_name
 from trials.control_laws import ABLATION_LAW_BY_NAME
 from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
 from trials.lockstep_trial import RATES_HZ, LockstepTrial, TrialRecord, run_trial
@@ -48,7 +48,7 @@ RETURN_DURATION_S = 0.5
 """Duration of the motion back to 0 degrees [s]."""
 REST_DURATION_S = 0.2
 """Time at rest after the motion back to 0 degrees [s]."""
-MOTION_TAIL_S = 0.05
+MOTION_EXTENSION_S = 0.05
 """Time after a motion [s]. Errors in this time count as errors of the motion."""
 SETTLED_BAND_DEG = 1.0
 """A motion has settled when the tracking error stays below this value [deg]."""
@@ -75,9 +75,9 @@ PD_LAW, SPRINGS_LAW, BEST_LAW, MISPRINTED_LAW = [
 ]
 COMPARED_LAWS = (PD_LAW, SPRINGS_LAW, BEST_LAW)
 """Control laws that are also tried on simulated hands whose parameters differ from the hand file."""
-MARGIN_LAWS = (PD_LAW, SPRINGS_LAW, list(ABLATION_LAW_BY_NAME)[-4], BEST_LAW)
+LAWS_WITH_MARGINS = (PD_LAW, SPRINGS_LAW, list(ABLATION_LAW_BY_NAME)[-4], BEST_LAW)
 """Control laws that are also tried with the best LQR weights that keep the stability margins."""
-DRAWN_PLANT_COUNT = 8
+RANDOM_PLANT_COUNT = 8
 """Number of random hands on which LQR weights must keep the stability margins."""
 
 
@@ -115,7 +115,7 @@ def tracking_trial(
     """Return the tracking trial of a control law with two given LQR weights."""
     config = ABLATION_LAW_BY_NAME[law_name]
     return LockstepTrial(
-        hand_name + SPREAD_DIGITS_SUFFIX,
+        hand_name + SPACED_HAND_SUFFIX,
         motion_script(speeds),
         seed,
         FREE_MOTION_SCENE,
@@ -146,7 +146,7 @@ def tracking_figures(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, 
             continue
         t = record.times[mask] - record.times[mask][0]
         e = error[mask]
-        moving = t <= MOTION_TIMES_S[speed] + MOTION_TAIL_S
+        moving = t <= MOTION_TIMES_S[speed] + MOTION_EXTENSION_S
         time_after_motion = t - MOTION_TIMES_S[speed]
         unsettled_times = np.where(
             np.abs(e) > SETTLED_BAND_DEG, np.maximum(time_after_motion, 0.0)[:, None], 0.0
@@ -217,7 +217,7 @@ def has_required_margins(hand_name: str, law_name: str, lqr_weights: tuple[float
     )
     plants = tuple(
         linear_factors(parameter_factors)
-        for parameter_factors in sample_ensemble(DRAWN_PLANT_COUNT, 0)
+        for parameter_factors in sample_ensemble(RANDOM_PLANT_COUNT, 0)
     )
     return keeps_required_margins(model, plants, (LoopKind.MOTION,))
 
@@ -225,16 +225,16 @@ def has_required_margins(hand_name: str, law_name: str, lqr_weights: tuple[float
 def tuned_weights(hand_name: str, law_name: str, with_margins: bool = False) -> tuple[float, float]:
     """Return the best LQR weights of a control law.
 
-    If ``with_margins`` is True, only weights that keep the stability margins are considered. If no
-    such weights complete the motions, the softest weights are returned.
+    If ``with_margins`` is True, only weights that keep the stability margins are considered. If a
+    hand completes its motions with none of these weights, the smallest weights are returned.
     """
     table = json.loads(TUNED_WEIGHTS_FILE.read_text("utf-8"))
     errors = table["rmse_deg"][hand_name][law_name]
-    margins_kept = table["keeps_margins"][hand_name][law_name]
+    keeps_margins = table["keeps_margins"][hand_name][law_name]
     usable_weights = [
         i
         for i, error in enumerate(errors)
-        if error is not None and (margins_kept[i] or not with_margins)
+        if error is not None and (keeps_margins[i] or not with_margins)
     ]
     return WEIGHT_CANDIDATES[
         min(
@@ -247,7 +247,7 @@ def tuned_weights(hand_name: str, law_name: str, with_margins: bool = False) -> 
 
 def measure_tracking(
     seed_count: int,
-    wrong_plant_seed_count: int,
+    mismatch_seed_count: int,
     speeds: tuple[str, ...],
     plan: JobPlan,
     hand_names: tuple[str, ...] = MEASURED_HANDS,
@@ -257,10 +257,10 @@ def measure_tracking(
     Return their mean and their range over the seeds.
     """
     cases = [(hand, law, "as known", False) for hand in hand_names for law in ABLATION_LAW_BY_NAME]
-    cases += [(hand, law, "as known", True) for hand in hand_names for law in MARGIN_LAWS]
-    for plant in list(PLANT_FACTORS)[1:] if wrong_plant_seed_count else []:
+    cases += [(hand, law, "as known", True) for hand in hand_names for law in LAWS_WITH_MARGINS]
+    for plant in list(PLANT_FACTORS)[1:] if mismatch_seed_count else []:
         cases += [(hand, law, plant, True) for hand in hand_names for law in COMPARED_LAWS]
-    counts = [seed_count if case[2] == "as known" else wrong_plant_seed_count for case in cases]
+    counts = [seed_count if case[2] == "as known" else mismatch_seed_count for case in cases]
 
     def job(case: tuple[str, str, str, bool], seed: int) -> tuple:
         hand, law, plant, keeps_margins = case
@@ -279,7 +279,7 @@ def measure_tracking(
             for hand in hand_names
         },
         "careful weights": {
-            hand: {law: tuned_weights(hand, law, True) for law in MARGIN_LAWS}
+            hand: {law: tuned_weights(hand, law, True) for law in LAWS_WITH_MARGINS}
             for hand in hand_names
         },
         "hands": {},
@@ -414,7 +414,7 @@ def main() -> None:
     result["wall_s"] = time.monotonic() - start
     print(json.dumps(result, indent=2)) if args.json else print_results(result)
     if args.page and "tracking" in result:
-        control_page.write_part(
+        control_page.write_page_part(
             "tracking",
             tracking_page.page_section(
                 result["tracking"], (PD_LAW, SPRINGS_LAW, BEST_LAW, MISPRINTED_LAW)
@@ -422,4 +422,4 @@ def main() -> None:
         )
         tracking_page.draw_picture(result["tracking"])
     if args.page and "force" in result:
-        control_page.write_part("force", force_page.page_section(result["force"]))
+        control_page.write_page_part("force", force_page.page_section(result["force"]))

@@ -56,7 +56,7 @@ def page_section(result: dict, compared_laws: tuple[str, str, str, str]) -> str:
     ]
     for hand, plants in result["hands"].items():
         laws = plants["as known"]
-        paragraphs += ["", _laws_table(hand, laws), "", _conclusion(laws, compared_laws)]
+        paragraphs += ["", _laws_table(hand, laws), "", _conclusion_text(laws, compared_laws)]
         rows_with_margins = result["careful"].get(hand, {})
         if "as known" in rows_with_margins:
             nominal = rows_with_margins["as known"]
@@ -68,7 +68,7 @@ def page_section(result: dict, compared_laws: tuple[str, str, str, str]) -> str:
                 _comparison_of_laws(nominal, compared_laws) + ".",
             ]
         if len(rows_with_margins) > 1:
-            paragraphs += ["", _wrong_plants_table(hand, rows_with_margins, compared_laws)]
+            paragraphs += ["", _plant_mismatch_table(hand, rows_with_margins, compared_laws)]
     paragraphs += [
         "",
         "![Tracking error at the fast motion, by law](../figures/control-tracking.png)",
@@ -107,7 +107,7 @@ def _rmse_cell(row: dict[str, float]) -> str:
     return f"{row['rmse_deg']:.3f}{spread}{ended_text}" if is_finite else RUN_ENDED_TEXT
 
 
-def _conclusion(laws: dict, compared_laws: tuple[str, str, str, str]) -> str:
+def _conclusion_text(laws: dict, compared_laws: tuple[str, str, str, str]) -> str:
     """Return the conclusion of the section, derived from the numbers."""
     best_row, printed_row = (laws[name]["fast"] for name in compared_laws[2:])
     return (
@@ -127,13 +127,13 @@ def _comparison_of_laws(laws: dict, compared_laws: tuple[str, str, str, str]) ->
     ratio = pd_row["rmse_deg"] / best["rmse_deg"]
     gain = springs_row["rmse_deg"] - best["rmse_deg"]
     spread = max(best["rmse_spread_deg"], springs_row["rmse_spread_deg"])
-    accuracy_gain = (
+    gain_text = (
         f"The error of the whole control law is {gain:.3f} deg smaller than with springs and gravity alone"
-        + _gain_per_spread(gain, spread, best["seeds"])
+        + _error_reduction_text(gain, spread, best["seeds"])
     )
     if not np.isfinite(gain):
-        accuracy_gain = "With springs and gravity alone, no run completes the motions"
-    return f"{_comparison_with_pd(ratio)}. {accuracy_gain}"
+        gain_text = "With springs and gravity alone, no run completes the motions"
+    return f"{_comparison_with_pd(ratio)}. {gain_text}"
 
 
 def _comparison_with_pd(ratio: float) -> str:
@@ -146,13 +146,13 @@ def _comparison_with_pd(ratio: float) -> str:
     )
 
 
-def _gain_per_spread(accuracy_gain: float, seed_range: float, seeds: int) -> str:
+def _error_reduction_text(error_reduction: float, seed_range: float, seeds: int) -> str:
     """Describe the gain in accuracy as a multiple of its range over the seeds.
 
     A single seed has no range.
     """
     return (
-        f", which is {accuracy_gain / max(seed_range, 1e-9):.0f} times the spread"
+        f", which is {error_reduction / max(seed_range, 1e-9):.0f} times the spread"
         if seeds > 1
         else " (one seed: no spread)"
     )
@@ -181,14 +181,14 @@ def _gain_by_law(laws: dict) -> str:
             continue
         gain = old_row["rmse_deg"] - new_row["rmse_deg"]
         spread = float(np.hypot(old_row["rmse_spread_deg"], new_row["rmse_spread_deg"]))
-        weak_text = (
+        significance_text = (
             ""
             if gain > 2 * spread
             else " (worse)"
             if gain < -2 * spread
             else " (within the spread)"
         )
-        texts.append(f"'{law}': {gain:+.3f} ± {spread:.3f} deg{weak_text}{shown_text}")
+        texts.append(f"'{law}': {gain:+.3f} ± {spread:.3f} deg{significance_text}{shown_text}")
         old_row = new_row
     return "\n".join(f"- {line}" for line in texts)
 
@@ -208,7 +208,7 @@ def _misprint_effect(misprinted_row: dict, best_row: dict) -> str:
     )
 
 
-def _wrong_plants_table(
+def _plant_mismatch_table(
     hand_name: str, plants: dict, compared_laws: tuple[str, str, str, str]
 ) -> str:
     """Describe the tracking of simulated hands that differ from the model."""
@@ -236,13 +236,13 @@ def _wrong_plants_table(
         (
             markdown_table(column_titles, rows),
             "",
-            _error_rises(plants, compared_laws[2]),
+            _error_increase_text(plants, compared_laws[2]),
             _end_reasons(plants),
         )
     )
 
 
-def _error_rises(plants: dict, law_name: str) -> str:
+def _error_increase_text(plants: dict, law_name: str) -> str:
     """List by how much each change of the simulated hand raises the error of a control law.
 
     The error is that of the fast motion. The largest rise comes first.

@@ -117,7 +117,7 @@ def measure_handctl(log_path: Path, run_header: Any, ticks: list[Any]) -> dict[s
     records: list[bytes] = []
     packing_cpu_s = _cpu_s(lambda: records.extend(pack_tick_record(*tick) for tick in ticks))
     recorder = Recorder.start(log_path.with_suffix(".pipe.mcap"), run_header)
-    handover_cpu_s = _cpu_s(
+    sending_cpu_s = _cpu_s(
         lambda: [(recorder.send_record(record), recorder.take_events()) for record in records]
     )
     recorder.close("finished")
@@ -135,8 +135,8 @@ def measure_handctl(log_path: Path, run_header: Any, ticks: list[Any]) -> dict[s
             assert sum(1 for _ in log.ticks()) == len(log.field("tension")) == len(ticks)
 
     return _cost_row(
-        packing_cpu_s + handover_cpu_s,
-        packing_cpu_s + handover_cpu_s + writing_cpu_s,
+        packing_cpu_s + sending_cpu_s,
+        packing_cpu_s + sending_cpu_s + writing_cpu_s,
         log_path.stat().st_size,
         _cpu_s(read),
         len(ticks),
@@ -191,7 +191,7 @@ def decode_messages(path: Path) -> list[LogMessage]:
     with path.open("rb") as file:
         for schema, channel, log_message in make_reader(file).iter_messages(log_time_order=False):
             decode = factory.decoder_for(channel.message_encoding, schema)
-            content = _plain_value(decode(log_message.data))
+            content = _to_basic_types(decode(log_message.data))
             messages.append(
                 LogMessage(
                     channel.topic, schema.name, schema.data.decode(), log_message.log_time, content
@@ -200,13 +200,15 @@ def decode_messages(path: Path) -> list[LogMessage]:
     return messages
 
 
-def _plain_value(value: Any) -> Any:
+def _to_basic_types(value: Any) -> Any:
     if hasattr(value, "__slots__") and not isinstance(value, (str, bytes, list, tuple)):
-        return {name: _plain_value(getattr(value, name)) for name in value.__slots__}
+        return {name: _to_basic_types(getattr(value, name)) for name in value.__slots__}
     if isinstance(value, bytes):
         return list(value)
     return (
-        [_plain_value(element) for element in value] if isinstance(value, (list, tuple)) else value
+        [_to_basic_types(element) for element in value]
+        if isinstance(value, (list, tuple))
+        else value
     )
 
 

@@ -24,7 +24,7 @@ from handctl.core.tick_types import (
     HandMode,
     IoEvent,
     PackedTelemetry,
-    TelemetryPlaces,
+    TelemetrySlices,
     TickIn,
     TickOut,
     TickRequest,
@@ -112,7 +112,7 @@ def packed_tick(tick_in: TickIn, tick_output: TickOut) -> TickInputAndOutput:
 
     The control loop converts its ticks in the same way.
     """
-    telemetry_places = TelemetryPlaces()
+    telemetry_places = TelemetrySlices()
     at = 0
     for name, values in zip(TELEMETRY_FIELDS, tick_output.telemetry, strict=True):
         telemetry_places[name] = slice(at, at + len(values))
@@ -138,7 +138,7 @@ def _on_separate_cores(recorder_pid: int) -> Iterator[bool]:
             os.sched_setaffinity(0, cores)
 
 
-class _PreparedBus:
+class _SyntheticBus:
     """A bus that delivers the frames of a synthetic run."""
 
     def __init__(self, ticks: list[TickInputAndOutput]) -> None:
@@ -160,7 +160,7 @@ class _PreparedBus:
 
 
 @dataclass
-class _PreparedTick:
+class _PrecomputedTick:
     """A tick of the loop. Its result was computed before the run.
 
     Attributes:
@@ -193,9 +193,9 @@ def _run_loop(
     """Run the controller's loop for a time with prepared ticks, and return its statistics."""
     last_tick = int(duration_s * RATE_HZ)
 
-    def begin(state: int, entry: TickIn) -> _PreparedTick:
+    def begin(state: int, entry: TickIn) -> _PrecomputedTick:
         tick_output = ticks[state % len(ticks)][1]
-        return _PreparedTick(
+        return _PrecomputedTick(
             state + 1,
             tick_output._replace(mode=HandMode.DONE) if entry.k >= last_tick else tick_output,
         )
@@ -204,7 +204,7 @@ def _run_loop(
     loop = ControlLoop(
         clock,
         PERIOD_NS,
-        [_PreparedBus(ticks)],
+        [_SyntheticBus(ticks)],
         begin,
         (),
         tuple,

@@ -21,7 +21,7 @@ Source: Linux sysfs.
 
 
 class BusPort(Protocol):
-    """The connection of the simulator to one bus of the hand. No method of a port blocks.
+    """The connection of the simulator to one bus of the hand. All methods return without waiting.
 
     Attributes:
         lost_frame_count: number of frames that could not be sent or read.

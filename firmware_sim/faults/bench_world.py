@@ -1,6 +1,6 @@
-"""Drives on a test bench in the form of a hand. Faults can therefore be injected into the drives.
+"""Test bench of drives whose faults can be simulated.
 
-Each drive is represented as a motor of a hand without digits.
+The bench is described as a hand without digits. Each drive is a motor of this hand.
 """
 
 from collections.abc import Sequence

@@ -38,13 +38,13 @@ The front face of the palm is at the digit mount with the smallest x, usually at
 """
 PALM_MARGIN = 0.01
 """Distance by which the palm extends beyond the outermost digit mounts [m]."""
-LINK_SAMPLES = 9
+SAMPLES_PER_LINK = 9
 """Number of points along a link for the check of overlap with the palm."""
 TABLE_HALF_EXTENTS = (0.12, 0.12, 0.005)
 """Half extents of the table along x, y, z [m]."""
-VISUAL_GROUP = 2
+VISUAL_GEOM_GROUP = 2
 """MuJoCo group of the meshes. Viewers show the groups 0 to 2."""
-HIDDEN_GROUP = 3
+COLLISION_GEOM_GROUP = 3
 """MuJoCo group of the shapes that meshes replace in pictures. Viewers do not show this group."""
 ZERO_FACTOR_TOLERANCE = 1e-9
 """Largest factor of a joint in a loopback tendon that counts as 0."""
@@ -219,7 +219,7 @@ def _mesh_geom(mesh: LinkMesh | None) -> str:
     if mesh is None:
         return ""
     return (
-        f'<geom name="{mesh.link}_mesh" type="mesh" mesh="{mesh.link}" group="{VISUAL_GROUP}" mass="0"'
+        f'<geom name="{mesh.link}_mesh" type="mesh" mesh="{mesh.link}" group="{VISUAL_GEOM_GROUP}" mass="0"'
         f' contype="0" conaffinity="0" pos="{_numbers_text(mesh.position)}" euler="{_numbers_text(mesh.rpy_deg)}"/>'
     )
 
@@ -257,7 +257,7 @@ def _group_attribute(has_mesh: bool) -> str:
 
     Without a mesh, the text is empty.
     """
-    return f' group="{HIDDEN_GROUP}"' if has_mesh else ""
+    return f' group="{COLLISION_GEOM_GROUP}"' if has_mesh else ""
 
 
 def find_links_at_palm(hand: Hand, digit: Digit) -> list[bool]:
@@ -270,7 +270,7 @@ def find_links_at_palm(hand: Hand, digit: Digit) -> list[bool]:
     carrier = [
         carrier_digit for carrier_digit in hand.digits if carrier_digit.name == digit.carrier
     ]
-    fractions = np.linspace(0.0, 1.0, LINK_SAMPLES)[:, None]
+    fractions = np.linspace(0.0, 1.0, SAMPLES_PER_LINK)[:, None]
     overlaps = []
     for length, (position, rotation) in zip(digit.length, rest_poses(digit), strict=True):
         points = position + fractions * (length * rotation[:, 0])

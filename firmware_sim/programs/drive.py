@@ -1,4 +1,4 @@
-"""The program ``python -m firmware_sim drive``: drives on a test bench, with free shafts, for any client on the bus."""
+"""Program ``python -m firmware_sim drive``, which simulates drives with free shafts on a test bench."""
 
 import argparse
 import sys

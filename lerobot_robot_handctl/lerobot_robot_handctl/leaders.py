@@ -19,7 +19,7 @@ from lerobot_robot_handctl.names import named
 from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand
 from handctl.log.export.element_names import position_names
-from handctl.log.read.log_hand import prismatic_joints
+from handctl.log.read.hand_in_log import prismatic_joints
 from handctl.log.read.reader import RunLog
 
 CLOSE, OPEN, OPEN_ALL = "qwertyuiop", "asdfghjkl;", " "

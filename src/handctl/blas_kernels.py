@@ -13,12 +13,12 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
-KERNELS_VARIABLE = "OPENBLAS_CORETYPE"
+OPENBLAS_CORE_VARIABLE = "OPENBLAS_CORETYPE"
 """Environment variable with the family of processors whose kernels OpenBLAS uses."""
 PORTABLE_MATRIX_KERNELS = "Haswell"
-REQUIRED_FEATURES = frozenset({"avx2", "fma"})
+REQUIRED_CPU_FEATURES = frozenset({"avx2", "fma"})
 """Features of a processor that can execute the portable kernels."""
-CPU_DESCRIPTION = Path("/proc/cpuinfo")
+CPU_INFO_PATH = Path("/proc/cpuinfo")
 
 
 def use_portable_kernels() -> None:
@@ -27,15 +27,15 @@ def use_portable_kernels() -> None:
     The call has an effect only before the first import of numpy. The call changes nothing if the
     user has chosen other kernels, or if the processor cannot execute the kernels for Haswell.
     """
-    if portable_kernels_run():
-        os.environ.setdefault(KERNELS_VARIABLE, PORTABLE_MATRIX_KERNELS)
+    if can_run_portable_kernels():
+        os.environ.setdefault(OPENBLAS_CORE_VARIABLE, PORTABLE_MATRIX_KERNELS)
 
 
-def portable_kernels_run() -> bool:
+def can_run_portable_kernels() -> bool:
     """Return True if the processor has the features that the portable kernels need."""
     try:
-        with CPU_DESCRIPTION.open() as lines:
-            return cpu_features(lines) >= REQUIRED_FEATURES
+        with CPU_INFO_PATH.open() as lines:
+            return cpu_features(lines) >= REQUIRED_CPU_FEATURES
     except OSError:  # only Linux has this file
         return False
 

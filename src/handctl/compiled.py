@@ -50,7 +50,7 @@ KERNEL_SOURCES = (
     "compiled.py", "extras.py", "core", "safety",
     "drives/contract.py", "drives/frame.py", "drives/frame_records.py", "drives/readback.py",
     "drives/signals.py",
-    "hand/file/quantities.py", "hand/rigid_body.py", "hand/tendons.py", "runtime/buses/canfd_structs.py",
+    "hand/file/quantity_types.py", "hand/rigid_body.py", "hand/tendons.py", "runtime/buses/canfd_structs.py",
 )  # fmt: skip
 """Files and folders of this package that contain functions and constants of kernels.
 
@@ -108,17 +108,17 @@ def kernel(*arguments: str) -> Callable[[F], F]:
             contiguous arrays into which the kernel may write.
     """
 
-    def mark_kernel(function: F) -> F:
+    def register_kernel(function: F) -> F:
         if not NUMBA_INSTALLED:
             return function
-        dispatcher = _mark_function(function)
+        dispatcher = _make_dispatcher(function)
         _KERNEL_DISPATCHERS[f"{function.__module__}.{function.__name__}"] = (
             dispatcher,
             tuple(_NUMBA_TYPES[name] for name in arguments),
         )
         return dispatcher
 
-    return mark_kernel
+    return register_kernel
 
 
 def kernel_helper(function: F) -> F:
@@ -141,9 +141,9 @@ def kernel_helper(function: F) -> F:
     return cast(F, dispatcher)
 
 
-def _mark_function(function: F) -> F:
+def _make_dispatcher(function: F) -> F:
     KERNEL_FUNCTIONS.append(function)
-    with _cached_in(_CACHE_FOLDER):
+    with _use_kernel_cache(_CACHE_FOLDER):
         try:
             dispatcher: Any = njit(cache=_CACHE_FOLDER is not None, error_model="numpy")(function)
         except RuntimeError:  # numba raises this error if it cannot write into the folder
@@ -152,7 +152,7 @@ def _mark_function(function: F) -> F:
 
 
 @contextlib.contextmanager
-def _cached_in(folder: Path | None) -> Iterator[None]:
+def _use_kernel_cache(folder: Path | None) -> Iterator[None]:
     """Let numba store the code of kernels in a folder while this context is active.
 
     The context has no effect on other packages that use numba.
@@ -224,7 +224,7 @@ def square(value: float) -> float:
     return value * value
 
 
-def _without_owner(typing_context: Any, flat: Any, first_index: Any, shape: Any) -> Any:
+def _generate_borrowed_array(typing_context: Any, flat: Any, first_index: Any, shape: Any) -> Any:
     """Generate the code of ``borrowed_array``.
 
     This function returns an array that refers to the memory of another array.
@@ -281,10 +281,10 @@ def borrowed_array(
 
 
 if NUMBA_INSTALLED:
-    _borrow: Any = intrinsic(_without_owner)
+    _borrow: Any = intrinsic(_generate_borrowed_array)
 
     @overload(borrowed_array, inline="always")
-    def _compiled_borrow(flat: Any, first_element: Any, shape: Any) -> Any:
+    def _overload_borrowed_array(flat: Any, first_element: Any, shape: Any) -> Any:
         def implementation(flat: Any, first_element: Any, shape: Any) -> Any:
             return _borrow(flat, first_element, shape)
 
@@ -296,12 +296,12 @@ class _UncompiledKernel(NamedTuple):
 
     Attributes:
         name: module and name of the kernel.
-        code: numba dispatcher of the kernel.
+        dispatcher: numba dispatcher of the kernel.
         types: numba types of the kernel's arguments.
     """
 
     name: str
-    code: Any
+    dispatcher: Any
     types: tuple[Any, ...]
 
 
@@ -323,7 +323,7 @@ def compile_kernels(progress: Callable[[int, int], None] | None = None) -> None:
     uncompiled_kernels = [
         known_kernel
         for known_kernel in all_kernels
-        if not getattr(known_kernel.code, "signatures", True)
+        if not getattr(known_kernel.dispatcher, "signatures", True)
     ]
     if _CACHE_FOLDER and _compiled_count(_CACHE_FOLDER, uncompiled_kernels) < len(
         uncompiled_kernels
@@ -332,10 +332,10 @@ def compile_kernels(progress: Callable[[int, int], None] | None = None) -> None:
     for compiled_count, uncompiled_kernel in enumerate(uncompiled_kernels):
         report(compiled_count, len(uncompiled_kernels))
         if _CACHE_FOLDER:
-            load_kernel(uncompiled_kernel.code, uncompiled_kernel.types)
+            load_kernel(uncompiled_kernel.dispatcher, uncompiled_kernel.types)
         # The next call does nothing if the code was loaded from the disk.
-        uncompiled_kernel.code.compile(uncompiled_kernel.types)
-        uncompiled_kernel.code.disable_compile()
+        uncompiled_kernel.dispatcher.compile(uncompiled_kernel.types)
+        uncompiled_kernel.dispatcher.disable_compile()
 
 
 def _ignore_progress(done: int, total: int) -> None:
@@ -369,9 +369,9 @@ def _compile_together(
         report: function that reports progress, like the argument ``progress`` of
             ``compile_kernels``.
     """
-    order = sorted(
+    kernel_order = sorted(
         range(len(waiting_kernels)),
-        key=lambda i: len(waiting_kernels[i].code.py_func.__code__.co_names),
+        key=lambda i: len(waiting_kernels[i].dispatcher.py_func.__code__.co_names),
         reverse=True,
     )
     with contextlib.suppress(OSError), open(folder / "lock", "w") as lock:
@@ -380,14 +380,14 @@ def _compile_together(
             time.sleep(COMPILER_POLL_PERIOD_S)
         if _compiled_count(folder, waiting_kernels) == len(waiting_kernels):
             return
-        with _cached_in(
+        with _use_kernel_cache(
             folder
         ):  # only a compilation needs the compiled code of the functions that kernels call
             for inner_dispatcher in _INNER_DISPATCHERS:
                 inner_dispatcher.enable_caching()
         read_end, write_end = os.pipe()
         os.write(
-            write_end, bytes(order)
+            write_end, bytes(kernel_order)
         )  # a number in the pipe stands for one kernel, and the worker that reads the number compiles this kernel
         os.close(write_end)
         workers = [
@@ -422,6 +422,6 @@ def _start_compiler_process(
         return process
     try:
         while number := os.read(remaining_count, 1):
-            waiting_kernels[number[0]].code.compile(waiting_kernels[number[0]].types)
+            waiting_kernels[number[0]].dispatcher.compile(waiting_kernels[number[0]].types)
     finally:
         os._exit(0)

@@ -78,10 +78,10 @@ def _error_line(
     belongs to the model that the user meant.
     """
     error_details = error.errors(include_url=False)
-    deepest = max(
+    deepest_error = max(
         error_details, key=lambda d: len(_without_tags(file_content, d["loc"], d["type"]))
     )
-    error_detail = next((d for d in error_details if d["type"] == "extra_forbidden"), deepest)
+    error_detail = next((d for d in error_details if d["type"] == "extra_forbidden"), deepest_error)
     location = _without_tags(file_content, error_detail["loc"], error_detail["type"])
     where = f"{source}: {key_path(file_content, location)}" if location else source
     if error_detail["type"] == "extra_forbidden":
@@ -133,7 +133,7 @@ def _without_tags(
 
 def _expected_key(key: str, model: type[BaseModel], key_location: Sequence[str | int]) -> str:
     """Return the key that was probably meant, or all keys that are allowed in the same table."""
-    valid_keys = sorted(_keys_at(model, key_location) or _keys_at(model, ()))
+    valid_keys = sorted(_allowed_keys(model, key_location) or _allowed_keys(model, ()))
     similar_word = similar_name(key, valid_keys)
     if similar_word:
         return f"{similar_word}?"
@@ -144,7 +144,7 @@ def _expected_key(key: str, model: type[BaseModel], key_location: Sequence[str |
     )
 
 
-def _keys_at(type_annotation: Any, key_location: Sequence[str | int]) -> set[str]:
+def _allowed_keys(type_annotation: Any, key_location: Sequence[str | int]) -> set[str]:
     """Return the keys of the table at a location of a document.
 
     Args:
@@ -160,9 +160,9 @@ def _keys_at(type_annotation: Any, key_location: Sequence[str | int]) -> set[str
             return set(fields)
         first_key, *remaining_keys = key_location
         if first_key in fields:
-            return _keys_at(fields[str(first_key)].annotation, remaining_keys)
+            return _allowed_keys(fields[str(first_key)].annotation, remaining_keys)
         return (
-            _keys_at(type_annotation, remaining_keys)
+            _allowed_keys(type_annotation, remaining_keys)
             if _is_alternative(type_annotation, first_key)
             else set()
         )
@@ -172,7 +172,9 @@ def _keys_at(type_annotation: Any, key_location: Sequence[str | int]) -> set[str
     remaining_location = key_location[1:] if is_container else key_location
     if is_container and not key_location:
         return set()
-    return set[str]().union(*(_keys_at(argument, remaining_location) for argument in arguments))
+    return set[str]().union(
+        *(_allowed_keys(argument, remaining_location) for argument in arguments)
+    )
 
 
 def _is_alternative(model: type[BaseModel], name: str | int) -> bool:

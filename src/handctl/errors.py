@@ -79,9 +79,9 @@ class UnconfirmedError(PowerError, BusError):
         why: event that occurred in place of the confirmation.
     """
 
-    def __init__(self, bus: str, request_word: str, reason: str) -> None:
+    def __init__(self, bus: str, request_name: str, reason: str) -> None:
         super().__init__(
-            f"no confirmation from the controller: switch the power off ({request_word}: {reason})",
+            f"no confirmation from the controller: switch the power off ({request_name}: {reason})",
             f"bus {bus}",
         )
 

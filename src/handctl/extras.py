@@ -64,7 +64,7 @@ def is_installed(package: str) -> bool:
     return find_spec(package) is not None
 
 
-def extras_installed() -> dict[str, bool]:
+def installed_by_extra() -> dict[str, bool]:
     """Return a bool for each extra of handctl, by the name of the extra.
 
     The value is True if all packages of the extra are installed.

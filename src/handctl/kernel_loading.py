@@ -45,10 +45,12 @@ def load_kernel(dispatcher: Any, types: tuple[Any, ...]) -> None:
         return
     context = dispatcher.targetctx
     with _without_compiler(context):
-        overload = dispatcher._cache.load_overload(types, context)
-    if overload is not None:
-        context.insert_user_function(overload.entry_point, overload.fndesc, [overload.library])
-        dispatcher.add_overload(overload)
+        stored_overload = dispatcher._cache.load_overload(types, context)
+    if stored_overload is not None:
+        context.insert_user_function(
+            stored_overload.entry_point, stored_overload.fndesc, [stored_overload.library]
+        )
+        dispatcher.add_overload(stored_overload)
 
 
 @contextmanager
@@ -60,11 +62,11 @@ def _without_compiler(context: Any) -> Iterator[None]:
     library: Any = codegen.CPUCodeLibrary
     original_unserialize = library.__dict__["_unserialize"]
     library._unserialize = classmethod(_load_object_code)
-    rebuild = context.get_executable
+    original_get_executable = context.get_executable
     rebuild_environment = environment._rebuild_env
     context.refresh = _do_nothing
-    context.get_executable = partial(_get_executable, rebuild)
-    environment._rebuild_env = _without_module
+    context.get_executable = partial(_get_executable, original_get_executable)
+    environment._rebuild_env = _load_environment
     try:
         yield
     finally:
@@ -78,7 +80,7 @@ def _do_nothing() -> None:
     """Do nothing. This function replaces numba's registration of types."""
 
 
-def _without_module(module: str, constants: list[Any], name: str) -> Any:
+def _load_environment(module: str, constants: list[Any], name: str) -> Any:
     """Return the constants that the code of a function uses.
 
     The original function of numba also imports the module of the code. Only interpreted code needs
@@ -107,12 +109,12 @@ def _load_object_code(cls: Any, generator: Any, state: tuple[str, str, tuple[byt
     library = generator.create_library(name)
     library.enable_object_caching()
     library._set_compiled_object(object_code)
-    library._get_module_for_linking = partial(_parsed_module, library, bitcode)
+    library._get_module_for_linking = partial(_parse_module, library, bitcode)
     library._finalize_final_module()
     return library
 
 
-def _parsed_module(library: Any, bitcode: bytes) -> Any:
+def _parse_module(library: Any, bitcode: bytes) -> Any:
     """Return the module of a code library for linking.
 
     The first call of this function parses the bitcode of the module.
@@ -122,10 +124,12 @@ def _parsed_module(library: Any, bitcode: bytes) -> Any:
     return library._shared_module
 
 
-def _get_executable(rebuild: Any, library: Any, function: Any, environment: Any) -> Any:
+def _get_executable(
+    original_get_executable: Any, library: Any, function: Any, environment: Any
+) -> Any:
     """Return the Python function that a code library contains.
 
     The original function of numba looks up the name of the Python function in the parsed bitcode.
     """
     library.codegen._engine._defined_symbols.add(function.llvm_cpython_wrapper_name)
-    return rebuild(library, function, environment)
+    return original_get_executable(library, function, environment)

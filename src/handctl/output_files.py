@@ -85,23 +85,23 @@ def save_figure(figure: Any, path: Path, dpi: int = 110) -> None:
 
     For the rules and the errors, see ``atomic_path``.
     """
-    creator = f"handctl {version('handctl')}"
+    creator_text = f"handctl {version('handctl')}"
     kind = path.suffix[1:] if path.suffix in FIGURE_SUFFIXES else "png"
     metadata = {
-        "png": {"Software": creator},
-        "svg": {"Creator": creator, "Date": None},
-        "pdf": {"Creator": creator},
+        "png": {"Software": creator_text},
+        "svg": {"Creator": creator_text, "Date": None},
+        "pdf": {"Creator": creator_text},
     }
     with atomic_path(path) as temporary_path:
         figure.savefig(temporary_path, dpi=dpi, format=kind, metadata=metadata[kind])
 
 
-def check_output(path: Path, content_name: str, *read_paths: Path | None) -> None:
+def check_output_path(path: Path, output_name: str, *read_paths: Path | None) -> None:
     """Check an output path by the rules of ``atomic_path``, before the work begins.
 
     Args:
         path: path of the output.
-        content_name: name of the output in the error message, e.g. the name of the option.
+        output_name: name of the output in the error message, e.g. the name of the option.
         read_paths: paths of the input files of the same command.
 
     Raises:
@@ -110,9 +110,9 @@ def check_output(path: Path, content_name: str, *read_paths: Path | None) -> Non
     try:
         target = _resolve_target(path, False)
     except ConfigError as error:
-        raise ConfigError(error.what, f"{content_name} {path}", error.right) from None
+        raise ConfigError(error.what, f"{output_name} {path}", error.right) from None
     if any(read_path and _is_same_file(target, read_path) for read_path in read_paths):
-        raise ConfigError("is what is read", f"{content_name} {path}", "another name")
+        raise ConfigError("is what is read", f"{output_name} {path}", "another name")
 
 
 def _is_same_file(target: Path, other_path: Path) -> bool:
@@ -135,7 +135,7 @@ def _resolve_target(path: Path, must_be_new: bool) -> Path:
         raise ConfigError("is there already", str(path), "a new name")
     if target.is_dir():
         raise ConfigError("is a folder", str(path), "a file")
-    if target.is_file() and (target.suffix == LOG_SUFFIX or _is_log(target)):
+    if target.is_file() and (target.suffix == LOG_SUFFIX or _is_log_file(target)):
         raise ConfigError("is a log", str(path), "another name: nothing is written over a log")
     return target
 
@@ -161,7 +161,7 @@ def _check_pipe_reader(target: Path, path: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _is_log(path: Path) -> bool:
+def _is_log_file(path: Path) -> bool:
     """Return True if a file of any name begins with the first bytes of a log."""
     with suppress(PermissionError), path.open("rb") as file:
         return file.read(len(LOG_MAGIC)) == LOG_MAGIC

@@ -15,7 +15,7 @@ MAX_MESSAGE_CHARACTERS = 500
 """Largest length of a printed message [characters]."""
 MAX_WORD_CHARACTERS = 60
 """Largest length of a word that is quoted, or compared with names [characters]."""
-OMITTED_TEXT_MARK = " [...] "
+OMISSION_MARK = " [...] "
 """Text that replaces the middle of a longer message."""
 
 
@@ -77,7 +77,7 @@ def one_line_message(text: str, max_characters: int = MAX_MESSAGE_CHARACTERS) ->
     if len(line) <= max_characters:
         return line
     end = max_characters // 3
-    return line[: max_characters - end - len(OMITTED_TEXT_MARK)] + OMITTED_TEXT_MARK + line[-end:]
+    return line[: max_characters - end - len(OMISSION_MARK)] + OMISSION_MARK + line[-end:]
 
 
 def escape_surrogates(text: str) -> str:
@@ -99,7 +99,7 @@ class EscapedStream:
         """The original stream.
 
         The package ``rich`` writes escapes directly to the original stream, see
-        ``cli.console.screen``.
+        ``cli.console.rich_console``.
         """
 
     def write(self, text: str) -> int:

@@ -23,13 +23,13 @@ def test_the_packaged_hand_fits_at_its_rate(capsys: pytest.CaptureFixture[str]) 
     assert bus["tick_us"] == pytest.approx(4 * 270 + 125 + 65, rel=0.001), (
         "commands, answers, tensions, SYNC"
     )
-    loads_read_again = 4 * 2 * 135e-6 * 2.0
+    settings_bus_load = 4 * 2 * 135e-6 * 2.0
     """Bus load that repeated reading of the drives' settings causes.
 
     The controller reads a setting of each drive twice a second. The request takes 135 us, and so
     does the reply.
     """
-    assert bus["load"] == pytest.approx(bus["tick_us"] * 500e-6 + loads_read_again)
+    assert bus["load"] == pytest.approx(bus["tick_us"] * 500e-6 + settings_bus_load)
 
 
 def test_overloaded_bus_is_reported_and_split(capsys: pytest.CaptureFixture[str]) -> None:
@@ -71,7 +71,7 @@ def test_bus_load_rows_add_up_to_the_total(capsys: pytest.CaptureFixture[str]) -
     assert "tensions" in capsys.readouterr().out
 
 
-VCAN_TABLE = [
+EXPECTED_BUS_LOADS = [
     ("MIT", False, 4, 1215, (30, 61, 121), 658),
     ("MIT", False, 11, 3375, (84, 169, 338), 237),
     ("MIT", True, 4, 517, (13, 26, 52), 1546),
@@ -91,7 +91,7 @@ and the rate at a load of 80 % [Hz].
 
 @pytest.mark.parametrize(
     ("protocol", "can_fd", "motor_count", "tick_us", "expected_loads", "highest_rate_hz"),
-    VCAN_TABLE,
+    EXPECTED_BUS_LOADS,
 )
 def test_load_table_has_the_expected_times_and_rates(
     protocol: str, can_fd: bool, motor_count: int, tick_us: float, expected_loads: tuple[float, ...],
@@ -117,7 +117,7 @@ def test_load_table_has_the_expected_times_and_rates(
 def test_bus_load_table_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bus", "plan", "--table"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 2 + len(VCAN_TABLE)
+    assert len(lines) == 2 + len(EXPECTED_BUS_LOADS)
     assert lines[1].endswith("Hz at 70%"), "largest bus load that the runner permits"
 
 

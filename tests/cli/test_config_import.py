@@ -21,12 +21,12 @@ from handctl.hand.hand_loading import (
     hand_content,
     hand_from_content,
     hand_path,
-    inspect_content,
+    inspect_hand_content,
     load_hand,
     packaged_hands,
 )
-from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement
-from handctl.hand.link_tree import HandLinkTree
+from handctl.hand.link_geometry import centre_of_mass, joint_axes, link_inertia, link_placement
+from handctl.hand.link_tree import LinkTree
 from tests.cli.command_refusals import refusal_line, refusal_lines
 from tests.conftest import NIGHTLY
 
@@ -75,7 +75,7 @@ JOINT_KEYS = ("joint_armature_kg_m2", "spring_stiffness_N_m_per_rad", "spring_pr
 FILE_BY_OPTION = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
 
 
-def text_with_all_values(hand_file_text: str) -> str:
+def replace_todo_values(hand_file_text: str) -> str:
     """Return the text of a hand file after each TODO was replaced by a value."""
     return re.sub(
         r'^(\w+) = "TODO".*$',
@@ -179,7 +179,7 @@ def test_an_exported_hand_is_imported_unchanged(
                 link_inertia(packaged_digit, i),
                 abs=1e-6 * np.trace(link_inertia(packaged_digit, i)),
             )
-    assert not inspect_content(hand.content).mistakes
+    assert not inspect_hand_content(hand.content).mistakes
     if NIGHTLY or hand_name in ("t42", "orca_like"):
         assert main(["config", "check", "--hand", "mine.toml"]) == 0
 
@@ -200,9 +200,9 @@ def test_moment_arms_and_springs_of_a_model_are_imported(work_folder: Path) -> N
 
 def test_links_in_any_frames_have_the_dynamics_of_pinocchio(work_folder: Path) -> None:
     Path("full.toml").write_text(
-        text_with_all_values(import_description("--urdf", TRIPOD_URDF, *IMPORT_OPTIONS))
+        replace_todo_values(import_description("--urdf", TRIPOD_URDF, *IMPORT_OPTIONS))
     )
-    tree = HandLinkTree.from_hand(load_hand("full.toml"))
+    tree = LinkTree.from_hand(load_hand("full.toml"))
     model = pinocchio.buildModelFromUrdf(str(TRIPOD_URDF))
     data = model.createData()
     # The first finger of the description flexes towards negative angles.
@@ -238,7 +238,7 @@ def test_each_missing_value_is_refused_until_it_is_given(
         "one line for each value"
     )
     assert all("# TODO" in line for line in text.splitlines() if '"TODO"' in line)
-    full_text = text_with_all_values(text)
+    full_text = replace_todo_values(text)
     for key, value in MEASURED_VALUES.items():
         Path("mine.toml").write_text(full_text.replace(f"{key} = {value}\n", f'{key} = "TODO"\n'))
         assert all(
@@ -408,7 +408,7 @@ def test_an_imported_hand_grasps(
         reimport_packaged_hand(format_option, hand_name)
     else:
         Path("mine.toml").write_text(
-            text_with_all_values(import_description("--urdf", TRIPOD_URDF, *IMPORT_OPTIONS))
+            replace_todo_values(import_description("--urdf", TRIPOD_URDF, *IMPORT_OPTIONS))
         )
     capsys.readouterr()
     code = main(["demo", "--lockstep", "--hand", "mine.toml", "--log", "run.mcap", "--json"])

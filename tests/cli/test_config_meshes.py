@@ -15,7 +15,7 @@ import pytest
 from firmware_sim.model_file import read_model_file
 from handctl.cli.checks.config_import import read_hand_description
 from handctl.cli.main import main
-from handctl.cli.runs.other_protocol import hand_in_protocol
+from handctl.cli.runs.protocol_hand_file import use_protocol_hand_file
 from handctl.hand.formats.link_meshes import LinkMesh, mesh_mistakes, meshes_of_hand
 from handctl.hand.hand_loading import (
     PACKAGED_HANDS_FOLDER,
@@ -25,7 +25,7 @@ from handctl.hand.hand_loading import (
     packaged_hands,
 )
 from handctl.log.attached_meshes import MAX_MESH_BYTES
-from handctl.session.run_plan import RunChoice, make_plan
+from handctl.session.run_plan import RunOptions, make_plan
 from tests.cli.command_refusals import refusal_line, refusal_lines
 from tests.cli.test_config_import import TRIPOD_URDF
 from tests.hand.mesh_files import (
@@ -37,7 +37,7 @@ from tests.hand.mesh_files import (
 )
 from tools.meshes.solids import stl
 
-LINK_LINE = 'link_mesh = ["t42/inner.stl", "t42/outer.stl"]'
+LINK_MESH_LINE = 'link_mesh = ["t42/inner.stl", "t42/outer.stl"]'
 """Line of t42.toml with the mesh files of a finger's two links. Both fingers share this line."""
 
 
@@ -81,7 +81,7 @@ def replace_once(text_file: Path, original_text: str, replacement_text: str) -> 
             'default.digit.link_mesh[0]: "inner.glb"; expected a file of type .stl or .obj',
         ),
         (
-            LINK_LINE,
+            LINK_MESH_LINE,
             'link_mesh = ["t42/inner.stl"]',
             "link_mesh: 1 values; expected 2, one per link_length_m",
         ),
@@ -126,7 +126,7 @@ def test_a_mesh_that_is_no_mesh_is_refused_and_a_run_begins_without_it(
         f"default.digit.{expected_message}\n"
     )
     messages: list[str] = []
-    plan = make_plan(RunChoice(copy_t42_with_meshes), show_notice=messages.append)
+    plan = make_plan(RunOptions(copy_t42_with_meshes), show_notice=messages.append)
     assert messages == [
         f"handctl: caution: digit[{digit}].{expected_message}" for digit in ("left", "right")
     ]
@@ -137,7 +137,7 @@ def test_meshes_too_large_for_a_log_are_reported_before_the_run(copy_t42_with_me
     with (copy_t42_with_meshes.parent / "t42" / "outer.stl").open("r+b") as large_file:
         large_file.truncate(MAX_MESH_BYTES)
     messages: list[str] = []
-    plan = make_plan(RunChoice(copy_t42_with_meshes), show_notice=messages.append)
+    plan = make_plan(RunOptions(copy_t42_with_meshes), show_notice=messages.append)
     assert not plan.attachments
     (line,) = messages
     assert line.startswith(
@@ -146,10 +146,10 @@ def test_meshes_too_large_for_a_log_are_reported_before_the_run(copy_t42_with_me
 
 
 def test_a_plan_of_a_packaged_hand_has_its_meshes() -> None:
-    assert sorted(make_plan(RunChoice("t42")).attachments) == [
+    assert sorted(make_plan(RunOptions("t42")).attachments) == [
         f"mesh/t42/{mesh_name}.stl" for mesh_name in ("inner", "outer", "palm")
     ]
-    assert not make_plan(RunChoice("jamia")).attachments
+    assert not make_plan(RunOptions("jamia")).attachments
 
 
 def test_exports_name_meshes_relative_to_their_own_folder(copy_t42_with_meshes: Path) -> None:
@@ -168,7 +168,7 @@ def test_a_hand_in_another_protocol_keeps_its_meshes(copy_t42_with_meshes: Path)
     from argparse import Namespace
 
     args = Namespace(hand=str(copy_t42_with_meshes), protocol="odrive", motor_type=None)
-    with hand_in_protocol(args):
+    with use_protocol_hand_file(args):
         assert args.hand != str(copy_t42_with_meshes)
         assert not list(mesh_mistakes(load_hand(args.hand), Path(args.hand).parent))
 
@@ -342,5 +342,7 @@ def test_the_largest_visual_mesh_of_a_body_is_imported_from_a_model(
         expected = corners + data.geom_xpos[geom] - data.xanchor[link]
         pose = [digit[f"link_mesh_{key}"][link] for key in ("position_m", "rpy_deg")]
         shown_mesh = LinkMesh("", "", "", (digit["link_mesh_scale"][link],) * 3, *map(tuple, pose))
-        placed_triangles = shown_mesh.place((1e3 if link == 0 else 1.0) * tetrahedron_triangles())
+        placed_triangles = shown_mesh.to_link_frame(
+            (1e3 if link == 0 else 1.0) * tetrahedron_triangles()
+        )
         assert_same_corners({"": expected}, {"": placed_triangles})

@@ -149,10 +149,10 @@ def test_an_odrive_without_endpoint_options_is_not_checked_and_names_them():
         done = run_handctl(*CONFORMANCE_OPTIONS, "--protocol", "odrive", "--node", "3", "--yes")
     assert done.returncode == ExitCode.NOT_CHECKED
     lines = done.stdout.splitlines()
-    lines_of_unchecked = [line for line in lines if line.startswith("not checked")]
-    assert len(lines_of_unchecked) == 2
+    unchecked_lines = [line for line in lines if line.startswith("not checked")]
+    assert len(unchecked_lines) == 2
     assert all(
-        "endpoint_enable_watchdog, endpoint_watchdog_timeout" in line for line in lines_of_unchecked
+        "endpoint_enable_watchdog, endpoint_watchdog_timeout" in line for line in unchecked_lines
     )
     assert lines[-1] == "10 passed, 0 failed, 2 not checked"
 

@@ -12,7 +12,7 @@ from handctl.hand.file.toml_text import toml_text
 from handctl.hand.hand_loading import hand_content, load_hand
 from handctl.session.calibration import load_calibration
 from tests.cli.command_refusals import refusal_line
-from tests.runtime.processes import run_handctl, time_scale_options
+from tests.runtime.processes import make_time_scale_options, run_handctl
 
 GRASP_TASK = """schema = 1
 name = "two fingers"
@@ -31,7 +31,7 @@ duration_s = 1.0
 """
 
 
-def jamia_content():
+def jamia_hand_content():
     return hand_content("jamia")
 
 
@@ -40,7 +40,7 @@ def two_fingers():
 
     Both fingers close in the same direction, so the hand cannot lift objects.
     """
-    content = jamia_content()
+    content = jamia_hand_content()
     for section in ("digit", "tendon", "motor"):
         content[section] = content[section][:2]
     node = content["sensor_node"]
@@ -51,7 +51,7 @@ def two_fingers():
 
 def two_buses():
     """Return a hand whose thumb and ring finger are on a second bus."""
-    content = jamia_content()
+    content = jamia_hand_content()
     content["bus"].append({**content["bus"][0], "name": "second"})
     for motor in content["motor"][2:]:
         motor["bus"] = "second"
@@ -116,7 +116,7 @@ def test_a_hand_of_two_buses_works_in_real_time(work_folder, repeat_time_scale):
         'schema = 1\nname = "bend"\n[[phase]]\nkind = "move"\nangle_deg = 20.0\n'
     )
     words = ("--hand", "buses.toml", "--task", "bend.toml", "--scene", "none", "--log", "x.mcap")
-    done = run_handctl("demo", "--json", *words, *time_scale_options(repeat_time_scale))
+    done = run_handctl("demo", "--json", *words, *make_time_scale_options(repeat_time_scale))
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["failure"] == ""
 
@@ -125,7 +125,7 @@ def test_a_hand_of_two_buses_works_in_real_time(work_folder, repeat_time_scale):
 def test_a_hand_without_load_cells_is_ready_and_the_faults_that_need_them_are_named(
     work_folder, capsys, load_cell_lines
 ):
-    content = jamia_content()
+    content = jamia_hand_content()
     content["sensor_node"]["tendons"] = load_cell_lines
     (work_folder / "hand.toml").write_text(toml_text(content))
     assert main(["config", "check", "--hand", "hand.toml"]) == 0
@@ -138,7 +138,7 @@ def test_a_hand_without_load_cells_is_ready_and_the_faults_that_need_them_are_na
 
 @pytest.mark.parametrize("cli_verb", ["config", "demo"])
 def test_a_joint_that_no_tendon_crosses_is_one_line(work_folder, capsys, cli_verb):
-    content = jamia_content()
+    content = jamia_hand_content()
     del content["tendon"][0]["moment_arm_m"]["index_j3"]
     (work_folder / "hand.toml").write_text(toml_text(content))
     line = refusal_line(

@@ -20,9 +20,9 @@ EXAMPLE_BY_COMMAND = {
     for folder in VERBS_BY_FOLDER
     for words, example in importlib.import_module(
         f"handctl.cli.{folder}.arguments"
-    ).EXAMPLES.items()
+    ).COMMAND_EXAMPLES.items()
 }
-COMMANDS_WITH_FINDINGS = {"doctor", "bus doctor"}
+DIAGNOSTIC_COMMANDS = {"doctor", "bus doctor"}
 """Commands that may exit with code 1, because they may find a defect of the machine that runs the test."""
 EXAMPLES_WITHOUT_OTHER_PROCESS = sorted(
     words for words, example in EXAMPLE_BY_COMMAND.items() if not example.parallel_commands
@@ -56,9 +56,9 @@ def run_example(run_in_shell, command_words):
     """Yield a function that runs a command line in an empty folder, with this environment's handctl."""
     how = {"shell": True, "capture_output": True, "text": True, "timeout": 280, "check": False}
     process_result = run_in_shell(EXAMPLE_BY_COMMAND[command_words].command_line, **how)
-    assert process_result.returncode in (
-        {0, 1} if command_words in COMMANDS_WITH_FINDINGS else {0}
-    ), process_result.stderr
+    assert process_result.returncode in ({0, 1} if command_words in DIAGNOSTIC_COMMANDS else {0}), (
+        process_result.stderr
+    )
     assert process_result.stdout.strip()
     assert "Traceback" not in process_result.stderr
 

@@ -12,7 +12,7 @@ import sys
 import pytest
 
 from handctl.cli.console.options import print_escaped, print_json
-from handctl.cli.console.screen import rich_console
+from handctl.cli.console.rich_console import rich_console
 from handctl.cli.main import VERB_HELP, main
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.errors import ConfigError
@@ -145,7 +145,7 @@ TEXT_BY_MISTAKE = {
     "list": f"schema = 1\nname = [{json.dumps(ESCAPE_SEQUENCES)}]",
     "long": f"schema = 1\n{'k' * 3000} = 3",
 }
-READING_COMMANDS = {
+COMMAND_BY_FILE_KIND = {
     "hand": ("config", "check", "--hand", "odd.toml"),
     "task": ("config", "check", "--task", "odd.toml"),
     "gains": ("config", "check", "--gains", "odd.toml"),
@@ -162,10 +162,10 @@ READING_COMMANDS = {
 
 
 @pytest.mark.parametrize("mistake_name", TEXT_BY_MISTAKE)
-@pytest.mark.parametrize("file_kind", READING_COMMANDS)
+@pytest.mark.parametrize("file_kind", COMMAND_BY_FILE_KIND)
 def test_texts_of_files_are_escaped_and_shortened(work_folder, capsys, file_kind, mistake_name):
     (work_folder / "odd.toml").write_text(TEXT_BY_MISTAKE[mistake_name])
-    lines = refusal_lines(capsys, *READING_COMMANDS[file_kind])
+    lines = refusal_lines(capsys, *COMMAND_BY_FILE_KIND[file_kind])
     assert len(lines) == 1 or file_kind == "hand"  # a hand file may cause several error lines
     for line in lines:
         assert line[:-1].isprintable()
@@ -202,11 +202,11 @@ WIDE_NUMBERS = {
 """Integers with so many digits that Python refuses to print them, or outside the range of TOML."""
 
 
-@pytest.mark.parametrize("number_form", WIDE_NUMBERS)
-@pytest.mark.parametrize("file_kind", READING_COMMANDS)
-def test_very_long_number_in_a_file_is_refused(work_folder, capsys, file_kind, number_form):
-    (work_folder / "odd.toml").write_text(f"schema = 1\nname = {WIDE_NUMBERS[number_form]}\n")
-    line = refusal_line(capsys, *READING_COMMANDS[file_kind])
+@pytest.mark.parametrize("number_kind", WIDE_NUMBERS)
+@pytest.mark.parametrize("file_kind", COMMAND_BY_FILE_KIND)
+def test_very_long_number_in_a_file_is_refused(work_folder, capsys, file_kind, number_kind):
+    (work_folder / "odd.toml").write_text(f"schema = 1\nname = {WIDE_NUMBERS[number_kind]}\n")
+    line = refusal_line(capsys, *COMMAND_BY_FILE_KIND[file_kind])
     assert "odd.toml" in line
     assert len(line) < MAX_MESSAGE_CHARACTERS
 
@@ -246,14 +246,14 @@ def test_a_log_whose_name_is_a_folder(work_folder, capsys, cli_verb, log_name):
     refusal_line(capsys, *cli_verb, log_name)
 
 
-@pytest.mark.parametrize("number_form", ["9" * 50, "9" * 5000, "-1", "0.5", "1e99", "\x1b[2J"])
+@pytest.mark.parametrize("node_text", ["9" * 50, "9" * 5000, "-1", "0.5", "1e99", "\x1b[2J"])
 @pytest.mark.parametrize("drive_text", PROTOCOL_TRAITS)
-def test_invalid_node_number_is_refused(capsys, drive_text, number_form):
+def test_invalid_node_number_is_refused(capsys, drive_text, node_text):
     words = (
         "conformance",
         "--protocol",
         drive_text,
-        f"--node={number_form}",
+        f"--node={node_text}",
         "--bus",
         "local:nobody",
     )

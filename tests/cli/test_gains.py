@@ -14,7 +14,7 @@ from handctl.core.gains.gains import Gains, GainsProvenance, gains_text
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.session.calibration import write_calibration
-from tests.runtime.processes import time_scale_options
+from tests.runtime.processes import make_time_scale_options
 
 PACKAGED_FORCE_N = Gains().motion.force_N
 UNCHANGED_GAIN = f"tension.force_N={Gains().tension.force_N}"
@@ -35,14 +35,14 @@ def write_gains(gain_file, hand_name, hand_identity):
     )
 
 
-def output_of(capsys, *command_words):
+def run_json_command(capsys, *command_words):
     capsys.readouterr()
     assert main([*command_words, "--json"]) == 0
     return json.loads(capsys.readouterr().out)
 
 
 def test_gains_show_tells_the_origin_of_each_value(hand_with_two_gain_changes, capsys):
-    shown_output = output_of(capsys, "gains", "show", "--gain", "tension.force_N=12")
+    shown_output = run_json_command(capsys, "gains", "show", "--gain", "tension.force_N=12")
     rows = shown_output["gains"]
     assert (rows["motion.force_N"]["value"], rows["motion.force_N"]["origin"]) == (
         30.0,
@@ -53,7 +53,7 @@ def test_gains_show_tells_the_origin_of_each_value(hand_with_two_gain_changes, c
         "command line",
     )
     assert shown_output["provenance"]["note"] == "30 N"
-    hand = output_of(capsys, "config", "show")
+    hand = run_json_command(capsys, "config", "show")
     assert hand["gains"]["motion"]["force_N"] == 30.0
     assert hand["gains_origins"]["motion.force_N"] == "jamia.gains.toml"
 
@@ -96,21 +96,23 @@ def test_gains_of_a_changed_hand_are_reported_by_apply_and_verify(work_folder, c
 
 
 def test_gains_show_names_the_packaged_gains(capsys):
-    assert output_of(capsys, "gains", "show")["gains"]["motion.force_N"]["origin"] == "packaged"
+    assert (
+        run_json_command(capsys, "gains", "show")["gains"]["motion.force_N"]["origin"] == "packaged"
+    )
 
 
 def test_rollback_changes_diff_and_log(hand_with_two_gain_changes, capsys):
-    assert output_of(capsys, "gains", "diff")["changed"] == {
+    assert run_json_command(capsys, "gains", "diff")["changed"] == {
         "motion.force_N": [PACKAGED_FORCE_N, 30.0]
     }
-    assert output_of(capsys, "gains", "diff", "1", "2")["changed"] == {
+    assert run_json_command(capsys, "gains", "diff", "1", "2")["changed"] == {
         "motion.force_N": [25.0, 30.0]
     }
-    assert output_of(capsys, "gains", "rollback")["provenance"]["restores"] == 1
-    assert output_of(capsys, "gains", "diff")["changed"] == {
+    assert run_json_command(capsys, "gains", "rollback")["provenance"]["restores"] == 1
+    assert run_json_command(capsys, "gains", "diff")["changed"] == {
         "motion.force_N": [PACKAGED_FORCE_N, 25.0]
     }
-    history = output_of(capsys, "gains", "log")
+    history = run_json_command(capsys, "gains", "log")
     assert history["present"] == 3
     assert [entry["note"] for entry in history["entries"]] == ["25 N", "30 N", "rollback to 1"]
 
@@ -145,7 +147,7 @@ def test_a_damaged_gains_file_does_not_prevent_a_rollback(
     assert "rollback brings back number 2" in capsys.readouterr().err
     assert main(["gains", "rollback"]) == 0
     assert "was renamed to jamia.gains.damaged.toml" in capsys.readouterr().err
-    assert output_of(capsys, "gains", "diff", "2", "present")["changed"] == {}
+    assert run_json_command(capsys, "gains", "diff", "2", "present")["changed"] == {}
 
 
 def test_gains_that_give_no_controller_are_not_applied(work_folder, capsys):
@@ -165,7 +167,7 @@ def test_gains_that_give_no_controller_are_not_applied(work_folder, capsys):
 
 @pytest.mark.realtime
 def test_set_on_a_running_hand_is_in_its_log(work_folder, repeat_time_scale):
-    scale = time_scale_options(repeat_time_scale)
+    scale = make_time_scale_options(repeat_time_scale)
     handctl = [sys.executable, "-m", "handctl.cli"]
     sim = [
         sys.executable,

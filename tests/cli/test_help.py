@@ -40,10 +40,10 @@ def leaf_parsers() -> dict[str, VerbParser]:
     parser_by_words = {}
     for verb in VERB_HELP:
         parser = verb_parser(verb)
-        leaf_by_words = {
+        parser_by_subcommand = {
             f"{verb} {name}": sub_parser for name, sub_parser in sub_parsers(parser).items()
         }
-        parser_by_words.update(leaf_by_words or {verb: parser})
+        parser_by_words.update(parser_by_subcommand or {verb: parser})
     return parser_by_words
 
 
@@ -187,9 +187,9 @@ def test_quiet_leaves_the_findings_that_need_a_repair(capsys, monkeypatch):
 
 def test_quiet_hides_notices_and_shows_cautions(capsys):
     from handctl.cli.console.plan import print_notice
-    from handctl.cli.console.verbosity import use_verbosity
+    from handctl.cli.console.verbosity import apply_verbosity
 
-    with use_verbosity(argparse.Namespace(quiet=True)):
+    with apply_verbosity(argparse.Namespace(quiet=True)):
         print_notice("commissioning jamia first")
         print_notice("handctl: caution: hot")
     assert capsys.readouterr() == ("", "handctl: caution: hot\n")
@@ -198,10 +198,10 @@ def test_quiet_hides_notices_and_shows_cautions(capsys):
 def test_a_command_prints_each_caution_once(capsys):
     """Reproduce a defect: a run that first commissions the hand printed all cautions twice."""
     from handctl.cli.console.plan import print_notice
-    from handctl.cli.console.verbosity import use_verbosity
+    from handctl.cli.console.verbosity import apply_verbosity
 
     for _ in range(2):
-        with use_verbosity(argparse.Namespace()):
+        with apply_verbosity(argparse.Namespace()):
             for text in ("hot", "cold", "hot"):
                 print_notice(f"handctl: caution: {text}")
         assert capsys.readouterr().err == "handctl: caution: hot\nhandctl: caution: cold\n"
@@ -213,16 +213,18 @@ def test_the_doctor_fails_if_something_needs_a_repair(monkeypatch, capsys, is_re
 
     for name in (
         "_check_priority",
-        "_check_memory",
+        "_check_locked_memory",
         "_check_wakeups",
         "_check_socketcan",
         "_check_interfaces",
         "_check_vulkan",
-        "_extras_finding",
-        "_check_space",
+        "_optional_package_finding",
+        "_check_disk_space",
     ):
         monkeypatch.setattr(doctor, name, lambda: ("a part", True, ""))
-    monkeypatch.setattr(doctor, "_check_memory", lambda: ("locked memory", is_ready, "allow it"))
+    monkeypatch.setattr(
+        doctor, "_check_locked_memory", lambda: ("locked memory", is_ready, "allow it")
+    )
     assert main(["doctor"]) == (0 if is_ready else 1)
     assert main(["doctor", "--json"]) == (0 if is_ready else 1)
 
@@ -242,16 +244,16 @@ def test_the_doctor_measures_wake_ups(
     now, ticks = [0.0], iter([(1000, 10), (1200, 10 + stolen_ticks)])
     monkeypatch.setattr(doctor.time, "monotonic", lambda: now[0])
     monkeypatch.setattr(doctor.time, "sleep", lambda s: now.__setitem__(0, now[0] + s + late_s))
-    monkeypatch.setattr(doctor, "_processor_ticks", lambda: next(ticks))
+    monkeypatch.setattr(doctor, "_cpu_and_steal_ticks", lambda: next(ticks))
     message, is_good, fix = doctor._check_wakeups()
     assert (expected_message in message, is_good) == (True, is_ready)
     assert "--time-scale" in fix
 
 
 def test_the_time_of_all_cores_contains_the_stolen_part():
-    from handctl.cli.checks.doctor import _processor_ticks
+    from handctl.cli.checks.doctor import _cpu_and_steal_ticks
 
-    total, stolen = _processor_ticks()
+    total, stolen = _cpu_and_steal_ticks()
     assert total >= stolen >= 0
 
 

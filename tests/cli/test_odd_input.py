@@ -32,7 +32,7 @@ def make_link_loop(link_path):
     link_path.symlink_to(link_path.name)
 
 
-READING_COMMANDS = {
+COMMAND_BY_FILE_KIND = {
     "hand": ("config", "check", "--hand", "odd"),
     "task": ("config", "check", "--task", "odd"),
     "gains": ("config", "check", "--gains", "odd"),
@@ -49,13 +49,13 @@ READING_COMMANDS = {
     [make_pipe, make_folder, write_endless_number, write_endless_nesting],
     ids=lambda f: f.__name__,
 )
-@pytest.mark.parametrize("file_kind", READING_COMMANDS)
+@pytest.mark.parametrize("file_kind", COMMAND_BY_FILE_KIND)
 def test_unreadable_file_is_refused_in_one_line(
     work_folder, capsys, file_kind, create_unreadable_file
 ):
     create_unreadable_file(work_folder / "odd")
     (work_folder / "odd.toml").symlink_to("odd")
-    assert "odd" in refusal_line(capsys, *READING_COMMANDS[file_kind])
+    assert "odd" in refusal_line(capsys, *COMMAND_BY_FILE_KIND[file_kind])
 
 
 def test_a_truth_that_is_a_pipe_is_not_waited_for(work_folder, capsys):
@@ -77,16 +77,18 @@ def test_a_truth_file_of_another_run_is_refused(work_folder, capsys):
 
 @pytest.mark.parametrize("file_name", ["n" * 300, "odd/x", "loop"])
 @pytest.mark.parametrize(
-    "file_kind", [file_kind for file_kind in READING_COMMANDS if file_kind != "scene"]
+    "file_kind", [file_kind for file_kind in COMMAND_BY_FILE_KIND if file_kind != "scene"]
 )
 def test_impossible_file_name_is_refused(work_folder, capsys, file_kind, file_name):
     (work_folder / "odd").write_text("")
     make_link_loop(work_folder / "loop")
-    refusal_line(capsys, *(word.replace("odd", file_name) for word in READING_COMMANDS[file_kind]))
+    refusal_line(
+        capsys, *(word.replace("odd", file_name) for word in COMMAND_BY_FILE_KIND[file_kind])
+    )
 
 
 def test_a_name_with_nul_is_refused(capsys):
-    for words in READING_COMMANDS.values():
+    for words in COMMAND_BY_FILE_KIND.values():
         assert "NUL" in refusal_line(capsys, *(word.replace("odd", "o\0d") for word in words))
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from handctl.campaign.fault_matrix import ALL_PROTOCOLS
 from handctl.cli.main import main
-from handctl.cli.runs.other_protocol import hand_in_protocol
+from handctl.cli.runs.protocol_hand_file import use_protocol_hand_file
 from handctl.hand.hand_loading import load_hand, packaged_hands
 from tests.cli.command_refusals import refusal_line
 
@@ -24,7 +24,7 @@ ABSENT_BUS_OPTION = ("--bus", "local:does-not-exist")
 @pytest.mark.parametrize("hand", packaged_hands())
 def test_the_temporary_hand_file_has_all_drives_in_the_protocol(hand: str, protocol: str) -> None:
     args = argparse.Namespace(hand=hand, protocol=protocol, motor_type=None)
-    with hand_in_protocol(args):
+    with use_protocol_hand_file(args):
         path = Path(args.hand)
         assert {motor.protocol for motor in load_hand(path).motor} == {protocol}
     assert args.hand == hand

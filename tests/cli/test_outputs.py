@@ -16,11 +16,11 @@ from handctl.hand.hand_loading import hand_path
 from handctl.output_files import atomic_path, save_figure, write_text_atomically
 
 GOLDEN_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-fault.mcap"
-FULL_DEVICE = Path("/dev/full")
+FULL_DISK_DEVICE = Path("/dev/full")
 """A device that behaves like a full disk: it accepts no byte."""
 EXPORT_FORMATS = ("csv", "candump", "parquet", "rrd", "lerobot")
 GOLDEN_LOG_TEXT = str(GOLDEN_LOG)
-OUTPUT_COMMANDS = {
+OUTPUT_COMMAND_BY_KIND = {
     "report": ("report", GOLDEN_LOG_TEXT, "--output", "@"),
     "recover": ("log", "recover", GOLDEN_LOG_TEXT, "--output", "@"),
     "picture": ("replay", "execute", GOLDEN_LOG_TEXT, "--gains", "g.toml", "--picture", "@"),
@@ -69,7 +69,7 @@ def files_below(work_folder):
 
 UNWRITABLE_CASES = [
     (output_kind, name)
-    for output_kind in OUTPUT_COMMANDS
+    for output_kind in OUTPUT_COMMAND_BY_KIND
     for name in ("folder", "no-folder/x", "file/x", "other.mcap")
 ]
 UNWRITABLE_CASES.remove(("save", "other.mcap"))  # ``save`` writes to other.mcap.rrd
@@ -77,7 +77,9 @@ UNWRITABLE_CASES.remove(("save", "other.mcap"))  # ``save`` writes to other.mcap
 
 @pytest.mark.parametrize(("command_kind", "output_name"), UNWRITABLE_CASES)
 def test_unwritable_output_path_is_refused(capsys, command_kind, output_name):
-    assert main([word.replace("@", output_name) for word in OUTPUT_COMMANDS[command_kind]]) == 2
+    assert (
+        main([word.replace("@", output_name) for word in OUTPUT_COMMAND_BY_KIND[command_kind]]) == 2
+    )
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith("handctl: ")
@@ -143,9 +145,9 @@ def test_an_export_that_fails_leaves_nothing(work_folder, monkeypatch, capsys, e
 
 @pytest.mark.parametrize("interruption", [KeyboardInterrupt, ValueError])
 def test_interrupted_write_leaves_only_the_old_file(work_folder, interruption):
-    def write_and_interrupt(part_path):
-        part_path.parent.mkdir(exist_ok=True)
-        part_path.write_text("half of")
+    def write_and_interrupt(path):
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("half of")
         raise interruption
 
     with pytest.raises(interruption), atomic_path(work_folder / "file") as temporary_path:
@@ -158,7 +160,7 @@ def test_interrupted_write_leaves_only_the_old_file(work_folder, interruption):
 
 
 def test_a_device_is_written_to_and_not_replaced(work_folder):
-    (work_folder / "full").symlink_to(FULL_DEVICE)
+    (work_folder / "full").symlink_to(FULL_DISK_DEVICE)
     with pytest.raises(OSError, match="No space left on device") as error:
         write_text_atomically(work_folder / "full", "text")
     assert error.value.filename == str(work_folder / "full")

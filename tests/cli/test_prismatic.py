@@ -49,10 +49,10 @@ def test_a_gripper_grasps_holds_releases_and_is_re_executed(
     assert abs(truth.interpolated_columns(forces, truth.t_ns[-1:])).max() == 0.0, (
         "the hand has released"
     )
-    opened_columns = truth.interpolated_columns(
+    final_joint_positions = truth.interpolated_columns(
         [f"q/{joint}" for joint in load_hand(hand_file).joints], truth.t_ns[-1:]
     )
-    assert np.abs(opened_columns).max() < 0.06
+    assert np.abs(final_joint_positions).max() < 0.06
     assert main(["replay", "execute", "run.mcap", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["differing"] == 0
 
@@ -270,6 +270,8 @@ def test_the_schema_2_file_and_its_content_are_the_same_hand(gripper_hand_files:
         repeated_hand = load_hand("whole.toml")
         assert repeated_hand.identity == hand.identity
         for digit, other_digit in zip(
-            DigitModel.models_of_hand(hand), DigitModel.models_of_hand(repeated_hand), strict=True
+            DigitModel.digit_models_of_hand(hand),
+            DigitModel.digit_models_of_hand(repeated_hand),
+            strict=True,
         ):
             np.testing.assert_array_equal(digit.table, other_digit.table)

@@ -27,7 +27,7 @@ from tests.cli.command_refusals import refusal_line
 from tests.runtime.processes import write_homed_calibration
 
 REAL_BUSES = ("socketcan:can0", "pcan:PCAN_USBBUS1", "slcan:/dev/ttyACM0")
-MOVING_COMMANDS = {
+MOTION_COMMANDS = {
     "run": ("run",),
     "jog": ("jog", "index", "--angle", "3"),
     "identify": ("identify",),
@@ -49,7 +49,7 @@ def input_files(work_folder, monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO())
 
 
-@pytest.fixture(params=MOVING_COMMANDS)
+@pytest.fixture(params=MOTION_COMMANDS)
 def command_words(request, work_folder):
     """Return the words of a command that moves a hand.
 
@@ -57,7 +57,7 @@ def command_words(request, work_folder):
     """
     if request.param == "replay":
         (work_folder / "before.mcap").symlink_to(GOLDEN_LOG)
-    return MOVING_COMMANDS[request.param]
+    return MOTION_COMMANDS[request.param]
 
 
 def test_only_real_interfaces_count_as_real_buses():
@@ -116,11 +116,11 @@ def test_the_calibration_of_a_simulated_hand_arms_no_real_hand(work_folder, caps
         reason = json.loads(capsys.readouterr().out)["commissioning"]
         assert (reason == "") == is_used, bus
         assert ("of a simulated hand" in reason) != is_used
-    words_with_calibration = [*dry_run, "--calibration", str(path), "--bus"]
+    command_with_calibration = [*dry_run, "--calibration", str(path), "--bus"]
     assert "is of a simulated hand" in refusal_line(
-        capsys, *words_with_calibration, "socketcan:can0"
+        capsys, *command_with_calibration, "socketcan:can0"
     )
-    assert main([*words_with_calibration, "local:a"]) == 0
+    assert main([*command_with_calibration, "local:a"]) == 0
 
 
 def run_at_terminal(typed_answer: str) -> tuple[int, str]:

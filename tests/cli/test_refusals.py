@@ -31,7 +31,7 @@ def refuse_to_open_buses(monkeypatch):
     monkeypatch.setattr("handctl.cli.runs.demo.running_simulator", fail_on_open)
 
 
-def jamia_content():
+def jamia_hand_content():
     return hand_content("jamia")
 
 
@@ -67,7 +67,7 @@ REFUSAL_BY_MISTAKE = {
 @pytest.mark.parametrize("cli_verb", ["config", "demo", "sim", *BUS_COMMANDS])
 @pytest.mark.parametrize("add_mistake", REFUSAL_BY_MISTAKE, ids=lambda spoil: spoil.__name__)
 def test_a_wrong_hand_file_is_refused(work_folder, capsys, add_mistake, cli_verb):
-    content = jamia_content()
+    content = jamia_hand_content()
     add_mistake(content)
     (work_folder / "hand.toml").write_text(toml_text(content))
     words = {"config": ("check",), "demo": (), "sim": ABSENT_BUS_OPTION}.get(cli_verb) or (
@@ -187,7 +187,7 @@ def test_existing_log_is_not_overwritten(work_folder, capsys, cli_verb, log_name
 
 def write_hand_on_two_buses():
     """Write the hand file of jamia, with the thumb's drive on a second bus."""
-    content = jamia_content()
+    content = jamia_hand_content()
     content["bus"].append({"name": "thumb", "bitrate": 1_000_000})
     content["motor"][3]["bus"] = "thumb"
     return content
@@ -227,7 +227,7 @@ def test_buses_may_be_given_in_any_order(work_folder, capsys):
     assert '"local:m",\n    "local:t"' in capsys.readouterr().out
 
 
-WRONG_JOG_WORDS = [
+INVALID_JOG_ARGUMENTS = [
     ("pinky", "--tension", "8"),
     ("index", "--tension", "nan"),
     ("index", "--tension=-1"),
@@ -239,7 +239,7 @@ WRONG_JOG_WORDS = [
 ]
 
 
-@pytest.mark.parametrize("command_words", WRONG_JOG_WORDS, ids=" ".join)
+@pytest.mark.parametrize("command_words", INVALID_JOG_ARGUMENTS, ids=" ".join)
 def test_a_bad_jog_is_refused(capsys, command_words):
     refusal_line(capsys, "jog", *command_words, *ABSENT_BUS_OPTION)
 
@@ -278,7 +278,7 @@ def test_a_dry_run_of_the_simulator_checks_what_only_it_knows(
     assert err.count("\n") == 1
 
 
-COMMAND_WORDS = {
+INVALID_ARGUMENTS_BY_VERB = {
     "demo": ("--seed", "x"),
     "run": (),
     "stop": (),
@@ -293,10 +293,10 @@ COMMAND_WORDS = {
 }
 
 
-@pytest.mark.parametrize("cli_verb", COMMAND_WORDS)
+@pytest.mark.parametrize("cli_verb", INVALID_ARGUMENTS_BY_VERB)
 def test_unknown_words_of_a_verb_are_refused(capsys, cli_verb):
     assert cli_verb in VERB_HELP
-    line = refusal_line(capsys, cli_verb, *COMMAND_WORDS[cli_verb])
+    line = refusal_line(capsys, cli_verb, *INVALID_ARGUMENTS_BY_VERB[cli_verb])
     assert line.startswith(f"handctl: {cli_verb}")
     assert "expected" in line or "choose from" in line
 
@@ -307,11 +307,11 @@ def test_unknown_verb_is_refused(capsys):
     )
 
 
-REQUESTS = (("stop",), ("stop", "--cut"), ("clear",), ("gains", "set", "motion.force_N=20"))
+REQUEST_COMMANDS = (("stop",), ("stop", "--cut"), ("clear",), ("gains", "set", "motion.force_N=20"))
 """Commands that send a request to a running controller."""
 
 
-@pytest.mark.parametrize("command_words", REQUESTS, ids=" ".join)
+@pytest.mark.parametrize("command_words", REQUEST_COMMANDS, ids=" ".join)
 def test_a_local_bus_without_a_controller_needs_no_power_switch(capsys, command_words):
     """Reproduce a defect.
 
@@ -326,7 +326,7 @@ def test_a_local_bus_without_a_controller_needs_no_power_switch(capsys, command_
     )
 
 
-@pytest.mark.parametrize("command_words", REQUESTS, ids=" ".join)
+@pytest.mark.parametrize("command_words", REQUEST_COMMANDS, ids=" ".join)
 @pytest.mark.parametrize(
     "controller_was_killed", [False, True], ids=["real bus", "killed controller"]
 )

@@ -15,7 +15,7 @@ from handctl.runtime.loop import LoopStats
 from handctl.session import time_scale_advice
 from handctl.session.run import RunOutcome
 from handctl.session.run_plan import RunPlan
-from handctl.session.time_scale_advice import pace_advice
+from handctl.session.time_scale_advice import late_run_advice
 
 TORQUE_LIMIT = ("--torque-limit-Nm", "0.1")
 LATE_FAULTS, TORN_TENDON_FAULTS = ("B03b", "N02"), ("T01",)
@@ -27,7 +27,7 @@ def run_with_faults(*fault_ids: str, cpu_s: float = 0.0) -> RunOutcome:
     The control loop of the run used ``cpu_s`` of CPU time [s].
     """
     latched = [SimpleNamespace(id=row) for row in fault_ids]
-    state = SimpleNamespace(latched=latched, failure="fault" if fault_ids else "", k=1000)
+    state = SimpleNamespace(latched_faults=latched, failure="fault" if fault_ids else "", k=1000)
     return RunOutcome(cast(ControllerState, state), LoopStats(cpu_s=cpu_s), {}, None, 0)
 
 
@@ -47,7 +47,7 @@ def test_slower_time_is_advised_only_for_late_simulated_hands(
     bus_text: str, fault_ids: tuple[str, ...], is_advised: bool
 ) -> None:
     plan = RunPlan(load_hand("jamia"), Gains(), 500.0, (0.6,), (bus_text,) if bus_text else ())
-    assert ("--time-scale" in pace_advice(plan, run_with_faults(*fault_ids))) == is_advised
+    assert ("--time-scale" in late_run_advice(plan, run_with_faults(*fault_ids))) == is_advised
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_the_advised_pace_is_measured(
     )
     monkeypatch.setattr(time_scale_advice, "usable_cores", lambda: 2)
     plan = RunPlan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
-    assert pace_advice(plan, run_with_faults(*LATE_FAULTS, cpu_s=cpu_s)).endswith(
+    assert late_run_advice(plan, run_with_faults(*LATE_FAULTS, cpu_s=cpu_s)).endswith(
         f"handctl sim with --time-scale {number:g}"
     )
 

@@ -22,7 +22,7 @@ FAILURE_TEXT = "fault B17 index_motor; REMOVE POWER: not confirmed disabled: ind
 def outcome_with_enabled_motor(plan, controller, log_path):
     """Return the outcome of a run after which a motor may still make torque."""
     state = controller.initial_state()
-    state.decide(failure=FAILURE_TEXT, unconfirmed=("index_motor",))
+    state.decide(failure=FAILURE_TEXT, unconfirmed_motors=("index_motor",))
     return RunOutcome(state, LoopStats(), {}, None, 0)
 
 

@@ -224,7 +224,7 @@ def test_the_report_is_one_page_that_loads_nothing(tmp_path: Path) -> None:
 
 
 def test_text_of_a_log_cannot_become_markup() -> None:
-    from handctl.report.run_page import _escaped_text
+    from handctl.report.run_report_page import _escaped_text
 
     assert _escaped_text("<script>\x1b[31m&") == "&lt;script&gt;\\x1b[31m&amp;"
 
@@ -232,7 +232,7 @@ def test_text_of_a_log_cannot_become_markup() -> None:
 def test_a_report_begins_with_faults_and_contacts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("handctl.report.run_page.MAX_EVENTS", 3)
+    monkeypatch.setattr("handctl.report.run_report_page.MAX_LISTED_EVENTS", 3)
     out = tmp_path / "page.html"
     assert main(["report", str(GOLDEN_FOLDER / "jamia-fault.mcap"), "--output", str(out)]) == 0
     text = out.read_text()

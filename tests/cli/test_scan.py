@@ -17,10 +17,10 @@ from firmware_sim.programs.drive_types import drive_spec
 from handctl.cli.checks.hand_file_snippet import hand_file_snippet
 from handctl.cli.checks.scan import _print_scans
 from handctl.cli.main import main
-from handctl.drives.discovery import TWO_DRIVES_WARNING
+from handctl.drives.discovery import DUPLICATE_NODE_WARNING
 from handctl.drives.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
 from handctl.drives.protocol_registry import make_drive
-from handctl.hand.file.sections import Bus, Motor
+from handctl.hand.file.section_models import Bus, Motor
 from handctl.runtime.diagnostics.bus_scan import BusScan, requests_without_answers, scan_bus
 from tests.drives.bench_process import run_simulated_drives
 from tests.drives.protocol_bench import ProtocolBench as HandBench
@@ -241,9 +241,9 @@ def test_the_hand_file_part_marks_firmware_05_as_concluded():
 )
 def test_two_drives_with_one_number_are_found(drive_spec):
     (only_node,) = scan_bench(drive_spec)[0].found_nodes
-    assert (only_node.twins, TWO_DRIVES_WARNING in only_node.notes) == (False, False)
+    assert (only_node.twins, DUPLICATE_NODE_WARNING in only_node.notes) == (False, False)
     (drive,) = scan_bench(drive_spec, fault_command="twin")[0].found_nodes
-    assert (drive.twins, drive.notes[0]) == (True, TWO_DRIVES_WARNING)
+    assert (drive.twins, drive.notes[0]) == (True, DUPLICATE_NODE_WARNING)
 
 
 def test_two_motors_that_answer_on_one_identifier_are_found():
@@ -278,8 +278,8 @@ def test_drives_that_a_scan_cannot_find_are_named(capsys):
 
 
 def test_a_sensor_node_is_found_unless_drives_on_the_bus_use_sync(tmp_path):
-    beside = {"mit": True, "cia402": False}
-    for protocol, is_sensor_node_found in beside.items():
+    sensor_found_by_protocol = {"mit": True, "cia402": False}
+    for protocol, is_sensor_node_found in sensor_found_by_protocol.items():
         bench = HandBench(hand_file(tmp_path, [protocol]))
         result = scan_bus(BenchBus(bench.simulated_hand.world), listen_function=advance_and_listen)
         bench.simulated_hand.close()
@@ -331,8 +331,8 @@ def test_scan_reads_two_buses_and_prints_a_part_of_a_hand_file(capsys):
         for bus in result["buses"]
         for node in bus["nodes"]
     ]
-    near = [("lab", protocol, node) for protocol in ("mit", "cia402") for node in (17, 18)]
-    assert nodes == [*near, ("far", "odrive", 17), ("far", "odrive", 18)]
+    lab_nodes = [("lab", protocol, node) for protocol in ("mit", "cia402") for node in (17, 18)]
+    assert nodes == [*lab_nodes, ("far", "odrive", 17), ("far", "odrive", 18)]
     for node in (node for bus in result["buses"] for node in bus["nodes"]):
         assert node["serial"]
         assert node["firmware"]

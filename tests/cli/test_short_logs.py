@@ -77,11 +77,13 @@ def test_an_inconsistent_clock_in_a_log_is_refused(
 ) -> None:
     with RunLog(GRASP_LOG) as log:
         ticks, period_ns = tick_records_of(log), log.header.period_ns
-        far_ticks = ticks[:300] + [_shifted_tick(tick, 10**11, period_ns) for tick in ticks[300:]]
+        ticks_with_clock_jump = ticks[:300] + [
+            _shifted_tick(tick, 10**11, period_ns) for tick in ticks[300:]
+        ]
         inconsistent_log = write_log(
             work_folder / "odd.mcap",
             log,
-            far_ticks if clock_mistake == "far apart" else ticks[311:] + ticks[:311],
+            ticks_with_clock_jump if clock_mistake == "far apart" else ticks[311:] + ticks[:311],
         )
     assert main(["log", "check", inconsistent_log]) == 1
     assert main(["report", inconsistent_log]) == 0

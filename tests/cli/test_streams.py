@@ -13,14 +13,14 @@ from contextlib import closing
 
 import pytest
 
-from handctl.cli.console.screen import rich_console
-from handctl.cli.console.termination import TerminationRequested, terminate_on_signals
+from handctl.cli.console.process_termination import TerminationRequested, terminate_on_signals
+from handctl.cli.console.rich_console import rich_console
 from handctl.cli.main import main
-from handctl.paper.bench.pool import worker_pool
+from handctl.paper.bench.worker_pool import worker_pool
 from handctl.tune.search.workers import ProcessPool
 
 VERSION_COMMAND = (sys.executable, "-m", "handctl.cli", "--version")
-BUFFERED_ENVIRONMENT = {
+BUFFERED_OUTPUT_ENVIRONMENT = {
     key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"
 }
 
@@ -32,7 +32,11 @@ def run_in_shell(redirections, command_words=VERSION_COMMAND, **environment):
     """
     command = ["sh", "-c", f'exec "$0" "$@" {redirections}', *command_words]
     result = subprocess.run(
-        command, env=BUFFERED_ENVIRONMENT | environment, capture_output=True, text=True, check=False
+        command,
+        env=BUFFERED_OUTPUT_ENVIRONMENT | environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     return result.returncode, result.stdout, result.stderr
 
@@ -54,7 +58,7 @@ def test_output_without_a_reader_is_no_error(cli_verb):
     os.close(read)
     command = (sys.executable, "-m", "handctl.cli", *cli_verb)
     result = subprocess.run(
-        command, env=BUFFERED_ENVIRONMENT, stdout=write, stderr=subprocess.PIPE, check=False
+        command, env=BUFFERED_OUTPUT_ENVIRONMENT, stdout=write, stderr=subprocess.PIPE, check=False
     )
     os.close(write)
     assert (result.returncode, result.stderr) == (0, b"")
@@ -152,7 +156,7 @@ def test_an_interrupted_search_names_the_study_to_continue(monkeypatch, capsys):
     def send_termination(*words):
         os.kill(os.getpid(), signal.SIGTERM)
 
-    monkeypatch.setattr("handctl.tune.search.search.run_search", send_termination)
+    monkeypatch.setattr("handctl.tune.search.gain_search.run_search", send_termination)
     monkeypatch.setattr("handctl.cli.tuning.tune_search._designed_gains", lambda *words: ())
     assert main(["tune", "search", "--plants", "1", "--json"]) == 143
     assert capsys.readouterr() == (

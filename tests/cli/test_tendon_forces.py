@@ -39,35 +39,37 @@ def jamia_model() -> HandModel:
     return HandModel.from_hand(load_hand("jamia"), Gains(), 500.0)
 
 
-def gains_with_own_force(force_N: float) -> Gains:
+def gains_with_tendon_force(force_N: float) -> Gains:
     """Return gains with a separate force weight [N] for the tendon of jamia's index finger."""
     return gains_with_values(Gains(), {FORCE_KEY: force_N}, "test")
 
 
 def test_a_tendon_with_a_force_of_its_own_differs_from_the_others(jamia_model: HandModel) -> None:
-    shared_design = design_motion(jamia_model.space, Gains(), jamia_model.period)
-    own_design = design_motion(jamia_model.space, gains_with_own_force(5.0), jamia_model.period)
+    default_design = design_motion(jamia_model.tendon_constants, Gains(), jamia_model.period)
+    tendon_force_design = design_motion(
+        jamia_model.tendon_constants, gains_with_tendon_force(5.0), jamia_model.period
+    )
     design_with_common_force = design_motion(
-        jamia_model.space,
+        jamia_model.tendon_constants,
         gains_with_values(Gains(), {"motion.force_N": 5.0}, "test"),
         jamia_model.period,
     )
     assert (
-        own_design.stiffness[0]
+        tendon_force_design.stiffness[0]
         == design_with_common_force.stiffness[0]
-        < shared_design.stiffness[0]
+        < default_design.stiffness[0]
     )
-    assert np.array_equal(own_design.stiffness[1:], shared_design.stiffness[1:])
-    assert np.array_equal(own_design.tension, shared_design.tension)
+    assert np.array_equal(tendon_force_design.stiffness[1:], default_design.stiffness[1:])
+    assert np.array_equal(tendon_force_design.tension, default_design.tension)
     tension = gains_with_values(Gains(), {"tendon.index_tendon.tension_force_N": 2.0}, "test")
-    held_design = design_motion(jamia_model.space, tension, jamia_model.period)
-    assert held_design.tension[0] < shared_design.tension[0]
-    assert np.array_equal(held_design.stiffness, shared_design.stiffness)
+    tension_force_design = design_motion(jamia_model.tendon_constants, tension, jamia_model.period)
+    assert tension_force_design.tension[0] < default_design.tension[0]
+    assert np.array_equal(tension_force_design.stiffness, default_design.stiffness)
 
 
 def test_the_text_of_the_gains_reads_back(tmp_path: Path) -> None:
     gains = gains_with_values(
-        gains_with_own_force(5.0),
+        gains_with_tendon_force(5.0),
         {"tendon.thumb_tendon.tension_force_N": 2.0, "motion.force_N": 9.0},
         "test",
     )
@@ -79,14 +81,14 @@ def test_the_text_of_the_gains_reads_back(tmp_path: Path) -> None:
 
 
 def test_a_tendon_without_its_own_force_uses_the_common_force() -> None:
-    assert changed_gain_values(Gains(), gains_with_own_force(5.0)) == {
+    assert changed_gain_values(Gains(), gains_with_tendon_force(5.0)) == {
         FORCE_KEY: (Gains().motion.force_N, 5.0)
     }
-    assert changed_gain_values(gains_with_own_force(5.0), Gains()) == {
+    assert changed_gain_values(gains_with_tendon_force(5.0), Gains()) == {
         FORCE_KEY: (5.0, Gains().motion.force_N)
     }
-    assert changed_gain_values(Gains(), gains_with_own_force(Gains().motion.force_N)) == {}
-    events = gain_change_events(Gains(), gains_with_own_force(5.0))
+    assert changed_gain_values(Gains(), gains_with_tendon_force(Gains().motion.force_N)) == {}
+    events = gain_change_events(Gains(), gains_with_tendon_force(5.0))
     assert [(event.where, event.text) for event in events] == [
         (FORCE_KEY, "5.0"),
         ("", "taken over: 1 changed"),
@@ -140,9 +142,9 @@ def test_a_running_controller_refuses_a_tendon_of_another_hand(jamia_model: Hand
     gains = gains_with_values(
         Gains(), {"tendon.wrist_flex.motion_force_N": 5.0}, "test", is_live=True
     )
-    progress = DesignCache().advance(jamia_model, PendingGains(gains))
+    progress = DesignCache().design_next_loop(jamia_model, PendingGains(gains))
     assert progress is not None
-    assert progress.pending is None
+    assert progress.pending_gains is None
     assert "no tendon 'wrist_flex'" in progress.events[0].text
 
 

@@ -24,7 +24,7 @@ from handctl.log.write.log_writer import LogWriter
 from handctl.session.calibration import load_calibration, write_calibration
 from handctl.tune.gains_verification import BlockedDigit, GainsRollback
 from handctl.tune.scoring import GainScore
-from handctl.tune.search.search import SearchResult, SearchTrial
+from handctl.tune.search.gain_search import SearchResult, SearchTrial
 from tests.cli.command_refusals import refusal_line
 
 GOLDEN_LOG = str(Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap")
@@ -39,7 +39,7 @@ def fake_search(monkeypatch):
     """
     trials = []
     monkeypatch.setattr(
-        "handctl.tune.search.search.run_search",
+        "handctl.tune.search.gain_search.run_search",
         lambda *words: SearchResult.from_trials(tuple(trials)),
     )
     monkeypatch.setattr("handctl.cli.tuning.tune_search._designed_gains", lambda *words: ())
@@ -93,8 +93,8 @@ def test_a_design_tells_why_the_old_gains_do_not_come_to_rest(
     The table showed "none" as gain margin and as phase margin of the old gains. No line gave the
     reason.
     """
-    swing_text = "the plant with 0.5 of the friction swings by 2.3 N held"
-    reasons = {7e-4: f": {swing_text}"}
+    oscillation_message = "the plant with 0.5 of the friction swings by 2.3 N held"
+    reasons = {7e-4: f": {oscillation_message}"}
     monkeypatch.setattr(
         "handctl.tune.loops.step_tests.RestTest._simulate",
         lambda self, model: reasons.get(model.gains.motion.position_error_m, ""),
@@ -103,9 +103,11 @@ def test_a_design_tells_why_the_old_gains_do_not_come_to_rest(
     assert main([*command, "--poles-Hz", "2,25", *command_words]) in (0, 1)
     output = capsys.readouterr().out
     if command_words:
-        assert json.loads(output)["not_at_rest_before"] == swing_text
+        assert json.loads(output)["not_at_rest_before"] == oscillation_message
         return
-    assert f"before: in simulation the hand does not come to rest: {swing_text}\n" in output
+    assert (
+        f"before: in simulation the hand does not come to rest: {oscillation_message}\n" in output
+    )
     assert "not at rest\u2192" in output
     assert "none" not in output
 
@@ -348,7 +350,7 @@ def result_of_digit(digit_name, spring_stiffness, blocked="", met="", names=("te
         judged,
         1.0,
         spectrum,
-        blocked_event=blocked,
+        blocked_event_text=blocked,
         contact_text=met,
     )
 
@@ -391,14 +393,14 @@ def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(work_folder, c
 
 
 @pytest.mark.parametrize(
-    ("digit_condition", "expected_reason"),
+    ("result_fields", "expected_reason"),
     [
         ({"met": "more load"}, "no parameter was identified"),
         ({"blocked": "middle is blocked"}, "every digit was blocked"),
     ],
 )
 def test_the_reason_why_no_calibration_is_written_is_true(
-    work_folder, capsys, monkeypatch, digit_condition, expected_reason
+    work_folder, capsys, monkeypatch, result_fields, expected_reason
 ):
     """Reproduce a defect: the output named a wrong reason.
 
@@ -407,7 +409,7 @@ def test_the_reason_why_no_calibration_is_written_is_true(
     """
     calibration = jamia_calibration()
     write_calibration(work_folder / "own.toml", calibration)
-    result = result_of_digit("index", 9e4, names=("spring_stiffness",), **digit_condition)
+    result = result_of_digit("index", 9e4, names=("spring_stiffness",), **result_fields)
     _replace_identification(monkeypatch, calibration, {"index_tendon": result})
     assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 1
     assert capsys.readouterr().out.splitlines()[-1] == f"no calibration written: {expected_reason}"
@@ -423,11 +425,11 @@ def test_values_of_a_low_coherence_are_not_kept(work_folder, capsys, monkeypatch
     _replace_identification(monkeypatch, calibration, {"middle_tendon": result})
     assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 0
     output = capsys.readouterr()
-    is_coherent = coherence > 0.2
-    kept_names = load_calibration(path, hand).identified["middle_tendon"].names
-    assert kept_names == (names if is_coherent else ("tendon_stiffness",))
-    assert ("tune search" in output.out) == is_coherent
-    assert ("not worth using" in output.err) != is_coherent
+    has_enough_coherence = coherence > 0.2
+    kept_parameters = load_calibration(path, hand).identified["middle_tendon"].names
+    assert kept_parameters == (names if has_enough_coherence else ("tendon_stiffness",))
+    assert ("tune search" in output.out) == has_enough_coherence
+    assert ("not worth using" in output.err) != has_enough_coherence
 
 
 @pytest.mark.parametrize("blocked_digits", [(), ("ring",), ("ring", "thumb")])
@@ -538,7 +540,7 @@ def test_options_that_do_not_fit_together_are_refused(
     assert expected_message in refusal_line(capsys, *command_words)
 
 
-PERTURBING_COMMANDS = [
+COMMANDS_WITH_PERTURB_OPTION = [
     ("identify", "--lockstep", "--dry-run"),
     ("tune", "design", "--plants", "1"),
     ("tune", "search", "--plants", "1", "--trials", "1"),
@@ -551,7 +553,9 @@ The command ``sim`` has its own test, because it starts a simulator.
 """
 
 
-@pytest.mark.parametrize("cli_verb", PERTURBING_COMMANDS, ids=lambda words: "-".join(words[:2]))
+@pytest.mark.parametrize(
+    "cli_verb", COMMANDS_WITH_PERTURB_OPTION, ids=lambda words: "-".join(words[:2])
+)
 @pytest.mark.parametrize(
     ("command_words", "expected_message"),
     [
@@ -643,11 +647,11 @@ def test_plants_are_perturbed_unless_the_perturbed_hand_was_identified(calibrati
         seed=0,
         fit=calibration_file,
     )
-    plain_ensemble = ensemble_of_tuned_hand(Namespace(**vars(args) | {"perturb": []}), {}, 8)
+    unperturbed_ensemble = ensemble_of_tuned_hand(Namespace(**vars(args) | {"perturb": []}), {}, 8)
     factors = {"stiffness": 0.5, "torque_constant": 1.1} if calibration_file is None else {}
     expected = tuple(
         plant_factors | {key: plant_factors.get(key, 1.0) * x for key, x in factors.items()}
-        for plant_factors in plain_ensemble
+        for plant_factors in unperturbed_ensemble
     )
     assert ensemble_of_tuned_hand(args, {}, 8) == expected
 

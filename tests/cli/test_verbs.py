@@ -52,7 +52,7 @@ def json_output(capsys, *words):
     return code, json.loads(out)
 
 
-DRY_RUN_WORDS = {
+ARGUMENTS_BY_VERB = {
     "run": (*ABSENT_BUS_OPTION, "--task", "grasp.toml"),
     "config show": (),
     "config list": (),
@@ -61,10 +61,12 @@ DRY_RUN_WORDS = {
 }
 
 
-@pytest.mark.parametrize("verb", DRY_RUN_WORDS)
+@pytest.mark.parametrize("verb", ARGUMENTS_BY_VERB)
 def test_every_verb_prints_json_without_hardware(capsys, verb):
     dry_run_option = ("--dry-run",) if verb == "run" else ()
-    code, printed_json = json_output(capsys, *verb.split(), *DRY_RUN_WORDS[verb], *dry_run_option)
+    code, printed_json = json_output(
+        capsys, *verb.split(), *ARGUMENTS_BY_VERB[verb], *dry_run_option
+    )
     # doctor exits with 1 if it has a bad finding
     assert code in ((0, 1) if verb == "doctor" else (0,))
     assert printed_json

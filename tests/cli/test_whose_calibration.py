@@ -42,7 +42,7 @@ class CalibratedBench:
         from handctl.cli.console.options import add_run_options
 
         parser = argparse.ArgumentParser()
-        add_run_options(parser, bus_required=False)
+        add_run_options(parser, is_bus_required=False)
         self.args = parser.parse_args(["--hand", str(hand), "--json"])
         self.plan, self.work_folder = make_plan(self.args, lockstep=True), work_folder
         self.peer = load_simulator(
@@ -99,7 +99,7 @@ def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibrati
     assert first_bench.jog(calibration, "again").state.failure == ""
     outcome = second_bench.jog(calibration, "other")
     assert outcome.state.mode == HandMode.DONE
-    assert not outcome.state.unconfirmed
+    assert not outcome.state.unconfirmed_motors
     assert (
         "the calibration is of another hand, give that of this hand or commission it"
         in outcome.state.failure
@@ -174,7 +174,7 @@ def test_a_calibration_is_used_for_a_day(work_folder, hours, reason):
         path, bench.commission("made").model_copy(update={"made": made_at.isoformat()})
     )
     bench.peer.close()
-    calibration, why = find_calibration(path, bench.plan.hand, is_file_named=True)
+    calibration, why = find_calibration(path, bench.plan.hand, is_file_given=True)
     assert (calibration is None) == bool(reason)
     assert reason in why
 
@@ -193,7 +193,7 @@ def test_identified_values_of_other_drives_are_not_used(work_folder, capsys):
 
 
 @pytest.mark.parametrize(
-    ("word", "said"),
+    ("word", "expected_message"),
     [
         ("x", "expected a number, or MOTOR=NUMBER"),
         ("nobody=3", "no motor 'nobody'; expected one of index_motor"),
@@ -201,8 +201,8 @@ def test_identified_values_of_other_drives_are_not_used(work_folder, capsys):
         ("0x1ffffffff", "expected 0 to 0xffffffff"),
     ],
 )
-def test_serial_numbers_that_no_drive_has_are_refused(capfd, word, said):
+def test_serial_numbers_that_no_drive_has_are_refused(capfd, word, expected_message):
     assert main(["sim", "--bus", "local:a", f"--serial={word}", "--dry-run"]) == 2
     err = capfd.readouterr().err
-    assert said in err
+    assert expected_message in err
     assert err.count("\n") == 1

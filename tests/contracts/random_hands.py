@@ -77,14 +77,14 @@ def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
             arms = [arm | {f"{carrier}_j1": float(rng.uniform(1e-3, 5e-3))} for arm in arms]
         joints += digit_joints
         for moment_arm in arms:
-            varied_constants = {
+            random_tendon_constants = {
                 key: tendon[key] * rng.uniform(0.8, 1.2)
                 for key in ("stiffness_N_per_m", "friction_coefficient")
             }
             number = len(entries)
             entries.append(
                 tendon
-                | varied_constants
+                | random_tendon_constants
                 | {"name": f"t{number}", "motor": f"m{number}", "moment_arm_m": moment_arm}
             )
     motors = [
@@ -154,13 +154,13 @@ def _moment_arm_kinds(joints: list[str], radii: np.ndarray) -> Iterator[list[dic
 
 
 def _random_digit(
-    finger: dict[str, Any], name: str, size: int, coupled: bool, rng: RandomGenerator
+    finger: dict[str, Any], name: str, size: int, is_coupled: bool, rng: RandomGenerator
 ) -> dict[str, Any]:
     cut = {key: value[:size] if isinstance(value, list) and key[:5] in ("link_", "joint", "sprin") else value
            for key, value in finger.items()}  # fmt: skip
     cut |= {"name": name, "mount_position_m": rng.uniform(-0.05, 0.05, 3).tolist()}
     cut["spring_preload_rad"] = rng.uniform(0.4, 0.8, size).tolist()
-    return cut | ({"coupling": [[1.0]] * size} if coupled else {})
+    return cut | ({"coupling": [[1.0]] * size} if is_coupled else {})
 
 
 def _message_payload(
@@ -246,7 +246,7 @@ class RandomHand:
                 for feedback_message in drive.cyclic_messages.feedback
             ]
         sensors = self.controller.sensors
-        counter = self.state.run_integer(s.SYNC_COUNTER) & 0xF
+        counter = self.state.run_table_integer(s.SYNC_COUNTER) & 0xF
         for message in sensors.messages:
             late = rng.random() < CORRUPT_FRACTION
             given_quantities = {
@@ -311,7 +311,7 @@ class RandomHand:
         for i in range(TICKS_PER_HAND):
             if i < TICKS_PER_HAND - LAST_TICKS_WITH_FAULTS:
                 self.state.mode = HandMode.ACTIVE
-                self.state.decide(latched=())
+                self.state.decide(latched_faults=())
             k += 1 if self.random.random() > SKIPPED_FRACTION else int(self.random.integers(2, 5))
             t_ns = k * self.period_ns
             entry = TickIn(
@@ -325,7 +325,7 @@ class RandomHand:
             self.state, out = self.controller.tick(self.state, entry)
             hashed_arrays = [
                 out.state_hash,
-                out.telemetry.packed(),
+                out.telemetry.to_bytes(),
                 repr(tuple(out.frames)).encode(),
                 repr(out.events).encode(),
             ]
@@ -337,23 +337,25 @@ def _status_while_enabled(drive: Any, protocol: str) -> int:
     if protocol == "mit":
         return int(mit.ENABLED << 4 | drive.node_id & 0xF)
     if protocol == "moteus":
-        return int(moteus.joined_status(moteus.POSITION, 0))
+        return int(moteus.join_mode_and_fault(moteus.POSITION, 0))
     return int(cia402.ENABLED_STATUS) if protocol == "cia402" else 0
 
 
 def _enabled_drive_state(drive: Any, protocol: str) -> DriveState:
     """Return the state of a drive that is configured and obeys commands."""
     state: DriveState = drive.initial_state()
-    private: Any = state.private
+    protocol_state: Any = state.protocol_state
     if protocol != "odrive":
-        private = private._replace(enable_sent=True)
+        protocol_state = protocol_state._replace(is_enable_sent=True)
     if protocol in ("mit", "moteus", "robstride"):
-        private = private._replace(configured=True)
+        protocol_state = protocol_state._replace(is_configured=True)
     if protocol == "cia402":
-        cursor = private.cursor._replace(step=len(drive.steps))
-        private = private._replace(cursor=cursor, power=cia402.OPERATION_ENABLED, life_sign_ns=0)
+        cursor = protocol_state.cursor._replace(step=len(drive.steps))
+        protocol_state = protocol_state._replace(
+            cursor=cursor, power_state=cia402.OPERATION_ENABLED, life_sign_ns=0
+        )
     check = readback.first_recheck(drive.node_id, 0)
-    return state._replace(phase=DrivePhase.ENABLED, recheck=check, private=private)
+    return state._replace(phase=DrivePhase.ENABLED, recheck=check, protocol_state=protocol_state)
 
 
 def tick_hashes(tendons: int, seed: int) -> list[str]:

@@ -20,11 +20,11 @@ def test_run() -> None:
 
 
 def test_the_stages_select_what_the_makefile_selects() -> None:
-    selections = re.findall(
+    marker_expressions = re.findall(
         r'-m "?([^"$]*?)"? \$\(PYTEST_FLAGS\)', (REPOSITORY / "Makefile").read_text()
     )
-    assert {*conftest.REAL_CLOCK_SELECTIONS} == {
-        selection for selection in selections if not selection.startswith("not ")
+    assert {*conftest.REAL_CLOCK_MARKER_EXPRESSIONS} == {
+        selection for selection in marker_expressions if not selection.startswith("not ")
     }
 
 
@@ -36,12 +36,13 @@ def test_files_are_distinguished_by_their_markers(
 ) -> None:
     path = tmp_path / "test_one.py"
     path.write_text(text)
-    assert conftest.has_clock_tests(path) is expected
+    assert conftest.has_real_clock_tests(path) is expected
 
 
 def test_all_files_that_the_guests_run_are_collected() -> None:
     assert all(
-        conftest.has_clock_tests(path) for path in conftest.REAL_CLOCK_FOLDER.rglob("test_*.py")
+        conftest.has_real_clock_tests(path)
+        for path in conftest.VCAN_TESTS_FOLDER.rglob("test_*.py")
     )
 
 

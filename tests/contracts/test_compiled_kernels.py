@@ -156,7 +156,7 @@ def test_interpreted_kernels_give_the_same_ticks_of_random_hands(
         assert len(set(compiled_hashes_of_hand)) == TICKS_PER_HAND, "all ticks differ"
 
 
-def hash_of_segments() -> str:
+def hash_of_motion_segments() -> str:
     """Return a hash of the state blocks after the start of 200 random motions to streamed targets."""
     digest = hashlib.blake2b(digest_size=16)
     draw = np.random.default_rng(0)
@@ -171,7 +171,7 @@ def hash_of_segments() -> str:
         duration = draw.uniform(0.002, 0.05)
         apart = np.inf if i % 5 == 0 else draw.uniform(0.005, 0.05)
         is_clipped = begin_segments(
-            block, layout.places, aim, held_targets, draw.normal(), duration, apart, 5.0, i % 2
+            block, layout.offsets, aim, held_targets, draw.normal(), duration, apart, 5.0, i % 2
         )
         digest.update(block.tobytes() + bytes([bool(is_clipped)]))
     return digest.hexdigest()
@@ -179,9 +179,9 @@ def hash_of_segments() -> str:
 
 def test_interpreted_kernels_begin_the_same_motions() -> None:
     with run_without_compiler(
-        "-c", f"from {__name__} import hash_of_segments; print(hash_of_segments())"
+        "-c", f"from {__name__} import hash_of_motion_segments; print(hash_of_motion_segments())"
     ) as other_process_result:
-        compiled_hash = hash_of_segments()
+        compiled_hash = hash_of_motion_segments()
         output, _ = other_process_result.communicate(timeout=120)
     assert output.strip() == compiled_hash
 
@@ -218,7 +218,7 @@ def test_only_a_contiguous_array_can_be_borrowed() -> None:
             third_value(strided_array)
 
 
-PROBE_KERNEL_CODE = """
+PROBE_MODULE_TEXT = """
 from handctl.compiled import kernel, kernel_helper
 from handctl.core.state_block import STATE_SCHEMA, state_tables
 from handctl.core.detectors import frame_losses
@@ -230,7 +230,7 @@ def misses(block, at):
     return frame_losses.misses_every_second_reply(state_tables(block, at), 0)
 """
 """Source of a kernel that calls a function of a second file. This function uses a constant of a third file."""
-CALL_PROBE_CODE = """
+RUN_PROBE_SCRIPT = """
 from handctl import compiled
 from handctl.core import state_block as s
 from handctl.core.probe import misses
@@ -243,19 +243,19 @@ folder = compiled._CACHE_FOLDER
 before = [] if folder is None else list(folder.rglob("probe.misses-*.nbi"))
 compiled.compile_kernels()
 assert (not misses.stats.cache_misses) == (folder is not None), "compiled by another process, and loaded by this one"
-print(bool(misses(block, layout.places)), len(before), folder is not None)
+print(bool(misses(block, layout.offsets)), len(before), folder is not None)
 """
 
 
 @pytest.fixture
 def package_copy(tmp_path: Path) -> Path:
-    """Return a copy of the package to which the kernel ``PROBE_KERNEL_CODE`` was added.
+    """Return a copy of the package to which the kernel ``PROBE_MODULE_TEXT`` was added.
 
     The added kernel detects a node that is silent in every second tick.
     """
     package = tmp_path / "handctl"
     shutil.copytree(PACKAGE_FOLDER, package, ignore=shutil.ignore_patterns("__pycache__"))
-    (package / "core" / "probe.py").write_text(PROBE_KERNEL_CODE, encoding="utf-8")
+    (package / "core" / "probe.py").write_text(PROBE_MODULE_TEXT, encoding="utf-8")
     return package
 
 
@@ -270,7 +270,7 @@ def run_copied_kernel(package_folder: Path, cache_folder: Path) -> tuple[bool, b
         "NUMBA_CACHE_DIR": str(cache_folder),
         "PYTHONPATH": str(package_folder.parent),
     }
-    command = [sys.executable, "-c", CALL_PROBE_CODE]
+    command = [sys.executable, "-c", RUN_PROBE_SCRIPT]
     done = subprocess.run(
         command,
         env=environment,
@@ -298,9 +298,9 @@ def test_a_constant_changed_in_another_file_compiles_again(
     )
     fault_file = package_copy / "safety" / "faults" / "node.py"
     text = fault_file.read_text(encoding="utf-8")
-    assert "HALF_RATE_MISSING_REPLIES = 7\n" in text
+    assert "HALF_RATE_LOSS_COUNT = 7\n" in text
     fault_file.write_text(
-        text.replace("HALF_RATE_MISSING_REPLIES = 7\n", "HALF_RATE_MISSING_REPLIES = 8\n"),
+        text.replace("HALF_RATE_LOSS_COUNT = 7\n", "HALF_RATE_LOSS_COUNT = 8\n"),
         encoding="utf-8",
     )
     assert run_copied_kernel(package_copy, cache_folder) == (False, False, True)
@@ -351,7 +351,7 @@ class KernelSources:
         self._seen = set[tuple[str, str]]()
         self._trees: dict[str, ast.Module] = {}
 
-    def follow_name(self, module_name: str, name: str) -> None:
+    def add_modules_of_name(self, module_name: str, name: str) -> None:
         """Add the module that defines a name, and the modules of all names in this definition."""
         if (module_name, name) in self._seen:
             return
@@ -365,7 +365,7 @@ class KernelSources:
             elif name in defined_names(node):
                 for used in ast.walk(node):
                     if isinstance(used, ast.Name):
-                        self.follow_name(module_name, used.id)
+                        self.add_modules_of_name(module_name, used.id)
 
     def _follow_import(self, module_name: str, name: str) -> None:
         """Follow an imported name.
@@ -374,12 +374,12 @@ class KernelSources:
         """
         inner = f"{module_name}.{name}"
         if inner not in sys.modules:
-            self.follow_name(module_name, name)
+            self.add_modules_of_name(module_name, name)
             return
         self.modules.add(inner)
         for node in self._syntax_tree(inner).body:
             for defined_name in defined_names(node):
-                self.follow_name(inner, defined_name)
+                self.add_modules_of_name(inner, defined_name)
 
     def _syntax_tree(self, module_name: str) -> ast.Module:
         """Return the syntax tree of a module."""
@@ -421,7 +421,7 @@ def test_the_cache_folder_depends_on_all_sources_of_kernels() -> None:
     assert len(kernels) > 100
     origins = KernelSources()
     for function in kernels:
-        origins.follow_name(function.__module__, function.__name__)
+        origins.add_modules_of_name(function.__module__, function.__name__)
     assert {
         "handctl.core.block_schema",
         "handctl.safety.faults.tendon",

@@ -14,7 +14,7 @@ import pytest
 
 REPOSITORY = Path(__file__).parents[2]
 CONTRIBUTING_PAGE = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8")
-READ_TOPIC_CODE = """
+READ_TOPIC_SCRIPT = """
 import json, sys
 import varied_run
 from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
@@ -46,14 +46,14 @@ def test_a_topic_is_added_as_the_page_says(tmp_path: Path) -> None:
     messages = package / "log" / "message_types.py"
     insert_text(messages, "DEFINITIONS = {\n", definition)
     (package / "log" / "topics" / "peak.py").write_text(module, encoding="utf-8")
-    everything = package / "log" / "topics" / "topic_set.py"
+    topic_set_file = package / "log" / "topics" / "topic_set.py"
     insert_text(
-        everything, "import numpy as np\n", "from handctl.log.topics.peak import PeakTopic\n"
+        topic_set_file, "import numpy as np\n", "from handctl.log.topics.peak import PeakTopic\n"
     )
-    insert_text(everything, "self._parts = (\n", part_line)
+    insert_text(topic_set_file, "self._parts = (\n", part_line)
     path = os.pathsep.join(map(str, (tmp_path, REPOSITORY / "tests" / "log", REPOSITORY)))
     result = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", READ_TOPIC_CODE],
+        [sys.executable, "-W", "ignore", "-c", READ_TOPIC_SCRIPT],
         env=os.environ | {"PYTHONPATH": path, "NUMBA_DISABLE_JIT": "1"},
         cwd=tmp_path,
         capture_output=True,

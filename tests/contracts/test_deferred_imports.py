@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.core.deferred_imports import import_without_package
+from handctl.core.deferred_imports import import_without_package_init
 
 
 @pytest.mark.parametrize("first_statement", ["", "import control\n"])
@@ -27,4 +27,4 @@ def test_a_user_s_own_control_py_does_not_hide_the_package(
 
 def test_a_package_that_is_not_installed_is_named() -> None:
     with pytest.raises(ModuleNotFoundError, match="'no_such_package'"):
-        import_without_package("no_such_package.part")
+        import_without_package_init("no_such_package.part")

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from handctl.campaign.fault_matrix import FAULT_MATRIX, UNTESTED_ROWS
+from handctl.campaign.fault_matrix import FAULT_MATRIX, TEST_PLACE_BY_UNTESTED_FAULT
 from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.safety.faults.fault import (
     CHECKED_BY_FAULT_TABLE,
-    INDIRECT_FAULT_SIGN,
+    INDIRECTLY_VISIBLE,
     INVISIBLE_FAULT,
     VISIBLE_FAULT,
 )
@@ -21,20 +21,20 @@ from handctl.safety.faults.markdown import (
     fault_sections,
     fault_table_markdown,
     hardware_checklist,
-    late_reaction_rows,
+    late_reactions_markdown,
     reacts_too_late,
 )
 from handctl.safety.faults.table import FAULT_CATALOGUE, FAULT_TABLE, remedy_for
 
 REPOSITORY = Path(__file__).parents[2]
-ROWS_BY_LETTER = {"B": 18, "N": 17, "T": 9, "H": 15, "I": 11}
+FAULT_COUNT_BY_LETTER = {"B": 18, "N": 17, "T": 9, "H": 15, "I": 11}
 CATALOGUE_IDS = [
     f"{letter}{number:02}"
-    for letter, size in ROWS_BY_LETTER.items()
+    for letter, size in FAULT_COUNT_BY_LETTER.items()
     for number in range(1, size + 1)
 ]
 """Identifiers of all faults: 68 from the first catalogue, and the later ones N17 and I11."""
-ENTRY_BY_ID = {entry.id: entry for entry in FAULT_CATALOGUE}
+CATALOGUE_ENTRY_BY_ID = {entry.id: entry for entry in FAULT_CATALOGUE}
 
 AUTOSAR_FAULTS = {
     "repetition": "B05", "loss": "B01 B02 B03", "delay": "B04", "insertion": "B06 B10", "masquerade": "B06 N13 H13",
@@ -70,9 +70,11 @@ def test_the_catalogue_has_every_row_once_and_in_order() -> None:
 def test_table_and_catalogue_agree_on_what_a_tick_can_judge() -> None:
     judged = {fault.row for fault in FAULT_TABLE}
     assert judged <= set(CATALOGUE_IDS)
-    elsewhere = {entry.id for entry in FAULT_CATALOGUE if entry.where != CHECKED_BY_FAULT_TABLE}
+    elsewhere = {
+        entry.id for entry in FAULT_CATALOGUE if entry.checked_by != CHECKED_BY_FAULT_TABLE
+    }
     assert {
-        entry.id for entry in FAULT_CATALOGUE if entry.where == CHECKED_BY_FAULT_TABLE
+        entry.id for entry in FAULT_CATALOGUE if entry.checked_by == CHECKED_BY_FAULT_TABLE
     } <= judged
     assert judged & elsewhere <= {"B18", "N12"}, (
         "only these rows are checked before arming and in every tick"
@@ -83,7 +85,7 @@ def test_every_row_has_its_visibility_in_each_protocol() -> None:
     for entry in FAULT_CATALOGUE:
         for visibility in map(entry.visibility, VERIFIABLE_PROTOCOLS):
             verdict, _, why = visibility.partition(": ")
-            assert verdict in (VISIBLE_FAULT, INDIRECT_FAULT_SIGN, INVISIBLE_FAULT), entry.id
+            assert verdict in (VISIBLE_FAULT, INDIRECTLY_VISIBLE, INVISIBLE_FAULT), entry.id
             assert why or verdict == VISIBLE_FAULT, f"{entry.id}: replaced by what, or lost why?"
 
 
@@ -95,26 +97,27 @@ def test_every_fault_is_injected_or_has_a_reason() -> None:
         elif entry.tested_by != "soak":
             assert (REPOSITORY / entry.tested_by).exists(), entry.id
     assert campaign <= set(CATALOGUE_IDS)
-    assert UNTESTED_ROWS.keys() | campaign >= set(CATALOGUE_IDS) - {
+    assert TEST_PLACE_BY_UNTESTED_FAULT.keys() | campaign >= set(CATALOGUE_IDS) - {
         id_ for id_ in CATALOGUE_IDS if id_[0] == "I"
     }
 
 
 def test_the_campaign_allows_no_more_time_than_the_catalogue() -> None:
     for row in FAULT_MATRIX:
-        entry = ENTRY_BY_ID[row.id]
+        entry = CATALOGUE_ENTRY_BY_ID[row.id]
         if row.accepted_faults[:1] == ("B11b",):  # second stage of the fault B11, after ten ticks
             assert row.max_ticks == 11
             continue
-        assert row.max_ticks * 2.0 + row.max_extra_ms <= entry.max_reaction_ms(500.0), row
-        extra_ms_by_protocol = {
-            p: row.extra_ms.get(p, 0.0) + 2.0 * row.extra_ticks.get(p, 0) for p in row.protocols
+        assert row.max_ticks * 2.0 + row.max_extra_ms <= entry.max_reaction_time_ms(500.0), row
+        extra_delay_ms_by_protocol = {
+            p: row.extra_ms_by_protocol.get(p, 0.0) + 2.0 * row.extra_ticks.get(p, 0)
+            for p in row.protocols
         }
-        assert extra_ms_by_protocol.get("odrive", 0.0) <= entry.odrive_extra_ms, row
+        assert extra_delay_ms_by_protocol.get("odrive", 0.0) <= entry.odrive_extra_ms, row
         for protocol in ("mit", "cia402"):
-            assert row.max_ticks * 2.0 + row.max_extra_ms + extra_ms_by_protocol.get(
+            assert row.max_ticks * 2.0 + row.max_extra_ms + extra_delay_ms_by_protocol.get(
                 protocol, 0.0
-            ) <= entry.max_reaction_ms(500.0), row
+            ) <= entry.max_reaction_time_ms(500.0), row
 
 
 REQUIRED_TICKS = """\
@@ -140,7 +143,7 @@ def test_a_reaction_later_than_required_has_a_reason() -> None:
 def test_the_pages_agree_with_the_code() -> None:
     evidence = (REPOSITORY / "docs" / "evidence" / "faults.md").read_text()
     assert catalogue_markdown() in evidence
-    assert late_reaction_rows() in evidence
+    assert late_reactions_markdown() in evidence
     assert hardware_checklist() in evidence
     reference = (REPOSITORY / "docs" / "reference" / "faults.md").read_text()
     assert fault_table_markdown() in reference

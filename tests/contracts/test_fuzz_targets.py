@@ -40,16 +40,16 @@ def test_seeds_of_a_corpus_are_accepted(target_name: str, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("target_name", FUZZED_DRIVES)
 def test_seeds_of_a_drive_s_corpus_reach_torque(target_name: str, tmp_path: Path) -> None:
-    motor, reached_states = frame_targets.states_until_torque(target_name, tmp_path)
+    motor, reached_states = frame_targets.record_states_until_torque(target_name, tmp_path)
     assert {reached_state.state.phase for reached_state in reached_states} >= {
         DrivePhase.SILENT,
         DrivePhase.READY,
         DrivePhase.ENABLED,
     }
-    own_identifiers = frame_targets.selectable_identifiers(motor, reached_states)
+    drive_identifiers = frame_targets.selectable_identifiers(motor, reached_states)
     for data in seed_inputs(target_name, tmp_path):
         state, t_ns, received_frames = reached_states[data[0]]
-        sent = [frame for frame, _ in frame_targets.frames_of_input(data, own_identifiers, t_ns)]
+        sent = [frame for frame, _ in frame_targets.frames_of_input(data, drive_identifiers, t_ns)]
         assert [(frame.can_id, frame.data) for frame in sent] == [
             (frame.can_id, frame.data) for frame in received_frames
         ]
@@ -63,10 +63,10 @@ def test_a_changed_field_of_a_log_is_found_by_its_check(
 ) -> None:
     error_lines: list[str] = []
     monkeypatch.setattr(
-        file_targets, "check_one_line", lambda error: error_lines.append(str(error))
+        file_targets, "check_single_line_message", lambda error: error_lines.append(str(error))
     )
     target = TARGET_FACTORIES["log"](tmp_path)
-    log_parts = log_targets._log_parts(tmp_path / "small.mcap")
+    log_parts = log_targets._split_log(tmp_path / "small.mcap")
     messages = (
         (i, at)
         for i, records in enumerate(log_parts)

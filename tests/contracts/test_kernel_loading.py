@@ -11,7 +11,7 @@ import pytest
 
 from handctl import compiled, kernel_loading
 
-LOADING_CHECKS_CODE = """
+KERNEL_LOADING_SCRIPT = """
 import sys
 from handctl import compiled, kernel_loading
 compiled.compile_kernels()
@@ -22,7 +22,7 @@ from numba import njit
 square = compiled.square
 print("linked", njit(lambda value: square(value) + 1.0)(3.0))
 """
-UNKNOWN_VERSION_CODE = "from handctl import kernel_loading\nkernel_loading.TESTED_VERSIONS = ()\n"
+UNKNOWN_VERSION_SCRIPT = "from handctl import kernel_loading\nkernel_loading.TESTED_VERSIONS = ()\n"
 
 pytestmark = pytest.mark.skipif(
     compiled._CACHE_FOLDER is None, reason="no folder for compiled code"
@@ -39,7 +39,7 @@ def printed_lines(program_text: str) -> list[str]:
 
 def test_stored_code_is_loaded_without_the_compiler_and_linked_later() -> None:
     compiled.compile_kernels()
-    assert printed_lines(LOADING_CHECKS_CODE) == [
+    assert printed_lines(KERNEL_LOADING_SCRIPT) == [
         "registered False",
         "imported False",
         "loaded False 9.0",
@@ -49,7 +49,7 @@ def test_stored_code_is_loaded_without_the_compiler_and_linked_later() -> None:
 
 def test_other_versions_of_numba_load_in_their_own_way() -> None:
     compiled.compile_kernels()
-    assert printed_lines(UNKNOWN_VERSION_CODE + LOADING_CHECKS_CODE) == [
+    assert printed_lines(UNKNOWN_VERSION_SCRIPT + KERNEL_LOADING_SCRIPT) == [
         "registered True",
         "imported True",
         "loaded True 9.0",

@@ -52,8 +52,8 @@ def test_the_script_counts_names_docstrings_and_shape(
     language_check: ModuleType, source_tree: Path
 ) -> None:
     tally = language_check.count_all_folders(source_tree)["src"]
-    counted = {count: tally.counts[count] for count in language_check.QUANTITY_PER_COUNT}
-    assert counted == {
+    count_by_kind = {count: tally.counts[count] for count in language_check.QUANTITY_PER_COUNT}
+    assert count_by_kind == {
         "names": 5,  # the words are: told twice, most, Wishes twice
         "openers": 1,
         "what": 1,

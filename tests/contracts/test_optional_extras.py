@@ -31,13 +31,15 @@ The dependency itself pins the version of such a package.
 """
 
 
-def hide_packages_code(extra_names: set[str]) -> str:
+def hide_packages_script(extra_names: set[str]) -> str:
     """Return Python code that hides the packages of some extras from a process."""
-    hidden = [package for package, extra in EXTRA_BY_MODULE.items() if extra in extra_names]
-    return f"import sys\nsys.modules.update(dict.fromkeys({hidden}))\n"
+    hidden_packages = [
+        package for package, extra in EXTRA_BY_MODULE.items() if extra in extra_names
+    ]
+    return f"import sys\nsys.modules.update(dict.fromkeys({hidden_packages}))\n"
 
 
-HIDE_EXTRAS_CODE = hide_packages_code(set(EXTRA_BY_MODULE.values()))
+HIDE_EXTRAS_SCRIPT = hide_packages_script(set(EXTRA_BY_MODULE.values()))
 """Python code that hides every optional package from a process."""
 
 COMMANDS_WITH_EXTRA = [
@@ -93,7 +95,7 @@ def test_a_missing_extra_is_one_line_that_names_it(
 
 def test_the_simulator_names_its_extra_as_well() -> None:
     code = (
-        f"{HIDE_EXTRAS_CODE}from firmware_sim.__main__ import main\n"
+        f"{HIDE_EXTRAS_SCRIPT}from firmware_sim.__main__ import main\n"
         "sys.exit(main(['--hand', 'jamia', '--bus', 'local:x']))"
     )
     result = subprocess.run(
@@ -107,7 +109,7 @@ def test_the_simulator_names_its_extra_as_well() -> None:
 
 def test_the_api_names_the_extra_of_the_simulated_hand() -> None:
     code = (
-        f"{hide_packages_code({'sim'})}from handctl.session.simulate import SimulatorSettings\n"
+        f"{hide_packages_script({'sim'})}from handctl.session.lockstep_simulation import SimulatorSettings\n"
         "SimulatorSettings('jamia').check_hand_constructible()"
     )
     result = subprocess.run(
@@ -161,17 +163,17 @@ def test_the_doctor_names_what_is_installed(
     assert "not installed: view\n" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("with_controller", [True, False])
-def test_no_verb_s_help_or_module_needs_an_extra(with_controller: bool) -> None:
+@pytest.mark.parametrize("has_controller_extra", [True, False])
+def test_no_verb_s_help_or_module_needs_an_extra(has_controller_extra: bool) -> None:
     modules = [
         f"handctl.cli.{folder}.{verb}"
         for folder, verbs in VERBS_BY_FOLDER.items()
         for verb in verbs
-        if with_controller or verb in VERBS_WITHOUT_CONTROLLER
+        if has_controller_extra or verb in VERBS_WITHOUT_CONTROLLER
     ]
-    missing = set(EXTRA_BY_MODULE.values()) - ({"controller"} if with_controller else set())
+    missing = set(EXTRA_BY_MODULE.values()) - ({"controller"} if has_controller_extra else set())
     code = (
-        f"{hide_packages_code(missing)}import importlib\nfrom handctl.cli.main import main\n"
+        f"{hide_packages_script(missing)}import importlib\nfrom handctl.cli.main import main\n"
         f"for name in {list(VERB_HELP)}:\n    try:\n        main([name, '--help'])\n    except SystemExit:\n"
         "        pass\n"
         f"for name in {modules}:\n    importlib.import_module(name)\n"
@@ -179,7 +181,7 @@ def test_no_verb_s_help_or_module_needs_an_extra(with_controller: bool) -> None:
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
-CLIENT_CODE = """
+CLIENT_SCRIPT = """
 import handctl, handctl.client, handctl.log.read.reader as reader
 from handctl.compiled import NUMBA_INSTALLED, compile_kernels, square
 from handctl.extras import MissingExtraError
@@ -198,7 +200,7 @@ def test_a_client_and_a_reader_of_logs_need_no_extra() -> None:
     """Without numba, Python interprets kernels. Only a controller requires compiled kernels."""
     log = REPOSITORY / "logs" / "golden" / "jamia-grasp.mcap"
     ran = subprocess.run(
-        [sys.executable, "-c", HIDE_EXTRAS_CODE + CLIENT_CODE, str(log)],
+        [sys.executable, "-c", HIDE_EXTRAS_SCRIPT + CLIENT_SCRIPT, str(log)],
         capture_output=True,
         text=True,
         check=False,
@@ -207,7 +209,7 @@ def test_a_client_and_a_reader_of_logs_need_no_extra() -> None:
     assert (ran.stdout, ran.returncode) == (expected, 0), ran.stderr
 
 
-WITHOUT_CONTROLLER = [
+COMMANDS_WITHOUT_EXTRA = [
     ("log info {log}", 0, "hand.toml"),
     ("log export {log} --csv --output {folder}/rows", 0, ""),
     ("doctor", None, "not installed: controller, sim"),
@@ -217,13 +219,13 @@ WITHOUT_CONTROLLER = [
 """Command lines in an environment without extras, each with exit code and part of the output."""
 
 
-@pytest.mark.parametrize(("words", "exit_code", "text"), WITHOUT_CONTROLLER)
+@pytest.mark.parametrize(("words", "exit_code", "text"), COMMANDS_WITHOUT_EXTRA)
 def test_verbs_for_logs_and_buses_need_no_controller(
     words: str, exit_code: int | None, text: str, tmp_path: Path
 ) -> None:
     """The exit code of ``doctor`` depends on the machine, so it is not checked."""
     log = REPOSITORY / "logs" / "golden" / "jamia-grasp.mcap"
-    code = f"{HIDE_EXTRAS_CODE}from handctl.cli.main import main\nsys.exit(main(sys.argv[1:]))"
+    code = f"{HIDE_EXTRAS_SCRIPT}from handctl.cli.main import main\nsys.exit(main(sys.argv[1:]))"
     command = words.format(log=log, folder=tmp_path).split()
     ran = subprocess.run(
         [sys.executable, "-c", code, *command], capture_output=True, text=True, check=False

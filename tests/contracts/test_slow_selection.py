@@ -8,24 +8,24 @@ from pathlib import Path
 import pytest
 
 from tests.slow_tests import (
-    FILE_LIMIT_S,
-    FUNCTION_BUDGET_S,
+    CHEAPEST_TEST_LIMIT_S,
     REAL_CLOCK_BUDGET_S,
+    TEST_FUNCTION_BUDGET_S,
     choose_slow_tests,
-    listed_costs,
+    read_slow_test_costs,
 )
 
 REPOSITORY = Path(__file__).parents[2]
 
 
 def test_a_function_keeps_its_first_cases_up_to_the_budget() -> None:
-    rows = [(f"a.py::one[{i}]", 0.4 * FUNCTION_BUDGET_S, 0.0, False) for i in range(4)]
+    rows = [(f"a.py::one[{i}]", 0.4 * TEST_FUNCTION_BUDGET_S, 0.0, False) for i in range(4)]
     assert set(choose_slow_tests(rows)) == {"a.py::one[2]", "a.py::one[3]"}
 
 
 def test_a_file_keeps_its_cheapest_test_unless_it_takes_long() -> None:
     rows = [("a.py::one", 3.0, 0.0, False), ("a.py::two", 2.0, 0.0, False)]
-    rows += [("b.py::one", 1.1 * FILE_LIMIT_S, 0.0, False)]
+    rows += [("b.py::one", 1.1 * CHEAPEST_TEST_LIMIT_S, 0.0, False)]
     assert set(choose_slow_tests(rows)) == {"a.py::one", "b.py::one"}
 
 
@@ -34,7 +34,7 @@ def test_each_listed_function_exists() -> None:
 
     Earlier defect: 36 lines of the list named functions that had been renamed.
     """
-    listed = {re.split(r"\[", test, maxsplit=1)[0] for test in listed_costs()}
+    listed = {re.split(r"\[", test, maxsplit=1)[0] for test in read_slow_test_costs()}
     missing = []
     for test in sorted(listed):
         file, *_, function = test.split("::")
@@ -54,7 +54,7 @@ def test_a_test_that_waits_long_is_slow() -> None:
 
 
 def test_parameters_with_brackets_and_lines_belong_to_one_function() -> None:
-    rows = [(f"a.py::one[x[{i}]\n]", 0.6 * FUNCTION_BUDGET_S, 0.0, False) for i in range(2)]
+    rows = [(f"a.py::one[x[{i}]\n]", 0.6 * TEST_FUNCTION_BUDGET_S, 0.0, False) for i in range(2)]
     assert set(choose_slow_tests(rows)) == {"a.py::one[x[1]\n]"}
 
 

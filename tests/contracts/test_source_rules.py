@@ -75,7 +75,7 @@ def test_only_the_loop_catches_all_exceptions_and_once() -> None:
 
 
 def test_only_one_module_builds_the_simulated_hand() -> None:
-    """Only the module ``session.simulate`` builds a simulated hand in lockstep.
+    """Only the module ``session.lockstep_simulation`` builds a simulated hand in lockstep.
 
     The module of the lockstep clock defines the parts of this simulated hand.
     """
@@ -86,7 +86,7 @@ def test_only_one_module_builds_the_simulated_hand() -> None:
     }
     assert building_modules == {
         "src/handctl/runtime/clocks/lockstep.py",
-        "src/handctl/session/simulate.py",
+        "src/handctl/session/lockstep_simulation.py",
     }
 
 

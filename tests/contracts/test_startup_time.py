@@ -31,13 +31,13 @@ UNUSED_SCIPY_PACKAGES = (
     "stats",
 )
 """Packages of scipy that a run does not import if its hand has springs."""
-HELP_LIMIT_S = 0.3
-HELP_LIMIT_INTERPRETERS = 10
+MAX_HELP_TIME_S = 0.3
+MAX_HELP_TIME_RATIO = 10
 """Limit of the time that ``--help`` may take on a slow or busy machine.
 
 The unit is the start-up time of an empty Python interpreter.
 """
-HELP_CODE = (
+HELP_SCRIPT = (
     "from handctl.cli.main import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
 )
 
@@ -57,16 +57,16 @@ def run_duration_s(program_text: str) -> float:
 @pytest.mark.realtime
 @pytest.mark.alone
 def test_help_answers_at_once() -> None:
-    pairs = [(run_duration_s("pass"), run_duration_s(HELP_CODE)) for _ in range(5)]
+    pairs = [(run_duration_s("pass"), run_duration_s(HELP_SCRIPT)) for _ in range(5)]
     bare, full_time_s = (min(column) for column in zip(*pairs, strict=True))
-    allowed = max(HELP_LIMIT_S, HELP_LIMIT_INTERPRETERS * bare)
+    allowed = max(MAX_HELP_TIME_S, MAX_HELP_TIME_RATIO * bare)
     assert full_time_s <= allowed, (
         f"handctl --help {full_time_s:.2f} s, bare interpreter {bare:.3f} s"
     )
 
 
 def test_help_imports_no_heavy_library() -> None:
-    code = f"{HELP_CODE}import sys\nprint('loaded:', *(name for name in {HEAVY_LIBRARIES} if name in sys.modules))"
+    code = f"{HELP_SCRIPT}import sys\nprint('loaded:', *(name for name in {HEAVY_LIBRARIES} if name in sys.modules))"
     result = subprocess.run(
         [sys.executable, "-c", code], check=True, capture_output=True, text=True
     )

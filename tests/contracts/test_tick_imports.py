@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-RUN_CODE = """
+IMPORT_CHECK_SCRIPT = """
 import json, sys
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
@@ -17,7 +17,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.programs.live_session import LiveProgram
 from handctl.session.run_plan import RunPlan
 from handctl.session.run import make_controller
-from handctl.session.simulate import SimulatorSettings
+from handctl.session.lockstep_simulation import SimulatorSettings
 
 hand = load_hand(sys.argv[1])
 controller = make_controller(RunPlan(hand, Gains(), 200.0, ()), LiveProgram(), None, True)
@@ -42,7 +42,7 @@ with SimulatorSettings(hand.name, homed=True).begin_run(controller) as run:
 print(*sorted(set(sys.modules) - before))
 """
 
-GRASP_CODE = """
+GRASP_SCRIPT = """
 import sys
 from handctl.campaign.run_stages import homed_run
 from handctl.hand.hand_loading import load_hand
@@ -55,7 +55,7 @@ print(*sorted(set(sys.modules) - before))
 """
 
 
-def run_code(program_text: str, hand_name: str) -> list[str]:
+def run_script(program_text: str, hand_name: str) -> list[str]:
     """Run a program in a process of its own, and return the words that it prints."""
     result = subprocess.run(
         [sys.executable, "-c", program_text, hand_name], capture_output=True, text=True, check=False
@@ -71,7 +71,7 @@ def test_no_tick_imports_a_module(hand: str) -> None:
     A task with a phase ``follow`` imported 202 modules of scipy in the tick that began this phase.
     This import took 0.3 s.
     """
-    assert run_code(RUN_CODE, hand) == []
+    assert run_script(IMPORT_CHECK_SCRIPT, hand) == []
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
@@ -80,4 +80,4 @@ def test_no_tick_of_a_grasp_imports_a_module(hand: str) -> None:
 
     The first bounded allocation of tensions caused this import.
     """
-    assert run_code(GRASP_CODE, hand) == []
+    assert run_script(GRASP_SCRIPT, hand) == []

@@ -50,7 +50,7 @@ class WheelEnvironment:
         self._constraints.write_text("\n".join(pins))
 
     def _build_wheel(self) -> Path:
-        dist = self.folder / "dist"
+        wheel_folder = self.folder / "dist"
         command = [
             sys.executable,
             "-m",
@@ -59,10 +59,10 @@ class WheelEnvironment:
             "--target",
             "wheel",
             "--directory",
-            str(dist),
+            str(wheel_folder),
         ]
         subprocess.run(command, cwd=REPOSITORY, check=True, capture_output=True)
-        (wheel,) = dist.glob("*.whl")
+        (wheel,) = wheel_folder.glob("*.whl")
         return wheel
 
     def run(self, *program_arguments: str, exit_code: int = 0) -> subprocess.CompletedProcess[str]:
@@ -80,7 +80,7 @@ class WheelEnvironment:
         )
         return result
 
-    def install(self, extra_names: str = "") -> None:
+    def install_wheel(self, extra_names: str = "") -> None:
         """Install the wheel with extras, in the versions of the lock file."""
         self.run(
             "python",
@@ -110,19 +110,19 @@ class WheelEnvironment:
 @pytest.fixture(scope="module")
 def environment_without_extras(tmp_path_factory: pytest.TempPathFactory) -> WheelEnvironment:
     fresh_wheel_environment = WheelEnvironment(tmp_path_factory.mktemp("wheel"))
-    fresh_wheel_environment.install()
+    fresh_wheel_environment.install_wheel()
     return fresh_wheel_environment
 
 
 @pytest.fixture(scope="module")
 def controller_environment(environment_without_extras: WheelEnvironment) -> WheelEnvironment:
-    environment_without_extras.install("[controller]")
+    environment_without_extras.install_wheel("[controller]")
     return environment_without_extras
 
 
 @pytest.fixture(scope="module")
 def simulator_environment(controller_environment: WheelEnvironment) -> WheelEnvironment:
-    controller_environment.install("[sim,view]")
+    controller_environment.install_wheel("[sim,view]")
     return controller_environment
 
 
@@ -139,8 +139,10 @@ def test_logs_and_clients_need_no_extra(environment_without_extras: WheelEnviron
 
 
 def test_a_controller_needs_one_extra(controller_environment: WheelEnvironment) -> None:
-    executed = controller_environment.run("handctl", "replay", "execute", str(GOLDEN_LOG)).stdout
-    assert "0 differ" in executed
+    replay_output = controller_environment.run(
+        "handctl", "replay", "execute", str(GOLDEN_LOG)
+    ).stdout
+    assert "0 differ" in replay_output
     controller_environment.run("handctl", "report", str(GOLDEN_LOG), "--output", "report.html")
     controller_environment.run("handctl", "config", "check", "--hand", "jamia")
     expected = controller_environment.run("handctl", "demo", "--lockstep", exit_code=2).stderr

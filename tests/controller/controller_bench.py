@@ -40,7 +40,7 @@ class ToyHand:
 
     def __init__(self, hand: Hand, period_ns: int) -> None:
         self.hand, self.period_s = hand, period_ns * 1e-9
-        motors = [hand.motor_of(name) for name in hand.tendon_names]
+        motors = [hand.motor_of_tendon(name) for name in hand.tendon_names]
         self.motors = [
             ScriptedMotor(m.node_id, m.options.get("reply_id", m.node_id + 0x10)) for m in motors
         ]
@@ -82,7 +82,7 @@ class ToyHand:
         self._advance_tendons()
         return [answer._replace(t_ns=t_ns + 100_000 + i) for i, answer in enumerate(answers)]
 
-    def tear_tendon(self, tendon_index: int) -> None:
+    def snap_tendon(self, tendon_index: int) -> None:
         """Tear tendon i.
 
         A torn tendon has no tension, at any speed of its spool.
@@ -168,7 +168,7 @@ def uncommissioned_controller(
     """Return a controller for all tendons of a hand that has not been commissioned."""
     hand, n = model.hand, model.tendon_count
     buses = hand.bus_names
-    motors = [hand.motor_of(name) for name in hand.tendon_names]
+    motors = [hand.motor_of_tendon(name) for name in hand.tendon_names]
     drives = tuple(MitDrive.from_motor(motor, buses.index(motor.bus)) for motor in motors)
     sensors = SensorNode.from_description(hand.sensor_node, 0, hand.tendon_names, hand.joints)
     return Controller(
@@ -183,16 +183,16 @@ class ControllerBench:
     Attributes:
         controller: the controller under test.
         toy_hand: the simple hand, which replies to the controller.
-        change_host_frames, change_node_frames: functions that change the frames of a tick on their way to the host and
-            to the nodes.
+        modify_frames_to_host, modify_frames_to_nodes: functions that change the frames of a tick on
+            their way to the host and to the nodes.
         tick_history: for every tick so far, its input, its output, and the state of the controller
             before the tick.
     """
 
     controller: Controller
     toy_hand: ToyHand
-    change_host_frames: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
-    change_node_frames: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
+    modify_frames_to_host: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
+    modify_frames_to_nodes: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
     tick_history: list[tuple[ControllerState, TickIn, TickOut]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -216,14 +216,14 @@ class ControllerBench:
             self.k,
             t_ns,
             lateness_ns,
-            (*self.change_host_frames(self.frames_on_bus), *extra_frames),
+            (*self.modify_frames_to_host(self.frames_on_bus), *extra_frames),
             io_events,
             requests,
         )
         state_before = self.state
         self.state, out = self.controller.tick(state_before, entry)
         self.tick_history.append((state_before, entry, out))
-        self.frames_on_bus = self.toy_hand.step(t_ns, self.change_node_frames(list(out.frames)))
+        self.frames_on_bus = self.toy_hand.step(t_ns, self.modify_frames_to_nodes(list(out.frames)))
         self.k += 1
         return out
 

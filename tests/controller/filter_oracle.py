@@ -7,7 +7,7 @@ of a tendon and the steady-state Kalman gain.
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from handctl.core.estimation.filter_stack import (
+from handctl.core.estimation.filter_types import (
     STATE_COUNT,
     D,
     E,
@@ -35,7 +35,7 @@ def rates_of_change(
     planned_rate: float,
 ) -> np.ndarray:
     """Return the time derivatives of the seven filter states of tendon i."""
-    space, gains = model.space, model.gains.filter
+    space, gains = model.tendon_constants, model.gains.filter
     x, v, s, w, d, e, o = tendon_state
     f = 0.0
     if regime != TendonRegime.SLACK:
@@ -80,7 +80,7 @@ def process_noise_density(model: HandModel, tendon_index: int, regime: TendonReg
     sigma^2 / tau. The density of a random walk is sigma^2 / tau. A digit without contact follows
     the spool of its tendon. The noise of the spool speed therefore also acts on the digit.
     """
-    space, gains = model.space, model.gains.filter
+    space, gains = model.tendon_constants, model.gains.filter
     disturbance, lasts, shaking = unknown_motor_force(model, regime)
     spool = np.zeros(STATE_COUNT)
     spool[V] = shaking / space.motor_mass[tendon_index]
@@ -138,7 +138,7 @@ def integrate_one_period(
 
 def measurement_noise(model: HandModel, tendon_index: int) -> np.ndarray:
     """Return the standard deviations that the gain design assumes for encoder and load cell."""
-    space, gains = model.space, model.gains.filter
+    space, gains = model.tendon_constants, model.gains.filter
     return np.array(
         [
             space.encoder_step[tendon_index] * gains.encoder_noise_counts,
@@ -187,9 +187,9 @@ def joseph_update(
     the error into account.
     """
     H, R = block.H[:2].copy(), np.diag(block.R * np.where(is_missing, 1e12, 1.0))
-    H[1, E] = float(block.cell_error_observable)
+    H[1, E] = float(block.is_cell_error_observable)
     gain = np.linalg.solve(H @ P @ H.T + R, H @ P).T
-    gain[E] *= float(block.cell_error_observable)
+    gain[E] *= float(block.is_cell_error_observable)
     remaining_fraction = np.eye(STATE_COUNT) - gain @ H
     return gain, remaining_fraction @ P @ remaining_fraction.T + gain @ R @ gain.T
 

@@ -1,7 +1,7 @@
 """States, sensor readings and single ticks for tests of the tension filter.
 
 ``FilterState`` is the part of the controller's state that belongs to the filter.
-``run_unplanned_filter_tick`` runs one tick of the filter on a ``FilterState``.
+``run_filter_tick_without_plan`` runs one tick of the filter on a ``FilterState``.
 """
 
 from typing import NamedTuple
@@ -12,16 +12,16 @@ from handctl.controller.controller_state import ControllerState
 from handctl.core import state_block as s
 from handctl.core import tick_stages
 from handctl.core.estimation.filter_prediction import predict_filter_states
-from handctl.core.estimation.filter_stack import STATE_COUNT, S, TendonRegime, X
+from handctl.core.estimation.filter_types import STATE_COUNT, S, TendonRegime, X
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
 from tests.controller.synthetic_states import (
     SensorReadings,
     SyntheticEstimate,
     active_state,
+    constant_args_of,
     empty_readings,
     estimate_of,
-    stage_constants,
 )
 
 
@@ -37,7 +37,7 @@ class FilterState(NamedTuple):
         is_length_known: True if the length of the tendon is known.
         normalised_cell_innovation: last load-cell innovation, divided by its standard deviation.
         nis_mean, nis_fast_average: slow and fast average of the normalised innovation squared.
-        doubtful: True if the innovations are too large for the model, so the filter trusts its
+        is_doubtful: True if the innovations are too large for the model, so the filter trusts its
             model less.
         doubt_time_s: remaining time for which the filter trusts its model less [s].
         covariance: (N, 7, 7) covariance of the filter states while measurements are missing. The
@@ -52,7 +52,7 @@ class FilterState(NamedTuple):
     is_length_known: tuple[bool, ...]
     normalised_cell_innovation: np.ndarray
     nis_mean: np.ndarray
-    doubtful: tuple[bool, ...]
+    is_doubtful: tuple[bool, ...]
     nis_fast_average: np.ndarray
     doubt_time_s: np.ndarray
     covariance: np.ndarray | None = None
@@ -86,10 +86,10 @@ class FilterState(NamedTuple):
         )._replace(started=False)
 
 
-BLOCK_FIELD_BY_ATTRIBUTE = {
+STATE_FIELD_BY_ATTRIBUTE = {
     "regimes": "regime", "stopped": "stopped", "regime_change_evidence": "turning",
     "is_length_known": "length_known",
-    "normalised_cell_innovation": "surprise", "nis_mean": "nis_mean", "doubtful": "doubtful",
+    "normalised_cell_innovation": "surprise", "nis_mean": "nis_mean", "is_doubtful": "doubtful",
     "nis_fast_average": "nis_lately",
     "doubt_time_s": "wary",
 }  # fmt: skip
@@ -101,31 +101,31 @@ The seven filter states and the covariance have no entry.
 
 def write_filter_state(state: ControllerState, filter_state: FilterState) -> None:
     """Write a filter state into the block of a controller's state."""
-    state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT] = filter_state.filter_states.reshape(
-        -1, STATE_COUNT
-    ).T
-    for name, row in BLOCK_FIELD_BY_ATTRIBUTE.items():
+    state.tendon[s.SPOOL_TRAVEL : s.SPOOL_TRAVEL + STATE_COUNT] = (
+        filter_state.filter_states.reshape(-1, STATE_COUNT).T
+    )
+    for name, row in STATE_FIELD_BY_ATTRIBUTE.items():
         state.view(row)[...] = getattr(filter_state, name)
     state.view("kind")[...] = state.view("regime") + 3 * (filter_state.doubt_time_s > 0.0)
-    state.set_run_integer(s.COVARIANCE_PROPAGATED, filter_state.covariance is not None)
+    state.set_run_table_integer(s.COVARIANCE_PROPAGATED, filter_state.covariance is not None)
     if filter_state.covariance is not None:
         state.view("covariance")[...] = filter_state.covariance.reshape(-1, STATE_COUNT**2).T
-    state.set_run_integer(s.FILTER_STARTED, filter_state.started)
+    state.set_run_table_integer(s.FILTER_STARTED, filter_state.started)
 
 
 def filter_state_of(state: ControllerState) -> FilterState:
     """Return the part of a controller's state that belongs to the filter."""
-    boolean_fields = ("stopped", "is_length_known", "doubtful")
+    boolean_fields = ("stopped", "is_length_known", "is_doubtful")
     field_values = {
         name: tuple(map(bool if name in boolean_fields else int, state.view(row)))
         if state.view(row).dtype == np.int64
         else state.view(row).copy()
-        for name, row in BLOCK_FIELD_BY_ATTRIBUTE.items()
+        for name, row in STATE_FIELD_BY_ATTRIBUTE.items()
     }
     covariances = None
-    if state.run_integer(s.COVARIANCE_PROPAGATED):
+    if state.run_table_integer(s.COVARIANCE_PROPAGATED):
         covariances = state.view("covariance").T.reshape(-1, STATE_COUNT, STATE_COUNT).copy()
-    x = state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT].T.copy().ravel()
+    x = state.tendon[s.SPOOL_TRAVEL : s.SPOOL_TRAVEL + STATE_COUNT].T.copy().ravel()
     return FilterState(x, **field_values, covariance=covariances, started=state.has_started)
 
 
@@ -134,7 +134,7 @@ def write_readings(state: ControllerState, measured: SensorReadings) -> None:
     for name in ("travel", "tension", "excursion"):
         state.view(f"measured_{name}")[...] = getattr(measured, name)
     state.view("measured_joint")[...] = measured.joints
-    state.view("saturated")[list(measured.saturated)] = 1
+    state.view("saturated")[list(measured.saturated_tendons)] = 1
 
 
 def run_filter_tick(
@@ -170,14 +170,14 @@ def run_filter_tick(
     controller_state.view("planned_contact")[...] = digit_contact
     if friction_state is not None:
         controller_state.view("friction_state")[...] = friction_state
-    controller_state.set_run_integer(s.MISSED_TICKS, missed_ticks)
+    controller_state.set_run_table_integer(s.MISSED_TICKS, missed_ticks)
     tick_stages.correct_tension_estimate(
-        controller_state.block, controller_state.layout.places, *stage_constants(model)
+        controller_state.block, controller_state.layout.offsets, *constant_args_of(model)
     )
     if controller_state.has_started:
         predict_filter_states(model, controller_state.layout, controller_state.block, missed_ticks)
     tick_stages.conclude_estimate(
-        controller_state.block, controller_state.layout.places, *stage_constants(model)
+        controller_state.block, controller_state.layout.offsets, *constant_args_of(model)
     )
     return filter_state_of(controller_state), estimate_of(controller_state)
 
@@ -188,11 +188,11 @@ def state_at_rest(
     """Return the states (N, 7) and the motor forces (N,) of a hand at rest with all joints at ``joint_angle`` [rad]."""
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), joint_angle)
-    x[:, X] = x[:, S] + tension / model.space.stiffness
+    x[:, X] = x[:, S] + tension / model.tendon_constants.stiffness
     return x, np.full(model.tendon_count, tension)
 
 
-def run_unplanned_filter_tick(
+def run_filter_tick_without_plan(
     model: HandModel,
     state: FilterState,
     measured: SensorReadings,
@@ -219,9 +219,7 @@ def noiseless_readings(
     )
 
 
-def state_with_tendons_in_regime(
-    model: HandModel, regime: TendonRegime, x: np.ndarray
-) -> FilterState:
+def state_in_regime(model: HandModel, regime: TendonRegime, x: np.ndarray) -> FilterState:
     """Return a filter state in which every tendon has the same regime.
 
     In this state, no digit rests at the mechanical stop of its open end.
@@ -244,10 +242,10 @@ def state_after_first_readings(
     """
     controller_state = state_with_filter(model, state)
     controller_state.mode = HandMode.SILENT
-    controller_state.view("position")[...] = travel / model.space.spool
+    controller_state.view("position")[...] = travel / model.tendon_constants.spool_radius
     controller_state.view("group_frames")[...] = with_load_cells
     tick_stages.observe_tick(
-        controller_state.block, controller_state.layout.places, *stage_constants(model)
+        controller_state.block, controller_state.layout.offsets, *constant_args_of(model)
     )
     return filter_state_of(controller_state)
 
@@ -262,7 +260,7 @@ def corrected_state(
     controller_state = state_with_filter(model, state)
     write_readings(controller_state, measured)
     tick_stages.correct_tension_estimate(
-        controller_state.block, controller_state.layout.places, *stage_constants(model)
+        controller_state.block, controller_state.layout.offsets, *constant_args_of(model)
     )
     return controller_state
 
@@ -284,6 +282,8 @@ def design_arrays_by_tendon(
     return np.array(
         [
             getattr(designs_of_tendon[kind], array_name)
-            for designs_of_tendon, kind in zip(model.filter.blocks, regime_by_tendon, strict=True)
+            for designs_of_tendon, kind in zip(
+                model.filter_design.blocks, regime_by_tendon, strict=True
+            )
         ]
     )

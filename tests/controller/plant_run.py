@@ -12,10 +12,10 @@ from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.program import Program
-from handctl.session.simulate import SimulatorSettings, homed_controller
+from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
 
 CONTROL_RATE_HZ = 250.0
-OBJECT_LOST_M = 0.05
+LOST_OBJECT_DISTANCE_M = 0.05
 
 
 @cache
@@ -84,7 +84,8 @@ def run_on_plant(
             result.true_tension.append(list(plant.tensions()))
             result.events += [(t, event) for event in out.events]
             is_object_lost = (
-                math.dist(result.object_position[-1], result.object_position[0]) > OBJECT_LOST_M
+                math.dist(result.object_position[-1], result.object_position[0])
+                > LOST_OBJECT_DISTANCE_M
             )
             if run.state.mode == HandMode.RELAX or is_object_lost:
                 break

@@ -18,10 +18,10 @@ from handctl.controller.controller_state import ControllerState
 from handctl.controller.tick import Controller
 from handctl.core import state_block as s
 from handctl.core import tick_stages
-from handctl.core.block_schema import BlockArray, TablePlaces
+from handctl.core.block_schema import BlockArray, TableOffsets
 from handctl.core.constants import ConstantTables, constant_tables
 from handctl.core.estimation import kalman
-from handctl.core.estimation.filter_stack import STATE_COUNT, S, V, W, X
+from handctl.core.estimation.filter_types import STATE_COUNT, S, V, W, X
 from handctl.core.estimation.statics import winding_efficiency
 from handctl.core.hand_model import HandModel
 from handctl.core.state_block import state_tables
@@ -38,7 +38,7 @@ class SensorReadings(NamedTuple):
     Attributes:
         travel: spool travel, read by the motor encoder [m]. tension: tension, read by the load cell
             and reduced by its tare [N]. excursion: tendon excursion, read by joint encoders [m].
-        joints: (J,) joint angles, read by the joint encoders [rad]. saturated: tendons whose load
+        joints: (J,) joint angles, read by the joint encoders [rad]. saturated_tendons: tendons whose load
             cell is at an end of its range.
     """
 
@@ -46,7 +46,7 @@ class SensorReadings(NamedTuple):
     tension: np.ndarray
     excursion: np.ndarray
     joints: np.ndarray
-    saturated: tuple[int, ...] = ()
+    saturated_tendons: tuple[int, ...] = ()
 
 
 class SyntheticEstimate(NamedTuple):
@@ -76,7 +76,7 @@ class SyntheticEstimate(NamedTuple):
     grip_travel: np.ndarray
 
 
-BLOCK_FIELD_BY_ATTRIBUTE = {
+STATE_FIELD_BY_ATTRIBUTE = {
     "tension_sigma": "sigma",
     "tendon_speed": "speed", "motor_disturbance": "disturbance",
     "external_tension": "external",
@@ -99,7 +99,7 @@ def controller_of(model: HandModel) -> Controller:
 def _active_state_template(model: HandModel) -> ControllerState:
     state = controller_of(model).initial_state()
     state.mode = HandMode.ACTIVE
-    state.set_run_integer(s.FILTER_STARTED, 1)
+    state.set_run_table_integer(s.FILTER_STARTED, 1)
     for name in ("regime", "kind", "kind_before", "stopped"):
         state.view(name)[...] = 0
     return state
@@ -121,12 +121,12 @@ def active_state(model: HandModel) -> ControllerState:
     return _active_state_template(model).copy()
 
 
-def stage_constants(model: HandModel) -> tuple[BlockArray, TablePlaces]:
+def constant_args_of(model: HandModel) -> tuple[BlockArray, TableOffsets]:
     """Return the constants of a hand, and the layout of these constants.
 
     Every stage of a tick has these two objects as its last arguments.
     """
-    return controller_of(model).derived.constant_args
+    return controller_of(model).derived_constants.kernel_constants
 
 
 def constant_tables_of(model: HandModel) -> ConstantTables:
@@ -134,7 +134,7 @@ def constant_tables_of(model: HandModel) -> ConstantTables:
 
     Functions from ``uncompiled_function`` take the constants as such tables.
     """
-    return uncompiled_function(constant_tables)(*stage_constants(model))
+    return uncompiled_function(constant_tables)(*constant_args_of(model))
 
 
 def state_with_estimate(model: HandModel, estimate: SyntheticEstimate) -> ControllerState:
@@ -142,7 +142,7 @@ def state_with_estimate(model: HandModel, estimate: SyntheticEstimate) -> Contro
     state = active_state(model)
     for name, value in estimate._asdict().items():
         if name not in DERIVED_ATTRIBUTES:
-            state.view(BLOCK_FIELD_BY_ATTRIBUTE.get(name, name))[...] = value
+            state.view(STATE_FIELD_BY_ATTRIBUTE.get(name, name))[...] = value
     state.view("regime")[estimate.is_slack] = SLACK_REGIME
     return state
 
@@ -157,7 +157,7 @@ def estimate_of(state: ControllerState) -> SyntheticEstimate:
     return SyntheticEstimate(**{name: np.array(value) for name, value in estimate_values.items()})
 
 
-class LoadStatics(NamedTuple):
+class StaticTendonForces(NamedTuple):
     """Known forces along each tendon (N,) [N].
 
     Attributes:
@@ -176,41 +176,41 @@ class LoadStatics(NamedTuple):
 @kernel("block", "layout", "constants", "layout")
 def _tendon_load_forces(
     block: BlockArray,
-    state_places: TablePlaces,
+    state_places: TableOffsets,
     constants: BlockArray,
-    constant_places: TablePlaces,
+    constant_places: TableOffsets,
 ) -> np.ndarray:
     return kalman._resistance_and_pull_forces(
         state_tables(block, state_places), constant_tables(constants, constant_places)
     )
 
 
-def load_statics(
+def static_tendon_forces(
     model: HandModel,
     table: np.ndarray,
     tension: np.ndarray,
     friction_state: np.ndarray | None = None,
-) -> LoadStatics:
+) -> StaticTendonForces:
     """Return the known forces that the filter assumes for states (N, 7) with given tensions [N].
 
     The stretch offset of each tendon is chosen so that the tendon has its given tension.
     """
-    state, space = active_state(model), model.space
-    state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT] = table.T
+    state, space = active_state(model), model.tendon_constants
+    state.tendon[s.SPOOL_TRAVEL : s.SPOOL_TRAVEL + STATE_COUNT] = table.T
     damping_force = space.damping * (table[:, V] - table[:, W])
     state.view("stretch_offset")[...] = (
         table[:, X] - table[:, S] - (tension - damping_force) / space.stiffness
     )
     if friction_state is not None:
         state.view("friction_state")[...] = friction_state
-    return LoadStatics(
-        *_tendon_load_forces(state.block, state.layout.places, *stage_constants(model))
+    return StaticTendonForces(
+        *_tendon_load_forces(state.block, state.layout.offsets, *constant_args_of(model))
     )
 
 
 @kernel("constants", "layout", "vector", "count")
 def _winding_efficiency(
-    constants: BlockArray, constant_places: TablePlaces, q: np.ndarray, tendon_count: int
+    constants: BlockArray, constant_places: TableOffsets, q: np.ndarray, tendon_count: int
 ) -> np.ndarray:
     result = np.empty(tendon_count)
     for n in range(tendon_count):
@@ -225,12 +225,12 @@ def winding_efficiency_of(model: HandModel, q: np.ndarray) -> np.ndarray:
     """
     return np.asarray(
         _winding_efficiency(
-            *stage_constants(model), np.asarray(q, dtype=np.float64), model.tendon_count
+            *constant_args_of(model), np.asarray(q, dtype=np.float64), model.tendon_count
         )
     )
 
 
-def exact_estimate(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
+def estimate_from_states(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
     """Return an estimate that corresponds exactly to filter states (N, 7).
 
     In this estimate, all tendons are taut and no digit touches an object.
@@ -240,7 +240,7 @@ def exact_estimate(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
         q[digit.joints] = digit.excursion_to_joints @ x[tendons, S]
         dq[digit.joints] = digit.excursion_to_joints @ x[tendons, W]
-    space = model.space
+    space = model.tendon_constants
     tension = space.stiffness * (x[:, X] - x[:, S]) + space.damping * (x[:, V] - x[:, W])
     zeros = np.zeros(n)
     return SyntheticEstimate(
@@ -274,7 +274,11 @@ def balanced_state(model: HandModel, joint_angle: float) -> np.ndarray:
     x = np.zeros((model.tendon_count, STATE_COUNT))
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
         x[tendons, S] = digit.reduced_moment_arms @ np.full(digit.coupling.shape[1], joint_angle)
-    x[:, X] = x[:, S] + load_statics(model, x, np.zeros(len(x))).resistance / model.space.stiffness
+    x[:, X] = (
+        x[:, S]
+        + static_tendon_forces(model, x, np.zeros(len(x))).resistance
+        / model.tendon_constants.stiffness
+    )
     return x
 
 
@@ -282,7 +286,7 @@ def estimate_under_tension(
     model: HandModel, tension: float | np.ndarray, joint_angle: float = 0.0
 ) -> SyntheticEstimate:
     """Return the estimate of a hand at rest whose tendons have given tensions."""
-    return exact_estimate(model, balanced_state(model, joint_angle))._replace(
+    return estimate_from_states(model, balanced_state(model, joint_angle))._replace(
         tension=np.full(model.tendon_count, 1.0) * tension
     )
 
@@ -316,17 +320,17 @@ def detect_contacts(
     """
     for name, value in estimate._asdict().items():
         if name not in (*DERIVED_ATTRIBUTES, "grown"):
-            state.view(BLOCK_FIELD_BY_ATTRIBUTE.get(name, name))[...] = value
+            state.view(STATE_FIELD_BY_ATTRIBUTE.get(name, name))[...] = value
     state.view("regime")[...] = state.view("kind")[...] = np.where(
         estimate.is_slack, SLACK_REGIME, 0
     )
-    elastic_tension = estimate.tension - model.space.damping * (
+    elastic_tension = estimate.tension - model.tendon_constants.damping * (
         estimate.tendon_speed - estimate.excursion_rate
     )
     state.view("stretch_offset")[...] = (
-        estimate.travel - estimate.excursion - elastic_tension / model.space.stiffness
+        estimate.travel - estimate.excursion - elastic_tension / model.tendon_constants.stiffness
     )
-    tick_stages.conclude_estimate(state.block, state.layout.places, *stage_constants(model))
+    tick_stages.conclude_estimate(state.block, state.layout.offsets, *constant_args_of(model))
     hand_estimate = state.estimate
     return estimate._replace(
         contact_force=hand_estimate.contact_force.copy(),

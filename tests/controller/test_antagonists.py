@@ -18,12 +18,12 @@ from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
-from handctl.hand.readiness import reasons_not_ready
+from handctl.hand.readiness_checks import reasons_not_ready
 from handctl.programs.commission import PULL_TENSION_N, CommissionProgram, calibration_of_result
 from handctl.programs.program import Program
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatedHand, SimulatedRun, SimulatorSettings
+from handctl.session.lockstep_simulation import SimulatedHand, SimulatedRun, SimulatorSettings
 
 RATE_HZ = 250.0
 ANTAGONIST_HAND = "n_plus_1"
@@ -58,7 +58,7 @@ def two_n_hand() -> Hand:
     base = content["tendon"][-1]
     motor = content["motor"][-1]
     arm = 0.004948
-    routes = {
+    moment_arms_by_tendon = {
         "f1": {"thumb_j1": arm},
         "e1": {"thumb_j1": -arm},
         "f2": {"thumb_j1": arm, "thumb_j2": arm},
@@ -66,7 +66,7 @@ def two_n_hand() -> Hand:
     }
     tendons = [tendon for tendon in content["tendon"] if not tendon["name"].startswith("thumb")]
     motors = [entry for entry in content["motor"] if not entry["name"].startswith("thumb")]
-    for i, (name, arms) in enumerate(routes.items()):
+    for i, (name, arms) in enumerate(moment_arms_by_tendon.items()):
         tendons.append(
             base | {"name": f"thumb_{name}", "motor": f"thumb_m{name}", "moment_arm_m": arms}
         )
@@ -114,7 +114,7 @@ def begin_run(
     run = SimulatedRun.start_run(controller, simulated_hand)
     run.k = first_tick
     run.are_ticks_recorded = False
-    run.state.set_run_integer(s.K, first_tick - 1)
+    run.state.set_run_table_integer(s.K, first_tick - 1)
     return run, (None for _ in run.run_ticks(first_tick / RATE_HZ + 120.0))
 
 
@@ -123,7 +123,7 @@ def logged_events_of(run: SimulatedRun) -> tuple[TickEvent, ...]:
     return run.last_output.events
 
 
-HAND_BY_KIND = {
+HAND_FACTORY_BY_KIND = {
     "n + 1": n_plus_1_hand,
     "n + 1 without joint encoders": hand_without_encoders,
     "2 n": two_n_hand,
@@ -131,7 +131,7 @@ HAND_BY_KIND = {
 
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
-@pytest.mark.parametrize("hand_kind", HAND_BY_KIND)
+@pytest.mark.parametrize("hand_kind", HAND_FACTORY_BY_KIND)
 def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
     hand_kind: str, seed: int
 ) -> None:
@@ -139,7 +139,7 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
 
     The joints follow their goals within one degree.
     """
-    hand = HAND_BY_KIND[hand_kind]()
+    hand = HAND_FACTORY_BY_KIND[hand_kind]()
     period_ns = round(1e9 / RATE_HZ)
     with SimulatorSettings(hand, None, seed).simulated_hand(period_ns) as peer:
         plant = peer.world.plant
@@ -156,7 +156,9 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
         # tendon is just taut. An offset error of 0.1 mm of tendon turns the joints of a finger by
         # one degree.
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
-        travel_errors = (calibration.zero(hand) - offset) * run.controller.model.space.spool
+        travel_errors = (
+            calibration.motor_zeros(hand) - offset
+        ) * run.controller.model.tendon_constants.spool_radius
         np.testing.assert_allclose(travel_errors, 0.0, atol=5e-5)
 
         task = TaskProgram(task_of_moves((0.0, 0.6), (40.0, 1.0), (5.0, 1.0), (40.0, 0.3)))
@@ -238,18 +240,18 @@ def test_an_antagonistic_hand_grasps_holds_and_releases(seed: int) -> None:
         assert touched == {"index", "middle", "thumb"}
         assert height["hold"] == pytest.approx(0.0, abs=2e-3), "the table has sunk, the grasp holds"
         assert height["open"] < -0.05, "the antagonists open the digits"
-        is_closing = antagonist_model().redundancy.side > 0.0
+        is_closing = antagonist_model().redundancy.closing_sign > 0.0
         np.testing.assert_allclose(tension["hold"][is_closing], 40.0, atol=3.0)
         np.testing.assert_allclose(
             tension["hold"][~is_closing],
-            antagonist_model().redundancy.balance[~is_closing],
+            antagonist_model().redundancy.balance_tension[~is_closing],
             atol=2.0,
         )
 
 
 def test_the_balance_makes_no_torque_and_is_at_the_floor_or_above() -> None:
     for digit in antagonist_model().digits:
-        balance = antagonist_model().redundancy.balance[digit.tendons]
+        balance = antagonist_model().redundancy.balance_tension[digit.tendons]
         np.testing.assert_allclose(digit.moment_arms.T @ balance, 0.0, atol=1e-4)
         assert balance.min() == pytest.approx(
             antagonist_model().floor[digit.tendons].min(), rel=1e-3

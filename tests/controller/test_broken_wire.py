@@ -17,7 +17,7 @@ def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare_N:
     """A broken wire of a load cell is detected, even if the tare of the load cell is not zero."""
     model, n = jamia, jamia.tendon_count
     run = make_controller_bench(model, LiveProgram())
-    run.controller = replace(run.controller, tare=np.full(n, tare_N))
+    run.controller = replace(run.controller, tare_tensions=np.full(n, tare_N))
     run.toy_hand.cell_bias[:] = tare_N
     run.run_until_mode(HandMode.ACTIVE)
     run.run(0.5)

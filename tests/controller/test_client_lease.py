@@ -14,12 +14,12 @@ from handctl.controller.state_snapshot import snapshot_bytes
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
 from handctl.programs.requests import (
-    AliveRequest,
-    alive_request_text,
+    KeepAliveRequest,
     is_routine_request,
+    keep_alive_text,
     parse_request,
 )
-from tests.controller.test_target_streams import StreamClient, check_ticks_are_repeated, live_client
+from tests.controller.test_target_streams import StreamClient, check_reexecuted_ticks, live_client
 
 LEASE_S = 0.5
 
@@ -31,20 +31,20 @@ def lease_events(client: StreamClient) -> list[str]:
     ]
 
 
-def run_with_signs_of_life(
-    client: StreamClient, duration_s: float, sign_of_life_period_s: float = 0.1
+def run_with_client_heartbeats(
+    client: StreamClient, duration_s: float, heartbeat_period_s: float = 0.1
 ) -> None:
-    """Run ticks for some seconds. The client sends a sign of life every ``sign_of_life_period_s``."""
-    for _ in range(round(duration_s / sign_of_life_period_s)):
-        client.tick(alive_request_text(client.name))
-        client.wait(sign_of_life_period_s - client.model.period)
+    """Run ticks for some seconds. The client sends a sign of life every ``heartbeat_period_s``."""
+    for _ in range(round(duration_s / heartbeat_period_s)):
+        client.tick(keep_alive_text(client.name))
+        client.wait(heartbeat_period_s - client.model.period)
 
 
 def test_a_hand_relaxes_if_its_client_is_silent_after_a_hold(jamia: HandModel) -> None:
     """Reproduce a defect: after a hold, the hand continued to pull without a time limit."""
     with live_client(jamia) as client:
         client.send_command("hold", tension_N={"index": 30.0}, rate_N_per_s=500.0, lease_s=LEASE_S)
-        run_with_signs_of_life(client, 3.0 * LEASE_S)
+        run_with_client_heartbeats(client, 3.0 * LEASE_S)
         assert client.tick_outputs[-1].mode == HandMode.ACTIVE
         assert lease_events(client) == []
         client.tick_outputs.clear()
@@ -62,7 +62,7 @@ def test_a_hand_relaxes_if_its_client_is_silent_after_a_hold(jamia: HandModel) -
         assert client.run.state.failure.startswith(text)
         assert [event.startswith(text) for event in lease_events(client)] == [True, True]
         assert client.run.run_until(lambda out: out.mode == HandMode.DONE, 5.0)
-        assert client.run.state.unconfirmed == ()
+        assert client.run.state.unconfirmed_motors == ()
         assert client.reported_faults == set()
 
 
@@ -74,13 +74,13 @@ def test_a_moving_digit_comes_to_rest_and_goes_on_with_the_next_command(jamia: H
         assert at < 60.0, "on the way"
         client.wait(0.2 * LEASE_S)
         assert np.degrees(client.goal_history("q_goal")[-1]) == pytest.approx(at, abs=1e-9)
-        client.tick(alive_request_text("one"))
+        client.tick(keep_alive_text("one"))
         assert lease_events(client)[-1] == "one answers again"
         assert (
             client.send_command("move", angle_deg={"index": 70.0}, lease_s=LEASE_S)
             == "move index 70"
         )
-        run_with_signs_of_life(client, 1.2)
+        run_with_client_heartbeats(client, 1.2)
         assert np.degrees(client.goal_history("q_goal")[-1]) == pytest.approx(70.0)
         assert client.tick_outputs[-1].mode == HandMode.ACTIVE
 
@@ -107,7 +107,7 @@ def test_a_lease_ends(jamia: HandModel, event_after_lease: str) -> None:
         else:
             client.name = "two" if event_after_lease == "another" else "one"
             client.send_command("stay", take_over=True)
-        client.tick(alive_request_text("one"))
+        client.tick(keep_alive_text("one"))
         client.wait(3.0 * LEASE_S)
         assert lease_events(client) == []
         assert client.tick_outputs[-1].mode == HandMode.ACTIVE
@@ -117,7 +117,7 @@ def test_other_clients_do_not_renew_a_lease(jamia: HandModel) -> None:
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": 20.0}, duration_s=0.3, lease_s=LEASE_S)
         client.name = "two"
-        run_with_signs_of_life(client, 2.2 * LEASE_S)
+        run_with_client_heartbeats(client, 2.2 * LEASE_S)
         assert client.tick_outputs[-1].mode >= HandMode.RELAX
 
 
@@ -144,18 +144,18 @@ def test_the_ticks_of_a_lost_client_repeat_to_the_last_bit(jamia: HandModel) -> 
     """
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": 50.0}, duration_s=1.0, lease_s=LEASE_S)
-        run_with_signs_of_life(client, LEASE_S)
+        run_with_client_heartbeats(client, LEASE_S)
         middle_snapshot, at = snapshot_bytes(client.run.state), len(client.run.recorded_ticks)
         client.wait(2.2 * LEASE_S)
         assert client.tick_outputs[-1].mode >= HandMode.RELAX
-        check_ticks_are_repeated(client.run, middle_snapshot, at)
+        check_reexecuted_ticks(client.run, middle_snapshot, at)
 
 
 def test_alive_messages_are_requests() -> None:
-    assert parse_request(alive_request_text("client-1-2")) == AliveRequest(
+    assert parse_request(keep_alive_text("client-1-2")) == KeepAliveRequest(
         do="alive", client="client-1-2"
     )
-    assert is_routine_request(alive_request_text("client-1-2"))
+    assert is_routine_request(keep_alive_text("client-1-2"))
     assert not is_routine_request(json.dumps({"do": "stop"}))
     assert isinstance(parse_request('{"do": "alive"}'), str)
     assert isinstance(parse_request('{"do": "stay", "lease_s": 0.1}'), str)

@@ -26,15 +26,15 @@ from handctl.programs.commission import (
 )
 from handctl.programs.program import ProgramProgress
 from handctl.session.calibration import load_calibration
+from handctl.session.lockstep_simulation import SimulatorSettings
 from handctl.session.run_plan import default_control_rate
-from handctl.session.simulate import SimulatorSettings
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 from tests.controller.synthetic_states import (
     empty_readings,
     estimate_under_tension,
     slack_hand_estimate,
 )
-from tests.hand.many_motors import fifteen_motor_hand
+from tests.hand.many_motor_hands import fifteen_motor_hand
 
 
 @pytest.fixture(scope="module")
@@ -55,29 +55,29 @@ def jamia11() -> HandModel:
 CELL_BIAS_N, TAUT_TRAVEL_M = 0.7, 1.2e-3
 NOISE_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 4)
 
-TensionByPull = Callable[[int], np.ndarray]
+TensionsDuringPull = Callable[[int], np.ndarray]
 """Function that returns the tension at each load cell while tendon i is pulled.
 
 With i = -1 no tendon is pulled.
 """
 
 
-def tensions_without_fault(model: HandModel) -> TensionByPull:
+def tensions_without_fault(model: HandModel) -> TensionsDuringPull:
     return lambda i: np.where(np.arange(model.tendon_count) == i, PULL_TENSION_N, 0.0)
 
 
 def run_commissioning(
     model: HandModel,
-    tension_by_pull: TensionByPull,
+    tensions_during_pull: TensionsDuringPull,
     noise: float = 0.2,
-    lost_fraction: float = 0.0,
+    lost_reading_fraction: float = 0.0,
     slack_tendon: int = -9,
     cell_drift_N: float = 0.0,
     seed: int = 7,
 ) -> ProgramProgress:
     """Run the commissioning program.
 
-    The tendon ``slack_tendon`` does not become taut. In a fraction ``lost_fraction`` of the ticks,
+    The tendon ``slack_tendon`` does not become taut. In a fraction ``lost_reading_fraction`` of the ticks,
     no frames arrive.
 
     The zero of each load cell drifts as a random walk of ``cell_drift_N`` [N] rms in 100 s.
@@ -90,15 +90,17 @@ def run_commissioning(
         i = progress.step - 1
         has_pulled = any(goal.kind != GoalKind.LIMP for goal in progress.goals)
         tension = (
-            tension_by_pull(i if has_pulled else -1)
+            tensions_during_pull(i if has_pulled else -1)
             + CELL_BIAS_N
             + walked
             + noise * rng.normal(size=n)
         )
-        travel = np.full(n, TAUT_TRAVEL_M) + (tension - CELL_BIAS_N) / model.space.stiffness
+        travel = (
+            np.full(n, TAUT_TRAVEL_M) + (tension - CELL_BIAS_N) / model.tendon_constants.stiffness
+        )
         tared_tension = tension - (progress.tare or 0.0)
         measured = empty_readings(model)._replace(travel=travel, tension=tared_tension)
-        if rng.random() < lost_fraction:
+        if rng.random() < lost_reading_fraction:
             measured = empty_readings(model)
         estimate = slack_hand_estimate(model)
         if has_pulled and i != slack_tendon and k * model.period - progress.since > 0.2:
@@ -122,14 +124,20 @@ def run_commissioning(
     raise AssertionError("commissioning does not end")
 
 
-@pytest.mark.parametrize("lost_fraction", [0.0, 0.3])
-def test_tares_and_zeros_are_found(model: HandModel, lost_fraction: float) -> None:
-    progress = run_commissioning(model, tensions_without_fault(model), lost_fraction=lost_fraction)
+@pytest.mark.parametrize("lost_reading_fraction", [0.0, 0.3])
+def test_tares_and_zeros_are_found(model: HandModel, lost_reading_fraction: float) -> None:
+    progress = run_commissioning(
+        model, tensions_without_fault(model), lost_reading_fraction=lost_reading_fraction
+    )
     assert not progress.failure
     measured_calibration = calibration_of_result(model, progress, "2024-01-01T00:00:00+00:00")
-    np.testing.assert_allclose(measured_calibration.tare(model.hand), CELL_BIAS_N, atol=0.15)
     np.testing.assert_allclose(
-        measured_calibration.zero(model.hand) * model.space.spool, TAUT_TRAVEL_M, atol=5e-6
+        measured_calibration.tare_tensions(model.hand), CELL_BIAS_N, atol=0.15
+    )
+    np.testing.assert_allclose(
+        measured_calibration.motor_zeros(model.hand) * model.tendon_constants.spool_radius,
+        TAUT_TRAVEL_M,
+        atol=5e-6,
     )
     for row in measured_calibration.tendon.values():
         assert row.answer_N == pytest.approx(PULL_TENSION_N, abs=0.25)
@@ -149,8 +157,8 @@ def test_a_tendon_that_stays_slack_is_named(model: HandModel) -> None:
 
 def test_a_load_cell_that_does_not_answer_is_named(model: HandModel) -> None:
     last_tendon = model.tendon_count - 1
-    tension_by_pull = tensions_without_fault(model)
-    progress = run_commissioning(model, lambda i: tension_by_pull(i) * (i != last_tendon))
+    tensions_during_pull = tensions_without_fault(model)
+    progress = run_commissioning(model, lambda i: tensions_during_pull(i) * (i != last_tendon))
     assert progress.failure.startswith(model.hand.tendon_names[last_tendon])
     assert "answers" in progress.failure
 
@@ -162,13 +170,13 @@ def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> No
     to two channels.
     """
 
-    def tension_by_pull(i: int) -> np.ndarray:
+    def tensions_during_pull(i: int) -> np.ndarray:
         tension = tensions_without_fault(model)(i)
         if i == 1:
             tension[0] = 0.5 * PULL_TENSION_N
         return tension
 
-    progress = run_commissioning(model, tension_by_pull)
+    progress = run_commissioning(model, tensions_during_pull)
     assert progress.failure.startswith(model.hand.tendon_names[1])
     assert "another load cell" in progress.failure
 
@@ -215,14 +223,16 @@ def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
     """
     cell_drift_N = [0.0]
 
-    def tension_by_pull(i: int) -> np.ndarray:
+    def tensions_during_pull(i: int) -> np.ndarray:
         cell_drift_N[0] += 0.1 * jamia.period
         return tensions_without_fault(jamia)(i) + cell_drift_N[0]
 
-    progress = run_commissioning(jamia, tension_by_pull, noise=0.0)
+    progress = run_commissioning(jamia, tensions_during_pull, noise=0.0)
     assert not progress.failure
     tare = (
-        calibration_of_result(jamia, progress, "2024-01-01T00:00:00+00:00").tare(jamia.hand)
+        calibration_of_result(jamia, progress, "2024-01-01T00:00:00+00:00").tare_tensions(
+            jamia.hand
+        )
         - CELL_BIAS_N
     )
     assert np.diff(tare) == pytest.approx(np.full(3, np.diff(tare).mean()), abs=0.01), (
@@ -232,12 +242,12 @@ def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
 
 
 def test_crosstalk_is_found_while_load_cells_drift(fifteen_motor_model: HandModel) -> None:
-    def tension_by_pull(i: int) -> np.ndarray:
+    def tensions_during_pull(i: int) -> np.ndarray:
         tension = tensions_without_fault(fifteen_motor_model)(i)
         tension[2] += 0.6 * PULL_TENSION_N * (i == 9)
         return tension
 
-    progress = run_commissioning(fifteen_motor_model, tension_by_pull, cell_drift_N=1.0)
+    progress = run_commissioning(fifteen_motor_model, tensions_during_pull, cell_drift_N=1.0)
     assert progress.failure.startswith(fifteen_motor_model.hand.tendon_names[9])
     assert "another load cell" in progress.failure
 
@@ -250,14 +260,14 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
     """
     tension_held_by_friction = np.zeros(jamia.tendon_count)
 
-    def tension_by_pull(i: int) -> np.ndarray:
+    def tensions_during_pull(i: int) -> np.ndarray:
         tension_held_by_friction[:] = np.maximum(
             tension_held_by_friction - 2.0 * jamia.period,
             PULL_TENSION_N * (np.arange(jamia.tendon_count) == i),
         )
         return tension_held_by_friction.copy()
 
-    progress = run_commissioning(jamia, tension_by_pull)
+    progress = run_commissioning(jamia, tensions_during_pull)
     assert not progress.failure
     calibrated_tendons = calibration_of_result(jamia, progress, "2024-01-01T00:00:00+00:00").tendon
     assert max(row.crosstalk_N for row in calibrated_tendons.values()) < 0.5
@@ -269,12 +279,12 @@ def test_a_load_cell_that_falls_below_its_tare_in_another_pull_is_refused(jamia:
     A tendon that relaxes can lose only the tension that remained from its own pull.
     """
 
-    def tension_by_pull(i: int) -> np.ndarray:
+    def tensions_during_pull(i: int) -> np.ndarray:
         return tensions_without_fault(jamia)(i) - 0.5 * PULL_TENSION_N * (i == 2) * (
             np.arange(jamia.tendon_count) == 0
         )
 
-    progress = run_commissioning(jamia, tension_by_pull)
+    progress = run_commissioning(jamia, tensions_during_pull)
     assert progress.failure.startswith(jamia.hand.tendon_names[2])
     assert "another load cell" in progress.failure
 
@@ -285,15 +295,15 @@ def test_an_inverted_load_cell_is_refused(model: HandModel) -> None:
 
 
 @pytest.fixture(scope="module")
-def fast_rate_jamia() -> HandModel:
+def jamia_at_200_hz() -> HandModel:
     """Return the model of ``jamia`` at a control rate at which its tension loop does not oscillate."""
     return HandModel.from_hand(load_hand("jamia"), Gains(), 200.0)
 
 
 @pytest.fixture
-def commissioning_bench(fast_rate_jamia: HandModel) -> ControllerBench:
+def commissioning_bench(jamia_at_200_hz: HandModel) -> ControllerBench:
     """Return a bench whose controller runs the commissioning program on a hand with scripted motors."""
-    return make_controller_bench(fast_rate_jamia, CommissionProgram())
+    return make_controller_bench(jamia_at_200_hz, CommissionProgram())
 
 
 @pytest.mark.parametrize(
@@ -315,10 +325,14 @@ def test_load_cells_that_were_never_tared_are_no_hindrance(
         model, commissioning_bench.state.progress, "2024-01-01T00:00:00+00:00"
     )
     np.testing.assert_allclose(
-        measured_calibration.tare(model.hand), commissioning_bench.toy_hand.cell_bias, atol=0.05
+        measured_calibration.tare_tensions(model.hand),
+        commissioning_bench.toy_hand.cell_bias,
+        atol=0.05,
     )
     np.testing.assert_allclose(
-        measured_calibration.zero(model.hand) * model.space.spool, 0.3e-3, atol=1e-5
+        measured_calibration.motor_zeros(model.hand) * model.tendon_constants.spool_radius,
+        0.3e-3,
+        atol=1e-5,
     )
 
 
@@ -339,16 +353,16 @@ def test_a_tare_too_near_to_an_end_of_the_range_is_refused(
 ) -> None:
     """The message names the load cell that is nearest to an end of its range, even if another load cell reads more."""
 
-    def tension_by_pull(i: int) -> np.ndarray:
+    def tensions_during_pull(i: int) -> np.ndarray:
         tension = tensions_without_fault(model)(i) - CELL_BIAS_N
         tension[0] += tare_N
         tension[1] += 3.95
         return tension
 
     progress = (
-        run_commissioning(model, tension_by_pull, noise=0.0)
+        run_commissioning(model, tensions_during_pull, noise=0.0)
         if is_refused
-        else program_after_tare(model, tension_by_pull)
+        else progress_after_tare(model, tensions_during_pull)
     )
     assert progress.failure == (
         f"{model.hand.tendon_names[0]}: load cell reads {tare_N:.1f} N without tension,"
@@ -358,11 +372,13 @@ def test_a_tare_too_near_to_an_end_of_the_range_is_refused(
     )
 
 
-def program_after_tare(model: HandModel, tension_by_pull: TensionByPull) -> ProgramProgress:
+def progress_after_tare(
+    model: HandModel, tensions_during_pull: TensionsDuringPull
+) -> ProgramProgress:
     """Return the progress of the commissioning program just after it has tared the load cells."""
     program, progress, k = CommissionProgram(), CommissionProgram().initial_progress(model), 0
     while progress.step == 0 and not progress.finished:
-        measured = empty_readings(model)._replace(tension=tension_by_pull(-1) + CELL_BIAS_N)
+        measured = empty_readings(model)._replace(tension=tensions_during_pull(-1) + CELL_BIAS_N)
         progress, _ = program.advance(
             model, progress, slack_hand_estimate(model), measured, k * model.period
         )
@@ -376,13 +392,13 @@ def test_swapped_load_cells_are_found_and_both_named(commissioning_bench: Contro
     assert commissioning_bench.state.failure.startswith("index_tendon")
     assert "middle_tendon" in commissioning_bench.state.failure
     assert "swapped" in commissioning_bench.state.failure
-    asked_names = (
+    commanded_forces = (
         np.array(
             [out.telemetry.motor_torque_goal for _, _, out in commissioning_bench.tick_history]
         )
-        / commissioning_bench.controller.model.space.spool
+        / commissioning_bench.controller.model.tendon_constants.spool_radius
     )
-    assert asked_names.max() <= PULL_FORCE_LIMIT_N * 1.001, (
+    assert commanded_forces.max() <= PULL_FORCE_LIMIT_N * 1.001, (
         "a cell that does not answer does not unleash the motor"
     )
 
@@ -461,10 +477,14 @@ def test_the_file_is_read_back_as_it_was_written(
     write_calibration(path, calibration)
     repeated_calibration = load_calibration(path, model.hand)
     np.testing.assert_allclose(
-        repeated_calibration.tare(model.hand), calibration.tare(model.hand), rtol=1e-12
+        repeated_calibration.tare_tensions(model.hand),
+        calibration.tare_tensions(model.hand),
+        rtol=1e-12,
     )
     np.testing.assert_allclose(
-        repeated_calibration.zero(model.hand), calibration.zero(model.hand), rtol=1e-12
+        repeated_calibration.motor_zeros(model.hand),
+        calibration.motor_zeros(model.hand),
+        rtol=1e-12,
     )
     assert repeated_calibration.made == calibration.made
 
@@ -512,7 +532,7 @@ def test_a_tare_that_hides_an_end_of_the_range_is_refused(
     )
     path.write_text(re.sub(r"tare_N = .*", f"tare_N = {tare_text}", path.read_text(), count=1))
     if is_accepted:
-        assert load_calibration(path, jamia.hand).tare(jamia.hand)[0] == float(tare_text)
+        assert load_calibration(path, jamia.hand).tare_tensions(jamia.hand)[0] == float(tare_text)
         return
     with pytest.raises(ConfigError) as refused:
         load_calibration(path, jamia.hand)

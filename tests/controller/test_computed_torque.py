@@ -16,19 +16,19 @@ from hypothesis import strategies as st
 from handctl.core.control_law.computed_torque import INTEGRAL_LIMIT_N, MAX_UNWINDING_FORCE_FRACTION
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.control_law.trajectory import MinimumJerk
-from handctl.core.estimation.filter_stack import STATE_COUNT, S, V, W, X
+from handctl.core.estimation.filter_types import STATE_COUNT, S, V, W, X
 from handctl.core.gains.gains import Gains, MotionGains
 from handctl.core.hand_model import HandModel, _torque_limit
 from handctl.hand.hand_loading import load_hand
 from handctl.safety.safety_action import SafetyAction
+from tests.controller.control_law_runs import ControlLawState, run_control_law, run_control_law_tick
 from tests.controller.digit_goals import holding_goals, moving_goals
-from tests.controller.law_runs import LawState, run_control_law, run_law_tick
 from tests.controller.synthetic_states import (
     SyntheticEstimate,
     balanced_state,
-    exact_estimate,
-    load_statics,
+    estimate_from_states,
     state_with_estimate,
+    static_tendon_forces,
     winding_efficiency_of,
 )
 
@@ -70,13 +70,13 @@ def test_torque_is_within_its_limits_for_any_finite_input(
         "tension", "travel", "tendon_speed", "excursion", "excursion_rate", "motor_disturbance", "external_tension",
         "stretch_offset",
     )  # fmt: skip
-    estimate = exact_estimate(jamia, np.zeros((n, STATE_COUNT)))._replace(
+    estimate = estimate_from_states(jamia, np.zeros((n, STATE_COUNT)))._replace(
         **{name: data.draw(column) for name in names}
     )
     estimate = estimate._replace(
         is_slack=np.array(data.draw(st.lists(st.booleans(), min_size=n, max_size=n)))
     )
-    state = LawState(*(data.draw(column) for _ in range(5)))
+    state = ControlLawState(*(data.draw(column) for _ in range(5)))
     angle = st.floats(-0.5, 2.6)
     kinds = {
         GoalKind.LIMP: st.just(DigitGoal()),
@@ -90,7 +90,9 @@ def test_torque_is_within_its_limits_for_any_finite_input(
         ),
     }  # fmt: skip
     goals = tuple(data.draw(kinds[data.draw(st.sampled_from(GoalKind))]) for _ in jamia.digits)
-    law, command = run_law_tick(jamia, state, estimate, goals, data.draw(st.floats(0.0, 100.0)))
+    law, command = run_control_law_tick(
+        jamia, state, estimate, goals, data.draw(st.floats(0.0, 100.0))
+    )
     assert np.isfinite(command.torque).all()
     assert (command.torque <= jamia.torque_limit * (1 + 1e-12)).all()
     assert (
@@ -119,10 +121,10 @@ def test_torque_is_within_its_limits_for_any_finite_input(
 
 def test_the_change_from_motion_to_tension_control_is_bumpless(model: HandModel) -> None:
     x = balanced_state(model, 0.8)
-    estimate = exact_estimate(model, x)
-    law, moved = run_law_tick(
+    estimate = estimate_from_states(model, x)
+    law, moved = run_control_law_tick(
         model,
-        LawState.initial_law_state(len(x)),
+        ControlLawState.initial_state(len(x)),
         estimate,
         moving_goals(model, 0.2, 0.8, 1.0),
         2.0,
@@ -131,10 +133,10 @@ def test_the_change_from_motion_to_tension_control_is_bumpless(model: HandModel)
         law.setpoint, estimate.tension, err_msg="ready to hold what is there"
     )
     for tension in (0.0, 30.0):
-        _, hold_command = run_law_tick(
+        _, hold_command = run_control_law_tick(
             model, law, estimate, holding_goals(model, tension), 2.0 + model.period
         )
-        force = (hold_command.torque - moved.torque) / model.space.spool
+        force = (hold_command.torque - moved.torque) / model.tendon_constants.spool_radius
         assert np.abs(force).max() < 2.5 * 200.0 * model.period + 0.2, (
             "one step of the ramp, times the gain"
         )
@@ -142,16 +144,16 @@ def test_the_change_from_motion_to_tension_control_is_bumpless(model: HandModel)
 
 def test_from_limp_to_tension_the_present_tension_is_the_first_setpoint(model: HandModel) -> None:
     x = balanced_state(model, 0.8)
-    estimate = exact_estimate(model, x)
-    law, command = run_law_tick(
+    estimate = estimate_from_states(model, x)
+    law, command = run_control_law_tick(
         model,
-        LawState.initial_law_state(len(x)),
+        ControlLawState.initial_state(len(x)),
         estimate,
         (DigitGoal(),) * len(model.digits),
         0.0,
     )
     assert not command.torque.any()
-    law_after, _ = run_law_tick(
+    law_after, _ = run_control_law_tick(
         model, law, estimate, holding_goals(model, 0.0, tension_rate=10.0), model.period
     )
     np.testing.assert_allclose(law_after.setpoint, estimate.tension - 10.0 * model.period)
@@ -162,29 +164,33 @@ def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
 
     The integral part of the tension loop must not grow without limit while a load cell is silent.
     """
-    law = LawState.initial_law_state(model.tendon_count)
-    silent_estimate = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))
+    law = ControlLawState.initial_state(model.tendon_count)
+    silent_estimate = estimate_from_states(model, np.zeros((model.tendon_count, STATE_COUNT)))
     for k in range(300):
-        law, command = run_law_tick(
+        law, command = run_control_law_tick(
             model,
             law,
             silent_estimate,
             holding_goals(model, 50.0, tension_limit=12.0),
             k * model.period,
         )
-        assert (np.abs(command.torque) <= 12.0 * model.space.spool * (1 + 1e-12)).all()
-    np.testing.assert_allclose(command.torque, 12.0 * model.space.spool)
+        assert (
+            np.abs(command.torque) <= 12.0 * model.tendon_constants.spool_radius * (1 + 1e-12)
+        ).all()
+    np.testing.assert_allclose(command.torque, 12.0 * model.tendon_constants.spool_radius)
 
 
 def test_no_integral_while_the_tendon_is_slack(model: HandModel) -> None:
-    law = LawState.initial_law_state(model.tendon_count)
-    slack = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))._replace(
+    law = ControlLawState.initial_state(model.tendon_count)
+    slack = estimate_from_states(model, np.zeros((model.tendon_count, STATE_COUNT)))._replace(
         is_slack=np.ones(model.tendon_count, dtype=bool)
     )
     for k in range(50):
-        law, _ = run_law_tick(model, law, slack, holding_goals(model, 20.0), k * model.period)
+        law, _ = run_control_law_tick(
+            model, law, slack, holding_goals(model, 20.0), k * model.period
+        )
     assert not law.integral.any()
-    law, _ = run_law_tick(
+    law, _ = run_control_law_tick(
         model, law, slack._replace(is_slack=~slack.is_slack), holding_goals(model, 20.0), 0.0
     )
     assert (law.integral > 0).all()
@@ -192,18 +198,21 @@ def test_no_integral_while_the_tendon_is_slack(model: HandModel) -> None:
 
 def test_a_slack_tendon_is_wound_against_the_friction_of_its_motor(model: HandModel) -> None:
     """Even with a soft tension loop, a commanded tension of 3 N makes a slack tendon taut."""
-    law = LawState.idle_at_tensions(np.zeros(model.tendon_count))
-    slack_estimate = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))._replace(
-        is_slack=np.ones(model.tendon_count, dtype=bool)
-    )
+    law = ControlLawState.initial_state_at_tensions(np.zeros(model.tendon_count))
+    slack_estimate = estimate_from_states(
+        model, np.zeros((model.tendon_count, STATE_COUNT))
+    )._replace(is_slack=np.ones(model.tendon_count, dtype=bool))
     for k in range(round(0.1 / model.period)):
-        law, command = run_law_tick(
+        law, command = run_control_law_tick(
             model, law, slack_estimate, holding_goals(model, 3.0), k * model.period
         )
-    assert (command.torque / model.space.spool > model.space.coulomb + 2.0).all()
-    _, command = run_law_tick(
+    assert (
+        command.torque / model.tendon_constants.spool_radius
+        > model.tendon_constants.coulomb_friction + 2.0
+    ).all()
+    _, command = run_control_law_tick(
         model,
-        LawState.idle_at_tensions(np.zeros(model.tendon_count)),
+        ControlLawState.initial_state_at_tensions(np.zeros(model.tendon_count)),
         slack_estimate,
         holding_goals(model, 0.0),
         0.0,
@@ -213,11 +222,11 @@ def test_a_slack_tendon_is_wound_against_the_friction_of_its_motor(model: HandMo
 
 def test_tension_goals_stay_below_the_ceiling(model: HandModel) -> None:
     law, estimate = (
-        LawState.initial_law_state(model.tendon_count),
-        exact_estimate(model, balanced_state(model, 0.5)),
+        ControlLawState.initial_state(model.tendon_count),
+        estimate_from_states(model, balanced_state(model, 0.5)),
     )
     for k in range(3000):
-        law, command = run_law_tick(
+        law, command = run_control_law_tick(
             model,
             law,
             estimate,
@@ -251,27 +260,27 @@ class ClosedLoopPlant:
             filter_states.copy(),
             digits_are_fixed,
         )
-        self.law = LawState.initial_law_state(model.tendon_count)
+        self.law = ControlLawState.initial_state(model.tendon_count)
 
     def tick(self, goals: tuple[DigitGoal, ...], tick_index: int) -> None:
-        model, space = self.model, self.model.space
-        self.law, self.command = run_law_tick(
+        model, space = self.model, self.model.tendon_constants
+        self.law, self.command = run_control_law_tick(
             model,
             self.law,
-            exact_estimate(model, self.tendon_states),
+            estimate_from_states(model, self.tendon_states),
             goals,
             tick_index * model.period,
         )
-        force, dt = self.command.torque / space.spool, model.period / self.STEPS_PER_TICK
+        force, dt = self.command.torque / space.spool_radius, model.period / self.STEPS_PER_TICK
         sliding = self.tendon_states.copy()
         sliding[:, V] = 1.0
-        statics = load_statics(model, sliding, np.zeros(len(sliding)))
+        statics = static_tendon_forces(model, sliding, np.zeros(len(sliding)))
         q = model.excursion_to_joints @ sliding[:, S]
         loss, base = -np.log(winding_efficiency_of(model, q)), self.tendon_states[:, S].copy()
         x, v, s, w = (self.tendon_states[:, state_column].copy() for state_column in (X, V, S, W))
         for _ in range(self.STEPS_PER_TICK):
             tension = np.maximum(space.stiffness * (x - s) + space.damping * (v - w), 0.0)
-            friction = space.coulomb * np.tanh(v / 2.5e-3) + space.motor_damping * v
+            friction = space.coulomb_friction * np.tanh(v / 2.5e-3) + space.motor_damping * v
             v += dt * (force - tension - friction) / space.motor_mass
             x += dt * v
             if self.digits_fixed:
@@ -288,7 +297,7 @@ class ClosedLoopPlant:
             self.tendon_states[:, state_column] = value
 
     def joint_angles(self) -> np.ndarray:
-        return exact_estimate(self.model, self.tendon_states).q
+        return estimate_from_states(self.model, self.tendon_states).q
 
 
 def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> None:
@@ -299,23 +308,32 @@ def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> Non
     friction over this period, it would predict that the rotor reverses.
     """
     rng, n, steps = np.random.default_rng(8), model.tendon_count, 400
-    space, dt = model.space, model.period / 400
+    space, dt = model.tendon_constants, model.period / 400
     errors, naive = [], []
     for _ in range(50):
         x = balanced_state(model, 0.5)
         x[:, V] = rng.uniform(-0.01, 0.01, n)
-        estimate = exact_estimate(model, x)
+        estimate = estimate_from_states(model, x)
         goals = holding_goals(
             model, float(estimate.tension.max()) + rng.uniform(-2.0, 2.0), tension_rate=1e6
         )
-        law, command = run_law_tick(model, LawState.initial_law_state(n), estimate, goals, 0.0)
-        requested_force, v, friction_sum = command.torque / space.spool, x[:, V].copy(), np.zeros(n)
+        law, command = run_control_law_tick(
+            model, ControlLawState.initial_state(n), estimate, goals, 0.0
+        )
+        requested_force, v, friction_sum = (
+            command.torque / space.spool_radius,
+            x[:, V].copy(),
+            np.zeros(n),
+        )
         for _ in range(steps):
-            friction = space.coulomb * np.tanh(v / 2.5e-3)
+            friction = space.coulomb_friction * np.tanh(v / 2.5e-3)
             v += dt * (requested_force - estimate.tension - friction) / space.motor_mass
             friction_sum += friction / steps
-        errors.append((law.force - (requested_force - friction_sum)) / space.coulomb)
-        naive.append((friction_sum - space.coulomb * np.tanh(x[:, V] / 2.5e-3)) / space.coulomb)
+        errors.append((law.force - (requested_force - friction_sum)) / space.coulomb_friction)
+        naive.append(
+            (friction_sum - space.coulomb_friction * np.tanh(x[:, V] / 2.5e-3))
+            / space.coulomb_friction
+        )
     assert np.abs(errors).max() < 0.5
     assert np.sqrt(np.mean(np.square(errors))) < 0.2
     assert np.sqrt(np.mean(np.square(errors))) < 0.5 * np.sqrt(np.mean(np.square(naive)))
@@ -339,13 +357,13 @@ def test_with_perfect_knowledge_the_digit_follows(jamia: HandModel) -> None:
 def test_with_perfect_knowledge_the_tension_is_held(model: HandModel) -> None:
     """In this test, the digits cannot move, and the control law gets the exact tensions as its estimate."""
     x = np.zeros((model.tendon_count, STATE_COUNT))
-    x[:, X] = 10.0 / model.space.stiffness
+    x[:, X] = 10.0 / model.tendon_constants.stiffness
     plant = ClosedLoopPlant(model, x, digits_are_fixed=True)
-    plant.law = LawState.idle_at_tensions(np.full(len(x), 10.0))
+    plant.law = ControlLawState.initial_state_at_tensions(np.full(len(x), 10.0))
     peak = 0.0
     for k in range(round(2.0 / model.period)):
         plant.tick(holding_goals(model, 30.0, tension_rate=60.0), k)
-        tension = exact_estimate(model, plant.tendon_states).tension
+        tension = estimate_from_states(model, plant.tendon_states).tension
         peak = max(peak, float(tension.max()))
     np.testing.assert_allclose(tension, 30.0, atol=0.3)
     assert peak < 32.0
@@ -353,12 +371,12 @@ def test_with_perfect_knowledge_the_tension_is_held(model: HandModel) -> None:
 
 def test_arguments_are_not_changed(model: HandModel) -> None:
     estimate, state = (
-        exact_estimate(model, balanced_state(model, 0.5)),
-        LawState.initial_law_state(model.tendon_count),
+        estimate_from_states(model, balanced_state(model, 0.5)),
+        ControlLawState.initial_state(model.tendon_count),
     )
     copies_before = [getattr(estimate, name).copy() for name in SyntheticEstimate._fields]
-    first_law_state = run_law_tick(model, state, estimate, holding_goals(model, 20.0), 0.0)
-    second_law_state = run_law_tick(model, state, estimate, holding_goals(model, 20.0), 0.0)
+    first_law_state = run_control_law_tick(model, state, estimate, holding_goals(model, 20.0), 0.0)
+    second_law_state = run_control_law_tick(model, state, estimate, holding_goals(model, 20.0), 0.0)
     for name, copy in zip(SyntheticEstimate._fields, copies_before, strict=True):
         np.testing.assert_array_equal(getattr(estimate, name), copy)
     assert not state.setpoint.any()
@@ -367,9 +385,9 @@ def test_arguments_are_not_changed(model: HandModel) -> None:
 
 @pytest.mark.parametrize("goal_kind", [GoalKind.MOTION, GoalKind.TENSION])
 def test_a_goal_without_values_leaves_the_digit_limp(jamia: HandModel, goal_kind: GoalKind) -> None:
-    estimate = exact_estimate(jamia, balanced_state(jamia, 0.5))
-    _, command = run_law_tick(
-        jamia, LawState.initial_law_state(4), estimate, (DigitGoal(goal_kind),) * 4, 0.0
+    estimate = estimate_from_states(jamia, balanced_state(jamia, 0.5))
+    _, command = run_control_law_tick(
+        jamia, ControlLawState.initial_state(4), estimate, (DigitGoal(goal_kind),) * 4, 0.0
     )
     assert not command.torque.any()
     state = state_with_estimate(jamia, estimate)
@@ -399,19 +417,23 @@ def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
     )
     x = balanced_state(model, 0.5)
     goals = moving_goals(model, 0.2, 0.8, 0.4)
-    _, command = run_law_tick(
-        bare_model, LawState.initial_law_state(len(x)), exact_estimate(model, x), goals, 0.13
+    _, command = run_control_law_tick(
+        bare_model,
+        ControlLawState.initial_state(len(x)),
+        estimate_from_states(model, x),
+        goals,
+        0.13,
     )
     np.testing.assert_allclose(command.tension, model.floor)
     q, dq = command.q, command.dq
     excursion, rate = model.hand.moment_arms @ q - x[:, S], model.hand.moment_arms @ dq - x[:, V]
-    mass = model.space.motor_mass + model.space.load_mass
+    mass = model.tendon_constants.motor_mass + model.tendon_constants.load_mass
     requested_force = model.floor + mass * (
-        model.motion.stiffness * excursion + model.motion.damping * rate
+        model.motion_design.stiffness * excursion + model.motion_design.damping * rate
     )
-    limit = model.torque_limit / model.space.spool
+    limit = model.torque_limit / model.tendon_constants.spool_radius
     np.testing.assert_allclose(
-        command.torque / model.space.spool,
+        command.torque / model.tendon_constants.spool_radius,
         np.clip(requested_force, -MAX_UNWINDING_FORCE_FRACTION * limit, limit),
     )
 
@@ -425,18 +447,18 @@ def test_the_filter_gets_the_planned_change_of_tension(model: HandModel) -> None
     x = balanced_state(model, 0.5)
     x[:, V] = x[:, W] = 0.1
     estimate, goals, law = (
-        exact_estimate(model, x),
+        estimate_from_states(model, x),
         moving_goals(model, 0.2, 0.8, 0.4),
-        LawState.initial_law_state(model.tendon_count),
+        ControlLawState.initial_state(model.tendon_count),
     )
-    law, first_command = run_law_tick(model, law, estimate, goals, 0.2)
+    law, first_command = run_control_law_tick(model, law, estimate, goals, 0.2)
     assert not law.rate.any(), "nothing was planned before"
-    law, second_command = run_law_tick(model, law, estimate, goals, 0.2 + model.period)
+    law, second_command = run_control_law_tick(model, law, estimate, goals, 0.2 + model.period)
     np.testing.assert_allclose(
         law.rate, (second_command.tension - first_command.tension) / model.period, rtol=0.1
     )
     assert law.rate.any()
-    law, _ = run_law_tick(model, law, estimate, holding_goals(model, 20.0), 0.3)
+    law, _ = run_control_law_tick(model, law, estimate, holding_goals(model, 20.0), 0.3)
     assert not law.rate.any()
     assert not law.planned.any()
 
@@ -444,13 +466,16 @@ def test_the_filter_gets_the_planned_change_of_tension(model: HandModel) -> None
 def test_planned_friction_reverses_only_when_the_tendon_does(model: HandModel) -> None:
     x = balanced_state(model, 0.5)
     x[:, V] = x[:, W] = 0.1
-    estimate, law = exact_estimate(model, x), LawState.initial_law_state(model.tendon_count)
+    estimate, law = (
+        estimate_from_states(model, x),
+        ControlLawState.initial_state(model.tendon_count),
+    )
     for t, goals in (
         (0.2, moving_goals(model, 0.2, 0.8, 0.4)),
         (0.1, moving_goals(model, 0.5, 0.0, 0.4)),
     ):
-        law, _ = run_law_tick(model, law, estimate, goals, t)
-    later_state, _ = run_law_tick(model, law, estimate, goals, 0.1 + model.period)
+        law, _ = run_control_law_tick(model, law, estimate, goals, t)
+    later_state, _ = run_control_law_tick(model, law, estimate, goals, 0.1 + model.period)
     assert np.abs((later_state.planned - law.planned) / law.planned).max() < 0.05, (
         "still the friction of a winding cable"
     )

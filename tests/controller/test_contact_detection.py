@@ -30,7 +30,7 @@ from tests.controller.synthetic_states import (
     balanced_state,
     constant_tables_of,
     detect_contacts,
-    exact_estimate,
+    estimate_from_states,
     uncompiled_function,
 )
 
@@ -62,7 +62,7 @@ def test_a_tip_without_lever_has_no_tip_force(hand: str) -> None:
     """Reproduce a defect: a division 0/0 made the smoothed tip force NaN for ever, so that no contact was detected."""
     model = model_of(hand)
     state = active_state(model)
-    tables = uncompiled_function(state_tables)(state.block, state.layout.places)
+    tables = uncompiled_function(state_tables)(state.block, state.layout.offsets)
     fit = uncompiled_function(_fit_tip_force)
     lever = np.zeros(len(model.hand.joints))
     assert fit(tables, constant_tables_of(model), 0, lever) == 0.0
@@ -140,11 +140,11 @@ def test_drifted_load_cells_cause_no_contact_where_a_digit_stops(
     assert count_contacts_in_free_motion(hand, 60.0, seed, tmp_path) == 0
 
 
-FALSE_CONTACT = pytest.mark.xfail(
+FALSE_CONTACT_XFAIL = pytest.mark.xfail(
     strict=True, reason="a load-cell error of 1.7 N makes the index finger report a contact at 48 s"
 )
-FREE_MOTIONS = [
-    pytest.param(hand, seed, marks=FALSE_CONTACT if (hand, seed) == ("jamia11", 2) else ())
+FREE_MOTION_CASES = [
+    pytest.param(hand, seed, marks=FALSE_CONTACT_XFAIL if (hand, seed) == ("jamia11", 2) else ())
     for hand in ("jamia", "jamia11")
     for seed in range(10)
 ]
@@ -153,7 +153,7 @@ FREE_MOTIONS = [
 
 @pytest.mark.nightly
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize(("hand", "seed"), FREE_MOTIONS)
+@pytest.mark.parametrize(("hand", "seed"), FREE_MOTION_CASES)
 def test_a_minute_of_free_motion_has_no_contact(hand: str, seed: int, tmp_path: Path) -> None:
     assert count_contacts_in_free_motion(hand, 60.0, seed, tmp_path) == 0
 
@@ -172,14 +172,14 @@ def closing_hand(
     """
     state, unit = (
         active_state(model),
-        exact_estimate(model, balanced_state(model, 0.3))._replace(
+        estimate_from_states(model, balanced_state(model, 0.3))._replace(
             external_tension=np.ones(model.tendon_count)
         ),
     )
     state.view("closing")[...] = 1
     detect_contacts(model, state, unit)
     tension_per_tip_force = tip_force_N / (
-        state.view("felt") / constant_tables_of(model).run[h.TIP_FORCE_FRACTION]
+        state.view("felt") / constant_tables_of(model).run[h.TIP_FORCE_UPDATE_FRACTION]
     )
     for name, value in earlier_fields.items():
         state.view(name)[...] = value

@@ -25,14 +25,14 @@ from handctl.safety.safety_action import SafetyAction
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 STOP_REQUEST, CUT_REQUEST, ARM_REQUEST = '{"do": "stop"}', '{"do": "cut"}', '{"do": "arm"}'
-MODES_TO_ACTIVE = [
+MODES_UNTIL_ACTIVE = [
     HandMode.SILENT,
     HandMode.INVENTORY,
     HandMode.READY,
     HandMode.ARMING,
     HandMode.ACTIVE,
 ]
-MODES_TO_DONE = [HandMode.RELAX, HandMode.DISARM, HandMode.DONE]
+MODES_UNTIL_DONE = [HandMode.RELAX, HandMode.DISARM, HandMode.DONE]
 ENABLE_PAYLOAD, DISABLE_PAYLOAD = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfd"
 
 
@@ -72,7 +72,7 @@ def all_motors_disabled(bench: ControllerBench) -> bool:
 def test_a_hand_goes_through_all_modes_and_ends_disabled(model: HandModel) -> None:
     run = make_controller_bench(model, LiveProgram())
     run.run_until_mode(HandMode.ACTIVE)
-    assert run.mode_history == MODES_TO_ACTIVE
+    assert run.mode_history == MODES_UNTIL_ACTIVE
     assert duration_in_mode(run, HandMode.SILENT) == pytest.approx(
         LISTENING_DURATION_S, abs=1.5 * model.period
     )
@@ -90,9 +90,9 @@ def test_a_hand_goes_through_all_modes_and_ends_disabled(model: HandModel) -> No
     assert run.state.progress.phase == "live"
     run.tick(STOP_REQUEST)
     run.run_until_mode(HandMode.DONE)
-    assert run.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
+    assert run.mode_history == MODES_UNTIL_ACTIVE + MODES_UNTIL_DONE
     assert all_motors_disabled(run)
-    assert (run.state.failure, run.state.unconfirmed) == ("", ())
+    assert (run.state.failure, run.state.unconfirmed_motors) == ("", ())
     assert run.tick().frames == (), "done means silent"
 
 
@@ -126,7 +126,7 @@ def test_hand_waits_without_an_arm_request(low_rate_jamia: HandModel) -> None:
         (HandMode.INVENTORY, [HandMode.DONE]),
         (HandMode.READY, [HandMode.DONE]),
         (HandMode.ARMING, [HandMode.DISARM, HandMode.DONE]),
-        (HandMode.ACTIVE, MODES_TO_DONE),
+        (HandMode.ACTIVE, MODES_UNTIL_DONE),
     ],
 )
 def test_stop_from_every_mode(
@@ -137,7 +137,7 @@ def test_stop_from_every_mode(
     hand_bench.run_until_mode(HandMode.DONE)
     assert (
         hand_bench.mode_history
-        == MODES_TO_ACTIVE[: MODES_TO_ACTIVE.index(mode) + 1] + expected_modes
+        == MODES_UNTIL_ACTIVE[: MODES_UNTIL_ACTIVE.index(mode) + 1] + expected_modes
     )
     assert all_motors_disabled(hand_bench)
     assert not hand_bench.state.failure
@@ -230,7 +230,7 @@ def test_a_second_controller_in_active_mode_causes_relax(hand_bench: ControllerB
         == SafetyAction.RELAX
     )
     hand_bench.run_until_mode(HandMode.DONE)
-    assert hand_bench.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
+    assert hand_bench.mode_history == MODES_UNTIL_ACTIVE + MODES_UNTIL_DONE
     assert "H13" in hand_bench.state.failure
     assert all_motors_disabled(hand_bench)
 
@@ -275,7 +275,7 @@ def test_two_missing_motors_and_a_missing_sensor_node_are_all_named(
 def test_silent_joint_encoders_are_reported_as_missing(jamia11: HandModel) -> None:
     run = make_controller_bench(jamia11, LiveProgram())
     joint_ids = {0x1B0, 0x1B1, 0x1B2}
-    run.change_host_frames = lambda frames: [
+    run.modify_frames_to_host = lambda frames: [
         frame for frame in frames if frame.can_id not in joint_ids
     ]
     run.run_until_mode(HandMode.DONE)
@@ -303,7 +303,7 @@ def test_a_motor_that_does_not_enable_is_named_and_all_are_disabled_again(
     hand_bench.toy_hand.motors[1].ignored_commands.add(0xFC)
     hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.state.failure == "not enabled: middle_motor"
-    assert hand_bench.mode_history == [*MODES_TO_ACTIVE[:4], HandMode.DISARM, HandMode.DONE]
+    assert hand_bench.mode_history == [*MODES_UNTIL_ACTIVE[:4], HandMode.DISARM, HandMode.DONE]
     assert duration_in_mode(hand_bench, HandMode.ARMING) == pytest.approx(
         ARMING_TIMEOUT_S, abs=0.05
     )
@@ -319,7 +319,7 @@ def test_a_motor_that_does_not_confirm_disabling_needs_its_power_removed(
     hand_bench.run_until_mode(HandMode.DISARM)
     hand_bench.toy_hand.motor_force[3] = 0.0  # the motor stays enabled, but makes no torque
     hand_bench.run_until_mode(HandMode.DONE)
-    assert hand_bench.state.unconfirmed == ("thumb_motor",)
+    assert hand_bench.state.unconfirmed_motors == ("thumb_motor",)
     assert hand_bench.state.failure == "REMOVE POWER: not confirmed disabled: thumb_motor"
     assert duration_in_mode(hand_bench, HandMode.DISARM) == pytest.approx(
         DISARM_TIMEOUT_S, abs=0.05
@@ -337,7 +337,7 @@ def test_a_motor_that_keeps_its_torque_needs_its_power_removed_at_once(
     hand_bench.toy_hand.motors[3].ignored_commands.add(0xFD)
     hand_bench.tick(STOP_REQUEST)
     hand_bench.run_until_mode(HandMode.DONE)
-    assert hand_bench.state.unconfirmed == ("thumb_motor",)
+    assert hand_bench.state.unconfirmed_motors == ("thumb_motor",)
     assert hand_bench.state.failure == "REMOVE POWER: still pulling after the cut: thumb_motor"
     assert duration_in_mode(hand_bench, HandMode.DISARM) < 0.2
 
@@ -367,8 +367,8 @@ def test_a_silent_motor_relaxes_the_others_and_both_faults_are_reported(
     hand_bench.run(1.0)
     hand_bench.toy_hand.motors[0].is_silent = True
     hand_bench.run_until_mode(HandMode.DONE)
-    assert hand_bench.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
-    assert hand_bench.state.unconfirmed == ("index_motor",)
+    assert hand_bench.mode_history == MODES_UNTIL_ACTIVE + MODES_UNTIL_DONE
+    assert hand_bench.state.unconfirmed_motors == ("index_motor",)
     assert "B17 index_motor" in hand_bench.state.failure
     assert "REMOVE POWER" in hand_bench.state.failure
     assert all(motor.state_nibble != 1 for motor in hand_bench.toy_hand.motors[1:])
@@ -380,8 +380,8 @@ def test_a_drive_error_in_action(hand_bench: ControllerBench) -> None:
     hand_bench.toy_hand.motors[2].state_nibble = 0xC
     hand_bench.run_until_mode(HandMode.DONE)
     assert "N11 ring_motor" in hand_bench.state.failure
-    assert hand_bench.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
-    assert hand_bench.state.unconfirmed == ()
+    assert hand_bench.mode_history == MODES_UNTIL_ACTIVE + MODES_UNTIL_DONE
+    assert hand_bench.state.unconfirmed_motors == ()
 
 
 def test_a_lost_bus_causes_a_cut(hand_bench: ControllerBench) -> None:
@@ -446,20 +446,20 @@ def test_a_program_that_fails_relaxes_the_hand_and_gives_a_reason(
     low_rate_jamia: HandModel,
 ) -> None:
     run = make_controller_bench(low_rate_jamia, LiveProgram())
-    run.toy_hand.tear_tendon(1)  # the load cell of a torn tendon reads zero
+    run.toy_hand.snap_tendon(1)  # the load cell of a torn tendon reads zero
     run.run_until_mode(HandMode.DONE, 20.0)
     assert run.state.failure == "not taut after 4 s: middle_tendon"
-    assert run.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
+    assert run.mode_history == MODES_UNTIL_ACTIVE + MODES_UNTIL_DONE
 
 
 def test_clear_resets_latched_faults_and_arms_no_drive(hand_bench: ControllerBench) -> None:
     hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.tick(extra_frames=(command_of_other_host(hand_bench),))
-    assert hand_bench.state.latched
+    assert hand_bench.state.latched_faults
     hand_bench.tick('{"do": "clear"}')
-    assert not hand_bench.state.latched
+    assert not hand_bench.state.latched_faults
     hand_bench.run_until_mode(HandMode.DONE)
-    assert hand_bench.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
+    assert hand_bench.mode_history == MODES_UNTIL_ACTIVE + MODES_UNTIL_DONE
 
 
 def test_every_mode_change_is_reported_once(hand_bench: ControllerBench) -> None:

@@ -36,9 +36,9 @@ def run_session(hand_name: str) -> ControllerBench:
     run.tick('{"do": "move", "angle_deg": {"middle": 20}, "duration_s": 0.3}')
     run.run(0.2)
     run.tick('{"do": "hold", "tension_N": {"index": 30, "thumb": 20}}', '{"do": "dance"}')
-    run.change_host_frames = lambda frames: frames[1:]
+    run.modify_frames_to_host = lambda frames: frames[1:]
     run.tick()
-    run.change_host_frames = lambda frames: frames
+    run.modify_frames_to_host = lambda frames: frames
     run.run(0.3)
     run.tick(io_events=(IoEvent("dropped", "local:x", 3),), lateness_ns=run.period_ns // 2)
     run.tick(missed_ticks=1)
@@ -62,7 +62,7 @@ def comparable_outputs(tick_output: TickOut) -> tuple[object, ...]:
         tick_output.events,
         tick_output.state_hash,
     )
-    return (*plain, tick_output.telemetry.packed())
+    return (*plain, tick_output.telemetry.to_bytes())
 
 
 def test_equal_inputs_give_equal_outputs(session_bench: ControllerBench) -> None:
@@ -93,14 +93,14 @@ def test_another_controller_of_the_same_hand_repeats_the_run(
 
 def test_the_order_of_frames_within_a_tick_does_not_matter(session_bench: ControllerBench) -> None:
     random_generator = random.Random(3)
-    checked = 0
+    shuffled_tick_count = 0
     for state_before, entry, out in session_bench.tick_history[::3]:
         frames = list(entry.frames)
         random_generator.shuffle(frames)
         _, again = session_bench.controller.tick(state_before, entry._replace(frames=tuple(frames)))
         assert comparable_outputs(again) == comparable_outputs(out)
-        checked += frames != list(entry.frames)
-    assert checked > 50
+        shuffled_tick_count += frames != list(entry.frames)
+    assert shuffled_tick_count > 50
 
 
 def test_frames_with_unknown_identifiers_change_no_decision(session_bench: ControllerBench) -> None:
@@ -133,7 +133,7 @@ def test_the_origin_of_time_does_not_matter() -> None:
     for first_tick in (0, 2560):
         run = make_controller_bench(model, LiveProgram())
         run.k = first_tick
-        run.state.set_run_integer(s.K, first_tick - 1)
+        run.state.set_run_table_integer(s.K, first_tick - 1)
         run.state.mode_start_time = first_tick * model.period
         run.run_until_mode(HandMode.ACTIVE)
         run.run(0.5)
@@ -188,7 +188,7 @@ def test_old_values_have_no_new_time_stamp() -> None:
     )
     run.run_until_mode(HandMode.ACTIVE)
     run.run(0.5)
-    run.change_host_frames = lambda frames: []
+    run.modify_frames_to_host = lambda frames: []
     ages = []
     for _ in range(3):
         out = run.tick()
@@ -215,7 +215,7 @@ def test_missed_ticks_are_reported_and_many_of_them_relax() -> None:
     run.run(0.5)
     assert run.tick(missed_ticks=1).action == SafetyAction.WARN
     run.run(0.1)
-    stalled_tick_limit = run.controller.derived.limits.stalled_ticks
+    stalled_tick_limit = run.controller.derived_constants.limits.stalled_ticks
     assert run.tick(missed_ticks=stalled_tick_limit - 1).action == SafetyAction.WARN
     run.run(0.1)
     out = run.tick(missed_ticks=stalled_tick_limit)
@@ -240,9 +240,9 @@ def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
     np.testing.assert_allclose(
         run.tick_history[-1][2].telemetry.tension_raw, run.toy_hand.cell_bias, atol=0.05
     )
-    run.change_host_frames = lambda frames: [frame for frame in frames if frame.can_id != 0x1A1]
+    run.modify_frames_to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x1A1]
     run.run_until_mode(HandMode.DONE)
-    lost_instances = {mark.instance for mark in run.state.latched if mark.id == "N02"}
+    lost_instances = {mark.part_name for mark in run.state.latched_faults if mark.id == "N02"}
     assert lost_instances == set(run.controller.model.hand.tendon_names[::-1][5:10])
 
 

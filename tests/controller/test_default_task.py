@@ -12,12 +12,12 @@ import pytest
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand, packaged_hands
-from handctl.hand.readiness import displayed_range
+from handctl.hand.readiness_checks import displayed_range
 from handctl.programs.default_task import default_scene, default_task, grasp_warnings
 from handctl.programs.task import ClosePhase, HoldPhase, load_task
 from handctl.programs.task_checks import check_task_for_hand
-from handctl.session.tasks import load_task_for_hand
-from tests.hand.random_chains import RANDOM_CHAIN_SEEDS, random_hand_tree_of
+from handctl.session.task_loading import load_task_for_hand
+from tests.hand.random_chains import RANDOM_CHAIN_SEEDS, build_random_hand_tree
 
 
 @pytest.mark.parametrize("hand_name", packaged_hands())
@@ -79,7 +79,7 @@ def test_without_a_name_a_jamia_takes_its_grasp_and_another_hand_the_default() -
 
 def test_a_digit_that_carries_others_keeps_its_angle() -> None:
     for seed in RANDOM_CHAIN_SEEDS:
-        hand = random_hand_tree_of(seed)
+        hand = build_random_hand_tree(seed)
         task, _ = default_task(hand)
         _, close, hold, _, opened = task.phase
         closing = set(hand.digit_names) - hand.carrier_digits

@@ -18,8 +18,12 @@ from handctl.core.control_law.computed_torque import HOLD_MARGIN_N
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
 from handctl.safety.safety_action import SafetyAction
+from tests.controller.control_law_runs import (
+    ControlLawState,
+    run_control_law_tick,
+    tension_limits_of,
+)
 from tests.controller.digit_goals import holding_goals, moving_goals
-from tests.controller.law_runs import LawState, run_law_tick, tension_limits_of
 from tests.controller.synthetic_states import active_state, estimate_under_tension
 
 
@@ -60,40 +64,43 @@ def test_neither_loop_commands_more_than_the_allowed_tension(jamia: HandModel) -
         np.array([9.0, 140.0, 140.0, 12.0]),
         estimate_under_tension(jamia, 20.0),
     )
-    state = LawState.idle_at_tensions(estimate.tension)
+    state = ControlLawState.initial_state_at_tensions(estimate.tension)
     for _ in range(200):
-        state, command = run_law_tick(
+        state, command = run_control_law_tick(
             jamia, state, estimate, holding_goals(jamia, 60.0), 0.0, tension_limits
         )
     assert command.tension.tolist() == pytest.approx([9.0, 60.0, 60.0, 12.0], abs=1e-9)
-    force = command.torque / jamia.space.spool
-    assert (force <= tension_limits + jamia.space.coulomb + 1e-9).all()
+    force = command.torque / jamia.tendon_constants.spool_radius
+    assert (force <= tension_limits + jamia.tendon_constants.coulomb_friction + 1e-9).all()
     assert force[1] > 30.0
-    _, command = run_law_tick(
+    _, command = run_control_law_tick(
         jamia,
-        LawState.idle_at_tensions(estimate.tension),
+        ControlLawState.initial_state_at_tensions(estimate.tension),
         estimate,
         moving_goals(jamia, 1.0, 1.0, 1.0),
         2.0,
         tension_limits,
     )
     assert command.tension[0] <= 9.0 + 1e-9
-    assert (command.torque / jamia.space.spool <= tension_limits + jamia.space.coulomb + 1e-9).all()
+    assert (
+        command.torque / jamia.tendon_constants.spool_radius
+        <= tension_limits + jamia.tendon_constants.coulomb_friction + 1e-9
+    ).all()
 
 
 def test_a_goal_has_no_speed_while_its_time_is_stopped(jamia: HandModel) -> None:
     estimate, goals = estimate_under_tension(jamia, 20.0), moving_goals(jamia, 0.0, 1.5, 1.0)
-    law, held_command = run_law_tick(
+    law, held_command = run_control_law_tick(
         jamia,
-        LawState.idle_at_tensions(estimate.tension),
+        ControlLawState.initial_state_at_tensions(estimate.tension),
         estimate,
         goals,
         0.5,
         None,
         np.full(4, 300.0),
     )
-    _, moving_command = run_law_tick(
-        jamia, LawState.idle_at_tensions(estimate.tension), estimate, goals, 0.5
+    _, moving_command = run_control_law_tick(
+        jamia, ControlLawState.initial_state_at_tensions(estimate.tension), estimate, goals, 0.5
     )
     assert held_command.q.tolist() == moving_command.q.tolist()
     assert (moving_command.dq > 1.0).all()
@@ -122,7 +129,10 @@ def test_derating_affects_the_warm_drive_only(warm_grasp) -> None:
         events += warm_grasp.run_tick().events
     tension_after = warm_grasp.simulated_hand.truth()["tension"]
     assert min(tension_before) > 20.0
-    assert tension_after[0] < 14.0 + 2.0 * warm_grasp.controller.model.space.coulomb[0]
+    assert (
+        tension_after[0]
+        < 14.0 + 2.0 * warm_grasp.controller.model.tendon_constants.coulomb_friction[0]
+    )
     assert min(tension_after[1:]) > 20.0
     assert any(event.text.startswith("N09a") for event in events)
     assert warm_grasp.last_output.mode == HandMode.ACTIVE
@@ -136,7 +146,7 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
     state, controller = warm_grasp.state.copy(), warm_grasp.controller
     tension = np.array(warm_grasp.simulated_hand.truth()["tension"])
 
-    def state_of_limited_goals(
+    def state_after_goal_evaluation(
         state_before: ControllerState,
         action: SafetyAction,
         tension: np.ndarray,
@@ -147,27 +157,27 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
         state_after.view("tension")[...] = tension
         tick_stages.evaluate_goals(
             state_after.block,
-            state_after.layout.places,
-            *controller.derived.constant_args,
+            state_after.layout.offsets,
+            *controller.derived_constants.kernel_constants,
             int(action),
         )
         return state_after
 
-    held_state = state_of_limited_goals(state, SafetyAction.HOLD, tension)
-    assert held_state.run_integer(s.SAFETY_HOLD_ACTIVE)
+    held_state = state_after_goal_evaluation(state, SafetyAction.HOLD, tension)
+    assert held_state.run_table_integer(s.SAFETY_HOLD_ACTIVE)
     assert held_state.view("limit_held") == pytest.approx(np.maximum(tension, 5.0) + HOLD_MARGIN_N)
-    repeated_state = state_of_limited_goals(held_state, SafetyAction.HOLD, tension + 50.0)
+    repeated_state = state_after_goal_evaluation(held_state, SafetyAction.HOLD, tension + 50.0)
     np.testing.assert_array_equal(repeated_state.view("limit_held"), held_state.view("limit_held"))
     assert (
         tension_limits_of(controller.model, repeated_state) <= held_state.view("limit_held")
     ).all()
     for action in (SafetyAction.PASS, SafetyAction.WARN, SafetyAction.RELAX):
-        assert not state_of_limited_goals(repeated_state, action, tension).run_integer(
+        assert not state_after_goal_evaluation(repeated_state, action, tension).run_table_integer(
             s.SAFETY_HOLD_ACTIVE
         )
-    assert not state_of_limited_goals(
+    assert not state_after_goal_evaluation(
         repeated_state, SafetyAction.HOLD, tension, HandMode.RELAX
-    ).run_integer(s.SAFETY_HOLD_ACTIVE)
+    ).run_table_integer(s.SAFETY_HOLD_ACTIVE)
 
 
 def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
@@ -180,7 +190,7 @@ def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
     for _ in range(300):
         out = warm_grasp.run_tick()
         actions_and_holds.append(
-            (out.action, bool(warm_grasp.state.run_integer(s.SAFETY_HOLD_ACTIVE)))
+            (out.action, bool(warm_grasp.state.run_table_integer(s.SAFETY_HOLD_ACTIVE)))
         )
         if out.mode != HandMode.ACTIVE:
             break

@@ -7,8 +7,8 @@ of digits on a stop.
 import numpy as np
 
 from handctl.core import tick_stages
-from handctl.core.estimation.filter_stack import STATE_COUNT, O, S, TendonRegime, W, X
-from handctl.core.estimation.take_up import MIN_TAUT_TENSION_N, SLACK_TICKS
+from handctl.core.estimation.filter_types import STATE_COUNT, O, S, TendonRegime, W, X
+from handctl.core.estimation.slack_detection import MIN_TAUT_TENSION_N, SLACK_TICKS
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
 from tests.controller.filter_oracle import FILTER_STATE_UNITS
@@ -17,28 +17,28 @@ from tests.controller.filter_runs import (
     flags_without_contact,
     noiseless_readings,
     run_filter_tick,
-    run_unplanned_filter_tick,
+    run_filter_tick_without_plan,
     state_after_first_readings,
     state_at_rest,
-    state_with_tendons_in_regime,
+    state_in_regime,
 )
 from tests.controller.synthetic_states import (
     SensorReadings,
     active_state,
+    constant_args_of,
     empty_readings,
-    load_statics,
-    stage_constants,
+    static_tendon_forces,
 )
 
 
 def test_without_any_measurement_the_tick_is_a_prediction(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
-    state = state_with_tendons_in_regime(model, TendonRegime.FREE, x)
-    state_after, estimate = run_unplanned_filter_tick(
+    state = state_in_regime(model, TendonRegime.FREE, x)
+    state_after, estimate = run_filter_tick_without_plan(
         model, state, empty_readings(model), force, flags_without_contact(model)
     )
     for i, row in enumerate(state_after.filter_states.reshape(-1, STATE_COUNT)):
-        block = model.filter.blocks[i][TendonRegime.FREE]
+        block = model.filter_design.blocks[i][TendonRegime.FREE]
         np.testing.assert_allclose(
             row / FILTER_STATE_UNITS,
             (block.F @ x[i] + block.B @ [force[i], 0.0]) / FILTER_STATE_UNITS,
@@ -55,9 +55,9 @@ def test_a_lost_frame_of_one_tendon_leaves_the_others_alone(model: HandModel) ->
     measurement_with_gap = whole_readings._replace(tension=whole_readings.tension.copy())
     measurement_with_gap.tension[1] = np.nan
     results = [
-        run_unplanned_filter_tick(
+        run_filter_tick_without_plan(
             model,
-            state_with_tendons_in_regime(model, TendonRegime.FREE, x),
+            state_in_regime(model, TendonRegime.FREE, x),
             m,
             force,
             flags_without_contact(model),
@@ -73,7 +73,7 @@ def test_a_lost_frame_of_one_tendon_leaves_the_others_alone(model: HandModel) ->
 def test_filter_starts_when_every_encoder_was_read(model: HandModel) -> None:
     n = model.tendon_count
     travel, cell = np.linspace(-3e-3, 2e-3, n), np.zeros(n)
-    state, estimate = run_unplanned_filter_tick(
+    state, estimate = run_filter_tick_without_plan(
         model,
         FilterState.initial_filter_state(n),
         readings_of(model, travel, cell),
@@ -90,7 +90,7 @@ def test_filter_starts_when_every_encoder_was_read(model: HandModel) -> None:
     assert not state_after_first_readings(model, state, travel, with_load_cells=False).started
     state = state_after_first_readings(model, state, travel)
     assert state.started
-    state, estimate = run_unplanned_filter_tick(
+    state, estimate = run_filter_tick_without_plan(
         model, state, readings_of(model, partial, cell), cell, flags_without_contact(model)
     )
     np.testing.assert_allclose(estimate.travel, travel, atol=1e-6)
@@ -111,7 +111,7 @@ def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandMode
     n = model.tendon_count
     cell, state = np.full(n, 5.0), FilterState.initial_filter_state(n)
     for _ in range(20):
-        state, _ = run_unplanned_filter_tick(
+        state, _ = run_filter_tick_without_plan(
             model,
             state,
             empty_readings(model)._replace(tension=cell),
@@ -121,7 +121,7 @@ def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandMode
     whole_readings = readings_of(model, np.full(n, 2e-3), cell)
     state = state_after_first_readings(model, state, whole_readings.travel)
     for k in range(20):
-        state, estimate = run_unplanned_filter_tick(
+        state, estimate = run_filter_tick_without_plan(
             model, state, whole_readings, cell, flags_without_contact(model)
         )
         assert np.abs(estimate.tension - (cell if k > SLACK_TICKS else cell / 2)).max() < 4.0, k
@@ -135,19 +135,19 @@ def regimes_of_readings(model: HandModel, cell_readings: list[float]) -> list[se
     """
     n = model.tendon_count
     x = np.zeros((n, STATE_COUNT))
-    state = state_with_tendons_in_regime(model, TendonRegime.SLACK, x)._replace(stopped=(True,) * n)
-    met = []
+    state = state_in_regime(model, TendonRegime.SLACK, x)._replace(stopped=(True,) * n)
+    regimes_by_tick = []
     for cell in cell_readings:
         measured = noiseless_readings(model, x, np.full(n, cell))
-        state, _ = run_unplanned_filter_tick(
+        state, _ = run_filter_tick_without_plan(
             model,
             state,
             measured,
             np.full(n, max(cell, 0.0) if cell == cell else 0.0),
             flags_without_contact(model),
         )
-        met.append(set(state.regimes))
-    return met
+        regimes_by_tick.append(set(state.regimes))
+    return regimes_by_tick
 
 
 def test_slack_ends_by_tension_and_not_by_noise(model: HandModel) -> None:
@@ -166,31 +166,31 @@ def test_a_small_tension_ends_slack_after_a_few_ticks(model: HandModel) -> None:
 
     The standard deviation is that of the load-cell noise.
     """
-    met = regimes_of_readings(model, [0.2, 0.9, 1.2, 1.6, 1.7, 1.7])
-    assert met[2] == {TendonRegime.SLACK}
-    assert TendonRegime.SLACK not in met[-1]
+    regimes_by_tick = regimes_of_readings(model, [0.2, 0.9, 1.2, 1.6, 1.7, 1.7])
+    assert regimes_by_tick[2] == {TendonRegime.SLACK}
+    assert TendonRegime.SLACK not in regimes_by_tick[-1]
 
 
 def test_slack_needs_a_few_ticks_in_a_row(model: HandModel) -> None:
-    taut = [MIN_TAUT_TENSION_N + 1.0] * 30
+    taut_readings = [MIN_TAUT_TENSION_N + 1.0] * 30
     regimes_after_one_low_sample = regimes_of_readings(
-        model, [*taut, 0.0, *taut[:5], 0.0, *taut[:5]]
+        model, [*taut_readings, 0.0, *taut_readings[:5], 0.0, *taut_readings[:5]]
     )
-    assert TendonRegime.SLACK not in set().union(*regimes_after_one_low_sample[len(taut) :]), (
-        "one low sample is noise"
-    )
-    assert regimes_of_readings(model, [*taut, *[-0.5] * 60])[-1] == {TendonRegime.SLACK}
+    assert TendonRegime.SLACK not in set().union(
+        *regimes_after_one_low_sample[len(taut_readings) :]
+    ), "one low sample is noise"
+    assert regimes_of_readings(model, [*taut_readings, *[-0.5] * 60])[-1] == {TendonRegime.SLACK}
 
 
 def test_becoming_taut_takes_the_tension_from_the_load_cell(model: HandModel) -> None:
     n = model.tendon_count
     x = np.zeros((n, STATE_COUNT))
     x[:, X] = np.linspace(-2e-3, 2e-3, n)
-    state = state_with_tendons_in_regime(model, TendonRegime.SLACK, x)._replace(stopped=(True,) * n)
+    state = state_in_regime(model, TendonRegime.SLACK, x)._replace(stopped=(True,) * n)
     cell = np.full(n, 4.0)
     estimated_tensions = []
     for _ in range(60):
-        state, estimate = run_unplanned_filter_tick(
+        state, estimate = run_filter_tick_without_plan(
             model, state, noiseless_readings(model, x, cell), cell, flags_without_contact(model)
         )
         estimated_tensions.append(estimate.tension)
@@ -199,7 +199,7 @@ def test_becoming_taut_takes_the_tension_from_the_load_cell(model: HandModel) ->
         ).all(), "no overshoot"
     np.testing.assert_allclose(estimated_tensions[-1], cell, atol=0.5)
     np.testing.assert_allclose(
-        estimate.stretch_offset, x[:, X] - cell / model.space.stiffness, atol=1e-5
+        estimate.stretch_offset, x[:, X] - cell / model.tendon_constants.stiffness, atol=1e-5
     )
     np.testing.assert_allclose(estimate.excursion, 0.0, atol=2e-5)
 
@@ -212,9 +212,9 @@ def test_a_stretch_offset_is_kept(model: HandModel) -> None:
     n = model.tendon_count
     x, cell = np.zeros((n, STATE_COUNT)), np.full(n, 4.0)
     x[:, X] = 2e-3
-    state = state_with_tendons_in_regime(model, TendonRegime.SLACK, x)._replace(stopped=(True,) * n)
+    state = state_in_regime(model, TendonRegime.SLACK, x)._replace(stopped=(True,) * n)
     for _ in range(round(1.5 / model.period)):
-        state, estimate = run_unplanned_filter_tick(
+        state, estimate = run_filter_tick_without_plan(
             model, state, noiseless_readings(model, x, cell), cell, flags_without_contact(model)
         )
     np.testing.assert_allclose(estimate.excursion, 0.0, atol=2e-6)
@@ -225,19 +225,19 @@ def test_contact_holds_a_digit_without_a_jump(model: HandModel) -> None:
     x, _ = state_at_rest(model, 20.0, 0.7)
     n = model.tendon_count
     for _ in range(3):
-        balance = load_statics(model, x, x[:, X] - x[:, S]).resistance
-        x[:, X] = x[:, S] + balance / model.space.stiffness
+        balance = static_tendon_forces(model, x, x[:, X] - x[:, S]).resistance
+        x[:, X] = x[:, S] + balance / model.tendon_constants.stiffness
     measured = noiseless_readings(model, x, balance)
-    free_state, estimate_before = run_unplanned_filter_tick(
+    free_state, estimate_before = run_filter_tick_without_plan(
         model,
-        state_with_tendons_in_regime(model, TendonRegime.FREE, x),
+        state_in_regime(model, TendonRegime.FREE, x),
         measured,
         balance,
         flags_without_contact(model),
     )
-    held_state, estimate_after = run_unplanned_filter_tick(
+    held_state, estimate_after = run_filter_tick_without_plan(
         model,
-        state_with_tendons_in_regime(model, TendonRegime.FREE, x),
+        state_in_regime(model, TendonRegime.FREE, x),
         measured,
         balance,
         (True,) * len(model.digits),
@@ -250,7 +250,7 @@ def test_contact_holds_a_digit_without_a_jump(model: HandModel) -> None:
         (held_state, (True,), measured),
         (held_state, (False,), measured),
     ):
-        estimate, now = run_unplanned_filter_tick(
+        estimate, now = run_filter_tick_without_plan(
             model, state, measured_now, balance, contact * len(model.digits)
         )
         assert np.abs(now.tension - balance).max() < 0.4
@@ -262,12 +262,12 @@ def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
     """External tension is the part of a tendon's tension that the springs of the digit do not explain."""
     x, _ = state_at_rest(model, 20.0, 0.7)
     n = model.tendon_count
-    requested_force = load_statics(model, x, np.zeros(n)).resistance
+    requested_force = static_tendon_forces(model, x, np.zeros(n)).resistance
     tension = requested_force + 10.0
-    x[:, X] = x[:, S] + tension / model.space.stiffness
-    state = state_with_tendons_in_regime(model, TendonRegime.HELD, x)
+    x[:, X] = x[:, S] + tension / model.tendon_constants.stiffness
+    state = state_in_regime(model, TendonRegime.HELD, x)
     for _ in range(40):
-        state, estimate = run_unplanned_filter_tick(
+        state, estimate = run_filter_tick_without_plan(
             model,
             state,
             noiseless_readings(model, x, tension),
@@ -276,9 +276,9 @@ def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
         )
     np.testing.assert_allclose(estimate.external_tension, 10.0, atol=0.5)
     x0, rest_tension = np.zeros((n, STATE_COUNT)), np.full(n, 4.0)
-    x0[:, X] = rest_tension / model.space.stiffness
-    state = state_with_tendons_in_regime(model, TendonRegime.HELD, x0)._replace(stopped=(True,) * n)
-    state, estimate = run_unplanned_filter_tick(
+    x0[:, X] = rest_tension / model.tendon_constants.stiffness
+    state = state_in_regime(model, TendonRegime.HELD, x0)._replace(stopped=(True,) * n)
+    state, estimate = run_filter_tick_without_plan(
         model,
         state,
         noiseless_readings(model, x0, rest_tension),
@@ -296,19 +296,19 @@ def test_joint_encoders_distinguish_excursion_from_offset(jamia11: HandModel) ->
     Joint encoders separate the excursion from the stretch offset.
     """
     x, _ = state_at_rest(jamia11, 20.0, 0.7)
-    balance = load_statics(jamia11, x, np.zeros(len(x))).resistance
-    x[:, X] = x[:, S] + balance / jamia11.space.stiffness
+    balance = static_tendon_forces(jamia11, x, np.zeros(len(x))).resistance
+    x[:, X] = x[:, S] + balance / jamia11.tendon_constants.stiffness
     ends = {}
     for with_encoders in (False, True):
         wrong_states = x.copy()
         wrong_states[:, S] += 2e-5
         wrong_states[:, O] -= 2e-5
-        state = state_with_tendons_in_regime(jamia11, TendonRegime.HELD, wrong_states)
+        state = state_in_regime(jamia11, TendonRegime.HELD, wrong_states)
         for k in range(500):
             measured = noiseless_readings(
                 jamia11, x, balance, excursion=with_encoders and k % 4 == 0
             )
-            state, estimate = run_unplanned_filter_tick(
+            state, estimate = run_filter_tick_without_plan(
                 jamia11, state, measured, balance, (True,) * len(jamia11.digits)
             )
         ends[with_encoders] = np.abs(estimate.excursion - x[:, S])
@@ -324,7 +324,7 @@ def excursion_of(model: HandModel, joint_angles: np.ndarray) -> np.ndarray:
     state.mode = HandMode.SILENT
     state.view("joint_fresh")[...] = ~np.isnan(joint_angles)
     state.view("joint_angle")[...] = joint_angles
-    tick_stages.observe_tick(state.block, state.layout.places, *stage_constants(model))
+    tick_stages.observe_tick(state.block, state.layout.offsets, *constant_args_of(model))
     return state.view("measured_excursion")
 
 
@@ -340,7 +340,7 @@ def test_unread_joints_give_no_excursion(jamia11: HandModel, jamia: HandModel) -
 def test_the_filter_step_changes_none_of_its_arguments(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
     state, measured = (
-        state_with_tendons_in_regime(model, TendonRegime.FREE, x),
+        state_in_regime(model, TendonRegime.FREE, x),
         noiseless_readings(model, x, np.full(len(x), 0.2)),
     )
     argument_copies = [
@@ -349,12 +349,12 @@ def test_the_filter_step_changes_none_of_its_arguments(model: HandModel) -> None
         measured.tension.copy(),
         force.copy(),
     ]
-    first_state = run_unplanned_filter_tick(
+    first_state = run_filter_tick_without_plan(
         model, state, measured, force, flags_without_contact(model)
     )[0]
-    second = run_unplanned_filter_tick(model, state, measured, force, flags_without_contact(model))[
-        0
-    ]
+    second = run_filter_tick_without_plan(
+        model, state, measured, force, flags_without_contact(model)
+    )[0]
     for array_now, array_before in zip(
         (state.filter_states, measured.travel, measured.tension, force),
         argument_copies,
@@ -373,11 +373,11 @@ def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = 1e-5
-    cell = 0.9 * load_statics(model, x, np.zeros(len(x))).resistance
-    x[:, X] = x[:, S] + cell / model.space.stiffness
-    state, _ = run_unplanned_filter_tick(
+    cell = 0.9 * static_tendon_forces(model, x, np.zeros(len(x))).resistance
+    x[:, X] = x[:, S] + cell / model.tendon_constants.stiffness
+    state, _ = run_filter_tick_without_plan(
         model,
-        state_with_tendons_in_regime(model, TendonRegime.FREE, x),
+        state_in_regime(model, TendonRegime.FREE, x),
         noiseless_readings(model, x, cell),
         cell,
         flags_without_contact(model),
@@ -393,10 +393,10 @@ def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandMode
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S], x[:, O], x[:, W] = 1.5e-5, -4e-5, 1e-3
     cell = np.full(len(x), 4.0)
-    x[:, X] = x[:, S] + x[:, O] + cell / model.space.stiffness
-    state, estimate = run_unplanned_filter_tick(
+    x[:, X] = x[:, S] + x[:, O] + cell / model.tendon_constants.stiffness
+    state, estimate = run_filter_tick_without_plan(
         model,
-        state_with_tendons_in_regime(model, TendonRegime.HELD, x),
+        state_in_regime(model, TendonRegime.HELD, x),
         noiseless_readings(model, x, cell),
         cell,
         flags_without_contact(model),
@@ -412,7 +412,7 @@ def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandMode
 def test_friction_whose_direction_is_known_is_no_contact(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
     state, zero_vector = (
-        state_with_tendons_in_regime(model, TendonRegime.FREE, x),
+        state_in_regime(model, TendonRegime.FREE, x),
         np.zeros(model.tendon_count),
     )
     external_tensions = []
@@ -430,8 +430,8 @@ def test_friction_whose_direction_is_known_is_no_contact(model: HandModel) -> No
         np.testing.assert_allclose(
             estimate_in_contact.external_tension, estimate.external_tension, atol=0.02
         )
-        force_at_joints = load_statics(model, x, force, friction_direction).force_at_joints
-        resistance = load_statics(model, x, force, friction_direction).resistance
+        force_at_joints = static_tendon_forces(model, x, force, friction_direction).force_at_joints
+        resistance = static_tendon_forces(model, x, force, friction_direction).resistance
         np.testing.assert_allclose(
             estimate.external_tension, force_at_joints - resistance, atol=0.02
         )
@@ -444,10 +444,10 @@ def test_friction_whose_direction_is_known_is_no_contact(model: HandModel) -> No
 
 def test_evidence_of_slack_is_cleared_once_a_tendon_is_taut(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
-    state = state_with_tendons_in_regime(model, TendonRegime.FREE, x)._replace(
+    state = state_in_regime(model, TendonRegime.FREE, x)._replace(
         regime_change_evidence=(1,) * model.tendon_count
     )
-    state_after, _ = run_unplanned_filter_tick(
+    state_after, _ = run_filter_tick_without_plan(
         model, state, noiseless_readings(model, x, force), force, flags_without_contact(model)
     )
     assert state_after.regime_change_evidence == (0,) * model.tendon_count

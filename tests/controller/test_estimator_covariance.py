@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from handctl.core.constants import constant_tables
-from handctl.core.estimation.filter_stack import (
+from handctl.core.estimation.filter_types import (
     MEASUREMENT_COUNT,
     STATE_COUNT,
     E,
@@ -38,15 +38,15 @@ from tests.controller.filter_runs import (
     flags_without_contact,
     noiseless_readings,
     run_filter_tick,
-    run_unplanned_filter_tick,
+    run_filter_tick_without_plan,
     state_at_rest,
-    state_with_tendons_in_regime,
+    state_in_regime,
 )
 from tests.controller.synthetic_states import (
     SensorReadings,
     active_state,
+    constant_args_of,
     empty_readings,
-    stage_constants,
     uncompiled_function,
 )
 
@@ -120,23 +120,25 @@ def run_monte_carlo(
     sigma = np.array([[*measurement_noise(model, i), 0.0] for i in range(n)])
     closed, free = 0.5, regime == TendonRegime.FREE
     truth, _ = state_at_rest(model, 40.0, closed)
-    state = state_with_tendons_in_regime(model, regime, truth)
+    state = state_in_regime(model, regime, truth)
     contact = (not free,) * len(model.digits)
     rows: list[tuple[np.ndarray, ...]] = []
     regimes = set()
-    tension_rows = np.array([blocks[regime].tension_row for blocks in model.filter.blocks])
+    tension_rows = np.array([blocks[regime].tension_row for blocks in model.filter_design.blocks])
     for k in range(tick_count):
         # The motor of this test holds the tendon as a controller would. The planned rate of change
         # keeps the tension from drifting.
         tension = (tension_rows * truth).sum(axis=1)
-        away = (
-            truth[:, X] - 40.0 / model.space.stiffness - model.hand.moment_arms.sum(axis=1) * closed
+        travel_error = (
+            truth[:, X]
+            - 40.0 / model.tendon_constants.stiffness
+            - model.hand.moment_arms.sum(axis=1) * closed
         )
-        force = (tension if free else 40.0) - model.space.motor_mass * (
-            40.0 * truth[:, V] + 400.0 * free * away
+        force = (tension if free else 40.0) - model.tendon_constants.motor_mass * (
+            40.0 * truth[:, V] + 400.0 * free * travel_error
         )
         rate = 5.0 * (40.0 - tension)
-        z = truth @ model.filter.blocks[0][regime].H.T
+        z = truth @ model.filter_design.blocks[0][regime].H.T
         z[:, 1] = tension
         z += sigma * rng.normal(size=(n, MEASUREMENT_COUNT))
         if missing_measurements is not None:
@@ -211,27 +213,27 @@ def test_consistent_with_its_own_model_though_measurements_are_missing(
 
 def test_the_covariance_is_updated_only_until_it_is_steady(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
-    state, sigma = state_with_tendons_in_regime(model, TendonRegime.FREE, x), []
+    state, sigma = state_in_regime(model, TendonRegime.FREE, x), []
     for k in range(300):
         measured = noiseless_readings(model, x, np.full(model.tendon_count, 25.0))
         if 20 <= k < 25:
             measured.travel[0] = np.nan
-        state, estimate = run_unplanned_filter_tick(
+        state, estimate = run_filter_tick_without_plan(
             model, state, measured, force, flags_without_contact(model)
         )
         if state.covariance is not None:
             assert k == 20 + len(sigma), "in one piece, from the first that is missing on"
             sigma.append(estimate.tension_sigma)
-    steady = np.sqrt(design_arrays_by_tendon(model, state.regimes, "tension_variance"))
+    steady_state_sigma = np.sqrt(design_arrays_by_tendon(model, state.regimes, "tension_variance"))
     assert 5 < len(sigma) < 200
-    assert sigma[4][0] > 1.01 * steady[0]
+    assert sigma[4][0] > 1.01 * steady_state_sigma[0]
     assert max(sample[0] for sample in sigma) == max(sigma[4][0], sigma[5][0]), (
         "it grows as long as nothing is read"
     )
     np.testing.assert_allclose(
-        [sample[1:] for sample in sigma], [steady[1:]] * len(sigma), rtol=1e-3
+        [sample[1:] for sample in sigma], [steady_state_sigma[1:]] * len(sigma), rtol=1e-3
     )
-    np.testing.assert_allclose(sigma[-1], steady, rtol=0.02)
+    np.testing.assert_allclose(sigma[-1], steady_state_sigma, rtol=0.02)
 
 
 @pytest.mark.parametrize(("missing_column", "regime", "is_detected"), [
@@ -248,10 +250,10 @@ def test_missing_measurement_is_detected_in_each_regime(
         z[-1, missing_column] = np.nan
     state = active_state(model)
     state.view("regime")[-1] = regime
-    x = uncompiled_function(state_tables)(state.block, state.layout.places)
+    x = uncompiled_function(state_tables)(state.block, state.layout.offsets)
     assert (
         uncompiled_function(_is_measurement_missing)(
-            x, uncompiled_function(constant_tables)(*stage_constants(model)), z
+            x, uncompiled_function(constant_tables)(*constant_args_of(model)), z
         )
         is is_detected
     )
@@ -263,8 +265,8 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
     The last digit of the hand stays without contact.
     """
     x, force = state_at_rest(model, 25.0, 0.6)
-    state, touched = (
-        state_with_tendons_in_regime(model, TendonRegime.FREE, x),
+    state, digit_contact = (
+        state_in_regime(model, TendonRegime.FREE, x),
         (True, *flags_without_contact(model)[1:]),
     )
     readings_without_travel, zero_vector = (
@@ -272,7 +274,7 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
         np.zeros(model.tendon_count),
     )
     state_after, _ = run_filter_tick(
-        model, state, readings_without_travel, force, zero_vector, touched, missed_ticks=4
+        model, state, readings_without_travel, force, zero_vector, digit_contact, missed_ticks=4
     )
     first_tendon, last_tendon = 0, model.tendon_count - 1
     assert (state_after.regimes[first_tendon], state_after.regimes[last_tendon]) == (
@@ -280,16 +282,20 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
         int(TendonRegime.FREE),
     )
     assert state_after.covariance is not None
-    steady = [model.filter.blocks[n][state_after.regimes[n]].P for n in range(model.tendon_count)]
-    np.testing.assert_array_equal(state_after.covariance[first_tendon], steady[first_tendon])
+    steady_state_covariances = [
+        model.filter_design.blocks[n][state_after.regimes[n]].P for n in range(model.tendon_count)
+    ]
+    np.testing.assert_array_equal(
+        state_after.covariance[first_tendon], steady_state_covariances[first_tendon]
+    )
     state_after_one_tick, _ = run_filter_tick(
-        model, state, readings_without_travel, force, zero_vector, touched
+        model, state, readings_without_travel, force, zero_vector, digit_contact
     )
     assert state_after_one_tick.covariance is not None
     tension_variances = [
         state_after.covariance[last_tendon, X, X],
         state_after_one_tick.covariance[last_tendon, X, X],
-        steady[last_tendon][X, X],
+        steady_state_covariances[last_tendon][X, X],
     ]
     assert tension_variances == sorted(tension_variances, reverse=True), (
         "what is not read is known less with every period"
@@ -333,15 +339,15 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
     slack = regime == TendonRegime.SLACK
     x, force = state_at_rest(model, 0.0 if slack else 25.0, 0.0 if slack else 0.6)
     x[:, X] -= slack * 1e-3
-    state = state_with_tendons_in_regime(model, regime, x)._replace(is_length_known=(True,) * n)
-    blocks = [blocks_of_tendon[regime] for blocks_of_tendon in model.filter.blocks]
-    P, compared = np.array([block.P for block in blocks]), 0
+    state = state_in_regime(model, regime, x)._replace(is_length_known=(True,) * n)
+    blocks = [blocks_of_tendon[regime] for blocks_of_tendon in model.filter_design.blocks]
+    P, compared_count = np.array([block.P for block in blocks]), 0
     for k in range(40):
         missing = np.broadcast_to(MISSING_SAMPLES[missing_pattern](k, rng), (2, n))
         z = np.where(missing, np.nan, (x[:, X], force))
         read = noiseless_readings(model, x, z[1])._replace(travel=z[0])
         state_before = state
-        state, _ = run_unplanned_filter_tick(
+        state, _ = run_filter_tick_without_plan(
             model, state, read, force, (regime == TendonRegime.HELD,) * len(model.digits)
         )
         assert set(state.regimes) == {regime}
@@ -354,8 +360,10 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
             P = np.array([block.P for block in blocks])
             continue
         assert_same_covariance(state.covariance, P)
-        compared += 1
-    assert compared == 0 if slack and missing_pattern == "a load cell" else compared >= 3
+        compared_count += 1
+    assert (
+        compared_count == 0 if slack and missing_pattern == "a load cell" else compared_count >= 3
+    )
 
 
 @pytest.mark.parametrize(
@@ -370,7 +378,7 @@ def test_covariance_grows_over_skipped_ticks(
     """
     x, force = state_at_rest(model, 25.0, 0.6)
     measured, zero_vector = noiseless_readings(model, x, force), np.zeros(model.tendon_count)
-    state = state_with_tendons_in_regime(model, TendonRegime.FREE, x)
+    state = state_in_regime(model, TendonRegime.FREE, x)
     state_after, _ = run_filter_tick(
         model,
         state,
@@ -388,7 +396,7 @@ def test_covariance_grows_over_skipped_ticks(
             joseph_update(
                 blocks_of_tendon[TendonRegime.FREE], blocks_of_tendon[TendonRegime.FREE].P, read
             )[1]
-            for blocks_of_tendon in model.filter.blocks
+            for blocks_of_tendon in model.filter_design.blocks
         ]
     )
     for _ in range(
@@ -406,16 +414,16 @@ def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
     """
     rng, n = np.random.default_rng(3), model.tendon_count
     x, force = state_at_rest(model, 25.0, 0.6)
-    state, second = state_with_tendons_in_regime(model, TendonRegime.FREE, x), x.copy()
-    blocks = [blocks[TendonRegime.FREE] for blocks in model.filter.blocks]
+    state, second = state_in_regime(model, TendonRegime.FREE, x), x.copy()
+    blocks = [blocks[TendonRegime.FREE] for blocks in model.filter_design.blocks]
     P = [block.P.copy() for block in blocks]
-    compared = 0
+    compared_count = 0
     for _ in range(300):
         z = np.column_stack((x[:, X], np.full(n, 25.0), x[:, S]))
         z += rng.normal(size=(n, 3)) * [1e-7, 0.02, 1e-6]
         z[rng.random((n, 3)) < 0.15] = np.nan
         push = force + 0.1 * rng.normal(size=n)
-        state, _ = run_unplanned_filter_tick(
+        state, _ = run_filter_tick_without_plan(
             model,
             state,
             SensorReadings(*z.T, empty_readings(model).joints),
@@ -445,5 +453,5 @@ def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
             rtol=1e-7,
             atol=1e-7,
         )
-        compared += 1
-    assert compared > 50
+        compared_count += 1
+    assert compared_count > 50

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from handctl.core.estimation.consistency_events import consistency_events
-from handctl.core.estimation.filter_stack import STATE_COUNT, E, S, TendonRegime, V, X
+from handctl.core.estimation.filter_types import STATE_COUNT, E, S, TendonRegime, V, X
 from handctl.core.estimation.kalman import NIS_AVERAGING_TIME_S, SLACK_LENGTH_M
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import TickEvent
@@ -29,11 +29,11 @@ class HandAtConstantTension:
         self.model, n = model, model.tendon_count
         x = np.zeros((n, STATE_COUNT))
         x[:, 2] = 2e-3
-        x[:, X] = x[:, 2] + HOLD_TENSION_N / model.space.stiffness
+        x[:, X] = x[:, 2] + HOLD_TENSION_N / model.tendon_constants.stiffness
         self.travel = x[:, X]
         self.state = FilterState.tendons_in_regime(x.ravel(), regime, stopped=False)
 
-    def run_sample(
+    def run_tick_with_tension(
         self,
         cell_tension: float,
         *,
@@ -45,7 +45,7 @@ class HandAtConstantTension:
         read = empty_readings(model)._replace(
             travel=self.travel + extra_travel, tension=np.full(n, HOLD_TENSION_N)
         )
-        read = read._replace(saturated=saturated_tendons)
+        read = read._replace(saturated_tendons=saturated_tendons)
         read.tension[0] = cell_tension
         motor_force, zero_rates, contact = (
             np.full(n, HOLD_TENSION_N),
@@ -60,7 +60,7 @@ class HandAtConstantTension:
     def settle(self) -> "HandAtConstantTension":
         """Return the hand after 200 readings without errors."""
         for _ in range(200):
-            self.run_sample(HOLD_TENSION_N)
+            self.run_tick_with_tension(HOLD_TENSION_N)
         return self
 
 
@@ -69,13 +69,13 @@ def test_single_outlier_is_rejected(model: HandModel) -> None:
         HandAtConstantTension(model).settle(),
         HandAtConstantTension(model).settle(),
     )
-    tension_before = quiet.run_sample(HOLD_TENSION_N).tension
-    estimate_after = disturbed_hand.run_sample(HOLD_TENSION_N + 60.0)
+    tension_before = quiet.run_tick_with_tension(HOLD_TENSION_N).tension
+    estimate_after = disturbed_hand.run_tick_with_tension(HOLD_TENSION_N + 60.0)
     np.testing.assert_allclose(estimate_after.tension, tension_before, atol=0.02)
     assert estimate_after.innovation[0] != estimate_after.innovation[0], "as if it had not come"
     np.testing.assert_allclose(
-        disturbed_hand.run_sample(HOLD_TENSION_N).tension,
-        quiet.run_sample(HOLD_TENSION_N).tension,
+        disturbed_hand.run_tick_with_tension(HOLD_TENSION_N).tension,
+        quiet.run_tick_with_tension(HOLD_TENSION_N).tension,
         atol=0.02,
     )
 
@@ -87,8 +87,8 @@ def test_two_outliers_in_a_row_are_accepted(model: HandModel, tension_jump_N: fl
     The filter therefore follows the second outlier at once.
     """
     hand = HandAtConstantTension(model).settle()
-    hand.run_sample(HOLD_TENSION_N + tension_jump_N)
-    estimate = hand.run_sample(HOLD_TENSION_N + tension_jump_N)
+    hand.run_tick_with_tension(HOLD_TENSION_N + tension_jump_N)
+    estimate = hand.run_tick_with_tension(HOLD_TENSION_N + tension_jump_N)
     assert abs(estimate.tension[0] - (HOLD_TENSION_N + tension_jump_N)) < 0.35 * abs(tension_jump_N)
     assert abs(estimate.tension[1] - HOLD_TENSION_N) < 0.1, "the others are left alone"
 
@@ -96,20 +96,20 @@ def test_two_outliers_in_a_row_are_accepted(model: HandModel, tension_jump_N: fl
 def test_two_outliers_on_opposite_sides_are_rejected(model: HandModel) -> None:
     hand = HandAtConstantTension(model).settle()
     for k in range(6):
-        estimate = hand.run_sample(HOLD_TENSION_N + (-1) ** k * 30.0)
+        estimate = hand.run_tick_with_tension(HOLD_TENSION_N + (-1) ** k * 30.0)
         assert abs(estimate.tension[0] - HOLD_TENSION_N) < 0.1
 
 
 def test_a_saturated_cell_is_no_measurement(model: HandModel) -> None:
     hand = HandAtConstantTension(model).settle()
     for _ in range(20):
-        estimate = hand.run_sample(243.9, saturated_tendons=(0,))
+        estimate = hand.run_tick_with_tension(243.9, saturated_tendons=(0,))
         assert np.isnan(estimate.innovation[0])
         assert abs(estimate.tension[0] - HOLD_TENSION_N) < 0.5
     assert not np.isnan(estimate.innovation[1:]).any()
 
 
-def slack_state(
+def slack_tendon_estimate(
     hand: HandAtConstantTension, cell_error_N: float, slack_length_m: float, duration_s: float
 ) -> SyntheticEstimate:
     """Return the estimate of slack tendons.
@@ -137,7 +137,7 @@ def slack_state(
 
 def test_a_slack_tendon_reveals_the_error_of_its_load_cell(model: HandModel) -> None:
     hand = HandAtConstantTension(model)
-    estimate = slack_state(hand, 0.8, 2 * SLACK_LENGTH_M, 2.0)
+    estimate = slack_tendon_estimate(hand, 0.8, 2 * SLACK_LENGTH_M, 2.0)
     np.testing.assert_allclose(
         estimate.cell_error, [0.8] + [0.0] * (model.tendon_count - 1), atol=0.02
     )
@@ -146,7 +146,7 @@ def test_a_slack_tendon_reveals_the_error_of_its_load_cell(model: HandModel) -> 
 
 
 def test_a_nearly_taut_tendon_does_not_update_the_load_cell_error(model: HandModel) -> None:
-    assert not slack_state(
+    assert not slack_tendon_estimate(
         HandAtConstantTension(model), 0.8, 0.5 * SLACK_LENGTH_M, 1.0
     ).cell_error.any()
 
@@ -157,7 +157,7 @@ def test_the_error_stays_as_it_is_while_the_tendon_is_taut(model: HandModel) -> 
     x[E] = 0.7
     hand.state = hand.state._replace(filter_states=x)
     for _ in range(300):
-        estimate = hand.run_sample(HOLD_TENSION_N + 0.7)
+        estimate = hand.run_tick_with_tension(HOLD_TENSION_N + 0.7)
     np.testing.assert_allclose(estimate.cell_error[0], 0.7, atol=1e-3)
     np.testing.assert_allclose(estimate.tension, HOLD_TENSION_N, atol=0.1)
 
@@ -167,7 +167,7 @@ def test_a_model_that_does_not_fit_is_reported_once(model: HandModel) -> None:
     names, events = model.hand.tendon_names, list[TickEvent]()
     for k in range(round(3 * NIS_AVERAGING_TIME_S / model.period)):
         state_before = hand.state
-        hand.run_sample(HOLD_TENSION_N, extra_travel=4e-5 * (-1) ** k)
+        hand.run_tick_with_tension(HOLD_TENSION_N, extra_travel=4e-5 * (-1) ** k)
         events += consistency_events(
             model, state_with_filter(model, state_before), state_with_filter(model, hand.state)
         )
@@ -175,7 +175,7 @@ def test_a_model_that_does_not_fit_is_reported_once(model: HandModel) -> None:
     assert {event.level for event in events} == {"warn"}
     for _ in range(round(5 * NIS_AVERAGING_TIME_S / model.period)):
         state_before = hand.state
-        hand.run_sample(HOLD_TENSION_N)
+        hand.run_tick_with_tension(HOLD_TENSION_N)
         events += consistency_events(
             model, state_with_filter(model, state_before), state_with_filter(model, hand.state)
         )
@@ -226,7 +226,7 @@ def state_while_winding(model: HandModel) -> tuple[FilterState, np.ndarray]:
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), 0.5)
-    x[:, X], x[:, V] = x[:, S] + 20.0 / model.space.stiffness, 1e-3
+    x[:, X], x[:, V] = x[:, S] + 20.0 / model.tendon_constants.stiffness, 1e-3
     return FilterState.tendons_in_regime(x.ravel(), TendonRegime.HELD, stopped=False), np.full(
         model.tendon_count, 20.0
     )
@@ -244,9 +244,9 @@ def test_occasional_positions_do_not_make_the_filter_oscillate(
     chance = np.random.default_rng(7)
     for k in range(100 * ticks_per_position):
         travel = 2e-5 * chance.standard_normal() if k % ticks_per_position == 0 else np.nan
-        estimate = held_hand.run_sample(HOLD_TENSION_N, extra_travel=travel)
+        estimate = held_hand.run_tick_with_tension(HOLD_TENSION_N, extra_travel=travel)
         assert np.abs(estimate.travel - held_hand.travel).max() < 0.05, k
     for _ in range(200):
-        estimate = held_hand.run_sample(HOLD_TENSION_N)
+        estimate = held_hand.run_tick_with_tension(HOLD_TENSION_N)
     np.testing.assert_allclose(estimate.travel, held_hand.travel, atol=1e-4)
     np.testing.assert_allclose(estimate.tendon_speed, 0.0, atol=2e-3)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from handctl.core.estimation.filter_stack import STATE_COUNT, O, S, TendonRegime, W, X
+from handctl.core.estimation.filter_types import STATE_COUNT, O, S, TendonRegime, W, X
 from handctl.core.estimation.kalman import (
     MAX_PULL_TO_COME_TO_REST,
     MAX_PULL_TO_STAY_AT_REST,
@@ -13,16 +13,16 @@ from handctl.core.estimation.kalman import (
     _is_at_stop,
     _usable_measurements,
 )
-from handctl.core.estimation.take_up import (
+from handctl.core.estimation.slack_detection import (
+    CERTAINLY_TAUT_POINTS,
     LIKELY_TAUT_ABOVE_N,
+    LIKELY_TAUT_POINTS,
     MIN_TAUT_TENSION_N,
     NEARLY_TAUT_FACTOR,
     NEARLY_TAUT_M,
-    POINTS_OF_CERTAIN_TENSION,
-    POINTS_OF_LIKELY_TENSION,
-    POINTS_OF_POSSIBLE_TENSION,
-    POINTS_OF_TAUT,
     POSSIBLY_TAUT_ABOVE_N,
+    POSSIBLY_TAUT_POINTS,
+    TAUT_POINTS,
 )
 from handctl.core.hand_model import HandModel
 from handctl.core.state_block import state_tables
@@ -30,7 +30,7 @@ from tests.controller.filter_runs import (
     FilterState,
     corrected_state,
     filter_state_of,
-    run_unplanned_filter_tick,
+    run_filter_tick_without_plan,
     state_with_filter,
     write_readings,
 )
@@ -42,9 +42,9 @@ from tests.controller.synthetic_states import (
 )
 
 SLACK_EVIDENCE_POINTS = (
-    (MIN_TAUT_TENSION_N, POINTS_OF_CERTAIN_TENSION),
-    (LIKELY_TAUT_ABOVE_N, POINTS_OF_LIKELY_TENSION),
-    (POSSIBLY_TAUT_ABOVE_N, POINTS_OF_POSSIBLE_TENSION),
+    (MIN_TAUT_TENSION_N, CERTAINLY_TAUT_POINTS),
+    (LIKELY_TAUT_ABOVE_N, LIKELY_TAUT_POINTS),
+    (POSSIBLY_TAUT_ABOVE_N, POSSIBLY_TAUT_POINTS),
 )
 
 
@@ -80,7 +80,9 @@ def tension_explained_by_contact(
     All tendons have a tension of 20 N and move with the speed ``tendon_speed`` [m/s]. In this test,
     the filter gets no readings.
     """
-    stretch = (20.0 + model.space.damping * tendon_speed) / model.space.stiffness
+    stretch = (
+        20.0 + model.tendon_constants.damping * tendon_speed
+    ) / model.tendon_constants.stiffness
     state = filter_state(model, regime, S=2e-3, W=tendon_speed)
     x = state.filter_states.reshape(-1, STATE_COUNT).copy()
     x[:, X] = x[:, S] + stretch
@@ -94,7 +96,7 @@ def test_damping_of_a_moving_digit_is_no_contact(model: HandModel) -> None:
         tension_explained_by_contact(model, TendonRegime.FREE, rate) for rate in (0.0, 0.05)
     )
     np.testing.assert_allclose(
-        tension_in_motion - tension_at_rest, -0.05 * model.space.load_damping, rtol=1e-9
+        tension_in_motion - tension_at_rest, -0.05 * model.tendon_constants.load_damping, rtol=1e-9
     )
     assert tension_at_rest.all(), "20 N are more than springs ask here"
 
@@ -111,7 +113,7 @@ def used_measurements(model: HandModel, state: FilterState, measured: SensorRead
     run = state_with_filter(model, state)
     write_readings(run, measured)
     return uncompiled_function(_usable_measurements)(
-        uncompiled_function(state_tables)(run.block, run.layout.places)
+        uncompiled_function(state_tables)(run.block, run.layout.offsets)
     )
 
 
@@ -173,15 +175,15 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     After the tendon has become taut, the filter counts its evidence from zero again.
     """
     n = model.tendon_count
-    above = next(
-        above
-        for above, worth in SLACK_EVIDENCE_POINTS
-        if worth * NEARLY_TAUT_FACTOR >= POINTS_OF_TAUT > worth
+    lower_tension = next(
+        lower_tension
+        for lower_tension, worth in SLACK_EVIDENCE_POINTS
+        if worth * NEARLY_TAUT_FACTOR >= TAUT_POINTS > worth
     )
     state = filter_state(model, TendonRegime.SLACK, X=2e-3 - slack_length_m, S=2e-3)._replace(
         is_length_known=(is_length_known,) * n
     )
-    regimes_after = regimes_after_sample(model, state, above + 1e-6)
+    regimes_after = regimes_after_sample(model, state, lower_tension + 1e-6)
     assert (
         regimes_after.regimes
         == ((TendonRegime.FREE if is_taut_afterwards else TendonRegime.SLACK),) * n
@@ -193,7 +195,7 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
 def test_a_tendon_that_became_taut_has_a_known_length(model: HandModel) -> None:
     n = model.tendon_count
     state = filter_state(model, TendonRegime.SLACK, S=2e-3)
-    for _ in range(POINTS_OF_TAUT):
+    for _ in range(TAUT_POINTS):
         state = regimes_after_sample(model, state, SLACK_EVIDENCE_POINTS[0][0] + 1.0)
     assert (state.regimes, state.is_length_known) == ((TendonRegime.FREE,) * n, (True,) * n)
 
@@ -213,7 +215,7 @@ def test_a_digit_on_its_stop_is_at_zero_when_its_tendon_becomes_taut(model: Hand
 def test_an_estimate_has_every_column_before_the_first_reading(model: HandModel) -> None:
     n, j = model.tendon_count, len(model.hand.joints)
     no = (False,) * len(model.digits)
-    _, estimate = run_unplanned_filter_tick(
+    _, estimate = run_filter_tick_without_plan(
         model, FilterState.initial_filter_state(n), empty_readings(model), np.zeros(n), no
     )
     shapes = {

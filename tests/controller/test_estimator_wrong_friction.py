@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from handctl.compiled import kernel
-from handctl.core.block_schema import BlockArray, TablePlaces
+from handctl.core.block_schema import BlockArray, TableOffsets
 from handctl.core.constants import constant_tables
 from handctl.core.estimation import kalman
-from handctl.core.estimation.filter_stack import STATE_COUNT, TendonRegime
+from handctl.core.estimation.filter_types import STATE_COUNT, TendonRegime
 from handctl.core.estimation.kalman import (
     MAX_ADDED_NOISE_S,
     NOISE_NIS_AVERAGING_TIME_S,
@@ -26,12 +26,12 @@ from handctl.programs.task_program import TaskProgram
 from tests.controller.filter_runs import (
     flags_without_contact,
     noiseless_readings,
-    run_unplanned_filter_tick,
+    run_filter_tick_without_plan,
     state_at_rest,
-    state_with_tendons_in_regime,
+    state_in_regime,
 )
 from tests.controller.plant_run import PlantRun, model_of, run_on_plant
-from tests.controller.synthetic_states import active_state, stage_constants, uncompiled_function
+from tests.controller.synthetic_states import active_state, constant_args_of, uncompiled_function
 
 TESTED_HANDS = ("jamia", "jamia11", "jamia_bench")
 FRICTION_FACTORS = (0.5, 1.0, 1.5, 2.0)
@@ -65,7 +65,7 @@ def run_with_friction(
     return run_on_plant(hand_name, program, None, scene_folder, 3.0, seed, friction=friction_factor)
 
 
-def estimate_and_raw_rmse(run: PlantRun) -> tuple[float, float]:
+def estimate_and_cell_rmse(run: PlantRun) -> tuple[float, float]:
     """Return the tension RMSE [N] of the estimate and of the raw load cell.
 
     The RMSE includes only taut tendons, and only the time while the hand moves.
@@ -91,7 +91,7 @@ def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
 
     The simulated friction is the friction of the hand file times a factor.
     """
-    estimate, cell = estimate_and_raw_rmse(
+    estimate, cell = estimate_and_cell_rmse(
         run_with_friction(hand_name, friction_factor, seed, tmp_path)
     )
     assert estimate < cell, f"{estimate:.3f} N, the cell {cell:.3f} N"
@@ -106,13 +106,13 @@ def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
     model = model_of(hand)
     x, force = state_at_rest(model, 20.0, 0.5)
     read = noiseless_readings(model, x, np.full(model.tendon_count, 21.0))
-    state_without_doubt = state_with_tendons_in_regime(model, TendonRegime.FREE, x)
-    state_in_doubt = state_without_doubt._replace(
+    confident_state = state_in_regime(model, TendonRegime.FREE, x)
+    state_in_doubt = confident_state._replace(
         doubt_time_s=np.full(model.tendon_count, MAX_ADDED_NOISE_S)
     )
     (state_after, estimate), (after_doubt, estimate_doubt) = (
-        run_unplanned_filter_tick(model, state, read, force, flags_without_contact(model))
-        for state in (state_without_doubt, state_in_doubt)
+        run_filter_tick_without_plan(model, state, read, force, flags_without_contact(model))
+        for state in (confident_state, state_in_doubt)
     )
     assert state_after.nis_mean == pytest.approx(after_doubt.nis_mean)
     assert state_after.nis_fast_average == pytest.approx(after_doubt.nis_fast_average)
@@ -124,13 +124,13 @@ def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
 @kernel("block", "layout", "constants", "layout", "matrix", "matrix")
 def _judge_innovations(
     block: BlockArray,
-    state_places: TablePlaces,
+    state_places: TableOffsets,
     constants: BlockArray,
-    constant_places: TablePlaces,
+    constant_places: TableOffsets,
     innovation: np.ndarray,
     information: np.ndarray,
 ) -> None:
-    kalman._judge_consistency(
+    kalman._update_consistency(
         state_tables(block, state_places),
         constant_tables(constants, constant_places),
         innovation,
@@ -139,7 +139,7 @@ def _judge_innovations(
     )
 
 
-def recent_nis_and_doubt_times(
+def nis_average_and_doubt_time(
     model: HandModel, recent_nis: np.ndarray, doubt_time_s: np.ndarray, nis: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return two results of one tick (N,).
@@ -151,7 +151,7 @@ def recent_nis_and_doubt_times(
     state.view("nis_lately")[...], state.view("wary")[...] = recent_nis, doubt_time_s
     innovation = np.column_stack((np.zeros(n), np.sqrt(nis), np.full(n, np.nan)))
     _judge_innovations(
-        state.block, state.layout.places, *stage_constants(model), innovation, np.ones((n, 3))
+        state.block, state.layout.offsets, *constant_args_of(model), innovation, np.ones((n, 3))
     )
     return state.view("nis_lately").copy(), state.view("wary").copy()
 
@@ -160,7 +160,7 @@ def test_a_slow_loop_does_not_adapt() -> None:
     recent_nis, wary = np.full(4, 2.0), np.zeros(4)
     model = HandModel.from_hand(load_hand("jamia"), Gains(), 100.0)
     for _ in range(300):
-        recent_nis, wary = recent_nis_and_doubt_times(model, recent_nis, wary, np.full(4, 50.0))
+        recent_nis, wary = nis_average_and_doubt_time(model, recent_nis, wary, np.full(4, 50.0))
     assert not wary.any()
 
 
@@ -177,11 +177,11 @@ def test_one_tendon_or_all_raise_doubt(jamia11: HandModel) -> None:
     ):
         recent_nis, wary = default_nis, zero_vector
         for _ in range(round(5 * NOISE_NIS_AVERAGING_TIME_S / period)):
-            recent_nis, wary = recent_nis_and_doubt_times(jamia11, recent_nis, wary, odd)
+            recent_nis, wary = nis_average_and_doubt_time(jamia11, recent_nis, wary, odd)
         assert wary[0] == MAX_ADDED_NOISE_S
         assert bool(wary[1:].any()) == all_of_them
     nis = np.array([1e6, *[2.0] * 10])
-    assert not recent_nis_and_doubt_times(jamia11, default_nis, zero_vector, nis)[1][1:].any()
+    assert not nis_average_and_doubt_time(jamia11, default_nis, zero_vector, nis)[1][1:].any()
 
 
 def test_doubt_ends_and_missing_samples_do_not_change_it(jamia11: HandModel) -> None:
@@ -190,17 +190,17 @@ def test_doubt_ends_and_missing_samples_do_not_change_it(jamia11: HandModel) -> 
     A missing reading (NaN) does not change the average of the innovations.
     """
     n = jamia11.tendon_count
-    recent_nis, wary = recent_nis_and_doubt_times(
+    recent_nis, wary = nis_average_and_doubt_time(
         jamia11, np.full(n, 2.0), np.full(n, 3 * jamia11.period), np.full(n, np.nan)
     )
     assert (recent_nis == 2.0).all()
     assert wary == pytest.approx(2 * jamia11.period)
     for _ in range(2):
-        recent_nis, wary = recent_nis_and_doubt_times(jamia11, recent_nis, wary, np.full(n, 2.0))
+        recent_nis, wary = nis_average_and_doubt_time(jamia11, recent_nis, wary, np.full(n, 2.0))
     assert not wary.any()
     state = active_state(jamia11)
     state.view("regime")[...] = regimes = np.arange(n) % len(TendonRegime)
-    x = uncompiled_function(state_tables)(state.block, state.layout.places)
+    x = uncompiled_function(state_tables)(state.block, state.layout.offsets)
     assert [uncompiled_function(kalman.filter_kind)(x, i) for i in range(n)] == regimes.tolist()
     state.view("wary")[...] = 1e-9
     assert [uncompiled_function(kalman.filter_kind)(x, i) for i in range(n)] == (
@@ -211,7 +211,7 @@ def test_doubt_ends_and_missing_samples_do_not_change_it(jamia11: HandModel) -> 
 @pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_the_filter_in_doubt_is_stable(hand: str) -> None:
     """While the filter doubts its model, the errors of all states of a taut tendon decay."""
-    for blocks in model_of(hand).filter.blocks:
+    for blocks in model_of(hand).filter_design.blocks:
         for regime in (TendonRegime.FREE, TendonRegime.HELD):
             block = blocks[regime + len(TendonRegime)]
             own_indices = np.delete(np.arange(STATE_COUNT), 5)

@@ -6,7 +6,7 @@ from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.gains.gains import packaged_gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.hand_loading import load_hand
-from handctl.programs.gains_exercise import GENTLE_RISE_N_PER_S, ExerciseProgram
+from handctl.programs.gains_exercise import GENTLE_TENSION_RATE_N_PER_S, ExerciseProgram
 from tests.controller.synthetic_states import empty_readings, estimate_under_tension
 from tests.hand.hand_on_wrist import mount_on_wrist
 
@@ -14,7 +14,7 @@ StageRecord = tuple[str, tuple[DigitGoal, ...], tuple[bool, ...]]
 """Name of a stage, the goals of all digits, and a flag for each digit that rests on a stop or an object."""
 
 
-def stages_of_exercise(model: HandModel) -> list[StageRecord]:
+def exercise_stages(model: HandModel) -> list[StageRecord]:
     """Return the stages of the exercise program in the order of execution.
 
     In this run, the hand is at rest, and its tendons are taut.
@@ -44,7 +44,7 @@ def test_a_wrist_keeps_its_angle_while_the_other_digits_exercise(hand_name: str)
     """
     hand = load_hand(hand_name) if hand_name == "orca_like" else mount_on_wrist(hand_name)
     model = HandModel.from_hand(hand, packaged_gains(hand_name), 400.0)
-    records = stages_of_exercise(model)
+    records = exercise_stages(model)
     wrist = model.hand.digit_names.index("wrist")
     assert {"settle", "move", "close", "hold"} == {stage for stage, _, _ in records}
     assert len(records) >= 8
@@ -72,13 +72,13 @@ def test_only_digits_without_springs_close_with_a_slow_rise(hand_name: str) -> N
     moving = [d for d, digit in enumerate(model.hand.digit_names) if digit != "wrist"]
     rates = [
         (stage, {goals[d].rate for d in moving})
-        for stage, goals, _ in stages_of_exercise(model)
+        for stage, goals, _ in exercise_stages(model)
         if stage in ("close", "hold")
     ]
     stage_before_hold = rates[[stage for stage, _ in rates].index("hold") - 1]
     assert stage_before_hold == (
         "close",
-        {default_rate if hand_name == "jamia" else GENTLE_RISE_N_PER_S},
+        {default_rate if hand_name == "jamia" else GENTLE_TENSION_RATE_N_PER_S},
     )
     assert all(
         rates_of_stage == {default_rate} for stage, rates_of_stage in rates if stage == "hold"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from handctl.core import constants as h
-from handctl.core.estimation.filter_stack import (
+from handctl.core.estimation.filter_types import (
     STATE_COUNT,
     TRANSITION_CACHE_SIZE,
     E,
@@ -44,7 +44,10 @@ class FilterDesigns:
     def filter_design_of(self, hand_name: str, rate_hz: float) -> FilterDesign:
         model = self.models[hand_name]
         return design_filter(
-            model.space, FilterGains(), 1.0 / rate_hz, _joint_period(model.hand, 1.0 / rate_hz)
+            model.tendon_constants,
+            FilterGains(),
+            1.0 / rate_hz,
+            _joint_period(model.hand, 1.0 / rate_hz),
         )
 
 
@@ -63,7 +66,7 @@ def test_discrete_model_and_gains_agree_with_the_differential_equations(
     model: HandModel, regime: TendonRegime
 ) -> None:
     for i in first_and_last_tendon(model):
-        block = model.filter.blocks[i][regime]
+        block = model.filter_design.blocks[i][regime]
         F, G, Q = integrate_one_period(model, i, regime)
         np.testing.assert_allclose(
             block.F * FILTER_STATE_UNITS / FILTER_STATE_UNITS[:, None], F, rtol=1e-7, atol=1e-8
@@ -97,12 +100,17 @@ def test_discrete_model_and_gains_agree_with_the_differential_equations(
 
 @pytest.mark.parametrize("regime", TendonRegime)
 def test_measurement_rows_predict_the_measurements(model: HandModel, regime: TendonRegime) -> None:
-    for i, blocks in enumerate(model.filter.blocks):
+    for i, blocks in enumerate(model.filter_design.blocks):
         H, row = blocks[regime].H, blocks[regime].tension_row
         state = np.array([3e-4, 0.01, 1e-4, 0.002, 5.0, 7.0, 4e-5])
-        taut = regime != TendonRegime.SLACK
+        is_taut = regime != TendonRegime.SLACK
         tension = (
-            (model.space.stiffness[i] * 1.6e-4 + model.space.damping[i] * 0.008) if taut else 0.0
+            (
+                model.tendon_constants.stiffness[i] * 1.6e-4
+                + model.tendon_constants.damping[i] * 0.008
+            )
+            if is_taut
+            else 0.0
         )
         np.testing.assert_allclose(row @ state, tension, rtol=1e-12)
         np.testing.assert_allclose(H @ state, [state[X], tension + state[E], state[S]], rtol=1e-12)
@@ -135,7 +143,7 @@ def test_joint_encoders_separate_excursion_from_offset_and_nothing_else(
 ) -> None:
     gains = jamia11.gains.filter
     ticks_per_joint_frame = jamia11.hand.sensor_node.joint_decimation
-    for blocks in jamia11.filter.blocks:
+    for blocks in jamia11.filter_design.blocks:
         for block in blocks:
             remaining_fraction = (1.0 - block.K[S, 2]) ** (
                 gains.joint_time_s / (ticks_per_joint_frame * jamia11.period)
@@ -144,9 +152,9 @@ def test_joint_encoders_separate_excursion_from_offset_and_nothing_else(
             assert block.K[O, 2] == -block.K[S, 2]
             assert not np.delete(block.K[:, 2], [S, O]).any()
             np.testing.assert_allclose(block.tension_row @ block.K[:, 2], 0.0, atol=1e-9)
-    assert not any(block.K[:, 2].any() for blocks in jamia.filter.blocks for block in blocks), (
-        "no joint encoders"
-    )
+    assert not any(
+        block.K[:, 2].any() for blocks in jamia.filter_design.blocks for block in blocks
+    ), "no joint encoders"
 
 
 def test_the_transition_of_all_tendons_is_that_of_its_blocks(
@@ -154,14 +162,14 @@ def test_the_transition_of_all_tendons_is_that_of_its_blocks(
 ) -> None:
     n = model.tendon_count
     kinds = rng.integers(0, 2 * len(TendonRegime), n)
-    transition = model.filter.transition(kinds.tobytes())
+    transition = model.filter_design.transition(kinds.tobytes())
     x, u = rng.normal(size=(n, STATE_COUNT)), rng.normal(size=(n, 2))
     moved, driven = (
         (transition.F @ x.T.ravel()).reshape(STATE_COUNT, n).T,
         (transition.B @ u.T.ravel()).reshape(STATE_COUNT, n).T,
     )
     for i, kind in enumerate(kinds.tolist()):
-        block = model.filter.blocks[i][kind]
+        block = model.filter_design.blocks[i][kind]
         np.testing.assert_allclose(moved[i], block.F @ x[i], rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(driven[i], block.B @ u[i], rtol=1e-9, atol=1e-12)
 
@@ -169,7 +177,7 @@ def test_the_transition_of_all_tendons_is_that_of_its_blocks(
 def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
     """The kernels get all parts of the filter design, and variances that were computed from these parts."""
     design = constant_tables_of(model).design
-    assert design.shape == (model.tendon_count, h.FILTER_DESIGN_COUNT, h.DESIGN_ELEMENT_COUNT)
+    assert design.shape == (model.tendon_count, h.FILTER_DESIGN_COUNT, h.FILTER_DESIGN_SIZE)
     offset_by_matrix = {
         "F": h.TRANSITION_MATRIX_OFFSET,
         "B": h.INPUT_MATRIX_OFFSET,
@@ -179,7 +187,7 @@ def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
         "P": h.COVARIANCE_OFFSET,
         "H": h.MEASUREMENT_MATRIX_OFFSET,
     }
-    for blocks_of_tendon, rows in zip(model.filter.blocks, design, strict=True):
+    for blocks_of_tendon, rows in zip(model.filter_design.blocks, design, strict=True):
         for block, row in zip(blocks_of_tendon, rows, strict=True):
             for name, first_element in {
                 **offset_by_matrix,
@@ -192,20 +200,20 @@ def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
                     err_msg=name,
                 )
             information = np.array([[1.0, 0.5], [0.5, 1.0]]) * block.innovation_information
-            twice = row[h.INFORMATION_OFFSET : h.INFORMATION_OFFSET + 3]
+            stored_information = row[h.INFORMATION_OFFSET : h.INFORMATION_OFFSET + 3]
             np.testing.assert_allclose(
-                [information[0, 0], 4 * information[0, 1], information[1, 1]], twice
+                [information[0, 0], 4 * information[0, 1], information[1, 1]], stored_information
             )
             assert row[h.TENSION_VARIANCE_OFFSET] == block.tension_variance
             np.testing.assert_allclose(
                 row[h.CELL_SIGMA_OFFSET] ** 2, np.linalg.inv(block.innovation_information)[1, 1]
             )
             assert row[h.CELL_ERROR_VARIANCE_OFFSET] == block.cell_error_variance
-            assert row[h.CELL_ERROR_OBSERVABLE_OFFSET] == block.cell_error_observable
+            assert row[h.CELL_ERROR_OBSERVABLE_OFFSET] == block.is_cell_error_observable
 
 
 def test_transitions_of_many_regimes_use_bounded_memory(jamia: HandModel) -> None:
-    design = FilterDesign(jamia.filter.blocks * 2)
+    design = FilterDesign(jamia.filter_design.blocks * 2)
     kinds = [
         np.array(kinds_of_tendons)
         for kinds_of_tendons in itertools.islice(
@@ -227,7 +235,7 @@ def test_asking_for_other_gains_gives_other_filters() -> None:
         hand, Gains(filter=FilterGains(free_rate_N_per_s=900.0)), 500.0
     )
     free_tension_variances = [
-        m.filter.blocks[0][TendonRegime.FREE].tension_variance
+        m.filter_design.blocks[0][TendonRegime.FREE].tension_variance
         for m in (model_with_packaged_gains, model_with_larger_rate)
     ]
     assert free_tension_variances[1] > free_tension_variances[0], (
@@ -245,6 +253,6 @@ def test_tendons_that_are_alike_share_a_design(jamia11: HandModel) -> None:
 
     The tendons of the thumb have other designs, because a thumb tendon moves another mass.
     """
-    blocks = dict(zip(jamia11.hand.tendon_names, jamia11.filter.blocks, strict=True))
+    blocks = dict(zip(jamia11.hand.tendon_names, jamia11.filter_design.blocks, strict=True))
     assert blocks["index_t1"] is blocks["ring_t1"]
     assert len({id(kinds_of_tendons) for kinds_of_tendons in blocks.values()}) == 5

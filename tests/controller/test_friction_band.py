@@ -14,8 +14,8 @@ from handctl.core.hand_model import HandModel
 from handctl.document import validate_content
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
+from tests.controller.control_law_runs import ControlLawState, run_control_law_tick
 from tests.controller.digit_goals import moving_goals
-from tests.controller.law_runs import LawState, run_law_tick
 from tests.controller.plant_run import CONTROL_RATE_HZ, run_on_plant
 from tests.controller.synthetic_states import estimate_under_tension, uncompiled_function
 
@@ -37,10 +37,14 @@ def tensions_at_speeds(
         MIN_SLIDING_SPEED_M_S * model.period,
     )
     for speed in winding_speeds:
-        wound = speed * model.period
+        wound_length = speed * model.period
         present_tensions = [
-            uncompiled_function(tension_after_period)(tension, 12.0, 0.8, wound, stiffness, crept)
-            for tension, stiffness in zip(present_tensions, model.space.stiffness, strict=True)
+            uncompiled_function(tension_after_period)(
+                tension, 12.0, 0.8, wound_length, stiffness, crept
+            )
+            for tension, stiffness in zip(
+                present_tensions, model.tendon_constants.stiffness, strict=True
+            )
         ]
         tensions.append(present_tensions)
     return np.array(tensions)
@@ -58,7 +62,7 @@ def test_reversal_takes_the_travel_of_the_friction_band(model: HandModel) -> Non
     """
     turned_tensions = tensions_at_speeds(model, [-5e-3] * 40, 15.0)
     ticks = int(np.argmax(turned_tensions[:, 0] <= 9.6 + 1e-9)) + 1
-    reversal_duration = 5.4 / model.space.stiffness[0] / 5e-3
+    reversal_duration = 5.4 / model.tendon_constants.stiffness[0] / 5e-3
     assert (
         0.6 * reversal_duration - model.period
         <= ticks * model.period
@@ -74,10 +78,10 @@ def test_expected_tension_at_rest_approaches_the_load(model: HandModel) -> None:
 
 def test_a_tendon_with_almost_no_expected_tension_pays_out(model: HandModel) -> None:
     n = model.tendon_count
-    law_before = LawState.initial_law_state(n)._replace(
+    law_before = ControlLawState.initial_state(n)._replace(
         planned=np.full(n, 5e-324), friction_slider=np.ones(n)
     )
-    law, _ = run_law_tick(
+    law, _ = run_control_law_tick(
         model,
         law_before,
         estimate_under_tension(model, 1.0),
@@ -100,8 +104,10 @@ def test_where_a_free_digit_turns_the_estimate_is_better_than_the_cell(
         validate_content({"schema": 1, "name": "turns", "phase": move_phases}, Task, "test")
     )
     run = run_on_plant(hand, task, None, tmp_path, 4.5)
-    starts = [t for t, event in run.events if event.name == "phase" and event.text == "move"][1:]
-    assert len(starts) == len(angles) - 1
+    move_start_times = [
+        t for t, event in run.events if event.name == "phase" and event.text == "move"
+    ][1:]
+    assert len(move_start_times) == len(angles) - 1
     tendons = [0, 2] if hand == "jamia" else [0, 1, 2, 6, 7, 8]
     real, estimate, cell = (
         np.array(table)[:, tendons]
@@ -110,10 +116,10 @@ def test_where_a_free_digit_turns_the_estimate_is_better_than_the_cell(
     ticks = [
         k
         for k, t in enumerate(run.time_s)
-        if any(0.0 <= t - start < TIME_AROUND_REVERSAL_S for start in starts)
+        if any(0.0 <= t - start < TIME_AROUND_REVERSAL_S for start in move_start_times)
     ]
     assert len(ticks) == pytest.approx(
-        len(starts) * TIME_AROUND_REVERSAL_S * CONTROL_RATE_HZ, abs=len(starts)
+        len(move_start_times) * TIME_AROUND_REVERSAL_S * CONTROL_RATE_HZ, abs=len(move_start_times)
     )
     estimate_error, raw = (
         np.sqrt(((table - real)[ticks] ** 2).mean()) for table in (estimate, cell)

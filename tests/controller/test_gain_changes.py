@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from handctl.controller.controller_state import ControllerState
-from handctl.controller.gain_change import CACHE_SIZE, DesignCache
+from handctl.controller.gain_change import MAX_CACHED_DESIGNS, DesignCache
 from handctl.controller.pending_gains import PendingGains
 from handctl.controller.tick import Controller
 from handctl.core import state_block as s
@@ -32,12 +32,12 @@ from handctl.programs.live_session import LiveProgram
 from handctl.programs.requests import parse_request
 from handctl.runtime.clocks.lockstep import load_simulator
 from handctl.safety.safety_action import SafetyAction
+from tests.controller.control_law_runs import tension_limits_of
 from tests.controller.controller_bench import (
     ControllerBench,
     make_controller_bench,
     uncommissioned_controller,
 )
-from tests.controller.law_runs import tension_limits_of
 
 HOLD_REQUEST = '{"do": "hold", "tension_N": {"index": 14, "middle": 14, "ring": 14, "thumb": 14}, "rate_N_per_s": 500}'
 MOVE_REQUEST = '{"do": "move", "angle_deg": {"index": 45, "middle": 45, "ring": 45, "thumb": 20}, "duration_s": 0.2}'
@@ -74,17 +74,17 @@ def test_unused_designs_are_dropped_and_designs_of_the_run_are_kept(jamia: HandM
     run, designs = uncommissioned_controller(jamia, LiveProgram()), DesignCache()
     gains = Gains().model_copy(update={"tension": TensionGains(force_N=11.0)})
     complete_controller = designs.controller(run, gains)
-    for force in range(20, 20 + 3 * CACHE_SIZE):
-        designs.advance(
+    for force in range(20, 20 + 3 * MAX_CACHED_DESIGNS):
+        designs.design_next_loop(
             jamia,
             PendingGains(
                 Gains().model_copy(update={"tension": TensionGains(force_N=float(force))})
             ),
         )
         assert designs.controller(run, gains) is complete_controller
-    assert len(designs.designed_pieces) == CACHE_SIZE
-    assert gains in designs.designed_pieces
-    assert set(designs.controllers) <= set(designs.designed_pieces)
+    assert len(designs.loop_designs) == MAX_CACHED_DESIGNS
+    assert gains in designs.loop_designs
+    assert set(designs.controllers) <= set(designs.loop_designs)
 
 
 @pytest.mark.parametrize(
@@ -94,13 +94,13 @@ def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
     bench_with_rising_tension: ControllerBench, unsolvable_gain: tuple[str, float]
 ) -> None:
     gains_before = bench_with_rising_tension.state.decisions.gains
-    outs = [bench_with_rising_tension.tick(gain_request(dict([unsolvable_gain])))]
-    outs += [bench_with_rising_tension.tick() for _ in range(10)]
-    (gains_event,) = [event for out in outs for event in out.events if event.name == "gains"]
+    outputs = [bench_with_rising_tension.tick(gain_request(dict([unsolvable_gain])))]
+    outputs += [bench_with_rising_tension.tick() for _ in range(10)]
+    (gains_event,) = [event for out in outputs for event in out.events if event.name == "gains"]
     assert gains_event.text.startswith("refused: gains: ")
     assert "no controller follows" in gains_event.text
     decisions = bench_with_rising_tension.state.decisions
-    assert (decisions.gains, decisions.pending, bench_with_rising_tension.state.mode) == (
+    assert (decisions.gains, decisions.pending_gains, bench_with_rising_tension.state.mode) == (
         gains_before,
         None,
         HandMode.ACTIVE,
@@ -127,34 +127,37 @@ def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
     bench.run_until_mode(HandMode.ACTIVE)
     out = bench.tick(gain_request({"motion.force_N": 20.0}))
     assert "refused: the hand is being commissioned" in [event.text for event in out.events]
-    assert bench.state.decisions.pending is None
+    assert bench.state.decisions.pending_gains is None
 
 
 def test_a_change_is_taken_over_when_every_piece_is_designed(
     bench_with_rising_tension: ControllerBench, jamia: HandModel
 ) -> None:
-    outs = [bench_with_rising_tension.tick(gain_request({"tension.force_N": 45.0}))]
-    outs += [bench_with_rising_tension.tick() for _ in range(control_loop_count(jamia.space) + 2)]
-    events = [[event for event in out.events if event.name == "gain"] for out in outs]
+    outputs = [bench_with_rising_tension.tick(gain_request({"tension.force_N": 45.0}))]
+    outputs += [
+        bench_with_rising_tension.tick()
+        for _ in range(control_loop_count(jamia.tendon_constants) + 2)
+    ]
+    events = [[event for event in out.events if event.name == "gain"] for out in outputs]
     at = [i for i, event_of_tick in enumerate(events) if event_of_tick]
-    assert at == [control_loop_count(jamia.space) - 1]
+    assert at == [control_loop_count(jamia.tendon_constants) - 1]
     assert [(event.where, event.text) for event in events[at[0]]] == [("tension.force_N", "45.0")]
     assert bench_with_rising_tension.state.decisions.gains is not None
     assert bench_with_rising_tension.state.decisions.gains.tension.force_N == 45.0
-    hashes = {out.state_hash for out in outs}
-    assert len(hashes) == len(outs)
+    hashes = {out.state_hash for out in outputs}
+    assert len(hashes) == len(outputs)
 
 
-RecordedLawCall = tuple[Controller, ControllerState, ControllerState, SafetyAction, int]
+RecordedControlLawCall = tuple[Controller, ControllerState, ControllerState, SafetyAction, int]
 
 
-def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[RecordedLawCall]:
+def record_control_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[RecordedControlLawCall]:
     """Return a list that records each call of the control law.
 
     An entry contains the controller, its states before and after the call, the action of the safety
     monitor, and the number of ticks.
     """
-    calls, real = list[RecordedLawCall](), Controller._compute_torques
+    calls, real = list[RecordedControlLawCall](), Controller._compute_torques
 
     def record_call(
         self: Controller, state: ControllerState, action: SafetyAction, ticks: int
@@ -187,23 +190,23 @@ def test_a_change_makes_no_step_in_torque(
     bench = noiseless_hand(jamia)
     bench.tick(request_text)
     bench.run(0.1)
-    for _ in range(control_loop_count(jamia.space) - 1):
+    for _ in range(control_loop_count(jamia.tendon_constants) - 1):
         bench.tick(
             gain_request(gain_by_key)
-        ) if bench.state.decisions.pending is None else bench.tick()
-    calls = record_law_calls(monkeypatch)
+        ) if bench.state.decisions.pending_gains is None else bench.tick()
+    calls = record_control_law_calls(monkeypatch)
     out = bench.tick()
     assert any(event.name == "gain" for event in out.events)
-    assert bench.state.run_integer(s.TRIM_ACTIVE)
+    assert bench.state.run_table_integer(s.TRIM_ACTIVE)
     (_, state_before, _, action, ticks), (new_controller, _, without, *_) = calls
-    with_trim = state_before.copy()
-    with_trim.view("trim")[...] = bench.state.view("trim")
-    with_trim.set_run_integer(s.TRIM_ACTIVE, 1)
-    new_controller._compute_torques(with_trim, action, ticks)
+    state_with_trim = state_before.copy()
+    state_with_trim.view("trim")[...] = bench.state.view("trim")
+    state_with_trim.set_run_table_integer(s.TRIM_ACTIVE, 1)
+    new_controller._compute_torques(state_with_trim, action, ticks)
     np.testing.assert_allclose(
-        with_trim.view("torque"), out.telemetry.motor_torque_goal, atol=1e-12
+        state_with_trim.view("torque"), out.telemetry.motor_torque_goal, atol=1e-12
     )
-    assert np.abs(without.view("torque") - with_trim.view("torque")).max() > 1e-4
+    assert np.abs(without.view("torque") - state_with_trim.view("torque")).max() > 1e-4
 
 
 def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
@@ -223,16 +226,16 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
         "_judge_faults",
         lambda self, *words: (SafetyAction.HOLD, judge_faults(self, *words)[1]),
     )
-    calls = record_law_calls(monkeypatch)
+    calls = record_control_law_calls(monkeypatch)
     bench.tick(gain_request({"motion.force_N": 60.0}))
-    while bench.state.decisions.pending is not None:
+    while bench.state.decisions.pending_gains is not None:
         calls.clear()
         bench.tick()
     (old_controller, _, old_state, *_), (new_controller, _, new_state, *_) = calls
     assert old_controller is not new_controller
     assert (
-        old_state.run_integer(s.SAFETY_HOLD_ACTIVE)
-        == new_state.run_integer(s.SAFETY_HOLD_ACTIVE)
+        old_state.run_table_integer(s.SAFETY_HOLD_ACTIVE)
+        == new_state.run_table_integer(s.SAFETY_HOLD_ACTIVE)
         == 1
     )
     np.testing.assert_array_equal(new_state.view("limit_held"), old_state.view("limit_held"))
@@ -240,14 +243,15 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     for state in (old_state, new_state):
         np.testing.assert_array_equal(tension_limits_of(old_controller.model, state), limit)
         assert (
-            state.view("torque") / jamia.space.spool <= limit + jamia.space.coulomb + 1e-9
+            state.view("torque") / jamia.tendon_constants.spool_radius
+            <= limit + jamia.tendon_constants.coulomb_friction + 1e-9
         ).all()
 
 
 def test_the_trim_fades_and_the_goal_is_reached(bench_with_rising_tension: ControllerBench) -> None:
     bench_with_rising_tension.tick(gain_request({"tension.tension_error_N": 1.4}))
     bench_with_rising_tension.run(2.5)
-    assert not bench_with_rising_tension.state.run_integer(s.TRIM_ACTIVE)
+    assert not bench_with_rising_tension.state.run_table_integer(s.TRIM_ACTIVE)
     assert not bench_with_rising_tension.state.view("trim").any()
     tension = np.array(
         [out.telemetry.tension for *_, out in bench_with_rising_tension.tick_history[-200:]]
@@ -302,7 +306,7 @@ def test_a_hand_that_is_not_armed_takes_gains_without_a_trim(jamia: HandModel) -
     bench.tick(gain_request({"motion.force_N": 40.0}))
     bench.run(0.1)
     assert bench.state.decisions.gains is not None
-    assert not bench.state.run_integer(s.TRIM_ACTIVE)
+    assert not bench.state.run_table_integer(s.TRIM_ACTIVE)
     assert not bench.state.view("trim").any()
 
 
@@ -327,7 +331,7 @@ def test_every_corner_of_the_live_bounds_can_be_designed(
     the bound plus one hundredth of the default.
     """
     for key, bound in gain_bounds().items():
-        if bound.is_live_changeable:
+        if bound.is_changeable_live:
             value = (
                 bound.high
                 if uses_upper_bound
@@ -339,7 +343,7 @@ def test_every_corner_of_the_live_bounds_can_be_designed(
                 "test",
                 is_live=True,
             )
-            design = design_motion(jamia.space, gains, jamia.period)
+            design = design_motion(jamia.tendon_constants, gains, jamia.period)
             assert np.isfinite(
                 [design.stiffness, design.damping, design.tension, design.tension_speed]
             ).all(), key

@@ -23,7 +23,7 @@ EXTREME_GAINS = {
     "filter.held_time_s": 1e-12,
     "filter.encoder_noise_counts": 1e-200,
 }
-WEIGHT_KEYS = [
+GAIN_WEIGHT_KEYS = [
     key
     for key, bound in gain_bounds().items()
     if bound.is_low_excluded and not key.startswith("contact")
@@ -40,7 +40,7 @@ def test_solver_failure_is_one_line(gain_key: str) -> None:
 
 
 @settings(max_examples=12)
-@given(st.dictionaries(st.sampled_from(WEIGHT_KEYS), st.floats(-30.0, 0.0), min_size=1))
+@given(st.dictionaries(st.sampled_from(GAIN_WEIGHT_KEYS), st.floats(-30.0, 0.0), min_size=1))
 def test_gains_within_bounds_are_designed_or_refused(exponent_by_gain: dict[str, float]) -> None:
     known_bounds = gain_bounds()
     gains = gains_with_values(
@@ -51,10 +51,10 @@ def test_gains_within_bounds_are_designed_or_refused(exponent_by_gain: dict[str,
     with suppress(ConfigError):
         model = HandModel.from_hand(load_hand("jamia_bench"), gains, 500.0)
         design_arrays = [
-            model.motion.stiffness,
-            model.motion.damping,
-            model.motion.tension,
-            model.motion.tension_speed,
+            model.motion_design.stiffness,
+            model.motion_design.damping,
+            model.motion_design.tension,
+            model.motion_design.tension_speed,
         ]
-        design_arrays += [block.K for blocks in model.filter.blocks for block in blocks]
+        design_arrays += [block.K for blocks in model.filter_design.blocks for block in blocks]
         assert all(np.isfinite(design_array).all() for design_array in design_arrays)

@@ -7,7 +7,7 @@ from handctl.controller.controller_state import ControllerState
 from handctl.core import tick_stages
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import Vector
-from tests.controller.synthetic_states import active_state, stage_constants
+from tests.controller.synthetic_states import active_state, constant_args_of
 
 
 def moment_arms_of(model: HandModel) -> np.ndarray:
@@ -40,7 +40,7 @@ def targets_after_command(
     state = previous_state.copy()
     state.view("q_goal")[...] = joint_angle
     state.view("excursion")[...] = excursions
-    tick_stages.store_commands(state.block, state.layout.places, *stage_constants(model))
+    tick_stages.store_commands(state.block, state.layout.offsets, *constant_args_of(model))
     return state
 
 
@@ -79,9 +79,9 @@ def test_filtered_goal_moves_as_fast_as_a_motor(jamia: HandModel) -> None:
     assert filtered_goal_of(slow_state) == pytest.approx(arms * (0.4 + 1e-5), rel=1e-9), (
         "what goes slowly is followed at once"
     )
-    limp = targets_after_command(jamia, state_after, np.nan)
-    assert np.isnan(filtered_goal_of(limp)).all()
-    assert filtered_goal_of(state_after_goals(0.1, 1, limp)) == pytest.approx(arms * 0.1), (
+    limp_state = targets_after_command(jamia, state_after, np.nan)
+    assert np.isnan(filtered_goal_of(limp_state)).all()
+    assert filtered_goal_of(state_after_goals(0.1, 1, limp_state)) == pytest.approx(arms * 0.1), (
         "after a hold it begins anew"
     )
 
@@ -94,14 +94,16 @@ def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(
     The motor counts as stuck only if the target has moved since the motor stopped.
     """
     arms = moment_arms_of(jamia)
-    then = targets_after_command(
+    state_after_command = targets_after_command(
         jamia, hand_with_equal_readings(jamia, arms * 0.1, 0), 0.4, arms * 0.3
     )
-    np.testing.assert_allclose(filtered_goal_of(then), arms * 0.4)
-    goal_at_rest = then.copy()
+    np.testing.assert_allclose(filtered_goal_of(state_after_command), arms * 0.4)
+    goal_at_rest = state_after_command.copy()
     goal_at_rest.view("motor_stuck")[...] = 1
     later_targets = targets_after_command(jamia, goal_at_rest, 0.4, arms * 0.3)
-    np.testing.assert_array_equal(filtered_goal_of(later_targets), filtered_goal_of(then))
+    np.testing.assert_array_equal(
+        filtered_goal_of(later_targets), filtered_goal_of(state_after_command)
+    )
 
 
 def test_motor_at_rest_at_its_goal_is_not_stuck(jamia: HandModel) -> None:

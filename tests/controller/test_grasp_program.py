@@ -9,7 +9,7 @@ import pytest
 from handctl.core import constants as h
 from handctl.core.control_law.digit_goal import GoalKind
 from handctl.core.estimation.contact_force import TIP_FORCE_TIME_CONSTANT_S
-from handctl.core.estimation.filter_stack import STATE_COUNT, S, X
+from handctl.core.estimation.filter_types import STATE_COUNT, S, X
 from handctl.core.estimation.tip_force import joint_lever, tip_force
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
@@ -30,8 +30,8 @@ from tests.controller.synthetic_states import (
     constant_tables_of,
     detect_contacts,
     empty_readings,
+    estimate_from_states,
     estimate_under_tension,
-    exact_estimate,
     slack_hand_estimate,
 )
 from tests.hand.hand_on_wrist import mount_on_wrist
@@ -148,11 +148,13 @@ def test_phases_come_in_the_order_of_the_task_and_last_as_long(
         0.2, abs=1.1 * model.period
     )
     assert run.run_until_phase("close", taut_estimate) == pytest.approx(0.3, abs=1.1 * model.period)
-    everything = hand_in_contact(model, dict.fromkeys(model.hand.digit_names, 12.0))
-    assert run.run_until_phase("hold", everything) == pytest.approx(0.01, abs=0.01), (
-        "all touch: go on"
+    estimate_with_all_contacts = hand_in_contact(model, dict.fromkeys(model.hand.digit_names, 12.0))
+    assert run.run_until_phase("hold", estimate_with_all_contacts) == pytest.approx(
+        0.01, abs=0.01
+    ), "all touch: go on"
+    assert run.run_until_phase("release", estimate_with_all_contacts) == pytest.approx(
+        0.4, abs=1.1 * model.period
     )
-    assert run.run_until_phase("release", everything) == pytest.approx(0.4, abs=1.1 * model.period)
     assert run.run_until_phase("open", taut_estimate) == pytest.approx(0.1, abs=1.1 * model.period)
     assert run.run_until_phase("end", taut_estimate) == pytest.approx(0.2, abs=1.1 * model.period)
     assert run.progress.finished
@@ -255,7 +257,7 @@ def tip_forces_while_closing(model: HandModel, estimate: SyntheticEstimate) -> n
     state = active_state(model)
     state.view("closing")[...] = 1
     detect_contacts(model, state, estimate)
-    return state.view("felt") / constant_tables_of(model).run[h.TIP_FORCE_FRACTION]
+    return state.view("felt") / constant_tables_of(model).run[h.TIP_FORCE_UPDATE_FRACTION]
 
 
 def tension_for_tip_force(model: HandModel, tip_force_N: float) -> float:
@@ -273,8 +275,10 @@ def test_contact_is_a_force_at_the_tip_that_lasts(
     model: HandModel, taut_estimate: SyntheticEstimate
 ) -> None:
     run, threshold = begin_closing(model, taut_estimate), model.gains.contact.threshold_N
-    weak = hand_in_contact(model, {"index": tension_for_tip_force(model, 0.95 * threshold)})
-    run.run_until_contact(weak)
+    weak_contact_estimate = hand_in_contact(
+        model, {"index": tension_for_tip_force(model, 0.95 * threshold)}
+    )
+    run.run_until_contact(weak_contact_estimate)
     run.run_until_contact(hand_in_contact(model, {"index": 0.0}))
     for _ in range(10):
         run.tick(hand_in_contact(model, {"index": tension_for_tip_force(model, 1.5 * threshold)}))
@@ -319,7 +323,7 @@ def test_tip_force_estimate_equals_the_applied_force(model: HandModel) -> None:
     x[:, S] = x[:, X] = model.hand.moment_arms @ q
     np.testing.assert_allclose(
         tip_forces_while_closing(
-            model, exact_estimate(model, x)._replace(external_tension=balance)
+            model, estimate_from_states(model, x)._replace(external_tension=balance)
         ),
         forces,
     )
@@ -503,8 +507,8 @@ def test_a_goal_tip_force_becomes_the_tension_that_makes_it(
     digit, tension = model.digits[d], run.progress.goals[d].tension
     assert tension is not None
     q = estimate_in_contact.q[digit.joints]
-    static = digit.torque_to_tension @ np.asarray(static_torque(digit, q))
-    assert tip_force(digit, q, tension - static) == pytest.approx(4.0, rel=1e-3)
+    static_tension = digit.torque_to_tension @ np.asarray(static_torque(digit, q))
+    assert tip_force(digit, q, tension - static_tension) == pytest.approx(4.0, rel=1e-3)
 
 
 def test_contact_ends_with_the_next_move(

@@ -22,6 +22,6 @@ def test_the_flood_limit_grows_with_the_number_of_motors(protocol: str, tmp_path
     )
     drives, node = make_drives(hand), make_sensors(hand)
     assert max_frames_per_tick(drives, node) == 64
-    many = drives * 10
-    answers = sum(len(drive.frames_per_tick) // 2 for drive in many) + len(node.node_ids)
-    assert 1.5 * answers < max_frames_per_tick(many, node) < 4 * answers
+    repeated_drives = drives * 10
+    answers = sum(len(drive.frames_per_tick) // 2 for drive in repeated_drives) + len(node.node_ids)
+    assert 1.5 * answers < max_frames_per_tick(repeated_drives, node) < 4 * answers

@@ -41,12 +41,12 @@ def test_motors_that_reply_in_alternate_ticks_are_armed(hand_bench: ControllerBe
             or frame.data[2] in (READ_REGISTER, WRITE_REGISTER)
         )
 
-    hand_bench.change_host_frames = lambda frames: [
+    hand_bench.modify_frames_to_host = lambda frames: [
         frame for frame in frames if replies_in_this_tick(frame)
     ]
     hand_bench.run_until_mode(HandMode.READY)
     assert hand_bench.state.failure == ""
-    hand_bench.change_host_frames = lambda frames: frames
+    hand_bench.modify_frames_to_host = lambda frames: frames
     hand_bench.run_until_mode(HandMode.ACTIVE)
 
 
@@ -55,13 +55,15 @@ def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(
 ) -> None:
     run = make_controller_bench(jamia11, LiveProgram())
     first_id, *other_ids = run.controller.sensors.ids[: run.controller.sensors.tension_frames]
-    run.change_host_frames = lambda frames: [
+    run.modify_frames_to_host = lambda frames: [
         frame for frame in frames if frame.can_id not in other_ids
     ]
     run.run_until_mode(HandMode.INVENTORY)
     run.run(0.5)
     assert not run.state.has_started
-    run.change_host_frames = lambda frames: [frame for frame in frames if frame.can_id != first_id]
+    run.modify_frames_to_host = lambda frames: [
+        frame for frame in frames if frame.can_id != first_id
+    ]
     run.tick()
     run.tick()
     assert run.state.has_started
@@ -107,7 +109,7 @@ def test_a_ready_drive_that_never_reports_its_position_is_named(
         known_hand.copy(),
     )
     hand_bench.controller.store_drive_state(state_without_position, 1, blind)
-    state_without_position.set_run_integer(s.FILTER_STARTED, 0)
+    state_without_position.set_run_table_integer(s.FILTER_STARTED, 0)
     assert mode_after_inventory(hand_bench, state_without_position) == (
         HandMode.DONE,
         "no position from middle_motor",

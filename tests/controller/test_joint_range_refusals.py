@@ -33,7 +33,10 @@ def task_with_phase(phase_kind: str, angle_deg: object, **other_fields: object) 
 def test_angle_beyond_the_joint_range_is_refused(hand, phase_kind, angle_deg, expected_message):
     with pytest.raises(ConfigError) as refused:
         check_joint_range(
-            task_with_phase(phase_kind, angle_deg), hand, "t.toml", DigitModel.models_of_hand(hand)
+            task_with_phase(phase_kind, angle_deg),
+            hand,
+            "t.toml",
+            DigitModel.digit_models_of_hand(hand),
         )
     assert str(refused.value) == f"t.toml: phase[0].angle_deg: {expected_message}"
 
@@ -45,17 +48,20 @@ def test_curve_point_beyond_the_joint_range_is_refused():
             task_with_phase("follow", curve, time_s=(0.0, 1.0, 2.0)),
             JAMIA,
             "t.toml",
-            DigitModel.models_of_hand(JAMIA),
+            DigitModel.digit_models_of_hand(JAMIA),
         )
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 100.0, {"index": 50.0}, {"thumb": 100.0}])
 def test_the_ends_of_the_range_are_within_it(angle_deg):
     check_joint_range(
-        task_with_phase("move", angle_deg), JAMIA, "t.toml", DigitModel.models_of_hand(JAMIA)
+        task_with_phase("move", angle_deg), JAMIA, "t.toml", DigitModel.digit_models_of_hand(JAMIA)
     )
     check_joint_range(
-        task_with_phase("close", angle_deg), JAMIA11, "t.toml", DigitModel.models_of_hand(JAMIA11)
+        task_with_phase("close", angle_deg),
+        JAMIA11,
+        "t.toml",
+        DigitModel.digit_models_of_hand(JAMIA11),
     )
 
 

@@ -16,7 +16,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import Task, task_from_trajectory_file
 from handctl.programs.task_checks import check_task_for_hand
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatorSettings, homed_controller
+from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
 from tests.controller.plant_run import model_of
 
 SETTLED_ERROR_DEG = 2.0
@@ -113,8 +113,8 @@ def test_a_joint_of_a_one_tendon_digit_stands_for_all() -> None:
 def test_a_curve_for_each_coordinate_is_that_of_each() -> None:
     times = (0.0, 0.4, 1.0, 1.7)
     points = np.array([[0.0, 0.1], [0.5, 0.0], [0.2, 0.7], [0.9, 0.3]])
-    curve = CurveTrajectory.through_points(times, points, 2)
-    curves = [CurveTrajectory.through_points(times, tuple(column), 1) for column in points.T]
+    curve = CurveTrajectory.curve_through_points(times, points, 2)
+    curves = [CurveTrajectory.curve_through_points(times, tuple(column), 1) for column in points.T]
     for t in (-0.1, 0.0, 0.3, 0.4, 1.2, 1.7, 2.0):
         assert curve.motion_at(t) == pytest.approx(
             np.hstack([diagonal_element.motion_at(t) for diagonal_element in curves]), abs=1e-12

@@ -38,7 +38,7 @@ def test_replies_that_a_busy_host_reads_late_are_no_second_node() -> None:
         ]
 
     fault_texts = []
-    for run.change_host_frames in (
+    for run.modify_frames_to_host in (
         hold_back_frames,
         frames_sent_before,
         lambda frames: [*held_frames[1], *frames],
@@ -61,15 +61,15 @@ def test_late_replies_without_time_stamps_are_no_second_node() -> None:
     run.run_until_mode(HandMode.ACTIVE)
     waiting: list[Frame] = []
 
-    def remove_stamps(frames: list[Frame]) -> list[Frame]:
+    def remove_time_stamps(frames: list[Frame]) -> list[Frame]:
         now_ns = run.k * run.period_ns + 30_000
         return [frame._replace(t_ns=now_ns) for frame in frames]
 
-    run.change_host_frames = remove_stamps
+    run.modify_frames_to_host = remove_time_stamps
     run.run(0.5)
-    run.change_host_frames = lambda frames: waiting.extend(frames) or []
+    run.modify_frames_to_host = lambda frames: waiting.extend(frames) or []
     run.tick()
-    run.change_host_frames = lambda frames: remove_stamps([*waiting, *frames])
+    run.modify_frames_to_host = lambda frames: remove_time_stamps([*waiting, *frames])
     out = run.tick()
     assert not [
         event.text
@@ -77,7 +77,7 @@ def test_late_replies_without_time_stamps_are_no_second_node() -> None:
         if event.name == "fault" and ("B05" in event.text or "B06" in event.text)
     ]
     assert out.mode == HandMode.ACTIVE
-    run.change_host_frames = lambda frames: remove_stamps(
+    run.modify_frames_to_host = lambda frames: remove_time_stamps(
         [*frames, *[f for f in frames if f.can_id == 0x11]]
     )
     out = run.tick()
@@ -92,18 +92,18 @@ def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(
 
     At about the same time, the controller forgets the requests of the earlier ticks.
     """
-    run = active_bench_without_time_stamps()
+    run = bench_without_time_stamps()
     waiting: list[Frame] = []
     while (run.k + paused_ticks) % LOSS_WINDOW_TICKS:
         run.tick()
-    run.change_host_frames = lambda frames: waiting.extend(frames) or []
+    run.modify_frames_to_host = lambda frames: waiting.extend(frames) or []
     run.run(2 * run.period_ns * 1e-9)
-    run.change_host_frames = lambda frames: with_time_stamps(run, [*waiting, *frames])
+    run.modify_frames_to_host = lambda frames: with_time_stamps(run, [*waiting, *frames])
     assert not second_node_reports(run.tick())
     assert run.state.mode == HandMode.ACTIVE
 
 
-def active_bench_without_time_stamps() -> ControllerBench:
+def bench_without_time_stamps() -> ControllerBench:
     """Return a bench whose hand is active.
 
     On the bus of this bench, the time stamp of a frame is the time at which the host reads the
@@ -113,7 +113,7 @@ def active_bench_without_time_stamps() -> ControllerBench:
         HandModel.from_hand(load_hand("jamia"), Gains(), 500.0), LiveProgram()
     )
     run.run_until_mode(HandMode.ACTIVE)
-    run.change_host_frames = lambda frames: with_time_stamps(run, frames)
+    run.modify_frames_to_host = lambda frames: with_time_stamps(run, frames)
     run.run(0.5)
     return run
 
@@ -135,7 +135,7 @@ def test_replies_may_be_in_time_again_after_many_late_ones() -> None:
 
     Then the motors reply faster. A late reply and a reply in time arrive in the same tick.
     """
-    run = active_bench_without_time_stamps()
+    run = bench_without_time_stamps()
     held_frames: list[list[Frame]] = [[]]
 
     def delay_by_one_tick(frames: list[Frame]) -> list[Frame]:
@@ -145,22 +145,22 @@ def test_replies_may_be_in_time_again_after_many_late_ones() -> None:
             run, [*held_frames[-2], *[frame for frame in frames if frame not in motors]]
         )
 
-    run.change_host_frames = delay_by_one_tick
+    run.modify_frames_to_host = delay_by_one_tick
     reported = [text for _ in range(50) for text in second_node_reports(run.tick())]
-    run.change_host_frames = lambda frames: with_time_stamps(run, [*held_frames[-1], *frames])
+    run.modify_frames_to_host = lambda frames: with_time_stamps(run, [*held_frames[-1], *frames])
     reported += second_node_reports(run.tick())
     assert not reported
-    run.change_host_frames = lambda frames: with_time_stamps(run, [*frames, *frames])
+    run.modify_frames_to_host = lambda frames: with_time_stamps(run, [*frames, *frames])
     assert second_node_reports(run.tick()), "positive control"
 
 
 def test_a_lost_answer_excuses_one_duplicate_and_no_second_node() -> None:
-    run = active_bench_without_time_stamps()
-    run.change_host_frames = lambda frames: with_time_stamps(
+    run = bench_without_time_stamps()
+    run.modify_frames_to_host = lambda frames: with_time_stamps(
         run, [frame for frame in frames if frame.can_id != 0x11]
     )
     run.tick()
-    run.change_host_frames = lambda frames: with_time_stamps(
+    run.modify_frames_to_host = lambda frames: with_time_stamps(
         run, [*frames, *[frame for frame in frames if frame.can_id == 0x11]]
     )
     assert not second_node_reports(run.tick())
@@ -170,14 +170,14 @@ def test_a_lost_answer_excuses_one_duplicate_and_no_second_node() -> None:
 
 
 def test_missing_replies_excuse_one_duplicate_over_a_long_time() -> None:
-    run = active_bench_without_time_stamps()
-    run.change_host_frames = lambda frames: with_time_stamps(
+    run = bench_without_time_stamps()
+    run.modify_frames_to_host = lambda frames: with_time_stamps(
         run, [frame for frame in frames if frame.can_id != 0x11]
     )
     run.run(3 * run.period_ns * 1e-9)
-    run.change_host_frames = lambda frames: with_time_stamps(run, frames)
+    run.modify_frames_to_host = lambda frames: with_time_stamps(run, frames)
     run.run(2 * LOSS_WINDOW_TICKS * run.period_ns * 1e-9)
-    run.change_host_frames = lambda frames: with_time_stamps(
+    run.modify_frames_to_host = lambda frames: with_time_stamps(
         run, [*frames, *[frame for frame in frames if frame.can_id == 0x11]]
     )
     assert not second_node_reports(run.tick())

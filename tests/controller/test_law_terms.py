@@ -12,16 +12,21 @@ from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.control_law.trajectory import MinimumJerk
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
+from tests.controller.control_law_runs import (
+    ControlLawState,
+    control_law_command_of,
+    control_law_state_of,
+    run_control_law_tick,
+)
 from tests.controller.digit_goals import holding_goals, moving_goals
-from tests.controller.law_runs import LawState, law_command_of, law_state_of, run_law_tick
 from tests.controller.synthetic_states import (
     SyntheticEstimate,
     active_state,
     balanced_state,
+    constant_args_of,
+    estimate_from_states,
     estimate_under_tension,
-    exact_estimate,
     slack_hand_estimate,
-    stage_constants,
 )
 
 EVALUATION_TIME_S = 0.25
@@ -35,9 +40,10 @@ def motor_force_of(
     model: HandModel, estimate: SyntheticEstimate, goals: tuple[DigitGoal, ...]
 ) -> np.ndarray:
     """Return the motor force (N,) [N] that the control law commands for an estimate and for goals."""
-    state = LawState.idle_at_tensions(estimate.tension)
+    state = ControlLawState.initial_state_at_tensions(estimate.tension)
     return (
-        run_law_tick(model, state, estimate, goals, EVALUATION_TIME_S)[1].torque / model.space.spool
+        run_control_law_tick(model, state, estimate, goals, EVALUATION_TIME_S)[1].torque
+        / model.tendon_constants.spool_radius
     )
 
 
@@ -48,13 +54,13 @@ def motion_goals(model: HandModel) -> tuple[DigitGoal, ...]:
 
 @pytest.fixture
 def estimate(model: HandModel) -> SyntheticEstimate:
-    return exact_estimate(model, balanced_state(model, 0.42))
+    return estimate_from_states(model, balanced_state(model, 0.42))
 
 
 def test_motion_feedback_applies_each_gain(
     model: HandModel, motion_goals: tuple[DigitGoal, ...], estimate: SyntheticEstimate
 ) -> None:
-    space, gains, design = model.space, model.gains.motion, model.motion
+    space, gains, design = model.tendon_constants, model.gains.motion, model.motion_design
     mass = space.motor_mass + space.load_mass
     motor_force_before = motor_force_of(model, estimate, motion_goals)
     for name, size, slope in (
@@ -90,7 +96,7 @@ def test_the_planned_acceleration_is_fed_forward(
     assert (acceleration > 0.0).all()
     np.testing.assert_allclose(
         force_difference,
-        model.gains.motion.inertia_share * model.space.motor_mass * acceleration,
+        model.gains.motion.inertia_share * model.tendon_constants.motor_mass * acceleration,
         rtol=1e-9,
     )
 
@@ -123,13 +129,13 @@ def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
     ):
         state.view(name)[...] = 7.0
     state.view("tension")[...] = tension
-    state.set_run_integer(s.TRIM_ACTIVE, 1)
-    state.set_run_integer(s.SAFETY_HOLD_ACTIVE, 1)
+    state.set_run_table_integer(s.TRIM_ACTIVE, 1)
+    state.set_run_table_integer(s.SAFETY_HOLD_ACTIVE, 1)
     state.mode = HandMode.READY
     tick_stages.compute_motor_torques(
-        state.block, state.layout.places, *stage_constants(model), 0.0, 0, 1
+        state.block, state.layout.offsets, *constant_args_of(model), 0.0, 0, 1
     )
-    law, command = law_state_of(state), law_command_of(state)
+    law, command = control_law_state_of(state), control_law_command_of(state)
     np.testing.assert_array_equal(law.setpoint, tension)
     for law_field in law[1:5]:
         assert not law_field.any()
@@ -146,9 +152,9 @@ def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
 
 def test_a_holding_hand_has_no_goal_angles(model: HandModel) -> None:
     estimate = estimate_under_tension(model, 20.0)
-    command = run_law_tick(
+    command = run_control_law_tick(
         model,
-        LawState.idle_at_tensions(estimate.tension),
+        ControlLawState.initial_state_at_tensions(estimate.tension),
         estimate,
         holding_goals(model, 20.0),
         EVALUATION_TIME_S,
@@ -162,11 +168,12 @@ def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
     estimate, goals, design = (
         estimate_under_tension(model, 20.0),
         holding_goals(model, 20.0),
-        model.motion,
+        model.motion_design,
     )
-    state = LawState.idle_at_tensions(estimate.tension)
+    state = ControlLawState.initial_state_at_tensions(estimate.tension)
     force_before = (
-        run_law_tick(model, state, estimate, goals, EVALUATION_TIME_S)[1].torque / model.space.spool
+        run_control_law_tick(model, state, estimate, goals, EVALUATION_TIME_S)[1].torque
+        / model.tendon_constants.spool_radius
     )
     integral = 1.0 + model.gains.tension.integral_per_s * model.period / design.tension
     for name, size, slope in (
@@ -175,7 +182,8 @@ def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
     ):
         off = estimate._replace(**{name: getattr(estimate, name) + size})
         force_after = (
-            run_law_tick(model, state, off, goals, EVALUATION_TIME_S)[1].torque / model.space.spool
+            run_control_law_tick(model, state, off, goals, EVALUATION_TIME_S)[1].torque
+            / model.tendon_constants.spool_radius
         )
         np.testing.assert_allclose(
             force_after - force_before, slope * size, rtol=1e-6, err_msg=name
@@ -183,29 +191,32 @@ def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
 
 
 def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandModel) -> None:
-    estimate, space = estimate_under_tension(model, 20.0), model.space
+    estimate, space = estimate_under_tension(model, 20.0), model.tendon_constants
     goals_at_rest = holding_goals(model, 20.0)
     start, end, since = 0.4, 0.7, 0.1
-    ways = [
+    trajectories = [
         MinimumJerk(np.full(d.coupling.shape[1], start), np.full(d.coupling.shape[1], end), 1.0)
         for d in model.digits
     ]
     goals = tuple(
         replace(goal, trajectory=trajectory, since=since)
-        for goal, trajectory in zip(goals_at_rest, ways, strict=True)
+        for goal, trajectory in zip(goals_at_rest, trajectories, strict=True)
     )
     speed, acceleration = np.zeros((2, model.tendon_count))
-    for digit, tendons, trajectory in zip(model.digits, model.digit_tendons, ways, strict=True):
+    for digit, tendons, trajectory in zip(
+        model.digits, model.digit_tendons, trajectories, strict=True
+    ):
         speed[tendons], acceleration[tendons] = (
             trajectory.motion_at(EVALUATION_TIME_S - since)[1:] @ digit.reduced_moment_arms.T
         )
-    needed = (
-        space.coulomb * np.tanh(speed / MOTOR_FRICTION_SPEED_M_S) + space.motor_mass * acceleration
+    required_force = (
+        space.coulomb_friction * np.tanh(speed / MOTOR_FRICTION_SPEED_M_S)
+        + space.motor_mass * acceleration
     )
-    needed += (model.motion.tension_speed + space.motor_damping) * speed
+    required_force += (model.motion_design.tension_speed + space.motor_damping) * speed
     np.testing.assert_allclose(
         motor_force_of(model, estimate, goals) - motor_force_of(model, estimate, goals_at_rest),
-        needed,
+        required_force,
         rtol=1e-9,
     )
     goals_with_one_motion = (goals[0], *goals_at_rest[1:])
@@ -213,7 +224,7 @@ def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandM
         model, estimate, goals_at_rest
     )
     first_tendons = model.digit_tendons[0]
-    np.testing.assert_allclose(change[first_tendons], needed[first_tendons], rtol=1e-9)
+    np.testing.assert_allclose(change[first_tendons], required_force[first_tendons], rtol=1e-9)
     assert not np.delete(change, first_tendons).any(), "no other digit is in motion"
 
 
@@ -222,30 +233,36 @@ def test_a_slack_tendon_with_a_small_setpoint_still_gets_friction_compensation(
 ) -> None:
     slack_estimate = slack_hand_estimate(model)
     taut_estimate = slack_estimate._replace(is_slack=np.zeros(model.tendon_count, dtype=bool))
-    state = LawState.idle_at_tensions(np.full(model.tendon_count, 0.5))
+    state = ControlLawState.initial_state_at_tensions(np.full(model.tendon_count, 0.5))
     goals = holding_goals(model, 0.5)
-    slack_torque = run_law_tick(model, state, slack_estimate, goals, EVALUATION_TIME_S)[1].torque
-    taut = run_law_tick(model, state, taut_estimate, goals, EVALUATION_TIME_S)[1].torque
+    slack_torque = run_control_law_tick(model, state, slack_estimate, goals, EVALUATION_TIME_S)[
+        1
+    ].torque
+    taut_torque = run_control_law_tick(model, state, taut_estimate, goals, EVALUATION_TIME_S)[
+        1
+    ].torque
     np.testing.assert_allclose(
-        (slack_torque - taut) / model.space.spool, model.space.coulomb, rtol=0.02
+        (slack_torque - taut_torque) / model.tendon_constants.spool_radius,
+        model.tendon_constants.coulomb_friction,
+        rtol=0.02,
     )
 
 
 def test_the_goal_tension_of_a_motion_stays_within_its_limit(
     model: HandModel, motion_goals: tuple[DigitGoal, ...], estimate: SyntheticEstimate
 ) -> None:
-    free_tension = run_law_tick(
+    free_tension = run_control_law_tick(
         model,
-        LawState.idle_at_tensions(estimate.tension),
+        ControlLawState.initial_state_at_tensions(estimate.tension),
         estimate,
         motion_goals,
         EVALUATION_TIME_S,
     )[1].tension
     state, tension_limits = (
-        LawState.idle_at_tensions(estimate.tension),
+        ControlLawState.initial_state_at_tensions(estimate.tension),
         np.maximum(0.5 * free_tension, model.floor),
     )
-    held_tension = run_law_tick(
+    held_tension = run_control_law_tick(
         model, state, estimate, motion_goals, EVALUATION_TIME_S, tension_limits
     )[1].tension
     np.testing.assert_allclose(held_tension, tension_limits)
@@ -253,9 +270,9 @@ def test_the_goal_tension_of_a_motion_stays_within_its_limit(
 
 def test_a_limp_hand_has_no_joint_torque_and_no_goal_tension(model: HandModel) -> None:
     estimate = estimate_under_tension(model, 10.0)
-    command = run_law_tick(
+    command = run_control_law_tick(
         model,
-        LawState.idle_at_tensions(estimate.tension),
+        ControlLawState.initial_state_at_tensions(estimate.tension),
         estimate,
         (DigitGoal(),) * len(model.digits),
         EVALUATION_TIME_S,
@@ -266,8 +283,12 @@ def test_a_limp_hand_has_no_joint_torque_and_no_goal_tension(model: HandModel) -
 
 def test_only_moving_digits_have_goal_angles(model: HandModel, estimate: SyntheticEstimate) -> None:
     goals = (*moving_goals(model, 0.4, 0.6, 1.0)[:2], *holding_goals(model, 12.0)[2:])
-    law, command = run_law_tick(
-        model, LawState.idle_at_tensions(estimate.tension), estimate, goals, EVALUATION_TIME_S
+    law, command = run_control_law_tick(
+        model,
+        ControlLawState.initial_state_at_tensions(estimate.tension),
+        estimate,
+        goals,
+        EVALUATION_TIME_S,
     )
     tendons, joints = model.digit_tendons[1].stop, model.digits[1].joints.stop
     for angles in (command.q, command.dq):

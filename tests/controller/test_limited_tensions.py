@@ -11,8 +11,8 @@ import pytest
 from handctl.core.control_law.computed_torque import MIN_TRIM_N, TRIM_DECAY_TIME_S
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.hand_model import HandModel
+from tests.controller.control_law_runs import ControlLawState, run_control_law_tick
 from tests.controller.digit_goals import holding_goals, moving_goals
-from tests.controller.law_runs import LawState, run_law_tick
 from tests.controller.synthetic_states import estimate_under_tension
 
 HIGH_TENSION_N = 60.0
@@ -22,8 +22,8 @@ IMMEDIATE_RATE_N_PER_S = 1e6
 """Rate at which a tension set-point reaches its goal within one tick [N/s]."""
 
 
-def idle_law_state(model: HandModel) -> LawState:
-    return LawState.idle_at_tensions(np.full(model.tendon_count, 20.0))
+def idle_control_law_state(model: HandModel) -> ControlLawState:
+    return ControlLawState.initial_state_at_tensions(np.full(model.tendon_count, 20.0))
 
 
 @pytest.mark.parametrize(
@@ -40,9 +40,9 @@ def test_the_lower_limit_counts_for_tension_and_for_torque(
     tension_limits, hold_limits = (
         None if value is None else np.full(n, value) for value in (temperature_limit, held_limit)
     )
-    law, command = run_law_tick(
+    law, command = run_control_law_tick(
         jamia,
-        idle_law_state(jamia),
+        idle_control_law_state(jamia),
         estimate_under_tension(jamia, 0.0),
         holding_goals(jamia, HIGH_TENSION_N, IMMEDIATE_RATE_N_PER_S),
         0.0,
@@ -50,22 +50,24 @@ def test_the_lower_limit_counts_for_tension_and_for_torque(
         hold_limits,
     )
     np.testing.assert_allclose(command.tension, expected_limit)
-    requested_force = command.torque / jamia.space.spool
-    np.testing.assert_allclose(requested_force, expected_limit + jamia.space.coulomb)
+    requested_force = command.torque / jamia.tendon_constants.spool_radius
+    np.testing.assert_allclose(
+        requested_force, expected_limit + jamia.tendon_constants.coulomb_friction
+    )
     np.testing.assert_allclose(law.setpoint, expected_limit)
     np.testing.assert_array_equal(law.held, hold_limits)
 
 
 def test_without_a_limit_the_goal_is_not_changed(jamia: HandModel) -> None:
-    law, command = run_law_tick(
+    law, command = run_control_law_tick(
         jamia,
-        idle_law_state(jamia),
+        idle_control_law_state(jamia),
         estimate_under_tension(jamia, 0.0),
         holding_goals(jamia, HIGH_TENSION_N, IMMEDIATE_RATE_N_PER_S),
         0.0,
     )
     np.testing.assert_allclose(command.tension, HIGH_TENSION_N)
-    assert (command.torque / jamia.space.spool > HIGH_TENSION_N).all()
+    assert (command.torque / jamia.tendon_constants.spool_radius > HIGH_TENSION_N).all()
     assert law.held is None
 
 
@@ -73,25 +75,29 @@ def test_on_its_way_a_digit_pulls_no_more_than_its_limit_and_stands_while_safety
     jamia: HandModel,
 ) -> None:
     n = jamia.tendon_count
-    free = run_law_tick(
+    free = run_control_law_tick(
         jamia,
-        idle_law_state(jamia),
+        idle_control_law_state(jamia),
         estimate_under_tension(jamia, 5.0),
         moving_goals(jamia, 0.0, 1.2, 0.2),
         0.1,
     )[1]
-    limited_command = run_law_tick(
+    limited_command = run_control_law_tick(
         jamia,
-        idle_law_state(jamia),
+        idle_control_law_state(jamia),
         estimate_under_tension(jamia, 5.0),
         moving_goals(jamia, 0.0, 1.2, 0.2),
         0.1,
         None,
         np.full(n, 6.0),
     )[1]
-    assert (free.torque / jamia.space.spool > 6.0 + jamia.space.coulomb).all()
+    assert (
+        free.torque / jamia.tendon_constants.spool_radius
+        > 6.0 + jamia.tendon_constants.coulomb_friction
+    ).all()
     np.testing.assert_array_less(
-        limited_command.torque / jamia.space.spool, 6.0 + jamia.space.coulomb + 1e-9
+        limited_command.torque / jamia.tendon_constants.spool_radius,
+        6.0 + jamia.tendon_constants.coulomb_friction + 1e-9,
     )
     np.testing.assert_allclose(limited_command.q, free.q)
     assert (np.abs(free.dq) > 0.1).all()
@@ -105,21 +111,27 @@ def test_a_trim_is_added_and_fades(jamia: HandModel, held_limit: bool) -> None:
         if held_limit
         else moving_goals(jamia, 0.0, 1.2, 0.2)
     )
-    plain = run_law_tick(
-        jamia, idle_law_state(jamia), estimate_under_tension(jamia, 20.0), requested_force, 0.0
+    plain = run_control_law_tick(
+        jamia,
+        idle_control_law_state(jamia),
+        estimate_under_tension(jamia, 20.0),
+        requested_force,
+        0.0,
     )[1]
-    state_with_trim = idle_law_state(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
-    law, command = run_law_tick(
+    state_with_trim = idle_control_law_state(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
+    law, command = run_control_law_tick(
         jamia, state_with_trim, estimate_under_tension(jamia, 20.0), requested_force, 0.0
     )
-    np.testing.assert_allclose((command.torque - plain.torque) / jamia.space.spool, 2.0)
+    np.testing.assert_allclose(
+        (command.torque - plain.torque) / jamia.tendon_constants.spool_radius, 2.0
+    )
     assert law.trim is not None
     np.testing.assert_allclose(law.trim, 2.0 * np.exp(-jamia.period / TRIM_DECAY_TIME_S), rtol=1e-3)
     state_with_small_trim = state_with_trim._replace(
         trim=np.full(jamia.tendon_count, MIN_TRIM_N / 2)
     )
     assert (
-        run_law_tick(
+        run_control_law_tick(
             jamia, state_with_small_trim, estimate_under_tension(jamia, 20.0), requested_force, 0.0
         )[0].trim
         is None
@@ -128,8 +140,8 @@ def test_a_trim_is_added_and_fades(jamia: HandModel, held_limit: bool) -> None:
 
 def test_limp_digits_have_no_trim(jamia: HandModel) -> None:
     goals = (*holding_goals(jamia, 20.0, IMMEDIATE_RATE_N_PER_S)[:3], DigitGoal(GoalKind.LIMP))
-    state_with_trim = idle_law_state(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
-    _, command = run_law_tick(
+    state_with_trim = idle_control_law_state(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
+    _, command = run_control_law_tick(
         jamia, state_with_trim, estimate_under_tension(jamia, 20.0), goals, 0.0
     )
     assert command.torque[3] == 0.0

@@ -31,7 +31,7 @@ def tension_plant(
 
     The states of the model are tension [N] and speed [m/s].
     """
-    space = model.space
+    space = model.tendon_constants
     m, k, c = (
         space.motor_mass[tendon_index],
         space.stiffness[tendon_index],
@@ -49,9 +49,9 @@ def control_loops(
 
     The control law is: force = -K state.
     """
-    design, control_loops_of_motion = design_motion(model.space, gains, period_s), []
+    design, control_loops_of_motion = design_motion(model.tendon_constants, gains, period_s), []
     for i in (0, model.tendon_count - 1):
-        mass = model.space.motor_mass[i] + model.space.load_mass[i]
+        mass = model.tendon_constants.motor_mass[i] + model.tendon_constants.load_mass[i]
         K = np.array([[design.stiffness[i] * mass, design.damping[i] * mass]])
         control_loops_of_motion.append((*motion_plant(mass, period_s), K))
         control_loops_of_motion.append(
@@ -80,9 +80,9 @@ def test_both_loops_are_stable_with_margins(model: HandModel, rate_hz: float) ->
         z = np.exp(1j * w)
         turn = np.array([(K @ np.linalg.solve(z_value * np.eye(2) - F, G))[0, 0] for z_value in z])
         assert np.abs(1.0 + turn).min() > 0.4, "distance of the open loop from -1"
-        crossing = np.flatnonzero(np.diff(np.sign(np.abs(turn) - 1.0)))
-        lag = np.degrees(np.pi - np.abs(np.angle(turn[crossing])))
-        assert len(crossing)
+        gain_crossings = np.flatnonzero(np.diff(np.sign(np.abs(turn) - 1.0)))
+        lag = np.degrees(np.pi - np.abs(np.angle(turn[gain_crossings])))
+        assert len(gain_crossings)
         assert lag.min() > 30.0
 
 
@@ -138,15 +138,17 @@ def test_the_gains_are_optimal(model: HandModel, rate_hz: float) -> None:
 
 def test_each_weight_changes_the_gain_of_its_name(jamia: HandModel) -> None:
     period = jamia.period
-    default_design = design_motion(jamia.space, Gains(), period)
+    default_design = design_motion(jamia.tendon_constants, Gains(), period)
     design_with_small_position_error = design_motion(
-        jamia.space, Gains(motion=MotionGains(position_error_m=2e-4)), period
+        jamia.tendon_constants, Gains(motion=MotionGains(position_error_m=2e-4)), period
     )
-    gentle_design = design_motion(jamia.space, Gains(motion=MotionGains(force_N=5.0)), period)
+    gentle_design = design_motion(
+        jamia.tendon_constants, Gains(motion=MotionGains(force_N=5.0)), period
+    )
     assert (design_with_small_position_error.stiffness > default_design.stiffness).all()
     assert (gentle_design.stiffness < default_design.stiffness).all()
     design_with_small_tension_error = design_motion(
-        jamia.space, Gains(tension=TensionGains(tension_error_N=1.0)), period
+        jamia.tendon_constants, Gains(tension=TensionGains(tension_error_N=1.0)), period
     )
     assert (design_with_small_tension_error.tension > default_design.tension).all()
     assert (default_design.damping > 0).all()

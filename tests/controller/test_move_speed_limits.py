@@ -49,7 +49,7 @@ def test_a_move_without_time_is_refused(
     phase_list: tuple[dict[str, Any], ...], expected_message: str
 ) -> None:
     with pytest.raises(ConfigError, match=expected_message):
-        check_speed(task_of_phases(*phase_list), DigitModel.models_of_hand(JAMIA11), "t")
+        check_speed(task_of_phases(*phase_list), DigitModel.digit_models_of_hand(JAMIA11), "t")
 
 
 def test_the_time_that_is_named_is_enough() -> None:
@@ -61,7 +61,7 @@ def test_the_time_that_is_named_is_enough() -> None:
     )
     check_speed(
         task_of_phases(move_phase(70.0, 0.19), move_phase(70.0, 0.05), *short_moves),
-        DigitModel.models_of_hand(JAMIA11),
+        DigitModel.digit_models_of_hand(JAMIA11),
         "t",
     )
 

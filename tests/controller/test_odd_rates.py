@@ -17,14 +17,14 @@ from handctl.document import validate_content
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatorSettings
+from handctl.session.lockstep_simulation import SimulatorSettings
 from tests.conftest import NIGHTLY
 
 CONTROL_RATES_HZ = (250.0, 300.0, 333.0, 400.0, 450.0, 500.0, 640.0, 1000.0)
 SIMULATOR_SEEDS = range(20 if NIGHTLY else 1)
 HANDS_AND_RATES = [(hand, rate) for hand in ("jamia", "jamia11") for rate in CONTROL_RATES_HZ]
 SAMPLED_HANDS_AND_RATES = [("jamia", 300.0), ("jamia", 640.0), ("jamia11", 450.0)]
-TO_AND_FRO_TASK = {
+BACK_AND_FORTH_TASK = {
     "schema": 1,
     "name": "to and fro",
     "phase": [
@@ -35,9 +35,9 @@ TO_AND_FRO_TASK = {
 
 
 @cache
-def controller_at(hand_name: str, rate_hz: float) -> Controller:
+def make_back_and_forth_controller(hand_name: str, rate_hz: float) -> Controller:
     """Return a controller at ``rate_hz`` that moves every digit of a hand to and fro."""
-    program = TaskProgram(validate_content(TO_AND_FRO_TASK, Task, "test"))
+    program = TaskProgram(validate_content(BACK_AND_FORTH_TASK, Task, "test"))
     return make_controller(load_hand(hand_name), Gains(), rate_hz, program, None, arm_at_once=True)
 
 
@@ -50,7 +50,7 @@ def mean_nis_and_events(hand_name: str, rate_hz: float, seed: int) -> tuple[floa
     nis: list[np.ndarray] = []
     events: list[TickEvent] = []
     with SimulatorSettings(hand_name, seed=seed, homed=True).begin_run(
-        controller_at(hand_name, rate_hz)
+        make_back_and_forth_controller(hand_name, rate_hz)
     ) as run:
         for _, out in run.run_ticks(3.0):
             events += [event for event in out.events if event.name in ("estimate", "fault")]

@@ -14,7 +14,7 @@ from handctl.core.tick_types import HandMode
 from handctl.hand.description import Hand
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatorSettings, homed_controller
+from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
 from tests.conftest import NIGHTLY
 from tests.hand.hand_on_wrist import mount_on_wrist
 

@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 
 from firmware_sim.nodes.mit.codec import MitRanges, decode_command
-from handctl.campaign.fault_matrix import FREE_STAGE, GRASP_STAGE
+from handctl.campaign.fault_matrix import FREE_MOTION_STAGE, GRASP_STAGE
 from handctl.campaign.run_stages import advance_to_stage, hand_with_protocol, homed_run
 from handctl.controller.monitor.safety_thresholds import servo_resolutions
 from handctl.controller.run_setup import make_controller, make_drives
 from handctl.core import state_block as s
-from handctl.core.control_law.servo_commands import LIMIT_MARGIN_N
+from handctl.core.control_law.servo_commands import TORQUE_LIMIT_MARGIN_N
 from handctl.core.gains.gains import packaged_gains
 from handctl.core.hand_constants import servo_constants
 from handctl.core.hand_model import HandModel
@@ -33,7 +33,7 @@ from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
 from handctl.runtime.mailbox import STOP_REQUEST
-from handctl.session.simulate import SimulatedRun, SimulatorSettings
+from handctl.session.lockstep_simulation import SimulatedRun, SimulatorSettings
 from tests.faults.test_relaxing import check_relaxing
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
@@ -86,7 +86,7 @@ def hand_with_position_loop(
     return hand.model_copy(update={"motor": motors})
 
 
-def to_and_fro_program(hand: Hand, move_count: int, duration_s: float) -> TaskProgram:
+def back_and_forth_program(hand: Hand, move_count: int, duration_s: float) -> TaskProgram:
     """Return a program that closes and opens all digits of a hand in turn."""
     ends = [dict.fromkeys(hand.digit_names, angle) for angle in (45.0, 15.0)]
     phases = [{"kind": "move", "name": "ready", "angle_deg": ends[1], "duration_s": 0.6}] + [
@@ -99,7 +99,7 @@ def to_and_fro_program(hand: Hand, move_count: int, duration_s: float) -> TaskPr
 
 
 @contextmanager
-def begin_to_and_fro(
+def start_back_and_forth_run(
     hand: Hand, seed: int = 0, rate_hz: float = RATE_HZ, move_count: int = 6
 ) -> Iterator[SimulatedRun]:
     """Yield the run of a simulated hand that moves to and fro.
@@ -110,7 +110,7 @@ def begin_to_and_fro(
         hand,
         packaged_gains(hand.name),
         rate_hz,
-        to_and_fro_program(hand, move_count, 0.6),
+        back_and_forth_program(hand, move_count, 0.6),
         None,
         arm_at_once=True,
     )
@@ -131,7 +131,7 @@ def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
     share this error.
     """
     errors, peak = list[np.ndarray](), 0.0
-    with begin_to_and_fro(hand, seed, move_count=2) as run:
+    with start_back_and_forth_run(hand, seed, move_count=2) as run:
         arms = run.controller.model.hand.moment_arms_of_own_digit
         plant: Any = run.simulated_hand.world.plant  # type: ignore[attr-defined]
         for _, out in run.run_ticks(8.0):
@@ -140,7 +140,7 @@ def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
             q = np.array(plant.engine.q[: len(out.telemetry.q)])
             errors.append(np.degrees(arms @ (q - out.telemetry.q_goal) / np.abs(arms).sum(axis=1)))
             peak = max(peak, *run.simulated_hand.truth()["tension"])
-        assert run.state.latched == ()
+        assert run.state.latched_faults == ()
     return np.sqrt((np.array(errors) ** 2).mean(axis=0)), peak
 
 
@@ -178,7 +178,7 @@ def test_a_moteus_command_makes_the_predicted_torque(motor_direction: int) -> No
         for motor in hand.motor
     )
     hand = hand.model_copy(update={"motor": motors})
-    with begin_to_and_fro(hand) as run:
+    with start_back_and_forth_run(hand) as run:
         model, sent = run.controller.model, 0
         for _ in range(400):
             out = run.run_tick()
@@ -194,13 +194,14 @@ def test_a_moteus_command_makes_the_predicted_torque(motor_direction: int) -> No
                 assert 0.0 < kp <= 1.0
                 assert 0.0 < kd <= 1.0
                 p, v = (
-                    run.state.view(name)[n] / model.space.spool[n] for name in ("travel", "speed")
+                    run.state.view(name)[n] / model.tendon_constants.spool_radius[n]
+                    for name in ("travel", "speed")
                 )
                 target = (
                     motor_direction * (position - motor.zero_rad)
                     + 0.5 * model.period * motor_direction * velocity
                 )
-                predicted_position = p + run.controller.zero[n] + 0.5 * model.period * v
+                predicted_position = p + run.controller.motor_zeros[n] + 0.5 * model.period * v
                 torque = (
                     STIFF_KP_N_M_PER_RAD * kp * (target - predicted_position)
                     + motor_direction * added_torque
@@ -209,7 +210,7 @@ def test_a_moteus_command_makes_the_predicted_torque(motor_direction: int) -> No
                 torque_of_law = run.state.view("torque")[n]
                 # The gains are rounded to six digits, and the position is a float32.
                 assert torque == pytest.approx(torque_of_law, abs=2e-5)
-                margin = LIMIT_MARGIN_N * model.space.spool[n]
+                margin = TORQUE_LIMIT_MARGIN_N * model.tendon_constants.spool_radius[n]
                 assert limit == pytest.approx(
                     min(abs(torque_of_law) + margin, motor.torque_max_N_m), rel=1e-6
                 )
@@ -219,7 +220,7 @@ def test_a_moteus_command_makes_the_predicted_torque(motor_direction: int) -> No
 
 def test_a_position_command_makes_the_predicted_torque() -> None:
     hand = with_position_loop(load_hand("jamia"), kp_N_m_per_rad=STIFF_KP_N_M_PER_RAD)
-    with begin_to_and_fro(hand) as run:
+    with start_back_and_forth_run(hand) as run:
         model, ranges = run.controller.model, MitRanges(12.5, 50.0, 0.8)
         sent = 0
         for _ in range(400):
@@ -228,9 +229,10 @@ def test_a_position_command_makes_the_predicted_torque() -> None:
             for n in range(4):
                 decoded_command = decode_command(commands[n + 1], ranges)
                 p, v = (
-                    run.state.view(name)[n] / model.space.spool[n] for name in ("travel", "speed")
+                    run.state.view(name)[n] / model.tendon_constants.spool_radius[n]
+                    for name in ("travel", "speed")
                 )
-                predicted_position = p + run.controller.zero[n] + 0.5 * model.period * v
+                predicted_position = p + run.controller.motor_zeros[n] + 0.5 * model.period * v
                 torque = (
                     decoded_command.kp * (decoded_command.position - predicted_position)
                     + decoded_command.kd * (decoded_command.velocity - v)
@@ -291,7 +293,7 @@ def test_a_grasp_with_position_loops_has_no_position_commands_in_contact(
 ) -> None:
     hand = hand_with_position_loop(hand_name, protocol, None)
     with homed_run(hand, RATE_HZ, 0) as run:
-        advance_to_stage(run, FREE_STAGE)
+        advance_to_stage(run, FREE_MOTION_STAGE)
         assert (sent_stiffness(run) > 0.0).all()
         advance_to_stage(run, GRASP_STAGE)
         run.run_tick()
@@ -304,13 +306,13 @@ def test_a_grasp_with_position_loops_has_no_position_commands_in_contact(
         while run.state.mode != HandMode.DONE:
             run.run_tick()
             assert not sent_stiffness(run).any()
-        assert run.state.latched == ()
+        assert run.state.latched_faults == ()
 
 
 @pytest.mark.parametrize("kp", [None, STIFF_KP_N_M_PER_RAD])
 @pytest.mark.parametrize(("protocol", "seed"), PROTOCOLS_AND_SEEDS)
 def test_an_obstacle_bounds_the_tension(kp: float | None, protocol: str, seed: int) -> None:
-    with begin_to_and_fro(hand_with_position_loop("jamia", protocol, kp), seed) as run:
+    with start_back_and_forth_run(hand_with_position_loop("jamia", protocol, kp), seed) as run:
         for _ in range(round((0.15 + 0.01 * seed) * RATE_HZ)):
             run.run_tick()
         run.simulated_hand.inject("block digit=index")
@@ -336,7 +338,7 @@ def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(
 
     Without the torque limit in the last command, the drive would pull with 70 N in this test.
     """
-    with begin_to_and_fro(hand_with_position_loop(protocol="moteus"), seed) as run:
+    with start_back_and_forth_run(hand_with_position_loop(protocol="moteus"), seed) as run:
         for _ in range(round((0.1 + 0.06 * seed) * RATE_HZ)):
             run.run_tick()
         run.simulated_hand.inject("block digit=index")
@@ -344,9 +346,11 @@ def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(
             run.run_tick()
         motors: Any = run.simulated_hand.world.plant.motors  # type: ignore[attr-defined]
         has_position_loop = sent_stiffness(run) > 0.0
-        forces = np.abs(run.state.view("torque")) / run.controller.model.space.spool
-        limit = forces + LIMIT_MARGIN_N * has_position_loop
-        sent = run.state.view("servo_limit") / run.controller.model.space.spool
+        forces = (
+            np.abs(run.state.view("torque")) / run.controller.model.tendon_constants.spool_radius
+        )
+        limit = forces + TORQUE_LIMIT_MARGIN_N * has_position_loop
+        sent = run.state.view("servo_limit") / run.controller.model.tendon_constants.spool_radius
         np.testing.assert_allclose(sent[has_position_loop], limit[has_position_loop])
         assert has_position_loop.sum() >= 3, "only the blocked digit has a torque command"
         tension_at_loss = np.array(run.simulated_hand.truth()["tension"])
@@ -367,12 +371,12 @@ def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(
 @pytest.mark.parametrize("seed", MOTEUS_SEEDS)
 def test_missed_ticks_are_no_fault_of_a_drive_that_moves_its_target(seed: int) -> None:
     draw = np.random.default_rng(seed)
-    with begin_to_and_fro(hand_with_position_loop(protocol="moteus"), seed) as run:
+    with start_back_and_forth_run(hand_with_position_loop(protocol="moteus"), seed) as run:
         apart = []
         for _ in range(1200):
             run.run_tick(skipped_ticks=int(draw.integers(0, 4)) if draw.random() < 0.1 else 0)
             apart.append(run.state.view("servo_report") - run.state.view("measured_force"))
-        assert run.state.latched == ()
+        assert run.state.latched_faults == ()
         assert run.state.mode == HandMode.ACTIVE
         assert np.nanmax(np.abs(apart)) < 2.0
 
@@ -385,7 +389,7 @@ def test_missed_ticks_are_no_fault_of_a_drive_that_moves_its_target(seed: int) -
 def test_relaxing_from_a_position_loop_raises_no_command(
     fault_command: str, protocol: str, seed: int
 ) -> None:
-    with begin_to_and_fro(hand_with_position_loop("jamia", protocol), seed) as run:
+    with start_back_and_forth_run(hand_with_position_loop("jamia", protocol), seed) as run:
         for _ in range(round((0.1 + 0.03 * seed) * RATE_HZ)):
             run.run_tick()
         assert (sent_stiffness(run) > 0.0).any()
@@ -394,7 +398,7 @@ def test_relaxing_from_a_position_loop_raises_no_command(
         check_relaxing(run, run.k + 40, round(0.06 * RATE_HZ), fault_command)
 
 
-def lose_gains(run: SimulatedRun, motor_name: str) -> None:
+def ignore_drive_gains(run: SimulatedRun, motor_name: str) -> None:
     """Make a drive ignore the gains kp and kd, so that it produces only the torque in its commands."""
     motor: Any = run.simulated_hand.world.plant.motors[motor_name]  # type: ignore[attr-defined]
     motor.power_stage_fault = lambda _: float(
@@ -419,27 +423,27 @@ EXPECTED_FAULTS = {
 def test_faults_are_found_with_a_position_loop(
     fault_command: str, protocol: str, seed: int
 ) -> None:
-    with begin_to_and_fro(hand_with_position_loop("jamia", protocol), seed) as run:
+    with start_back_and_forth_run(hand_with_position_loop("jamia", protocol), seed) as run:
         for _ in range(round((0.1 + 0.02 * seed) * RATE_HZ)):
             run.run_tick()
         run.simulated_hand.inject(fault_command)
         peak = 0.0
         while run.run_tick().mode < HandMode.DISARM and run.k < 5.0 * RATE_HZ:
             peak = max(peak, *run.simulated_hand.truth()["tension"])
-        assert {mark.id for mark in run.state.latched} & EXPECTED_FAULTS[fault_command], (
-            run.state.latched
+        assert {mark.id for mark in run.state.latched_faults} & EXPECTED_FAULTS[fault_command], (
+            run.state.latched_faults
         )
         assert peak < TENSION_TRIP_N
 
 
 @pytest.mark.parametrize(("protocol", "seed"), PROTOCOLS_AND_SEEDS)
 def test_a_drive_that_ignores_kp_is_found(protocol: str, seed: int) -> None:
-    with begin_to_and_fro(hand_with_position_loop("jamia", protocol), seed) as run:
-        lose_gains(run, "index_motor")
+    with start_back_and_forth_run(hand_with_position_loop("jamia", protocol), seed) as run:
+        ignore_drive_gains(run, "index_motor")
         peak = 0.0
         while run.run_tick().mode == HandMode.ACTIVE and run.k < 6.0 * RATE_HZ:
             peak = max(peak, *run.simulated_hand.truth()["tension"])
-        assert {mark.id for mark in run.state.latched} & {"N14", "N17"}
+        assert {mark.id for mark in run.state.latched_faults} & {"N14", "N17"}
         assert peak < TENSION_TRIP_N
 
 
@@ -451,7 +455,7 @@ def test_a_healthy_drive_reports_what_is_predicted(protocol: str, force_sigma_N:
 
     Detectors compare these two forces to find drives that do not obey.
     """
-    with begin_to_and_fro(hand_with_position_loop("jamia", protocol)) as run:
+    with start_back_and_forth_run(hand_with_position_loop("jamia", protocol)) as run:
         apart = []
         for _ in range(600):
             run.run_tick()
@@ -462,17 +466,23 @@ def test_a_healthy_drive_reports_what_is_predicted(protocol: str, force_sigma_N:
 
 @pytest.mark.parametrize("force_sign", [1, -1])
 def test_a_report_is_predicted_within_the_limit_of_its_command(force_sign: int) -> None:
-    with begin_to_and_fro(hand_with_position_loop(protocol="moteus")) as run:
+    with start_back_and_forth_run(hand_with_position_loop(protocol="moteus")) as run:
         for _ in range(20):
             run.run_tick()
-        limit = float(run.state.view("servo_limit")[1]) / run.controller.model.space.spool[1]
+        limit = (
+            float(run.state.view("servo_limit")[1])
+            / run.controller.model.tendon_constants.spool_radius[1]
+        )
         run.state.view("servo_position")[1] += 2.0 * force_sign
         run.run_tick()
         # The report that arrives in tick k is the reply to the command of tick k - 2.
         run.run_tick()
         assert run.state.view("servo_report")[1] == pytest.approx(force_sign * limit)
         assert (
-            limit < 0.5 * run.controller.model.torque_limit[1] / run.controller.model.space.spool[1]
+            limit
+            < 0.5
+            * run.controller.model.torque_limit[1]
+            / run.controller.model.tendon_constants.spool_radius[1]
         )
 
 
@@ -511,19 +521,19 @@ def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(
     hand = hand_with_position_loop(protocol="moteus")
     model = HandModel.from_hand(hand, packaged_gains("jamia"), rate_hz, np.full(4, gain_value))
     controller = make_controller(
-        hand, packaged_gains("jamia"), rate_hz, to_and_fro_program(hand, 1, 1.0), None, True
+        hand, packaged_gains("jamia"), rate_hz, back_and_forth_program(hand, 1, 1.0), None, True
     )
     drives = make_drives(hand)
     steps, loop = servo_resolutions(model, drives), servo_constants(model)
     wire = WireTables(drives, controller.sensors, [True] * 4, model.torque_gain)
     for n in range(4):
-        rows = wire.servo_signal_reals[wire.servos[n, 0] : wire.servos[n, 1]]
+        rows = wire.servo_signal_scalings[wire.servos[n, 0] : wire.servos[n, 1]]
         for name, key, row in (("stiffness", "kp", 2), ("damping", "kd", 3)):
             value = min(loop[f"servo_{name}"][n], steps[f"servo_{key}_max"][n])
             step = steps[f"servo_{key}_step"][n]
-            rounded = step * math.floor(value / step + 0.5)
-            assert 0.0 < rounded <= rows[row, 3], "the law's rounded gain can be encoded"
-            assert np.float32(rounded / rows[row, 0]) <= 1.0
+            rounded_gain = step * math.floor(value / step + 0.5)
+            assert 0.0 < rounded_gain <= rows[row, 3], "the law's rounded gain can be encoded"
+            assert np.float32(rounded_gain / rows[row, 0]) <= 1.0
             assert (value < loop[f"servo_{name}"][n]) == (
                 gain_value < 1.0 and (name == "damping" or rate_hz > 100.0)
             )
@@ -549,7 +559,7 @@ def test_a_stiffness_below_one_count_is_refused() -> None:
 
 def test_a_low_rate_lowers_the_stiffness() -> None:
     hand = with_position_loop(load_hand("jamia"), kp_N_m_per_rad=STIFF_KP_N_M_PER_RAD)
-    with begin_to_and_fro(hand, rate_hz=100.0) as run:
+    with start_back_and_forth_run(hand, rate_hz=100.0) as run:
         for _ in range(20):
             run.run_tick()
         assert sent_stiffness(run).max() == pytest.approx(500.0 / 4095.0)
@@ -565,17 +575,17 @@ def test_a_hand_without_position_loops_has_no_servo_table_and_keeps_its_identity
             hand_variant,
             packaged_gains("jamia"),
             RATE_HZ,
-            to_and_fro_program(hand_variant, 1, 1.0),
+            back_and_forth_program(hand_variant, 1, 1.0),
             None,
             True,
-        ).derived.layout
+        ).derived_constants.layout
         for hand_variant in (hand, loop)
     ]
     assert [layout.axes["servo"] for layout in layouts] == [0, 4]
     assert layouts[1].size - layouts[0].size == 4 * s.STATE_SCHEMA.rows("servo")
 
 
-def print_tracking(protocol: str, seed_count: int) -> None:
+def print_tracking_errors(protocol: str, seed_count: int) -> None:
     """Print a line for each hand and mode.
 
     The line contains the mean tracking error, the range of this error over the seeds, and the
@@ -599,4 +609,4 @@ def print_tracking(protocol: str, seed_count: int) -> None:
 
 
 if __name__ == "__main__":
-    print_tracking(sys.argv[1], int(sys.argv[2]))
+    print_tracking_errors(sys.argv[1], int(sys.argv[2]))

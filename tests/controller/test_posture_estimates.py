@@ -15,7 +15,7 @@ from handctl.compiled import kernel
 from handctl.controller.controller_state import ControllerState
 from handctl.core import constants as h
 from handctl.core import state_block as s
-from handctl.core.block_schema import BlockArray, TablePlaces
+from handctl.core.block_schema import BlockArray, TableOffsets
 from handctl.core.constants import constant_tables
 from handctl.core.estimation import posture
 from handctl.core.gains.gains import Gains
@@ -24,8 +24,8 @@ from handctl.core.state_block import state_tables
 from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER, load_hand
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatorSettings, homed_controller
-from handctl.session.tasks import load_task_for_hand
+from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
+from handctl.session.task_loading import load_task_for_hand
 from tests.controller.synthetic_states import (
     SyntheticEstimate,
     active_state,
@@ -47,7 +47,7 @@ GRASPS_AND_OBJECTS = [
 HELD_PHASES, FREE_PHASES = ("close", "hold", "release"), ("tighten", "home")
 
 
-class PostureTick(NamedTuple):
+class GraspPostureSample(NamedTuple):
     """Values of one tick of a grasp: the phase, joint angles (J,) [rad], and the contact force on each digit [N].
 
     The joint angles are the true angles, the estimated angles with their standard deviations, and
@@ -80,7 +80,9 @@ def hand_file_with_encoders(folder: Path, joints_with_encoders: int | None = Non
     return path
 
 
-def run_grasp(hand_file: Path, task_name: str, scene_name: str, seed: int) -> Iterator[PostureTick]:
+def run_grasp(
+    hand_file: Path, task_name: str, scene_name: str, seed: int
+) -> Iterator[GraspPostureSample]:
     """Yield the values of each tick of a simulated grasp."""
     model = HandModel.from_hand(load_hand(str(hand_file)), Gains(), RATE_HZ)
     program = TaskProgram(load_task_for_hand(Path(task_name), model.hand)[0])
@@ -92,7 +94,7 @@ def run_grasp(hand_file: Path, task_name: str, scene_name: str, seed: int) -> It
             numbers, real = out.telemetry, np.array(plant.engine.q)
             force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
             free = model.excursion_to_joints @ numbers.excursion
-            yield PostureTick(out.phase, real, numbers.q, numbers.q_sigma, free, force)
+            yield GraspPostureSample(out.phase, real, numbers.q, numbers.q_sigma, free, force)
             if run.state.mode == HandMode.RELAX:
                 break
 
@@ -174,7 +176,7 @@ def angles_of_tick(
     The function also writes this tick into the state.
     """
     state.view("touch")[...] = external_tension
-    state.set_run_integer(s.K, tick_index)
+    state.set_run_table_integer(s.K, tick_index)
     detect_contacts(
         model,
         state,
@@ -188,9 +190,9 @@ def angles_of_tick(
 def test_contact_turns_joints_and_keeps_the_excursion(hand: str) -> None:
     model = HandModel.from_hand(load_hand(hand), Gains(), RATE_HZ)
     estimate, state = estimate_under_tension(model, 30.0, 0.6), active_state(model)
-    touched = np.full(len(model.digits), 15.0)
+    contact_forces = np.full(len(model.digits), 15.0)
     for k in range(200):
-        angles = angles_of_tick(model, state, estimate, touched, k)
+        angles = angles_of_tick(model, state, estimate, contact_forces, k)
     moment_arms = model.hand.moment_arms
     np.testing.assert_allclose(moment_arms @ angles.q, moment_arms @ estimate.q, atol=1e-9)
     turned = np.degrees(np.abs(angles.q - estimate.q).max())
@@ -202,9 +204,9 @@ def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel)
     estimate, state = estimate_under_tension(model, 30.0, 0.6), active_state(model)
     zero_force = np.zeros(len(model.digits))
 
-    def angles_after_contact(touched: np.ndarray, seconds: float) -> JointAngles:
+    def angles_after_contact(contact_forces: np.ndarray, seconds: float) -> JointAngles:
         for k in range(round(seconds / model.period)):
-            angles = angles_of_tick(model, state, estimate, touched, k)
+            angles = angles_of_tick(model, state, estimate, contact_forces, k)
         return angles
 
     constants = constant_tables_of(model)
@@ -229,9 +231,9 @@ def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel)
 @kernel("block", "layout", "constants", "layout", "matrix", "matrix", "count")
 def _fuse_encoders(
     block: BlockArray,
-    state_places: TablePlaces,
+    state_places: TableOffsets,
     constants: BlockArray,
-    constant_places: TablePlaces,
+    constant_places: TableOffsets,
     encoder_angles: np.ndarray,
     encoder_sigma: np.ndarray,
     t_ns: int,
@@ -259,8 +261,8 @@ def state_after_fusion(
     state_after = state.copy()
     _fuse_encoders(
         state_after.block,
-        state_after.layout.places,
-        *controller_of(model).derived.constant_args,
+        state_after.layout.offsets,
+        *controller_of(model).derived_constants.kernel_constants,
         encoder_angles,
         encoder_sigma,
         t_ns,
@@ -333,7 +335,7 @@ def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed
 
     age = (now - heard_ns[constants.joint_int[h.JOINT_GROUP]]) * 1e-9
     read = np.flatnonzero(
-        constants.joint_int[h.IS_FUSED].astype(bool) & (age < posture.MAX_READING_AGE_S)
+        constants.joint_int[h.IS_ENCODER_FUSED].astype(bool) & (age < posture.MAX_READING_AGE_S)
     )
     moved = state.view("dq") * age
     digit = np.repeat(

@@ -25,7 +25,7 @@ from handctl.programs.stream_plans import mapping_of_stream
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
 from handctl.report.run_summary import mean_angles
-from handctl.session.simulate import SimulatedRun, SimulatorSettings
+from handctl.session.lockstep_simulation import SimulatedRun, SimulatorSettings
 from tests.controller.synthetic_states import slack_hand_estimate
 
 HAND_FILE_FOLDER = Path(__file__).parents[1] / "hand"
@@ -34,7 +34,7 @@ SIMULATOR_SEEDS = range(5)
 RATE_HZ = 500.0
 
 
-def to_and_fro_task(hand_name: str) -> Task:
+def back_and_forth_task(hand_name: str) -> Task:
     """Return a task that moves the digits of a hand to and fro, in mm and deg."""
     angles = (
         [{"left": 20.0, "right": 10.0}, {"left": 2.0, "right": 18.0}]
@@ -70,15 +70,15 @@ def test_a_hand_is_commissioned_and_moves(hand_name: str, seed: int) -> None:
         )
         for row in calibration.tendon.values():
             assert row.answer_N == pytest.approx(PULL_TENSION_N, abs=1.5)
-        run = begin(TaskProgram(to_and_fro_task(hand_name)), calibration, run.k)
+        run = begin(TaskProgram(back_and_forth_task(hand_name)), calibration, run.k)
         errors = list[np.ndarray]()
         largest = np.zeros(len(hand.joints))
         for _, out in run.run_ticks(run.k / RATE_HZ + 30.0):
             assert not [event for event in out.events if event.level == "error"]
             if run.state.mode == HandMode.ACTIVE and run.state.progress.phase.startswith("move"):
                 q = peer.world.plant.engine.q
-                errors.append(hand.display_units.to_displayed(run.state.view("q_goal") - q))
-                largest = np.maximum(largest, hand.display_units.to_displayed(q))
+                errors.append(hand.display_units.to_display_units(run.state.view("q_goal") - q))
+                largest = np.maximum(largest, hand.display_units.to_display_units(q))
         assert run.state.mode == HandMode.DONE
         # The RMS tracking error is at most 1 mm or 1 deg.
         assert np.sqrt(np.nanmean(np.square(errors), axis=0)).max() < 1.0
@@ -88,7 +88,7 @@ def test_a_hand_is_commissioned_and_moves(hand_name: str, seed: int) -> None:
 @pytest.mark.parametrize("hand_name", GRIPPER_NAMES)
 def test_inverse_kinematics_finds_postures_of_prismatic_joints(hand_name: str) -> None:
     rng = np.random.default_rng(0)
-    for digit in DigitModel.models_of_hand(load_hand(HAND_FILE_FOLDER / f"{hand_name}.toml")):
+    for digit in DigitModel.digit_models_of_hand(load_hand(HAND_FILE_FOLDER / f"{hand_name}.toml")):
         low, high = digit.coordinate_limits
         for _ in range(20):
             theta = rng.uniform(low, high)
@@ -100,11 +100,11 @@ def test_the_mean_of_a_sliding_digit_is_its_position() -> None:
     gripper = load_hand(HAND_FILE_FOLDER / "parallel_gripper.toml")
     q = np.array([[0.01, 0.02]])
     np.testing.assert_allclose(mean_angles(gripper, q), q)
-    mixed = load_hand(HAND_FILE_FOLDER / "mixed_gripper.toml")
+    mixed_gripper = load_hand(HAND_FILE_FOLDER / "mixed_gripper.toml")
     # The test treats 10 mm of the prismatic joint like 1 rad of a revolute joint.
-    mean = mean_angles(mixed, np.array([[0.005, 0.01, 1.0]]))
+    mean = mean_angles(mixed_gripper, np.array([[0.005, 0.01, 1.0]]))
     np.testing.assert_allclose(mean, [[0.005, 1.0]])
-    assert mixed.display_units.names == ("mm", "mm", "deg")
+    assert mixed_gripper.display_units.names == ("mm", "mm", "deg")
 
 
 def model_of(hand_name: str) -> HandModel:

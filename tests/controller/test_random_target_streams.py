@@ -19,8 +19,8 @@ from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand, packaged_hands
 from handctl.programs.live_session import LiveProgram
+from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
 from handctl.session.run_plan import default_control_rate
-from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.controller.test_target_streams import StreamClient
 
 FloatArray = NDArray[np.float64]
@@ -60,10 +60,10 @@ def step_targets(
 ) -> FloatArray:
     """Return targets that step from one limit to the other."""
     hold = int(rng.integers(5, 40))
-    level_samples = rng.integers(0, 2, (len(times), len(lowest_targets)))[
+    is_at_highest = rng.integers(0, 2, (len(times), len(lowest_targets)))[
         np.arange(len(times)) // hold
     ]
-    return np.where(level_samples, highest_targets, lowest_targets)
+    return np.where(is_at_highest, highest_targets, lowest_targets)
 
 
 def sine_targets(
@@ -129,7 +129,7 @@ def target_limits(
 known_fault = pytest.mark.xfail(
     reason="5 of 60 runs end with N14b, see docs/evidence/streaming.md", strict=False
 )
-SPACES_HANDS_AND_KINDS = [
+STREAM_CASES = [
     *(
         ("tension", hand, kind)
         for hand in ("jamia", "jamia_bench", "t42", "n_plus_1")
@@ -144,7 +144,7 @@ SPACES_HANDS_AND_KINDS = [
     ),
 ]
 SAMPLED_CASES = [
-    *SPACES_HANDS_AND_KINDS[1:14:4],
+    *STREAM_CASES[1:14:4],
     ("tension", "n_plus_1", step_targets),
     ("digit", "t42", random_walk_targets),
     ("digit", "jamia", white_noise_targets),
@@ -154,7 +154,7 @@ SAMPLED_CASES = [
 @pytest.mark.parametrize("seed", range(20 if NIGHTLY else 1))
 @pytest.mark.parametrize(
     ("target_space", "hand_name", "target_generator"),
-    SPACES_HANDS_AND_KINDS if NIGHTLY else SAMPLED_CASES,
+    STREAM_CASES if NIGHTLY else SAMPLED_CASES,
 )
 def test_random_targets_cause_no_fault(
     target_space: str, hand_name: str, target_generator: Callable[..., FloatArray], seed: int

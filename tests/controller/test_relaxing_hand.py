@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from handctl.controller.relaxing import (
+from handctl.controller.relaxation import (
+    MAX_SETPOINT_EXCESS_N,
     OVER_TENSION_RATE_N_PER_S,
     RELAX_RATE_N_PER_S,
-    SETPOINT_MARGIN_N,
 )
 from handctl.core.control_law.computed_torque import MIN_RELAXED_TENSION_N
 from handctl.core.gains.gains import Gains
@@ -79,7 +79,7 @@ def test_a_tension_that_is_still_growing_is_not_waited_for(low_rate_jamia: HandM
     known_tension = run.tick().telemetry.tension
     assert run.state.view("setpoint")[0] > known_tension[0] + 30.0, "the set-point is far ahead"
     out = run.tick(STOP_REQUEST)
-    present = np.maximum(out.telemetry.tension, MIN_RELAXED_TENSION_N) + SETPOINT_MARGIN_N
+    present = np.maximum(out.telemetry.tension, MIN_RELAXED_TENSION_N) + MAX_SETPOINT_EXCESS_N
     assert (run.state.view("setpoint") <= present).all()
     while run.tick().mode == HandMode.RELAX:
         assert run.state.view("setpoint").max() <= present.max()

@@ -8,8 +8,8 @@ import pytest
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.control_law.tension_allocation import tensions_for_torque
 from handctl.core.hand_model import HandModel
+from tests.controller.control_law_runs import joint_motion_at, required_tensions_of
 from tests.controller.digit_goals import moving_goals
-from tests.controller.law_runs import joint_motion_at, required_tensions_of
 
 
 def motion_goals(

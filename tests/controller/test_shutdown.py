@@ -65,8 +65,8 @@ def test_shutdown_after_arming_waits_for_a_drive_that_is_being_set_up_again(
         )
         state = hand_run.state.copy()
         drive = hand_run.controller.drives[0]
-        restarted = drive.initial_state()._replace(phase=drive_phase)
-        hand_run.controller.store_drive_state(state, 0, restarted)
+        restarted_drive_state = drive.initial_state()._replace(phase=drive_phase)
+        hand_run.controller.store_drive_state(state, 0, restarted_drive_state)
         _, _, enabled = shutdown_step(hand_run.controller, state, hand_run.k * PERIOD_NS, [])
         assert drive.name in enabled
 

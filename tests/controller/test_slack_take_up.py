@@ -2,8 +2,8 @@
 
 import pytest
 
-from handctl.core.estimation.filter_stack import TendonRegime
-from handctl.core.estimation.take_up import (
+from handctl.core.estimation.filter_types import TendonRegime
+from handctl.core.estimation.slack_detection import (
     NEARLY_TAUT_M,
     is_nearly_taut,
     is_regime_over,
@@ -40,7 +40,7 @@ def test_a_tendon_is_near_when_little_slack_length_remains(model: HandModel) -> 
         state.view("travel")[...] = 1e-3 - hangs
         assert (
             uncompiled_function(is_nearly_taut)(
-                uncompiled_function(state_tables)(state.block, state.layout.places), 1
+                uncompiled_function(state_tables)(state.block, state.layout.offsets), 1
             )
             == is_near
         )

@@ -24,7 +24,7 @@ from handctl.core.tick_types import HandMode
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand, validate_content
-from handctl.hand.readiness import reasons_not_ready
+from handctl.hand.readiness_checks import reasons_not_ready
 from handctl.log.header import RunHeader
 from handctl.log.topics.message_streams import TopicRegistry
 from handctl.log.topics.state_topics import SPOOL_PAIRS_TOPIC, StateTopics
@@ -35,7 +35,7 @@ from handctl.programs.program import Program, ProgramProgress, ProgressAndEvents
 from handctl.programs.task import ClosePhase, HoldPhase, Task
 from handctl.programs.task_program import TaskProgram
 from handctl.session.calibration import homed_calibration
-from handctl.session.simulate import SimulatedHand, SimulatedRun, SimulatorSettings
+from handctl.session.lockstep_simulation import SimulatedHand, SimulatedRun, SimulatorSettings
 from tests.controller.synthetic_states import uncompiled_function
 
 RATE_HZ = 500.0
@@ -135,7 +135,7 @@ def begin_run(
     run = SimulatedRun.start_run(controller, simulated_hand)
     run.k = first_tick
     run.are_ticks_recorded = False
-    run.state.set_run_integer(s.K, first_tick - 1)
+    run.state.set_run_table_integer(s.K, first_tick - 1)
     return run
 
 
@@ -179,7 +179,9 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
         wound = [tendon.extra_length + hand.tendon[i].pretension_N / hand.tendon[i].stiffness_N_per_m
                  for i, (tendon, _) in enumerate(plant.tendons[: len(hand.tendon)])]  # fmt: skip
-        travel_errors = (calibration.zero(hand) - offset) * run.controller.model.space.spool - wound
+        travel_errors = (
+            calibration.motor_zeros(hand) - offset
+        ) * run.controller.model.tendon_constants.spool_radius - wound
         np.testing.assert_allclose(travel_errors, 0.0, atol=1e-4)
 
         run = begin_run(peer, hand, TaskProgram(MOVES_TASK), calibration, run.k)

@@ -27,8 +27,8 @@ from handctl.core import state_block as state_block
 from handctl.core.block_schema import INTEGER_TABLE_SUFFIX, BlockField, BlockSchema
 from handctl.core.constants import (
     CONSTANT_SCHEMA,
-    DESIGN_ELEMENT_COUNT,
     FILTER_DESIGN_COUNT,
+    FILTER_DESIGN_SIZE,
     constant_tables,
 )
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
@@ -45,12 +45,12 @@ from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
 from handctl.programs.grip import GripState
 from handctl.programs.program import ProgramProgress
 from handctl.programs.stream_plans import StreamPlan
-from handctl.safety.tick_verdict import CountedFault, LatchedFault
-from handctl.session.tasks import load_task_for_hand
+from handctl.safety.tick_verdict import LatchedFault, ReportedFault
+from handctl.session.task_loading import load_task_for_hand
 from tests.conftest import NIGHTLY
 from tests.controller.controller_bench import ControllerBench
 from tests.controller.synthetic_states import uncompiled_function
-from tests.hand.many_motors import fifteen_motor_hand
+from tests.hand.many_motor_hands import fifteen_motor_hand
 
 RANDOM_HAND_SEEDS = range(6)
 
@@ -65,11 +65,11 @@ def field_names(block_fields: list[BlockField]) -> list[str]:
 def small_schema() -> tuple[BlockSchema, dict[str, int]]:
     """Return a schema of three tables, and the lengths of its axes."""
     schema = BlockSchema("tendon", "joint*tendon", "run", "tendon_int")
-    schema.real_field("tension", "tendon", "N", "of a tendon", initial=2.5)
-    schema.real_field("past", "tendon", "N", "the last ones", rows=3)
-    schema.real_field("arms", "joint*tendon", "m", "moment arms")
-    schema.real_field("t", "run", "s", "time")
-    schema.integer_field("regime", "tendon", "", "of a tendon", initial=-1)
+    schema.declare_real_field("tension", "tendon", "N", "of a tendon", initial=2.5)
+    schema.declare_real_field("past", "tendon", "N", "the last ones", rows=3)
+    schema.declare_real_field("arms", "joint*tendon", "m", "moment arms")
+    schema.declare_real_field("t", "run", "s", "time")
+    schema.declare_integer_field("regime", "tendon", "", "of a tendon", initial=-1)
     return schema, {"tendon": 4, "joint": 2, "run": 1}
 
 
@@ -91,7 +91,7 @@ def test_new_field_needs_one_line() -> None:
     The fields that the table already has keep their names and shapes.
     """
     (schema_before, axes), (schema_after, _) = small_schema(), small_schema()
-    row = schema_after.real_field("speed", "tendon", "m/s", "of a tendon", initial=7.0)
+    row = schema_after.declare_real_field("speed", "tendon", "m/s", "of a tendon", initial=7.0)
     old_layout, new_layout = schema_before.layout(axes), schema_after.layout(axes)
     assert row == schema_before.rows("tendon") == schema_after.rows("tendon") - 1
     assert new_layout.size == old_layout.size + axes["tendon"]
@@ -158,7 +158,7 @@ def constants_by_field(constant_module: Any) -> dict[str, str]:
             and isinstance(node.targets[0], ast.Name)
         ):
             function, first_argument = node.value.func, node.value.args[:1]
-            if isinstance(function, ast.Name) and function.id in ("_real", "_integer"):
+            if isinstance(function, ast.Name) and function.id in ("_real_field", "_integer_field"):
                 assert isinstance(first_argument[0], ast.Constant)
                 constant_by_field[str(first_argument[0].value)] = node.targets[0].id
     return constant_by_field
@@ -176,14 +176,18 @@ def test_every_field_is_declared_once_and_found_by_its_name(
     assert set(constant_by_field) == set(names)
     assert len(set(constant_by_field.values())) == len(names)
     for field in schema.fields:
-        assert getattr(constant_module, constant_by_field[field.name]) == field.first, field.name
+        assert getattr(constant_module, constant_by_field[field.name]) == field.first_row, (
+            field.name
+        )
         assert field.meaning, field.name
 
 
 def test_kernels_see_every_field_where_the_layout_has_it(state: ControllerState) -> None:
-    tables_of_kernel = uncompiled_function(state_tables)(state.block, state.layout.places)
+    tables_of_kernel = uncompiled_function(state_tables)(state.block, state.layout.offsets)
     for field in STATE_SCHEMA.fields:
-        rows = getattr(tables_of_kernel, field.table)[field.first : field.first + field.rows]
+        rows = getattr(tables_of_kernel, field.table)[
+            field.first_row : field.first_row + field.rows
+        ]
         np.testing.assert_array_equal(
             rows.ravel(), state.view(field.name).ravel(), err_msg=field.name
         )
@@ -196,7 +200,7 @@ def test_kernels_see_every_field_where_the_layout_has_it(state: ControllerState)
 def test_a_copy_is_another_block_of_the_same_numbers(state: ControllerState) -> None:
     copy = state.copy()
     assert copy.digest() == state.digest()
-    assert state.layout.difference(copy.block, state.block) is None
+    assert state.layout.first_difference(copy.block, state.block) is None
     for field in STATE_SCHEMA.fields:
         copy.view(field.name)[...] = 77
     assert not any((state.view(field.name) == 77).all() for field in STATE_SCHEMA.fields)
@@ -212,7 +216,7 @@ def test_a_difference_names_its_field(state: ControllerState, field: BlockField)
     values = other_state.view(field.name).reshape(-1)
     at = len(values) // 2
     value_before, values[at] = values[at].item(), 3
-    assert state.layout.difference(state.block, other_state.block) == (
+    assert state.layout.first_difference(state.block, other_state.block) == (
         field.name,
         at,
         value_before,
@@ -220,7 +224,7 @@ def test_a_difference_names_its_field(state: ControllerState, field: BlockField)
     )
     for later_field in STATE_SCHEMA.fields[STATE_SCHEMA.fields.index(field) + 1 :]:
         other_state.view(later_field.name)[...] = 3
-    difference = state.layout.difference(state.block, other_state.block)
+    difference = state.layout.first_difference(state.block, other_state.block)
     assert difference is not None
     assert difference[0] == field.name
 
@@ -230,9 +234,9 @@ def test_nan_is_the_same_as_nan_and_zero_is_not_minus_zero(state: ControllerStat
     for changed_state in (one_state, other_state):
         changed_state.view("tension")[0] = np.nan
         changed_state.view("sigma")[0] = 0.0
-    assert state.layout.difference(one_state.block, other_state.block) is None
+    assert state.layout.first_difference(one_state.block, other_state.block) is None
     other_state.view("sigma")[0] = -0.0
-    difference = state.layout.difference(one_state.block, other_state.block)
+    difference = state.layout.first_difference(one_state.block, other_state.block)
     assert difference is not None
     assert difference[:2] == ("sigma", 0)
 
@@ -260,7 +264,9 @@ def random_hand(seed: int) -> HandModel:
 
     for section in ("digit", "tendon", "motor"):
         raw[section] = [
-            _varied_section(entry, rng) for entry in raw[section] if is_kept_section(entry["name"])
+            _randomised_section(entry, rng)
+            for entry in raw[section]
+            if is_kept_section(entry["name"])
         ]
     node = raw["sensor_node"]
     raw["sensor_node"] = node | {
@@ -271,22 +277,22 @@ def random_hand(seed: int) -> HandModel:
     )
 
 
-VARIED_KEYS = ("link_mass_kg", "joint_damping_N_m_s_per_rad", "spring_preload_rad", "friction_coefficient",
+RANDOMISED_KEYS = ("link_mass_kg", "joint_damping_N_m_s_per_rad", "spring_preload_rad", "friction_coefficient",
           "stiffness_N_per_m", "inertia_kg_m2", "coulomb_N_m")  # fmt: skip
 
 
-def _varied_section(section: dict[str, Any], rng: random.Random) -> dict[str, Any]:
+def _randomised_section(section: dict[str, Any], rng: random.Random) -> dict[str, Any]:
     """Return a section of a hand file in which numbers are varied at random."""
-    varied_section = dict(section)
-    for key in VARIED_KEYS:
-        if key in varied_section:
+    randomised_section = dict(section)
+    for key in RANDOMISED_KEYS:
+        if key in randomised_section:
             factor = rng.uniform(0.8, 1.25)
-            varied_section[key] = (
-                [factor * x for x in varied_section[key]]
-                if isinstance(varied_section[key], list)
-                else factor * varied_section[key]
+            randomised_section[key] = (
+                [factor * x for x in randomised_section[key]]
+                if isinstance(randomised_section[key], list)
+                else factor * randomised_section[key]
             )
-    return varied_section
+    return randomised_section
 
 
 def packed_constants(
@@ -330,12 +336,12 @@ def test_every_constant_that_kernels_see_is_what_was_packed(
     assert values.keys() == set(field_names(CONSTANT_SCHEMA.fields)), "every field is packed"
     assert not recorded_constants.block.flags.writeable
     tables_of_kernel = uncompiled_function(constant_tables)(
-        recorded_constants.block, recorded_constants.layout.places
+        recorded_constants.block, recorded_constants.layout.offsets
     )
     assert tables_of_kernel.design.shape == (
         model.tendon_count,
         FILTER_DESIGN_COUNT,
-        DESIGN_ELEMENT_COUNT,
+        FILTER_DESIGN_SIZE,
     )
     for field in CONSTANT_SCHEMA.fields:
         view = recorded_constants.layout.view(recorded_constants.block, field.name)
@@ -344,9 +350,8 @@ def test_every_constant_that_kernels_see_is_what_was_packed(
         if field.name == "design":
             np.testing.assert_array_equal(tables_of_kernel.design, value)
             continue
-        rows = getattr(tables_of_kernel, field.table.replace("*", "_"))[
-            field.first : field.first + field.rows
-        ]
+        table_name = f"{field.table.replace('*', '_')}_table" if "*" in field.table else field.table
+        rows = getattr(tables_of_kernel, table_name)[field.first_row : field.first_row + field.rows]
         np.testing.assert_array_equal(rows.ravel(), view.ravel(), err_msg=field.name)
         assert np.shares_memory(rows, recorded_constants.block)
 
@@ -385,7 +390,7 @@ def test_every_element_of_every_field_changes_the_digest(
         known_digests.add(digest)
 
 
-def changed_goals() -> Iterator[tuple[str, DigitGoal]]:
+def goal_variants() -> Iterator[tuple[str, DigitGoal]]:
     move = MinimumJerk(np.array([0.1]), np.array([0.2]), 1.0)
     tension = np.array([5.0])
     yield "limp", DigitGoal()
@@ -399,7 +404,7 @@ def changed_goals() -> Iterator[tuple[str, DigitGoal]]:
     yield "limit", DigitGoal(GoalKind.TENSION, tension=tension, force_limit=12.0)
 
 
-def changed_progresses(progress: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]:
+def progress_variants(progress: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]:
     """Yield copies of a program's progress. Each copy differs in one part.
 
     The test changes the goals one by one.
@@ -410,8 +415,8 @@ def changed_progresses(progress: ProgramProgress) -> Iterator[tuple[str, Program
         "failure": ["x"], "record": [(1.0,)], "tare": [(1.0,)], "contact": [(True, *progress.contact[1:])],
         "touching": [(9, *progress.touching[1:])], "closing": [(True,) * 4, (False,) * 4],
         "grip": [grip, grip._replace(tension=np.full(4, 21.0)), grip._replace(reference_excursion=np.zeros(4)),
-                 grip._replace(ready=2.0), grip._replace(tension_factor=1.2), grip._replace(limited=True)],
-        "goals": [progress.goals[::-1], *((goal, *progress.goals[1:]) for _, goal in changed_goals())],
+                 grip._replace(ready=2.0), grip._replace(tension_factor=1.2), grip._replace(is_limit_reported=True)],
+        "goals": [progress.goals[::-1], *((goal, *progress.goals[1:]) for _, goal in goal_variants())],
         "task": [load_task_for_hand(None, load_hand(name))[0] for name in ("jamia", "t42")],
     }  # fmt: skip
     assert values.keys() == {field.name for field in fields(ProgramProgress)}, (
@@ -423,38 +428,38 @@ def changed_progresses(progress: ProgramProgress) -> Iterator[tuple[str, Program
 
 
 EXAMPLE_STREAM = StreamPlan("s", "one", "digit", ("index",), "linear", 0.01, 0.014)
-OTHER_STREAM_VALUES = {
+CHANGED_STREAM_VALUES = {
     "name": "t", "client": "two", "space": "joint", "names": ("thumb",), "interpolation": "minimum_jerk",
     "period": 0.02, "horizon": 0.015,
 }  # fmt: skip
 
 
-def changed_decisions(decisions: ControllerDecisions) -> Iterator[tuple[str, ControllerDecisions]]:
+def decision_variants(decisions: ControllerDecisions) -> Iterator[tuple[str, ControllerDecisions]]:
     """Yield copies of a controller's decisions. Each copy differs in one part."""
     pending_gains = PendingGains(gains_with_values(Gains(), {"motion.force_N": 21.0}, "test"))
     values: dict[str, list[Any]] = {
         "drives": [decisions.drives[::-1]],
-        "progress": [progress for _, progress in changed_progresses(decisions.progress)],
-        "latched": [
-            (*decisions.latched, LatchedFault("B01", "x")),
+        "progress": [progress for _, progress in progress_variants(decisions.progress)],
+        "latched_faults": [
+            (*decisions.latched_faults, LatchedFault("B01", "x")),
             (LatchedFault("B01", "y"),),
             (LatchedFault("B02", "x"),),
         ],
         "reported_faults": [
-            (CountedFault("B01", "x", 1),),
-            (CountedFault("B01", "x", 2),),
-            (CountedFault("B01", "y", 1),),
+            (ReportedFault("B01", "x", 1),),
+            (ReportedFault("B01", "x", 2),),
+            (ReportedFault("B01", "y", 1),),
         ],
         "refusals": [(1,), (2,), (1, 2)],
         "failure": ["x"],
-        "unconfirmed": [("x",)],
+        "unconfirmed_motors": [("x",)],
         "gains": [pending_gains.gains],
-        "pending": [
+        "pending_gains": [
             pending_gains,
-            replace(pending_gains, step=1),
+            replace(pending_gains, designed_loop_count=1),
             replace(pending_gains, gains=Gains()),
         ],
-        "commander": ["one", "two"],
+        "commanding_client": ["one", "two"],
         "lease": [
             ClientLease(*lease_fields)
             for lease_fields in (
@@ -478,7 +483,7 @@ def changed_decisions(decisions: ControllerDecisions) -> Iterator[tuple[str, Con
             EXAMPLE_STREAM,
             *(
                 replace(EXAMPLE_STREAM, **{name: value})
-                for name, value in OTHER_STREAM_VALUES.items()
+                for name, value in CHANGED_STREAM_VALUES.items()
             ),
         ],
     }
@@ -491,7 +496,7 @@ def changed_decisions(decisions: ControllerDecisions) -> Iterator[tuple[str, Con
 def test_every_decision_changes_the_digest(active_bench: ControllerBench) -> None:
     state = active_bench.state
     name_by_digest = {state.digest(): "unchanged"}
-    for name, changed in changed_decisions(state.decisions):
+    for name, changed in decision_variants(state.decisions):
         digest = ControllerState(state.layout, state.block, changed).digest()
         assert digest not in name_by_digest, f"{name} and {name_by_digest[digest]} have one digest"
         name_by_digest[digest] = name

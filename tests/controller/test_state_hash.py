@@ -11,7 +11,7 @@ import pytest
 
 from handctl.core.control_law.digit_goal import DigitGoal
 from handctl.core.identity_cache import IdentityCache, SequenceCache
-from handctl.core.plain_values import join_field_bytes, plain_bytes
+from handctl.core.plain_data import join_serialized_fields, serialized_bytes
 from handctl.programs.program import ProgramProgress
 
 
@@ -20,17 +20,17 @@ def hashed_bytes(hashed_value: object) -> bytes:
 
 
 def test_values_of_same_objects_are_taken_over() -> None:
-    asked_objects = list[object]()
+    hashed_objects = list[object]()
 
     def bytes_of_recorded_item(item: object) -> bytes:
-        asked_objects.append(item)
+        hashed_objects.append(item)
         return hashed_bytes(item)
 
     cache = SequenceCache[object](bytes_of_recorded_item)
     first_list, second_list, third_list = [1], [2], [3]
     assert cache((first_list, second_list)) == [b"[1]", b"[2]"]
     assert cache((first_list, third_list)) == [b"[1]", b"[3]"]
-    assert asked_objects == [first_list, second_list, third_list]
+    assert hashed_objects == [first_list, second_list, third_list]
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -41,10 +41,10 @@ def test_a_sequence_cache_gives_the_same_values_as_its_function(seed: int) -> No
     """
     draw = np.random.default_rng(seed)
     items = [(i, float(i)) for i in range(6)] + [(1, 1), (True, 1.0)]
-    cache = SequenceCache[object](IdentityCache[object](plain_bytes))
+    cache = SequenceCache[object](IdentityCache[object](serialized_bytes))
     for _ in range(200):
         sequence = tuple(items[i] for i in draw.integers(0, len(items), draw.integers(0, 5)))
-        assert cache(sequence) == [plain_bytes(item) for item in sequence]
+        assert cache(sequence) == [serialized_bytes(item) for item in sequence]
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -52,7 +52,7 @@ def test_the_bytes_joined_from_fields_are_those_of_the_whole(seed: int) -> None:
     draw = np.random.default_rng(seed)
     digits = int(draw.integers(1, 6))
     progress = ProgramProgress.initial(digits, "zu früh")
-    cache = IdentityCache[object](plain_bytes)
+    cache = IdentityCache[object](serialized_bytes)
     for _ in range(50):
         goals = (*progress.goals[1:], DigitGoal(rate=float(draw.normal())))
         progress = replace(
@@ -62,4 +62,4 @@ def test_the_bytes_joined_from_fields_are_those_of_the_whole(seed: int) -> None:
             goals=goals if draw.random() < 0.3 else progress.goals,
             tare=tuple(draw.normal(size=draw.integers(0, 4)).tolist()),
         )
-        assert join_field_bytes(progress, cache) == plain_bytes(progress)
+        assert join_serialized_fields(progress, cache) == serialized_bytes(progress)

@@ -11,24 +11,24 @@ import pytest
 
 from handctl.compiled import kernel
 from handctl.core import tick_stages
-from handctl.core.block_schema import BlockArray, TablePlaces
+from handctl.core.block_schema import BlockArray, TableOffsets
 from handctl.core.constants import constant_tables
 from handctl.core.estimation import statics
-from handctl.core.estimation.filter_stack import STATE_COUNT, S, V
+from handctl.core.estimation.filter_types import STATE_COUNT, S, V
 from handctl.core.estimation.tip_force import reduced_tip_lever, tip_force
 from handctl.core.hand_model import HandModel
 from handctl.hand.dynamics import potential_energy, spring_energy, static_torque
 from handctl.hand.kinematics import forward_kinematics, tip_jacobian
 from tests.controller.synthetic_states import (
     active_state,
-    load_statics,
-    stage_constants,
+    constant_args_of,
+    static_tendon_forces,
     winding_efficiency_of,
 )
 
 
 @kernel("constants", "layout", "vector")
-def _static_torque(block: BlockArray, state_places: TablePlaces, q: np.ndarray) -> np.ndarray:
+def _static_torque(block: BlockArray, state_places: TableOffsets, q: np.ndarray) -> np.ndarray:
     torque = np.empty(len(q))
     statics.write_static_torque(constant_tables(block, state_places), q, torque)
     return torque
@@ -36,10 +36,10 @@ def _static_torque(block: BlockArray, state_places: TablePlaces, q: np.ndarray) 
 
 def static_torque_of(model: HandModel, q: np.ndarray) -> np.ndarray:
     """Return the torque of gravity and springs at all joints, as the estimator computes it."""
-    return _static_torque(*stage_constants(model), q)
+    return _static_torque(*constant_args_of(model), q)
 
 
-def filter_table_at(
+def filter_states_at_angles(
     model: HandModel, joint_angles: list[np.ndarray], tendon_speed: float = 0.0
 ) -> np.ndarray:
     """Return filter states (N, 7) of a hand whose digits have the joint angles ``joint_angles``."""
@@ -56,8 +56,8 @@ def test_resistance_is_the_slope_of_the_stored_energy(model: HandModel) -> None:
     rng = np.random.default_rng(4)
     for _ in range(20):
         theta = [rng.uniform(0.1, 1.4, digit.coupling.shape[1]) for digit in model.digits]
-        resistance = load_statics(
-            model, filter_table_at(model, theta), np.zeros(model.tendon_count)
+        resistance = static_tendon_forces(
+            model, filter_states_at_angles(model, theta), np.zeros(model.tendon_count)
         ).resistance
         for digit, tendons, angle in zip(model.digits, model.digit_tendons, theta, strict=True):
             h = 1e-6
@@ -81,7 +81,8 @@ def test_friction_takes_from_a_closing_tendon_and_gives_to_an_opening_one(model:
     theta = [np.full(digit.coupling.shape[1], 0.6) for digit in model.digits]
     tension = np.full(model.tendon_count, 20.0)
     at_rest, closing, opening = (
-        load_statics(model, filter_table_at(model, theta, v), tension) for v in (0.0, 0.05, -0.05)
+        static_tendon_forces(model, filter_states_at_angles(model, theta, v), tension)
+        for v in (0.0, 0.05, -0.05)
     )
     np.testing.assert_allclose(at_rest.force_at_joints, tension)
     assert (closing.force_at_joints < tension).all()
@@ -89,16 +90,19 @@ def test_friction_takes_from_a_closing_tendon_and_gives_to_an_opening_one(model:
     np.testing.assert_allclose(
         closing.force_at_joints * opening.force_at_joints, tension**2, rtol=0.12
     )
-    known_statics = load_statics(
-        model, filter_table_at(model, theta, -0.05), tension, np.full(model.tendon_count, 1.0)
+    known_forces = static_tendon_forces(
+        model,
+        filter_states_at_angles(model, theta, -0.05),
+        tension,
+        np.full(model.tendon_count, 1.0),
     )
     np.testing.assert_allclose(
-        known_statics.force_at_joints,
+        known_forces.force_at_joints,
         closing.force_at_joints,
         err_msg="what is known of friction goes before the speed",
     )
     np.testing.assert_allclose(
-        known_statics.driving_force,
+        known_forces.driving_force,
         opening.force_at_joints,
         err_msg="but leaving a stop goes by the speed, or 0.5 deg are lost",
     )
@@ -130,7 +134,9 @@ def test_pull_is_what_the_capstan_leaves_at_each_pulley(model: HandModel) -> Non
                 * tension[i]
                 * math.exp(-tendon.friction_coefficient * developed_torque[i] * passed_angle)
             )
-    load = load_statics(model, filter_table_at(model, theta), tension, developed_torque)
+    load = static_tendon_forces(
+        model, filter_states_at_angles(model, theta), tension, developed_torque
+    )
     np.testing.assert_allclose(load.force_at_joints, model.torque_to_tension @ torque, rtol=1e-9)
 
 
@@ -158,7 +164,7 @@ def test_all_digits_at_once_are_the_digits_one_by_one(model: HandModel) -> None:
         torque = static_torque_of(model, q)
         state = active_state(model)
         state.view("q")[...], state.view("external")[...] = q, external_tension
-        tick_stages.store_commands(state.block, state.layout.places, *stage_constants(model))
+        tick_stages.store_commands(state.block, state.layout.offsets, *constant_args_of(model))
         force = state.view("tip_force")
         for d, digit in enumerate(model.digits):
             np.testing.assert_allclose(

@@ -22,14 +22,14 @@ from handctl.hand.dynamics import static_torque
 from handctl.programs.live_session import LiveProgram
 from handctl.programs.requests import is_stream_target, parse_target, target_request_text
 from handctl.programs.stream_plans import (
+    blended_move,
     mapping_of_stream,
-    move_that_continues_motion,
     nearest_holdable_posture,
     target_horizon_s,
 )
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
+from handctl.session.lockstep_simulation import SimulatedRun, SimulatorSettings, homed_controller
 
 RATE_HZ = 100.0
 SINE_MIDDLE_DEG, SINE_AMPLITUDE_DEG = 30.0, 20.0
@@ -174,23 +174,28 @@ def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None
             assert client.reported_faults == set()
             assert stream_status(client.run.state).accepted == 300
             assert stream_status(client.run.state).clipped == 0
-    known_error = error_of_trajectory(jamia)
+    known_error = rms_error_of_trajectory(jamia)
     assert errors["linear"] < 1.5 * known_error, (errors, known_error)
     assert errors["minimum_jerk"] < 1.2 * known_error, (errors, known_error)
 
 
-def error_of_trajectory(model: HandModel) -> float:
+def rms_error_of_trajectory(model: HandModel) -> float:
     """Return the RMS error [deg] of a hand that follows the sine of this test as a trajectory of a task."""
     times = np.arange(0.0, 3.001, 0.02)
-    stay = {
+    hold_phase = {
         "kind": "move",
         "name": "stay",
         "angle_deg": {"index": SINE_MIDDLE_DEG},
         "duration_s": 1.0,
     }
     angles = {"index": sine_angle(times).tolist()}
-    follow = {"kind": "follow", "name": "follow", "time_s": times.tolist(), "angle_deg": angles}
-    task = {"schema": 1, "name": "sine", "phase": [stay, follow]}
+    follow_phase = {
+        "kind": "follow",
+        "name": "follow",
+        "time_s": times.tolist(),
+        "angle_deg": angles,
+    }
+    task = {"schema": 1, "name": "sine", "phase": [hold_phase, follow_phase]}
     program = TaskProgram(Task.model_validate_json(json.dumps(task)))
     with SimulatorSettings(model.hand.name, homed=True).begin_run(
         homed_controller(model, program)
@@ -226,10 +231,10 @@ def test_the_ticks_of_a_stream_repeat_to_the_last_bit(jamia: HandModel) -> None:
                     snapshot_bytes(client.run.state),
                     len(client.run.recorded_ticks),
                 )
-        check_ticks_are_repeated(client.run, middle_snapshot, at)
+        check_reexecuted_ticks(client.run, middle_snapshot, at)
 
 
-def check_ticks_are_repeated(run: SimulatedRun, snapshot: bytes, snapshot_tick: int) -> None:
+def check_reexecuted_ticks(run: SimulatedRun, snapshot: bytes, snapshot_tick: int) -> None:
     """Check that the ticks give equal results, to the last bit, when they are executed again.
 
     The ticks are executed from the start, and from a snapshot after ``snapshot_tick`` ticks.
@@ -237,7 +242,10 @@ def check_ticks_are_repeated(run: SimulatedRun, snapshot: bytes, snapshot_tick: 
     controller = run.controller
     for state, ticks in (
         (controller.initial_state(), run.recorded_ticks),
-        (restore_state(controller.derived.layout, snapshot), run.recorded_ticks[snapshot_tick:]),
+        (
+            restore_state(controller.derived_constants.layout, snapshot),
+            run.recorded_ticks[snapshot_tick:],
+        ),
     ):
         for entry, out in ticks:
             state, again = controller.tick(state, entry)
@@ -537,7 +545,7 @@ def test_a_long_move_of_a_fast_digit_stays_within_the_range() -> None:
     """
     reference = np.radians([[90.0], [300.0], [0.0]])
     reach = np.radians([0.0]), np.radians([100.0])
-    move = move_that_continues_motion(reference, np.radians([10.0]), 5.0, reach)
+    move = blended_move(reference, np.radians([10.0]), 5.0, reach)
     trajectory = np.degrees([move.motion_at(t)[:, 0] for t in np.linspace(0.0, 5.0, 5001)])
     assert trajectory[:, 0].max() <= 100.5
     assert trajectory[0] == pytest.approx([90.0, 300.0, 0.0])
@@ -757,7 +765,7 @@ PUSH_FORCE_N = 1.5
 
 def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
     """A constant push on the last link opens a soft digit further than a stiff digit."""
-    yield_by_softness = {}
+    displacement_by_stiffness = {}
     for stiffness_N_m_per_rad in (None, 0.2):
         with live_client(jamia) as client:
             client.send_command("move", angle_deg={"index": 40.0})
@@ -768,9 +776,11 @@ def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
             engine = client.run.simulated_hand.world.plant.engine
             engine._data.xfrc_applied[engine._model.body("index_link3").id, 1] = PUSH_FORCE_N
             client.stream_motion(lambda t: 40.0, 0.4)
-            yield_by_softness[stiffness_N_m_per_rad] = start - true_angle(client.run)
+            displacement_by_stiffness[stiffness_N_m_per_rad] = start - true_angle(client.run)
             assert client.tick_outputs[-1].mode == HandMode.ACTIVE
-    assert yield_by_softness[0.2] > 1.5 * yield_by_softness[None] > 0.0, yield_by_softness
+    assert displacement_by_stiffness[0.2] > 1.5 * displacement_by_stiffness[None] > 0.0, (
+        displacement_by_stiffness
+    )
 
 
 def test_targets_that_tendons_cannot_hold_are_moved_to_the_nearest_posture(
@@ -820,7 +830,7 @@ def test_a_task_within_a_session_holds_until_it_is_released(jamia: HandModel) ->
         assert client.tick_outputs[-1].phase == "hold", "longer than the task's 0.2 s"
         middle_snapshot = snapshot_bytes(client.run.state)
         assert (
-            restore_state(client.run.controller.derived.layout, middle_snapshot).digest()
+            restore_state(client.run.controller.derived_constants.layout, middle_snapshot).digest()
             == client.run.state.digest()
         )
         assert client.send_command("release") == "release after hold"
@@ -834,10 +844,12 @@ def test_a_task_within_a_session_holds_until_it_is_released(jamia: HandModel) ->
         assert client.tick_outputs[-1].phase == "live", "a goal ends the task"
         wrong_task = task | {"phase": [{"kind": "move", "angle_deg": {"pinky": 3.0}}]}
         assert client.send_command("grasp", task=wrong_task).startswith("refused: task: phase[0]")
-        fast = task | {"phase": [{"kind": "move", "angle_deg": 100.0, "duration_s": 0.2}]}
-        assert client.send_command("grasp", task=fast).startswith("refused: ")
-        slips = task | {"phase": [{"kind": "hold", "tension_N": 12.0, "slip_limit_N": 10.0}]}
-        assert client.send_command("grasp", task=slips).startswith("refused: "), (
+        too_fast_task = task | {"phase": [{"kind": "move", "angle_deg": 100.0, "duration_s": 0.2}]}
+        assert client.send_command("grasp", task=too_fast_task).startswith("refused: ")
+        slip_limit_task = task | {
+            "phase": [{"kind": "hold", "tension_N": 12.0, "slip_limit_N": 10.0}]
+        }
+        assert client.send_command("grasp", task=slip_limit_task).startswith("refused: "), (
             "as a run refuses it"
         )
         assert client.tick_outputs[-1].phase == "live"
@@ -858,7 +870,7 @@ def test_a_segment_meets_both_ends(jamia: HandModel) -> None:
             rows[s.STREAM_RANGE], rows[s.STREAM_RANGE + 1] = -9.0, 9.0
             rows[s.STREAM_TARGET] = target - speed * apart
             assert not begin_segments(
-                block, layout.places, target, target, 0.5, T, apart, 9.0, smooth
+                block, layout.offsets, target, target, 0.5, T, apart, 9.0, smooth
             )
             assert (layout.view(block, "stream_since"), layout.view(block, "stream_duration")) == (
                 0.5,
@@ -883,13 +895,13 @@ def test_a_segment_keeps_range_and_speed(jamia: HandModel) -> None:
     rows = layout.table(block, "coordinate")
     rows[s.STREAM_RANGE], rows[s.STREAM_RANGE + 1] = 0.0, 1.0
     aim = np.full(jamia.coordinate_count, 1.5)
-    assert begin_segments(block, layout.places, aim, aim, 0.0, 0.01, 0.01, 5.0, 1), (
+    assert begin_segments(block, layout.offsets, aim, aim, 0.0, 0.01, 0.01, 5.0, 1), (
         "clipped to the range"
     )
     np.testing.assert_array_equal(rows[s.STREAM_TARGET], 1.0)
     np.testing.assert_array_equal(rows[s.STREAM_TARGET_RATE], 5.0)
     aim[:] = 0.5
-    assert not begin_segments(block, layout.places, aim, aim, 0.0, 0.01, math.inf, 5.0, 1)
+    assert not begin_segments(block, layout.offsets, aim, aim, 0.0, 0.01, math.inf, 5.0, 1)
     np.testing.assert_array_equal(rows[s.STREAM_TARGET_RATE], 0.0)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from firmware_sim.scene.scene import load_scene
 from handctl.hand.hand_loading import load_hand, packaged_hands
 from handctl.programs.task import ClosePhase, FollowPhase, HoldPhase, MovePhase, ReleasePhase
-from handctl.session.tasks import load_task_for_hand
+from handctl.session.task_loading import load_task_for_hand
 
 REPOSITORY = Path(__file__).parents[2]
 TASKS_PAGE = (REPOSITORY / "docs" / "reference" / "tasks.md").read_text("utf-8")

@@ -14,7 +14,7 @@ from handctl.core.control_law.trajectory import (
     MinimumJerk,
     minimum_jerk_duration,
 )
-from handctl.core.plain_values import plain_bytes
+from handctl.core.plain_data import serialized_bytes
 
 angle_pairs = st.lists(st.floats(-3.0, 3.0), min_size=2, max_size=2).map(np.array)
 move_durations = st.floats(0.01, 100.0)
@@ -131,7 +131,7 @@ def test_a_curve_goes_through_its_points_from_rest_to_rest(data: st.DataObject) 
     points = tuple(
         data.draw(st.lists(st.floats(-0.5, 2.0), min_size=len(when), max_size=len(when)))
     )
-    curve = CurveTrajectory.through_points(when, points, 2)
+    curve = CurveTrajectory.curve_through_points(when, points, 2)
     assert curve.duration == when[-1]
     for t, waypoint in zip(when, points, strict=True):
         np.testing.assert_allclose(curve.motion_at(t)[0], [waypoint, waypoint], atol=1e-9)
@@ -154,7 +154,10 @@ def test_a_curve_goes_through_its_points_from_rest_to_rest(data: st.DataObject) 
 def test_curve_derivatives_match_differences(
     curve_points: list[float], time_fraction: float
 ) -> None:
-    curve, h = CurveTrajectory.through_points((0.0, 0.4, 1.0, 1.3), tuple(curve_points), 1), 1e-5
+    curve, h = (
+        CurveTrajectory.curve_through_points((0.0, 0.4, 1.0, 1.3), tuple(curve_points), 1),
+        1e-5,
+    )
     t = time_fraction * 1.3
     if min(abs(t - knot) for knot in (0.4, 1.0)) < 2 * h:
         return
@@ -176,15 +179,17 @@ def test_every_number_of_a_way_is_in_its_plain_form() -> None:
 
     The hash of the state is computed from this form.
     """
-    ways = [
+    trajectories = [
         MinimumJerk(np.array([0.0]), np.array([1.0]), 1.0),
         MinimumJerk(np.array([0.1]), np.array([1.0]), 1.0),
         MinimumJerk(np.array([0.0]), np.array([1.1]), 1.0),
         MinimumJerk(np.array([0.0]), np.array([1.0]), 1.1),
-        CurveTrajectory.through_points((0.0, 1.0), (0.0, 1.0), 1),
-        CurveTrajectory.through_points((0.0, 1.1), (0.0, 1.0), 1),
-        CurveTrajectory.through_points((0.0, 1.0), (0.1, 1.0), 1),
-        CurveTrajectory.through_points((0.0, 1.0), (0.0, 1.1), 1),
-        CurveTrajectory.through_points((0.0, 1.0), (0.0, 1.0), 3),
+        CurveTrajectory.curve_through_points((0.0, 1.0), (0.0, 1.0), 1),
+        CurveTrajectory.curve_through_points((0.0, 1.1), (0.0, 1.0), 1),
+        CurveTrajectory.curve_through_points((0.0, 1.0), (0.1, 1.0), 1),
+        CurveTrajectory.curve_through_points((0.0, 1.0), (0.0, 1.1), 1),
+        CurveTrajectory.curve_through_points((0.0, 1.0), (0.0, 1.0), 3),
     ]
-    assert len({plain_bytes(distance_rad) for distance_rad in ways}) == len(ways)
+    assert len({serialized_bytes(distance_rad) for distance_rad in trajectories}) == len(
+        trajectories
+    )

@@ -25,7 +25,7 @@ thumb = [5.0, 5.0, 15.0, 0.0]
 
 def test_a_curve_meets_its_points_and_rests_at_the_ends() -> None:
     times, angles = (0.0, 0.4, 1.0, 1.5), (0.1, 0.5, 0.2, 0.9)
-    curve = CurveTrajectory.through_points(times, angles, 3)
+    curve = CurveTrajectory.curve_through_points(times, angles, 3)
     for t, angle in zip(times, angles, strict=True):
         np.testing.assert_allclose(curve.motion_at(t)[0], np.full(3, angle), atol=1e-12)
     for t in (0.0, curve.duration):
@@ -35,7 +35,10 @@ def test_a_curve_meets_its_points_and_rests_at_the_ends() -> None:
 
 
 def test_velocity_and_acceleration_are_the_derivatives() -> None:
-    curve, h = CurveTrajectory.through_points((0.0, 0.3, 0.9, 1.4), (0.0, 0.6, 0.1, 0.4), 1), 1e-5
+    curve, h = (
+        CurveTrajectory.curve_through_points((0.0, 0.3, 0.9, 1.4), (0.0, 0.6, 0.1, 0.4), 1),
+        1e-5,
+    )
     for t in np.linspace(0.05, 1.35, 40):
         (position_before, _, _), (_, speed, acceleration), (position_after, _, _) = (
             curve.motion_at(t + d) for d in (-h, 0.0, h)
@@ -46,9 +49,9 @@ def test_velocity_and_acceleration_are_the_derivatives() -> None:
 
 
 def test_peak_speed_is_the_largest_on_the_way() -> None:
-    curve = CurveTrajectory.through_points((0.0, 0.3, 0.9, 1.4), (0.0, 0.6, 0.1, 0.4), 1)
-    sampled = max(abs(curve.motion_at(t)[1][0]) for t in np.linspace(0.0, 1.4, 20001))
-    assert curve.peak_speed() == pytest.approx(sampled, rel=1e-6)
+    curve = CurveTrajectory.curve_through_points((0.0, 0.3, 0.9, 1.4), (0.0, 0.6, 0.1, 0.4), 1)
+    peak_sampled_speed = max(abs(curve.motion_at(t)[1][0]) for t in np.linspace(0.0, 1.4, 20001))
+    assert curve.peak_speed() == pytest.approx(peak_sampled_speed, rel=1e-6)
 
 
 def test_a_file_becomes_a_slow_move_and_the_curve(tmp_path: Path) -> None:
@@ -90,7 +93,7 @@ def test_radians_are_not_degrees(tmp_path: Path) -> None:
     path.write_text(VALID_TRAJECTORY)
     follow = load_trajectory(path).phase[1]
     assert isinstance(follow, FollowPhase)
-    curve = CurveTrajectory.through_points(
+    curve = CurveTrajectory.curve_through_points(
         follow.time_s, tuple(map(math.radians, follow.angle_deg["index"])), 1
     )
     assert curve.motion_at(0.5)[0][0] == pytest.approx(math.radians(20.0))

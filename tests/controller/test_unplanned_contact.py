@@ -14,14 +14,14 @@ from handctl.core.estimation.blocked_digits import (
 from handctl.core.hand_model import HandModel
 from handctl.programs.live_session import JogProgram
 from handctl.programs.requests import MoveDigitsRequest
-from tests.controller.law_runs import temperatures_for_limits, tension_limits_of
+from tests.controller.control_law_runs import temperatures_for_limits, tension_limits_of
 from tests.controller.plant_run import PlantRun, model_of, run_on_plant
 from tests.controller.synthetic_states import (
     SyntheticEstimate,
     active_state,
     balanced_state,
     detect_contacts,
-    exact_estimate,
+    estimate_from_states,
 )
 
 
@@ -32,7 +32,7 @@ def estimate_with_unexplained_tension(
 
     An object causes this tension.
     """
-    return exact_estimate(model, balanced_state(model, 0.5))._replace(
+    return estimate_from_states(model, balanced_state(model, 0.5))._replace(
         external_tension=np.full(model.tendon_count, unexplained_tension)
     )
 

@@ -73,7 +73,7 @@ def test_frames_of_others_do_not_make_a_duplicate_a_second_node(
     active_bench: ControllerBench,
 ) -> None:
     """Only frames that were decoded as the feedback of a motor count as replies of this motor."""
-    active_bench.change_host_frames = lambda frames: [
+    active_bench.modify_frames_to_host = lambda frames: [
         *frames,
         *[f for f in frames if f.can_id == 0x11],
         Frame(0x11, bytes([0x12] * 8)),
@@ -84,7 +84,7 @@ def test_frames_of_others_do_not_make_a_duplicate_a_second_node(
 def test_two_different_replies_show_a_second_node_despite_frames_between_them(
     active_bench: ControllerBench,
 ) -> None:
-    active_bench.change_host_frames = lambda frames: [
+    active_bench.modify_frames_to_host = lambda frames: [
         *frames,
         Frame(0x11, bytes(7)),
         UNREQUESTED_REPLY,
@@ -94,16 +94,16 @@ def test_two_different_replies_show_a_second_node_despite_frames_between_them(
 
 @pytest.mark.parametrize(("change_cell_reply", "expected_faults"), [
     (lambda cell: [cell, cell], ["B05"]),
-    (lambda cell: [cell, cell, with_older_counter(cell)], ["B05", "B07"]),
-    (lambda cell: [with_older_counter(cell), cell, cell], ["B04", "B05"]),
-    (lambda cell: [cell, with_other_tension(cell)], ["B06"]),
-    (lambda cell: [cell, with_other_tension(cell), with_older_counter(cell), with_older_counter(cell)], ["B06", "B07"]),
-    (lambda cell: [cell, with_older_counter(cell)], ["B07"]),
+    (lambda cell: [cell, cell, frame_with_older_counter(cell)], ["B05", "B07"]),
+    (lambda cell: [frame_with_older_counter(cell), cell, cell], ["B04", "B05"]),
+    (lambda cell: [cell, frame_with_other_tension(cell)], ["B06"]),
+    (lambda cell: [cell, frame_with_other_tension(cell), *[frame_with_older_counter(cell)] * 2], ["B06", "B07"]),
+    (lambda cell: [cell, frame_with_older_counter(cell)], ["B07"]),
 ])  # fmt: skip
 def test_only_load_cell_replies_of_the_present_tick_count(
     active_bench, change_cell_reply, expected_faults
 ) -> None:
-    active_bench.change_host_frames = lambda frames: [
+    active_bench.modify_frames_to_host = lambda frames: [
         f
         for frame in frames
         for f in (change_cell_reply(frame) if is_load_cell_frame(active_bench, frame) else [frame])
@@ -115,38 +115,38 @@ def is_load_cell_frame(active_bench: ControllerBench, frame: Frame) -> bool:
     return frame.can_id == active_bench.controller.sensors.ids[0]
 
 
-def with_older_counter(cell_frame: Frame) -> Frame:
+def frame_with_older_counter(cell_frame: Frame) -> Frame:
     """Return a load-cell frame whose counter is that of another SYNC frame."""
     return cell_frame._replace(data=bytes([cell_frame.data[0] ^ 1]) + cell_frame.data[1:])
 
 
-def with_other_tension(cell_frame: Frame) -> Frame:
+def frame_with_other_tension(cell_frame: Frame) -> Frame:
     """Return a load-cell frame with the same counter, but with another tension."""
     return cell_frame._replace(data=bytes([cell_frame.data[0] ^ 0x10]) + cell_frame.data[1:])
 
 
-@pytest.mark.parametrize(("open_requests", "reply_letters", "expected_faults"), [
+@pytest.mark.parametrize(("open_requests", "reply_variants", "expected_faults"), [
     (1, "AA", "B05"), (1, "AB", "B06"), (1, "ABB", "B06"), (1, "AAB", "B06"), (1, "AAA", "B05"),
     (2, "ABB", "B05"), (2, "AAB", "B06"), (2, "ABA", "B06"), (2, "AB", None),
 ])  # fmt: skip
 def test_only_replies_in_excess_are_compared_with_the_expected_reply(
-    active_bench, open_requests, reply_letters, expected_faults
+    active_bench, open_requests, reply_variants, expected_faults
 ) -> None:
     """A late reply to an older request is expected, so its bytes may differ from those of the newest reply."""
     if open_requests == 2:
-        active_bench.change_host_frames = lambda frames: [
+        active_bench.modify_frames_to_host = lambda frames: [
             frame for frame in frames if frame.can_id != 0x11
         ]
         active_bench.tick()
-    active_bench.change_host_frames = lambda frames: [
-        f for frame in frames for f in change_first_motor(frame, reply_letters)
+    active_bench.modify_frames_to_host = lambda frames: [
+        f for frame in frames for f in copies_of_motor_reply(frame, reply_variants)
     ]
     reported = [id_ for id_ in reported_faults(active_bench.tick()) if id_ in ("B05", "B06")]
     assert reported == ([expected_faults] if expected_faults else [])
 
 
-def change_first_motor(motor_reply: Frame, reply_letters: str) -> list[Frame]:
-    """Return one copy of a motor's reply for each letter of ``reply_letters``.
+def copies_of_motor_reply(motor_reply: Frame, reply_variants: str) -> list[Frame]:
+    """Return one copy of a motor's reply for each letter of ``reply_variants``.
 
     The copy for A is unchanged. The copy for B has another temperature. Each reply of another motor
     is returned once and unchanged.
@@ -156,4 +156,4 @@ def change_first_motor(motor_reply: Frame, reply_letters: str) -> list[Frame]:
     other_motor_reply = motor_reply._replace(
         data=motor_reply.data[:7] + bytes([motor_reply.data[7] ^ 1])
     )
-    return [motor_reply if kind == "A" else other_motor_reply for kind in reply_letters]
+    return [motor_reply if kind == "A" else other_motor_reply for kind in reply_variants]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handctl.compiled import kernel
-from handctl.core.block_schema import BlockArray, TablePlaces
+from handctl.core.block_schema import BlockArray, TableOffsets
 from handctl.core.constants import constant_tables
 from handctl.core.estimation import varying_moment_arms
 from handctl.core.gains.gains import Gains
@@ -19,10 +19,10 @@ from handctl.hand.hand_loading import packaged_hands
 from handctl.hand.tendons import excursions
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatorSettings, homed_controller
+from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
 from tests.conftest import NIGHTLY
 from tests.controller.synthetic_states import active_state
-from tests.hand.varying_arms import hand_with_varying_arms
+from tests.hand.varying_arm_hands import hand_with_varying_arms
 
 PACKAGED_HANDS = packaged_hands()
 RATE_HZ = 400.0
@@ -32,21 +32,21 @@ SIMULATOR_SEEDS = range(20) if NIGHTLY else range(2)
 @kernel("block", "layout", "block", "layout")
 def _update_structure(
     block: BlockArray,
-    state_places: TablePlaces,
+    state_places: TableOffsets,
     constants: BlockArray,
-    constant_places: TablePlaces,
+    constant_places: TableOffsets,
 ) -> None:
-    varying_moment_arms.update_structure(
+    varying_moment_arms.update_moment_arm_tables(
         state_tables(block, state_places), constant_tables(constants, constant_places)
     )
 
 
 @kernel("block", "layout", "constants", "layout", "count", "count", "real")
-def _arm_and_slope(
+def _excursion_and_derivatives(
     block: BlockArray,
-    state_places: TablePlaces,
+    state_places: TableOffsets,
     constants: BlockArray,
-    constant_places: TablePlaces,
+    constant_places: TableOffsets,
     tendon_index: int,
     joint_index: int,
     joint_angle: float,
@@ -55,7 +55,7 @@ def _arm_and_slope(
     return np.array([
         varying_moment_arms.joint_excursion(c, tendon_index, joint_index, joint_angle),
         varying_moment_arms.moment_arm(c, tendon_index, joint_index, joint_angle),
-        varying_moment_arms.arm_slope(c, tendon_index, joint_index, joint_angle),
+        varying_moment_arms.moment_arm_slope(c, tendon_index, joint_index, joint_angle),
     ])  # fmt: skip
 
 
@@ -80,7 +80,7 @@ def test_the_structure_tables_are_those_at_the_present_angles(hand_name: str) ->
             state.view("excursion")[digit.tendons] = excursions(digit, q[digit.joints])
         state.view("q")[...] = np.nan if seed == 0 else chance.uniform(0.0, 1.0, len(q))
         _update_structure(
-            state.block, state.layout.places, constants.block, constants.layout.places
+            state.block, state.layout.offsets, constants.block, constants.layout.offsets
         )
         view = {field: constants.layout.view(constants.block, field) for field in STRUCTURE_FIELDS}
         free = view["excursion_to_joints"] @ state.view("excursion") + view["angle_offset"]
@@ -132,11 +132,11 @@ def test_arm_and_slope_are_derivatives_of_the_excursion() -> None:
     model = model_of("jamia11")
     constants = HandConstants(model, {})
     state = active_state(model)
-    places = (state.block, state.layout.places, constants.block, constants.layout.places)
+    places = (state.block, state.layout.offsets, constants.block, constants.layout.offsets)
     for q in np.random.default_rng(3).uniform(-0.2, 2.0, 20).tolist():
         step = 1e-5
         values_at_angle, values_before, values_after = (
-            _arm_and_slope(*places, 2, 1, angle) for angle in (q, q - step, q + step)
+            _excursion_and_derivatives(*places, 2, 1, angle) for angle in (q, q - step, q + step)
         )
         np.testing.assert_allclose(
             (values_after - values_before)[:2] / (2 * step), values_at_angle[1:], atol=1e-8

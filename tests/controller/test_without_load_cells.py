@@ -25,7 +25,7 @@ from handctl.programs.commission import CommissionProgram, calibration_of_result
 from handctl.programs.program import Program
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
+from handctl.session.lockstep_simulation import SimulatedRun, SimulatorSettings, homed_controller
 
 RATE_HZ = 500.0
 SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
@@ -176,11 +176,11 @@ def test_hand_commissions_with_the_tares_of_its_load_cells(
         calibration = calibration_of_result(
             model_of(*tendons_without_cells), run.state.progress, "2026-01-01T00:00:00+00:00"
         )
-        assert not calibration.tare(hand)[~hand.has_cell].any()
+        assert not calibration.tare_tensions(hand)[~hand.has_cell].any()
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
-        travel_errors = (calibration.zero(hand) - offset) * model_of(
+        travel_errors = (calibration.motor_zeros(hand) - offset) * model_of(
             *tendons_without_cells
-        ).space.spool
+        ).tendon_constants.spool_radius
         np.testing.assert_allclose(travel_errors, 0.0, atol=5e-5)
 
 
@@ -203,14 +203,17 @@ def test_it_grasps_holds_and_lets_go_and_the_error_is_within_its_sigma(seed: int
 def test_limits_are_stricter_by_the_sigma_of_the_estimate() -> None:
     file = hand_without_cells()
     bare_model = model_of("index_tendon")
-    margin = bare_model.blind_margin
+    margin = bare_model.margin_without_cell
     assert margin[0] > 2.0
     assert not margin[1:].any()
     assert bare_model.ceiling[0] == file.tendon[0].tension_max_N - margin[0]
     controller = homed_controller(bare_model, TaskProgram(CYLINDER_TASK))
-    assert controller.derived.limits.tension_trip[0] == file.tendon[0].tension_trip_N - margin[0]
-    assert controller.derived.limits.tension_trip[1] == file.tendon[1].tension_trip_N
-    assert margin[0] == MARGIN_SIGMAS_WITHOUT_CELL * bare_model.filter.held_tension_sigma[0]
+    assert (
+        controller.derived_constants.limits.tension_trip[0]
+        == file.tendon[0].tension_trip_N - margin[0]
+    )
+    assert controller.derived_constants.limits.tension_trip[1] == file.tendon[1].tension_trip_N
+    assert margin[0] == MARGIN_SIGMAS_WITHOUT_CELL * bare_model.filter_design.held_tension_sigma[0]
 
 
 def test_a_hand_without_sensors_sends_no_sync() -> None:

@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 
-from tests.docs.command_blocks import (
+from tests.docs.code_blocks import (
     REPOSITORY_ROOT,
     is_executed,
     is_file_block,
     keeps_running,
-    read_blocks,
-    run_blocks,
+    read_code_blocks,
+    run_code_blocks,
 )
 
 PAGE_FILES = sorted(
@@ -27,9 +27,10 @@ PAGE_FILES = sorted(
     ]
 )
 BLOCKS_BY_PAGE = {
-    path.relative_to(REPOSITORY_ROOT / "docs").as_posix(): read_blocks(path) for path in PAGE_FILES
+    path.relative_to(REPOSITORY_ROOT / "docs").as_posix(): read_code_blocks(path)
+    for path in PAGE_FILES
 }
-EXECUTED_BLOCKS = {
+EXECUTED_BLOCKS_BY_PAGE = {
     page: [block for block in blocks if is_executed(block)]
     for page, blocks in BLOCKS_BY_PAGE.items()
 }
@@ -44,12 +45,12 @@ Each of these pages takes a minute. Ordinary test runs execute the same commands
 """
 
 
-def page_cases() -> Iterator[Any]:
+def page_test_cases() -> Iterator[Any]:
     """Yield the pages that contain commands, with the markers of their tests.
 
     Pages that start a process in real time get the marker of the tests on the real clock.
     """
-    for page, blocks in EXECUTED_BLOCKS.items():
+    for page, blocks in EXECUTED_BLOCKS_BY_PAGE.items():
         if any(block.language == "sh" for block in blocks):
             marks = (
                 [pytest.mark.realtime, pytest.mark.alone] if any(map(keeps_running, blocks)) else []
@@ -59,9 +60,9 @@ def page_cases() -> Iterator[Any]:
             yield pytest.param(page, marks=marks)
 
 
-@pytest.mark.parametrize("page", list(page_cases()))
+@pytest.mark.parametrize("page", list(page_test_cases()))
 def test_the_commands_of_a_page_run(page: str) -> None:
-    run_blocks(EXECUTED_BLOCKS[page])
+    run_code_blocks(EXECUTED_BLOCKS_BY_PAGE[page])
 
 
 def test_every_block_has_a_known_kind() -> None:

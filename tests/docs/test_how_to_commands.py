@@ -16,28 +16,28 @@ from typing import Any
 import pytest
 
 from handctl.hand.hand_loading import hand_path
-from tests.docs.command_blocks import (
+from tests.docs.code_blocks import (
     REPOSITORY_ROOT,
     FencedBlock,
     is_executed,
     is_file_block,
     keeps_running,
-    read_blocks,
-    run_blocks,
+    read_code_blocks,
+    run_code_blocks,
 )
 
 DOCS_FOLDER = REPOSITORY_ROOT / "docs"
 PAGES_TESTED_ELSEWHERE = {"how-to/lerobot.md": "tests/lerobot/test_environment.py"}
 """Pages whose commands another test runs, because these commands need further packages."""
 BLOCKS_BY_PAGE = {
-    path.relative_to(DOCS_FOLDER).as_posix(): read_blocks(path)
+    path.relative_to(DOCS_FOLDER).as_posix(): read_code_blocks(path)
     for path in (
         *sorted((DOCS_FOLDER / "how-to").glob("*.md")),
         DOCS_FOLDER / "reference" / "tasks.md",
     )
     if path.relative_to(DOCS_FOLDER).as_posix() not in PAGES_TESTED_ELSEWHERE
 }
-EXECUTED_BLOCKS = {
+EXECUTED_BLOCKS_BY_PAGE = {
     page: [block for block in blocks if is_executed(block)]
     for page, blocks in BLOCKS_BY_PAGE.items()
 }
@@ -56,7 +56,7 @@ SIMULATOR_COMMANDS = {
     ),
 }
 """Commands of simulators that replace the hardware of a page."""
-ANSWERED_COMMANDS = {"how-to/drive-modes.md": ("handctl jog ", "handctl jog --yes ")}
+CONFIRMED_COMMAND_BY_PAGE = {"how-to/drive-modes.md": ("handctl jog ", "handctl jog --yes ")}
 """Commands that ask before they move a motor.
 
 For the test, each command is replaced by one that contains the answer.
@@ -87,15 +87,15 @@ def file_writer_for_page(page: str) -> Callable[[Path], None]:
     )
 
 
-def page_cases() -> Iterator[Any]:
+def page_test_cases() -> Iterator[Any]:
     """Yield one test case of pytest for each page that contains commands."""
-    for page, blocks in EXECUTED_BLOCKS.items():
+    for page, blocks in EXECUTED_BLOCKS_BY_PAGE.items():
         if any(block.language == "sh" and not keeps_running(block) for block in blocks):
-            live = page in SIMULATOR_COMMANDS or any(map(keeps_running, blocks))
+            is_realtime = page in SIMULATOR_COMMANDS or any(map(keeps_running, blocks))
             yield pytest.param(
                 page,
                 marks=REALTIME_MARKS
-                if live
+                if is_realtime
                 else []
                 if page in PAGES_WITH_SHORT_COMMANDS
                 else [pytest.mark.nightly],
@@ -103,27 +103,25 @@ def page_cases() -> Iterator[Any]:
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("page", list(page_cases()))
+@pytest.mark.parametrize("page", list(page_test_cases()))
 def test_the_commands_of_a_page_run(page: str) -> None:
-    question_words, answered = ANSWERED_COMMANDS.get(page, ("", ""))
+    command, confirmed_command = CONFIRMED_COMMAND_BY_PAGE.get(page, ("", ""))
     blocks = [
-        block._replace(text=block.text.replace(question_words, answered))
-        if question_words
-        else block
-        for block in EXECUTED_BLOCKS[page]
+        block._replace(text=block.text.replace(command, confirmed_command)) if command else block
+        for block in EXECUTED_BLOCKS_BY_PAGE[page]
     ]
-    run_blocks(blocks, file_writer_for_page(page), SIMULATOR_COMMANDS.get(page, ()))
+    run_code_blocks(blocks, file_writer_for_page(page), SIMULATOR_COMMANDS.get(page, ()))
 
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("page", [
     pytest.param(page, marks=REALTIME_MARKS)
-    for page, blocks in EXECUTED_BLOCKS.items() if any(block.language == "python" for block in blocks)
+    for page, blocks in EXECUTED_BLOCKS_BY_PAGE.items() if any(block.language == "python" for block in blocks)
 ])  # fmt: skip
 def test_the_programs_of_a_page_run(page: str) -> None:
-    programs = [block for block in EXECUTED_BLOCKS[page] if block.language == "python"]
+    programs = [block for block in EXECUTED_BLOCKS_BY_PAGE[page] if block.language == "python"]
     calls = [FencedBlock("sh", "", f"python {block.title}\n") for block in programs]
-    run_blocks([*programs, *calls], file_writer_for_page(page), (SIMULATED_HAND,))
+    run_code_blocks([*programs, *calls], file_writer_for_page(page), (SIMULATED_HAND,))
 
 
 @pytest.mark.realtime
@@ -144,7 +142,7 @@ def test_the_commands_of_the_readme_run() -> None:
     commands = [FencedBlock("sh", "", line) for line in lines if line.strip() not in simulators]
     # Use a smaller time scale, as the README recommends for a slow machine. The machine of the test
     # is slow while other tests run.
-    run_blocks(
+    run_code_blocks(
         commands, partial(prepare_folder, "jamia-grasp"), [f"{simulators[0]} --time-scale 0.3"]
     )
 

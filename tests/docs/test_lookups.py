@@ -95,9 +95,9 @@ def test_the_page_has_these_numbers() -> None:
     expected_rows = [(q, str(click_count(page, anchor)), str(word_count_before_answer(page, anchor, answer)))
                      for q, (page, anchor, answer) in ANSWER_BY_QUESTION.items()]  # fmt: skip
     assert [row[:2] for row in rows] == [row[:2] for row in expected_rows]
-    far_section_lines = [
+    wrong_word_counts = [
         row
         for row, expected_row in zip(rows, expected_rows, strict=True)
         if abs(int(row[2]) - int(expected_row[2])) > TOLERANCE_WORDS
     ]
-    assert far_section_lines == []
+    assert wrong_word_counts == []

@@ -22,7 +22,7 @@ RELATIVE_TOLERANCE, ROUNDING_TOLERANCE = 0.15, 0.051
 
 def test_the_numbers_are_fresh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*DEMO_COMMAND, "--log", str(tmp_path / "demo.mcap")]) == 0
-    fresh_text = " ".join(
+    computed_text = " ".join(
         f"{name} {value}" for name, value in rows_of_result(json.loads(capsys.readouterr().out))
     )
     for page in PAGES_WITH_NUMBERS:
@@ -30,7 +30,7 @@ def test_the_numbers_are_fresh(tmp_path: Path, capsys: pytest.CaptureFixture[str
         assert len(places) == 1, page
         written = " ".join(places[0].splitlines()[2:])
         pairs = zip(
-            NUMBER_PATTERN.findall(written), NUMBER_PATTERN.findall(fresh_text), strict=True
+            NUMBER_PATTERN.findall(written), NUMBER_PATTERN.findall(computed_text), strict=True
         )
         off = [
             (a, b)

@@ -82,5 +82,5 @@ def rig() -> MotorRig:
     return MotorRig(drive, ScriptedMotor(), drive.initial_state())
 
 
-def mit_drive_of(**section_changes: object) -> MitDrive:
+def make_mit_drive(**section_changes: object) -> MitDrive:
     return MitDrive.from_motor(replace(MotorSection(), **section_changes), 0)  # type: ignore[arg-type]

@@ -61,11 +61,11 @@ def _lerobot_motor(node_id: int) -> Motor:
 def _turn_by_torque(bus: RobstrideMotorsBus, motor_name: str) -> None:
     start = float(bus.read("Present_Position", motor_name))
 
-    def turned() -> bool:
+    def has_turned() -> bool:
         bus._mit_control(motor_name, 0.0, 0.0, 0.0, 0.0, 0.1)
         return float(bus.read("Present_Position", motor_name)) > start + 20.0
 
-    _wait_until(turned, "turned by a torque")
+    _wait_until(has_turned, "turned by a torque")
     bus._mit_control(motor_name, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 

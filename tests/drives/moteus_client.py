@@ -10,9 +10,9 @@ from typing import Any
 import moteus  # type: ignore[import-untyped,unused-ignore]
 from moteus.pythoncan_device import PythonCanDevice  # type: ignore[import-untyped,unused-ignore]
 
-TRAVEL_TURNS = 0.1
+MOTION_TURNS = 0.1
 MAX_STEP_ATTEMPTS = 400
-TRY_INTERVAL_S = 0.005
+RETRY_INTERVAL_S = 0.005
 CLIENT_TIMEOUT_S = 60.0
 VALUE_RESOLUTIONS = (moteus.INT8, moteus.INT16, moteus.INT32, moteus.F32)
 
@@ -42,7 +42,7 @@ async def _step_until(make_step: Any, is_condition_met: Any, expected_event: str
         result = await make_step()
         if is_condition_met(result.values):
             return result.values
-        await asyncio.sleep(TRY_INTERVAL_S)
+        await asyncio.sleep(RETRY_INTERVAL_S)
     raise AssertionError(f"never: {expected_event}; {result.values}")
 
 
@@ -77,32 +77,32 @@ async def _use_controller(controller: Any, transport: Any, node_id: int) -> None
             maximum_torque=0.1, watchdog_timeout=1.0, query=True,
         )  # fmt: skip
 
-    turned_state = await _step_until(
+    moving_values = await _step_until(
         command_torque,
-        lambda reply_values: reply_values[register.POSITION] > TRAVEL_TURNS,
+        lambda reply_values: reply_values[register.POSITION] > MOTION_TURNS,
         "turned by a torque",
     )
-    assert turned_state[register.MODE] == mode.POSITION
-    assert math.isclose(turned_state[register.TORQUE], 0.05, abs_tol=0.02)
-    goal = turned_state[register.POSITION] - TRAVEL_TURNS
+    assert moving_values[register.MODE] == mode.POSITION
+    assert math.isclose(moving_values[register.TORQUE], 0.05, abs_tol=0.02)
+    goal = moving_values[register.POSITION] - MOTION_TURNS
 
     async def hold() -> Any:
         return await controller.set_position(
             position=goal, velocity=0.0, maximum_torque=0.5, query=True
         )
 
-    held_state = await _step_until(
+    holding_values = await _step_until(
         hold, lambda reply_values: abs(reply_values[register.VELOCITY]) < 0.05, "stands"
     )
     for _ in range(MAX_STEP_ATTEMPTS):
-        held_state = (await hold()).values
+        holding_values = (await hold()).values
         if (
-            abs(held_state[register.POSITION] - goal) < 0.02
-            and abs(held_state[register.VELOCITY]) < 0.05
+            abs(holding_values[register.POSITION] - goal) < 0.02
+            and abs(holding_values[register.VELOCITY]) < 0.05
         ):
             break
-        await asyncio.sleep(TRY_INTERVAL_S)
-    assert abs(held_state[register.POSITION] - goal) < 0.02, "held at a position"
+        await asyncio.sleep(RETRY_INTERVAL_S)
+    assert abs(holding_values[register.POSITION] - goal) < 0.02, "held at a position"
     await controller.set_position(position=math.nan, watchdog_timeout=0.05, query=True)
     await asyncio.sleep(0.2)
     late_state = await _step_until(

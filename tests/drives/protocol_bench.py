@@ -13,7 +13,7 @@ from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.drives.sensors.sensor_node import SensorNode
-from handctl.hand.file.sections import Motor
+from handctl.hand.file.section_models import Motor
 from handctl.hand.hand_loading import load_hand
 
 PERIOD_NS = 2_000_000
@@ -39,19 +39,19 @@ def hand_file(hand_folder: Path, protocols: Sequence[str], added_text: str = "")
             last protocol.
         added_text: text with further options of every motor.
     """
-    head, *motors = load_hand("jamia").to_toml().split("[[motor]]")
-    for i, text in enumerate(motors):
+    text_before_motors, *motor_texts = load_hand("jamia").to_toml().split("[[motor]]")
+    for i, text in enumerate(motor_texts):
         protocol = protocols[min(i, len(protocols) - 1)]
         text = text.replace('"mit"', f'"{protocol}"')
         text = re.sub(r"node_id = \d+", f"node_id = {FIRST_NODE_ID + i}", text)
         options = OPTIONS_TEXT_BY_PROTOCOL[protocol] + added_text
-        if PROTOCOL_TRAITS[protocol].can_fd and "data_bitrate" not in head:
-            head = head.replace(
+        if PROTOCOL_TRAITS[protocol].can_fd and "data_bitrate" not in text_before_motors:
+            text_before_motors = text_before_motors.replace(
                 "bitrate = 1000000\n", "bitrate = 1000000\ndata_bitrate = 5000000\n"
             )
-        motors[i] = text.rstrip() + "\n" + options + "\n" if options else text
+        motor_texts[i] = text.rstrip() + "\n" + options + "\n" if options else text
     path = hand_folder / "hand.toml"
-    path.write_text("[[motor]]".join([head, *motors]))
+    path.write_text("[[motor]]".join([text_before_motors, *motor_texts]))
     return path
 
 

@@ -26,7 +26,8 @@ class PackagedHandBench:
         """Start the simulator and the drives of the packaged hand."""
         self.simulated_hand = LockstepHand("jamia", seed=3, period_ns=PERIOD_NS)
         self.drives: list[Drive] = [
-            make_drive(PACKAGED_HAND.motor_of(name), 0) for name in PACKAGED_HAND.tendon_names
+            make_drive(PACKAGED_HAND.motor_of_tendon(name), 0)
+            for name in PACKAGED_HAND.tendon_names
         ]
         self.states: list[DriveState] = [drive.initial_state() for drive in self.drives]
         self.sensor_node = SensorNode.from_description(

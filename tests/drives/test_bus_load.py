@@ -80,9 +80,9 @@ def crc15(bit_text: str) -> str:
 
 @given(st.integers(0, 0x7FF), random_payloads)
 def test_no_classical_frame_takes_longer_than_its_worst_case(can_id: int, payload: bytes) -> None:
-    head = "0" + format(can_id, "011b") + "000" + format(len(payload), "04b")
-    body = head + "".join(format(byte, "08b") for byte in payload)
-    bits = len(stuff_bits(body + crc15(body))) + 13
+    header_bits = "0" + format(can_id, "011b") + "000" + format(len(payload), "04b")
+    frame_bits = header_bits + "".join(format(byte, "08b") for byte in payload)
+    bits = len(stuff_bits(frame_bits + crc15(frame_bits))) + 13
     assert bits / NOMINAL_BITRATE <= frame_time_s(len(payload), False, NOMINAL_BITRATE) + 1e-12
 
 

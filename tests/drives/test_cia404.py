@@ -16,13 +16,13 @@ from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.core.tick_types import HandMode
 from handctl.drives.cia404.load_cells import Cia404LoadCells
 from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.dbc_export import dbc_of_bus
+from handctl.drives.dbc_export import export_bus_dbc
 from handctl.drives.frame import Frame
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_from_content, load_hand
 from handctl.runtime.diagnostics.bus_scan import scan_bus
-from handctl.session.simulate import SimulatedRun
+from handctl.session.lockstep_simulation import SimulatedRun
 from tests.drives.wired_drives import WiredDrives
 
 TENDON_NAMES = ("a", "b", "c")
@@ -35,7 +35,7 @@ AMPLIFIER_KEYS: dict[str, Any] = {
     "channels_per_node": 2,
     "range_N": 300.0,
 }
-KEYS_OF_SENSOR_NODE = ("base_id", "joints", "joint_decimation", "joint_noise_rad")
+SENSOR_NODE_KEYS = ("base_id", "joints", "joint_decimation", "joint_noise_rad")
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,7 @@ def hand_with_amplifiers(hand_name: str = "jamia", **changed_keys: Any) -> Hand:
     """Return a packaged hand whose load cells are on CiA 404 amplifiers."""
     content = load_hand(hand_name).content
     node = {
-        key: value
-        for key, value in content["sensor_node"].items()
-        if key not in KEYS_OF_SENSOR_NODE
+        key: value for key, value in content["sensor_node"].items() if key not in SENSOR_NODE_KEYS
     }
     return hand_from_content(
         {**content, "sensor_node": {**node, **AMPLIFIER_KEYS, **changed_keys}}, hand_name
@@ -138,7 +136,7 @@ def test_channels_go_to_further_tpdos() -> None:
 )
 def test_the_dbc_decodes_the_same_tensions(value_format: str, raw_bytes: bytes) -> None:
     hand = hand_with_amplifiers(process_value=value_format)
-    text = dbc_of_bus(0, make_drives(hand), make_sensors(hand), hand.tendon_names, hand.joints)
+    text = export_bus_dbc(0, make_drives(hand), make_sensors(hand), hand.tendon_names, hand.joints)
     database = cantools.database.load_string(text, "dbc", strict=True)
     decoded_tensions = database.decode_message(0x1A1, raw_bytes)  # type: ignore[union-attr]
     assert decoded_tensions == pytest.approx({"index_tendon": 1.5, "middle_tendon": -2e-3})
@@ -278,7 +276,7 @@ WRONG_OBJECTS: dict[str, tuple[Callable[[Any], None], str]] = {
 def test_a_wrong_object_refuses_to_arm(wrong_object: str) -> None:
     change_object, text = WRONG_OBJECTS[wrong_object]
     with homed_run(hand_with_amplifiers(), 500.0, 0) as simulation:
-        change_object(nodes_of(simulation)[0])
+        change_object(simulated_nodes(simulation)[0])
         assert simulation.run_until(lambda out: out.mode == HandMode.DONE, 4.0)
     assert simulation.state.failure == f"amplifier 0x21: {text}"
     assert not any(
@@ -289,7 +287,7 @@ def test_a_wrong_object_refuses_to_arm(wrong_object: str) -> None:
 @pytest.mark.nightly
 def test_a_missing_amplifier_is_named() -> None:
     with homed_run(hand_with_amplifiers(), 500.0, 0) as simulation:
-        nodes_of(simulation)[1].ids = frozenset()
+        simulated_nodes(simulation)[1].ids = frozenset()
         simulation.simulated_hand.world.refresh_identifiers()  # type: ignore[attr-defined]
         assert simulation.run_until(lambda out: out.mode == HandMode.DONE, 5.0)
     assert simulation.state.failure == "no answer from amplifier 0x22"
@@ -301,7 +299,7 @@ def test_frames_before_the_set_up_are_not_used() -> None:
     In this unit, the numbers are 100 times the tension.
     """
     with homed_run(hand_with_amplifiers(), 500.0, 0) as simulation:
-        for node in nodes_of(simulation):
+        for node in simulated_nodes(simulation):
             node.receive(WireFrame(0x000, bytes((0x01, 0x00))), 0)
             node.objects[0x1800, 2] = 1
         groups = simulation.state.view("group_frames")
@@ -329,13 +327,13 @@ def test_a_restart_needs_the_set_up_again_and_not_while_torque_may_act(
 # Faults of the amplifiers.
 
 
-def nodes_of(simulation: SimulatedRun) -> list[Any]:
+def simulated_nodes(simulation: SimulatedRun) -> list[Any]:
     """Return the simulated amplifiers of a run."""
     return simulation.simulated_hand.world.sensor_nodes  # type: ignore[attr-defined]
 
 
-def faults_of(
-    hand: Hand, seed: int, disturb_function: Callable[[SimulatedRun], None], tick_count: int = 60
+def observed_faults(
+    hand: Hand, seed: int, disturb: Callable[[SimulatedRun], None], tick_count: int = 60
 ) -> tuple[set[str], int]:
     """Disturb a grasp.
 
@@ -344,7 +342,7 @@ def faults_of(
     """
     with homed_run(hand, 500.0, seed) as simulation:
         advance_to_stage(simulation, GRASP_STAGE)
-        disturb_function(simulation)
+        disturb(simulation)
         fault_ids: set[str] = set()
         first_tick = -1
         for i in range(tick_count):
@@ -360,7 +358,7 @@ def fault_injection(fault_text: str) -> Callable[[SimulatedRun], None]:
 
 
 def restart_all_nodes(simulation: SimulatedRun) -> None:
-    for node in nodes_of(simulation):
+    for node in simulated_nodes(simulation):
         node.restart()
 
 
@@ -380,15 +378,15 @@ NIGHTLY_CASES = [
 @pytest.mark.parametrize("fault_case", ["mute", *NIGHTLY_CASES])
 def test_a_fault_is_found_as_with_the_sensor_node_of_handctl(fault_case: str) -> None:
     text, row = FAULT_BY_CASE[fault_case]
-    own_faults = faults_of(load_hand("jamia"), 0, fault_injection(text))
-    amplifiers = faults_of(hand_with_amplifiers(), 0, fault_injection(text))
-    assert row in own_faults[0], own_faults
+    sensor_node_faults = observed_faults(load_hand("jamia"), 0, fault_injection(text))
+    amplifiers = observed_faults(hand_with_amplifiers(), 0, fault_injection(text))
+    assert row in sensor_node_faults[0], sensor_node_faults
     assert row in amplifiers[0], amplifiers
-    assert 0 <= amplifiers[1] <= own_faults[1] + 1, (own_faults, amplifiers)
+    assert 0 <= amplifiers[1] <= sensor_node_faults[1] + 1, (sensor_node_faults, amplifiers)
 
 
 def test_amplifiers_that_restart_in_a_grasp_relax_the_hand() -> None:
-    fault_ids, ticks = faults_of(hand_with_amplifiers(), 0, restart_all_nodes)
+    fault_ids, ticks = observed_faults(hand_with_amplifiers(), 0, restart_all_nodes)
     assert "N02" in fault_ids
     assert 0 <= ticks <= 17  # an amplifier that is silent for 30 ms causes a fault
 
@@ -399,7 +397,7 @@ def test_late_answers_are_delays_and_no_second_node() -> None:
     Earlier defect: a late reply and the next reply of the same amplifier caused the fault B06 (a
     conflicting duplicate frame).
     """
-    fault_ids, ticks = faults_of(
+    fault_ids, ticks = observed_faults(
         hand_with_amplifiers(), 0, fault_injection("delay node=sensors size=2.5 p=0.05")
     )
     assert (fault_ids, ticks) == ({"B04"}, -1)
@@ -407,7 +405,9 @@ def test_late_answers_are_delays_and_no_second_node() -> None:
 
 @pytest.mark.nightly
 def test_two_amplifiers_with_one_number_are_found() -> None:
-    fault_ids, ticks = faults_of(hand_with_amplifiers(), 0, fault_injection("twin node=sensors"))
+    fault_ids, ticks = observed_faults(
+        hand_with_amplifiers(), 0, fault_injection("twin node=sensors")
+    )
     assert "B06" in fault_ids
     assert 0 <= ticks <= 2
 
@@ -427,7 +427,7 @@ def test_a_hand_with_amplifiers_holds_a_grasp(seed: int) -> None:
                 else simulation.last_output.telemetry.tension - truth
             )
             assert abs(error).max() < 3.0
-            assert simulation.state.latched == ()
+            assert simulation.state.latched_faults == ()
 
 
 # Hand files with amplifiers.
@@ -479,11 +479,7 @@ def test_a_mistake_is_one_line(mistake_name: str) -> None:
         return
     content = load_hand("jamia").content
     node = (
-        {
-            key: value
-            for key, value in content["sensor_node"].items()
-            if key not in KEYS_OF_SENSOR_NODE
-        }
+        {key: value for key, value in content["sensor_node"].items() if key not in SENSOR_NODE_KEYS}
         | AMPLIFIER_KEYS
         | keys
     )

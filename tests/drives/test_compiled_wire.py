@@ -99,15 +99,15 @@ def are_states_equal(first_state: DriveState, second_state: DriveState, drive: D
     if isinstance(drive, Cia402Drive):
         first_state, second_state = (
             state._replace(
-                private=state.private._replace(
-                    life_sign_ns=max(state.private.life_sign_ns, state.feedback_t_ns)
+                protocol_state=state.protocol_state._replace(
+                    life_sign_ns=max(state.protocol_state.life_sign_ns, state.feedback_t_ns)
                 )
             )
             for state in (first_state, second_state)
         )
     numbers = [(first_state[i], second_state[i]) for i in range(1, 5)]
-    equal = all(a == b or (math.isnan(a) and math.isnan(b)) for a, b in numbers)
-    return equal and first_state[0] == second_state[0] and first_state[5:] == second_state[5:]
+    are_equal = all(a == b or (math.isnan(a) and math.isnan(b)) for a, b in numbers)
+    return are_equal and first_state[0] == second_state[0] and first_state[5:] == second_state[5:]
 
 
 def random_targets(random_source: random.Random) -> Iterator[DriveTarget]:
@@ -123,28 +123,28 @@ def random_targets(random_source: random.Random) -> Iterator[DriveTarget]:
 @pytest.mark.parametrize("variant_name", DRIVE_VARIANTS)
 def test_compiled_code_and_state_machine_give_equal_results(variant_name: str, seed: int) -> None:
     drive, begin, t_ns, heard = enable_drive(variant_name)
-    chance = random.Random(f"{variant_name} {seed}")
+    random_source = random.Random(f"{variant_name} {seed}")
     state, wired_drives, steady = begin, WiredDrives([drive], NO_SENSORS), 0
     wired_drives.store_drive_state(0, begin)
-    for _, target in zip(range(TICKS_PER_SEED), random_targets(chance), strict=False):
+    for _, target in zip(range(TICKS_PER_SEED), random_targets(random_source), strict=False):
         wired_drives.begin_tick()
-        for _ in range(chance.randrange(4)):
-            known_frames = [*heard, *open_reply(drive, state)]
-            good = chance.random() < 0.7
+        for _ in range(random_source.randrange(4)):
+            known_frames = [*heard, *reply_to_open_request(drive, state)]
+            is_known_frame = random_source.random() < 0.7
             frame = (
-                chance.choice(known_frames)._replace(t_ns=t_ns)
-                if good
-                else random_frame(chance, known_frames, t_ns)
+                random_source.choice(known_frames)._replace(t_ns=t_ns)
+                if is_known_frame
+                else random_frame(random_source, known_frames, t_ns)
             )
             state = drive.receive(state, frame)
             wired_drives.receive([frame])
             steady += not wired_drives.frames_for_drives
             assert are_states_equal(wired_drives.drive_state(0), state, drive), frame
-        torque = chance.uniform(-drive.command_limit, drive.command_limit)
+        torque = random_source.uniform(-drive.command_limit, drive.command_limit)
         state, frames = drive.advance(state, t_ns, target, torque)
         assert wired_drives.send(target, [torque], t_ns) == list(frames)
         assert are_states_equal(wired_drives.drive_state(0), state, drive)
-        if drive.steady_status(state) == NO_STEADY_STATUS and chance.random() < 0.3:
+        if drive.steady_status(state) == NO_STEADY_STATUS and random_source.random() < 0.3:
             state = state_enabled_at(begin, drive.node_id, t_ns)
             wired_drives.store_drive_state(0, state)
         t_ns += PERIOD_NS
@@ -156,19 +156,21 @@ def state_enabled_at(state: DriveState, node_id: int, t_ns: int) -> DriveState:
 
     In this state, the next read-back of a setting is already due.
     """
-    private = state.private
+    protocol_state = state.protocol_state
     clocks = ("heartbeat_ns", "life_sign_ns", "heartbeat_sent_ns", "temperature_request_ns")
-    times = {name: t_ns for name in clocks if name in private._fields}
+    times = {name: t_ns for name in clocks if name in protocol_state._fields}
     recheck = readback.first_recheck(node_id, t_ns - readback.RECHECK_PERIOD_NS)
-    return state._replace(feedback_t_ns=t_ns, recheck=recheck, private=private._replace(**times))
+    return state._replace(
+        feedback_t_ns=t_ns, recheck=recheck, protocol_state=protocol_state._replace(**times)
+    )
 
 
-def open_reply(drive: Drive, state: DriveState) -> list[Frame]:
+def reply_to_open_request(drive: Drive, state: DriveState) -> list[Frame]:
     """Return copies of the right reply to the pending request of a setting.
 
     Several copies make the right reply frequent among random frames.
     """
-    if not (state.recheck.waiting and drive.rechecks):
+    if not (state.recheck.is_waiting and drive.rechecks):
         return []
     return [drive.rechecks[state.recheck.step].reply] * 20
 
@@ -201,7 +203,7 @@ def test_compiled_code_reads_every_setting_again(name: str) -> None:
         assert wired_drives.drive_state(0).recheck == expected_recheck
         wired_drives.store_drive_state(0, waiting)
         bits = bytearray(checked_setting.reply.data)
-        bits[checked_setting.compared_bytes[1] - 1] ^= 1
+        bits[checked_setting.compared_byte_range[1] - 1] ^= 1
         wrong_reply = checked_setting.reply._replace(data=bytes(bits), t_ns=t_ns)
         wired_drives.receive([wrong_reply])
         assert wired_drives.frames_for_drives == [wrong_reply]
@@ -245,8 +247,8 @@ def test_an_enabled_drive_is_steady_until_it_is_due(variant_name: str) -> None:
     drive, state, t_ns, _ = enable_drive(variant_name)
     assert bool(drive.rechecks) == (variant_name in RECHECKED_VARIANTS)
     assert drive.steady_status(state) != NO_STEADY_STATUS
-    due = drive.due_ns(state)
-    assert due > t_ns - PERIOD_NS
+    due_ns = drive.due_ns(state)
+    assert due_ns > t_ns - PERIOD_NS
     for silent in (
         drive.initial_state(),
         state._replace(phase=DrivePhase.READY),
@@ -266,10 +268,10 @@ def test_cyclic_frames_are_what_the_bus_is_planned_for(variant_name: str) -> Non
         (message.length, bool(message.flags)) for message in drive.cyclic_messages.commands
     )
     requests = len(drive.cyclic_messages.commands) - 1 if isinstance(drive, OdriveDrive) else 1
-    planned = list(drive.frames_per_tick)
+    other_frames = list(drive.frames_per_tick)
     for command_layout in command_layouts:
-        planned.remove(command_layout)
-    assert len(planned) == requests
+        other_frames.remove(command_layout)
+    assert len(other_frames) == requests
     assert {message.can_id for message in drive.cyclic_messages.feedback} <= drive.node_ids
     assert {message.can_id for message in drive.cyclic_messages.commands} - {
         0x080

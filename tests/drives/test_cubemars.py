@@ -22,7 +22,7 @@ from handctl.drives.robstride import mit_mode
 from handctl.errors import ConfigError
 from handctl.runtime.diagnostics.conformance import CheckVerdict, DeviceUnderTest, run_checks
 from tests.drives.protocol_bench import ProtocolBench, hand_file, motor_on_bench, servo_torques
-from tests.drives.virtual_bench import VirtualBench, drive_rig_on
+from tests.drives.virtual_bench import VirtualBench, make_drive_rig
 
 TORQUE_STEP_N_M = 36.0 / 4095
 
@@ -68,9 +68,9 @@ def test_neither_silence_nor_an_answer_with_torque_in_it_confirms_that_it_is_off
         bench.tick(DriveTarget.DISABLE)
     assert {state.phase for state in bench.states} == {DrivePhase.ENABLED}
     drive, state = bench.drives[0], bench.states[0]
-    pulling = bytes((0x10, 0x80, 0, 0x7F, 0xF9, 0, 30, 0))
+    pulling_payload = bytes((0x10, 0x80, 0, 0x7F, 0xF9, 0, 30, 0))
     for tick in range(20):
-        state = drive.receive(state, Frame(0x10, pulling, 0, 0, bench.k * 2_000_000 + tick))
+        state = drive.receive(state, Frame(0x10, pulling_payload, 0, 0, bench.k * 2_000_000 + tick))
         state, frames = drive.advance(state, bench.k * 2_000_000 + tick, DriveTarget.DISABLE, 0.0)
         assert state.phase == DrivePhase.ENABLED
         assert frames == drive.torque_cut_frames()
@@ -78,7 +78,7 @@ def test_neither_silence_nor_an_answer_with_torque_in_it_confirms_that_it_is_off
 
 @pytest.mark.parametrize(
     ("feedback_error", "error_text", "fault_cause"),
-    [(FeedbackError.HOT, "over-temperature", DriveFaultCause.HOT),
+    [(FeedbackError.HOT, "over-temperature", DriveFaultCause.OVERHEATED),
      (FeedbackError.UNDER_VOLTAGE, "under-voltage", DriveFaultCause.VOLTAGE),
      (FeedbackError.ENCODER, "encoder error", DriveFaultCause.OTHER)],
 )  # fmt: skip
@@ -138,10 +138,10 @@ def test_the_help_names_the_motor_types_of_the_drives() -> None:
         "robstride": robstride_codec.MOTOR_MODEL_RANGES,
         "robstride_mit": mit_mode.MOTOR_MODEL_RANGES,
     }
-    listed = {
+    listed_ranges = {
         name: traits.motor_types for name, traits in PROTOCOL_TRAITS.items() if traits.motor_types
     }
-    assert listed == {name: tuple(models) for name, models in ranges.items()}
+    assert listed_ranges == {name: tuple(models) for name, models in ranges.items()}
 
 
 def test_the_manual_s_byte_of_temperature_counts_from_minus_forty() -> None:
@@ -165,7 +165,7 @@ def test_the_manual_s_byte_of_temperature_counts_from_minus_forty() -> None:
 
 @pytest.mark.parametrize("temperature_offset", [True, "cold", 40])
 def test_another_offset_of_temperature_is_refused(temperature_offset: object) -> None:
-    with pytest.raises(ConfigError, match="temperature_offset_C") as refused:
+    with pytest.raises(ConfigError, match="temperature_offset_C") as error_info:
         make_drive(
             motor_on_bench(
                 "cubemars",
@@ -175,7 +175,7 @@ def test_another_offset_of_temperature_is_refused(temperature_offset: object) ->
             ),
             0,
         )
-    assert "-40 or 0" in str(refused.value)
+    assert "-40 or 0" in str(error_info.value)
 
 
 def test_older_firmware_answers_with_six_bytes(bench: ProtocolBench) -> None:
@@ -195,7 +195,7 @@ def test_invalid_torque_cannot_be_encoded(bench: ProtocolBench, torque: float) -
 
 def test_checks_that_need_a_reported_state_are_not_made() -> None:
     virtual_bench = VirtualBench("cubemars")
-    rig = drive_rig_on(virtual_bench, "cubemars", 0.1)
+    rig = make_drive_rig(virtual_bench, "cubemars", 0.1)
     checks = list(run_checks(DeviceUnderTest(rig, 0.1, 0.05)))
     assert [check for check in checks if check.verdict is CheckVerdict.FAILED] == []
     settings, dead_host, cut = (
@@ -212,7 +212,7 @@ def test_checks_that_need_a_reported_state_are_not_made() -> None:
 
 def test_a_motor_that_does_not_disable_is_detected() -> None:
     virtual_bench = VirtualBench("cubemars", "deaf")
-    rig = drive_rig_on(virtual_bench, "cubemars", 0.5)
+    rig = make_drive_rig(virtual_bench, "cubemars", 0.5)
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 1.0)
     virtual_bench.bench.motors[0].servo.kd = 1.0
     virtual_bench.bench.motors[0].omega = 8.0

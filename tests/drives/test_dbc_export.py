@@ -15,7 +15,7 @@ from cantools.database import Database
 from fuzz.fuzzed_drives import FUZZED_DRIVES, FuzzedDrive
 from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.dbc_export import HOST_NODE_NAME, SENSOR_NODE_NAME, dbc_of_bus
+from handctl.drives.dbc_export import HOST_NODE_NAME, SENSOR_NODE_NAME, export_bus_dbc
 from handctl.drives.frame import Frame
 from handctl.drives.signals import CyclicMessage, SignalQuantity
 from handctl.hand.description import Hand
@@ -29,11 +29,11 @@ FIELD_BY_QUANTITY = {
     SignalQuantity.TORQUE: "reported",
 }
 DRIVE_VARIANTS = FUZZED_DRIVES | {"mit-fd": FuzzedDrive("mit", "[motor.options]\nfd = true\n")}
-EXCHANGED_TICKS = 40
+TICK_COUNT = 40
 
 
 def exported_dbc(hand: Hand, bus_index: int = 0) -> Database:
-    text = dbc_of_bus(
+    text = export_bus_dbc(
         bus_index, make_drives(hand), make_sensors(hand), hand.tendon_names, hand.joints
     )
     database = cantools.database.load_string(text, "dbc", strict=True)
@@ -83,7 +83,7 @@ def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
         for i, drive in enumerate(bench.drives)
         for message in drive.cyclic_messages.feedback
     }
-    for k in range(EXCHANGED_TICKS):
+    for k in range(TICK_COUNT):
         torque = 0.04 * math.sin(0.3 * k)
         wired_drives.begin_tick_with_sync(bench.k)
         bench.tick(DriveTarget.ENABLE, torque)
@@ -110,9 +110,9 @@ def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
         message_counts["torques"] += sum(
             is_torque_command(dbc, frame, bench, torque) for frame in bench.sent_frames
         )
-    assert min(message_counts[name] for name in ("position", "sensors")) >= EXCHANGED_TICKS // 4
+    assert min(message_counts[name] for name in ("position", "sensors")) >= TICK_COUNT // 4
     assert message_counts["torques"] == (
-        0 if hand.motor[0].protocol in ("cubemars", "robstride") else 4 * EXCHANGED_TICKS
+        0 if hand.motor[0].protocol in ("cubemars", "robstride") else 4 * TICK_COUNT
     )
 
 
@@ -132,7 +132,8 @@ def is_torque_command(dbc: Database, frame: Frame, bench: ProtocolBench, torque:
             first_signal_byte = min((signal.start for signal in message.signals), default=0) // 8
             is_big_endian = any(signal.is_big_endian for signal in message.signals)
             is_command_frame = is_command_frame and (
-                is_big_endian or frame.data[:first_signal_byte] == message.base[:first_signal_byte]
+                is_big_endian
+                or frame.data[:first_signal_byte] == message.base_payload[:first_signal_byte]
             )
             if is_command_frame and signals and message.can_id not in drive.node_ids:
                 decoded_signals = dbc.decode_message(frame.can_id, frame.data)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.core.tendon_space import tendon_space
+from handctl.core.tendon_constants import collect_tendon_constants
 from handctl.drives.protocol_registry import PROTOCOL_ENTRIES, make_drive
 from handctl.errors import ConfigError
 from handctl.hand.digit import DigitModel
@@ -104,8 +104,10 @@ def test_the_filter_counts_with_the_drive_s_encoder(
         path.read_text().replace("counts_per_turn = 65536", f"counts_per_turn = {counts_per_turn}")
     )
     hand = load_hand(path)
-    space = tendon_space(hand, tuple(DigitModel.from_hand(hand, name) for name in hand.digit_names))
-    np.testing.assert_allclose(space.encoder_step, expected_step_m * space.spool)
+    tendons = collect_tendon_constants(
+        hand, tuple(DigitModel.from_hand(hand, name) for name in hand.digit_names)
+    )
+    np.testing.assert_allclose(tendons.encoder_step, expected_step_m * tendons.spool_radius)
 
 
 REQUIRED_OPTIONS = {

@@ -11,7 +11,7 @@ import pytest
 from handctl.campaign.run_stages import homed_run
 from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand
-from handctl.session.simulate import SimulatedRun
+from handctl.session.lockstep_simulation import SimulatedRun
 from tests.drives.protocol_bench import OPTIONS_TEXT_BY_PROTOCOL, hand_file
 
 SILENCE_TICKS = 500
@@ -21,7 +21,7 @@ def run_until_mode(simulated_run: SimulatedRun, mode: HandMode) -> None:
     assert simulated_run.run_until(lambda out: out.mode == mode, 3.0), simulated_run.state.failure
 
 
-def second_run_with_same_drives(simulated_run: SimulatedRun) -> SimulatedRun:
+def restart_with_same_drives(simulated_run: SimulatedRun) -> SimulatedRun:
     """Return a second run with the same drives, which starts one second after the end of the first run."""
     for k in range(SILENCE_TICKS):
         simulated_run.simulated_hand.step((simulated_run.k + k) * simulated_run.period_ns, [])
@@ -42,7 +42,7 @@ def test_after_a_good_end_the_next_run_finds_no_fault(protocol: str, tmp_path: P
         simulated_run.run_tick(requests=('{"do": "stop"}',))
         run_until_mode(simulated_run, HandMode.DONE)
         assert simulated_run.state.failure == ""
-        run_until_mode(second_run_with_same_drives(simulated_run), HandMode.READY)
+        run_until_mode(restart_with_same_drives(simulated_run), HandMode.READY)
 
 
 def test_after_a_failure_cia402_drives_stay_supervised(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from handctl.drives.frame import BRS, EXTENDED_FLAG, FDF, Frame
 from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.protocol_bench import ProtocolBench, hand_file
-from tests.drives.virtual_bench import VirtualBench, drive_rig_on
+from tests.drives.virtual_bench import VirtualBench, make_drive_rig
 from tests.drives.wired_drives import WiredDrives
 
 TORQUE_LIMIT_N_M = 0.8
@@ -43,16 +43,16 @@ def extended_ids(bench: ProtocolBench, random_source: random.Random) -> set[int]
 
     Each identifier also appears with one bit changed.
     """
-    ours = sorted(
+    own_ids = sorted(
         identifier
         for identifier in bench.drives[0].node_ids | bench.drives[0].host_ids
         if identifier & EXTENDED_FLAG
     )
-    near_identifiers = random_source.sample(ours, min(len(ours), 4))
-    changed = {identifier ^ 1 << bit for identifier in near_identifiers for bit in range(29)}
+    sampled_ids = random_source.sample(own_ids, min(len(own_ids), 4))
+    changed_ids = {identifier ^ 1 << bit for identifier in sampled_ids for bit in range(29)}
     return {
-        *near_identifiers,
-        *changed,
+        *sampled_ids,
+        *changed_ids,
         *(EXTENDED_FLAG | random_source.getrandbits(29) for _ in range(RANDOM_ID_COUNT)),
     }
 
@@ -74,8 +74,8 @@ def silent_ready_and_enabled_states(bench: ProtocolBench) -> list[DriveState]:
 
     The enabled state comes from a run on the bench.
     """
-    ready = bench.states[0]._replace(phase=DrivePhase.READY)
-    return [bench.drives[0].initial_state(), ready, bench.states[0]]
+    ready_state = bench.states[0]._replace(phase=DrivePhase.READY)
+    return [bench.drives[0].initial_state(), ready_state, bench.states[0]]
 
 
 @pytest.mark.parametrize("state_index", range(3), ids=["silent", "ready", "enabled"])
@@ -94,14 +94,14 @@ def test_a_frame_of_another_host_changes_nothing_and_no_frame_raises(
 
 @pytest.mark.parametrize("bench", ["mit"], indirect=True)
 def test_the_sensor_node_s_decoder_takes_its_own_frames_only(bench: ProtocolBench) -> None:
-    wired_drives, ours = (
+    wired_drives, own_ids = (
         WiredDrives((), bench.sensor_node),
         bench.sensor_node.node_ids | bench.sensor_node.host_ids,
     )
     wired_drives.begin_tick_with_sync(0)
     frames = list(frames_of_all_kinds(bench, 9, bench.k * 2_000_000))
     other_frames, block_before = (
-        [frame for frame in frames if frame.can_id not in ours],
+        [frame for frame in frames if frame.can_id not in own_ids],
         wired_drives.block.copy(),
     )
     assert wired_drives.receive(other_frames).field_number("strange") == len(other_frames)
@@ -121,7 +121,7 @@ def test_simulated_drives_survive_every_frame(bench: ProtocolBench) -> None:
 @functools.cache
 def enabled_drive_on_bench(protocol: str) -> tuple[VirtualBench, DriveRig]:
     virtual_bench = VirtualBench(protocol)
-    rig = drive_rig_on(virtual_bench, protocol, TORQUE_LIMIT_N_M)
+    rig = make_drive_rig(virtual_bench, protocol, TORQUE_LIMIT_N_M)
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 10.0)
     return virtual_bench, rig
 

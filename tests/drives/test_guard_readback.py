@@ -14,7 +14,7 @@ from handctl.cli.main import main
 from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from tests.drives.protocol_bench import OPTIONS_TEXT_BY_PROTOCOL, hand_file
-from tests.drives.virtual_bench import VirtualBench, drive_rig_on
+from tests.drives.virtual_bench import VirtualBench, make_drive_rig
 
 GUARDS_BY_PROTOCOL = {
     "mit": {9: "TIMEOUT", 23: "TMAX", 10: "CTRL_MODE"},
@@ -35,7 +35,7 @@ PROTOCOLS_AND_GUARDS = [
 ]
 
 
-def keep_setting(virtual_bench: VirtualBench, guarded_setting) -> None:
+def freeze_setting(virtual_bench: VirtualBench, guarded_setting) -> None:
     """Make a simulated drive confirm each write of a setting, but keep the old value."""
     node = virtual_bench.bench.nodes[0]
     if isinstance(node, MitNode):
@@ -93,8 +93,8 @@ def test_a_guard_that_does_not_read_back_keeps_the_drive_off(
         virtual_bench.bench.nodes[0].channel.items[guarded_setting] = 1.0
     if guarded_setting == 0x7005:
         virtual_bench.bench.nodes[0].parameters[guarded_setting] = b"\x03\0\0\0"
-    rig = drive_rig_on(virtual_bench, protocol, 0.5)
-    keep_setting(virtual_bench, guarded_setting)
+    rig = make_drive_rig(virtual_bench, protocol, 0.5)
+    freeze_setting(virtual_bench, guarded_setting)
     reached_phases = set()
 
     def record_state(state):
@@ -114,7 +114,7 @@ def test_every_guarded_protocol_is_tried():
 
 @pytest.mark.parametrize("protocol", sorted(GUARDS_BY_PROTOCOL))
 def test_the_same_drive_is_armed_when_all_read_back(protocol):
-    rig = drive_rig_on(VirtualBench(protocol), protocol, 0.5)
+    rig = make_drive_rig(VirtualBench(protocol), protocol, 0.5)
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
 
 

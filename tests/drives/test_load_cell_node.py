@@ -112,7 +112,7 @@ class Ads131m04Chip:
     counts: list[int] = field(default_factory=lambda: [0, 0, 0, 0])
     registers: dict[int, int] = field(default_factory=lambda: dict(RESET_VALUES))
     answer: int | None = None
-    new_channels: int = 0xF
+    new_data_channels: int = 0xF
     corrupt_reply: Callable[[bytes], bytes] = bytes
     """Function that changes the reply on its way, to simulate faults of transmission."""
     writable_registers: frozenset[int] = frozenset((MODE_REGISTER, CLOCK_REGISTER, GAIN_REGISTER))
@@ -120,7 +120,7 @@ class Ads131m04Chip:
 
     def transfer_frame(self, sent_frame: bytes) -> bytes:
         """Receive a frame of 18 bytes and return the reply of the chip, as in an SPI transfer."""
-        status = (self.registers[MODE_REGISTER] & RESET_FLAG) | 0x0100 | self.new_channels
+        status = (self.registers[MODE_REGISTER] & RESET_FLAG) | 0x0100 | self.new_data_channels
         words = [self.answer if self.answer is not None else status]
         data = words[0].to_bytes(2) + b"\0"
         data += b"".join((count & 0xFFFFFF).to_bytes(3) for count in self.counts)
@@ -364,16 +364,16 @@ def test_a_conversion_that_does_not_end_is_at_the_rail_from_the_third_sync(
 ) -> None:
     bench = FirmwareBench(firmware_library, 4)
     bench.set_cell_tensions([20.0] * 4)
-    good_tension_code = tension_code(20.0)
-    bench.chips[0].new_channels = 0b1101
+    valid_tension_code = tension_code(20.0)
+    bench.chips[0].new_data_channels = 0b1101
     assert [bench.tension_codes()[1] for _ in range(4)] == [
-        good_tension_code,
-        good_tension_code,
+        valid_tension_code,
+        valid_tension_code,
         RAIL_CODE,
         RAIL_CODE,
     ]
-    bench.chips[0].new_channels = 0xF
-    assert bench.tension_codes() == [good_tension_code] * 4
+    bench.chips[0].new_data_channels = 0xF
+    assert bench.tension_codes() == [valid_tension_code] * 4
 
 
 @pytest.mark.parametrize(

@@ -16,17 +16,17 @@ from handctl.drives.protocol_registry import make_drive
 from handctl.drives.readback import ReadbackCursor, RecheckCursor
 from handctl.drives.signals import SignalTable
 from handctl.errors import ConfigError
-from tests.drives.conftest import MotorSection, mit_drive_of
+from tests.drives.conftest import MotorSection, make_mit_drive
 
 TORQUE_MAX_N_M = 0.8
 MOTOR_RANGES = codec.MotorRanges(12.5, 50.0, TORQUE_MAX_N_M)
-torques_in_range = st.floats(-TORQUE_MAX_N_M, TORQUE_MAX_N_M)
+valid_torques = st.floats(-TORQUE_MAX_N_M, TORQUE_MAX_N_M)
 COMMAND_TABLE, FEEDBACK_TABLE = (
     SignalTable(codec.command_message(1, MOTOR_RANGES)),
     SignalTable(codec.feedback_message(0x11, MOTOR_RANGES)),
 )
 ENABLED_STATE = DriveState(
-    phase=DrivePhase.ENABLED, private=MitProgress(configured=True, enable_sent=True)
+    phase=DrivePhase.ENABLED, protocol_state=MitProgress(is_configured=True, is_enable_sent=True)
 )
 
 
@@ -71,7 +71,7 @@ def test_feedback_is_decoded_to_known_values(
         (codec.register_request(0x123, codec.WRITE, 23, 0.5), "230155170000003f"),
         (codec.special_command(codec.ENABLE), "fffffffffffffffc"),
         (codec.special_command(codec.DISABLE), "fffffffffffffffd"),
-        (codec.special_command(codec.CLEAR), "fffffffffffffffb"),
+        (codec.special_command(codec.CLEAR_ERROR), "fffffffffffffffb"),
     ],
 )
 def test_requests_have_the_known_bytes(request_payload: bytes, payload_hex: str) -> None:
@@ -90,7 +90,7 @@ def test_register_replies_are_decoded_to_known_values() -> None:
     assert codec.decode_register_reply(bytes.fromhex("018000800bff2020"), 1) is None
 
 
-@given(torques_in_range)
+@given(valid_torques)
 def test_a_torque_arrives_within_half_a_step(torque: float) -> None:
     code = int.from_bytes(COMMAND_TABLE.pack(torque), "big") & 0xFFF
     assert code * 2 * TORQUE_MAX_N_M / 4095 - TORQUE_MAX_N_M == pytest.approx(
@@ -98,14 +98,14 @@ def test_a_torque_arrives_within_half_a_step(torque: float) -> None:
     )
 
 
-@given(torques_in_range)
+@given(valid_torques)
 def test_a_command_never_looks_like_a_special_one_and_has_no_gains(torque: float) -> None:
     data = COMMAND_TABLE.pack(torque)
     assert data[:3] == b"\x7f\xff\x7f"
     assert int.from_bytes(data, "big") >> 12 & 0xFFFFFF == 0
 
 
-@given(torques_in_range, torques_in_range)
+@given(valid_torques, valid_torques)
 def test_more_torque_is_never_a_smaller_code(first_torque: float, second_torque: float) -> None:
     smaller_torque, larger_torque = sorted((first_torque, second_torque))
     assert COMMAND_TABLE.pack(smaller_torque) <= COMMAND_TABLE.pack(larger_torque)
@@ -119,20 +119,20 @@ def test_more_torque_is_never_a_smaller_code(first_torque: float, second_torque:
 )
 def test_torque_out_of_range_cannot_be_encoded(torque: float) -> None:
     with pytest.raises(ValueError, match="index_motor: torque"):
-        mit_drive_of().advance(ENABLED_STATE, 1, DriveTarget.ENABLE, torque)
+        make_mit_drive().advance(ENABLED_STATE, 1, DriveTarget.ENABLE, torque)
 
 
 @pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf])
 def test_nan_cannot_be_encoded(torque: float) -> None:
     with pytest.raises(ValueError, match=r"expected at most 0\.8$"):
-        mit_drive_of().advance(ENABLED_STATE, 1, DriveTarget.ENABLE, torque)
+        make_mit_drive().advance(ENABLED_STATE, 1, DriveTarget.ENABLE, torque)
 
 
-@given(torques_in_range, st.sampled_from([-1, 1]))
+@given(valid_torques, st.sampled_from([-1, 1]))
 def test_direction_turns_every_sign(torque: float, direction: int) -> None:
-    drive = mit_drive_of(direction=direction, zero_rad=0.25)
+    drive = make_mit_drive(direction=direction, zero_rad=0.25)
     assert drive.command.pack(torque) == COMMAND_TABLE.pack(direction * torque)
-    state = DriveState(phase=DrivePhase.READY, private=MitProgress(configured=True))
+    state = DriveState(phase=DrivePhase.READY, protocol_state=MitProgress(is_configured=True))
     frames = drive.receive(state, Frame(0x11, bytes.fromhex("01c000c00c002020")))
     assert frames.position == pytest.approx(direction * (12.5 * (2 * 0xC000 / 65535 - 1) - 0.25))
     assert frames.velocity == pytest.approx(direction * 50 * (2 * 0xC00 / 4095 - 1))
@@ -159,7 +159,7 @@ def test_feedback_of_the_simulated_firmware_reads_back(
         assert abs(value - true) <= step * 1.001
 
 
-@given(torques_in_range)
+@given(valid_torques)
 def test_the_simulated_firmware_reads_commands(torque: float) -> None:
     from firmware_sim.nodes.mit import codec as firmware
 
@@ -174,7 +174,7 @@ drive_states = st.builds(
     DriveState,
     phase=st.sampled_from(DrivePhase),
     error=st.sampled_from([0, 0xA, 0x102]),
-    private=st.builds(
+    protocol_state=st.builds(
         MitProgress,
         cursor=st.builds(
             ReadbackCursor,
@@ -184,18 +184,18 @@ drive_states = st.builds(
             st.integers(-1, 9),
             st.integers(0, 10),
         ),
-        configured=st.booleans(),
+        is_configured=st.booleans(),
         enabled_by_other_host=st.booleans(),
-        enable_sent=st.booleans(),
-        disabling=st.booleans(),
+        is_enable_sent=st.booleans(),
+        is_disabling=st.booleans(),
         disable_command_ns=st.integers(0, 10),
-        clearing=st.integers(0, 6),
+        errors_to_ignore=st.integers(0, 6),
     ),
     # Draw only indices of existing settings. Without this limit, hypothesis would generate an index
     # that no setting has.
     recheck=st.builds(
         RecheckCursor,
-        st.integers(0, len(mit_drive_of().rechecked_settings) - 1),
+        st.integers(0, len(make_mit_drive().rechecked_settings) - 1),
         st.integers(0, 10),
         st.integers(0, 9),
     ),
@@ -213,17 +213,21 @@ frame_payloads = st.one_of(
 def test_any_frame_is_survived_in_any_state(
     state: DriveState, can_id: int, data: bytes, target: DriveTarget, bus: int
 ) -> None:
-    drive = mit_drive_of()
+    drive = make_mit_drive()
     state_after = drive.receive(state, Frame(can_id, data, FDF, bus, 5))
     if can_id != 0x11 or bus != 0:
         assert state_after is state
     _, frames = drive.advance(state_after, 10, target, 0.0)
-    acting = [frame for frame in frames if frame.can_id == 1 and frame.data[:7] != b"\xff" * 7]
-    assert not acting or (target == DriveTarget.ENABLE and state_after.phase == DrivePhase.ENABLED)
+    torque_frames = [
+        frame for frame in frames if frame.can_id == 1 and frame.data[:7] != b"\xff" * 7
+    ]
+    assert not torque_frames or (
+        target == DriveTarget.ENABLE and state_after.phase == DrivePhase.ENABLED
+    )
 
 
 def test_frames_of_every_identifier_and_length_are_survived() -> None:
-    drive, state = mit_drive_of(), mit_drive_of().initial_state()
+    drive, state = make_mit_drive(), make_mit_drive().initial_state()
     for can_id in range(2048):
         for length in range(65):
             state_after = drive.receive(state, Frame(can_id, b"\x01" * length))
@@ -231,12 +235,12 @@ def test_frames_of_every_identifier_and_length_are_survived() -> None:
 
 
 def test_options_set_reply_identifier_and_can_fd() -> None:
-    drive = mit_drive_of(options={"reply_id": 0x55, "fd": True})
+    drive = make_mit_drive(options={"reply_id": 0x55, "fd": True})
     assert drive.node_ids == {0x55}
     assert drive.torque_cut_frames()[0].flags & FDF
     assert drive.frames_per_tick == ((8, True), (8, True))
-    assert mit_drive_of().frames_per_tick == ((8, False), (8, False))
-    assert mit_drive_of().host_ids == {0x001, 0x101, 0x201, 0x301, 0x7FF}
+    assert make_mit_drive().frames_per_tick == ((8, False), (8, False))
+    assert make_mit_drive().host_ids == {0x001, 0x101, 0x201, 0x301, 0x7FF}
 
 
 @pytest.mark.parametrize(
@@ -254,7 +258,7 @@ def test_options_set_reply_identifier_and_can_fd() -> None:
 )
 def test_wrong_options_are_refused(drive_options: dict[str, object], expected_message: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        mit_drive_of(options=drive_options)
+        make_mit_drive(options=drive_options)
     assert str(caught.value).startswith(expected_message)
 
 
@@ -267,6 +271,6 @@ def test_the_registry_knows_mit_and_says_what_it_knows() -> None:
 
 
 def test_watchdog_and_torque_limit_become_registers() -> None:
-    expected = dict(mit_drive_of(watchdog_ms=50, torque_max_N_m=1.5).required)
+    expected = dict(make_mit_drive(watchdog_ms=50, torque_max_N_m=1.5).required)
     assert expected == {10: 1, 21: 12.5, 22: 50.0, 23: 1.5, 9: 1000}
     assert codec.register_bytes(23, 1.5) == struct.pack("<f", 1.5)

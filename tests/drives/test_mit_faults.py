@@ -156,7 +156,7 @@ def test_an_unrequested_register_reply_changes_nothing(rig: MotorRig) -> None:
     feedback = Frame(0x11, rig.motor.feedback_bytes(), 0, 0, rig.t_ns)
     rig.state = rig.drive.receive(rig.state, feedback)
     assert rig.state.phase == DrivePhase.CONFIGURING
-    assert rig.drive.receive(rig.state, register_reply).private == rig.state.private
+    assert rig.drive.receive(rig.state, register_reply).protocol_state == rig.state.protocol_state
 
 
 def test_a_motor_that_is_silent_after_the_enable_command_counts_as_enabled(rig: MotorRig) -> None:

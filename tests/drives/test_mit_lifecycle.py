@@ -12,7 +12,7 @@ from handctl.drives.mit.progress import (
     MitProgress,
 )
 from handctl.drives.state_machine import SILENCE_TIMEOUT_NS
-from tests.drives.conftest import MotorRig, mit_drive_of
+from tests.drives.conftest import MotorRig, make_mit_drive
 
 ENABLE_PAYLOAD = b"\xff" * 7 + b"\xfc"
 DISABLE_PAYLOAD = b"\xff" * 7 + b"\xfd"
@@ -169,8 +169,8 @@ def test_slow_configuration_is_no_timeout(rig: MotorRig) -> None:
         rig.motor.unanswered_registers.discard(register)
     rig.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     assert rig.t_ns > SILENCE_TIMEOUT_NS
-    refreshes = [frame for frame in rig.sent_frames[1:-1] if frame.data[2] == 0xCC]
-    assert refreshes == [], "it began again"
+    refresh_frames = [frame for frame in rig.sent_frames[1:-1] if frame.data[2] == 0xCC]
+    assert refresh_frames == [], "it began again"
     for _ in range(5):
         assert rig.tick(DriveTarget.POLL).phase == DrivePhase.READY
 
@@ -208,9 +208,10 @@ def test_disabling_a_motor_that_is_not_configured_does_not_make_it_ready_to_arm(
 
 
 def test_a_motor_whose_number_looks_like_a_state_is_read_near_the_end_of_its_range() -> None:
-    drive = mit_drive_of(node_id=0x11)
+    drive = make_mit_drive(node_id=0x11)
     state = DriveState(
-        phase=DrivePhase.ENABLED, private=MitProgress(configured=True, enable_sent=True)
+        phase=DrivePhase.ENABLED,
+        protocol_state=MitProgress(is_configured=True, is_enable_sent=True),
     )
     frames = drive.receive(state, Frame(0x21, bytes([0x11, 0x00, 0x33, 0x80, 0x08, 0, 30, 30])))
     assert frames.feedback_count == 1

@@ -14,7 +14,7 @@ from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame_time import bus_time_s
 from handctl.drives.identifier_checks import check_identifiers
 from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
-from handctl.drives.odrive.discovery import UNSHARED_NODE_NUMBERS
+from handctl.drives.odrive.discovery import CONFLICT_FREE_NODE_NUMBERS
 from handctl.drives.protocol_registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.hand_loading import load_hand
@@ -144,7 +144,7 @@ def test_can_fd_needs_its_data_bit_rate(tmp_path: Path) -> None:
     path.write_text(
         text.replace("bitrate = 1000000", "bitrate = 1000000\ndata_bitrate = 5_000_000")
     )
-    busy_tick_s = bus_loads(load_hand(str(path)))[0].tick_s
+    busy_tick_s = bus_loads(load_hand(str(path)))[0].frame_time_per_tick_s
     sensors = bus_time_s([(1, False, 1), (7, False, 1)], 1e6)
     assert busy_tick_s - sensors == pytest.approx(8 * 56.6e-6, rel=0.001)
 
@@ -179,21 +179,21 @@ def test_the_numbers_that_the_page_recommends_for_odrives_are_free_beside_canope
 
     An ODrive with this node number uses the same identifiers as RPDO1 of the CANopen nodes 1 to 31.
     """
-    page = (Path(__file__).parents[2] / "docs" / "how-to" / "adding-a-drive.md").read_text(
+    page_text = (Path(__file__).parents[2] / "docs" / "how-to" / "adding-a-drive.md").read_text(
         encoding="utf-8"
     )
-    text = re.search(r"With the node\s+numbers (.*?), these\s+identifiers", page, re.DOTALL)
+    text = re.search(r"With the node\s+numbers (.*?), these\s+identifiers", page_text, re.DOTALL)
     assert text
     pairs = re.findall(r"0x(\w\w) to\s+0x(\w\w)", text[1])
     assert [(int(first_id, 16), int(last_id, 16)) for first_id, last_id in pairs] == [
-        (a[0], a[-1]) for a in UNSHARED_NODE_NUMBERS
+        (a[0], a[-1]) for a in CONFLICT_FREE_NODE_NUMBERS
     ]
     options = {"rated_torque_N_m": 0.4, "counts_per_turn": 65536}
     other_nodes = [("sensor", make_sensors(load_hand("jamia11")))]
     canopen = [
         make_drive(motor_on_bench("cia402", node, 0.8, options), 0) for node in range(1, 0x7F)
     ]
-    for node in (number for numbers in UNSHARED_NODE_NUMBERS for number in numbers):
+    for node in (number for numbers in CONFLICT_FREE_NODE_NUMBERS for number in numbers):
         drive = make_drive(motor_on_bench("odrive", node, 0.8, {}), 0)
         check_identifiers([*other_nodes, ("odrive", drive)])
         for canopen_drive in canopen:
@@ -224,5 +224,5 @@ def test_an_identifier_with_two_meanings_is_refused_whatever_the_protocols(
     second_drive = make_drive(motor_on_bench("mit", mit_node, 0.8, {"reply_id": reply_id}), 0)
     with pytest.raises(ConfigError, match=r"^second: identifier .* has two meanings"):
         check_identifiers([("sensor", sensors), ("first", first_drive), ("second", second_drive)])
-    elsewhere = make_drive(motor_on_bench("mit", mit_node, 0.8, {"reply_id": reply_id}), 1)
-    check_identifiers([("first", first_drive), ("second", elsewhere)])
+    drive_on_other_bus = make_drive(motor_on_bench("mit", mit_node, 0.8, {"reply_id": reply_id}), 1)
+    check_identifiers([("first", first_drive), ("second", drive_on_other_bus)])

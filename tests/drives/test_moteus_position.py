@@ -9,7 +9,7 @@ import pytest
 
 from firmware_sim.nodes.moteus.node import MoteusNode
 from firmware_sim.nodes.moteus.text_channel import FACTORY_CONFIGURATION
-from handctl.campaign.fault_matrix import FREE_STAGE
+from handctl.campaign.fault_matrix import FREE_MOTION_STAGE
 from handctl.campaign.run_stages import advance_to_stage, homed_run
 from handctl.core import state_block as s
 from handctl.core.tick_types import HandMode
@@ -20,7 +20,7 @@ from handctl.drives.moteus import codec
 from handctl.drives.moteus.drive import MoteusDrive
 from handctl.drives.moteus.settings import (
     MoteusSetting,
-    gain_of_drive,
+    gain_per_turn,
     position_configuration,
     rounded_to_float32,
     write_request,
@@ -28,21 +28,25 @@ from handctl.drives.moteus.settings import (
 from handctl.drives.signals import SignalQuantity, SignalTable
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.controller.test_position_loop import (
-    begin_to_and_fro,
     hand_with_position_loop,
     moteus_command,
+    start_back_and_forth_run,
 )
 from tests.drives.protocol_bench import motor_on_bench
-from tests.drives.test_guard_readback import keep_setting
+from tests.drives.test_guard_readback import freeze_setting
 from tests.drives.virtual_bench import DRIVE_NODE_ID, VirtualBench
 
 SIMULATOR_SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") == "1" else range(3)
 KP, KD = 2.5, 0.0351
 GAIN_BY_ITEM = {"servo.pid_position.kp": 15.708, "servo.pid_position.kd": 0.220540}
-NAN_ITEMS = ("servo.default_velocity_limit", "servo.default_accel_limit", "servo.max_position_slip")
+NAN_SETTINGS = (
+    "servo.default_velocity_limit",
+    "servo.default_accel_limit",
+    "servo.max_position_slip",
+)
 
 
-def drive_with_loop(**option_changes: object) -> MoteusDrive:
+def make_position_drive(**option_changes: object) -> MoteusDrive:
     """Return a drive that closes the position loop."""
     motor_options = {
         "control": "position",
@@ -55,10 +59,10 @@ def drive_with_loop(**option_changes: object) -> MoteusDrive:
 
 
 def armed_rig(virtual_bench: VirtualBench) -> DriveRig:
-    return DriveRig(drive_with_loop(), virtual_bench, virtual_bench)
+    return DriveRig(make_position_drive(), virtual_bench, virtual_bench)
 
 
-def node_of(virtual_bench: VirtualBench) -> MoteusNode:
+def simulated_node(virtual_bench: VirtualBench) -> MoteusNode:
     (node,) = virtual_bench.bench.nodes
     assert isinstance(node, MoteusNode)
     return node
@@ -66,10 +70,10 @@ def node_of(virtual_bench: VirtualBench) -> MoteusNode:
 
 @pytest.mark.parametrize("motor_direction", [1, -1])
 def test_the_frame_has_the_registers_of_the_fact_sheet(motor_direction: int) -> None:
-    drive = drive_with_loop(direction=motor_direction, zero_rad=0.3, watchdog_ms=50)
+    drive = make_position_drive(direction=motor_direction, zero_rad=0.3, watchdog_ms=50)
     message = drive.cyclic_messages.position
     assert message is not None
-    assert drive.cyclic_messages.moves_commanded_position
+    assert drive.cyclic_messages.integrates_velocity
     table = SignalTable(message._replace(limit=math.inf))
     can_id, data = table.pack_frame(
         1.7, -4.0, 0.25 * GAINS_PER_RAD[0], 0.5 * GAINS_PER_RAD[1], 0.2, 0.4
@@ -94,7 +98,7 @@ GAINS_PER_RAD = tuple(gain / math.tau for gain in GAIN_BY_ITEM.values())
 def test_a_motor_with_torque_commands_has_no_position_command_and_the_settings_of_before() -> None:
     drive = MoteusDrive.from_motor(motor_on_bench("moteus", DRIVE_NODE_ID, 0.5, {}), 0)
     assert drive.cyclic_messages.position is None
-    assert not drive.cyclic_messages.moves_commanded_position
+    assert not drive.cyclic_messages.integrates_velocity
     assert [setting.name for setting in drive.configuration] == [
         "servopos.position_min", "servo.fixed_voltage_mode", "servo.timeout_mode", "servopos.position_max",
     ]  # fmt: skip
@@ -104,21 +108,21 @@ def test_the_settings_are_written_and_read_back_before_arming_and_not_stored() -
     virtual_bench = VirtualBench("moteus")
     rig = armed_rig(virtual_bench)
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
-    channel = node_of(virtual_bench).channel
+    channel = simulated_node(virtual_bench).channel
     for name, value in GAIN_BY_ITEM.items():
         assert channel.items[name] == pytest.approx(value, abs=1e-6)
-    assert all(math.isnan(channel.items[name]) for name in NAN_ITEMS)
+    assert all(math.isnan(channel.items[name]) for name in NAN_SETTINGS)
     assert all(channel.saved[name] == FACTORY_CONFIGURATION[name] for name in GAIN_BY_ITEM)
     assert channel.saved["servo.default_accel_limit"] == 50.0
     assert virtual_bench.largest_torque == 0.0
 
 
-@pytest.mark.parametrize("setting_name", [*GAIN_BY_ITEM, *NAN_ITEMS])
+@pytest.mark.parametrize("setting_name", [*GAIN_BY_ITEM, *NAN_SETTINGS])
 def test_a_setting_that_does_not_read_back_keeps_the_drive_off(setting_name: str) -> None:
     virtual_bench = VirtualBench("moteus")
-    setting_values = node_of(virtual_bench).channel.items
+    setting_values = simulated_node(virtual_bench).channel.items
     setting_values[setting_name] = 3.0
-    keep_setting(virtual_bench, setting_name)
+    freeze_setting(virtual_bench, setting_name)
     rig = armed_rig(virtual_bench)
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 3.0)
     assert f"{setting_name} reads 3 after writing, expected" in rig.state.error_text
@@ -126,18 +130,18 @@ def test_a_setting_that_does_not_read_back_keeps_the_drive_off(setting_name: str
 
 def test_a_firmware_without_an_item_is_refused_by_name() -> None:
     virtual_bench = VirtualBench("moteus")
-    del node_of(virtual_bench).channel.items["servo.default_accel_limit"]
+    del simulated_node(virtual_bench).channel.items["servo.default_accel_limit"]
     rig = armed_rig(virtual_bench)
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 3.0)
     assert "servo.default_accel_limit reads ERR error reading, expected nan" in rig.state.error_text
 
 
-@pytest.mark.parametrize("setting_name", [*GAIN_BY_ITEM, *NAN_ITEMS])
+@pytest.mark.parametrize("setting_name", [*GAIN_BY_ITEM, *NAN_SETTINGS])
 def test_a_setting_that_is_lost_while_enabled_is_found(setting_name: str) -> None:
     virtual_bench = VirtualBench("moteus")
     rig = armed_rig(virtual_bench)
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
-    node_of(virtual_bench).channel.items[setting_name] = 7.0
+    simulated_node(virtual_bench).channel.items[setting_name] = 7.0
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 6.0)
     assert f"{setting_name} reads 7" in rig.state.error_text
 
@@ -157,9 +161,9 @@ def test_a_restart_is_found_by_two_reads() -> None:
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_gains_survive_the_text_of_the_drive_and_are_never_rounded_down(seed: int) -> None:
-    draw = np.random.default_rng(seed)
-    for gain in (0.0, 0.001, 5000.0, *10.0 ** draw.uniform(-4.0, 3.69, 2000)):
-        value = gain_of_drive(float(gain))
+    rng = np.random.default_rng(seed)
+    for gain in (0.0, 0.001, 5000.0, *10.0 ** rng.uniform(-4.0, 3.69, 2000)):
+        value = gain_per_turn(float(gain))
         assert math.tau * gain <= value <= math.tau * gain + max(1.01e-6, 1.1e-5 * value)
         setting = MoteusSetting("servo.pid_position.kp", value)
         text = write_request(setting).decode().split()[-1]
@@ -169,7 +173,7 @@ def test_gains_survive_the_text_of_the_drive_and_are_never_rounded_down(seed: in
 
 VALUES_OUT_OF_RANGE = [
     (s.SERVO_POSITION, 256.1 * math.tau), (s.SERVO_VELOCITY, 51.0), (s.SERVO_KP, 2.6), (s.SERVO_KD, 1.0),
-    (s.SERVO_TORQUE, 0.81), (s.SERVO_LIMIT, 0.81), (s.SERVO_LIMIT, -0.01), (s.SERVO_KD, -0.01),
+    (s.SERVO_TORQUE, 0.81), (s.SERVO_TORQUE_LIMIT, 0.81), (s.SERVO_TORQUE_LIMIT, -0.01), (s.SERVO_KD, -0.01),
 ]  # fmt: skip
 
 
@@ -183,24 +187,24 @@ VALUES_OUT_OF_RANGE = [
 def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(
     target_row: int, target_value: float
 ) -> None:
-    with begin_to_and_fro(hand_with_position_loop(protocol="moteus")) as run:
+    with start_back_and_forth_run(hand_with_position_loop(protocol="moteus")) as run:
         for _ in range(10):
             run.run_tick()
         assert run.state.view("servo_kp").all()
-        layout, tables = run.state.layout, run.controller.derived.wire
-        torque = run.state.tendon[s.TORQUE].copy()
+        layout, tables = run.state.layout, run.controller.derived_constants.wire_tables
+        torque = run.state.tendon[s.COMMANDED_TORQUE].copy()
         if target_row == s.SERVO_KP and math.isnan(target_value):
             # A comparison of NaN with 0 is false. A command with a kp of NaN is therefore always a
             # torque command.
             target_value = math.inf
         block = run.state.block.copy()
         assert len(sent_frames(block, layout, tables, torque)) == 4
-        good_sent_frame = sent_frames(block, layout, tables, torque)[1]
+        valid_sent_frame = sent_frames(block, layout, tables, torque)[1]
         layout.table(block, "servo")[target_row, 1] = target_value
         frames = sent_frames(block, layout, tables, torque)
         drive = run.controller.drives[1]
         assert isinstance(drive, MoteusDrive)
-        assert good_sent_frame[17:19] == b"\x0f\x23"
+        assert valid_sent_frame[17:19] == b"\x0f\x23"
         assert frames[1] == drive.command.pack(torque[1])
         assert layout.table(block, "servo")[s.SERVO_KP, 1] == 0.0
         assert moteus_command(frames[0])[3] > 0.0
@@ -210,22 +214,24 @@ def sent_frames(block, layout, tables, torque) -> list[bytes]:
     """Encode the commands that a state block contains, and return their payloads."""
     out = np.zeros((tables.max_frames, WORDS_PER_RECORD), np.uint64)
     first_drive, count = cyclic_frames.encode_commands(
-        block, layout.places, out, tables.commands, tables.command_signal_integers, tables.command_signal_reals,
+        block, layout.offsets, out, tables.commands, tables.command_signal_integers, tables.command_signal_scalings,
         tables.templates, torque, tables.servos, tables.servo_templates, tables.servo_signal_integers,
-        tables.servo_signal_reals, tables.recheck_ranges, tables.rechecks, 0, 0,
+        tables.servo_signal_scalings, tables.recheck_ranges, tables.rechecks, 0, 0,
     )  # fmt: skip
     assert first_drive == len(torque)
     return [frame.data for frame in Frames.from_rows(out[:count])]
 
 
 def test_every_signal_has_its_range() -> None:
-    message = drive_with_loop().cyclic_messages.position
+    message = make_position_drive().cyclic_messages.position
     assert message is not None
-    ends = {signal.quantity: signal.value_limits for signal in message.signals}
-    assert ends[SignalQuantity.STIFFNESS] == (0.0, GAINS_PER_RAD[0])
-    assert ends[SignalQuantity.DAMPING] == pytest.approx((0.0, GAINS_PER_RAD[1]))
-    assert ends[SignalQuantity.VELOCITY] == pytest.approx((-30.0, 30.0))
-    assert ends[SignalQuantity.POSITION] == pytest.approx((-256.0 * math.tau, 256.0 * math.tau))
+    limits_by_quantity = {signal.quantity: signal.value_limits for signal in message.signals}
+    assert limits_by_quantity[SignalQuantity.STIFFNESS] == (0.0, GAINS_PER_RAD[0])
+    assert limits_by_quantity[SignalQuantity.DAMPING] == pytest.approx((0.0, GAINS_PER_RAD[1]))
+    assert limits_by_quantity[SignalQuantity.VELOCITY] == pytest.approx((-30.0, 30.0))
+    assert limits_by_quantity[SignalQuantity.POSITION] == pytest.approx(
+        (-256.0 * math.tau, 256.0 * math.tau)
+    )
 
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
@@ -236,11 +242,11 @@ def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed: int) -> None:
     """
     hand = hand_with_position_loop(protocol="moteus")
     with homed_run(hand, 500.0, seed) as hand_run:
-        advance_to_stage(hand_run, FREE_STAGE)
+        advance_to_stage(hand_run, FREE_MOTION_STAGE)
         motor = hand.motor[seed % 4].name
         hand_run.simulated_hand.inject(f"forget node={motor}")
         assert hand_run.run_until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.2)
-        latched_faults = {(mark.id, mark.instance) for mark in hand_run.state.latched}
+        latched_faults = {(mark.id, mark.part_name) for mark in hand_run.state.latched_faults}
         assert latched_faults
         assert latched_faults <= {("N12", motor), ("N14", motor), ("N17", motor)}
         assert max(hand_run.simulated_hand.truth()["tension"]) < 60.0

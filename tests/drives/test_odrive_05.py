@@ -19,14 +19,14 @@ from handctl.errors import ConfigError
 from handctl.runtime.diagnostics.bus_scan import scan_bus
 from handctl.runtime.diagnostics.conformance import CheckVerdict, DeviceUnderTest, run_checks
 from tests.drives.protocol_bench import motor_on_bench
-from tests.drives.virtual_bench import DRIVE_NODE_ID, VirtualBench, drive_rig_on
+from tests.drives.virtual_bench import DRIVE_NODE_ID, VirtualBench, make_drive_rig
 
-OLD_FIRMWARE = {"firmware": "0.5"}
+OLD_FIRMWARE_OPTIONS = {"firmware": "0.5"}
 
 
 def test_odrive_05_with_watchdog_passes_all_checks_except_the_readback():
-    virtual_bench = VirtualBench("odrive", usb_watchdog_s=0.05, **OLD_FIRMWARE)
-    rig = drive_rig_on(virtual_bench, "odrive", 0.1, OLD_FIRMWARE)
+    virtual_bench = VirtualBench("odrive", usb_watchdog_s=0.05, **OLD_FIRMWARE_OPTIONS)
+    rig = make_drive_rig(virtual_bench, "odrive", 0.1, OLD_FIRMWARE_OPTIONS)
     results = list(run_checks(DeviceUnderTest(rig, 0.1, 0.05)))
     (unpassed_check,) = (check for check in results if check.verdict is not CheckVerdict.PASSED)
     assert unpassed_check.verdict is CheckVerdict.NOT_CHECKED
@@ -36,7 +36,9 @@ def test_odrive_05_with_watchdog_passes_all_checks_except_the_readback():
 
 
 def test_odrive_05_without_watchdog_fails_the_watchdog_check():
-    rig = drive_rig_on(VirtualBench("odrive", **OLD_FIRMWARE), "odrive", 0.1, OLD_FIRMWARE)
+    rig = make_drive_rig(
+        VirtualBench("odrive", **OLD_FIRMWARE_OPTIONS), "odrive", 0.1, OLD_FIRMWARE_OPTIONS
+    )
     failed_checks = [
         check.name
         for check in run_checks(DeviceUnderTest(rig, 0.1, 0.05))
@@ -49,8 +51,8 @@ def test_odrive_05_without_watchdog_fails_the_watchdog_check():
     ("error_code", "error_text"), [(1 << 25, "emergency stop"), (1 << 13, "motor failed")]
 )
 def test_errors_have_texts(error_code, error_text):
-    virtual_bench = VirtualBench("odrive", **OLD_FIRMWARE)
-    rig = drive_rig_on(virtual_bench, "odrive", 0.1, OLD_FIRMWARE)
+    virtual_bench = VirtualBench("odrive", **OLD_FIRMWARE_OPTIONS)
+    rig = make_drive_rig(virtual_bench, "odrive", 0.1, OLD_FIRMWARE_OPTIONS)
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
     virtual_bench.bench.nodes[0].disarm(error_code)
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 1.0)
@@ -58,8 +60,8 @@ def test_errors_have_texts(error_code, error_text):
 
 
 def test_odrive_05_is_not_asked_for_missing_messages():
-    virtual_bench = VirtualBench("odrive", **OLD_FIRMWARE)
-    rig = drive_rig_on(virtual_bench, "odrive", 0.1, OLD_FIRMWARE)
+    virtual_bench = VirtualBench("odrive", **OLD_FIRMWARE_OPTIONS)
+    rig = make_drive_rig(virtual_bench, "odrive", 0.1, OLD_FIRMWARE_OPTIONS)
     sent = []
     send = virtual_bench.send
     virtual_bench.send = lambda frames: (sent.extend(frames), send(frames))[1]
@@ -70,7 +72,7 @@ def test_odrive_05_is_not_asked_for_missing_messages():
 
 
 def test_a_scan_names_odrive_05():
-    virtual_bench = VirtualBench("odrive", **OLD_FIRMWARE)
+    virtual_bench = VirtualBench("odrive", **OLD_FIRMWARE_OPTIONS)
 
     def advance_and_receive(bus, duration_s, seen_frames):
         bus.bench.advance(bus.bench.t_ns + round(duration_s * 1e9))
@@ -80,7 +82,7 @@ def test_a_scan_names_odrive_05():
     assert (found_node.protocol, found_node.node_id, found_node.options) == (
         "odrive",
         DRIVE_NODE_ID,
-        OLD_FIRMWARE,
+        OLD_FIRMWARE_OPTIONS,
     )
     assert "0.5" in found_node.notes[0]
 
@@ -90,8 +92,8 @@ def test_a_scan_names_odrive_05():
     [
         ({"firmware": "0.4"}, "'0.6' or '0.5'"),
         ({"firmware": 0.5}, "'0.6' or '0.5'"),
-        ({"torque_feedback": True, **OLD_FIRMWARE}, "does not report torque"),
-        ({"endpoint_torque_max": 3, **OLD_FIRMWARE}, "no SDO"),
+        ({"torque_feedback": True, **OLD_FIRMWARE_OPTIONS}, "does not report torque"),
+        ({"endpoint_torque_max": 3, **OLD_FIRMWARE_OPTIONS}, "no SDO"),
     ],
 )
 def test_options_missing_in_odrive_05_are_refused(drive_options, expected_message):
@@ -111,7 +113,7 @@ def test_the_heartbeat_of_odrive_05_has_the_vendors_layout():
     for name, error in flags.items():
         data = message.encode(values | {name: 1})
         assert odrive_05.decode_heartbeat(data) == (error, 8, 0)
-    virtual_bench = VirtualBench("odrive", **OLD_FIRMWARE)
+    virtual_bench = VirtualBench("odrive", **OLD_FIRMWARE_OPTIONS)
     virtual_bench.bench.nodes[0].disarm(1 << 24)
     virtual_bench.bench.advance(200_000_000)
     heartbeat = next(frame for frame in virtual_bench.drain() if frame.can_id & 0x1F == 1)

@@ -27,10 +27,8 @@ from tests.drives.bench_process import run_simulated_drives
 
 pytestmark = [pytest.mark.nightly, pytest.mark.realtime]
 LOCAL_BUS_NAME = "odrivescripts"
-SCRIPTS_COMMIT = "2ce0576359402806222057ad7573a5e8d1834f67"
-SCRIPTS_URL = (
-    f"https://raw.githubusercontent.com/odriverobotics/ODriveResources/{SCRIPTS_COMMIT}/examples"
-)
+ODRIVE_SCRIPTS_COMMIT = "2ce0576359402806222057ad7573a5e8d1834f67"
+ODRIVE_SCRIPTS_URL = f"https://raw.githubusercontent.com/odriverobotics/ODriveResources/{ODRIVE_SCRIPTS_COMMIT}/examples"
 SCRIPT_NAMES = ("can_simple_utils.py", "can_restore_config.py", "can_calibrate.py")
 DOWNLOAD_TIMEOUT_S = 30.0
 SCRIPT_TIMEOUT_S = 60.0
@@ -55,7 +53,7 @@ def odrive_script_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in SCRIPT_NAMES:
         try:
             with urllib.request.urlopen(
-                f"{SCRIPTS_URL}/{name}", timeout=DOWNLOAD_TIMEOUT_S
+                f"{ODRIVE_SCRIPTS_URL}/{name}", timeout=DOWNLOAD_TIMEOUT_S
             ) as reply:
                 (folder / name).write_bytes(reply.read())
         except urllib.error.URLError as error:

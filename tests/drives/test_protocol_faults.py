@@ -17,7 +17,7 @@ from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.odrive import codec
 from handctl.drives.odrive.drive import OdriveDrive
-from handctl.drives.odrive.progress import progress_of
+from handctl.drives.odrive.progress import get_progress
 from tests.drives.protocol_bench import (
     FIRST_NODE_ID,
     OPTIONS_TEXT_BY_PROTOCOL,
@@ -72,20 +72,20 @@ def lose_first_frames(
 
     If ``payload_start`` is given, drop only frames whose data begin with ``payload_start``.
     """
-    original_receive, lost = node.receive, list[WireFrame]()
+    original_receive, lost_frames = node.receive, list[WireFrame]()
 
     def receive(frame: WireFrame, t_ns: int) -> list[WireFrame] | None:
         is_lost_frame = (
             frame.can_id == FIRST_NODE_ID << 5 | command_number
             and frame.data.startswith(payload_start)
         )
-        if is_lost_frame and len(lost) < frame_count:
-            lost.append(frame)
+        if is_lost_frame and len(lost_frames) < frame_count:
+            lost_frames.append(frame)
             return []
         return original_receive(frame, t_ns)
 
     node.receive = receive  # type: ignore[method-assign]  # this one node alone is to lose them
-    return lost
+    return lost_frames
 
 
 @pytest.mark.parametrize("restart_moment", ["ready", "ordered"])
@@ -99,7 +99,7 @@ def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(
     node = first_odrive_node(odrive_bench)
     odrive_bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     if restart_moment != "ready":
-        while progress_of(odrive_bench.states[0]).enable_sent_ns < 0:
+        while get_progress(odrive_bench.states[0]).enable_command_ns < 0:
             odrive_bench.tick(DriveTarget.ENABLE)
     settings = dict(node.endpoints)
     for _ in range(10 * (restart_moment == "ready")):
@@ -137,7 +137,7 @@ def test_a_setting_that_is_lost_on_the_wire_is_written_again(
 ) -> None:
     """An ODrive does not confirm that it has written a setting."""
     node = first_odrive_node(odrive_bench)
-    lost = lose_first_frames(node, codec.RX_SDO, bytes((codec.SDO_WRITE,)), lost_frames)
+    dropped_frames = lose_first_frames(node, codec.RX_SDO, bytes((codec.SDO_WRITE,)), lost_frames)
     if lost_frames < 3:
         odrive_bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
         assert node.endpoints[201] == b"\1"
@@ -145,7 +145,7 @@ def test_a_setting_that_is_lost_on_the_wire_is_written_again(
         assert "enable_watchdog reads 0 after writing, expected 1" in error_of_first_drive(
             odrive_bench, DrivePhase.FAULT, DriveTarget.POLL, 200
         )
-    assert len(lost) == lost_frames
+    assert len(dropped_frames) == lost_frames
 
 
 def test_an_odrive_that_ignores_commands_is_a_fault(odrive_bench: ProtocolBench) -> None:
@@ -220,9 +220,9 @@ def test_a_watchdog_that_cannot_be_verified_is_reported(tmp_path: Path) -> None:
     assert isinstance(bench.drives[0], OdriveDrive)
     assert bench.drives[0].unverified_protections == ()
     path.write_text(path.read_text().replace(OPTIONS_TEXT_BY_PROTOCOL["odrive"], ""))
-    bare_drive = ProtocolBench(path).drives[0]
-    assert isinstance(bare_drive, OdriveDrive)
-    assert "watchdog not verified" in bare_drive.unverified_protections[0]
+    unverified_drive = ProtocolBench(path).drives[0]
+    assert isinstance(unverified_drive, OdriveDrive)
+    assert "watchdog not verified" in unverified_drive.unverified_protections[0]
 
 
 def test_another_protocol_version_is_refused(odrive_bench: ProtocolBench) -> None:

@@ -100,8 +100,8 @@ def test_a_cut_removes_the_torque_before_the_node_leaves_operational(bench: Prot
     its motor when it leaves this state.
     """
     for drive in bench.drives:
-        orders = [frame.can_id for frame in drive.torque_cut_frames()]
-        assert 0 not in orders[:1], "an NMT order comes after the control word"
+        command_ids = [frame.can_id for frame in drive.torque_cut_frames()]
+        assert 0 not in command_ids[:1], "an NMT order comes after the control word"
 
 
 def test_disabling_is_not_confirmed_by_silence(bench: ProtocolBench) -> None:

@@ -17,7 +17,7 @@ from handctl.drives.protocol_registry import make_drive
 from handctl.drives.robstride.mit_mode import READ_FAULTS, RobstrideMitDrive
 from handctl.errors import ConfigError
 from tests.drives.protocol_bench import ProtocolBench, hand_file, motor_on_bench, servo_torques
-from tests.drives.virtual_bench import VirtualBench, drive_rig_on
+from tests.drives.virtual_bench import VirtualBench, make_drive_rig
 
 TORQUE_STEP_N_M = 11.0 / 4095
 MILLISECOND_NS = 1_000_000
@@ -65,10 +65,10 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Protoc
 @pytest.mark.parametrize(
     ("fault_bits", "error_text", "fault_cause"),
     [
-        (simulated.OVER_TEMPERATURE_FAULT, "over-temperature", DriveFaultCause.HOT),
+        (simulated.OVER_TEMPERATURE_FAULT, "over-temperature", DriveFaultCause.OVERHEATED),
         (simulated.UNDER_VOLTAGE, "under-voltage", DriveFaultCause.VOLTAGE),
         (simulated.OVERLOAD_FAULT, "overload: the shaft is blocked", DriveFaultCause.OTHER),
-        (1 << simulated.REPORT_SHIFT + 6, "unknown fault bit 14", DriveFaultCause.UNKNOWN),
+        (1 << simulated.FAULT_REPORT_SHIFT + 6, "unknown fault bit 14", DriveFaultCause.UNKNOWN),
     ],
 )
 def test_faults_are_read_before_torque_and_await_a_clear(
@@ -153,7 +153,7 @@ def test_no_numbers_share_an_identifier() -> None:
 
 def test_a_watchdog_set_before_in_the_private_protocol_removes_the_torque() -> None:
     virtual_bench = VirtualBench("robstride_mit", motor_type="rs05", host_id=0, can_timeout=2000)
-    rig = drive_rig_on(virtual_bench, "robstride_mit", 0.5)
+    rig = make_drive_rig(virtual_bench, "robstride_mit", 0.5)
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
     rig.run_tick(DriveTarget.ENABLE, 0.1)
     assert virtual_bench.bench.motors[0].servo.torque != 0.0

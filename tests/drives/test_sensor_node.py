@@ -112,8 +112,8 @@ def test_no_age_of_a_frame_makes_it_fresh(joint_decimation: int) -> None:
             k >= age and counter_nibbles[k] == counter_nibbles[k - age] for k in range(n)
         ]  # in the first ticks, there is no older frame
         assert sum(is_same_counter) <= (0 if age < 8 else 0.4 * n), age
-        worst = max(sum(is_same_counter[k : k + 100]) for k in range(n - 100))
-        assert worst < 60, age
+        max_equal_count = max(sum(is_same_counter[k : k + 100]) for k in range(n - 100))
+        assert max_equal_count < 60, age
 
 
 def state_after_sync(node: SensorNode, tick_index: int) -> WiredDrives:
@@ -188,10 +188,10 @@ def test_only_the_answer_to_the_last_sync_counts(tick_index: int, counter: int) 
     wired_drives = state_after_sync(node, tick_index).receive(
         encode_frames(0x1A0, "tension", counter, [100] * CHANNEL_COUNT)
     )
-    fresh = counter == node.sync(tick_index).data[0] % 16
-    assert len(wired_drives.tensions) == (CHANNEL_COUNT if fresh else 0)
-    assert wired_drives.field_number("stale") == (0 if fresh else 3)
-    assert wired_drives.field_number("tension_frames") == (3 if fresh else 0)
+    is_fresh = counter == node.sync(tick_index).data[0] % 16
+    assert len(wired_drives.tensions) == (CHANNEL_COUNT if is_fresh else 0)
+    assert wired_drives.field_number("stale") == (0 if is_fresh else 3)
+    assert wired_drives.field_number("tension_frames") == (3 if is_fresh else 0)
 
 
 @pytest.mark.parametrize(("first_id", "message_prefix"), [(0x1A0, "tension"), (0x1B0, "joint")])
@@ -203,21 +203,23 @@ def test_a_stale_frame_that_comes_after_the_fresh_one_is_reported(
     Two causes are possible: frames changed their order on the bus, or another node sends an old
     frame again.
     """
-    (fresh, *_), (stale_frame, *_) = (
+    (fresh_frame, *_), (stale_frame, *_) = (
         encode_frames(first_id, message_prefix, nibble, [7] * CHANNEL_COUNT) for nibble in (3, 2)
     )
     for frames, stale_now in (
         ([stale_frame], 1),
-        ([stale_frame, fresh], 1),
-        ([fresh, stale_frame], 2),
-        ([fresh, stale_frame, stale_frame], 2),
+        ([stale_frame, fresh_frame], 1),
+        ([fresh_frame, stale_frame], 2),
+        ([fresh_frame, stale_frame, stale_frame], 2),
     ):
         wired_drives = state_after_sync(node, tick_with_counter_nibble(node, 3)).receive(frames)
         assert (wired_drives.field_number("stale_now"), wired_drives.field_number("stale")) == (
             stale_now,
             frames.count(stale_frame),
         )
-        assert len(wired_drives.tensions or wired_drives.joints) == (5 if fresh in frames else 0)
+        assert len(wired_drives.tensions or wired_drives.joints) == (
+            5 if fresh_frame in frames else 0
+        )
     wired_drives.begin_tick_with_sync(tick_with_counter_nibble(node, 4))
     assert (wired_drives.field_number("stale_now"), wired_drives.field_number("stale")) == (0, 2)
 
@@ -272,7 +274,7 @@ def test_a_hand_without_load_cells_has_no_reading() -> None:
     assert node.tension_frames == 0
 
 
-def without_unknown_counters(wired_drives: WiredDrives) -> bytes:
+def state_without_unknown_counters(wired_drives: WiredDrives) -> bytes:
     """Return the bytes of the state block with the counters of unknown and malformed frames set to zero."""
     block = wired_drives.block.copy()
     for name in ("strange", "misread_now"):
@@ -290,23 +292,23 @@ def test_any_sensor_frame_is_survived(can_id: int, frame_flags: int, data: bytes
     node = SensorNode.from_description(SensorNodeSection(), 0, TENDON_NAMES, JOINT_NAMES)
     wired_drives = state_after_sync(node, 5)
     state_before, is_sensor_frame = (
-        without_unknown_counters(wired_drives),
+        state_without_unknown_counters(wired_drives),
         bus == 0 and can_id in node.node_ids,
     )
     wired_drives.receive([Frame(can_id | frame_flags, data, bus=bus)])
     if frame_flags or not is_sensor_frame:
-        assert without_unknown_counters(wired_drives) == state_before
+        assert state_without_unknown_counters(wired_drives) == state_before
     assert len(wired_drives.foreign_frames) == (
         bus == 0 and not frame_flags and can_id in node.host_ids
     )
     assert wired_drives.field_number("strange") == (
         not wired_drives.foreign_frames and not (is_sensor_frame and frame_flags in (0, ERROR_FLAG))
     )
-    fits = (
+    is_known_frame = (
         is_sensor_frame and frame_flags == 0 and len(data) == node.lengths[node.ids.index(can_id)]
     )
     assert wired_drives.has_malformed_frame == (
-        is_sensor_frame and frame_flags != ERROR_FLAG and not fits
+        is_sensor_frame and frame_flags != ERROR_FLAG and not is_known_frame
     )
 
 
@@ -396,7 +398,10 @@ def test_all_load_cells_are_read_when_each_has_been_read_once(node: SensorNode) 
     """
     wired, bare = (
         WiredDrives((), sensor_interface)
-        for sensor_interface in (node, replace(node, frame_of=(*node.frame_of[:-1], -1)))
+        for sensor_interface in (
+            node,
+            replace(node, tendon_frame_indices=(*node.tendon_frame_indices[:-1], -1)),
+        )
     )
     for hand in (wired, bare):
         hand.field_view("position")[...] = 0.0

@@ -32,27 +32,31 @@ def test_each_setting_has_its_own_tries() -> None:
 def test_wrong_setting_is_written_and_read_again(lost_writes: int) -> None:
     cursor = ReadbackCursor(2, sent_ns=5, tries=1)
     for number in range(lost_writes):
-        cursor, problem = readback.on_wrong_value(cursor, "limit", "3", "4", lost_writes)
-        assert (cursor, problem) == (ReadbackCursor(2, writing=True, written=number), "")
+        cursor, problem = readback.cursor_after_wrong_value(cursor, "limit", "3", "4", lost_writes)
+        assert (cursor, problem) == (ReadbackCursor(2, must_write=True, write_count=number), "")
         cursor = cursor.cursor_after_write()
-        assert cursor == ReadbackCursor(2, written=number + 1)
+        assert cursor == ReadbackCursor(2, write_count=number + 1)
         cursor, send, _ = readback.request_setting(cursor, "limit", 7)
         assert send
-    cursor_after, problem = readback.on_wrong_value(cursor, "limit", "3", "4", lost_writes)
+    cursor_after, problem = readback.cursor_after_wrong_value(
+        cursor, "limit", "3", "4", lost_writes
+    )
     assert cursor_after == cursor
     assert problem == f"limit reads 3{' after writing' if lost_writes else ''}, expected 4"
 
 
 def test_a_setting_that_is_read_again_while_enabled() -> None:
-    check, problem = readback.next_recheck(
+    check, problem = readback.cursor_after_recheck_request(
         readback.first_recheck(1, 0), "limit", 1, readback.RECHECK_PERIOD_NS
     )
-    assert (check.waiting, check.tries, problem) == (True, 1, "")
-    good, problem = readback.on_recheck_reply(check, 2, True, "limit", "reads 4", "4")
-    assert (good.step, good.waiting, good.tries, problem) == (1, False, 0, "")
-    lost, problem = readback.on_recheck_reply(check, 2, False, "limit", "reads 3", "4")
+    assert (check.is_waiting, check.tries, problem) == (True, 1, "")
+    good, problem = readback.cursor_after_recheck_reply(check, 2, True, "limit", "reads 4", "4")
+    assert (good.step, good.is_waiting, good.tries, problem) == (1, False, 0, "")
+    lost, problem = readback.cursor_after_recheck_reply(check, 2, False, "limit", "reads 3", "4")
     assert lost == readback.RecheckCursor()
     assert problem == "limit reads 3 while enabled, expected 4: settings are lost"
     for _ in range(readback.RECHECK_TRIES - 1):
-        check, problem = readback.next_recheck(check, "limit", 1, readback.RECHECK_PERIOD_NS)
+        check, problem = readback.cursor_after_recheck_request(
+            check, "limit", 1, readback.RECHECK_PERIOD_NS
+        )
     assert problem == "limit is not answered while enabled"

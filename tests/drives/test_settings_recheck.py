@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import pytest
 
-from handctl.campaign.fault_matrix import ALL_PROTOCOLS, FREE_STAGE
+from handctl.campaign.fault_matrix import ALL_PROTOCOLS, FREE_MOTION_STAGE
 from handctl.campaign.run_stages import advance_to_stage, hand_with_protocol, homed_run
 from handctl.core.tick_types import HandMode
 from handctl.drives import readback
@@ -32,7 +32,7 @@ def enabled_mit_drive(node_id: int) -> tuple[MitDrive, object]:
     state = drive.initial_state()._replace(
         phase=DrivePhase.ENABLED,
         recheck=check,
-        private=MitProgress(configured=True, enable_sent=True),
+        protocol_state=MitProgress(is_configured=True, is_enable_sent=True),
     )
     return drive, state
 
@@ -124,12 +124,12 @@ def test_requests_without_answer_end_in_a_fault_and_a_few_do_not():
 def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
     hand = hand_with_protocol("jamia", protocol)
     with homed_run(hand, default_control_rate(hand), seed) as hand_run:
-        advance_to_stage(hand_run, FREE_STAGE)
+        advance_to_stage(hand_run, FREE_MOTION_STAGE)
         hand_run.simulated_hand.inject(f"forget node={hand.motor[seed % 4].name}")
         end_s = hand_run.k * hand_run.period_ns * 1e-9 + 1.01
         assert hand_run.run_until(lambda out: out.mode == HandMode.CUT, 1.02)
         assert hand_run.k * hand_run.period_ns * 1e-9 <= end_s
-        latched = {(mark.id, mark.instance) for mark in hand_run.state.latched}
+        latched = {(mark.id, mark.part_name) for mark in hand_run.state.latched_faults}
         assert latched == {("N12", hand.motor[seed % 4].name)}
 
 
@@ -142,10 +142,10 @@ def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed):
     """
     hand = hand_with_protocol("jamia", "moteus")
     with homed_run(hand, default_control_rate(hand), seed) as hand_run:
-        advance_to_stage(hand_run, FREE_STAGE)
+        advance_to_stage(hand_run, FREE_MOTION_STAGE)
         motor = hand.motor[seed % 4].name
         hand_run.simulated_hand.inject(f"forget node={motor}")
         assert hand_run.run_until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.02)
-        latched_faults = {(mark.id, mark.instance) for mark in hand_run.state.latched}
+        latched_faults = {(mark.id, mark.part_name) for mark in hand_run.state.latched_faults}
         assert latched_faults <= {("N12", motor), ("N14", motor)}
         assert latched_faults

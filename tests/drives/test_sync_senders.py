@@ -22,7 +22,7 @@ from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
 from handctl.programs.live_session import LiveProgram
-from handctl.session.simulate import SimulatorSettings, homed_controller
+from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
 from tests.drives.protocol_bench import hand_file, move_to_second_bus
 
 SYNC_ID = 0x080
@@ -146,4 +146,4 @@ def test_each_bus_of_a_split_has_room_for_its_sync() -> None:
         hand = hand_with_protocol("jamia11", "cia402")
         hand_with_buses = with_more_buses(hand, rate)
         loads = bus_loads(hand_from_content(tomllib.loads(hand_with_buses.to_toml()), "split"))
-        assert max(load.load_at(rate) for load in loads) <= MAX_BUS_LOAD, rate
+        assert max(load.load_at_rate(rate) for load in loads) <= MAX_BUS_LOAD, rate

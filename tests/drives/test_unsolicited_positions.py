@@ -15,7 +15,7 @@ from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatorSettings, homed_controller
+from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
 
 SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 1)
 RATE_HZ = 250.0
@@ -23,7 +23,7 @@ RATE_HZ = 250.0
 
 The drive sends unrequested messages every 10 ms. At this rate, ticks fall between these messages.
 """
-LARGEST_SWING_N = 5.0
+MAX_TENSION_SWING_N = 5.0
 """Largest permitted oscillation of a tension in motion [N RMS].
 
 The fault N14b (the tension oscillates) has the limit 8 N.
@@ -59,4 +59,4 @@ def test_the_tension_does_not_oscillate_by_late_positions(seed: int) -> None:
             if out.mode == HandMode.RELAX:
                 break
         assert not run.state.failure, "the task ends by itself"
-        assert np.sqrt(largest) < LARGEST_SWING_N
+        assert np.sqrt(largest) < MAX_TENSION_SWING_N

@@ -25,7 +25,7 @@ def planned_tick_s(hand_path: Path, period_ns: int = PERIOD_NS) -> list[float]:
     This time includes the frames that nodes send by a timer.
     """
     return [
-        load.load_at(1e9 / period_ns) * period_ns * 1e-9
+        load.load_at_rate(1e9 / period_ns) * period_ns * 1e-9
         for load in bus_loads(load_hand(str(hand_path)))
     ]
 
@@ -54,22 +54,22 @@ def measured_tick_s(
 @pytest.mark.parametrize("protocol", ["cia402", "mit", "odrive"])
 def test_the_wire_is_as_full_as_the_plan_says(protocol: str, tmp_path: Path) -> None:
     path = hand_file(tmp_path, [protocol])
-    planned = planned_tick_s(path)
-    assert measured_tick_s(path, []) == pytest.approx(planned, rel=0.02)
-    assert 0.8 * planned[0] < measured_tick_s(path, ["stuffing=actual"])[0] < planned[0]
+    planned_s = planned_tick_s(path)
+    assert measured_tick_s(path, []) == pytest.approx(planned_s, rel=0.02)
+    assert 0.8 * planned_s[0] < measured_tick_s(path, ["stuffing=actual"])[0] < planned_s[0]
 
 
 def test_each_of_two_buses_is_as_full_as_planned(tmp_path: Path) -> None:
     path = move_to_second_bus(hand_file(tmp_path, ["mit", "mit", "odrive"]), (0, 1))
-    classical = '"second"\nbitrate = 1000000'
-    text = path.read_text().replace(classical, classical + "\ndata_bitrate = 5_000_000")
+    bit_rate_text = '"second"\nbitrate = 1000000'
+    text = path.read_text().replace(bit_rate_text, bit_rate_text + "\ndata_bitrate = 5_000_000")
     head, *motors = text.split("[[motor]]")
     for i in (0, 1):
         motors[i] += "\noptions = { fd = true }\n"
     path.write_text("[[motor]]".join([head, *motors]))
-    planned = planned_tick_s(path)
-    assert len(planned) == 2
-    assert measured_tick_s(path, []) == pytest.approx(planned, rel=0.02)
+    planned_s = planned_tick_s(path)
+    assert len(planned_s) == 2
+    assert measured_tick_s(path, []) == pytest.approx(planned_s, rel=0.02)
 
 
 def test_eleven_motors_fit_where_the_plan_says() -> None:
@@ -133,11 +133,13 @@ def test_feedback_is_as_late_as_the_usb_frames_of_the_adapter(
     """
     bench = ProtocolBench(hand_file(tmp_path, ["mit"]), [f"adapter={adapter_class}"], PERIOD_NS)
     bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY, 1000)
-    silent = longest = 0
+    silent_ticks = max_silent_ticks = 0
     for _ in range(100):
         feedback_count_before = bench.states[0].feedback_count
         bench.tick(DriveTarget.POLL)
-        silent = silent + 1 if bench.states[0].feedback_count == feedback_count_before else 0
-        longest = max(longest, silent)
-    assert delay_ticks // 2 - 1 <= longest < delay_ticks
+        silent_ticks = (
+            silent_ticks + 1 if bench.states[0].feedback_count == feedback_count_before else 0
+        )
+        max_silent_ticks = max(max_silent_ticks, silent_ticks)
+    assert delay_ticks // 2 - 1 <= max_silent_ticks < delay_ticks
     bench.simulated_hand.close()

@@ -88,7 +88,7 @@ class VirtualBench:
         return []
 
 
-def drive_rig_on(virtual_bench, protocol, torque_limit, drive_options=None):
+def make_drive_rig(virtual_bench, protocol, torque_limit, drive_options=None):
     """Return a host that commands the drive of a bench with a torque of at most ``torque_limit`` [N m]."""
     motor = motor_on_bench(
         protocol,

@@ -13,7 +13,7 @@ from handctl.controller.controller_state import drive_values
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core import tick_stages
-from handctl.core.constants import CONSTANT_SCHEMA, DESIGN_ELEMENT_COUNT, FILTER_DESIGN_COUNT
+from handctl.core.constants import CONSTANT_SCHEMA, FILTER_DESIGN_COUNT, FILTER_DESIGN_SIZE
 from handctl.core.state_block import STATE_SCHEMA
 from handctl.core.wire import cyclic_frames
 from handctl.core.wire.wire_tables import WireTables
@@ -37,7 +37,7 @@ class WiredDrives:
     def __init__(self, drives: Sequence[Drive], sensors: SensorInterface) -> None:
         """Build the state block and the tables with which compiled code reads and writes frames."""
         self.drives, self.sensors = drives, sensors
-        n = len(sensors.frame_of)
+        n = len(sensors.tendon_frame_indices)
         joints = 1 + max(
             (j for group in sensors.channels[sensors.tension_frames :] for j in group), default=0
         )
@@ -67,7 +67,7 @@ class WiredDrives:
     def begin_tick(self) -> None:
         """Begin a tick, and keep the number and the time of the tick."""
         numbers = [self.field_number(name) for name in ("k", "t_ns", "late_ns", "missed", "frames")]
-        tick_stages.begin_tick(self.block, self.layout.places, *numbers)
+        tick_stages.begin_tick(self.block, self.layout.offsets, *numbers)
 
     def begin_tick_with_sync(self, k: int) -> Frame:
         """Begin the next tick.
@@ -88,9 +88,9 @@ class WiredDrives:
         self.frames_for_drives, self.foreign_frames = [], []
         while True:
             at = cyclic_frames.receive_frames(
-                self.block, self.layout.places, *self._constants, frames.rows, known_tables.keys, known_tables.entries,
-                known_tables.signal_integers, known_tables.signal_reals, known_tables.recheck_ranges,
-                known_tables.rechecks, at,
+                self.block, self.layout.offsets, *self._load_cell_constants, frames.rows, known_tables.keys,
+                known_tables.entries, known_tables.signal_integers, known_tables.signal_scalings,
+                known_tables.recheck_ranges, known_tables.rechecks, at,
                 self.sensors.earliest_answer_time_ns(self.field_number("t_ns")),
             )  # fmt: skip
             if at >= len(frames):
@@ -112,9 +112,9 @@ class WiredDrives:
             if target == DriveTarget.ENABLE:
                 out = np.zeros((tables.max_frames, WORDS_PER_RECORD), np.uint64)
                 first_drive, count = cyclic_frames.encode_commands(
-                    self.block, self.layout.places, out, tables.commands, tables.command_signal_integers,
-                    tables.command_signal_reals, tables.templates, np.asarray(torque, dtype=np.float64),
-                    tables.servos, tables.servo_templates, tables.servo_signal_integers, tables.servo_signal_reals,
+                    self.block, self.layout.offsets, out, tables.commands, tables.command_signal_integers,
+                    tables.command_signal_scalings, tables.templates, np.asarray(torque, dtype=np.float64),
+                    tables.servos, tables.servo_templates, tables.servo_signal_integers, tables.servo_signal_scalings,
                     tables.recheck_ranges, tables.rechecks, first_drive, 0,
                 )  # fmt: skip
                 sent += Frames.from_rows(out[:count])
@@ -134,13 +134,13 @@ class WiredDrives:
             *(self.layout.table(self.block, name) for name in ("tendon_int", "tendon")),
         )
         table[s.POSITION : s.POSITION + 4, drive_index] = drive_state[1:5]
-        integers[s.FEEDBACK_COUNT, drive_index], integers[s.FEEDBACK_NS, drive_index] = (
+        integers[s.FEEDBACK_COUNT, drive_index], integers[s.FEEDBACK_RECEIVED_NS, drive_index] = (
             drive_state.feedback_count,
             drive_state.feedback_t_ns,
         )
         integers[s.RECHECK_STEP : s.RECHECK_TRIES + 1, drive_index] = drive_state.recheck
-        integers[s.PHASE, drive_index] = drive_state.phase
-        integers[s.STATUS_EXPECTED, drive_index], integers[s.DRIVE_DUE_NS, drive_index] = (
+        integers[s.DRIVE_PHASE, drive_index] = drive_state.phase
+        integers[s.EXPECTED_DRIVE_STATUS, drive_index], integers[s.DRIVE_DUE_NS, drive_index] = (
             drive.steady_status(drive_state),
             drive.due_ns(drive_state),
         )
@@ -175,11 +175,11 @@ class WiredDrives:
 
         The filter starts as soon as every sensor has been read once.
         """
-        tick_stages.observe_tick(self.block, self.layout.places, *self._constants)
+        tick_stages.observe_tick(self.block, self.layout.offsets, *self._load_cell_constants)
         return self
 
     @cached_property
-    def _constants(self) -> tuple[NDArray, NDArray]:
+    def _load_cell_constants(self) -> tuple[NDArray, NDArray]:
         """Return the block of a hand's constants.
 
         Only the constants for load-cell frames have values.
@@ -190,7 +190,7 @@ class WiredDrives:
             {
                 **used_axes,
                 "kind": FILTER_DESIGN_COUNT,
-                "element": DESIGN_ELEMENT_COUNT,
+                "element": FILTER_DESIGN_SIZE,
                 "place": 1,
                 "run": 1,
             }
@@ -198,5 +198,7 @@ class WiredDrives:
         block = layout.initial.copy()
         table = layout.table(block, "tendon_int")
         table[h.CELL_GROUP] = [self.sensors.group_of_tendon(i) for i in range(axes["tendon"])]
-        layout.table(block, "run")[[h.CELL_MIN, h.CELL_MAX], 0] = self.sensors.cell_range
-        return block, layout.places
+        layout.table(block, "run")[[h.MIN_CELL_RANGE, h.MAX_CELL_RANGE], 0] = (
+            self.sensors.cell_range
+        )
+        return block, layout.offsets

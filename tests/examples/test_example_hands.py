@@ -13,7 +13,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.core.gains.gains import load_gains_file
 from handctl.hand.hand_loading import load_hand
-from tests.docs.command_blocks import REPOSITORY_ROOT, read_blocks
+from tests.docs.code_blocks import REPOSITORY_ROOT, read_code_blocks
 
 HANDS_FOLDER = REPOSITORY_ROOT / "examples" / "hands"
 OBJECT_MOTION_MM = (1.5, 3.5)
@@ -39,7 +39,7 @@ def hands_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def documented_demo_arguments() -> list[str]:
     """Return the words after ``handctl`` in the demo command that examples/README.md shows."""
-    blocks = read_blocks(REPOSITORY_ROOT / "examples" / "README.md")
+    blocks = read_code_blocks(REPOSITORY_ROOT / "examples" / "README.md")
     (line,) = (
         line
         for block in blocks

@@ -18,22 +18,22 @@ from nbclient import NotebookClient
 from handctl.cli.main import main
 from handctl.hand.hand_loading import load_hand
 from tests.runtime.processes import (
-    HOMED_OPTIONS,
+    HOMED_HAND_OPTIONS,
     READY_TIMEOUT_S,
     end_process,
-    time_scale_options,
+    make_time_scale_options,
     write_homed_calibration,
 )
 
 EXAMPLES_FOLDER = Path(__file__).parents[2] / "examples"
 REALTIME_MARK = pytest.mark.realtime
 TIME_SCALE = 1.0
-LINE_BLUE_RGB = np.array([0x1F, 0x77, 0xB4]) / 255
+MATPLOTLIB_BLUE_RGB = np.array([0x1F, 0x77, 0xB4]) / 255
 """First colour of lines in matplotlib."""
 
 
 @contextmanager
-def served_hand(*simulator_options):
+def running_simulator(*simulator_options):
     """Run a simulator beside an example program.
 
     The ``with`` block begins when the simulator is ready.
@@ -102,10 +102,18 @@ def simulated_hand(repeat_time_scale, *words, name="jamia"):
 
     Yield the command-line options for the controller of this hand.
     """
-    scale = time_scale_options(TIME_SCALE * repeat_time_scale)
+    scale = make_time_scale_options(TIME_SCALE * repeat_time_scale)
     write_homed_calibration(Path("c.toml"), load_hand(name))
-    with served_hand(
-        "-m", "firmware_sim", "--hand", name, "--bus", "local:lab", *HOMED_OPTIONS, *words, *scale
+    with running_simulator(
+        "-m",
+        "firmware_sim",
+        "--hand",
+        name,
+        "--bus",
+        "local:lab",
+        *HOMED_HAND_OPTIONS,
+        *words,
+        *scale,
     ):
         yield ("--calibration", "c.toml", *scale)
 
@@ -162,7 +170,9 @@ def test_teleoperate(repeat_time_scale):
 
 @REALTIME_MARK
 def test_single_motor():
-    with served_hand("-m", "firmware_sim", "drive", "mit", "--ids", "1", "--bus", "local:bench"):
+    with running_simulator(
+        "-m", "firmware_sim", "drive", "mit", "--ids", "1", "--bus", "local:bench"
+    ):
         out = run_example("single_motor.py").splitlines()
     assert numbers_in(out[0])[1] == pytest.approx(1.0)
     assert abs(numbers_in(out[-2])[1]) < 0.05
@@ -217,7 +227,7 @@ def test_each_joint_of_a_plotted_grasp_has_its_own_line(grasp_log, monkeypatch):
     """Reproduce a defect: two of the eleven joints had the same colour in the picture and in its legend."""
     monkeypatch.setattr(sys, "argv", ["plot_grasp.py", str(grasp_log)])
     axes = runpy.run_path(str(EXAMPLES_FOLDER / "plot_grasp.py"))["axes"]
-    looks = [
+    line_styles = [
         {
             (line.get_color(), line.get_linestyle())
             for line in axis.lines
@@ -225,7 +235,7 @@ def test_each_joint_of_a_plotted_grasp_has_its_own_line(grasp_log, monkeypatch):
         }
         for axis in axes
     ]
-    assert [len(look) for look in looks] == [11, 4, 4]
+    assert [len(styles) for styles in line_styles] == [11, 4, 4]
 
 
 def test_own_hand():
@@ -250,7 +260,7 @@ def test_train_policy_begins():
     check_picture("training.png")
     picture = imread("training.png")[..., :3]
     left_third = picture[:, : picture.shape[1] // 3]
-    assert (np.abs(left_third - LINE_BLUE_RGB).max(axis=-1) < 0.02).any(), (
+    assert (np.abs(left_third - MATPLOTLIB_BLUE_RGB).max(axis=-1) < 0.02).any(), (
         "a single reward is visible"
     )
 

@@ -13,7 +13,7 @@ import pytest
 from firmware_sim.faults.fault_text import parse_fault
 from firmware_sim.hand_description import load_hand
 from handctl.campaign import fault_sequences
-from handctl.campaign.fault_matrix import ALL_PROTOCOLS, ARMING_STAGE, HOST_PREFIX
+from handctl.campaign.fault_matrix import ALL_PROTOCOLS, ARMING_STAGE, HOST_FAULT_PREFIX
 from handctl.campaign.fault_sequences import (
     SEQUENCE_TICKS,
     FaultSequence,
@@ -30,7 +30,7 @@ from handctl.campaign.run_stages import (
     advance_to_stage,
     hand_with_protocol,
     homed_run,
-    run_in_branches,
+    run_in_forked_processes,
 )
 from handctl.core.tick_types import HandMode
 from handctl.safety.tick_verdict import LatchedFault
@@ -70,7 +70,7 @@ def test_a_seed_is_a_sequence_that_the_simulator_understands(protocol, tmp_path)
     assert len({sequence.steps for sequence in drawn_sequences}) == len(drawn_sequences)
     for step in [step for sequence in drawn_sequences for step in sequence.steps]:
         assert 0 <= step.tick < SEQUENCE_TICKS
-        if not step.fault.startswith(HOST_PREFIX):
+        if not step.fault.startswith(HOST_FAULT_PREFIX):
             parse_fault(step.fault, simulated_hand)
 
 
@@ -79,7 +79,7 @@ def test_sequence_violates_no_rule():
         hand_with_protocol("jamia", "mit"), "mit", 200.0, range(9), jobs=2, **EMPTY_CALLBACKS
     )
     assert [(result.scenario, result.problem) for result in results if not result.ok] == []
-    assert sum(result.effects for result in results) >= 5
+    assert sum(result.effect_count for result in results) >= 5
 
 
 def test_a_sequence_that_breaks_a_rule_names_it(copy_of_arming_simulation, monkeypatch):
@@ -92,7 +92,7 @@ def test_a_sequence_that_breaks_a_rule_names_it(copy_of_arming_simulation, monke
     sequence = FaultSequence(0, ARMING_STAGE, (FaultStep(20, "runaway node=index_motor"),))
     for explains in (fault_sequences.RUNAWAY_FAULT, "nobody"):
         monkeypatch.setattr(fault_sequences, "RUNAWAY_FAULT", explains)
-        run_in_branches(
+        run_in_forked_processes(
             copy_of_arming_simulation,
             [sequence],
             1,
@@ -108,14 +108,14 @@ def test_a_sequence_that_breaks_a_rule_names_it(copy_of_arming_simulation, monke
 def test_violated_rule_of_a_tick_is_found(copy_of_arming_simulation):
     state_before = copy_of_arming_simulation.state.copy()
     state_before.mode = HandMode.RELAX
-    state_before.decide(latched=(LatchedFault("T03", "index_tendon"),))
+    state_before.decide(latched_faults=(LatchedFault("T03", "index_tendon"),))
     state_after = state_before.copy()
     state_after.view("setpoint")[...] += 1.0
     assert violations_in_tick(state_before, state_after, is_cleared=False) == [
         "a setpoint rises while the hand relaxes"
     ]
     state_without_fault = state_before.copy()
-    state_without_fault.decide(latched=())
+    state_without_fault.decide(latched_faults=())
     assert violations_in_tick(state_before, state_without_fault, is_cleared=False) == [
         "no longer latched: T03"
     ]

@@ -13,19 +13,19 @@ import numpy as np
 import pytest
 
 from benchmarks import hidden_faults
-from handctl.campaign.fault_matrix import FREE_STAGE, GRASP_STAGE
+from handctl.campaign.fault_matrix import FREE_MOTION_STAGE, GRASP_STAGE
 from handctl.campaign.run_stages import (
     CAMPAIGN_TASK,
     advance_to_stage,
     hand_with_protocol,
     homed_run,
 )
-from handctl.controller.relaxing import SETPOINT_MARGIN_N
+from handctl.controller.relaxation import MAX_SETPOINT_EXCESS_N
 from handctl.core import state_block as s
 from handctl.core.tick_types import HandMode
 from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.runtime.mailbox import STOP_REQUEST
-from handctl.session.simulate import SimulatedRun
+from handctl.session.lockstep_simulation import SimulatedRun
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SIMULATOR_SEEDS = range(20) if NIGHTLY else range(3)
@@ -66,7 +66,7 @@ class TrueTendonState(NamedTuple):
 
 def true_tendon_state(simulation: SimulatedRun) -> TrueTendonState:
     peer: Any = simulation.simulated_hand
-    spool = simulation.controller.model.space.spool
+    spool = simulation.controller.model.tendon_constants.spool_radius
     motors = [
         peer.world.plant.motors[motor.name] for motor in simulation.controller.model.hand.motor
     ]
@@ -88,7 +88,7 @@ def tension_bound(
     stiffness k of the tendon. From a tension T, the tension rises to at most F + sqrt((F - T)^2 + k
     m v^2). While the finger moves freely, the force also increases the speed of the rotor.
     """
-    space = simulation.controller.model.space
+    space = simulation.controller.model.tendon_constants
     largest = np.maximum(motor_force, 0.0)
     max_speed = np.abs(initial_state.speed) + largest / space.motor_mass * COMMAND_DELAY_S * (
         initial_state.tension < 10.0
@@ -117,7 +117,7 @@ def test_relaxing_raises_no_command_and_no_tension(
     a, b = chance.sample([motor.name for motor in hand.motor], 2)
     fault = chance.choice(FAULT_COMMANDS).format(a=a, b=b, t=chance.choice(hand.tendon_names))
     with homed_run(hand, rate, seed, perturb, task) as simulation:
-        advance_to_stage(simulation, chance.choice((FREE_STAGE, GRASP_STAGE)))
+        advance_to_stage(simulation, chance.choice((FREE_MOTION_STAGE, GRASP_STAGE)))
         for _ in range(int(chance.uniform(0.0, 3.0) * rate)):
             simulation.run_tick()
         if fault:
@@ -193,14 +193,17 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
             out = simulation.run_tick()
         simulation.simulated_hand.inject(fault_command)
         assert simulation.run_until(lambda out: out.mode == HandMode.RELAX, 2.0)
-        latched_ids = {mark.id for mark in simulation.state.latched}
+        latched_ids = {mark.id for mark in simulation.state.latched_faults}
         # With some seeds, the unstable loop first makes the tension too large (T03), or makes the
         # tendon slack (T01).
         assert latched_ids & {"T04b", "T03", "T01"}
         if "T04b" in latched_ids:
             table, model = simulation.state.tendon, simulation.controller.model
-            force_limit = np.maximum(table[s.TENSION], model.relaxed_tensions) + model.space.coulomb
-            assert (simulation.state.view("asked") <= force_limit + SETPOINT_MARGIN_N).all()
+            force_limit = (
+                np.maximum(table[s.TENSION], model.relaxed_tensions)
+                + model.tendon_constants.coulomb_friction
+            )
+            assert (simulation.state.view("asked") <= force_limit + MAX_SETPOINT_EXCESS_N).all()
         if fault_command.startswith("cross"):
             peak = 0.0
             while simulation.run_tick().mode != HandMode.DONE:

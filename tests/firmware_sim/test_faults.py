@@ -1,7 +1,7 @@
 """Test scheduled faults.
 
-The text of a fault is parsed. The fault starts and ends in time, and its effects are counted. An
-equal seed gives an equal fault.
+The tests parse the text of a fault, check the times of its start and end, and count its effects.
+Faults with equal seeds are equal.
 """
 
 import contextlib

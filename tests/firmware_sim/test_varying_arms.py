@@ -10,7 +10,7 @@ from firmware_sim.hand_description import load_hand
 from firmware_sim.plant.drivetrain import _wrapped_tendon_length, step_drivetrain
 from firmware_sim.plant.motor import Motor
 from firmware_sim.plant.tendon import TendonRouting
-from tests.hand.varying_arms import hand_with_varying_arms
+from tests.hand.varying_arm_hands import hand_with_varying_arms
 
 STEP_S = 0.5e-3
 

@@ -17,10 +17,10 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 
 import handctl.gym
-from handctl.client.observation import AXIS_OF_FIELD
+from handctl.client.observation import AXIS_BY_FIELD
 from handctl.errors import ConfigError
 
-PAGE_FILE = Path(__file__).parents[2] / "docs" / "how-to" / "gym.md"
+GYM_PAGE_PATH = Path(__file__).parents[2] / "docs" / "how-to" / "gym.md"
 TRACK_ENV, GRASP_ENV = "handctl/Track-v0", "handctl/Grasp-v0"
 GRASP_PARAMETERS = {
     "jamia": (70, 0.3),
@@ -193,7 +193,7 @@ def test_random_actions_are_limited_and_trip_nothing_on_a_free_hand() -> None:
 def test_names_are_those_of_the_client_s_observations() -> None:
     env = make_env(TRACK_ENV, hand="jamia11")
     telemetry = {part.name for part in env.layout.parts if not part.name.startswith("reference")}
-    assert telemetry <= AXIS_OF_FIELD.keys()
+    assert telemetry <= AXIS_BY_FIELD.keys()
     assert env.layout.names[:2] == ("q_rad[index_j1]", "q_rad[index_j2]")
     assert len(env.layout.names) == env.observation_space.shape[0]
     observation, _ = env.reset(seed=0)
@@ -260,7 +260,9 @@ def test_a_missing_extra_is_one_line_that_names_it() -> None:
 
 
 def test_the_program_of_the_page_grasps(capsys: pytest.CaptureFixture[str]) -> None:
-    program = re.findall(r"```python[^\n]*\n(.*?)```", PAGE_FILE.read_text("utf-8"), re.DOTALL)[0]
+    program = re.findall(r"```python[^\n]*\n(.*?)```", GYM_PAGE_PATH.read_text("utf-8"), re.DOTALL)[
+        0
+    ]
     exec(program, {})
     assert capsys.readouterr().out.endswith("True\n")
 

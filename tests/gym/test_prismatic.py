@@ -1,4 +1,4 @@
-"""Hands with prismatic joints follow random references through a stream of targets in mm and deg."""
+"""Test environments of hands with prismatic joints, whose targets are in mm and degrees."""
 
 from pathlib import Path
 

@@ -46,7 +46,7 @@ def refusal() -> Callable[[Mapping[str, Any]], str]:
     This line contains the file, the key path, the wrong value and the expected value.
     """
 
-    def refuse(content: Mapping[str, Any]) -> str:
+    def refusal_line(content: Mapping[str, Any]) -> str:
         with pytest.raises(ConfigError) as caught:
             hand_from_content(content, "my/hand.toml")
         line = str(caught.value)
@@ -55,4 +55,4 @@ def refusal() -> Callable[[Mapping[str, Any]], str]:
         assert "; expected " in line
         return line
 
-    return refuse
+    return refusal_line

@@ -11,7 +11,7 @@ from handctl.hand.formats.link_meshes import PALM_LINK, meshes_of_hand
 from handctl.hand.formats.mesh_file import mesh_triangles
 from handctl.hand.hand_loading import hand_from_content, load_hand
 from handctl.hand.kinematics import joint_positions, link_rotations
-from handctl.hand.link_tree import HandLinkTree
+from handctl.hand.link_tree import LinkTree
 from tools.meshes.solids import stl
 
 TETRAHEDRON_CORNERS = np.array(
@@ -29,10 +29,10 @@ def tetrahedron_triangles() -> NDArray[np.float64]:
     return TETRAHEDRON_CORNERS[TETRAHEDRON_FACES]
 
 
-def tetrahedron_obj(scale: float = 1.0, mixed_face_forms: bool = False) -> bytes:
+def tetrahedron_obj(scale: float = 1.0, mixes_face_notations: bool = False) -> bytes:
     """Return the tetrahedron as the text of an OBJ file.
 
-    With ``mixed_face_forms``, the faces of the tetrahedron use all notations that OBJ has for a
+    With ``mixes_face_notations``, the faces of the tetrahedron use all notations that OBJ has for a
     corner. MuJoCo cannot read a file with such a mixture.
     """
     lines = [
@@ -42,7 +42,7 @@ def tetrahedron_obj(scale: float = 1.0, mixed_face_forms: bool = False) -> bytes
         "vn 0 0 1",
     ]
     lines += ["vt 0 0", "f 1/1/1 3/1/1 2/1/1", "f -4//1 -3//1 -1//1", "f 1/1 4/1 3/1", "f 2 3 4"]
-    if not mixed_face_forms:
+    if not mixes_face_notations:
         lines[-4:] = [
             "f 1//1 3//1 2//1",
             "f -4//1 -3//1 -1//1",
@@ -117,7 +117,7 @@ def corners_by_link(model: mujoco.MjModel, q: np.ndarray) -> dict[str, np.ndarra
 def corners_of_hand(hand, mesh_folder: Path, q: np.ndarray) -> dict[str, np.ndarray]:
     """Return the corners of the mesh of each link in the palm frame [m], as the kinematics of handctl places them."""
     poses = {PALM_LINK: (np.zeros(3), np.eye(3))}
-    tree = HandLinkTree.from_hand(hand)
+    tree = LinkTree.from_hand(hand)
     all_poses = tree.poses(q)
     for digit in tree.digits:
         poses_of_digit = all_poses[digit.joints]
@@ -130,7 +130,7 @@ def corners_of_hand(hand, mesh_folder: Path, q: np.ndarray) -> dict[str, np.ndar
         position, rotation = poses[mesh.link]
         content = (mesh_folder / mesh.file).read_bytes()
         corners_of_link[mesh.link] = (
-            mesh.place(mesh_triangles(content, mesh.suffix)) @ rotation.T + position
+            mesh.to_link_frame(mesh_triangles(content, mesh.suffix)) @ rotation.T + position
         )
     return corners_of_link
 

@@ -11,11 +11,11 @@ from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_from_content, load_hand
 
 RANDOM_CHAIN_SEEDS = range(20)
-MIXED_SEEDS = range(20, 40)
+SEEDS_WITH_PRISMATIC_JOINTS = range(20, 40)
 """Seeds of hands in which about half of the joints are prismatic."""
 
 
-def random_hand_tree_of(seed: int) -> Hand:
+def build_random_hand_tree(seed: int) -> Hand:
     """Return a hand of five random digits of 1 to 3 links.
 
     Each digit is mounted on the palm or on an earlier digit.
@@ -36,8 +36,8 @@ def random_hand(seed: int, *joint_counts: int, rng: np.random.Generator | None =
     joint_counts = joint_counts or (seed % 8 + 1, int(rng.integers(1, 8)))
     content = load_hand("jamia11").content
     digits = [random_digit(rng, f"d{number}", count) for number, count in enumerate(joint_counts)]
-    for number, digit in enumerate(digits) if seed in MIXED_SEEDS else ():
-        mix_in_prismatic_joints(np.random.default_rng((seed, number)), digit)
+    for number, digit in enumerate(digits) if seed in SEEDS_WITH_PRISMATIC_JOINTS else ():
+        make_some_joints_prismatic(np.random.default_rng((seed, number)), digit)
     line: list[str] = []
     for digit in digits if is_mounted else ():
         # The carrier of a digit is the palm, the previous digit, or one of the digits that carry
@@ -115,14 +115,14 @@ def random_digit(rng: np.random.Generator, digit_name: str, joint_count: int) ->
     }
 
 
-def mix_in_prismatic_joints(random_source: np.random.Generator, digit: dict[str, Any]) -> None:
+def make_some_joints_prismatic(random_source: np.random.Generator, digit: dict[str, Any]) -> None:
     """Make some joints of a digit prismatic.
 
     In some hands, the first digits have only prismatic joints.
     """
     count = len(digit["link_length_m"])
-    slides = random_source.random(count) < (1.0 if random_source.random() < 0.2 else 0.5)
-    digit["joint_type"] = ["prismatic" if slide else "revolute" for slide in slides]
+    is_prismatic = random_source.random(count) < (1.0 if random_source.random() < 0.2 else 0.5)
+    digit["joint_type"] = ["prismatic" if slide else "revolute" for slide in is_prismatic]
     values = {
         "joint_min_deg": ("joint_min_m", -0.05, -0.02),
         "joint_max_deg": ("joint_max_m", 0.02, 0.05),
@@ -132,8 +132,10 @@ def mix_in_prismatic_joints(random_source: np.random.Generator, digit: dict[str,
         "spring_preload_rad": ("spring_preload_m", 0.06, 0.1),
     }
     for key, (sliding, low, high) in values.items():
-        digit[key] = [value for value, slide in zip(digit[key], slides, strict=True) if not slide]
-        digit[sliding] = random_source.uniform(low, high, int(slides.sum())).tolist()
+        digit[key] = [
+            value for value, slide in zip(digit[key], is_prismatic, strict=True) if not slide
+        ]
+        digit[sliding] = random_source.uniform(low, high, int(is_prismatic.sum())).tolist()
         for name in (key, sliding):
             if not digit[name]:
                 del digit[name]

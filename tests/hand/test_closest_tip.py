@@ -57,7 +57,7 @@ def test_a_point_anywhere_is_met_as_closely_as_by_scipy(hand: str) -> None:
 
     The search of scipy starts in the middle of the joint ranges.
     """
-    worse = 0
+    worse_count = 0
     for digit in palm_digits(hand):
         low, high = digit.coordinate_limits
         for seed in range(SEED_COUNT):
@@ -77,8 +77,8 @@ def test_a_point_anywhere_is_met_as_closely_as_by_scipy(hand: str) -> None:
             )
             assert (solution.coordinates >= low).all()
             assert (solution.coordinates <= high).all()
-            worse += solution.distance > np.linalg.norm(scipy_result.fun) + 1e-5
-    assert worse <= 1, "another local minimum in at most one case"
+            worse_count += solution.distance > np.linalg.norm(scipy_result.fun) + 1e-5
+    assert worse_count <= 1, "another local minimum in at most one case"
 
 
 def test_a_coupled_digit_meets_the_global_minimum() -> None:
@@ -125,11 +125,11 @@ def test_a_digit_takes_less_than_a_millisecond_per_target() -> None:
     digit = palm_digits("jamia11")[0]
     low, high = digit.coordinate_limits
     theta = 0.5 * (low + high)
-    took = []
+    durations_s = []
     for i in range(100):
         target = tip_position(digit, 0.5 * (low + high) + 0.2 * np.sin(0.1 * i))
         start_cpu_s = time.process_time()
         theta = closest_tip(digit, target, theta).coordinates
-        took.append(time.process_time() - start_cpu_s)
-    print(f"{1e3 * np.median(took):.2f} ms")
-    assert np.median(took) < 5e-3
+        durations_s.append(time.process_time() - start_cpu_s)
+    print(f"{1e3 * np.median(durations_s):.2f} ms")
+    assert np.median(durations_s) < 5e-3

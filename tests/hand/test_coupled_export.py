@@ -9,9 +9,9 @@ import pytest
 from handctl.hand.formats.mjcf import mjcf_text
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.hand_loading import load_hand
-from tests.docs.command_blocks import REPOSITORY_ROOT
+from tests.docs.code_blocks import REPOSITORY_ROOT
 
-SHADOW_LIKE = load_hand(REPOSITORY_ROOT / "examples" / "hands" / "shadow_like.toml")
+SHADOW_LIKE_HAND = load_hand(REPOSITORY_ROOT / "examples" / "hands" / "shadow_like.toml")
 DRIVER_BY_COUPLED_JOINT = {
     "index_j4": "index_j3", "middle_j4": "middle_j3", "ring_j4": "ring_j3", "little_j5": "little_j4",
 }  # fmt: skip
@@ -19,7 +19,7 @@ DRIVER_BY_COUPLED_JOINT = {
 
 
 def test_the_urdf_has_a_mimic_for_each_rigidly_coupled_joint() -> None:
-    robot = ET.fromstring(urdf_text(SHADOW_LIKE))
+    robot = ET.fromstring(urdf_text(SHADOW_LIKE_HAND))
     mimic_by_joint = {
         str(joint.get("name")): mimic.attrib
         for joint in robot.iter("joint")
@@ -32,7 +32,7 @@ def test_the_urdf_has_a_mimic_for_each_rigidly_coupled_joint() -> None:
 
 
 def test_mujoco_keeps_rigidly_coupled_joints_together() -> None:
-    model = mujoco.MjModel.from_xml_string(mjcf_text(SHADOW_LIKE))
+    model = mujoco.MjModel.from_xml_string(mjcf_text(SHADOW_LIKE_HAND))
     assert model.neq == len(DRIVER_BY_COUPLED_JOINT)
     data = mujoco.MjData(model)
     outer_actuator = model.actuator("index_outer").id

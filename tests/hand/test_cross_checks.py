@@ -8,22 +8,22 @@ import numpy as np
 import pytest
 
 from handctl.errors import ConfigError
-from handctl.hand.hand_loading import hand_content, hand_from_content, inspect_content
+from handctl.hand.hand_loading import hand_content, hand_from_content, inspect_hand_content
 from tests.hand.hand_on_wrist import mount_on_wrist
 
-JAMIA_CONTENT = hand_content("jamia")
+JAMIA_HAND_CONTENT = hand_content("jamia")
 
 
 @pytest.fixture
 def refusal_of_edit(refusal):
     """Return a function that edits the packaged hand, and returns the error line without the file name."""
 
-    def refuse(content_edit):
-        content = copy.deepcopy(JAMIA_CONTENT)
+    def refusal_line(content_edit):
+        content = copy.deepcopy(JAMIA_HAND_CONTENT)
         content_edit(content)
         return refusal(content).removeprefix("my/hand.toml: ")
 
-    return refuse
+    return refusal_line
 
 
 def section_edit(section_name, section_index, **field_values):
@@ -33,7 +33,7 @@ def section_edit(section_name, section_index, **field_values):
     ).update(field_values)
 
 
-WRONG_UNITS = [
+WRONG_UNIT_CASES = [
     (
         "digit",
         {"link_length_m": [30, 15, 10]},
@@ -53,7 +53,7 @@ WRONG_UNITS = [
 ]
 
 
-@pytest.mark.parametrize(("section_name", "field_values", "expected_start"), WRONG_UNITS)
+@pytest.mark.parametrize(("section_name", "field_values", "expected_start"), WRONG_UNIT_CASES)
 def test_the_message_about_a_wrong_unit_suggests_a_unit(
     refusal_of_edit, section_name, field_values, expected_start
 ):
@@ -67,9 +67,9 @@ def test_entries_that_are_refused_cause_no_further_message():
 
     The third message demanded at least 1 value.
     """
-    content = copy.deepcopy(JAMIA_CONTENT)
+    content = copy.deepcopy(JAMIA_HAND_CONTENT)
     content["digit"][0]["link_length_m"] = [50, 40]
-    lines = [str(mistake.error("x")) for mistake in inspect_content(content).mistakes]
+    lines = [str(mistake.error("x")) for mistake in inspect_hand_content(content).mistakes]
     assert len(lines) == 2
     assert all("expected 0 or a number from 0.001 to 0.2 m" in line for line in lines)
 
@@ -78,7 +78,7 @@ def tendon_edit(**tendon_fields):
     return section_edit("tendon", 0, **tendon_fields)
 
 
-EDIT_BY_CONTRADICTION = {
+CONTRADICTION_CASES = {
     "tension limit above the wire's strength": (
         tendon_edit(tension_max_N=700.0, tension_trip_N=800.0),
         "tendon[index_tendon].tension_max_N: 700, and the tendon breaks at 620 N; expected "
@@ -378,8 +378,8 @@ EDIT_BY_CONTRADICTION = {
 
 @pytest.mark.parametrize(
     ("content_edit", "expected_start"),
-    EDIT_BY_CONTRADICTION.values(),
-    ids=EDIT_BY_CONTRADICTION.keys(),
+    CONTRADICTION_CASES.values(),
+    ids=CONTRADICTION_CASES.keys(),
 )
 def test_contradicting_keys_are_refused(refusal_of_edit, content_edit, expected_start):
     assert refusal_of_edit(content_edit).startswith(expected_start)
@@ -401,7 +401,7 @@ def test_a_coupling_has_as_many_coordinates_as_joints_at_most():
 
 
 def test_value_at_its_limit_is_accepted():
-    content = copy.deepcopy(JAMIA_CONTENT)
+    content = copy.deepcopy(JAMIA_HAND_CONTENT)
     digit, tendon = content["digit"][0], content["tendon"][0]
     mass, length = digit["link_mass_kg"][0], digit["link_length_m"][0]
     digit["link_com_m"][0], digit["link_inertia_kg_m2"][0] = length, mass * length**2

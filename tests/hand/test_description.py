@@ -16,7 +16,7 @@ from handctl.hand.hand_loading import (
     packaged_hands,
 )
 
-CONTENT_BY_HAND = {name: hand_content(name) for name in packaged_hands()}
+CONTENT_BY_HAND_NAME = {name: hand_content(name) for name in packaged_hands()}
 
 
 @pytest.fixture(params=packaged_hands())
@@ -52,7 +52,7 @@ def test_resolved_text_reads_back_as_the_same_hand(hand, tmp_path):
 
 
 def test_options_and_awkward_text_survive(tmp_path):
-    content = copy.deepcopy(CONTENT_BY_HAND["jamia"])
+    content = copy.deepcopy(CONTENT_BY_HAND_NAME["jamia"])
     content["description"] = 'a "quoted" \\ tab\t line\nµ \x7f'
     content["motor"][0]["options"] = {"reply_id": 0x55, "fd": True, "gain": 1e-7, "odd key": "ü"}
     hand = hand_from_content(content, "x")
@@ -63,7 +63,7 @@ def test_options_and_awkward_text_survive(tmp_path):
 
 
 def test_identity_is_of_the_content_and_not_of_its_spelling(hand):
-    plain = CONTENT_BY_HAND[hand.name]
+    plain = CONTENT_BY_HAND_NAME[hand.name]
     assert hand_from_content(dict(reversed(plain.items())), "x").identity == hand.identity
     whole_content = content_with_value(
         plain, ("tendon", 0, "knee_N"), int(plain["tendon"][0]["knee_N"])
@@ -72,9 +72,9 @@ def test_identity_is_of_the_content_and_not_of_its_spelling(hand):
     assert re.fullmatch(r"[0-9a-f]{64}", hand.identity)
     identities = {
         hand_from_content(content_with_value(plain, path, value * 1.0001), "x").identity
-        for path, value in changeable_values(plain)
+        for path, value in changeable_numbers(plain)
     }
-    assert len(identities | {hand.identity}) == 1 + len(list(changeable_values(plain)))
+    assert len(identities | {hand.identity}) == 1 + len(list(changeable_numbers(plain)))
 
 
 def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
@@ -83,18 +83,18 @@ def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
     The log of a hand with the default stream limits did not contain these limits.
     """
     slow_hand = hand_from_content(
-        CONTENT_BY_HAND[hand.name] | {"stream": {"speed_deg_s": 200.0}}, "x"
+        CONTENT_BY_HAND_NAME[hand.name] | {"stream": {"speed_deg_s": 200.0}}, "x"
     )
     assert slow_hand.stream != hand.stream
     assert slow_hand.identity == hand.identity
-    for described_hand in (slow_hand, hand):
+    for original_hand in (slow_hand, hand):
         path = tmp_path / "copy.toml"
-        path.write_text(described_hand.to_toml())
-        assert "speed_deg_s" in described_hand.to_toml()
-        assert load_hand(path).stream == described_hand.stream
+        path.write_text(original_hand.to_toml())
+        assert "speed_deg_s" in original_hand.to_toml()
+        assert load_hand(path).stream == original_hand.stream
 
 
-def changeable_values(content):
+def changeable_numbers(content):
     """Yield the path and the value of some numbers in a hand's content.
 
     The hand stays valid if one of these numbers changes slightly.
@@ -105,7 +105,7 @@ def changeable_values(content):
         yield ("digit", 1, "link_mass_kg", i), content["digit"][1]["link_mass_kg"][i]
 
 
-DIGITS_AND_JOINTS = {
+DIGITS_AND_JOINT_COUNT_BY_HAND = {
     "t42": (("left", "right"), 4),
     "n_plus_1": (("index", "middle", "thumb"), 8),
     "orca_like": (("wrist", "index", "middle", "ring", "pinky", "thumb"), 17),
@@ -117,12 +117,14 @@ def test_links_and_joints_have_names_and_places(hand):
     first_digit, last_digit = hand.digit[0], hand.digit[-1]
     assert hand.joints[0] == f"{first_digit.name}_j1"
     assert hand.joints[-1] == f"{last_digit.name}_j{len(last_digit.link_length_m)}"
-    digits, joints = DIGITS_AND_JOINTS.get(hand.name, (("index", "middle", "ring", "thumb"), 11))
+    digits, joints = DIGITS_AND_JOINT_COUNT_BY_HAND.get(
+        hand.name, (("index", "middle", "ring", "thumb"), 11)
+    )
     assert hand.digit_names == digits
     assert hand.moment_arms.shape == (len(hand.tendon_names), joints)
     for tendon, row in zip(hand.tendon, hand.moment_arms, strict=True):
         assert {hand.joints[j]: row[j] for j in np.flatnonzero(row)} == tendon.moment_arm_m
-        assert hand.motor_of(tendon.name).name == tendon.motor
+        assert hand.motor_of_tendon(tendon.name).name == tendon.motor
     for name in hand.digit_names:
         assert hand.joints[hand.digit_joints[name]] == hand.digit_named(name).joints
         assert all(
@@ -157,7 +159,7 @@ def test_sensor_frames(hand):
 
 
 def test_several_buses_may_use_the_same_node_ids():
-    content = copy.deepcopy(CONTENT_BY_HAND["jamia"])
+    content = copy.deepcopy(CONTENT_BY_HAND_NAME["jamia"])
     content["bus"].append({"name": "second", "bitrate": 1_000_000})
     content["motor"][1].update(bus="second", node_id=1)
     assert hand_from_content(content, "x").motor[1].node_id == 1

@@ -126,8 +126,10 @@ def test_document_without_a_table_is_refused() -> None:
 
 
 def test_a_date_of_toml_is_taken_as_it_is_written() -> None:
-    made_at = datetime.datetime(2026, 1, 2, 3, 4, 5, tzinfo=datetime.UTC)
+    creation_time = datetime.datetime(2026, 1, 2, 3, 4, 5, tzinfo=datetime.UTC)
     assert (
-        validate_content({"name": "a", "made": made_at}, ExamplePlanDocument, "plan.toml").made
+        validate_content(
+            {"name": "a", "made": creation_time}, ExamplePlanDocument, "plan.toml"
+        ).made
         == "2026-01-02 03:04:05+00:00"
     )

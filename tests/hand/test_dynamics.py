@@ -219,8 +219,8 @@ def test_energy_is_conserved(digits):
 
         def energy(state, digit=digit, n=n):
             q, dq = state[:n], state[n:]
-            stored = dynamics.potential_energy(digit, q) + dynamics.spring_energy(digit, q)
-            return dynamics.kinetic_energy(digit, q, dq) + stored
+            stored_energy = dynamics.potential_energy(digit, q) + dynamics.spring_energy(digit, q)
+            return dynamics.kinetic_energy(digit, q, dq) + stored_energy
 
         state = np.concatenate((np.linspace(0.3, 0.9, n), np.linspace(25.0, -20.0, n)))
         start, kinetic_energies = energy(state), []
@@ -241,14 +241,14 @@ def test_sums_are_sums_of_their_parts(digits, rng):
     for digit in digits:
         for q, dq, ddq in random_motions(rng, digit.joint_count, 100):
             rigid_body_torque = np.array(dynamics.inverse_dynamics(digit, q, dq, ddq))
-            passive = (
+            passive_torque = (
                 np.array(digit.spring_stiffness) * (q + digit.spring_preload)
                 + np.array(digit.joint_damping) * dq
             )
             assert arrays_agree(
-                dynamics.required_torque(digit, q, dq, ddq), rigid_body_torque + passive
+                dynamics.required_torque(digit, q, dq, ddq), rigid_body_torque + passive_torque
             )
-            assert arrays_agree(dynamics.passive_torque(digit, q, dq), passive)
+            assert arrays_agree(dynamics.passive_torque(digit, q, dq), passive_torque)
             weight = np.array(dynamics.gravity_torque(digit, q))
             assert np.allclose(
                 dynamics.static_torque(digit, q),

@@ -13,8 +13,8 @@ from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.hand_loading import hand_content, hand_from_content, packaged_hands
 from tests.conftest import NIGHTLY
 
-CONTENT_BY_HAND = {name: hand_content(name) for name in packaged_hands()}
-SIGNED_KEYS = re.compile(
+CONTENT_BY_HAND_NAME = {name: hand_content(name) for name in packaged_hands()}
+SIGNED_KEY_PATTERN = re.compile(
     r"gravity|mount_|joint_m(in|ax)_deg|moment_arm|zero_rad|coupling|direction"
 )
 OPTIONAL_KEYS = {"coupling"}
@@ -80,7 +80,7 @@ HANDS_WITH_PLANAR_DIGITS = tuple(name for name in packaged_hands() if name != "o
 """
 
 
-def one_per_key(cases: list[ParameterSet]) -> list[ParameterSet]:
+def first_case_per_key(cases: list[ParameterSet]) -> list[ParameterSet]:
     """Return one case for each key.
 
     The case may belong to any hand, and to any entry of a list. In a nightly test run, return all
@@ -92,13 +92,13 @@ def one_per_key(cases: list[ParameterSet]) -> list[ParameterSet]:
 
 NUMBER_CASES = [
     pytest.param(
-        CONTENT_BY_HAND[name],
+        CONTENT_BY_HAND_NAME[name],
         path,
         value,
-        id=f"{name}-{key_path_text(CONTENT_BY_HAND[name], path)}",
+        id=f"{name}-{key_path_text(CONTENT_BY_HAND_NAME[name], path)}",
     )
     for name in HANDS_WITH_PLANAR_DIGITS
-    for path, value in content_leaves(CONTENT_BY_HAND[name])
+    for path, value in content_leaves(CONTENT_BY_HAND_NAME[name])
     if is_number(value)
     and path != ("schema",)
     and not (len(path) > 1 and isinstance(path[1], int) and path[1] in (1, 2))
@@ -107,7 +107,7 @@ NUMBER_CASES = [
 
 The entries of middle and ring finger are left out, because they repeat entries of the index finger.
 """
-SAMPLED_NUMBER_CASES = one_per_key(NUMBER_CASES)
+SAMPLED_NUMBER_CASES = first_case_per_key(NUMBER_CASES)
 
 
 @pytest.mark.parametrize(("content", "key_path", "wrong_number"), SAMPLED_NUMBER_CASES)
@@ -120,7 +120,7 @@ def test_invalid_number_in_a_hand_file_is_refused(refusal, content, key_path, wr
         ("12", '"12"'),
         ([1.0], "[1.0]"),
     ]
-    if wrong_number != 0 and not SIGNED_KEYS.search(str(key_path)):
+    if wrong_number != 0 and not SIGNED_KEY_PATTERN.search(str(key_path)):
         wrong_values.append((-wrong_number, str(-wrong_number)))
     for wrong_value, shown_text in wrong_values:
         line = refusal(content_with_value(content, key_path, wrong_value))
@@ -137,11 +137,11 @@ def test_no_number_may_be_absurdly_large(refusal, content, key_path, wrong_numbe
 
 @pytest.mark.parametrize("hand_name", HANDS_WITH_PLANAR_DIGITS)
 def test_a_missing_key_is_refused(refusal, hand_name):
-    for path, table in content_tables(CONTENT_BY_HAND[hand_name]):
+    for path, table in content_tables(CONTENT_BY_HAND_NAME[hand_name]):
         for key in table:
             if key in ("schema", "sensor_node") or "mesh" in key:  # these keys are optional
                 continue
-            content = content_with_value(CONTENT_BY_HAND[hand_name], (*path, key), None)
+            content = content_with_value(CONTENT_BY_HAND_NAME[hand_name], (*path, key), None)
             node = content
             for key_or_index in path:
                 node = node[key_or_index]
@@ -158,9 +158,9 @@ def test_a_missing_key_is_refused(refusal, hand_name):
 
 @pytest.mark.parametrize("hand_name", packaged_hands())
 def test_an_unknown_key_is_refused(refusal, hand_name):
-    for path, _ in content_tables(CONTENT_BY_HAND[hand_name]):
-        line = refusal(content_with_value(CONTENT_BY_HAND[hand_name], (*path, "colour"), 1.0))
-        key_text = key_path_text(CONTENT_BY_HAND[hand_name], path)
+    for path, _ in content_tables(CONTENT_BY_HAND_NAME[hand_name]):
+        line = refusal(content_with_value(CONTENT_BY_HAND_NAME[hand_name], (*path, "colour"), 1.0))
+        key_text = key_path_text(CONTENT_BY_HAND_NAME[hand_name], path)
         assert line.startswith(
             f"my/hand.toml: {key_text}{'.' if key_text else ''}colour: unknown key; expected one of "
         )
@@ -168,11 +168,13 @@ def test_an_unknown_key_is_refused(refusal, hand_name):
 
 @pytest.mark.parametrize("hand_name", packaged_hands())
 def test_a_misspelt_key_is_reported_with_the_right_one(refusal, hand_name):
-    for path, table in content_tables(CONTENT_BY_HAND[hand_name]):
+    for path, table in content_tables(CONTENT_BY_HAND_NAME[hand_name]):
         for key in table:
             if key == "schema" and path == ():
                 continue
-            content = content_with_value(CONTENT_BY_HAND[hand_name], (*path, key + "s"), table[key])
+            content = content_with_value(
+                CONTENT_BY_HAND_NAME[hand_name], (*path, key + "s"), table[key]
+            )
             node = content
             for key_or_index in path:
                 node = node[key_or_index]
@@ -183,7 +185,7 @@ def test_a_misspelt_key_is_reported_with_the_right_one(refusal, hand_name):
 
 def test_random_change_is_read_or_refused_in_one_line():
     """Any wrong value, of any type and in any place of the content, raises ConfigError."""
-    content = CONTENT_BY_HAND["jamia"]
+    content = CONTENT_BY_HAND_NAME["jamia"]
     for path, _ in [*content_leaves(content), *content_tables(content)]:
         if len(path) > 1 and path[1] in (1, 2):
             continue

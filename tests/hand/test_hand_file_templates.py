@@ -31,18 +31,18 @@ IDENTITY_BY_HAND = {
 
 Existing calibrations and logs refer to these identities.
 """
-MAX_LINES = 120
+MAX_FILE_LINES = 120
 """Largest number of lines of a packaged hand file."""
-MAX_LINES_BY_HAND = {"orca_like": 175}
+MAX_FILE_LINES_BY_HAND = {"orca_like": 175}
 """Largest number of lines of larger packaged hand files. ``orca_like`` has 17 joints and three kinds of digits."""
 
 
-def jamia_content() -> dict[str, Any]:
+def jamia_hand_content() -> dict[str, Any]:
     """Return the content of jamia.toml as it is packaged, with its defaults and templates."""
     return read_toml(hand_path("jamia"))
 
 
-def hand_of_content(content: dict[str, Any]) -> Hand:
+def build_valid_hand(content: dict[str, Any]) -> Hand:
     """Build a hand from a content, and check that the content has no mistakes."""
     hand, mistakes = validate_content(content)
     assert not mistakes
@@ -59,7 +59,7 @@ def test_the_packaged_hands_keep_their_identity(hand_name: str) -> None:
 def test_a_packaged_file_is_short(hand_name: str) -> None:
     assert len(
         (PACKAGED_HANDS_FOLDER / f"{hand_name}.toml").read_text("utf-8").splitlines()
-    ) < MAX_LINES_BY_HAND.get(hand_name, MAX_LINES)
+    ) < MAX_FILE_LINES_BY_HAND.get(hand_name, MAX_FILE_LINES)
 
 
 @pytest.mark.parametrize("hand_name", packaged_hands())
@@ -74,11 +74,11 @@ def test_the_resolved_hand_is_a_file_of_schema_1_for_controller_and_simulator(
 
 
 def test_a_section_replaces_its_template_and_the_template_the_default() -> None:
-    content = jamia_content()
+    content = jamia_hand_content()
     content["default"]["digit"]["link_radius_m"] = 0.006
     content["digit_template"]["finger"]["link_radius_m"] = 0.005
     content["digit"][1]["link_radius_m"] = 0.003
-    assert [digit.link_radius_m for digit in hand_of_content(content).digit] == [
+    assert [digit.link_radius_m for digit in build_valid_hand(content).digit] == [
         0.005,
         0.003,
         0.005,
@@ -87,38 +87,38 @@ def test_a_section_replaces_its_template_and_the_template_the_default() -> None:
 
 
 def test_tables_are_merged_key_by_key() -> None:
-    content = jamia_content()
+    content = jamia_hand_content()
     content["digit"][0]["tendon"] = {"tendon": {"knee_N": 150.0, "moment_arm_m": {"j3": 0.002}}}
-    first_tendon, second_tendon, *_ = hand_of_content(content).tendon
+    first_tendon, second_tendon, *_ = build_valid_hand(content).tendon
     assert first_tendon.moment_arm_m == {"index_j1": 0.003, "index_j2": 0.003, "index_j3": 0.002}
     assert (first_tendon.knee_N, second_tendon.knee_N) == (150.0, 200.0)
 
 
 def test_tendons_and_motors_have_templates_too() -> None:
-    content = jamia_content()
+    content = jamia_hand_content()
     content["tendon_template"] = {"thin": {"rated_breaking_force_N": 300.0}}
     content["motor_template"] = {"slow": {"velocity_range_rad_s": 30.0}}
     content["digit_template"]["finger"]["tendon"]["tendon"]["template"] = "thin"
     content["digit"][0]["motor"]["motor"]["template"] = "slow"
-    hand = hand_of_content(content)
+    hand = build_valid_hand(content)
     assert [tendon.rated_breaking_force_N for tendon in hand.tendon] == [300.0, 300.0, 300.0, 620.0]
     assert [motor.velocity_range_rad_s for motor in hand.motor] == [30.0, 50.0, 50.0, 50.0]
 
 
 def test_tendons_and_motors_may_have_their_own_sections() -> None:
-    content = jamia_content()
+    content = jamia_hand_content()
     thumb = content["digit"][3]
     del thumb["tendon"], thumb["motor"]
     arms = {"thumb_j1": 0.003, "thumb_j2": 0.003}
     content["tendon"] = [{"name": "thumb_tendon", "motor": "thumb_motor", "moment_arm_m": arms}]
     content["motor"] = [{"name": "thumb_motor", "node_id": 4}]
-    assert hand_of_content(content).identity == IDENTITY_BY_HAND["jamia"]
+    assert build_valid_hand(content).identity == IDENTITY_BY_HAND["jamia"]
 
 
 def test_one_number_holds_for_every_link() -> None:
-    content = jamia_content()
+    content = jamia_hand_content()
     content["digit"][0]["joint_max_deg"] = 90
-    assert [digit.joint_max_deg for digit in hand_of_content(content).digit[::3]] == [
+    assert [digit.joint_max_deg for digit in build_valid_hand(content).digit[::3]] == [
         (90.0, 90.0, 90.0),
         (100.0, 100.0),
     ]
@@ -137,10 +137,10 @@ def test_no_two_sections_share_a_list() -> None:
 
 
 def test_resolving_templates_does_not_change_its_argument() -> None:
-    content = jamia_content()
-    content_before = copy.deepcopy(content)
+    content = jamia_hand_content()
+    original_content = copy.deepcopy(content)
     resolve_templates(content)
-    assert content == content_before
+    assert content == original_content
 
 
 def test_resolved_content_is_resolved_already() -> None:
@@ -149,12 +149,12 @@ def test_resolved_content_is_resolved_already() -> None:
 
 
 def test_a_deeply_nested_table_is_reported_without_a_crash() -> None:
-    content = jamia_content()
-    deep: dict[str, Any] = {}
+    content = jamia_hand_content()
+    nested_table: dict[str, Any] = {}
     for _ in range(5000):
-        deep = {"a": deep}
-    content["default"]["tendon"]["a"] = deep
-    content["digit_template"]["finger"]["tendon"]["tendon"]["a"] = deep
+        nested_table = {"a": nested_table}
+    content["default"]["tendon"]["a"] = nested_table
+    content["digit_template"]["finger"]["tendon"]["tendon"]["a"] = nested_table
     assert [mistake.where for mistake in validate_content(content)[1]] == [
         "digit_template.finger.tendon.tendon.a",
         "default.tendon.a",

@@ -27,7 +27,7 @@ PACKAGED_SCHEMA_FILE = Path(handctl.__file__).parent / "hand" / "hand.schema.jso
 SCHEMA_VALIDATOR = jsonschema.Draft7Validator(hand_schema())
 
 
-def content_with_lists(content: dict[str, Any]) -> Any:
+def with_lists_for_tuples(content: dict[str, Any]) -> Any:
     """Return a hand's content with lists in place of tuples."""
     return json.loads(json.dumps(content))
 
@@ -56,7 +56,7 @@ def test_good_files_of_both_schemas_suit_it(hand_name: str) -> None:
     path = hand_path(hand_name)
     SCHEMA_VALIDATOR.validate(read_toml(path))
     SCHEMA_VALIDATOR.validate(
-        content_with_lists(parse_toml(load_hand(hand_name).to_toml(), "resolved"))
+        with_lists_for_tuples(parse_toml(load_hand(hand_name).to_toml(), "resolved"))
     )
     first_line = path.read_text("utf-8").splitlines()[0]
     assert (

@@ -5,7 +5,11 @@ from typing import ClassVar
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
-from handctl.hand.file.key_descriptions import DescribedSchema, field_docstrings, key_description
+from handctl.hand.file.key_descriptions import (
+    SchemaWithDescriptions,
+    field_docstrings,
+    key_description,
+)
 
 
 class ExampleKeys(BaseModel):
@@ -34,7 +38,7 @@ def test_docstrings_of_fields_belong_to_the_model_and_its_bases() -> None:
 @pytest.mark.parametrize(("by_alias", "documented_key"), [(True, "kind"), (False, "law")])
 def test_a_schema_has_the_descriptions_by_key(by_alias: bool, documented_key: str) -> None:
     properties = DerivedExampleKeys.model_json_schema(
-        by_alias=by_alias, schema_generator=DescribedSchema
+        by_alias=by_alias, schema_generator=SchemaWithDescriptions
     )["properties"]
     assert properties[documented_key]["description"] == "Law."
     assert "description" not in properties["plain"]

@@ -26,12 +26,12 @@ from handctl.hand.kinematics import (
     tip_jacobian,
     to_palm_frame,
 )
-from handctl.hand.link_bodies import rotation_of_rpy
 from handctl.hand.link_frames import link_transforms, quaternion_of_rotation
+from handctl.hand.link_geometry import rotation_of_rpy
 from tests.hand.random_chains import random_hand
 
 
-def planar_tip(digit, q):
+def planar_tip_pose(digit, q):
     """Return the tip position (x, y) of a planar digit, and the direction of the last link."""
     x, y, _ = from_palm_frame(digit, joint_points(digit, q)[-1])
     return x, y, float(np.sum(q))
@@ -89,9 +89,9 @@ def test_frames_and_jacobians_agree_with_pinocchio(hand, rng):
 
 def test_straight_fingers_point_out_of_the_palm_and_flex_towards_each_other(digits):
     for digit in digits:
-        straight = joint_points(digit, np.zeros(digit.joint_count))
-        assert np.allclose(straight[-1] - straight[0], [sum(digit.lengths), 0.0, 0.0])
-        bend_vector = joint_points(digit, np.full(digit.joint_count, 0.3))[-1] - straight[-1]
+        straight_points = joint_points(digit, np.zeros(digit.joint_count))
+        assert np.allclose(straight_points[-1] - straight_points[0], [sum(digit.lengths), 0.0, 0.0])
+        bend_vector = joint_points(digit, np.full(digit.joint_count, 0.3))[-1] - straight_points[-1]
         assert bend_vector[1] * digit.mount_position[1] < 0.0
         assert abs(bend_vector[2]) < 1e-12
 
@@ -132,7 +132,7 @@ def test_tip_pose_is_the_last_point_and_the_sum_of_angles(digits, rng):
 def test_the_paper_s_finger_at_thirty_degrees():
     """With q1 = q2 = q3 = t, Eq. 1-2 of the paper give X = 30 cos(t) + 15 cos(2t) + 10 cos(3t) mm."""
     t = math.radians(30.0)
-    pose = planar_tip(DigitModel.from_hand(load_hand("jamia"), "index"), (t, t, t))
+    pose = planar_tip_pose(DigitModel.from_hand(load_hand("jamia"), "index"), (t, t, t))
     x = 0.030 * math.cos(t) + 0.015 * math.cos(2 * t) + 0.010 * math.cos(3 * t)
     y = 0.030 * math.sin(t) + 0.015 * math.sin(2 * t) + 0.010 * math.sin(3 * t)
     assert np.allclose(pose, (x, y, 3 * t), rtol=1e-13)
@@ -140,9 +140,9 @@ def test_the_paper_s_finger_at_thirty_degrees():
 
 def test_the_inverse_of_the_palm_frame_gives_the_points_back(digits, rng):
     for digit in digits:
-        own_vectors = rng.normal(size=(20, 3))
+        link_vectors = rng.normal(size=(20, 3))
         assert np.allclose(
-            from_palm_frame(digit, to_palm_frame(digit, own_vectors)), own_vectors, atol=1e-14
+            from_palm_frame(digit, to_palm_frame(digit, link_vectors)), link_vectors, atol=1e-14
         )
 
 
@@ -165,17 +165,17 @@ def test_quaternions_of_all_rotations(rng):
 def test_inverse_finds_the_angles_that_were_given(digits, rng):
     for digit in digits:
         for q in random_angles(rng, digit):
-            x, y, angle = planar_tip(digit, q)
+            x, y, angle = planar_tip_pose(digit, q)
             solutions = inverse_kinematics(digit, x, y, angle)
             assert len(solutions) == 2
             assert solutions[0][1] > 0.0 > solutions[1][1]
-            gaps = [
+            distance_errors = [
                 np.abs(np.remainder(np.subtract(s, q) + np.pi, 2 * np.pi) - np.pi).max()
                 for s in solutions
             ]
-            assert min(gaps) < 1e-9
+            assert min(distance_errors) < 1e-9
             for solution in solutions:
-                assert np.allclose(planar_tip(digit, solution)[:2], (x, y), atol=1e-15)
+                assert np.allclose(planar_tip_pose(digit, solution)[:2], (x, y), atol=1e-15)
 
 
 def test_inverse_near_the_edge_of_reach(digits):
@@ -185,7 +185,7 @@ def test_inverse_near_the_edge_of_reach(digits):
         assert inverse_kinematics(digit, reach + 1e-6, 0.0, 0.0) == ()
         for bend in (1e-3, 1e-5):
             q = (0.2, bend, 0.1)[: digit.joint_count]
-            x, y, angle = planar_tip(digit, q)
+            x, y, angle = planar_tip_pose(digit, q)
             assert np.allclose(inverse_kinematics(digit, x, y, angle)[0], q, atol=1e-15 / bend)
 
 
@@ -221,8 +221,10 @@ def test_coupled_inverse_finds_the_coordinate_that_was_given(rng):
 
 def test_coupled_inverse_comes_as_near_as_a_fine_scan(rng):
     digit = DigitModel.from_hand(load_hand("jamia"), "index")
-    scan = np.linspace(*coordinate_limits(digit), 4001)
-    curve = np.array([joint_points(digit, digit.coupling[:, 0] * theta)[-1] for theta in scan])
+    coordinate_grid = np.linspace(*coordinate_limits(digit), 4001)
+    curve = np.array(
+        [joint_points(digit, digit.coupling[:, 0] * theta)[-1] for theta in coordinate_grid]
+    )
     for target in digit.mount_position + rng.uniform(-0.06, 0.06, (100, 3)):
         _, gap = inverse_kinematics_coupled(digit, target)
         nearest = np.linalg.norm(curve - target, axis=1).min()

@@ -13,7 +13,7 @@ import pinocchio
 import pytest
 
 from firmware_sim.hand_description import load_hand as simulated_hand
-from firmware_sim.plant.mjcf import HIDDEN_GROUP, VISUAL_GROUP, model_text
+from firmware_sim.plant.mjcf import COLLISION_GEOM_GROUP, VISUAL_GEOM_GROUP, model_text
 from firmware_sim.scene.scene import load_scene
 from handctl.errors import ConfigError
 from handctl.hand.file.json_schema import hand_schema
@@ -59,7 +59,7 @@ def test_a_binary_stl_and_an_obj_have_the_same_triangles() -> None:
         tetrahedron_triangles(), abs=1e-9
     )
     assert mesh_triangles(tetrahedron_obj(), ".OBJ") == pytest.approx(tetrahedron_triangles())
-    assert mesh_triangles(tetrahedron_obj(mixed_face_forms=True), ".obj") == pytest.approx(
+    assert mesh_triangles(tetrahedron_obj(mixes_face_notations=True), ".obj") == pytest.approx(
         tetrahedron_triangles()
     )
 
@@ -347,10 +347,10 @@ def test_meshes_have_no_effect_on_the_dynamics(
         assert np.array_equal(model.body_ipos, model_without_meshes.body_ipos)
         is_mesh = model.geom_type == mujoco.mjtGeom.mjGEOM_MESH
         assert not (model.geom_contype[is_mesh] | model.geom_conaffinity[is_mesh]).any()
-        assert set(model.geom_group[is_mesh]) == {VISUAL_GROUP}
+        assert set(model.geom_group[is_mesh]) == {VISUAL_GEOM_GROUP}
         with_mesh = np.isin(model.geom_bodyid, model.geom_bodyid[is_mesh])
-        assert set(model.geom_group[with_mesh & ~is_mesh]) <= {HIDDEN_GROUP}
-        assert not (model.geom_group[~with_mesh] == HIDDEN_GROUP).any()
+        assert set(model.geom_group[with_mesh & ~is_mesh]) <= {COLLISION_GEOM_GROUP}
+        assert not (model.geom_group[~with_mesh] == COLLISION_GEOM_GROUP).any()
         q = random_angles(hand, rng)
         ends = []
         for stepped_model in (model, model_without_meshes):

@@ -14,11 +14,11 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands, parse_toml
-from handctl.hand.moment_arms import arm_table_residual, polynomial_of_arm
+from handctl.hand.moment_arms import moment_arm_polynomial, moment_arm_table_residual
 from handctl.hand.tendons import excursions
 from handctl.programs.default_task import grasp_warnings
 from handctl.report.hand_graph import text_graph
-from tests.hand.varying_arms import hand_with_varying_arms
+from tests.hand.varying_arm_hands import hand_with_varying_arms
 
 PACKAGED_HANDS = packaged_hands()
 ANGLE_SEEDS = range(3)
@@ -43,19 +43,19 @@ def test_moment_arms_are_the_derivative_of_the_excursion(
             np.testing.assert_allclose(np.transpose(slope), digit.moment_arms_at(q), atol=1e-9)
             assert digit.with_moment_arms_at(q).has_varying_arm
             theta = digit.joints_to_coordinates @ q
-            coordinates = digit.coordinates_of(excursions(digit, digit.coupling @ theta))
+            coordinates = digit.coordinates_of_excursion(excursions(digit, digit.coupling @ theta))
             np.testing.assert_allclose(coordinates, theta, atol=1e-9)
 
 
 @pytest.mark.parametrize("hand_name", PACKAGED_HANDS)
 def test_a_polynomial_of_one_coefficient_is_a_constant_arm(hand_name: str) -> None:
-    constant_hand = load_hand(hand_name)
+    hand_with_constant_arms = load_hand(hand_name)
     hand = hand_with_varying_arms(hand_name, 0.0)
-    np.testing.assert_allclose(hand.moment_arms, constant_hand.moment_arms, rtol=1e-12)
+    np.testing.assert_allclose(hand.moment_arms, hand_with_constant_arms.moment_arms, rtol=1e-12)
     q = np.random.default_rng(1).uniform(-1.0, 2.0, len(hand.joints))
     for digit_name in hand.digit_names:
         digit = DigitModel.from_hand(hand, digit_name)
-        constant_model = DigitModel.from_hand(constant_hand, digit_name)
+        constant_model = DigitModel.from_hand(hand_with_constant_arms, digit_name)
         np.testing.assert_allclose(
             excursions(digit, q[digit.joints]),
             excursions(constant_model, q[digit.joints]),
@@ -76,10 +76,14 @@ def test_the_simulator_has_the_same_arms_from_its_own_polynomials(
     hand = hand_with_varying_arms(hand_name, 0.3, polynomial_kind)
     path = tmp_path / "hand.toml"
     path.write_text(hand.to_toml())
-    described = load_simulated(str(path))
-    motors = [motor.name for motor in described.motors]
+    simulated_description = load_simulated(str(path))
+    motors = [motor.name for motor in simulated_description.motors]
     routing = TendonRouting(
-        described.tendons, described.joints, motors, [0.005] * len(motors), compiled=False
+        simulated_description.tendons,
+        simulated_description.joints,
+        motors,
+        [0.005] * len(motors),
+        compiled=False,
     )
     for seed in ANGLE_SEEDS:
         q = np.random.default_rng(seed).uniform(
@@ -108,12 +112,14 @@ def test_a_table_becomes_a_polynomial_of_degree_three_with_its_residual() -> Non
         "angle_deg": angle.tolist(),
         "arm_m": np.polynomial.polynomial.polyval(np.radians(angle), cubic_coefficients).tolist(),
     }
-    np.testing.assert_allclose(polynomial_of_arm(arm), [*cubic_coefficients, 0.0, 0.0], atol=1e-12)
-    assert arm_table_residual(arm) < 1e-12
+    np.testing.assert_allclose(
+        moment_arm_polynomial(arm), [*cubic_coefficients, 0.0, 0.0], atol=1e-12
+    )
+    assert moment_arm_table_residual(arm) < 1e-12
     arm["arm_m"][4] += 1e-4
-    assert 2e-5 < arm_table_residual(arm) < 1e-4
+    assert 2e-5 < moment_arm_table_residual(arm) < 1e-4
     assert (
-        polynomial_of_arm({"angle_deg": [0.0, 90.0], "arm_m": [0.002, 0.004]})[2:].tolist()
+        moment_arm_polynomial({"angle_deg": [0.0, 90.0], "arm_m": [0.002, 0.004]})[2:].tolist()
         == [0.0] * 4
     )
 

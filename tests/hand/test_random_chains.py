@@ -23,7 +23,7 @@ from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.hand_loading import load_hand
 from handctl.hand.kinematics import forward_kinematics, joint_points, point_jacobian, tip_jacobian
 from handctl.hand.link_frames import link_transforms
-from handctl.hand.link_tree import HandLinkTree
+from handctl.hand.link_tree import LinkTree
 from handctl.log.topics.transform_topics import (
     LinkFrame,
     link_frames,
@@ -32,10 +32,10 @@ from handctl.log.topics.transform_topics import (
     multiply_quaternions,
 )
 from tests.hand.random_chains import (
-    MIXED_SEEDS,
     RANDOM_CHAIN_SEEDS,
+    SEEDS_WITH_PRISMATIC_JOINTS,
+    build_random_hand_tree,
     random_hand,
-    random_hand_tree_of,
 )
 from tests.hand.test_dynamics import (
     RELATIVE_TOLERANCE,
@@ -52,7 +52,7 @@ The wrist carries the base of the thumb, and this base carries the thumb.
 """
 
 
-@pytest.fixture(params=[*RANDOM_CHAIN_SEEDS, *MIXED_SEEDS])
+@pytest.fixture(params=[*RANDOM_CHAIN_SEEDS, *SEEDS_WITH_PRISMATIC_JOINTS])
 def random_hand_and_digits(request: pytest.FixtureRequest) -> tuple[Hand, tuple[DigitModel, ...]]:
     """Return a random hand and its digits.
 
@@ -81,9 +81,9 @@ def test_dynamics_and_kinematics_equal_those_of_pinocchio(random_hand_and_digits
             )
         )
         data = model.createData()
-        bare_model = model.copy()
-        bare_model.armature = np.zeros(digit.joint_count)
-        model_data = bare_model.createData()
+        model_without_armature = model.copy()
+        model_without_armature.armature = np.zeros(digit.joint_count)
+        model_data = model_without_armature.createData()
         world = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
         for q, dq, ddq in random_motions(rng, digit.joint_count, 50):
             tau = pinocchio.rnea(model, data, q, dq, ddq)
@@ -110,7 +110,7 @@ def test_dynamics_and_kinematics_equal_those_of_pinocchio(random_hand_and_digits
             assert np.isclose(dynamics.potential_energy(digit, q), energy, rtol=1e-9, atol=1e-15)
             # The kinetic energy in pinocchio 3 includes the armature only for some joint types.
             kinetic_energy = pinocchio.computeKineticEnergy(
-                bare_model, model_data, q, dq
+                model_without_armature, model_data, q, dq
             ) + 0.5 * np.dot(digit.armature, dq**2)
             assert np.isclose(dynamics.kinetic_energy(digit, q, dq), kinetic_energy, rtol=1e-9)
 
@@ -215,8 +215,8 @@ def test_transforms_of_the_log_are_those_of_the_model(random_hand_and_digits, rn
 def test_mixed_hands_have_joints_of_both_types_in_any_order():
     types = [
         digit.is_prismatic
-        for seed in MIXED_SEEDS
-        for hand in (random_hand(seed), random_hand_tree_of(seed))
+        for seed in SEEDS_WITH_PRISMATIC_JOINTS
+        for hand in (random_hand(seed), build_random_hand_tree(seed))
         for digit in hand.digit
     ]
     assert any(map(all, types))
@@ -250,12 +250,12 @@ def test_jacobians_and_levers_are_derivatives(random_hand_and_digits, rng):
 @pytest.fixture(
     params=[
         *RANDOM_CHAIN_SEEDS,
-        *MIXED_SEEDS,
+        *SEEDS_WITH_PRISMATIC_JOINTS,
         "orca_like",
         pytest.param(EXAMPLE_HAND, id="shadow_like"),
     ]
 )
-def random_hand_tree(request: pytest.FixtureRequest) -> tuple[Hand, HandLinkTree]:
+def random_hand_tree(request: pytest.FixtureRequest) -> tuple[Hand, LinkTree]:
     """Return a hand in which digits carry other digits.
 
     A test that uses this fixture runs with each random hand, with the packaged hand of this kind,
@@ -264,20 +264,20 @@ def random_hand_tree(request: pytest.FixtureRequest) -> tuple[Hand, HandLinkTree
     hand = (
         load_hand(request.param)
         if isinstance(request.param, str)
-        else random_hand_tree_of(request.param)
+        else build_random_hand_tree(request.param)
     )
-    return hand, HandLinkTree.from_hand(hand)
+    return hand, LinkTree.from_hand(hand)
 
 
 def test_random_trees_have_digits_on_digits_on_digits():
     carried_digit_counts = [
-        sum(digit.mount_on is not None for digit in random_hand_tree_of(seed).digit)
+        sum(digit.mount_on is not None for digit in build_random_hand_tree(seed).digit)
         for seed in RANDOM_CHAIN_SEEDS
     ]
     assert max(carried_digit_counts) >= 3
     is_on_carried_digit = [
         digit.mount_on is not None and hand.digit_named(digit.mount_on).mount_on is not None
-        for hand in map(random_hand_tree_of, RANDOM_CHAIN_SEEDS)
+        for hand in map(build_random_hand_tree, RANDOM_CHAIN_SEEDS)
         for digit in hand.digit
     ]
     assert any(is_on_carried_digit)
@@ -306,7 +306,7 @@ def test_the_dynamics_of_a_tree_equal_those_of_pinocchio(random_hand_tree, rng):
         pinocchio_result = [np.zeros(model.nv) for _ in range(3)]
         for vector, own_vector in zip(pinocchio_result, (q, dq, ddq), strict=True):
             vector[order] = own_vector
-        armature = tree.table[rigid_body.ARMATURE_ROW] * ddq
+        armature = tree.table[rigid_body.JOINT_ARMATURE_ROW] * ddq
         assert arrays_agree(
             tree.inverse_dynamics(q, dq, ddq) - armature,
             pinocchio.rnea(model, data, *pinocchio_result)[order],
@@ -352,7 +352,7 @@ def test_each_number_of_a_table_matters(rng):
     digit = DigitModel.from_hand(hand, "d0")
     q, dq, ddq = next(iter(random_motions(rng, 3, 1)))
     correct_torques = np.array(dynamics.inverse_dynamics(digit, q, dq, ddq))
-    for row in range(rigid_body.LENGTH_ROW):
+    for row in range(rigid_body.LINK_LENGTH_ROW):
         table = digit.table.copy()
         table[row, 1] *= 1.001
         wrong_torques = rigid_body.rigid_body_torques(

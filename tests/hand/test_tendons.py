@@ -98,11 +98,11 @@ def test_a_slack_or_slackening_tendon_never_pushes(law, rng):
 
 
 def test_known_numbers_of_the_packaged_tendon():
-    law = TENDON_ELASTICITIES[0]
-    assert math.isclose(law.stretch(110.0), 1.1e-3, rel_tol=1e-12)
-    assert math.isclose(law.knee / law.stiffness, 2.0e-3, rel_tol=1e-12)
+    elasticity = TENDON_ELASTICITIES[0]
+    assert math.isclose(elasticity.stretch(110.0), 1.1e-3, rel_tol=1e-12)
+    assert math.isclose(elasticity.knee / elasticity.stiffness, 2.0e-3, rel_tol=1e-12)
     tension_beyond_knee = 200.0 + 0.4e5 * 1e-3 + 0.6e5 * 3e-4 * (1 - math.exp(-1e-3 / 3e-4))
-    assert math.isclose(law.elastic_tension(3e-3), tension_beyond_knee, rel_tol=1e-12)
+    assert math.isclose(elasticity.elastic_tension(3e-3), tension_beyond_knee, rel_tol=1e-12)
 
 
 def test_work_of_tendons_is_work_of_joints(digits, rng):
@@ -137,11 +137,11 @@ def test_friction_follows_the_capstan_equation(digits, rng):
         assert np.array_equal(effective_moment_arms(digit, q, np.zeros(count)), digit.moment_arms)
         winding_factors = pulley_factors(digit, q, np.full(count, 1.0))
         for t in range(count):
-            passed = digit.wrap[t]
+            wrap_angle = digit.wrap[t]
             for j in range(digit.joint_count):
-                passed += q[j] if digit.moment_arms[t, j] else 0.0
+                wrap_angle += q[j] if digit.moment_arms[t, j] else 0.0
                 assert math.isclose(
-                    winding_factors[t, j], math.exp(-digit.friction[t] * passed), rel_tol=1e-12
+                    winding_factors[t, j], math.exp(-digit.friction[t] * wrap_angle), rel_tol=1e-12
                 )
         paying_out_factors = pulley_factors(digit, q, np.full(count, -1.0))
         assert np.allclose(winding_factors * paying_out_factors, 1.0, rtol=1e-12)
@@ -167,7 +167,7 @@ def test_reflected_inertia_is_the_rotors_kinetic_energy(hand, digits, rng):
     for digit in digits:
         speed = rng.normal(size=digit.coupling.shape[1])
         tendon_speeds = digit.moment_arms @ digit.coupling @ speed
-        motors = [hand.motor_of(name) for name in digit.tendon_names]
+        motors = [hand.motor_of_tendon(name) for name in digit.tendon_names]
         energy = sum(
             m.inertia_kg_m2 * (v / m.spool_radius_m) ** 2 / 2
             for m, v in zip(motors, tendon_speeds, strict=True)

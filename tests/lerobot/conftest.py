@@ -7,8 +7,8 @@ import pytest
 from handctl.hand.hand_loading import load_hand
 from tests.runtime.processes import (
     end_process,
+    make_time_scale_options,
     start_hand,
-    time_scale_options,
     write_homed_calibration,
 )
 
@@ -33,7 +33,7 @@ def work_folder(tmp_path, monkeypatch):
 @pytest.fixture
 def robot_options(work_folder):
     """Start a simulated hand in slowed time, and return the options of a controller for this hand."""
-    scale = time_scale_options(TIME_SCALE)
+    scale = make_time_scale_options(TIME_SCALE)
     process = start_hand(work_folder / "hand.truth", "--hand", "jamia", "--scene", "none", *scale)
     yield ["--calibration", "c.toml", "--log", "run.mcap", *scale]
     end_process(process)

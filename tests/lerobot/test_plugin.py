@@ -19,14 +19,14 @@ from handctl.cli.main import main
 from handctl.core.tick_types import HandMode
 from handctl.log.read.reader import RunLog
 from tests.lerobot.conftest import TIME_SCALE
-from tests.runtime.processes import HOMED_OPTIONS, LOCAL_BUS
+from tests.runtime.processes import HOMED_HAND_OPTIONS, LOCAL_BUS
 
 PLUGIN_FOLDER = Path(__file__).parents[2] / "lerobot_robot_handctl"
-MISSING_REASON = (
+SKIP_REASON = (
     "needs lerobot and lerobot_robot_handctl in an environment of its own, "
     "see lerobot_robot_handctl/README.md"
 )
-NEEDS_LEROBOT = pytest.mark.skipif(find_spec("lerobot") is None, reason=MISSING_REASON)
+NEEDS_LEROBOT = pytest.mark.skipif(find_spec("lerobot") is None, reason=SKIP_REASON)
 
 
 def test_the_distribution_has_the_name_and_version_that_lerobot_and_users_look_for() -> None:
@@ -34,7 +34,7 @@ def test_the_distribution_has_the_name_and_version_that_lerobot_and_users_look_f
     assert project["name"] == "lerobot_robot_handctl"
     assert project["version"] == version("handctl")
     assert (PLUGIN_FOLDER / project["name"] / "__init__.py").is_file()
-    assert HOMED_OPTIONS[0] == "--homed"
+    assert HOMED_HAND_OPTIONS[0] == "--homed"
 
 
 @NEEDS_LEROBOT

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
-from handctl.log.container import MCAP_MAGIC
+from handctl.log.mcap_container import MCAP_MAGIC
 
 MetadataEntries = dict[str, str]
 _RECORD_HEAD_STRUCT = struct.Struct("<BQ")

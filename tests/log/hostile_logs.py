@@ -10,7 +10,7 @@ from pathlib import Path
 import lz4.frame
 import zstandard
 
-from handctl.log.container import MCAP_MAGIC
+from handctl.log.mcap_container import MCAP_MAGIC
 from handctl.log.read.logfile import MAX_CHUNK_BYTES, LogFile
 from handctl.log.read.record_scan import RecordScan, scan_records
 
@@ -60,7 +60,7 @@ def hostile_files(small_log: Path) -> dict[str, bytes]:
         + bytes(36)
         + b"\xff\xff\xff\x7f"
     )
-    compressed_bomb = _chunk_record(
+    decompression_bomb = _chunk_record(
         "zstd", zstandard.compress(zero_bytes), len(zero_bytes), zlib.crc32(zero_bytes)
     )
     text = struct.pack("<I", 2**32 - 1)
@@ -77,7 +77,7 @@ def hostile_files(small_log: Path) -> dict[str, bytes]:
         "lz4 of less than it says": _log_with_chunks(
             small_log, _chunk_record("lz4", lz4.frame.compress(b"x"), 1000)
         ),
-        "many bombs": _log_with_chunks(small_log, compressed_bomb * 300),
+        "many bombs": _log_with_chunks(small_log, decompression_bomb * 300),
         "zeros as records": _log_with_chunks(
             small_log, _chunk_record("lz4", lz4.frame.compress(zero_bytes), len(zero_bytes))
         ),

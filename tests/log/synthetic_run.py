@@ -91,7 +91,7 @@ class SyntheticRunTicks:
             fraction = k / max(self.ticks, 1)
             telemetry = self._telemetry(k, fraction)
             phase = _phase_name_at(fraction)
-            tick_in = self._tick_in(k, telemetry)
+            tick_in = self._tick_input(k, telemetry)
             events = (TickEvent("info", "phase", "", phase),) if phase != previous else ()
             if k == self.ticks // 3:
                 events += (TickEvent("info", "gain", "motion.position_error_m", "0.0008"),)
@@ -110,7 +110,7 @@ class SyntheticRunTicks:
                 else HandMode.DISARM
             )
             action = SafetyAction.WARN if 0.5 <= fraction < 0.51 else SafetyAction.PASS
-            self._hash.update(telemetry.packed())
+            self._hash.update(telemetry.to_bytes())
             frames = self._sent_frames(k, telemetry)
             yield (
                 tick_in,
@@ -122,9 +122,10 @@ class SyntheticRunTicks:
 
         ``run_fraction`` is the elapsed fraction of the run.
         """
-        up = float(np.clip((run_fraction - 0.08) / 0.32, 0, 1))
-        down = float(np.clip((run_fraction - 0.85) / 0.13, 0, 1))
-        return (up * up * (3 - 2 * up)) * (1 - down * down * (3 - 2 * down))
+        closing = float(np.clip((run_fraction - 0.08) / 0.32, 0, 1))
+        opening = float(np.clip((run_fraction - 0.85) / 0.13, 0, 1))
+        closed = closing * closing * (3 - 2 * closing)
+        return closed * (1 - opening * opening * (3 - 2 * opening))
 
     def _telemetry(self, tick_index: int, run_fraction: float) -> Telemetry:
         run, period = self.run, self.run.period_ns * 1e-9
@@ -135,21 +136,23 @@ class SyntheticRunTicks:
             1.2 * self._closing_fraction(run_fraction - 1 / self.ticks), stop
         )
         dq = (np.minimum(goal, stop) - angles_before) / period
-        pressing = np.array(
+        contact_depth = np.array(
             [
                 max(0.0, 1.2 * self._closing_fraction(run_fraction) - (0.75 + 0.1 * d))
                 for d in range(len(run.digits))
             ]
         )
         tension = (
-            6.0 + 3.0 * np.sin(2 * np.pi * 2 * run_fraction) + 60.0 * pressing[self._tendon_digit]
+            6.0
+            + 3.0 * np.sin(2 * np.pi * 2 * run_fraction)
+            + 60.0 * contact_depth[self._tendon_digit]
         )
         noise = self._random.standard_normal(len(tension))
         raw = np.round((tension + 0.3 * noise + 6) / 0.0625) * 0.0625 - 6
         excursion = self._arms @ q
         motor = excursion[: len(run.motors)] / 0.005 + tension / 1e5 / 0.005
         phase = DrivePhase.READY if run_fraction < 0.02 else DrivePhase.ENABLED
-        warm = 30 + 15 * run_fraction * (np.arange(len(run.motors)) == 0)
+        motor_temperature = 30 + 15 * run_fraction * (np.arange(len(run.motors)) == 0)
         values: dict[str, np.ndarray] = {
             "q": q, "dq": dq, "q_goal": goal, "dq_goal": dq, "joint_torque": self._arms.T @ tension,
             "joint_encoder": q.round(3) if tick_index % 4 == 0 else np.full(len(q), np.nan),
@@ -157,16 +160,17 @@ class SyntheticRunTicks:
             "tension_sigma": np.full(len(tension), 0.25) + 0.1 * (tick_index < 20), "tension_raw": raw,
             "tension_goal": tension + 0.5, "stretch_offset": 1e-5 * np.sin(run_fraction) * np.ones(len(tension)),
             "innovation": raw - tension, "nis": ((raw - tension) / 0.3) ** 2,
-            "external_tension": 60.0 * pressing[self._tendon_digit], "motor_position": motor,
+            "external_tension": 60.0 * contact_depth[self._tendon_digit], "motor_position": motor,
             "motor_velocity": np.gradient(motor), "motor_torque": 0.005 * tension,
-            "motor_torque_goal": 0.005 * (tension + 0.5), "motor_temperature": warm,
+            "motor_torque_goal": 0.005 * (tension + 0.5), "motor_temperature": motor_temperature,
             "motor_age": np.full(len(motor), period), "drive_phase": np.full(len(motor), float(phase)),
-            "tip_force": 3.0 * pressing, "contact": (pressing > 0.01).astype(float),
-            "q_sigma": 0.002 + 0.3 * pressing[np.array(self._digit_of)], "tip_force_sigma": 0.1 + 0.5 * pressing,
+            "tip_force": 3.0 * contact_depth, "contact": (contact_depth > 0.01).astype(float),
+            "q_sigma": 0.002 + 0.3 * contact_depth[np.array(self._digit_of)],
+            "tip_force_sigma": 0.1 + 0.5 * contact_depth,
         }  # fmt: skip
         return Telemetry(**{name: np.asarray(values[name], float) for name in TELEMETRY_AXES})
 
-    def _tick_in(self, tick_index: int, telemetry: Telemetry) -> TickIn:
+    def _tick_input(self, tick_index: int, telemetry: Telemetry) -> TickIn:
         t_ns, frames = tick_index * self.run.period_ns, []
         if tick_index:
             previous_tick_ns = t_ns - self.run.period_ns

@@ -13,7 +13,7 @@ from handctl.hand.formats.link_meshes import meshes_of_hand
 from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER, load_hand
 from handctl.log import attached_meshes as module
 from handctl.log.attached_meshes import MAX_MESH_BYTES, attached_meshes, mesh_attachments
-from handctl.log.read.log_hand import described_hand
+from handctl.log.read.hand_in_log import described_hand
 from handctl.log.read.reader import RunLog
 from handctl.log.read.recover import recover_log
 from tests.hand.mesh_files import hand_with_meshes, tetrahedron_triangles, write_meshes
@@ -55,7 +55,9 @@ def test_a_mesh_of_several_links_is_there_once_and_placed_on_each(tmp_path: Path
         expected = tetrahedron_triangles() / max(
             abs(factor) for factor in (mesh.scale if mesh.file == "m.stl" else (1e-3,))
         )
-        assert mesh_by_link[mesh.link].triangles == pytest.approx(mesh.place(expected), abs=1e-9)
+        assert mesh_by_link[mesh.link].triangles == pytest.approx(
+            mesh.to_link_frame(expected), abs=1e-9
+        )
 
 
 def test_meshes_beyond_the_bound_are_left_out_with_a_line(tmp_path: Path) -> None:

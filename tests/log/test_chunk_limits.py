@@ -4,7 +4,12 @@ import struct
 
 import pytest
 
-from handctl.log.read.chunk_reader import BYTES_PER_BLOCK, MAX_CHANNELS, MIN_BLOCKS, iter_messages
+from handctl.log.read.chunk_reader import (
+    BYTES_PER_BLOCK,
+    MAX_CHANNELS,
+    MIN_BLOCK_LIMIT,
+    iter_messages,
+)
 
 
 def channel_record(channel_id: int) -> bytes:
@@ -29,7 +34,7 @@ def test_a_chunk_may_define_so_many_channels_however_large_it_is() -> None:
 
 @pytest.mark.parametrize("packed", [0, 10 * BYTES_PER_BLOCK])
 def test_a_chunk_may_have_runs_in_proportion_to_its_size_in_the_file(packed: int) -> None:
-    limit = MIN_BLOCKS + packed // BYTES_PER_BLOCK
+    limit = MIN_BLOCK_LIMIT + packed // BYTES_PER_BLOCK
     alternating_records = b"".join(message_record(number % 2) for number in range(limit))
     assert len(list(iter_messages(alternating_records, packed))) == limit
     with pytest.raises(ValueError, match="more messages than"):

@@ -40,7 +40,7 @@ def golden_log():  # type: ignore[no-untyped-def]
         yield opened_log
 
 
-def table_of(golden_log: RunLog) -> np.ndarray:
+def telemetry_array(golden_log: RunLog) -> np.ndarray:
     return np.array([np.frombuffer(row, "<f8") for row in golden_log.packed_telemetry()])
 
 
@@ -50,7 +50,7 @@ def test_parquet_reads_back_bit_for_bit(golden_log: RunLog, tmp_path: Path) -> N
     assert table.schema.metadata[b"handctl.hand"] == b"jamia"
     np.testing.assert_array_equal(table["t_ns"].to_numpy(), golden_log.t_ns)
     numbers = np.column_stack([table[name].to_numpy() for name in column_names(golden_log)])
-    assert numbers.tobytes() == np.ascontiguousarray(table_of(golden_log)).tobytes()
+    assert numbers.tobytes() == np.ascontiguousarray(telemetry_array(golden_log)).tobytes()
     np.testing.assert_array_equal(
         table["tension/ring_tendon"].to_numpy(), golden_log.field("tension")[:, 2]
     )
@@ -68,7 +68,7 @@ def test_csv_reads_back_bit_for_bit(golden_log: RunLog, tmp_path: Path) -> None:
             for row in rows
         ]
     )
-    np.testing.assert_array_equal(numbers, table_of(golden_log))
+    np.testing.assert_array_equal(numbers, telemetry_array(golden_log))
     assert [int(row["k"]) for row in rows] == golden_log.k.tolist()
     assert rows[-1]["mode"] == "DONE"
 

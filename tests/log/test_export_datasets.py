@@ -33,11 +33,11 @@ def golden_log() -> Iterator[RunLog]:
         yield opened_log
 
 
-def table_of(golden_log: RunLog) -> np.ndarray:
+def telemetry_array(golden_log: RunLog) -> np.ndarray:
     return np.array([np.frombuffer(row, "<f8") for row in golden_log.packed_telemetry()])
 
 
-def frames_of(path: Path) -> polars.DataFrame:
+def read_dataset_frames(path: Path) -> polars.DataFrame:
     return polars.read_parquet(path / "data" / "chunk-000" / "file-000.parquet")
 
 
@@ -54,7 +54,7 @@ def test_polars_reads_the_table(golden_log: RunLog, tmp_path: Path) -> None:
     assert table["k"].to_list() == golden_log.k.tolist()
     assert table["mode"].to_list() == [HandMode(value).name for value in golden_log.mode.tolist()]
     np.testing.assert_array_equal(
-        table.select(column_names(golden_log)).to_numpy(), table_of(golden_log)
+        table.select(column_names(golden_log)).to_numpy(), telemetry_array(golden_log)
     )
 
 
@@ -65,13 +65,13 @@ def test_polars_reads_the_text(golden_log: RunLog, tmp_path: Path) -> None:
     numbers = table.select(
         [polars.col(column_title(name)).cast(polars.Float64) for name in column_names(golden_log)]
     ).to_numpy()
-    np.testing.assert_array_equal(numbers, table_of(golden_log))
+    np.testing.assert_array_equal(numbers, telemetry_array(golden_log))
 
 
 def test_the_dataset_has_the_values_of_the_log(golden_log: RunLog, exported_dataset: Path) -> None:
     info = json.loads((exported_dataset / "meta" / "info.json").read_text())
-    file_numbers = {"chunk_index": 0, "file_index": 0}
-    table = polars.read_parquet(exported_dataset / info["data_path"].format(**file_numbers))
+    file_indices = {"chunk_index": 0, "file_index": 0}
+    table = polars.read_parquet(exported_dataset / info["data_path"].format(**file_indices))
     active = golden_log.mode == int(HandMode.ACTIVE)
     state = np.hstack([golden_log.field("q")[active], golden_log.field("tension")[active]]).astype(
         np.float32
@@ -166,9 +166,9 @@ def test_several_logs_become_episodes_of_one_dataset(
         assert episode["stats/action/mean"] == pytest.approx(
             episode_rows["action"].to_numpy().mean(axis=0), abs=1e-4
         )
-    middle_table = table.filter(polars.col("episode_index") == 1)
+    second_episode_rows = table.filter(polars.col("episode_index") == 1)
     for name in ("observation.state", "action", "timestamp", "next.done"):
-        assert middle_table[name].to_list() == single_log_table[name].to_list()
+        assert second_episode_rows[name].to_list() == single_log_table[name].to_list()
 
 
 def test_a_log_of_another_hand_is_no_episode(golden_log: RunLog, tmp_path: Path) -> None:
@@ -221,7 +221,9 @@ def test_a_lower_frame_rate_takes_the_latest_tick(
     golden_log: RunLog, exported_dataset: Path, tmp_path: Path
 ) -> None:
     frames = export_lerobot([golden_log], tmp_path / "slow", fps=40)
-    all_frames, slow_frames = [frames_of(path) for path in (exported_dataset, tmp_path / "slow")]
+    all_frames, slow_frames = [
+        read_dataset_frames(path) for path in (exported_dataset, tmp_path / "slow")
+    ]
     assert len(slow_frames) == frames == (len(all_frames) - 1) // 5 + 1
     assert slow_frames["action"].to_list() == all_frames["action"].to_list()[::5]
     assert slow_frames["timestamp"].to_list() == pytest.approx([i / 40 for i in range(frames)])

@@ -17,7 +17,7 @@ from handctl.log.header import MAX_LOG_TIME_NS, PERIOD_RANGE_NS
 from handctl.log.read.reader import RunLog
 
 GOLDEN_LOG = PACKAGED_HANDS_FOLDER.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
-READING_COMMANDS = {
+LOG_READING_COMMANDS = {
     "log info": ("log", "info", "odd.mcap"),
     "log check": ("log", "check", "odd.mcap"),
     "log diff": ("log", "diff", "odd.mcap", "odd.mcap"),
@@ -100,17 +100,17 @@ def _refusal_line(capsys: pytest.CaptureFixture[str], *command_words: str) -> st
     return message
 
 
-@pytest.mark.parametrize("verb", READING_COMMANDS)
+@pytest.mark.parametrize("verb", LOG_READING_COMMANDS)
 def test_invalid_period_is_refused_in_one_line(
     log_folder: Path, capsys: pytest.CaptureFixture[str], verb: str
 ) -> None:
     for period in ("0", "0.5", str(2**64)):
         write_log_with_run_metadata(GOLDEN_LOG, log_folder / "odd.mcap", period_ns=period)
-        assert "period_ns" in _refusal_line(capsys, *READING_COMMANDS[verb])
+        assert "period_ns" in _refusal_line(capsys, *LOG_READING_COMMANDS[verb])
     write_log_with_run_metadata(GOLDEN_LOG, log_folder / "odd.mcap", offset_ns=str(2**64))
-    assert "offset_ns" in _refusal_line(capsys, *READING_COMMANDS[verb])
+    assert "offset_ns" in _refusal_line(capsys, *LOG_READING_COMMANDS[verb])
     write_log_with_run_metadata(GOLDEN_LOG, log_folder / "odd.mcap", tendons='["\\ud800", ["a"]]')
-    assert "tendons" in _refusal_line(capsys, *READING_COMMANDS[verb])
+    assert "tendons" in _refusal_line(capsys, *LOG_READING_COMMANDS[verb])
 
 
 @pytest.mark.parametrize(
@@ -151,7 +151,7 @@ def test_the_ends_of_the_ranges_are_read(small_log: Path, tmp_path: Path) -> Non
     "verb",
     [
         verb
-        for verb in READING_COMMANDS
+        for verb in LOG_READING_COMMANDS
         if verb.startswith(("report", "replay", "identify", "view"))
     ],
 )
@@ -167,7 +167,7 @@ def test_a_hand_with_other_names_than_the_columns_is_refused(
     (log_folder / "odd.mcap").write_bytes(
         log_with_changed_metadata(GOLDEN_LOG.read_bytes(), metadata_with_other_name)
     )
-    assert "names differ" in _refusal_line(capsys, *READING_COMMANDS[verb])
+    assert "names differ" in _refusal_line(capsys, *LOG_READING_COMMANDS[verb])
 
 
 @pytest.mark.parametrize("text", ["²", "-1", "1.5", "9" * 5000, str(2**64), "\x1b[2J"])

@@ -31,8 +31,8 @@ import contextlib, io, json, resource, sys, time
 from pathlib import Path
 from handctl.cli.main import main
 import handctl.log.read.reader, handctl.log.read.recover
-import handctl.replay.log_check, handctl.replay.log_damage, handctl.replay.execute
-import handctl.report.run_page, handctl.replay.phase_comparison, handctl.replay.limits_judgement
+import handctl.replay.log_check, handctl.replay.log_damage, handctl.replay.log_execution
+import handctl.report.run_report_page, handctl.replay.phase_comparison, handctl.replay.limits_judgement
 import handctl.view.rerun_conversion
 folder, found = Path(sys.argv[1]), []
 (folder / "limits.toml").write_text("tension_trip_N = 20")
@@ -46,8 +46,8 @@ for path in sorted(folder.glob("*.mcap")):
         begin = time.process_time()
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             code = main([*words, str(path), *([str(path)] if words[-1] == "diff" else [])])
-        said = (err.getvalue() + out.getvalue()).splitlines()
-        found.append([path.name, words, code, said, time.process_time() - begin])
+        lines = (err.getvalue() + out.getvalue()).splitlines()
+        found.append([path.name, words, code, lines, time.process_time() - begin])
     for made in folder.glob("*.recovered.mcap"):
         made.unlink()
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024

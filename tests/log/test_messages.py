@@ -19,7 +19,7 @@ from handctl.log.read.reader import RunLog
 from handctl.log.tick_record import pack_snapshot, pack_tick_record
 from handctl.log.topics.can_frame_topics import encode_fd_frame
 from handctl.log.topics.event_topics import (
-    encode_labelled_number,
+    encode_enum_message,
     encode_parameter_event,
     encode_rosout,
 )
@@ -64,16 +64,16 @@ def test_a_standard_type_has_the_fields_and_constants_of_ros(name: str) -> None:
         "rcl_interfaces/Log",
         "rcl_interfaces/ParameterEvent",
     ):
-        humble_fields = get_typestore(Stores.ROS2_HUMBLE).fielddefs
+        ros_humble_fields = get_typestore(Stores.ROS2_HUMBLE).fielddefs
         for kind, fields in types.items():
-            assert fields == humble_fields[kind], kind
+            assert fields == ros_humble_fields[kind], kind
     assert schema_name(name) in types
 
 
 def test_every_topic_has_messages_in_the_lively_run(varied_log: Path) -> None:
     topics = messages_by_topic(varied_log)
     kinds = {message.kind for messages in topics.values() for message in messages}
-    inner_types = {
+    nested_types = {
         "Time",
         "Header",
         "Vector3",
@@ -83,7 +83,7 @@ def test_every_topic_has_messages_in_the_lively_run(varied_log: Path) -> None:
         "Wrench",
         "KeyValue",
     }
-    inner_types |= {
+    nested_types |= {
         "DiagnosticStatus",
         "ParameterValue",
         "Parameter",
@@ -92,7 +92,7 @@ def test_every_topic_has_messages_in_the_lively_run(varied_log: Path) -> None:
         "Event",
     }
     assert kinds == {
-        schema_name(name) for name in MESSAGE_DEFINITIONS if name.split("/")[1] not in inner_types
+        schema_name(name) for name in MESSAGE_DEFINITIONS if name.split("/")[1] not in nested_types
     }
 
 
@@ -120,9 +120,9 @@ def _built_message(type_name: str, field_values: dict[str, object]) -> bytes:
     )
 
 
-STAMP_VALUE = {"sec": 5, "nanosec": 7}
+EXPECTED_STAMP = {"sec": 5, "nanosec": 7}
 T_NS = 5_000_000_007
-LABEL_VALUE = {"header": {"stamp": STAMP_VALUE, "frame_id": ""}, "name": "hold"}
+EXPECTED_LABEL = {"header": {"stamp": EXPECTED_STAMP, "frame_id": ""}, "name": "hold"}
 
 
 @pytest.mark.parametrize(
@@ -131,19 +131,23 @@ LABEL_VALUE = {"header": {"stamp": STAMP_VALUE, "frame_id": ""}, "name": "hold"}
         (
             "rcl_interfaces/Log",
             encode_rosout(T_NS, "warn", "handctl.x", "text"),
-            {"stamp": STAMP_VALUE, "level": 30, "name": "handctl.x", "msg": "text"},
+            {"stamp": EXPECTED_STAMP, "level": 30, "name": "handctl.x", "msg": "text"},
         ),
         (
             "handctl_msgs/GraspPhase",
-            encode_labelled_number(T_NS, 6, "hold"),
-            LABEL_VALUE | {"phase": 6},
+            encode_enum_message(T_NS, 6, "hold"),
+            EXPECTED_LABEL | {"phase": 6},
         ),
-        ("handctl_msgs/Mode", encode_labelled_number(T_NS, 6, "hold"), LABEL_VALUE | {"mode": 6}),
+        (
+            "handctl_msgs/Mode",
+            encode_enum_message(T_NS, 6, "hold"),
+            EXPECTED_LABEL | {"mode": 6},
+        ),
         (
             "ros2_socketcan_msgs/FdFrame",
             encode_fd_frame("main", T_NS, 0x8000_1234, bytes(range(20))),
             {
-                "header": {"stamp": STAMP_VALUE, "frame_id": "main"},
+                "header": {"stamp": EXPECTED_STAMP, "frame_id": "main"},
                 "id": 0x1234,
                 "is_extended": True,
                 "len": 20,
@@ -157,7 +161,7 @@ LABEL_VALUE = {"header": {"stamp": STAMP_VALUE, "frame_id": ""}, "name": "hold"}
                 [DiagnosticStatus(2, "a", "b", "c", {"k": "v"}), DiagnosticStatus(0, "", "", "")],
             ),
             {
-                "header": {"stamp": STAMP_VALUE},
+                "header": {"stamp": EXPECTED_STAMP},
                 "status": [
                     {
                         "level": 2,
@@ -174,7 +178,7 @@ LABEL_VALUE = {"header": {"stamp": STAMP_VALUE, "frame_id": ""}, "name": "hold"}
             "rcl_interfaces/ParameterEvent",
             encode_parameter_event(T_NS, {"a": "0.5", "b": "word"}, {"c": "3"}),
             {
-                "stamp": STAMP_VALUE,
+                "stamp": EXPECTED_STAMP,
                 "node": "/handctl",
                 "new_parameters": [
                     {"name": "a", "value": {"type": 3, "double_value": 0.5}},

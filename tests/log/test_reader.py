@@ -84,7 +84,9 @@ def test_a_log_without_the_latest_fields_is_read(
     monkeypatch.setitem(TELEMETRY_AXES, "coming", "joint")
     for module in ("tick_batch", "read.reader"):
         monkeypatch.setattr(f"handctl.log.{module}.TELEMETRY_FIELDS", (*TELEMETRY_FIELDS, "coming"))
-    monkeypatch.setattr("handctl.log.tick_batch.FIRST_TELEMETRY_FIELD_COUNT", len(TELEMETRY_FIELDS))
+    monkeypatch.setattr(
+        "handctl.log.tick_batch.ORIGINAL_TELEMETRY_FIELD_COUNT", len(TELEMETRY_FIELDS)
+    )
     with RunLog(varied_log) as log:
         assert log.fields == TELEMETRY_FIELDS
         assert np.isnan(log.field("coming")).all()
@@ -135,7 +137,7 @@ def test_the_error_of_an_unknown_field_lists_all_fields(small_log: Path) -> None
         log.field("tenshun\x1b[2J")
 
 
-def _all_content(path: Path) -> tuple[bytes, bytes]:
+def _log_content(path: Path) -> tuple[bytes, bytes]:
     with RunLog(path) as log:
         ticks = repr([*log.ticks(), log.header, log.metadata, log.events, log.phases, log.gaps])
         return ticks.encode("utf-8", "surrogatepass"), b"".join(
@@ -145,17 +147,17 @@ def _all_content(path: Path) -> tuple[bytes, bytes]:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_changed_bit_is_detected_or_harmless(small_log: Path, tmp_path: Path, seed: int) -> None:
-    raw, expected = small_log.read_bytes(), _all_content(small_log)
+    raw, expected = small_log.read_bytes(), _log_content(small_log)
     random = np.random.default_rng(seed)
     errors: list[str] = []
-    bad = tmp_path / "bad.mcap"
+    damaged_log = tmp_path / "bad.mcap"
     for _ in range(60):
         data = bytearray(raw)
         data[random.integers(len(data))] ^= 1 << random.integers(8)
-        bad.write_bytes(data)
+        damaged_log.write_bytes(data)
         start = time.process_time()
         try:
-            assert _all_content(bad) == expected
+            assert _log_content(damaged_log) == expected
         except LogError as error:
             errors.append(str(error))
         assert time.process_time() - start < 1.0
@@ -175,10 +177,10 @@ def test_a_changed_file_without_an_end_never_does_worse_than_log_error(
         raw[at : at + 8] = data.draw(
             st.sampled_from([b"\xff", b"\0" * 8, b"\xff" * 8, b"\x7f" * 4, b"\x06"])
         )
-    bad = tmp_path / "bad.mcap"
-    bad.write_bytes(raw)
+    damaged_log = tmp_path / "bad.mcap"
+    damaged_log.write_bytes(raw)
     with contextlib.suppress(LogError):
-        _all_content(bad)
+        _log_content(damaged_log)
 
 
 _PROBE_PROGRAM = """
@@ -202,11 +204,14 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 def test_hostile_files_end_in_one_error_soon_and_in_little_memory(
     small_log: Path, tmp_path: Path
 ) -> None:
-    bad = tmp_path / "bad\x1b[2J.mcap"
+    hostile_log = tmp_path / "bad\x1b[2J.mcap"
     for name, data in hostile_files(small_log).items():
-        bad.write_bytes(data)
+        hostile_log.write_bytes(data)
         done = subprocess.run(
-            [sys.executable, "-c", _PROBE_PROGRAM, bad], capture_output=True, text=True, check=True
+            [sys.executable, "-c", _PROBE_PROGRAM, hostile_log],
+            capture_output=True,
+            text=True,
+            check=True,
         )
         verdict, seconds, kibibytes = done.stdout.splitlines()
         assert verdict.startswith("refused"), name

@@ -17,7 +17,7 @@ from handctl.core.tick_types import (
     IoEvent,
     PackedTelemetry,
     Telemetry,
-    TelemetryPlaces,
+    TelemetrySlices,
     TickEvent,
     TickIn,
     TickOut,
@@ -37,7 +37,7 @@ from handctl.safety.safety_action import SafetyAction
 
 INT64_STRATEGY = st.integers(-(2**63), 2**63 - 1)
 TEXT_STRATEGY = st.text(st.characters(codec="utf-8"), max_size=30)
-CLASSICAL_STRATEGY = st.builds(
+CLASSICAL_FRAME_STRATEGY = st.builds(
     Frame,
     st.integers(0, 2**32 - 1),
     st.binary(max_size=8),
@@ -45,7 +45,7 @@ CLASSICAL_STRATEGY = st.builds(
     st.integers(0, 255),
     INT64_STRATEGY,
 )
-FD_STRATEGY = st.builds(
+FD_FRAME_STRATEGY = st.builds(
     Frame,
     st.integers(0, 2**32 - 1),
     st.binary(max_size=64),
@@ -53,8 +53,8 @@ FD_STRATEGY = st.builds(
     st.integers(0, 255),
     INT64_STRATEGY,
 )
-FRAMES_STRATEGY = st.lists(CLASSICAL_STRATEGY | FD_STRATEGY, max_size=12).map(tuple)
-TICK_IN_STRATEGY = st.builds(
+FRAMES_STRATEGY = st.lists(CLASSICAL_FRAME_STRATEGY | FD_FRAME_STRATEGY, max_size=12).map(tuple)
+TICK_INPUT_STRATEGY = st.builds(
     TickIn,
     INT64_STRATEGY,
     INT64_STRATEGY,
@@ -78,7 +78,7 @@ def telemetry_strategy(draw: st.DrawFn) -> Telemetry:
     )
 
 
-TICK_OUT_STRATEGY = st.builds(
+TICK_OUTPUT_STRATEGY = st.builds(
     TickOut,
     FRAMES_STRATEGY,
     st.sampled_from(HandMode),
@@ -93,28 +93,28 @@ TICK_OUT_STRATEGY = st.builds(
 
 
 @settings(deadline=None)
-@given(TICK_IN_STRATEGY, TICK_OUT_STRATEGY)
+@given(TICK_INPUT_STRATEGY, TICK_OUTPUT_STRATEGY)
 def test_a_tick_comes_back_bit_for_bit(tick_in: TickIn, out: TickOut) -> None:
-    again_in, again = unpack_tick_record(pack_tick_record(tick_in, out))
-    assert again_in == tick_in
-    assert again.telemetry.packed() == out.telemetry.packed()
+    unpacked_input, unpacked_output = unpack_tick_record(pack_tick_record(tick_in, out))
+    assert unpacked_input == tick_in
+    assert unpacked_output.telemetry.to_bytes() == out.telemetry.to_bytes()
     for name in ("frames", "mode", "phase", "action", "events", "state_hash"):
-        assert getattr(again, name) == getattr(out, name), name
+        assert getattr(unpacked_output, name) == getattr(out, name), name
 
 
 @settings(max_examples=20, deadline=None)
-@given(TICK_IN_STRATEGY, TICK_OUT_STRATEGY)
+@given(TICK_INPUT_STRATEGY, TICK_OUTPUT_STRATEGY)
 def test_a_lone_surrogate_is_escaped_since_no_other_reader_could_decode_it(
     tick_in: TickIn, out: TickOut
 ) -> None:
-    again_in, again = unpack_tick_record(
+    unpacked_input, unpacked_output = unpack_tick_record(
         pack_tick_record(tick_in._replace(requests=("\ud800",)), out._replace(phase="\udcff"))
     )
-    assert (again_in.requests, again.phase) == (("\\ud800",), "\\udcff")
+    assert (unpacked_input.requests, unpacked_output.phase) == (("\\ud800",), "\\udcff")
 
 
 @settings(deadline=None)
-@given(TICK_IN_STRATEGY, TICK_OUT_STRATEGY)
+@given(TICK_INPUT_STRATEGY, TICK_OUTPUT_STRATEGY)
 def test_the_layout_agrees_with_the_decoder(tick_in: TickIn, out: TickOut) -> None:
     message = pack_tick(tick_in, out)
     places = message_layout(message)
@@ -127,29 +127,32 @@ def test_the_layout_agrees_with_the_decoder(tick_in: TickIn, out: TickOut) -> No
 
 
 @settings(deadline=None)
-@given(st.lists(st.tuples(TICK_IN_STRATEGY, TICK_OUT_STRATEGY), max_size=5))
+@given(st.lists(st.tuples(TICK_INPUT_STRATEGY, TICK_OUTPUT_STRATEGY), max_size=5))
 def test_ticks_decoded_together_are_those_decoded_one_by_one(
     ticks: list[tuple[TickIn, TickOut]],
 ) -> None:
     messages = [pack_tick(*tick) for tick in ticks]
     unpacked_ticks = unpack_ticks(messages)
     assert unpacked_ticks == [unpack_tick(message) for message in messages]
-    for (tick_in, out), again in zip(ticks, unpacked_ticks, strict=True):
+    for (tick_in, out), unpacked_tick in zip(ticks, unpacked_ticks, strict=True):
         assert (
-            again.tick_in.frames.records.tobytes()
+            unpacked_tick.tick_in.frames.records.tobytes()
             == frames_as_records(tick_in.frames).records.tobytes()
         )
-        assert again.frames.records.tobytes() == frames_as_records(out.frames).records.tobytes()
+        assert (
+            unpacked_tick.frames.records.tobytes()
+            == frames_as_records(out.frames).records.tobytes()
+        )
 
 
 @settings(deadline=None)
-@given(TICK_IN_STRATEGY, TICK_OUT_STRATEGY)
+@given(TICK_INPUT_STRATEGY, TICK_OUTPUT_STRATEGY)
 def test_records_are_packed_as_frames_are(tick_in: TickIn, out: TickOut) -> None:
     tick_records = (
         tick_in._replace(frames=frames_as_records(tick_in.frames)),
         out._replace(frames=frames_as_records(out.frames)),
     )
-    places, at = TelemetryPlaces(), 0
+    places, at = TelemetrySlices(), 0
     for name, values in zip(TELEMETRY_AXES, out.telemetry, strict=True):
         places[name], at = slice(at, at + len(values)), at + len(values)
     packed = PackedTelemetry(np.concatenate(tuple(out.telemetry)), places)
@@ -184,7 +187,7 @@ def test_a_payload_longer_than_any_frames_is_refused() -> None:
 
 
 @settings(deadline=None)
-@given(TICK_IN_STRATEGY, TICK_OUT_STRATEGY, st.data())
+@given(TICK_INPUT_STRATEGY, TICK_OUTPUT_STRATEGY, st.data())
 def test_a_cut_or_changed_message_never_does_worse_than_value_error(
     tick_in: TickIn, out: TickOut, data: st.DataObject
 ) -> None:

@@ -25,12 +25,12 @@ from handctl.log.write.disk_syncer import DiskSyncer
 from handctl.log.write.log_writer import LogWriter
 from handctl.log.write.recorder import PIPE_BYTES, Recorder
 from handctl.log.write.recorder_process import RECORDER_NICE_VALUE
-from handctl.log.write.recorder_start import recorder_process_started_in_advance
+from handctl.log.write.recorder_start import prestarted_recorder_process
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
-FEEDER_KILLS, PARALLEL_KILLS = 100 if NIGHTLY else 8, 4
+TICK_SENDER_KILLS, PARALLEL_KILLS = 100 if NIGHTLY else 8, 4
 RECORDER_KILLS = 100 if NIGHTLY else 1
-FEEDER_PROGRAM = Path(__file__).with_name("recorder_feeder.py")
+TICK_SENDER_PROGRAM = Path(__file__).with_name("tick_sender.py")
 
 
 @pytest.fixture
@@ -47,10 +47,10 @@ def start_recorder(
     monkeypatch.setattr("handctl.log.write.recorder.PIPE_BYTES", PIPE_BYTES[-1:])
 
     def start_one_recorder(
-        name: str = "run.mcap", deterministic: bool = False, floor_bytes: int = 1, **more: object
+        name: str = "run.mcap", deterministic: bool = False, min_free_bytes: int = 1, **more: object
     ) -> Recorder:
         run = synthetic_run.synthetic_header(rate_hz=1000, deterministic=deterministic, **more)
-        started.append(Recorder.start(tmp_path / name, run, floor_bytes))
+        started.append(Recorder.start(tmp_path / name, run, min_free_bytes))
         return started[-1]
 
     yield start_one_recorder
@@ -98,7 +98,7 @@ def test_a_recorder_that_does_not_start_in_time_is_named(
 def test_a_process_started_ahead_records_the_first_run(
     start_recorder: Callable[..., Recorder], tmp_path: Path
 ) -> None:
-    with recorder_process_started_in_advance():
+    with prestarted_recorder_process():
         (waiting,) = recorder_start._started_ahead
         first_recorder = start_recorder("first.mcap")
         second_recorder = start_recorder("second.mcap")
@@ -110,7 +110,7 @@ def test_a_process_started_ahead_records_the_first_run(
 
 
 def test_an_unused_recorder_process_started_ahead_is_ended() -> None:
-    with recorder_process_started_in_advance():
+    with prestarted_recorder_process():
         (waiting,) = recorder_start._started_ahead
     assert waiting.child.returncode is not None
     assert recorder_start._started_ahead == []
@@ -129,24 +129,24 @@ def test_a_process_started_ahead_ends_with_its_controller() -> None:
 
 def test_a_kill_of_the_controller_loses_no_tick(tmp_path: Path) -> None:
     chance = random.Random(5)
-    for first_number in range(0, FEEDER_KILLS, PARALLEL_KILLS):
+    for first_number in range(0, TICK_SENDER_KILLS, PARALLEL_KILLS):
         paths = [tmp_path / f"{n}.mcap" for n in range(first_number, first_number + PARALLEL_KILLS)]
-        feeders = [
+        tick_senders = [
             subprocess.Popen(
-                [sys.executable, FEEDER_PROGRAM, path],
+                [sys.executable, TICK_SENDER_PROGRAM, path],
                 stdout=subprocess.PIPE,
                 start_new_session=True,
             )
             for path in paths
         ]
-        for feeder in feeders:
-            assert feeder.stdout is not None
-            assert feeder.stdout.read(8)
-        for feeder in feeders:
+        for tick_sender in tick_senders:
+            assert tick_sender.stdout is not None
+            assert tick_sender.stdout.read(8)
+        for tick_sender in tick_senders:
             time.sleep(chance.uniform(0, 0.2))
-            feeder.kill()
-        for path, feeder in zip(paths, feeders, strict=True):
-            written = 8 + len(feeder.communicate()[0])
+            tick_sender.kill()
+        for path, tick_sender in zip(paths, tick_senders, strict=True):
+            written = 8 + len(tick_sender.communicate()[0])
             assert _wait_until(lambda path=path: _is_finished(path))
             with RunLog(path) as log:
                 assert log.end["reason"] == "controller died"
@@ -166,14 +166,14 @@ def test_a_killed_recorder_loses_a_quarter_of_a_second(
         assert recorder.send_record(record)
         time.sleep(max(0.0, started + (k + 1) * 0.001 - time.monotonic()))
     os.kill(recorder._child.pid, signal.SIGKILL)
-    killed = time.monotonic()
+    kill_time_s = time.monotonic()
     recorder._child.wait()
     with RunLog(tmp_path / "run.mcap") as log:
         assert log.warning
         assert log.gaps == []
         lost = len(records) - len(log)
         assert len(list(log.ticks())) == len(log)
-    assert lost * 0.001 <= 0.25 + (killed - started - number * 0.001)
+    assert lost * 0.001 <= 0.25 + (kill_time_s - started - number * 0.001)
     assert not recorder.send_record(records[0])
     assert IoEvent("recorder", "gone") in recorder.take_events()
     assert recorder.take_events() == ()
@@ -317,7 +317,7 @@ def test_a_file_that_cannot_be_created_is_refused(
     assert (tmp_path / "exists.mcap").read_text() == "precious"
 
 
-LIMIT_BYTES = 800_000
+FILE_SIZE_LIMIT_BYTES = 800_000
 """Largest permitted size of a file [bytes]. This limit simulates a full disk.
 
 A file of this size can contain only a part of the run.
@@ -335,7 +335,9 @@ def test_a_failed_write_is_announced_and_ends_the_file(
     start_recorder: Callable[..., Recorder], tmp_path: Path
 ) -> None:
     recorder, records = start_recorder(), _make_records(2000)
-    resource.prlimit(recorder._child.pid, resource.RLIMIT_FSIZE, (LIMIT_BYTES, LIMIT_BYTES))
+    resource.prlimit(
+        recorder._child.pid, resource.RLIMIT_FSIZE, (FILE_SIZE_LIMIT_BYTES, FILE_SIZE_LIMIT_BYTES)
+    )
     events: list[IoEvent] = []
     for record in records:
         recorder.send_record(record)
@@ -349,7 +351,7 @@ def test_a_failed_write_is_announced_and_ends_the_file(
     )
     summary = recorder.close("finished")
     assert summary["lost"] + summary["ticks"] == len(records) - recorder.dropped
-    assert (tmp_path / "run.mcap").stat().st_size <= LIMIT_BYTES
+    assert (tmp_path / "run.mcap").stat().st_size <= FILE_SIZE_LIMIT_BYTES
     assert [event.where for event in events].count("disk_full") == 1
     _check_readable_prefix(tmp_path / "run.mcap", len(records))
 
@@ -368,12 +370,12 @@ def two_megabyte_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "--lazy", str(disk)], check=True)
 
 
-@pytest.mark.parametrize("floor_bytes", [1, 700_000])
+@pytest.mark.parametrize("min_free_bytes", [1, 700_000])
 def test_a_full_disk_leaves_a_whole_file(
-    two_megabyte_disk: Path, start_recorder: Callable[..., Recorder], floor_bytes: int
+    two_megabyte_disk: Path, start_recorder: Callable[..., Recorder], min_free_bytes: int
 ) -> None:
     recorder, records = (
-        start_recorder("disk/run.mcap", floor_bytes=floor_bytes),
+        start_recorder("disk/run.mcap", min_free_bytes=min_free_bytes),
         _make_records(3000),
     )
     for record in records:
@@ -452,14 +454,14 @@ def test_recording_a_tick_is_fast(start_recorder: Callable[..., Recorder]) -> No
     tick_in, out = next(
         iter(synthetic_run.SyntheticRunTicks(synthetic_run.synthetic_header(rate_hz=1000), 0.01))
     )
-    spent = []
+    durations_s = []
     for k in range(300):
         started = time.perf_counter()
         recorder.send_record(pack_tick_record(TickIn(k, k * 1_000_000, 0, tick_in.frames), out))
         recorder.take_events()
-        spent.append(time.perf_counter() - started)
+        durations_s.append(time.perf_counter() - started)
         time.sleep(0.0005)
-    assert sorted(spent)[len(spent) // 2] < 200e-6
+    assert sorted(durations_s)[len(durations_s) // 2] < 200e-6
 
 
 def test_the_recorder_needs_no_compiler(tmp_path: Path) -> None:
@@ -476,7 +478,7 @@ def test_the_recorder_needs_no_compiler(tmp_path: Path) -> None:
     for tick in varied_run.varied_ticks(run):
         recorder.send_record(pack_tick_record(*tick))
     assert _wait_until(lambda: path.stat().st_size > size)
-    mapped = Path(f"/proc/{recorder._child.pid}/maps").read_text()
+    memory_maps = Path(f"/proc/{recorder._child.pid}/maps").read_text()
     assert recorder.close("finished")["complete"]
-    assert "/numpy/" in mapped
-    assert not {name for name in ("/llvmlite/", "/scipy/") if name in mapped}
+    assert "/numpy/" in memory_maps
+    assert not {name for name in ("/llvmlite/", "/scipy/") if name in memory_maps}

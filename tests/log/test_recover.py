@@ -54,12 +54,12 @@ def test_a_scan_in_steps_equals_a_scan_at_once(seed: int, small_log: Path, tmp_p
         scan_records(file, scan)
         file.close()
         assert scan == _scan_log(path)
-        assert scan.problem.startswith(f"ends at byte {size}") or scan.complete
+        assert scan.problem.startswith(f"ends at byte {size}") or scan.is_complete
     file = LogFile(small_log)
     scan_records(file, scan)
     file.close()
     assert scan == _scan_log(small_log)
-    assert scan.complete
+    assert scan.is_complete
     assert scan.problem == ""
 
 
@@ -97,14 +97,14 @@ def test_a_cut_gives_the_exact_prefix(smallest_log: Path, tmp_path: Path, every:
         tension, k = log.field("tension"), log.k
     cut_positions: Iterable[int] = range(8, len(raw) + 1)
     if not every:
-        borders = {chunk.end + step for chunk in scan.chunks for step in (-1, 0, 1)}
+        chunk_borders = {chunk.end + step for chunk in scan.chunks for step in (-1, 0, 1)}
         cut_positions = (
             np.random.default_rng(0).choice(
-                len(raw) - 8, SAMPLE_COUNT - len(borders), replace=False
+                len(raw) - 8, SAMPLE_COUNT - len(chunk_borders), replace=False
             )
             + 8
         )
-        cut_positions = sorted({*cut_positions.tolist(), *borders})
+        cut_positions = sorted({*cut_positions.tolist(), *chunk_borders})
     for cut in cut_positions:
         complete = sum(chunk.end <= cut for chunk in scan.chunks)
         recovery, out = _recover_bytes(raw[:cut], tmp_path)

@@ -116,15 +116,15 @@ def test_ticks_and_rows_join_by_sequence(run_log: Path) -> None:
 @settings(
     max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
-@given(borders=st.frozensets(st.integers(0, 119), max_size=40))
+@given(chunk_borders=st.frozensets(st.integers(0, 119), max_size=40))
 def test_messages_do_not_depend_on_where_chunks_end(
-    tmp_path: Path, borders: frozenset[int]
+    tmp_path: Path, chunk_borders: frozenset[int]
 ) -> None:
     run = varied_run.varied_header()
     bodies = _tick_bodies(run)
     plain, cut = (
         messages_by_topic(_write_log(tmp_path / name, run, bodies, at))
-        for name, at in (("a", frozenset()), ("b", borders))
+        for name, at in (("a", frozenset()), ("b", chunk_borders))
     )
     assert plain.keys() == cut.keys()
     for topic, expected in plain.items():
@@ -229,7 +229,7 @@ def test_frames_form_one_tree() -> None:
 def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> None:
     run = varied_run.varied_header()
     ticks = [(tick_in._replace(requests=()), out) for tick_in, out in varied_run.varied_ticks(run)]
-    opening = {
+    open_stream_request = {
         "do": "stream",
         "stream": "s",
         "space": "joint",
@@ -237,7 +237,7 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
         "rate_Hz": 100.0,
     }
     target_requests = {
-        0: (json.dumps(opening),),
+        0: (json.dumps(open_stream_request),),
         2: (
             StreamTarget("s", 0, ticks[2][0].t_ns - 3_000_000, (1.5, math.nan)),
             target_request_text(StreamTarget("t", 1, 0, (1e308,))),
@@ -282,7 +282,7 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
         for line_message in topics["/rosout"]
     ]
     request_lines = [line.msg for line in lines if line.name == "handctl.request"]
-    assert request_lines[:2] == [json.dumps(opening), '{"do": "stop"}']
+    assert request_lines[:2] == [json.dumps(open_stream_request), '{"do": "stop"}']
     assert not any("target" in line for line in request_lines)
 
 

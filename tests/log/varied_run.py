@@ -23,7 +23,7 @@ from handctl.programs.requests import target_request_text
 from handctl.safety.safety_action import SafetyAction
 
 BUS_NAMES = ("main", "a_second_bus")
-OPEN_STREAM = (
+OPEN_STREAM_REQUEST = (
     '{"do": "stream", "stream": "s", "space": "digit", "names": ["index", "thumb"], "rate_Hz": 100}'
 )
 
@@ -42,7 +42,7 @@ def varied_ticks(run_header: RunHeader, tick_count: int = 120) -> Iterator[tuple
     random, k = np.random.default_rng(1), 0
     for index in range(tick_count):
         k += 1 + (index % 17 == 16) * 3
-        yield _tick_in(run_header, k, index, random), _tick_output(run_header, index, random)
+        yield _tick_input(run_header, k, index, random), _tick_output(run_header, index, random)
 
 
 def _random_frames(
@@ -65,14 +65,16 @@ def _random_frames(
     return tuple(frames)
 
 
-def _tick_in(run_header: RunHeader, k: int, tick_index: int, random: np.random.Generator) -> TickIn:
+def _tick_input(
+    run_header: RunHeader, k: int, tick_index: int, random: np.random.Generator
+) -> TickIn:
     t_ns = k * run_header.period_ns
     io_events = (
         (IoEvent("enobufs", "main", 4), IoEvent("signal", "", 15)) if tick_index % 23 == 5 else ()
     )
     requests = ('{"do": "gain", "text": "\u00e4\u03b1\u4e2d"}', "") if tick_index % 19 == 3 else ()
     if tick_index == 50:
-        requests += (OPEN_STREAM,)
+        requests += (OPEN_STREAM_REQUEST,)
     if tick_index > 50:
         requests += (
             target_request_text(

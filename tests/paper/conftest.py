@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from handctl.hand.tendons import TendonElasticity
-from handctl.paper import sources as src
+from handctl.paper import paper_data as src
 from handctl.paper.bench import payload
-from handctl.paper.figures.gallery import draw_all_figures
+from handctl.paper.figures.all_figures import draw_all_figures
 
 
 @pytest.fixture(scope="session")

@@ -11,8 +11,8 @@ import sympy as sp
 
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import gravity_torque, inverse_dynamics
+from handctl.paper import paper_data as src
 from handctl.paper import sections
-from handctl.paper import sources as src
 from handctl.paper.errata_item import ErrataItem, ErrataVerdict
 from handctl.paper.model import equations, kinematics, lagrange, motion
 
@@ -22,11 +22,11 @@ TIME_SYMBOL = sp.Symbol("t")
 DERIVATIVE_SYMBOLS = {
     f"{'d' * order}th{i}": sp.Symbol(f"{'d' * order}th{i}") for order in range(3) for i in (1, 2, 3)
 }
-PLAIN_SYMBOLS = {str(symbol): symbol for symbol in PARAMETER_SYMBOLS} | DERIVATIVE_SYMBOLS
+SYMBOL_BY_NAME = {str(symbol): symbol for symbol in PARAMETER_SYMBOLS} | DERIVATIVE_SYMBOLS
 
 
 def symbolic_expression(formula_text: str) -> sp.Expr:
-    return sp.sympify(formula_text, locals=PLAIN_SYMBOLS)
+    return sp.sympify(formula_text, locals=SYMBOL_BY_NAME)
 
 
 @cache
@@ -55,7 +55,7 @@ def expression_in_symbols(expression: sp.Expr) -> sp.Expr:
     return sp.expand(sp.expand_trig(expression))
 
 
-def total_of_terms(terms: tuple[equations.EquationTerm, ...]) -> sp.Expr:
+def sum_of_terms(terms: tuple[equations.EquationTerm, ...]) -> sp.Expr:
     return sp.expand(
         sp.expand_trig(sum(symbolic_expression(term.correct_form.text) for term in terms))
     )
@@ -65,10 +65,9 @@ def test_corrected_energies_are_those_of_three_links() -> None:
     kinetic_energies, potential = derived_energies()
     printed = (equations.KINETIC_TERMS_1, equations.KINETIC_TERMS_2, equations.KINETIC_TERMS_3)
     for handctl_torques, derived in zip(printed, kinetic_energies, strict=True):
-        assert sp.simplify(total_of_terms(handctl_torques) - expression_in_symbols(derived)) == 0
+        assert sp.simplify(sum_of_terms(handctl_torques) - expression_in_symbols(derived)) == 0
     assert (
-        sp.simplify(total_of_terms(equations.POTENTIAL_TERMS) - expression_in_symbols(potential))
-        == 0
+        sp.simplify(sum_of_terms(equations.POTENTIAL_TERMS) - expression_in_symbols(potential)) == 0
     )
 
 
@@ -81,7 +80,7 @@ def test_corrected_torques_follow_from_the_lagrangian(link_index: int) -> None:
     )
     assert (
         sp.simplify(
-            total_of_terms(equations.TORQUE_TERMS[link_index]) - expression_in_symbols(torque)
+            sum_of_terms(equations.TORQUE_TERMS[link_index]) - expression_in_symbols(torque)
         )
         == 0
     )
@@ -126,7 +125,7 @@ def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
         )
 
 
-@pytest.mark.parametrize("errata_item", lagrange.term_items(), ids=lambda item: item.id)
+@pytest.mark.parametrize("errata_item", lagrange.term_errata(), ids=lambda item: item.id)
 def test_each_verdict_on_a_term_agrees_with_sympy(errata_item: ErrataItem) -> None:
     equation_terms = [
         *equations.KINETIC_TERMS,
@@ -153,12 +152,14 @@ def test_each_verdict_on_a_term_agrees_with_sympy(errata_item: ErrataItem) -> No
 
 
 def test_the_corrected_mass_matrix_is_symmetric_and_the_printed_one_is_not() -> None:
-    def matrix(which: str) -> sp.Matrix:
+    def matrix(formula_source: str) -> sp.Matrix:
         rows = []
         for equation_terms in equations.TORQUE_TERMS:
             torque = sum(
                 symbolic_expression(
-                    term.readings[0].text if which == "readings" else term.correct_form.text
+                    term.readings[0].text
+                    if formula_source == "readings"
+                    else term.correct_form.text
                 )
                 for term in equation_terms
             )
@@ -191,14 +192,14 @@ EXPECTED_ERRATA = {
 
 
 def test_no_known_misprint_is_missing() -> None:
-    verdict_by_id = {item.id: item.verdict for item in sections.page_items(None)}
+    verdict_by_id = {item.id: item.verdict for item in sections.page_errata(None)}
     for verdict, ids in EXPECTED_ERRATA.items():
         for id in ids.split():
             assert verdict_by_id[id] == verdict, id
 
 
 def test_ids_are_unique_and_reasons_given() -> None:
-    items = sections.page_items(None)
+    items = sections.page_errata(None)
     assert len({item.id for item in items}) == len(items)
     for item in items:
         assert item.printed
@@ -235,15 +236,15 @@ def test_ids_are_unique_and_reasons_given() -> None:
     ],
 )
 def test_items_have_the_known_values(item_id: str, expected_value: float) -> None:
-    value_by_id = {item.id: item.computed for item in sections.page_items(None)}
+    value_by_id = {item.id: item.computed for item in sections.page_errata(None)}
     assert value_by_id[item_id] == pytest.approx(expected_value, rel=1e-4)
 
 
 @pytest.mark.parametrize("printed_number", ["1", "0.86"])
 def test_a_printed_number_of_the_abstract_is_judged_once(printed_number: str) -> None:
-    items = [item for item in sections.page_items(None) if item.where == "Abstract"]
-    judged = [item.id for item in items if item.printed.split()[0] == printed_number]
-    assert len(judged) == 1
+    items = [item for item in sections.page_errata(None) if item.where == "Abstract"]
+    item_ids = [item.id for item in items if item.printed.split()[0] == printed_number]
+    assert len(item_ids) == 1
 
 
 def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> None:
@@ -254,7 +255,7 @@ def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> 
     digit = motion.upright_digit("index")
     base = np.concatenate(([0.0], np.cumsum(digit.lengths)[:-1]))
     held_torque = 9.81 * float(np.array(digit.masses) @ (base + digit.centres_of_mass[:, 0]))
-    item_by_id = {item.id: item for item in sections.page_items(None)}
+    item_by_id = {item.id: item for item in sections.page_errata(None)}
     assert item_by_id["eq10.static"].computed == pytest.approx(held_torque, rel=1e-9)
 
 
@@ -265,15 +266,15 @@ def test_numbers_of_the_paper_are_judged_without_springs() -> None:
         fast_torques.torque_by_cause[torque_cause]
         for torque_cause in ("inertia", "Coriolis", "gravity")
     )
-    item_by_id = {item.id: item for item in sections.page_items(None)}
+    item_by_id = {item.id: item for item in sections.page_errata(None)}
     assert item_by_id["sec7.complete"].computed == pytest.approx(
-        float(np.abs(links).max()) / fast_torques.lever_m
+        float(np.abs(links).max()) / fast_torques.moment_arm_m
     )
     assert item_by_id["sec8.torque"].computed == pytest.approx(1000.0 * float(np.abs(links).max()))
 
 
 def test_no_erratum_denies_a_statement_that_the_paper_makes() -> None:
-    item_by_id = {item.id: item for item in sections.page_items(None)}
+    item_by_id = {item.id: item for item in sections.page_errata(None)}
     assert "Never said" not in item_by_id["sec4-7.angles"].why
     assert "Section 7 states that its angles are absolute" in item_by_id["sec4-7.angles"].why
 
@@ -291,7 +292,7 @@ def test_torques_convert_between_relative_and_absolute_angles() -> None:
 
 
 def test_inverse_kinematics_reaches_the_points_of_the_path() -> None:
-    item = next(item for item in kinematics.kinematics_items() if item.id == "sec4.inverse")
+    item = next(item for item in kinematics.kinematics_errata() if item.id == "sec4.inverse")
     assert item.deviation is not None
     assert item.deviation < 1e-12
 

@@ -15,7 +15,7 @@ import pytest
 from handctl.errors import HandctlError
 from handctl.hand.hand_loading import load_hand
 from handctl.paper import sections
-from handctl.paper.bench import experiments, force_displacement, payload, pool
+from handctl.paper.bench import experiments, force_displacement, payload, worker_pool
 from handctl.report.truth_record import TruthRecord
 
 REPOSITORY_ROOT = Path(__file__).parents[2]
@@ -28,7 +28,7 @@ def test_the_bench_hand_reaches_forces_that_its_sensors_distinguish() -> None:
         noise = hand.sensor_node.tension_noise_N
         assert tendon.tension_max_N > 200.0, "beyond the first knee"
         assert tendon.tension_max_N + 5.0 * noise < tendon.tension_trip_N < 249.9
-        assert hand.motor_of(tendon.name).torque_max_N_m == pytest.approx(
+        assert hand.motor_of_tendon(tendon.name).torque_max_N_m == pytest.approx(
             tendon.drive_limit_N * 0.005
         )
 
@@ -79,7 +79,7 @@ def test_slip_is_creep_or_displacement(fall_speed: float, expected_end: str, tim
 def test_a_worker_that_ends_is_an_error() -> None:
     progress_reports: list[tuple[str, bool]] = []
     with (
-        pool.worker_pool(
+        worker_pool.worker_pool(
             2, lambda job, done: progress_reports.append((job["do"], done))
         ) as workers,
         pytest.raises(HandctlError, match="worker"),
@@ -90,17 +90,17 @@ def test_a_worker_that_ends_is_an_error() -> None:
 
 
 def test_workers_do_not_outlive_their_owner() -> None:
-    with pool.worker_pool(1, lambda job, done: None):
+    with worker_pool.worker_pool(1, lambda job, done: None):
         pass
-    listed = subprocess.run(
+    process_list = subprocess.run(
         ["ps", "-eo", "ppid,args"], capture_output=True, text=True, check=True
     ).stdout
-    own_workers = [
+    remaining_workers = [
         line
-        for line in listed.splitlines()
-        if line.split()[:1] == [str(os.getpid())] and pool.WORKER_MODULE in line
+        for line in process_list.splitlines()
+        if line.split()[:1] == [str(os.getpid())] and worker_pool.WORKER_MODULE in line
     ]
-    assert not own_workers
+    assert not remaining_workers
 
 
 @pytest.mark.nightly
@@ -109,7 +109,7 @@ def test_all_experiments_finish_within_three_minutes(tmp_path: Path) -> None:
     report, figures = tmp_path / "out.html", tmp_path / "figures"
     words = ["paper", "--json", "--output", str(report), "--figures", str(figures)]
     start_s = time.monotonic()
-    done = subprocess.run(
+    completed_process = subprocess.run(
         [sys.executable, "-c", HANDCTL_CODE, *words],
         capture_output=True,
         text=True,
@@ -117,10 +117,10 @@ def test_all_experiments_finish_within_three_minutes(tmp_path: Path) -> None:
         check=True,
     )
     assert time.monotonic() - start_s < 180.0
-    items: list[dict[str, Any]] = json.loads(done.stdout)
+    items: list[dict[str, Any]] = json.loads(completed_process.stdout)
     stored_values = {
         item.id: item.computed
-        for item in sections.page_items(experiments.load_results(RESULTS_FILE))
+        for item in sections.page_errata(experiments.load_results(RESULTS_FILE))
     }
     payloads = [
         item for item in items if item["id"].startswith(("payload.x.", "payload.y.", "payload.z."))
@@ -130,8 +130,8 @@ def test_all_experiments_finish_within_three_minutes(tmp_path: Path) -> None:
         item["computed"] == pytest.approx(stored_values[item["id"]], rel=0.25) for item in payloads
     ), "the page is stale"
     assert all(0.5 < item["computed"] < 3.0 for item in payloads)
-    along = [item for item in payloads if item["id"].startswith("payload.z")]
-    assert all(item["verdict"] == "bound" for item in along), (
+    axis_payloads = [item for item in payloads if item["id"].startswith("payload.z")]
+    assert all(item["verdict"] == "bound" for item in axis_payloads), (
         "the paper's payload is met along the cylinder's axis"
     )
     assert report.stat().st_size > 500_000

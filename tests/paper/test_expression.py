@@ -8,7 +8,7 @@ import pytest
 import sympy
 
 from handctl.paper.model import equations
-from handctl.paper.model.expression import DimensionError, Expression, dimension_text, pretty_name
+from handctl.paper.model.expression import DimensionError, Expression, dimension_text, typeset_name
 from handctl.paper.model.lagrange import ENERGY_DIMENSION, SYMBOL_DIMENSIONS, random_states
 
 EQUATION_TERMS = [
@@ -70,7 +70,7 @@ def test_expression_is_typeset_as_expected(formula_text: str, typeset_text: str)
 
 
 def test_names_are_found_and_other_code_is_refused() -> None:
-    assert pretty_name("L_L") == "L_L"
+    assert typeset_name("L_L") == "L_L"
     assert Expression("sin(th1)*pi*m2").names == {"th1", "m2"}
     for text in ("__import__('os')", "a if b else c", "[1]"):
         with pytest.raises((ValueError, KeyError)):

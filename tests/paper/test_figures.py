@@ -11,7 +11,7 @@ import pytest
 from matplotlib.image import imread
 
 from handctl.paper import page
-from handctl.paper.figures.gallery import figure_contents
+from handctl.paper.figures.all_figures import figure_contents
 from handctl.paper.model import kinematics
 
 

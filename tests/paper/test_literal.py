@@ -10,7 +10,7 @@ import pytest
 
 REPOSITORY_ROOT = Path(__file__).parents[2]
 TEST_SELECTION = "(pinocchio_built_by_hand and gravity_m_s23) or mass_matrix_is or coriolis or energy_is or sums_are"
-TESTS_NEEDING_EQ10 = {
+TESTS_OF_EQUATION_10 = {
     "test_agrees_with_pinocchio_built_by_hand",
     "test_coriolis_forces_do_no_work_of_their_own",
     "test_energy_is_conserved",
@@ -28,7 +28,7 @@ def run_with_equation(equation_form: str) -> tuple[set[str], str]:
         "-m",
         "pytest",
         "-p",
-        "literal_eq10",
+        "equation_10_plugin",
         "-p",
         "no:xdist",
         "-q",
@@ -56,14 +56,17 @@ def run_with_equation(equation_form: str) -> tuple[set[str], str]:
 
 @pytest.fixture(scope="module")
 def outcome_by_equation() -> dict[str, tuple[set[str], str]]:
-    return {which: run_with_equation(which) for which in ("printed", "corrected")}
+    return {
+        equation_form: run_with_equation(equation_form)
+        for equation_form in ("printed", "corrected")
+    }
 
 
 def test_the_printed_equation_fails_the_model_s_tests(
     outcome_by_equation: dict[str, tuple[set[str], str]],
 ) -> None:
     failed_tests, last_line = outcome_by_equation["printed"]
-    assert failed_tests >= TESTS_NEEDING_EQ10, last_line
+    assert failed_tests >= TESTS_OF_EQUATION_10, last_line
 
 
 def test_the_corrected_equation_passes_them(

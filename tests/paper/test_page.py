@@ -59,7 +59,7 @@ def test_results_are_stored_with_six_significant_digits() -> None:
 def test_page_has_every_measured_result(measured_results: dict[str, Any]) -> None:
     text = PAGE_FILE.read_text(encoding="utf-8")
     assert text.count(page.MEASURED_IN_SIMULATOR_COMMENT) == 2
-    for item in sections.page_items(measured_results):
+    for item in sections.page_errata(measured_results):
         assert f"| {item.id} | " in text, item.id
     rows = re.findall(
         r"^\| (payload\.\w\.d\d+) \|.*\| ([\d.]+) kg(?: or more)? \| \*\*(\w+)\*\*",
@@ -107,16 +107,14 @@ def test_json_is_a_list_of_items(capsys: pytest.CaptureFixture[str]) -> None:
         assert isinstance(item["computed"], int | float | str | None)
         assert all(isinstance(item[key], str) for key in ("where", "printed", "unit", "why"))
         assert all(isinstance(evidence_text, str) for evidence_text in item["evidence"])
-    verdicts_without_experiments = set(ErrataVerdict) - {ErrataVerdict.LOWER_BOUND}
-    assert {item["verdict"] for item in items} == {
-        verdict.value for verdict in verdicts_without_experiments
-    }
+    expected_verdicts = set(ErrataVerdict) - {ErrataVerdict.LOWER_BOUND}
+    assert {item["verdict"] for item in items} == {verdict.value for verdict in expected_verdicts}
     wire = next(item for item in items if item["id"] == "sec5.wire")
     assert wire["computed"] == 0.8585678096656324
 
 
 def test_measured_items_are_judged_by_what_was_measured(measured_results: dict[str, Any]) -> None:
-    item_by_id = {item.id: item for item in sections.page_items(measured_results)}
+    item_by_id = {item.id: item for item in sections.page_errata(measured_results)}
     assert item_by_id["payload.z.d30"].verdict == ErrataVerdict.WRONG
     assert item_by_id["payload.z.d35"].verdict == ErrataVerdict.LOWER_BOUND
     assert item_by_id["payload.z.d40"].unit == "kg or more"
@@ -133,7 +131,7 @@ def test_html_page_loads_no_other_file(
     assert text.count("data:image/svg+xml;base64,") == len(page.FIGURE_CAPTIONS)
     links = re.findall(r"(?:src|href)=\"([^\"]{0,40})", text)
     assert all(link.startswith("data:") for link in links)
-    for item in sections.page_items(measured_results):
+    for item in sections.page_errata(measured_results):
         assert f"<td>{item.id}</td>" in text
     assert "<script" not in text
 

@@ -11,15 +11,15 @@ from handctl.paper.errata_item import ErrataVerdict
 from handctl.paper.verdicts import (
     last_digit_value,
     rounding_interval,
+    verdict_of_ambiguous_statement,
     verdict_of_contradiction,
     verdict_of_derived_number,
     verdict_of_lower_bound,
     verdict_of_number,
-    verdict_of_readings,
     verdict_of_statement,
 )
 
-EXACT_VALUES = st.fractions(min_value=-1000, max_value=1000, max_denominator=10**6).filter(
+EXACT_FRACTIONS = st.fractions(min_value=-1000, max_value=1000, max_denominator=10**6).filter(
     lambda value: abs(value) > 1
 )
 
@@ -52,7 +52,7 @@ def test_verdict_of_a_number(
     assert verdict_of_number(printed_number, exact_value) == verdict
 
 
-@given(EXACT_VALUES, st.integers(0, 5))
+@given(EXACT_FRACTIONS, st.integers(0, 5))
 def test_rounded_number_is_judged_as_rounded(exact_value: Fraction, decimal_places: int) -> None:
     assert verdict_of_number(
         rounded_digits(exact_value, decimal_places, ROUND_HALF_EVEN), exact_value
@@ -62,7 +62,7 @@ def test_rounded_number_is_judged_as_rounded(exact_value: Fraction, decimal_plac
     )
 
 
-@given(EXACT_VALUES, st.integers(0, 5))
+@given(EXACT_FRACTIONS, st.integers(0, 5))
 def test_truncated_number_is_judged_as_truncated(
     exact_value: Fraction, decimal_places: int
 ) -> None:
@@ -73,15 +73,15 @@ def test_truncated_number_is_judged_as_truncated(
         assert verdict == ErrataVerdict.TRUNCATED
 
 
-@given(EXACT_VALUES, st.integers(0, 5), st.integers(1, 50))
+@given(EXACT_FRACTIONS, st.integers(0, 5), st.integers(1, 50))
 def test_a_unit_of_the_last_digit_beyond_is_wrong(
     exact_value: Fraction, decimal_places: int, last_digit_units: int
 ) -> None:
     shown_digits = rounded_digits(exact_value, decimal_places, ROUND_HALF_EVEN)
-    off = Fraction(shown_digits) + (last_digit_units + 1) * last_digit_value(shown_digits) * (
-        1 if exact_value > 0 else -1
-    )
-    text = rounded_digits(off, decimal_places, ROUND_HALF_EVEN)
+    wrong_value = Fraction(shown_digits) + (last_digit_units + 1) * last_digit_value(
+        shown_digits
+    ) * (1 if exact_value > 0 else -1)
+    text = rounded_digits(wrong_value, decimal_places, ROUND_HALF_EVEN)
     assert verdict_of_number(text, exact_value) == ErrataVerdict.WRONG
 
 
@@ -108,9 +108,15 @@ def test_an_error_carried_over_from_a_number_has_its_verdict() -> None:
 
 
 def test_verdict_of_readings_and_contradictions() -> None:
-    assert verdict_of_readings([True]) == verdict_of_statement(True) == ErrataVerdict.EQUAL
-    assert verdict_of_readings([False, False]) == verdict_of_statement(False) == ErrataVerdict.WRONG
-    assert verdict_of_readings([True, False]) == ErrataVerdict.UNDECIDABLE
+    assert (
+        verdict_of_ambiguous_statement([True]) == verdict_of_statement(True) == ErrataVerdict.EQUAL
+    )
+    assert (
+        verdict_of_ambiguous_statement([False, False])
+        == verdict_of_statement(False)
+        == ErrataVerdict.WRONG
+    )
+    assert verdict_of_ambiguous_statement([True, False]) == ErrataVerdict.UNDECIDABLE
     assert verdict_of_contradiction(["200", "250"], None) == ErrataVerdict.UNDECIDABLE
     assert verdict_of_contradiction(["200", "200"], None) == ErrataVerdict.EQUAL
     assert verdict_of_contradiction(["200", "250"], 200.0) == ErrataVerdict.WRONG

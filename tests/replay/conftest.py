@@ -26,7 +26,10 @@ def recorded_grasp_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     io_events = {300: (IoEvent("enobufs", "main", 2),)}
     requests = {250: ('{"do": "arm"}', "no request"), 450: ('{"do": "stop"}',)}
     log = folder / "fresh.mcap"
-    task, wrap_simulator_function = short_runs.short_task(folder), short_runs.peer_with_silent_index
+    task, wrap_simulator_function = (
+        short_runs.short_task(folder),
+        short_runs.drop_index_motor_replies,
+    )
     short_runs.record_lockstep_run(
         log,
         task,

@@ -9,7 +9,7 @@ from handctl.replay.motion_replay import active_interval
 from handctl.replay.run_comparison import resampled_field
 from handctl.report.run_summary import mean_angles
 
-SETTLED_S = 0.4
+SETTLING_TIME_S = 0.4
 """Time from the start of a hold until the grasp is at rest [s]."""
 
 
@@ -34,9 +34,9 @@ def mean_held_tensions(
     """Return the mean tensions of each run (tendons,) while the grasp is at rest [N]."""
     starts = {change.name: change.t_ns * 1e-9 for change in original_log.phases}
     start, _ = active_interval(original_log)
-    at_rest = starts["hold"] + SETTLED_S - start, starts["release"] - start
-    return _mean_tension(original_log, start, *at_rest), _mean_tension(
-        repeated_log, start_of_repetition_s(repeated_log), *at_rest
+    rest_interval = starts["hold"] + SETTLING_TIME_S - start, starts["release"] - start
+    return _mean_tension(original_log, start, *rest_interval), _mean_tension(
+        repeated_log, start_of_repetition_s(repeated_log), *rest_interval
     )
 
 

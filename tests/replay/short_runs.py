@@ -178,7 +178,7 @@ def record_lockstep_run(
         peer.close()
 
 
-def peer_with_silent_index(peer: LockstepSimulator) -> LockstepSimulator:
+def drop_index_motor_replies(peer: LockstepSimulator) -> LockstepSimulator:
     """Wrap a simulator.
 
     From 2.2 s on, the replies of the index motor are dropped. At this time, the run is in the hold
@@ -201,7 +201,7 @@ def write_golden_logs(log_folder: Path) -> None:
         log_folder / "jamia-fault.mcap",
         task,
         rate_hz=200.0,
-        wrap_simulator=peer_with_silent_index,
+        wrap_simulator=drop_index_motor_replies,
         io_events=events,
     )
     record_lockstep_run(log_folder / "jamia11-grasp.mcap", task, hand_name="jamia11", rate_hz=200.0)

@@ -34,11 +34,11 @@ def _scan_chunks(path: Path) -> tuple[LogFile, RecordScan]:
 
 
 def _change_message(
-    log_path: Path, topic: str, tick_index: int, byte_offset: int, with_fitting_checksum: bool
+    log_path: Path, topic: str, tick_index: int, byte_offset: int, has_valid_checksum: bool
 ) -> None:
     """Change a byte in the message of tick k.
 
-    If `fitting` is True, also adjust all checksums, as somebody would do who forges a log.
+    If ``has_valid_checksum`` is True, also adjust all checksums, as somebody would do who forges a log.
     """
     file, scan = _scan_chunks(log_path)
     names = {
@@ -62,7 +62,7 @@ def _change_message(
                 changed_content[
                     message.start + matching_rows[0] * message.records.shape[1] + 31 + byte_offset
                 ] ^= 0x10
-                _put_chunk(log_path, scan, chunk, bytes(changed_content), with_fitting_checksum)
+                _put_chunk(log_path, scan, chunk, bytes(changed_content), has_valid_checksum)
                 return
     raise AssertionError("no such message")
 
@@ -72,7 +72,7 @@ def _put_chunk(
     record_scan: RecordScan,
     chunk: ChunkLocation,
     new_content: bytes,
-    with_fitting_checksum: bool,
+    has_valid_checksum: bool,
 ) -> None:
     """Write a log in which the content of one chunk is replaced.
 
@@ -82,7 +82,7 @@ def _put_chunk(
     packed = lz4.frame.compress(new_content)
     head = bytearray(raw[chunk.offset : chunk.data_offset])
     head[1:9] = (len(head) - 9 + len(packed)).to_bytes(8, "little")
-    if with_fitting_checksum:
+    if has_valid_checksum:
         head[33:37] = zlib.crc32(new_content).to_bytes(4, "little")
     head[-8:] = len(packed).to_bytes(8, "little")
     log_path.write_bytes(
@@ -90,17 +90,17 @@ def _put_chunk(
     )
 
 
-@pytest.mark.parametrize("with_fitting_checksum", [False, True], ids=["by chance", "forged"])
+@pytest.mark.parametrize("has_valid_checksum", [False, True], ids=["by chance", "forged"])
 @pytest.mark.parametrize(
     ("topic", "byte_offset"), [("/tick", 60), ("/controller/values", 100), ("/tick/chain", 22)]
 )
 def test_a_changed_byte_is_named_by_its_tick(
-    log_copy: Path, topic: str, byte_offset: int, with_fitting_checksum: bool
+    log_copy: Path, topic: str, byte_offset: int, has_valid_checksum: bool
 ) -> None:
     assert describe_first_damage(log_copy) == ""
-    _change_message(log_copy, topic, 321, byte_offset, with_fitting_checksum)
+    _change_message(log_copy, topic, 321, byte_offset, has_valid_checksum)
     assert describe_first_damage(log_copy).startswith("tick 321 was changed after it was written")
-    if with_fitting_checksum:
+    if has_valid_checksum:
         with RunLog(log_copy) as opened_log:
             (line,) = [line for line in check_log(opened_log) if "chain" in line]
         assert "breaks at tick 321" in line

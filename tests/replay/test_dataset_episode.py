@@ -21,7 +21,7 @@ from handctl.log.export.lerobot import export_lerobot
 from handctl.log.read.reader import RunLog
 from handctl.programs.playback import PlaybackProgram
 from handctl.replay.dataset_episode import find_episode
-from handctl.session.simulate import SimulatorSettings, homed_controller
+from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
 
 GOLDEN_FOLDER = Path(__file__).parents[2] / "logs" / "golden"
 PERIOD_S = 0.002

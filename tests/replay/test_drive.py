@@ -12,7 +12,7 @@ from handctl.errors import IncomparableError
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.playback import RecordedGoals
-from handctl.replay.execute import execute_log
+from handctl.replay.log_execution import execute_log
 from handctl.replay.motion_replay import (
     active_interval,
     compare_replay,
@@ -54,12 +54,12 @@ def test_a_grasp_repeats_within_a_degree_and_five_percent_of_force(
     ):
         comparison = compare_replay(original_log, replayed_log)
         recorded_start, _ = active_interval(original_log)
-        at_rest = [
+        phase_starts_s = [
             change.t_ns * 1e-9
             for change in original_log.phases
             if change.name in ("hold", "release")
         ]
-        times = np.arange(at_rest[0] + 0.4, at_rest[1], 0.005) - recorded_start
+        times = np.arange(phase_starts_s[0] + 0.4, phase_starts_s[1], 0.005) - recorded_start
         start = next(
             change.t_ns * 1e-9 for change in replayed_log.phases if change.name == "playback"
         )

@@ -19,12 +19,12 @@ from handctl.replay.motion_replay import active_interval, compare_replay, playba
 from handctl.report.truth_record import read_truth
 
 FloatArray = NDArray[np.float64]
-RATE_HZ, SETTLED_S = 250.0, 0.4
+RATE_HZ, SETTLING_TIME_S = 250.0, 0.4
 DIGIT_NAMES = ("index", "middle", "ring", "thumb")
 
 
 @dataclass(frozen=True)
-class RunAndRepeat:
+class RunWithRepetition:
     """The logs of a run and its repetition, and the true values of both runs in the same interval."""
 
     folder: Path
@@ -33,12 +33,12 @@ class RunAndRepeat:
     def compare_replay(self) -> dict[str, dict[str, dict[str, float]]]:
         with (
             RunLog(self.folder / "first.mcap") as original_log,
-            RunLog(self.repeat) as replayed_log,
+            RunLog(self.repeated_log_path) as replayed_log,
         ):
             return compare_replay(original_log, replayed_log)
 
     @property
-    def repeat(self) -> Path:
+    def repeated_log_path(self) -> Path:
         return self.folder / f"again-{self.raw}.mcap"
 
     def true_values(self, *truth_columns: str) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -48,14 +48,14 @@ class RunAndRepeat:
         """
         with (
             RunLog(self.folder / "first.mcap") as original_log,
-            RunLog(self.repeat) as replayed_log,
+            RunLog(self.repeated_log_path) as replayed_log,
         ):
             recorded_start, end = active_interval(original_log)
             start = next(change.t_ns for change in replayed_log.phases if change.name == "playback")
         t_ns = np.arange(0, int((end - recorded_start) * 1e9), 2_000_000)
         recorded_truth, repeated_truth = (
             read_truth(path)
-            for path in (self.folder / "first.truth", self.repeat.with_suffix(".truth"))
+            for path in (self.folder / "first.truth", self.repeated_log_path.with_suffix(".truth"))
         )
         return (
             t_ns / 1e9,
@@ -65,7 +65,7 @@ class RunAndRepeat:
             repeated_truth.interpolated_columns(list(truth_columns), t_ns + start),
         )
 
-    def at_rest(self) -> tuple[float, float]:
+    def rest_interval(self) -> tuple[float, float]:
         """Return start and end of the time in which the grasp is at rest.
 
         Both times are measured from the start of the interval [s].
@@ -73,15 +73,15 @@ class RunAndRepeat:
         with RunLog(self.folder / "first.mcap") as original_log:
             starts = {change.name: change.t_ns * 1e-9 for change in original_log.phases}
             start, _ = active_interval(original_log)
-        return starts["hold"] + SETTLED_S - start, starts["release"] - start
+        return starts["hold"] + SETTLING_TIME_S - start, starts["release"] - start
 
-    def mean_at_rest(self, *truth_columns: str) -> tuple[FloatArray, FloatArray]:
+    def mean_values_at_rest(self, *truth_columns: str) -> tuple[FloatArray, FloatArray]:
         """Return the mean values of both runs while the grasp is at rest.
 
         The result of each run has one mean for each named column (names,).
         """
         times, recorded_values, repeated_values = self.true_values(*truth_columns)
-        start, end = self.at_rest()
+        start, end = self.rest_interval()
         is_at_rest = (times >= start) & (times <= end)
         return recorded_values[is_at_rest].mean(axis=0), repeated_values[is_at_rest].mean(axis=0)
 
@@ -100,25 +100,25 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module", params=[False, True], ids=["trajectories", "tensions"])
-def run_and_repeat(run_folder: Path, request: pytest.FixtureRequest) -> RunAndRepeat:
+def run_with_repetition(run_folder: Path, request: pytest.FixtureRequest) -> RunWithRepetition:
     """Return the first run and its repetition.
 
     The repetition follows either the recorded angles or the recorded tensions.
     """
-    run_pair = RunAndRepeat(run_folder, request.param)
+    run_pair = RunWithRepetition(run_folder, request.param)
     with RunLog(run_folder / "first.mcap") as original_log:
         program = playback_program(original_log, 1 / RATE_HZ, run_pair.raw)
-    truth = run_pair.repeat.with_suffix(".truth")
+    truth = run_pair.repeated_log_path.with_suffix(".truth")
     assert (
         short_runs.record_lockstep_run(
-            run_pair.repeat, program, rate_hz=RATE_HZ, seed=5, truth=truth
+            run_pair.repeated_log_path, program, rate_hz=RATE_HZ, seed=5, truth=truth
         ).failure
         == ""
     )
     return run_pair
 
 
-def test_second_replay_gives_the_same_log(run_and_repeat: RunAndRepeat) -> None:
+def test_second_replay_gives_the_same_log(run_with_repetition: RunWithRepetition) -> None:
     """If a replay repeats only the tensions, no control loop corrects the angle of a moving digit.
 
     An error of half a newton then turns the digit against its springs by six degrees.
@@ -126,15 +126,15 @@ def test_second_replay_gives_the_same_log(run_and_repeat: RunAndRepeat) -> None:
     When a digit makes its first contact, one newton changes the estimated angles of its joints by
     two more degrees.
     """
-    comparison = run_and_repeat.compare_replay()
+    comparison = run_with_repetition.compare_replay()
     worst = (
         {"joint_deg": 12.0, "tendon_N": 13.0}
-        if run_and_repeat.raw
+        if run_with_repetition.raw
         else {"joint_deg": 3.0, "tendon_N": 13.0}
     )
     max_rms_by_signal = (
         {"joint_deg": 3.0, "tendon_N": 2.2}
-        if run_and_repeat.raw
+        if run_with_repetition.raw
         else {"joint_deg": 1.5, "tendon_N": 2.2}
     )
     for signal in worst:
@@ -143,33 +143,37 @@ def test_second_replay_gives_the_same_log(run_and_repeat: RunAndRepeat) -> None:
 
 
 @pytest.mark.parametrize("digit", DIGIT_NAMES)
-def test_second_replay_gives_the_same_truth(run_and_repeat: RunAndRepeat, digit: str) -> None:
+def test_second_replay_gives_the_same_truth(
+    run_with_repetition: RunWithRepetition, digit: str
+) -> None:
     """The test compares the mean joint angle of each digit.
 
     The test does not compare single joints, because contact and friction determine how the motion
     of a tendon is divided among the joints.
     """
     joints = [f"q/{digit}_j{n}" for n in range(1, 3 if digit == "thumb" else 4)]
-    _, recorded_angles, repeated_angles = run_and_repeat.true_values(*joints)
+    _, recorded_angles, repeated_angles = run_with_repetition.true_values(*joints)
     angle_difference = np.degrees(
         np.abs(repeated_angles.mean(axis=1) - recorded_angles.mean(axis=1))
     )
-    assert angle_difference.max() < (6.0 if run_and_repeat.raw else 1.0)
-    assert angle_difference.mean() < (1.5 if run_and_repeat.raw else 0.3)
+    assert angle_difference.max() < (6.0 if run_with_repetition.raw else 1.0)
+    assert angle_difference.mean() < (1.5 if run_with_repetition.raw else 0.3)
 
 
-def test_a_replayed_grasp_is_as_strong_as_the_recorded_one(run_and_repeat: RunAndRepeat) -> None:
+def test_a_replayed_grasp_is_as_strong_as_the_recorded_one(
+    run_with_repetition: RunWithRepetition,
+) -> None:
     tensions = [f"tension/{digit}_tendon" for digit in DIGIT_NAMES]
     forces = [f"contact_force/{digit}/{axis}" for digit in DIGIT_NAMES for axis in "xyz"]
-    recorded_tensions, repeated_tensions = run_and_repeat.mean_at_rest(*tensions)
+    recorded_tensions, repeated_tensions = run_with_repetition.mean_values_at_rest(*tensions)
     np.testing.assert_allclose(
-        repeated_tensions, recorded_tensions, rtol=0.08 if run_and_repeat.raw else 0.05
+        repeated_tensions, recorded_tensions, rtol=0.08 if run_with_repetition.raw else 0.05
     )
     recorded_forces, repeated_forces = (
         np.linalg.norm(mean_forces.reshape(-1, 3), axis=1)
-        for mean_forces in run_and_repeat.mean_at_rest(*forces)
+        for mean_forces in run_with_repetition.mean_values_at_rest(*forces)
     )
     assert recorded_forces.min() > 1.0, "every digit has contact"
     np.testing.assert_allclose(
-        repeated_forces, recorded_forces, rtol=0.2 if run_and_repeat.raw else 0.05
+        repeated_forces, recorded_forces, rtol=0.2 if run_with_repetition.raw else 0.05
     )

@@ -29,9 +29,13 @@ from handctl.programs.live_session import JogProgram, LiveProgram
 from handctl.programs.program import Program
 from handctl.programs.requests import HoldTensionRequest, MoveDigitsRequest
 from handctl.replay import controller_rebuild as rebuilding
+from handctl.replay.commands_with_other_gains import (
+    CommandCollector,
+    command_differences,
+    draw_commands,
+)
 from handctl.replay.controller_rebuild import logged_gains, rebuild_controller
-from handctl.replay.counterfactual import CommandCollector, command_change, draw_commands
-from handctl.replay.execute import execute_log, is_within_tolerance, relative_error
+from handctl.replay.log_execution import execute_log, is_within_tolerance, relative_error
 from handctl.replay.tick_difference import (
     TelemetryColumns,
     are_outputs_equal,
@@ -168,13 +172,13 @@ def test_every_program_is_rebuilt_from_its_setup(program: Program) -> None:
         hand, gains, rate, program, make_calibration("jamia"), arm_at_once=False
     )
     text = RunSetup.from_controller(first_controller, rate).model_dump_json(by_alias=True)
-    again = RunSetup.model_validate_json(text).controller(hand, gains)
-    assert again.program == program
-    assert again.arm_at_once is False
-    assert again.model.period == first_controller.model.period
-    assert again.tare.tobytes() == first_controller.tare.tobytes()
-    assert again.zero.tobytes() == first_controller.zero.tobytes()
-    assert again.initial_state().digest() == first_controller.initial_state().digest()
+    rebuilt_controller = RunSetup.model_validate_json(text).controller(hand, gains)
+    assert rebuilt_controller.program == program
+    assert rebuilt_controller.arm_at_once is False
+    assert rebuilt_controller.model.period == first_controller.model.period
+    assert rebuilt_controller.tare_tensions.tobytes() == first_controller.tare_tensions.tobytes()
+    assert rebuilt_controller.motor_zeros.tobytes() == first_controller.motor_zeros.tobytes()
+    assert rebuilt_controller.initial_state().digest() == first_controller.initial_state().digest()
 
 
 def test_a_log_without_a_setup_is_refused_in_one_line(recorded_grasp_log: Path) -> None:
@@ -236,7 +240,7 @@ def test_other_gains_give_other_commands_and_a_figure(
         commands = CommandCollector()
         execute_log(log, stiff_gains, commands.add_tick)
         ticks = commands.comparable_ticks(log)
-        change = command_change(log, commands, ticks)
+        change = command_differences(log, commands, ticks)
         assert commands.motor_torques.shape == log.field("motor_torque_goal").shape
         draw_commands(tmp_path / "change.png", log, commands, ticks, "a run with other gains")
     assert all(size["peak"] > 0.01 for size in change["motor_torque_N_m"].values())

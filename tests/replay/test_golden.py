@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.blas_kernels import portable_kernels_run
+from handctl.blas_kernels import can_run_portable_kernels
 from handctl.cli.main import main
 
 GOLDEN_FOLDER = Path(__file__).parents[2] / "logs" / "golden"
@@ -24,7 +24,7 @@ def test_the_folder_has_the_golden_logs_and_no_others() -> None:
 
 
 @pytest.mark.skipif(
-    not portable_kernels_run(),
+    not can_run_portable_kernels(),
     reason="this processor cannot execute the matrix kernels of the golden logs",
 )
 @pytest.mark.parametrize("log_name", GOLDEN_LOG_NAMES)

@@ -17,10 +17,10 @@ from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.live_session import JogProgram
 from handctl.programs.requests import HoldTensionRequest
-from handctl.replay.execute import execute_log
+from handctl.replay.log_execution import execute_log
+from handctl.session.lockstep_simulation import SimulatorSettings, simulate_controller
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.run_plan import RunPlan
-from handctl.session.simulate import SimulatorSettings, simulate_controller
 
 GAINS_REQUEST = '{"do": "gains", "set": {"motion.force_N": 40.0, "tension.integral_per_s": 6.0}}'
 

@@ -18,7 +18,7 @@ from handctl.core.tick_types import IoEvent
 from handctl.log.read.reader import RunLog
 from handctl.programs.task import load_task
 from handctl.programs.task_program import TaskProgram
-from handctl.replay.execute import execute_log
+from handctl.replay.log_execution import execute_log
 from handctl.runtime.clocks.lockstep import LockstepSimulator
 
 RATE_HZ, DURATION_S = 200.0, 600.0

@@ -23,8 +23,8 @@ from handctl.log.header import RunHeader
 from handctl.log.read.reader import RunLog
 from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.log_writer import LogWriter
-from handctl.replay.execute import execute_log
 from handctl.replay.limits_judgement import judge_by_limits
+from handctl.replay.log_execution import execute_log
 from handctl.replay.motion_replay import (
     active_interval,
     compare_replay,
@@ -56,7 +56,7 @@ def write_ticks(log_path: Path, run_header: RunHeader, ticks: TickList) -> Path:
     return log_path
 
 
-def ticks_without_range(ticks: TickList, first_index: int, last_index: int) -> TickList:
+def remove_tick_range(ticks: TickList, first_index: int, last_index: int) -> TickList:
     return [tick for tick in ticks if not first_index <= tick[0].k <= last_index]
 
 
@@ -64,9 +64,7 @@ def test_a_short_gap_is_bridged_without_a_jump(
     grasp_ticks: tuple[RunHeader, TickList], tmp_path: Path, golden_folder: Path
 ) -> None:
     header, ticks = grasp_ticks
-    log_with_gap = write_ticks(
-        tmp_path / "holey.mcap", header, ticks_without_range(ticks, 260, 268)
-    )
+    log_with_gap = write_ticks(tmp_path / "holey.mcap", header, remove_tick_range(ticks, 260, 268))
     with RunLog(golden_folder / "jamia-grasp.mcap") as log, RunLog(log_with_gap) as other_log:
         whole_recorded_targets, result = (
             recorded_targets(log, 0.005),
@@ -86,7 +84,7 @@ def test_a_long_gap_is_refused_with_its_times(
     grasp_ticks: tuple[RunHeader, TickList], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     header, ticks = grasp_ticks
-    path = write_ticks(tmp_path / "holey.mcap", header, ticks_without_range(ticks, 260, 300))
+    path = write_ticks(tmp_path / "holey.mcap", header, remove_tick_range(ticks, 260, 300))
     with (
         RunLog(path) as log,
         pytest.raises(LogError, match=r"no ticks between 1\.295 and 1\.505 s"),
@@ -186,9 +184,9 @@ def test_values_that_the_controller_refuses_are_refused_by_every_replay(
 ) -> None:
     header, ticks = grasp_ticks
     setup = json.loads(header.attachments["setup.json"])
-    far_setup = json.dumps(setup | {"zero_rad": [1e308] * 4}).encode()
-    bad = replace(header, attachments=header.attachments | {"setup.json": far_setup})
-    path = write_ticks(tmp_path / "bad.mcap", bad, ticks)
+    changed_setup = json.dumps(setup | {"zero_rad": [1e308] * 4}).encode()
+    changed_header = replace(header, attachments=header.attachments | {"setup.json": changed_setup})
+    path = write_ticks(tmp_path / "bad.mcap", changed_header, ticks)
     (tmp_path / "limits.toml").write_text("schema = 1\n")
     with warnings.catch_warnings():
         warnings.simplefilter("error")

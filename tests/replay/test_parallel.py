@@ -16,7 +16,7 @@ from handctl.campaign.run_stages import hand_with_protocol, homed_run
 from handctl.controller.controller_state import ControllerState
 from handctl.controller.state_snapshot import restore_state, snapshot_bytes
 from handctl.controller.tick import Controller
-from handctl.core.plain_values import plain_bytes
+from handctl.core.plain_data import serialized_bytes
 from handctl.core.tick_types import HandMode, TickIn, TickOut
 from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.errors import LogError
@@ -24,15 +24,17 @@ from handctl.log.read.reader import RunLog
 from handctl.replay import log_runner as courses
 from handctl.replay import parallel_execution
 from handctl.replay.controller_rebuild import rebuild_controller
-from handctl.replay.execute import LogExecution, execute_log
+from handctl.replay.log_execution import LogExecution, execute_log
 from handctl.replay.tick_difference import state_difference
 
 StateChange = Callable[[ControllerState, TickIn], None]
-ExecuteBothWays = Callable[..., tuple[LogExecution, LogExecution]]
+ExecuteSerialAndParallel = Callable[..., tuple[LogExecution, LogExecution]]
 
 
 @pytest.fixture
-def execute_both_ways(recorded_grasp_log: Path, monkeypatch: pytest.MonkeyPatch) -> ExecuteBothWays:
+def execute_serial_and_parallel(
+    recorded_grasp_log: Path, monkeypatch: pytest.MonkeyPatch
+) -> ExecuteSerialAndParallel:
     """Return a function that executes a log with one process and with three processes.
 
     The returned function has one argument. This argument is a function that makes a number in the
@@ -57,7 +59,7 @@ def execute_both_ways(recorded_grasp_log: Path, monkeypatch: pytest.MonkeyPatch)
     return run
 
 
-def execution_findings(execution: LogExecution) -> dict[str, Any]:
+def results_without_times(execution: LogExecution) -> dict[str, Any]:
     """Return all results of an execution except the measured times."""
     return {
         name: value for name, value in asdict(execution).items() if name not in ("wall_s", "cpu_s")
@@ -87,7 +89,9 @@ def test_a_snapshot_restores_the_state_unchanged(recorded_grasp_log: Path) -> No
         controller = rebuild_controller(log)
         state = controller.initial_state()
         for logged in log.ticks():
-            repeated_state = restore_state(controller.derived.layout, snapshot_bytes(state))
+            repeated_state = restore_state(
+                controller.derived_constants.layout, snapshot_bytes(state)
+            )
             assert (repeated_state.digest(), snapshot_bytes(repeated_state)) == (
                 state.digest(),
                 snapshot_bytes(state),
@@ -109,9 +113,11 @@ def test_a_snapshot_restores_the_state_of_every_protocol(protocol: str) -> None:
                 break
             seen_modes.add(simulation.state.mode)
             repeated_state = restore_state(
-                simulation.controller.derived.layout, snapshot_bytes(simulation.state)
+                simulation.controller.derived_constants.layout, snapshot_bytes(simulation.state)
             )
-            assert plain_bytes(repeated_state.decisions) == plain_bytes(simulation.state.decisions)
+            assert serialized_bytes(repeated_state.decisions) == serialized_bytes(
+                simulation.state.decisions
+            )
             assert repeated_state.digest() == simulation.state.digest()
     assert {HandMode.SILENT, HandMode.INVENTORY, HandMode.ARMING} <= seen_modes
 
@@ -124,36 +130,36 @@ def test_a_log_has_a_snapshot_every_second(recorded_grasp_log: Path) -> None:
 
 
 def test_three_processes_find_no_difference_where_one_finds_none(
-    execute_both_ways: ExecuteBothWays,
+    execute_serial_and_parallel: ExecuteSerialAndParallel,
 ) -> None:
-    one_process, three_processes = execute_both_ways()
-    assert execution_findings(three_processes) == execution_findings(one_process)
+    one_process, three_processes = execute_serial_and_parallel()
+    assert results_without_times(three_processes) == results_without_times(one_process)
     assert (one_process.differing_ticks, three_processes.differing_ticks) == (0, 0)
 
 
 @pytest.mark.parametrize("first_wrong_tick", [150, 199, 200, 201, 330])
 def test_three_processes_find_the_first_difference_wherever_it_is(
-    execute_both_ways: ExecuteBothWays, first_wrong_tick: int
+    execute_serial_and_parallel: ExecuteSerialAndParallel, first_wrong_tick: int
 ) -> None:
     """The test changes the field in the part of each process.
 
     Some cases are at the border between two parts.
     """
-    one_process, three_processes = execute_both_ways(
+    one_process, three_processes = execute_serial_and_parallel(
         change_state_at_tick("travel", first_wrong_tick)
     )
     assert one_process.first_difference is not None
-    assert execution_findings(three_processes) == execution_findings(one_process)
+    assert results_without_times(three_processes) == results_without_times(one_process)
 
 
 def test_the_first_field_of_the_state_that_differs_is_named(
-    execute_both_ways: ExecuteBothWays,
+    execute_serial_and_parallel: ExecuteSerialAndParallel,
 ) -> None:
     def change(state_before: ControllerState, entry: TickIn) -> None:
         if entry.k >= 150:
             state_before.view("nis_mean")[1] += 1e-6
 
-    one_process, _ = execute_both_ways(change)
+    one_process, _ = execute_serial_and_parallel(change)
     assert one_process.first_state_difference is not None
     assert (one_process.first_state_difference.field, one_process.first_state_difference.k) == (
         "state nis_mean",
@@ -165,26 +171,26 @@ def test_a_decision_that_differs_is_named(recorded_grasp_log: Path) -> None:
     with RunLog(recorded_grasp_log) as log:
         state, logged_tick = rebuild_controller(log).initial_state(), next(log.ticks())
         other_state = state.copy()
-        other_state.decide(unconfirmed=("index_motor",))
+        other_state.decide(unconfirmed_motors=("index_motor",))
         assert state_difference(log.header, logged_tick, state, state) is None
         difference = state_difference(log.header, logged_tick, state, other_state)
     assert difference is not None
     assert (difference.field, difference.logged, difference.computed) == (
-        "state unconfirmed",
+        "state unconfirmed_motors",
         "()",
         "('index_motor',)",
     )
 
 
 def test_a_refusal_of_the_controller_is_reported_with_any_number_of_processes(
-    execute_both_ways: ExecuteBothWays,
+    execute_serial_and_parallel: ExecuteSerialAndParallel,
 ) -> None:
     def change(state_before: ControllerState, entry: TickIn) -> None:
         if entry.k == 330:
             raise ValueError("no such angle")
 
     with pytest.raises(LogError, match="no such angle"):
-        execute_both_ways(change)
+        execute_serial_and_parallel(change)
 
 
 def test_a_wrong_snapshot_is_not_used_as_a_start(
@@ -228,4 +234,4 @@ def test_a_snapshot_with_other_objects_than_decisions_is_refused(
         state = controller.initial_state()
         head = snapshot_bytes(state)[: 8 + state.block.nbytes]
         with pytest.raises(ValueError, match=r"."):
-            restore_state(controller.derived.layout, head + snapshot_text.encode())
+            restore_state(controller.derived_constants.layout, head + snapshot_text.encode())

@@ -11,25 +11,30 @@ from pathlib import Path
 import pytest
 
 from handctl import blas_kernels
-from handctl.blas_kernels import KERNELS_VARIABLE, PORTABLE_MATRIX_KERNELS, cpu_features
+from handctl.blas_kernels import OPENBLAS_CORE_VARIABLE, PORTABLE_MATRIX_KERNELS, cpu_features
 
-WITH_AVX2 = "processor : 0\nflags\t\t: fpu fma avx avx2\nprocessor : 1\n"
+CPUINFO_WITH_AVX2 = "processor : 0\nflags\t\t: fpu fma avx avx2\nprocessor : 1\n"
 PROGRAM_THAT_PRINTS_KERNELS = (
     "import os, sys; import handctl.cli.main as cli; print('numpy' in sys.modules); "
-    f"cli.use_portable_kernels(); print(os.environ.get('{KERNELS_VARIABLE}'))"
+    f"cli.use_portable_kernels(); print(os.environ.get('{OPENBLAS_CORE_VARIABLE}'))"
 )
 
 
 def test_features_are_those_of_the_first_processor() -> None:
-    assert cpu_features(WITH_AVX2.splitlines(keepends=True)) == {"fpu", "fma", "avx", "avx2"}
+    assert cpu_features(CPUINFO_WITH_AVX2.splitlines(keepends=True)) == {
+        "fpu",
+        "fma",
+        "avx",
+        "avx2",
+    }
     assert cpu_features(["processor : 0\n", "Features : fp asimd\n"]) == set()
 
 
 @pytest.mark.parametrize(
-    ("description", "chosen_before", "kernels"),
+    ("description", "preset_kernels", "kernels"),
     [
-        (WITH_AVX2, None, PORTABLE_MATRIX_KERNELS),
-        (WITH_AVX2, "Zen", "Zen"),
+        (CPUINFO_WITH_AVX2, None, PORTABLE_MATRIX_KERNELS),
+        (CPUINFO_WITH_AVX2, "Zen", "Zen"),
         ("flags : fpu avx\n", None, None),
         ("Features : fp asimd\n", None, None),
         (None, None, None),
@@ -37,7 +42,7 @@ def test_features_are_those_of_the_first_processor() -> None:
 )
 def test_kernels_are_chosen_where_the_processor_can_execute_them(
     description: str | None,
-    chosen_before: str | None,
+    preset_kernels: str | None,
     kernels: str | None,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -46,17 +51,19 @@ def test_kernels_are_chosen_where_the_processor_can_execute_them(
     path = tmp_path / "cpuinfo"
     if description is not None:
         path.write_text(description)
-    monkeypatch.setattr(blas_kernels, "CPU_DESCRIPTION", path)
-    if chosen_before is None:
-        monkeypatch.delenv(KERNELS_VARIABLE, raising=False)
+    monkeypatch.setattr(blas_kernels, "CPU_INFO_PATH", path)
+    if preset_kernels is None:
+        monkeypatch.delenv(OPENBLAS_CORE_VARIABLE, raising=False)
     else:
-        monkeypatch.setenv(KERNELS_VARIABLE, chosen_before)
+        monkeypatch.setenv(OPENBLAS_CORE_VARIABLE, preset_kernels)
     blas_kernels.use_portable_kernels()
-    assert os.environ.get(KERNELS_VARIABLE) == kernels
+    assert os.environ.get(OPENBLAS_CORE_VARIABLE) == kernels
 
 
 def test_command_line_chooses_the_kernels_before_numpy_is_imported() -> None:
-    environment = {name: value for name, value in os.environ.items() if name != KERNELS_VARIABLE}
+    environment = {
+        name: value for name, value in os.environ.items() if name != OPENBLAS_CORE_VARIABLE
+    }
     result = subprocess.run(
         [sys.executable, "-c", PROGRAM_THAT_PRINTS_KERNELS],
         env=environment,
@@ -66,16 +73,18 @@ def test_command_line_chooses_the_kernels_before_numpy_is_imported() -> None:
     )
     numpy_imported, kernels = result.stdout.split()
     assert numpy_imported == "False"
-    assert kernels == (os.environ.get(KERNELS_VARIABLE) or "None")
+    assert kernels == (os.environ.get(OPENBLAS_CORE_VARIABLE) or "None")
 
 
 @pytest.mark.skipif(
-    not blas_kernels.portable_kernels_run(), reason="this processor cannot execute the kernels"
+    not blas_kernels.can_run_portable_kernels(), reason="this processor cannot execute the kernels"
 )
 @pytest.mark.parametrize("log_name", ["jamia-grasp", "jamia11-grasp"])
 def test_golden_log_repeats_to_the_bit_in_a_new_process(log_name: str) -> None:
     """A new process chooses the same kernels as the tests, without inheriting their choice."""
-    environment = {name: value for name, value in os.environ.items() if name != KERNELS_VARIABLE}
+    environment = {
+        name: value for name, value in os.environ.items() if name != OPENBLAS_CORE_VARIABLE
+    }
     log = Path(__file__).parents[2] / "logs" / "golden" / f"{log_name}.mcap"
     result = subprocess.run(
         [sys.executable, "-m", "handctl", "replay", "execute", str(log)],

@@ -60,7 +60,7 @@ class GeneratedRunLog:
         return self.fields[field_name]
 
 
-def zero_truth(hand: Hand, tick_count: int, offset_ns: int = 0) -> TruthRecord:
+def zero_truth_record(hand: Hand, tick_count: int, offset_ns: int = 0) -> TruthRecord:
     """Create a truth record of zeros with one row for each tick.
 
     The record also has two rows before the run, and two rows after the run.

@@ -12,7 +12,12 @@ import pytest
 from handctl.report.lift_judgement import MAX_SLIP_MM, judge_lift, lift_failure
 from handctl.report.run_summary import summarise_run
 from handctl.report.truth_record import TruthRecord
-from tests.report.generated_run import JAMIA_HAND, GeneratedRunLog, set_truth_column, zero_truth
+from tests.report.generated_run import (
+    JAMIA_HAND,
+    GeneratedRunLog,
+    set_truth_column,
+    zero_truth_record,
+)
 
 TICK_COUNT = 400
 SINK_START_TICK, SINK_END_TICK = 200, 350
@@ -29,7 +34,7 @@ def log_and_truth_of_lift(
     log = GeneratedRunLog(
         JAMIA_HAND, TICK_COUNT, {0: "close", 100: "carry", SINK_END_TICK: "release"}
     )
-    truth = zero_truth(JAMIA_HAND, TICK_COUNT)
+    truth = zero_truth_record(JAMIA_HAND, TICK_COUNT)
     truth = replace(
         truth,
         values=np.column_stack([truth.values, truth.values[:, 0]]),
@@ -89,6 +94,6 @@ def test_without_a_sunk_table_the_lift_fails_and_has_no_object_motion() -> None:
 def test_without_a_sinking_table_or_a_hold_there_is_no_judgement() -> None:
     log, truth = log_and_truth_of_lift(0.2, 0.2)
     for lift_report in (lift_result(log, truth), lift_result(log, truth, "elsewhere"), lift_result(log, None, "carry"),
-                  lift_result(log, zero_truth(JAMIA_HAND, TICK_COUNT), "carry")):  # fmt: skip
+                  lift_result(log, zero_truth_record(JAMIA_HAND, TICK_COUNT), "carry")):  # fmt: skip
         assert np.isnan(lift_report["table_sunk_mm"])
         assert lift_failure(lift_report) == ""

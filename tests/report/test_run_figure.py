@@ -12,12 +12,12 @@ from handctl.hand.hand_loading import load_hand
 from handctl.output_files import save_figure
 from handctl.report.run_figure import MARK_WIDTH_FRACTION, _mark_positions, draw_run
 from handctl.report.truth_record import TruthRecord
-from tests.report.generated_run import GeneratedRunLog, set_truth_column, zero_truth
+from tests.report.generated_run import GeneratedRunLog, set_truth_column, zero_truth_record
 
 
-def generated_run_of(hand_name: str, with_values: bool) -> GeneratedRunLog:
+def generate_run_log(hand_name: str, has_values: bool) -> GeneratedRunLog:
     log = GeneratedRunLog(load_hand(hand_name), 120, {0: "silent", 40: "hold", 80: "done"})
-    if with_values:
+    if has_values:
         rng = np.random.default_rng(2)
         for field in log.fields.values():
             field[:] = rng.normal(size=field.shape)
@@ -38,15 +38,15 @@ def drawn_figures(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
 
 @pytest.mark.parametrize("hand_name", ["jamia", "jamia11"])
-@pytest.mark.parametrize("with_truth", [True, False])
-@pytest.mark.parametrize("with_values", [True, False])
+@pytest.mark.parametrize("has_truth", [True, False])
+@pytest.mark.parametrize("has_values", [True, False])
 def test_a_png_is_written(
-    hand_name: str, with_truth: bool, with_values: bool, tmp_path: Path
+    hand_name: str, has_truth: bool, has_values: bool, tmp_path: Path
 ) -> None:
-    truth: TruthRecord | None = zero_truth(load_hand(hand_name), 120) if with_truth else None
+    truth: TruthRecord | None = zero_truth_record(load_hand(hand_name), 120) if has_truth else None
     path = tmp_path / "run.png"
     draw_run(
-        path, generated_run_of(hand_name, with_values), load_hand(hand_name), truth, 0, "a title"
+        path, generate_run_log(hand_name, has_values), load_hand(hand_name), truth, 0, "a title"
     )  # type: ignore[arg-type]
     content = path.read_bytes()
     assert content.startswith(b"\x89PNG")
@@ -61,12 +61,12 @@ def test_labels_of_axes_are_inside_the_figure(
     """Reproduce a defect: tick labels such as 12.5 pushed the label "tendon tension" out of the picture."""
     drawn = []
 
-    def save_and_store_figure(figure: Figure, path: Path) -> None:
+    def save_and_record_figure(figure: Figure, path: Path) -> None:
         save_figure(figure, path)
         drawn.append(figure)
 
-    monkeypatch.setattr("handctl.report.run_figure.save_figure", save_and_store_figure)
-    log = generated_run_of("jamia", True)
+    monkeypatch.setattr("handctl.report.run_figure.save_figure", save_and_record_figure)
+    log = generate_run_log("jamia", True)
     log.late_ns[:] = 1000
     log.fields["tension"][:] = np.linspace(0.0, 13.0, 120)[:, None]
     log.fields["tension_goal"][:] = np.linspace(0.0, 1.0, 120)[:, None]
@@ -81,12 +81,12 @@ def test_labels_of_axes_are_inside_the_figure(
 def test_figure_depends_on_the_run(tmp_path: Path) -> None:
     paths = [tmp_path / f"{i}.png" for i in range(2)]
     for path, lively in zip(paths, (True, False), strict=True):
-        draw_run(path, generated_run_of("jamia", lively), load_hand("jamia"), None, 0, "t")  # type: ignore[arg-type]
+        draw_run(path, generate_run_log("jamia", lively), load_hand("jamia"), None, 0, "t")  # type: ignore[arg-type]
     assert paths[0].read_bytes() != paths[1].read_bytes()
 
 
 def test_hidden_values_do_not_affect_the_height(drawn_figures: list[Any]) -> None:
-    log = generated_run_of("jamia", True)
+    log = generate_run_log("jamia", True)
     log.mode[60:] = int(HandMode.DONE)
     log.fields["q"][:], log.fields["q_goal"][:] = 0.1, np.nan
     log.fields["q"][:60] = np.linspace(0.0, 0.5, 60)[:, None]
@@ -104,7 +104,7 @@ def test_all_tensions_are_inside_the_plot(
 ) -> None:
     """Reproduce a defect: with a dead load cell, the axis of the plot ended below the command and the true tension."""
     hand = load_hand(hand_name)
-    log, truth = generated_run_of(hand_name, True), zero_truth(hand, 120)
+    log, truth = generate_run_log(hand_name, True), zero_truth_record(hand, 120)
     for field_name in ("tension", "tension_goal", "tension_sigma"):
         log.fields[field_name][:] = 0.5
     if field == "truth":

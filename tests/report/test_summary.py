@@ -19,7 +19,7 @@ from tests.report.generated_run import (
     PERIOD_NS,
     GeneratedRunLog,
     set_truth_column,
-    zero_truth,
+    zero_truth_record,
 )
 
 
@@ -31,7 +31,7 @@ def log_without_faults() -> GeneratedRunLog:
     return log
 
 
-def log_of_hold(ramp_ticks: int = 20) -> GeneratedRunLog:
+def log_with_hold_phase(ramp_ticks: int = 20) -> GeneratedRunLog:
     """Create a run of four seconds with a hold phase.
 
     In this phase, the tension goal rises, and index finger and thumb are in contact.
@@ -62,7 +62,7 @@ def test_ticks_misses_and_lateness() -> None:
 
 
 def test_summary_without_truth_has_nan() -> None:
-    result = summarise_run(log_of_hold(), JAMIA_HAND, None, 0)
+    result = summarise_run(log_with_hold_phase(), JAMIA_HAND, None, 0)
     for name in (
         "tracking_rmse_rad",
         "tension_rmse_n",
@@ -78,15 +78,15 @@ def test_summary_without_truth_has_nan() -> None:
 
 
 def test_summaries_with_and_without_truth_have_the_same_keys() -> None:
-    log = log_of_hold()
-    with_truth = summarise_run(log, JAMIA_HAND, zero_truth(JAMIA_HAND, 400), 0)
-    assert summarise_run(log, JAMIA_HAND, None, 0).keys() == with_truth.keys()
+    log = log_with_hold_phase()
+    summary_with_truth = summarise_run(log, JAMIA_HAND, zero_truth_record(JAMIA_HAND, 400), 0)
+    assert summarise_run(log, JAMIA_HAND, None, 0).keys() == summary_with_truth.keys()
 
 
 def test_a_truth_of_another_time_is_no_truth() -> None:
     """The summary of a run does not use the truth file of an earlier simulator on the same bus."""
-    log = log_of_hold()
-    result = summarise_run(log, JAMIA_HAND, zero_truth(JAMIA_HAND, 400, offset_ns=10**15), 0)
+    log = log_with_hold_phase()
+    result = summarise_run(log, JAMIA_HAND, zero_truth_record(JAMIA_HAND, 400, offset_ns=10**15), 0)
     assert math.isnan(result["tracking_rmse_rad"])
     assert result["contact_force_n"] == {}
 
@@ -101,7 +101,7 @@ def test_the_mean_angle_weights_joints_by_their_moment_arms() -> None:
 
 
 def test_tracking_error_is_computed_in_free_motion_only() -> None:
-    log, truth = log_without_faults(), zero_truth(JAMIA_HAND, 200, 7)
+    log, truth = log_without_faults(), zero_truth_record(JAMIA_HAND, 200, 7)
     joints = slice(0, 3)  # joints of the index finger
     log.fields["q_goal"][:, joints] = 0.5
     for joint in JAMIA_HAND.joints[joints]:
@@ -132,7 +132,7 @@ def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
     A load-cell reading is taken one period earlier. It is compared with the true tension at that
     time.
     """
-    log, truth = log_without_faults(), zero_truth(JAMIA_HAND, 200)
+    log, truth = log_without_faults(), zero_truth_record(JAMIA_HAND, 200)
     real = 20.0 + np.arange(200) * 0.1
     for name in JAMIA_HAND.tendon_names:
         set_truth_column(truth, f"tension/{name}", real)
@@ -148,15 +148,15 @@ def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
 
 
 def test_slack_tendons_do_not_count() -> None:
-    log, truth = log_without_faults(), zero_truth(JAMIA_HAND, 200)
+    log, truth = log_without_faults(), zero_truth_record(JAMIA_HAND, 200)
     log.fields["tension"][:] = 7.0
     assert math.isnan(summarise_run(log, JAMIA_HAND, truth, 0)["tension_rmse_n"])
 
 
 def test_a_hold_is_judged_from_half_a_second_after_its_ramp_to_its_end() -> None:
-    (window,) = hold_windows(log_of_hold(ramp_ticks=20), JAMIA_HAND)
+    (window,) = hold_windows(log_with_hold_phase(ramp_ticks=20), JAMIA_HAND)
     assert np.flatnonzero(window).tolist() == list(range(119 + 50, 300))
-    empty_log = log_of_hold()
+    empty_log = log_with_hold_phase()
     empty_log.fields["contact"][:] = 0.0
     assert not np.any(hold_windows(empty_log, JAMIA_HAND)), "without a hold there are no windows"
     log_with_two_holds = GeneratedRunLog(
@@ -172,7 +172,7 @@ def test_a_hold_is_judged_from_half_a_second_after_its_ramp_to_its_end() -> None
 
 def test_a_hold_is_a_phase_of_that_kind_whatever_its_name() -> None:
     """Reproduce a defect: the tension error, tip forces and motion of a hold named "squeeze" were missing."""
-    log = log_of_hold()
+    log = log_with_hold_phase()
     log.phases = [
         phase._replace(name={"hold": "squeeze"}.get(phase.name, phase.name)) for phase in log.phases
     ]
@@ -188,7 +188,7 @@ def test_a_hold_is_a_phase_of_that_kind_whatever_its_name() -> None:
     log.header.attachments["task.toml"] = "\n".join(['schema = 1\nname = "grip"', *lines]).encode()
     (window,) = hold_windows(log, JAMIA_HAND)
     assert np.flatnonzero(window).tolist() == list(range(119 + 50, 300))
-    truth = zero_truth(JAMIA_HAND, 400)
+    truth = zero_truth_record(JAMIA_HAND, 400)
     set_truth_column(truth, f"tension/{JAMIA_HAND.tendon_names[0]}", 22.0)
     set_truth_column(truth, f"tension/{JAMIA_HAND.tendon_names[3]}", 25.0)
     assert summarise_run(log, JAMIA_HAND, truth, 0)["tension_hold_error_n"] == pytest.approx(3.0)
@@ -199,7 +199,7 @@ def test_a_hold_is_a_phase_of_that_kind_whatever_its_name() -> None:
 
 
 def test_a_hold_with_a_stiffness_is_judged_although_its_goals_follow_every_angle() -> None:
-    log = log_of_hold(ramp_ticks=20)
+    log = log_with_hold_phase(ramp_ticks=20)
     log.fields["tension_goal"][100:300] += np.where(np.arange(200) % 2, 0.1, -0.1)[:, None]
     (window,) = hold_windows(log, JAMIA_HAND)
     assert np.flatnonzero(window).tolist()[-1] == 299
@@ -207,7 +207,7 @@ def test_a_hold_with_a_stiffness_is_judged_although_its_goals_follow_every_angle
 
 
 def test_hold_error_is_the_worst_mean_of_a_tendon_that_holds() -> None:
-    log, truth = log_of_hold(), zero_truth(JAMIA_HAND, 400)
+    log, truth = log_with_hold_phase(), zero_truth_record(JAMIA_HAND, 400)
     index, middle, _, thumb = JAMIA_HAND.tendon_names
     alternating_error = np.where(np.arange(400) % 2, 1.5, -1.5)
     set_truth_column(truth, f"tension/{index}", 25.0 - 0.4 + alternating_error)
@@ -219,7 +219,7 @@ def test_hold_error_is_the_worst_mean_of_a_tendon_that_holds() -> None:
 
 
 def test_contact_forces_and_tip_forces_are_means_over_the_hold() -> None:
-    log, truth = log_of_hold(), zero_truth(JAMIA_HAND, 400)
+    log, truth = log_with_hold_phase(), zero_truth_record(JAMIA_HAND, 400)
     log.fields["tip_force"][:, 0] = np.where(np.arange(400) < 169, 99.0, 3.0)
     set_truth_column(truth, "contact_force/index/x", np.where(np.arange(400) < 169, 50.0, 3.0))
     set_truth_column(truth, "contact_force/index/y", np.where(np.arange(400) < 169, 50.0, 4.0))
@@ -230,7 +230,7 @@ def test_contact_forces_and_tip_forces_are_means_over_the_hold() -> None:
 
 
 def test_object_motion_is_the_largest_distance_from_the_start_of_a_hold() -> None:
-    log, truth = log_of_hold(), zero_truth(JAMIA_HAND, 400)
+    log, truth = log_with_hold_phase(), zero_truth_record(JAMIA_HAND, 400)
     x = np.zeros(400)
     x[:169] = 0.050  # before the hold
     x[200], x[201] = 3e-4, -4e-4
@@ -269,7 +269,7 @@ def test_measured_load_equals_a_hand_calculation() -> None:
 
 def test_an_empty_run_has_no_numbers_and_no_error() -> None:
     log = GeneratedRunLog(JAMIA_HAND, 0, {})
-    result = summarise_run(log, JAMIA_HAND, zero_truth(JAMIA_HAND, 3), 0)
+    result = summarise_run(log, JAMIA_HAND, zero_truth_record(JAMIA_HAND, 3), 0)
     assert result["ticks"] == 0
     assert math.isnan(result["late_us"]["p50"])
     assert 1e9 / result["rate_hz"] == PERIOD_NS

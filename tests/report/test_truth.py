@@ -8,7 +8,7 @@ import pytest
 
 from handctl.errors import LogError
 from handctl.report.truth_record import TruthRecord, copy_truth, read_truth
-from tests.report.generated_run import JAMIA_HAND, set_truth_column, write_truth, zero_truth
+from tests.report.generated_run import JAMIA_HAND, set_truth_column, write_truth, zero_truth_record
 
 
 @pytest.fixture
@@ -22,12 +22,12 @@ def truth_record() -> TruthRecord:
 def test_a_written_truth_file_is_read(truth_record: TruthRecord, tmp_path: Path) -> None:
     path = tmp_path / "t.truth"
     write_truth(path, truth_record)
-    repeated_truth = read_truth(path)
-    np.testing.assert_array_equal(repeated_truth.t_ns, truth_record.t_ns)
-    np.testing.assert_array_equal(repeated_truth.values, truth_record.values)
-    assert repeated_truth.columns == truth_record.columns
-    assert repeated_truth.has_column("b/c")
-    assert not repeated_truth.has_column("x")
+    loaded_truth = read_truth(path)
+    np.testing.assert_array_equal(loaded_truth.t_ns, truth_record.t_ns)
+    np.testing.assert_array_equal(loaded_truth.values, truth_record.values)
+    assert loaded_truth.columns == truth_record.columns
+    assert loaded_truth.has_column("b/c")
+    assert not loaded_truth.has_column("x")
 
 
 def test_the_simulators_own_file_is_read(tmp_path: Path) -> None:
@@ -90,7 +90,7 @@ def test_a_missing_file_and_a_folder_give_a_one_line_error(tmp_path: Path) -> No
 
 
 def test_values_are_interpolated_between_rows_and_nan_outside() -> None:
-    truth = zero_truth(JAMIA_HAND, 10, offset_ns=2**61)
+    truth = zero_truth_record(JAMIA_HAND, 10, offset_ns=2**61)
     set_truth_column(truth, "object/x", np.arange(10.0))
     t_ns = 2**61 + np.array([-(10**9), 0, 5_000_000, 25_000_000, 10**12])
     np.testing.assert_allclose(
@@ -101,7 +101,7 @@ def test_values_are_interpolated_between_rows_and_nan_outside() -> None:
 
 def test_a_column_that_is_not_there_is_named() -> None:
     with pytest.raises(LogError, match="no column 'tension/pinky'"):
-        zero_truth(JAMIA_HAND, 3).interpolated_column("tension/pinky", np.array([0]))
+        zero_truth_record(JAMIA_HAND, 3).interpolated_column("tension/pinky", np.array([0]))
 
 
 def test_the_header_is_kept(tmp_path: Path) -> None:
@@ -121,7 +121,7 @@ def test_a_copy_has_the_rows_between_two_times(
 
     The simulator writes 1.6 GB of truth rows per hour.
     """
-    truth = zero_truth(JAMIA_HAND, 96)
+    truth = zero_truth_record(JAMIA_HAND, 96)
     values = np.arange(truth.values.size, dtype=np.float64).reshape(truth.values.shape)
     whole_truth = TruthRecord({}, truth.t_ns + 10**15, values, truth.columns)
     write_truth(tmp_path / "whole", whole_truth)
@@ -132,13 +132,13 @@ def test_a_copy_has_the_rows_between_two_times(
         tmp_path / "whole", tmp_path / "part", first_ns + step * start_ns, first_ns + step * end_ns
     )
     assert copied == len(expected_rows)
-    partial_truth = read_truth(tmp_path / "part")
-    assert partial_truth.columns == whole_truth.columns
+    copied_truth = read_truth(tmp_path / "part")
+    assert copied_truth.columns == whole_truth.columns
     np.testing.assert_array_equal(
-        partial_truth.t_ns, whole_truth.t_ns[expected_rows.start : expected_rows.stop]
+        copied_truth.t_ns, whole_truth.t_ns[expected_rows.start : expected_rows.stop]
     )
     np.testing.assert_array_equal(
-        partial_truth.values, values[expected_rows.start : expected_rows.stop]
+        copied_truth.values, values[expected_rows.start : expected_rows.stop]
     )
 
 

@@ -39,7 +39,7 @@ class BusUnderTest:
         self.opened.append(bus.close)
         return bus
 
-    def python_can(self) -> can.BusABC:
+    def connect_python_can(self) -> can.BusABC:
         """Connect a further node to the bus, with python-can and without handctl."""
         interface, _, channel = self.spec.partition(":")
         bus = can.Bus(channel, interface=interface, fd=True, ignore_config=True)
@@ -158,7 +158,7 @@ def test_the_file_descriptor_becomes_readable_with_a_frame(bus_under_test: BusUn
 
 def test_python_can_understands_every_frame(bus_under_test: BusUnderTest) -> None:
     ours = bus_under_test.open()
-    python_can_bus = bus_under_test.python_can()
+    python_can_bus = bus_under_test.connect_python_can()
     for frame in random_frames(50, seed=2):
         assert ours.send([frame]) == 1
         message = python_can_bus.recv(RECEIVE_TIMEOUT_S)
@@ -178,7 +178,7 @@ def test_python_can_understands_every_frame(bus_under_test: BusUnderTest) -> Non
 
 def test_every_message_of_python_can_is_understood(bus_under_test: BusUnderTest) -> None:
     ours = bus_under_test.open()
-    python_can_bus = bus_under_test.python_can()
+    python_can_bus = bus_under_test.connect_python_can()
     sent = [
         can.Message(arbitration_id=0x7FF, is_extended_id=False, data=b"\x00\xff"),
         can.Message(arbitration_id=0x1FFFFFFF, is_extended_id=True, data=bytes(range(8))),

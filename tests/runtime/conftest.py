@@ -11,8 +11,8 @@ from tests.runtime.processes import (
     SHORT_TASK,
     TIME_SCALE,
     end_process,
+    make_time_scale_options,
     start_hand,
-    time_scale_options,
     write_homed_calibration,
 )
 
@@ -44,19 +44,21 @@ def started_processes():
 
 
 @pytest.fixture
-def scale_options(request, repeat_time_scale):
+def time_scale_options(request, repeat_time_scale):
     """Return the command-line options for the time scale.
 
     A test module may define its own ``TIME_SCALE``.
     """
-    return time_scale_options(getattr(request.module, "TIME_SCALE", TIME_SCALE) * repeat_time_scale)
+    return make_time_scale_options(
+        getattr(request.module, "TIME_SCALE", TIME_SCALE) * repeat_time_scale
+    )
 
 
 @pytest.fixture
-def hand_truth_file(work_folder, started_processes, scale_options):
+def hand_truth_file(work_folder, started_processes, time_scale_options):
     """Start a simulated hand with the time scale of the test, and return the path of its truth file."""
     started_processes.append(
-        start_hand(work_folder / "hand.truth", "--hand", "jamia", *scale_options)
+        start_hand(work_folder / "hand.truth", "--hand", "jamia", *time_scale_options)
     )
     return work_folder / "hand.truth"
 

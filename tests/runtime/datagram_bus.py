@@ -13,14 +13,14 @@ from handctl.runtime.buses.socketcan import SocketCanBus
 @contextmanager
 def datagram_bus(bus_index: int) -> Iterator[tuple[SocketCanBus, socket.socket]]:
     """Yield an open bus with the given index, and the socket at the other end of this bus."""
-    near, far_end = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+    near, peer_socket = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
     near.bind(("127.0.0.1", 0))
-    far_end.bind(("127.0.0.1", 0))
-    near.connect(far_end.getsockname())
-    far_end.connect(near.getsockname())
-    far_end.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-    far_end.settimeout(20.0)
+    peer_socket.bind(("127.0.0.1", 0))
+    near.connect(peer_socket.getsockname())
+    peer_socket.connect(near.getsockname())
+    peer_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+    peer_socket.settimeout(20.0)
     bus = SocketCanBus(near, "socketcan:test", bus_index, convert_time=int)
-    yield bus, far_end
+    yield bus, peer_socket
     bus.close()
-    far_end.close()
+    peer_socket.close()

@@ -32,13 +32,13 @@ from handctl.runtime.socket_paths import faults_path, local_bus_path, run_dir
 from handctl.session.calibration import load_calibration
 from handctl.session.run import make_controller, run_live
 from handctl.session.run_plan import RunPlan, bus_specs
-from handctl.session.tasks import load_task
+from handctl.session.task_loading import load_task
 from tests.runtime.processes import (
     LOCAL_BUS,
     LONG_TASK,
     end_process,
+    make_time_scale_options,
     start_hand,
-    time_scale_options,
     write_homed_calibration,
 )
 
@@ -133,7 +133,7 @@ class KillVerdict(NamedTuple):
         )
 
 
-class KillTestHand:
+class KillTestSetup:
     """A simulated hand, and the plan with which each controller of this hand starts."""
 
     def __init__(self, work_folder: Path, time_scale: float) -> None:
@@ -148,7 +148,7 @@ class KillTestHand:
         calibration = work_folder / "c.toml"
         task.write_text(LONG_TASK)
         write_homed_calibration(calibration, hand)
-        load = tuple(bus_load.load_at(RATE_HZ) for bus_load in bus_loads(hand))
+        load = tuple(bus_load.load_at_rate(RATE_HZ) for bus_load in bus_loads(hand))
         self.plan = RunPlan(
             hand,
             Gains(),
@@ -165,7 +165,9 @@ class KillTestHand:
             arm_at_once=True,
         )
         self.truth = work_folder / "hand.truth"
-        self.simulator = start_hand(self.truth, "--hand", "jamia", *time_scale_options(time_scale))
+        self.simulator = start_hand(
+            self.truth, "--hand", "jamia", *make_time_scale_options(time_scale)
+        )
 
     def now_ns(self) -> tuple[int, int]:
         """Return the time of the simulator, and the total time in which it did not run [ns]."""
@@ -212,7 +214,7 @@ class KillTestHand:
                 simulator_delay_ns = self.now_ns()[1] - slip_ns
                 if sent_signal == signal.SIGSTOP:
                     os.kill(child, signal.SIGCONT)
-                wait_for_end(child, listener)
+                wait_for_process_end(child, listener)
             finally:
                 with suppress(ProcessLookupError, ChildProcessError):
                     os.kill(child, signal.SIGKILL)
@@ -296,7 +298,7 @@ class SyncListener:
             self.listen(0.004)
 
 
-def wait_for_end(controller_pid: int, listener: SyncListener) -> None:
+def wait_for_process_end(controller_pid: int, listener: SyncListener) -> None:
     """Wait for the end of a controller process. If the process does not end, terminate it."""
     until = time.monotonic() + 3.0
     while os.waitpid(controller_pid, os.WNOHANG) == (0, 0):
@@ -331,10 +333,10 @@ def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
         :, [i for i, name in enumerate(truth.columns) if name.startswith("tension/")]
     ]
     begin = np.searchsorted(truth.t_ns, run.before_signal_ns)
-    over = np.searchsorted(
+    end = np.searchsorted(
         truth.t_ns, run.after_signal_ns + run.simulator_delay_ns + int(FINGER_OPENING_TIME_S * 1e9)
     )
-    driven = np.flatnonzero(np.abs(torque[begin:over]).max(axis=1) > MIN_TORQUE_N_M)
+    driven = np.flatnonzero(np.abs(torque[begin:end]).max(axis=1) > MIN_TORQUE_N_M)
     last_ns = (
         int(truth.t_ns[begin + driven[-1]]) - run.simulator_delay_ns
         if len(driven)
@@ -346,7 +348,7 @@ def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
         had_motor_torque=bool(np.abs(torque[begin]).max() > MIN_TORQUE_N_M),
         max_torque_off_ms=(last_ns - run.before_signal_ns) * 1e-6,
         min_torque_off_ms=(last_ns - run.after_signal_ns) * 1e-6,
-        remaining_tension_N=float(tension[min(over, len(tension) - 1)].max()),
+        remaining_tension_N=float(tension[min(end, len(tension) - 1)].max()),
     )
 
 
@@ -358,7 +360,7 @@ def disturb_controllers(
     The signals SIGKILL and SIGSTOP alternate.
     """
     chance = random.Random(seed)
-    test_hand = KillTestHand(work_folder, time_scale)
+    test_hand = KillTestSetup(work_folder, time_scale)
     runs: list[DisturbedRun] = []
     try:
         for number in range(controller_count):
@@ -376,7 +378,7 @@ After a batch, its truth file is read and deleted.
 """
 
 
-def disturb_in_batches(
+def disturb_controllers_in_batches(
     controller_count: int, seed: int, time_scale: float
 ) -> Iterator[list[KillVerdict]]:
     """Kill or stop ``controller_count`` controllers in batches, and yield the verdicts of each batch.
@@ -397,14 +399,14 @@ def disturb_in_batches(
 def summary_of_kills(verdicts: list[KillVerdict]) -> str:
     """Summarise the runs of killed or stopped controllers in one line of text."""
     safe_run_count = sum(run.torque_ended_in_time for run in verdicts)
-    complete = sum(run.has_complete_log for run in verdicts)
-    pulled = sum(run.was_taut for run in verdicts)
-    driven = sum(run.had_motor_torque for run in verdicts)
-    latest = max(run.max_torque_off_ms for run in verdicts)
+    complete_log_count = sum(run.has_complete_log for run in verdicts)
+    taut_count = sum(run.was_taut for run in verdicts)
+    driven_count = sum(run.had_motor_torque for run in verdicts)
+    latest_torque_off_ms = max(run.max_torque_off_ms for run in verdicts)
     tension = max(run.remaining_tension_N for run in verdicts)
     return (
         f"{len(verdicts)} controllers: {safe_run_count} times without torque in time, "
-        f"at most {latest:.1f} ms after the signal; "
-        f"{complete} logs complete; {driven} disturbed under torque, {pulled} with a taut tendon; "
+        f"at most {latest_torque_off_ms:.1f} ms after the signal; "
+        f"{complete_log_count} logs complete; {driven_count} disturbed under torque, {taut_count} with a taut tendon; "
         f"at most {tension:.1f} N left 0.3 s later"
     )

@@ -27,12 +27,12 @@ TIME_SCALE = 1.0
 If the machine is too slow for this time scale, the clock that simulator and controller share
 pauses.
 """
-SERIAL_BASE = 0x4000
+SERIAL_NUMBER_BASE = 0x4000
 """Base of the serial numbers of simulated drives.
 
 The serial number of a drive is this base plus its node number.
 """
-HOMED_OPTIONS = ("--homed", "--serial", f"{SERIAL_BASE:#x}")
+HOMED_HAND_OPTIONS = ("--homed", "--serial", f"{SERIAL_NUMBER_BASE:#x}")
 """Options of a simulated hand that match the calibration of ``write_homed_calibration``."""
 TASK_HEAD = 'schema = 1\nname = "short"\n'
 MOVE_PHASE = (
@@ -50,7 +50,7 @@ LONG_TASK = (
 )
 
 
-def time_scale_options(time_scale: float) -> tuple[str, str]:
+def make_time_scale_options(time_scale: float) -> tuple[str, str]:
     """Return the command-line options that give a time scale to a simulator or a controller."""
     return "--time-scale", f"{time_scale:g}"
 
@@ -65,7 +65,7 @@ def start_hand(
         "firmware_sim",
         "--bus",
         bus,
-        *HOMED_OPTIONS,
+        *HOMED_HAND_OPTIONS,
         "--truth",
         str(truth_file),
         *other_options,
@@ -134,7 +134,7 @@ def socket_names() -> list[str]:
 
 
 def write_homed_calibration(calibration_file: Path, hand: Hand) -> None:
-    """Write the calibration of a simulated hand with ``HOMED_OPTIONS``.
+    """Write the calibration of a simulated hand with ``HOMED_HAND_OPTIONS``.
 
     All tares and zeros in this calibration are zero.
     """
@@ -144,7 +144,7 @@ def write_homed_calibration(calibration_file: Path, hand: Hand) -> None:
         identity=hand.identity,
         made=datetime.datetime.now(datetime.UTC).isoformat(),
         tendon=dict.fromkeys(hand.tendon_names, zero),
-        drive={motor.name: f"{SERIAL_BASE + motor.node_id:#x}" for motor in hand.motor},
+        drive={motor.name: f"{SERIAL_NUMBER_BASE + motor.node_id:#x}" for motor in hand.motor},
     )
     write_calibration(calibration_file, calibration)
 

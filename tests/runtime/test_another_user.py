@@ -114,19 +114,21 @@ def check_refusals(expected_word: str) -> None:
 
 @SECOND_USER
 @pytest.mark.parametrize("folder_mode", [0o777, 0o700])
-@pytest.mark.parametrize("at_run_folder", [False, True])
-def test_a_folder_that_another_user_made_is_refused(shared_tmp, folder_mode, at_run_folder, capsys):
+@pytest.mark.parametrize("has_run_folder", [False, True])
+def test_a_folder_that_another_user_made_is_refused(
+    shared_tmp, folder_mode, has_run_folder, capsys
+):
     folder = folder_of_nobody(shared_tmp)
 
-    def make():
+    def create_folder():
         folder.mkdir()
-        if at_run_folder:
+        if has_run_folder:
             (folder / "handctl").mkdir()
             (folder / "handctl").chmod(folder_mode)
         folder.chmod(folder_mode)
         return "made"
 
-    assert call_as_user_nobody(make) == "made"
+    assert call_as_user_nobody(create_folder) == "made"
     assert folder.stat().st_uid == NOBODY_UID
     check_refusals("belongs to user nobody|belongs to another user")
     assert main(["stop", "--bus", "local:x"]) == 71
@@ -150,9 +152,9 @@ def test_a_folder_above_that_another_user_owns_or_can_write_in_is_refused(shared
     check_refusals("above: belongs to")
 
 
-@pytest.mark.parametrize("at_run_folder", [False, True])
-def test_a_folder_that_others_can_write_in_is_refused(shared_tmp, at_run_folder):
-    folder = run_dir() if at_run_folder else run_dir().parent
+@pytest.mark.parametrize("has_run_folder", [False, True])
+def test_a_folder_that_others_can_write_in_is_refused(shared_tmp, has_run_folder):
+    folder = run_dir() if has_run_folder else run_dir().parent
     folder.chmod(0o777)
     check_refusals(r"is open to others \(mode 0777\)")
     folder.chmod(0o770)
@@ -174,15 +176,15 @@ def test_a_new_or_readable_folder_is_made_private(shared_tmp, make_folder):
     assert [stat.S_IMODE(path.stat().st_mode) for path in (folder, folder.parent)] == [0o700, 0o700]
 
 
-@pytest.mark.parametrize("at_run_folder", [False, True])
-def test_a_link_is_refused(shared_tmp, at_run_folder):
+@pytest.mark.parametrize("has_run_folder", [False, True])
+def test_a_link_is_refused(shared_tmp, has_run_folder):
     """A run directory that is a symbolic link is refused, with any target and any owner of the link."""
     target = shared_tmp / "elsewhere"
     target.mkdir(mode=0o700)
-    if at_run_folder:
+    if has_run_folder:
         folder_of_nobody(shared_tmp).mkdir(mode=0o700)
     link = (
-        folder_of_nobody(shared_tmp) / "handctl" if at_run_folder else folder_of_nobody(shared_tmp)
+        folder_of_nobody(shared_tmp) / "handctl" if has_run_folder else folder_of_nobody(shared_tmp)
     )
     link.symlink_to(target)
     check_refusals("is a link")
@@ -441,7 +443,7 @@ def test_an_unread_mailbox_confirms_nothing_and_blocks_no_client(
 
 @pytest.mark.realtime
 def test_a_paused_controller_confirms_no_stop_and_a_flooded_one_stops(
-    work_folder, hand_truth_file, calibration_options, scale_options
+    work_folder, hand_truth_file, calibration_options, time_scale_options
 ):
     process = start_handctl(
         "run",
@@ -451,7 +453,7 @@ def test_a_paused_controller_confirms_no_stop_and_a_flooded_one_stops(
         "--json",
         "--log",
         "run.mcap",
-        *scale_options,
+        *time_scale_options,
     )
     try:
         watcher = StatusWatcher(LOCAL_BUS)
@@ -475,7 +477,7 @@ def test_a_paused_controller_confirms_no_stop_and_a_flooded_one_stops(
 
 @pytest.mark.realtime
 def test_a_flooded_mailbox_still_takes_a_stop(
-    work_folder, hand_truth_file, calibration_options, scale_options
+    work_folder, hand_truth_file, calibration_options, time_scale_options
 ):
     process = start_handctl(
         "run",
@@ -485,7 +487,7 @@ def test_a_flooded_mailbox_still_takes_a_stop(
         "--json",
         "--log",
         "run.mcap",
-        *scale_options,
+        *time_scale_options,
     )
     ended_event = threading.Event()
 

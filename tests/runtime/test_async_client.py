@@ -18,19 +18,19 @@ async def use_hand_as_client(*connect_options):
 
     Meanwhile, another asyncio task counts, to show that the client does not block the event loop.
     """
-    counted = 0
+    loop_count = 0
 
     async def count():
-        nonlocal counted
+        nonlocal loop_count
         while True:
-            counted += 1
+            loop_count += 1
             await asyncio.sleep(0.01)
 
     counting_task = asyncio.create_task(count())
     async with library.connect_async("jamia", LOCAL_BUS, *connect_options) as hand:
-        counted = 0
+        loop_count = 0
         await hand.move(index=30.0)
-        assert counted > 30, "other tasks go on while the hand moves"
+        assert loop_count > 30, "other tasks go on while the hand moves"
         assert hand.observe().q_deg[:3] == pytest.approx(30.0, abs=3.0)
         with pytest.raises(ConfigError, match="no digit 'pinky'"):
             await hand.wait_for(contact="pinky")
@@ -71,9 +71,9 @@ async def observe_hand(hand):
 
 @REALTIME_MARK
 def test_a_program_moves_a_hand_with_asyncio(
-    work_folder, hand_truth_file, calibration_options, scale_options
+    work_folder, hand_truth_file, calibration_options, time_scale_options
 ):
-    options = ("--calibration", "c.toml", "--log", "live.mcap", *scale_options)
+    options = ("--calibration", "c.toml", "--log", "live.mcap", *time_scale_options)
     result, status, ticks, swing_amplitude, at = asyncio.run(use_hand_as_client(*options))
     assert result["failure"] == ""
     assert status.accepted > 45
@@ -86,10 +86,10 @@ def test_a_program_moves_a_hand_with_asyncio(
 
 @REALTIME_MARK
 def test_a_hand_is_opened_and_closed_without_a_block(
-    work_folder, hand_truth_file, calibration_options, scale_options
+    work_folder, hand_truth_file, calibration_options, time_scale_options
 ):
     async def connect_and_use_hand():
-        options = ("--calibration", "c.toml", "--log", "live.mcap", *scale_options)
+        options = ("--calibration", "c.toml", "--log", "live.mcap", *time_scale_options)
         hand_truth_file = await library.connect_async("jamia", LOCAL_BUS, *options).open()
         phase = hand_truth_file.observe().phase
         await hand_truth_file.close()
@@ -103,11 +103,11 @@ def test_a_hand_is_opened_and_closed_without_a_block(
 
 @REALTIME_MARK
 def test_an_exception_in_the_block_stops_the_hand(
-    work_folder, hand_truth_file, calibration_options, scale_options
+    work_folder, hand_truth_file, calibration_options, time_scale_options
 ):
     async def fail():
         async with library.connect_async(
-            "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale_options
+            "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *time_scale_options
         ):
             raise ZeroDivisionError
 
@@ -119,7 +119,7 @@ def test_an_exception_in_the_block_stops_the_hand(
 @REALTIME_MARK
 @pytest.mark.parametrize("wait_s", [0.0, 0.5])
 def test_a_cancelled_start_leaves_no_armed_hand(
-    work_folder, hand_truth_file, calibration_options, scale_options, wait_s
+    work_folder, hand_truth_file, calibration_options, time_scale_options, wait_s
 ):
     """Reproduce a defect: after a timeout at ``async with``, the controller still armed the hand.
 
@@ -129,7 +129,7 @@ def test_a_cancelled_start_leaves_no_armed_hand(
 
     async def connect_with_short_timeout():
         client = library.connect_async(
-            "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale_options
+            "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *time_scale_options
         )
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(wait_s), client:

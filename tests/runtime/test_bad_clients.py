@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.streaming import CLIENT_BEHAVIOURS, CommissionedHand, measure_clients
 from handctl.hand.hand_loading import load_hand
-from tests.runtime.processes import HOMED_OPTIONS, LOCAL_BUS, write_homed_calibration
+from tests.runtime.processes import HOMED_HAND_OPTIONS, LOCAL_BUS, write_homed_calibration
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 TIME_SCALE = 0.6
@@ -23,7 +23,7 @@ RELAX_FAULT = "I11b"
 
 The controller then relaxes the hand.
 """
-FAULTS_BY_CLIENT = {
+EXPECTED_FAULTS_BY_CLIENT = {
     "paused-500": {HOLD_FAULT}, "nan": {HOLD_FAULT}, "1e308": {HOLD_FAULT}, "late-150": {HOLD_FAULT},
     "killed": {HOLD_FAULT, RELAX_FAULT}, "killed-owner": set(),
 }  # fmt: skip
@@ -37,7 +37,7 @@ A client without an entry must cause no fault.
 def commissioned_hand(work_folder) -> CommissionedHand:
     """Return the calibration and the simulator options of a commissioned hand."""
     write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
-    return work_folder / "c.toml", HOMED_OPTIONS
+    return work_folder / "c.toml", HOMED_HAND_OPTIONS
 
 
 @pytest.mark.realtime
@@ -52,9 +52,9 @@ def test_invalid_clients_do_not_disturb_a_run(commissioned_hand, repeat_time_sca
         if name != "straining":
             assert row["tension_N"] < min(tendon.tension_max_N for tendon in hand.tendon), name
         faults = {text.split()[0] for text in row["faults"]}
-        assert {fault for fault in faults if fault.startswith("I11")} == FAULTS_BY_CLIENT.get(
-            name, set()
-        ), (
+        assert {
+            fault for fault in faults if fault.startswith("I11")
+        } == EXPECTED_FAULTS_BY_CLIENT.get(name, set()), (
             name,
             row,
         )

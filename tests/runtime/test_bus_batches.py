@@ -20,8 +20,8 @@ from handctl.drives.frame_records import (
     FRAME_RECORD_DTYPE,
     WORDS_PER_RECORD,
     Frames,
+    concatenate_frames,
     frames_as_records,
-    join_frames,
 )
 from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.buses.contract import Bus
@@ -31,8 +31,8 @@ from tests.runtime.datagram_bus import datagram_bus
 
 CLASSICAL_FRAME_STRUCT, FD_FRAME_STRUCT = struct.Struct("=IB3x8s"), struct.Struct("=IBB2x64s")
 """Layouts of classical and FD frames in Linux. Source: Linux ``can.h``."""
-CLASSICAL_SIZES = (0, 1, 7, 8)
-FD_SIZES = (0, 8, 12, 64)
+CLASSICAL_PAYLOAD_SIZES = (0, 1, 7, 8)
+FD_PAYLOAD_SIZES = (0, 8, 12, 64)
 BUS_INDEX = 3
 
 
@@ -43,7 +43,7 @@ def mixed_frames(frame_count: int, seed: int) -> list[Frame]:
     for number in range(frame_count):
         can_id = rng.choice((number & 0x7FF, number | EXTENDED_FLAG))
         fd = rng.random() < 0.5
-        size = rng.choice(FD_SIZES if fd else CLASSICAL_SIZES)
+        size = rng.choice(FD_PAYLOAD_SIZES if fd else CLASSICAL_PAYLOAD_SIZES)
         frames.append(
             Frame(can_id, rng.randbytes(size), (FDF | rng.choice((0, BRS))) if fd else 0, BUS_INDEX)
         )
@@ -57,9 +57,9 @@ def equal_frames(payload_size: int, frame_flags: int) -> list[Frame]:
     ]
 
 
-BATCH_BY_NAME = {
-    **{f"classical of {size}": equal_frames(size, 0) for size in CLASSICAL_SIZES},
-    **{f"FD of {size}": equal_frames(size, FDF) for size in FD_SIZES},
+FRAME_BATCH_BY_NAME = {
+    **{f"classical of {size}": equal_frames(size, 0) for size in CLASSICAL_PAYLOAD_SIZES},
+    **{f"FD of {size}": equal_frames(size, FDF) for size in FD_PAYLOAD_SIZES},
     "one frame": equal_frames(8, 0)[:1],
     "mixed": mixed_frames(40, 1),
     "mixed, more than a buffer": mixed_frames(2 * MAX_FRAMES_PER_CALL + 44, 2),
@@ -76,8 +76,8 @@ def has_zeros_behind_payloads(frames: Frames) -> bool:
     Also check the size of a record.
     """
     assert frames.rows.shape == (len(frames), WORDS_PER_RECORD)
-    behind = np.arange(64) >= frames.records["length"][:, np.newaxis]
-    return not frames.records["data"][behind].any()
+    is_behind_payload = np.arange(64) >= frames.records["length"][:, np.newaxis]
+    return not frames.records["data"][is_behind_payload].any()
 
 
 @pytest.fixture
@@ -106,7 +106,7 @@ def drain_frames(bus: Bus, frame_count: int) -> Frames:
     while sum(map(len, frame_batches)) < frame_count and time.monotonic() < end:
         time.sleep(0.001)
         frame_batches.append(bus.drain())
-    return join_frames(frame_batches)
+    return concatenate_frames(frame_batches)
 
 
 def kernel_datagram(frame: Frame, trailing_bytes: bytes = b"") -> bytes:
@@ -122,12 +122,12 @@ def kernel_datagram(frame: Frame, trailing_bytes: bytes = b"") -> bytes:
     return CLASSICAL_FRAME_STRUCT.pack(can_id, len(data), data + trailing_bytes[: 8 - len(data)])
 
 
-@pytest.mark.parametrize("batch_name", BATCH_BY_NAME)
+@pytest.mark.parametrize("batch_name", FRAME_BATCH_BY_NAME)
 def test_local_bus_carries_every_batch_both_ways(
     local_bus: tuple[Bus, socket.socket], batch_name: str
 ) -> None:
     bus, link = local_bus
-    batch = BATCH_BY_NAME[batch_name]
+    batch = FRAME_BATCH_BY_NAME[batch_name]
     all_records = b"".join(frame_record(frame.can_id, frame.data, frame.flags) for frame in batch)
     assert bus.send(frames_as_records(batch)) == len(batch)
     sent = b""
@@ -141,16 +141,16 @@ def test_local_bus_carries_every_batch_both_ways(
     assert bus.take_events() == []
 
 
-@pytest.mark.parametrize("batch_name", BATCH_BY_NAME)
+@pytest.mark.parametrize("batch_name", FRAME_BATCH_BY_NAME)
 def test_can_socket_carries_every_batch_both_ways(
     udp_bus: tuple[SocketCanBus, socket.socket], batch_name: str
 ) -> None:
-    bus, far_end = udp_bus
-    batch = BATCH_BY_NAME[batch_name]
+    bus, peer_socket = udp_bus
+    batch = FRAME_BATCH_BY_NAME[batch_name]
     assert bus.send(frames_as_records(batch)) == len(batch)
-    assert [far_end.recv(100) for _ in batch] == [kernel_datagram(frame) for frame in batch]
+    assert [peer_socket.recv(100) for _ in batch] == [kernel_datagram(frame) for frame in batch]
     for frame in batch:
-        far_end.send(kernel_datagram(frame))
+        peer_socket.send(kernel_datagram(frame))
     frames = drain_frames(bus, len(batch))
     assert frame_contents(frames) == [frame[:4] for frame in batch]
     assert has_zeros_behind_payloads(frames)
@@ -159,7 +159,7 @@ def test_can_socket_carries_every_batch_both_ways(
 def test_batches_of_all_kinds_in_turn_leave_no_bytes_of_one_another(
     local_bus: tuple[Bus, socket.socket], udp_bus: tuple[SocketCanBus, socket.socket]
 ) -> None:
-    for batch in [*BATCH_BY_NAME.values(), *reversed(BATCH_BY_NAME.values())]:
+    for batch in [*FRAME_BATCH_BY_NAME.values(), *reversed(FRAME_BATCH_BY_NAME.values())]:
         test_batch = batch[:MAX_FRAMES_PER_CALL]
         for bus, link in (local_bus, udp_bus):
             assert bus.send(frames_as_records(test_batch)) == len(test_batch)
@@ -195,10 +195,10 @@ def test_bytes_behind_a_payload_are_ignored(
     frames = drain_frames(bus, len(batch))
     assert frame_contents(frames) == [frame[:4] for frame in batch]
     assert has_zeros_behind_payloads(frames)
-    can, far_end = udp_bus
+    can, peer_socket = udp_bus
     for sent_frames in (batch[:11], batch[11:22], batch):
         for frame in sent_frames:
-            far_end.send(kernel_datagram(frame, trailing_bytes))
+            peer_socket.send(kernel_datagram(frame, trailing_bytes))
         frames = drain_frames(can, len(sent_frames))
         assert frame_contents(frames) == [frame[:4] for frame in sent_frames]
         assert has_zeros_behind_payloads(frames)
@@ -219,15 +219,15 @@ def test_error_frames_between_others_become_events_and_keep_the_order(
     )
     assert frame_contents(drain_frames(bus, len(batch))) == [frame[:4] for frame in batch]
     assert bus.take_events() == [("error_frame", "local:x bus off", 20), ("bus_off", "local:x", 1)]
-    can, far_end = udp_bus
+    can, peer_socket = udp_bus
     for frame in batch:
-        far_end.send(kernel_datagram(frame))
-        far_end.send(kernel_datagram(bus_off_frame))
+        peer_socket.send(kernel_datagram(frame))
+        peer_socket.send(kernel_datagram(bus_off_frame))
     assert frame_contents(drain_frames(can, len(batch))) == [frame[:4] for frame in batch]
     events = [("error_frame", "socketcan:test bus off", 20), ("bus_off", "socketcan:test", 1)]
     assert can.take_events() == events
     link.sendall(frame_record(bus_off_frame.can_id, bus_off_frame.data))
-    far_end.send(kernel_datagram(bus_off_frame))
+    peer_socket.send(kernel_datagram(bus_off_frame))
     time.sleep(0.05)
     assert len(bus.drain()) == len(can.drain()) == 0
     assert bus.take_events()
@@ -247,7 +247,7 @@ def test_a_record_split_within_an_odd_batch_is_reassembled(
         frame_batches.append(bus.drain())
         at += cut
         assert sum(map(len, frame_batches)) == min(at, len(all_records)) // 72
-    assert frame_contents(join_frames(frame_batches)) == [frame[:4] for frame in batch]
+    assert frame_contents(concatenate_frames(frame_batches)) == [frame[:4] for frame in batch]
 
 
 @pytest.mark.parametrize("payload_size", [9, 12, 64])
@@ -269,13 +269,13 @@ def test_a_classical_frame_that_is_too_long_is_refused_as_record_too(
 def test_the_kernels_stamps_become_the_runs_time(
     udp_bus: tuple[SocketCanBus, socket.socket], time_scale: float
 ) -> None:
-    bus, far_end = udp_bus
+    bus, peer_socket = udp_bus
     bus._convert_time = lambda t_ns: int((t_ns - 1000) * time_scale)
     time.sleep(0.3)  # the kernel adds time stamps after a delay
     for _ in range(3):
         time_ns_before = time.monotonic_ns()
         for number in range(11):
-            far_end.send(CLASSICAL_FRAME_STRUCT.pack(number, 8, bytes(8)))
+            peer_socket.send(CLASSICAL_FRAME_STRUCT.pack(number, 8, bytes(8)))
         time_ns_after = time.monotonic_ns()
         stamps = [frame.t_ns for frame in drain_frames(bus, 11)]
         slack = 5_000_000

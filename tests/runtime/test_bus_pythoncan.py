@@ -200,8 +200,8 @@ def test_a_notifier_in_an_event_loop_receives_a_complete_batch(handctl_bus: Bus)
     """
     received: list[int] = []
 
-    async def receive_messages(theirs: can.BusABC) -> None:
-        notifier = can.Notifier(theirs, [lambda message: received.append(message.arbitration_id)],
+    async def receive_messages(python_can_bus: can.BusABC) -> None:
+        notifier = can.Notifier(python_can_bus, [lambda message: received.append(message.arbitration_id)],
                                 loop=asyncio.get_running_loop())  # fmt: skip
         handctl_bus.send([Frame(number, b"") for number in range(20)])
         end = time.monotonic() + 20.0

@@ -36,18 +36,18 @@ def wait_for_frames(bus: SocketCanBus, frame_count: int) -> list[Frame]:
 
 
 def test_sent_frames_have_the_kernels_layout(udp_bus: tuple[SocketCanBus, socket.socket]) -> None:
-    bus, far_end = udp_bus
+    bus, peer_socket = udp_bus
     frames = [
         Frame(0x7FF, b"\x01"),
         Frame(5 | EXTENDED_FLAG, bytes(range(64)), FDF | BRS),
         Frame(2, bytes(8)),
     ]
     assert bus.send(frames) == 3
-    assert far_end.recv(100) == CLASSICAL_FRAME_STRUCT.pack(0x7FF, 1, b"\x01")
-    assert far_end.recv(100) == FD_FRAME_STRUCT.pack(
+    assert peer_socket.recv(100) == CLASSICAL_FRAME_STRUCT.pack(0x7FF, 1, b"\x01")
+    assert peer_socket.recv(100) == FD_FRAME_STRUCT.pack(
         5 | EXTENDED_FLAG, 64, FDF | BRS, bytes(range(64))
     )
-    assert far_end.recv(100) == CLASSICAL_FRAME_STRUCT.pack(2, 8, bytes(8))
+    assert peer_socket.recv(100) == CLASSICAL_FRAME_STRUCT.pack(2, 8, bytes(8))
 
 
 @pytest.mark.parametrize(
@@ -62,13 +62,13 @@ def test_sent_frames_have_the_kernels_layout(udp_bus: tuple[SocketCanBus, socket
 def test_a_short_frame_after_a_long_one_has_none_of_its_bytes(
     udp_bus: tuple[SocketCanBus, socket.socket], long_frame: Frame, short_frames: list[Frame]
 ) -> None:
-    bus, far_end = udp_bus
+    bus, peer_socket = udp_bus
     for short_frame in short_frames:
         for can_id, data, flags, *_ in (long_frame, short_frame):
             if flags:
-                far_end.send(FD_FRAME_STRUCT.pack(can_id, len(data), flags, data))
+                peer_socket.send(FD_FRAME_STRUCT.pack(can_id, len(data), flags, data))
             else:
-                far_end.send(CLASSICAL_FRAME_STRUCT.pack(can_id, len(data), data))
+                peer_socket.send(CLASSICAL_FRAME_STRUCT.pack(can_id, len(data), data))
             (frame,) = wait_for_frames(bus, 1)
             assert frame[:4] == (can_id, data, flags, 1)
 
@@ -76,31 +76,31 @@ def test_a_short_frame_after_a_long_one_has_none_of_its_bytes(
 def test_the_size_of_a_datagram_distinguishes_fd_from_classical(
     udp_bus: tuple[SocketCanBus, socket.socket],
 ) -> None:
-    bus, far_end = udp_bus
+    bus, peer_socket = udp_bus
     # Linux before version 6.1 does not have CANFD_FDF
-    far_end.send(FD_FRAME_STRUCT.pack(1, 8, 0, bytes(8)))
-    far_end.send(CLASSICAL_FRAME_STRUCT.pack(1, 8, bytes(8)))
+    peer_socket.send(FD_FRAME_STRUCT.pack(1, 8, 0, bytes(8)))
+    peer_socket.send(CLASSICAL_FRAME_STRUCT.pack(1, 8, bytes(8)))
     assert [frame.flags for frame in wait_for_frames(bus, 2)] == [FDF, 0]
 
 
 def test_batches_beyond_the_buffers_keep_their_order(
     udp_bus: tuple[SocketCanBus, socket.socket],
 ) -> None:
-    bus, far_end = udp_bus
+    bus, peer_socket = udp_bus
     count = 300
     assert (
         bus.send([Frame(number, number.to_bytes(2, "little")) for number in range(count)]) == count
     )
-    sent_structs = [CLASSICAL_FRAME_STRUCT.unpack(far_end.recv(100)) for _ in range(count)]
+    sent_structs = [CLASSICAL_FRAME_STRUCT.unpack(peer_socket.recv(100)) for _ in range(count)]
     assert [can_id for can_id, _, _ in sent_structs] == list(range(count))
     for number in range(count):
-        far_end.send(CLASSICAL_FRAME_STRUCT.pack(number, 2, number.to_bytes(2, "little")))
+        peer_socket.send(CLASSICAL_FRAME_STRUCT.pack(number, 2, number.to_bytes(2, "little")))
     received_frames = wait_for_frames(bus, count)
     assert [frame.can_id for frame in received_frames] == list(range(count))
     assert [int.from_bytes(frame.data, "little") for frame in received_frames] == list(range(count))
 
 
-KERNEL_STAMPS_S = 0.3
+TIME_STAMP_DELAY_S = 0.3
 """Time from the first request for time stamps until Linux adds time stamps [s].
 
 For the first request, Linux has to patch the code of its kernel.
@@ -110,13 +110,13 @@ For the first request, Linux has to patch the code of its kernel.
 def test_stamps_are_times_of_arrival_not_of_reading(
     udp_bus: tuple[SocketCanBus, socket.socket],
 ) -> None:
-    bus, far_end = udp_bus
-    time.sleep(KERNEL_STAMPS_S)
+    bus, peer_socket = udp_bus
+    time.sleep(TIME_STAMP_DELAY_S)
     start = time.monotonic_ns()
-    far_end.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
+    peer_socket.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
     sent_time_ns = time.monotonic_ns()
     time.sleep(0.1)
-    far_end.send(CLASSICAL_FRAME_STRUCT.pack(2, 0, b""))
+    peer_socket.send(CLASSICAL_FRAME_STRUCT.pack(2, 0, b""))
     first_frame, second_frame = wait_for_frames(bus, 2)
     slack = 20_000_000
     assert start - slack <= first_frame.t_ns <= sent_time_ns + slack
@@ -130,13 +130,13 @@ def test_stamps_never_run_backwards_or_ahead(
 
     Even so, the time stamps of these frames are in order and not in the future.
     """
-    bus, far_end = udp_bus
+    bus, peer_socket = udp_bus
     real = time.time_ns
     stamps = []
     for step in (0, 5 * 10**9, -5 * 10**9, 3600 * 10**9, 0):
         monkeypatch.setattr(time, "time_ns", lambda step=step: real() + step)
         bus._offset.request_measurement()
-        far_end.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
+        peer_socket.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
         time_ns_before = time.monotonic_ns()
         stamps.append(wait_for_frames(bus, 1)[0].t_ns)
         assert time_ns_before - 10**9 <= stamps[-1] <= time.monotonic_ns()
@@ -151,20 +151,20 @@ def test_stamps_are_right_although_the_wall_clock_was_set(
 
     Then the wall clock is set, and Linux stamps a frame.
     """
-    bus, far_end = udp_bus
-    time.sleep(KERNEL_STAMPS_S)
-    far_end.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
+    bus, peer_socket = udp_bus
+    time.sleep(TIME_STAMP_DELAY_S)
+    peer_socket.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
     wait_for_frames(bus, 1)
     bus._offset._offset_ns += step_ns
     time_ns_before = time.monotonic_ns()
-    far_end.send(CLASSICAL_FRAME_STRUCT.pack(2, 0, b""))
+    peer_socket.send(CLASSICAL_FRAME_STRUCT.pack(2, 0, b""))
     time_ns_after = time.monotonic_ns()
     time.sleep(0.05)
     slack = 10_000_000
     assert time_ns_before - slack <= wait_for_frames(bus, 1)[0].t_ns <= time_ns_after + slack
 
 
-def overflow_socket(bus: SocketCanBus, far_end: socket.socket) -> None:
+def overflow_socket(bus: SocketCanBus, peer_socket: socket.socket) -> None:
     """Send more frames than a small buffer can store.
 
     Then send a frame that carries the number of dropped frames.
@@ -173,10 +173,10 @@ def overflow_socket(bus: SocketCanBus, far_end: socket.socket) -> None:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         link.detach()
     for _ in range(2000):
-        far_end.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
+        peer_socket.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
     while bus.drain():
         pass
-    far_end.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
+    peer_socket.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
     wait_for_frames(bus, 1)
 
 
@@ -190,20 +190,20 @@ def test_after_a_loss_frames_are_converted_as_batches_again(
 
     Linux adds the counter of lost frames to each frame that follows a loss.
     """
-    bus, far_end = udp_bus
-    time.sleep(KERNEL_STAMPS_S)
+    bus, peer_socket = udp_bus
+    time.sleep(TIME_STAMP_DELAY_S)
     convert_one_by_one = bus._convert_one_by_one
     calls = []
     monkeypatch.setattr(
         bus, "_convert_one_by_one", lambda *words: calls.append(words) or convert_one_by_one(*words)
     )
     for _ in range(2):
-        overflow_socket(bus, far_end)
+        overflow_socket(bus, peer_socket)
         assert [kind for kind, _, _ in bus.take_events()] == ["dropped"]
         calls.clear()
         for number in range(40):
             data = bytes([number] * (number % 9))
-            far_end.send(
+            peer_socket.send(
                 FD_FRAME_STRUCT.pack(number, len(data), FDF, data)
                 if fd_flag
                 else CLASSICAL_FRAME_STRUCT.pack(number, len(data), data)
@@ -220,7 +220,7 @@ def test_after_a_loss_frames_are_converted_as_batches_again(
 def test_frames_that_overflow_the_socket_are_counted(
     udp_bus: tuple[SocketCanBus, socket.socket],
 ) -> None:
-    bus, far_end = udp_bus
+    bus, peer_socket = udp_bus
     with socket.socket(fileno=bus.fileno()) as link:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         link.detach()
@@ -229,10 +229,10 @@ def test_frames_that_overflow_the_socket_are_counted(
     dropped = []
     for _ in range(3):
         for number in range(2000):
-            far_end.send(CLASSICAL_FRAME_STRUCT.pack(number & 0x7FF, 0, b""))
+            peer_socket.send(CLASSICAL_FRAME_STRUCT.pack(number & 0x7FF, 0, b""))
         received += len(bus.drain())
         # this frame carries the number of dropped frames
-        far_end.send(CLASSICAL_FRAME_STRUCT.pack(0, 0, b""))
+        peer_socket.send(CLASSICAL_FRAME_STRUCT.pack(0, 0, b""))
         received += len(wait_for_frames(bus, 1))
         sent += 2001
         dropped += [number for kind, _, number in bus.take_events() if kind == "dropped"]
@@ -243,21 +243,21 @@ def test_frames_that_overflow_the_socket_are_counted(
 
 
 def test_a_full_queue_refuses_without_waiting() -> None:
-    near, far_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    near, peer_socket = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     bus = SocketCanBus(near, "socketcan:test", 0, convert_time=int)
-    with far_end:
-        far_end.setblocking(False)
+    with peer_socket:
+        peer_socket.setblocking(False)
         accepted = bus.send([Frame(number, b"") for number in range(1000)])
         assert 0 < accepted < 1000
         assert bus.take_events() == [("enobufs", "socketcan:test", 1000 - accepted)]
-        arrived = [CLASSICAL_FRAME_STRUCT.unpack(far_end.recv(100))[0] for _ in range(accepted)]
+        arrived = [CLASSICAL_FRAME_STRUCT.unpack(peer_socket.recv(100))[0] for _ in range(accepted)]
         assert arrived == list(range(accepted))
     bus.close()
 
 
 def test_a_broken_socket_is_an_event(udp_bus: tuple[SocketCanBus, socket.socket]) -> None:
-    bus, far_end = udp_bus
-    far_end.close()
+    bus, peer_socket = udp_bus
+    peer_socket.close()
     bus.send([Frame(1, b"")])  # this call makes the next call fail
     assert bus.drain() == []
     assert bus.take_events() == [("enodev", "socketcan:test", 1)]
@@ -268,10 +268,10 @@ def test_a_broken_socket_is_an_event(udp_bus: tuple[SocketCanBus, socket.socket]
 
 
 def test_error_frames_become_events(udp_bus: tuple[SocketCanBus, socket.socket]) -> None:
-    bus, far_end = udp_bus
-    far_end.send(
+    bus, peer_socket = udp_bus
+    peer_socket.send(
         CLASSICAL_FRAME_STRUCT.pack(ERROR_FLAG | 0x04, 8, bytes((0, 0x20, 0, 0, 0, 0, 0, 0)))
     )
-    far_end.send(CLASSICAL_FRAME_STRUCT.pack(3, 0, b""))
+    peer_socket.send(CLASSICAL_FRAME_STRUCT.pack(3, 0, b""))
     assert [frame.can_id for frame in wait_for_frames(bus, 1)] == [3]
     assert ("error_passive", "socketcan:test", 1) in bus.take_events()

@@ -79,7 +79,7 @@ class SimulatedBus:
         return []
 
 
-def watched_hand(hand_path):
+def make_bus_watch(hand_path):
     simulated_buses = SimulatedBuses(hand_path)
     watch = BusWatch(
         make_drives(simulated_buses.hand),
@@ -93,7 +93,7 @@ def watched_hand(hand_path):
 
 @pytest.mark.parametrize("protocol", PROTOCOL_TRAITS)
 def test_every_protocol_is_read_without_torque(protocol, tmp_path):
-    simulated_buses, watch = watched_hand(hand_file(tmp_path, [protocol]))
+    simulated_buses, watch = make_bus_watch(hand_file(tmp_path, [protocol]))
     for _ in range(120):
         watch.run_tick()
     simulated_buses.motors[0].theta = TURNED_ANGLE_RAD
@@ -116,11 +116,11 @@ def test_every_protocol_is_read_without_torque(protocol, tmp_path):
 
 
 def test_two_buses_and_joint_encoders_are_read(tmp_path):
-    _, watch = watched_hand(move_to_second_bus(hand_file(tmp_path, ["mit"])))
+    _, watch = make_bus_watch(move_to_second_bus(hand_file(tmp_path, ["mit"])))
     for _ in range(120):
         watch.run_tick()
     assert watch.silent_motors() == []
-    _, watch = watched_hand("jamia11")
+    _, watch = make_bus_watch("jamia11")
     for _ in range(120):
         watch.run_tick()
     assert watch.angles
@@ -131,7 +131,7 @@ def test_two_buses_and_joint_encoders_are_read(tmp_path):
 def test_amplifiers_are_set_up_and_read(process_value, tmp_path):
     path = tmp_path / "hand.toml"
     path.write_text(hand_with_amplifiers(process_value=process_value).to_toml())
-    simulated_buses, watch = watched_hand(path)
+    simulated_buses, watch = make_bus_watch(path)
     for _ in range(120):
         watch.run_tick()
     tensions = [reading.value_at(simulated_buses.t_ns) for reading in watch.tensions.values()]
@@ -149,7 +149,7 @@ def test_amplifiers_are_set_up_and_read(process_value, tmp_path):
 @pytest.mark.parametrize("missed_ticks", [0, 1, 50])
 def test_missed_ticks_are_skipped_and_not_executed_later(missed_ticks):
     """Reproduce a defect: after a stall of the host, the requests of all missed ticks were sent at once."""
-    simulated_buses, watch = watched_hand("jamia")
+    simulated_buses, watch = make_bus_watch("jamia")
     for _ in range(120):
         watch.run_tick()
     wait = simulated_buses.wait
@@ -157,9 +157,9 @@ def test_missed_ticks_are_skipped_and_not_executed_later(missed_ticks):
 
     def stall_at_first_wait(k):
         waiting_times.append(k)
-        late_missed_ticks = missed_ticks if len(waiting_times) == 1 else 0
-        wait(k + late_missed_ticks)
-        return late_missed_ticks * PERIOD_NS + 7
+        skipped_ticks = missed_ticks if len(waiting_times) == 1 else 0
+        wait(k + skipped_ticks)
+        return skipped_ticks * PERIOD_NS + 7
 
     simulated_buses.wait = stall_at_first_wait
     for _ in range(3):
@@ -170,7 +170,7 @@ def test_missed_ticks_are_skipped_and_not_executed_later(missed_ticks):
 
 
 def test_a_drive_that_falls_silent_is_named_and_its_readings_end():
-    simulated_buses, watch = watched_hand("jamia")
+    simulated_buses, watch = make_bus_watch("jamia")
     for _ in range(120):
         watch.run_tick()
     lost_node_ids = watch.drives[1].node_ids
@@ -185,7 +185,7 @@ def test_a_drive_that_falls_silent_is_named_and_its_readings_end():
 
 
 def test_another_host_is_noticed():
-    _, watch = watched_hand("jamia")
+    _, watch = make_bus_watch("jamia")
     assert watch.find_other_host(0.0, lambda bus, duration_s, seen_frames: None) == ""
     foreign = Frame(min(watch.drives[0].host_ids), bytes(8))
     assert (

@@ -85,7 +85,7 @@ def test_replies_to_other_programs_are_ignored(unserved_client, monkeypatch, for
         unserved_client, "_wait_until_following", lambda timeout: status_with_events()
     )
 
-    def heard(timeout):
+    def fake_status_lines(timeout):
         yield status_with_events("asked: move by somebody", foreign_reply)
         yield status_with_events(
             foreign_reply,
@@ -95,7 +95,7 @@ def test_replies_to_other_programs_are_ignored(unserved_client, monkeypatch, for
             foreign_reply,
         )
 
-    monkeypatch.setattr(unserved_client._watcher, "status_lines", heard)
+    monkeypatch.setattr(unserved_client._watcher, "status_lines", fake_status_lines)
     reply = "move index 3"
     unserved_client.move(index=3, wait=False)
     reply = "refused: the hand is not ready yet"
@@ -219,7 +219,7 @@ def test_arguments_for_a_controller_that_already_runs_are_refused(work_folder, m
 
 @REALTIME_MARK
 def test_a_program_moves_holds_and_reads_the_state(
-    work_folder, hand_truth_file, calibration_options, scale_options
+    work_folder, hand_truth_file, calibration_options, time_scale_options
 ):
     with library.connect(
         "jamia",
@@ -228,7 +228,7 @@ def test_a_program_moves_holds_and_reads_the_state(
         "c.toml",
         "--log",
         "live.mcap",
-        *scale_options,
+        *time_scale_options,
     ) as client:
         client.move(duration_s=0.4, wait=False, index=30.0)
         client.wait("live", 5.0)
@@ -266,7 +266,7 @@ def test_a_program_moves_holds_and_reads_the_state(
 
 @REALTIME_MARK
 def test_a_stopped_run_and_a_closed_client_are_named(
-    work_folder, hand_truth_file, calibration_options, scale_options
+    work_folder, hand_truth_file, calibration_options, time_scale_options
 ):
     """Reproduce a defect: the message about a stopped run quoted an unrelated notice of the controller.
 
@@ -274,7 +274,7 @@ def test_a_stopped_run_and_a_closed_client_are_named(
     invalid".
     """
     with library.connect(
-        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale_options
+        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *time_scale_options
     ) as client:
         with library.connect("jamia", LOCAL_BUS) as other_client:
             ticks = other_client.observations()
@@ -306,14 +306,14 @@ def test_a_stopped_run_and_a_closed_client_are_named(
 
 @REALTIME_MARK
 def test_every_thread_gets_the_end_of_the_run(
-    work_folder, hand_truth_file, calibration_options, scale_options
+    work_folder, hand_truth_file, calibration_options, time_scale_options
 ):
     """Reproduce a defect: threads that shared a client raised "Bad file descriptor" and "flush of closed file".
 
     At the end of the run, all these threads read the output of the controller.
     """
     client = library.connect(
-        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale_options
+        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *time_scale_options
     ).open()
     calls = [client.state, lambda: client.observe(wait=True), client.state] * 2
     calls.append(lambda: client.move(index=10.0, duration_s=0.2))
@@ -339,10 +339,10 @@ def test_every_thread_gets_the_end_of_the_run(
 
 @REALTIME_MARK
 def test_a_fault_is_reported_by_name(
-    work_folder, hand_truth_file, calibration_options, scale_options
+    work_folder, hand_truth_file, calibration_options, time_scale_options
 ):
     client = library.connect(
-        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale_options
+        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *time_scale_options
     )
     with client:
         assert (
@@ -360,10 +360,10 @@ def test_a_fault_is_reported_by_name(
 
 @REALTIME_MARK
 def test_a_fault_between_two_calls_is_reported_at_the_end(
-    work_folder, hand_truth_file, calibration_options, scale_options
+    work_folder, hand_truth_file, calibration_options, time_scale_options
 ):
     client = library.connect(
-        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale_options
+        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *time_scale_options
     )
     client.wait("live", 60.0)
     assert (
@@ -378,7 +378,12 @@ def test_a_fault_between_two_calls_is_reported_at_the_end(
 
 @REALTIME_MARK
 def test_a_task_of_another_program_goes_on(
-    work_folder, hand_truth_file, calibration_options, started_processes, monkeypatch, scale_options
+    work_folder,
+    hand_truth_file,
+    calibration_options,
+    started_processes,
+    monkeypatch,
+    time_scale_options,
 ):
     monkeypatch.setattr("handctl.client.hand.ATTACH_TIMEOUT_S", 1.0)
     process = start_handctl(
@@ -389,7 +394,7 @@ def test_a_task_of_another_program_goes_on(
         "--json",
         "--log",
         "run.mcap",
-        *scale_options,
+        *time_scale_options,
     )
     started_processes.append(process)
     watcher = StatusWatcher(LOCAL_BUS)
@@ -417,9 +422,9 @@ def start_program(processes, *connect_options):
 
 @REALTIME_MARK
 def test_ctrl_c_while_it_starts_leaves_no_controller(
-    work_folder, hand_truth_file, started_processes, scale_options
+    work_folder, hand_truth_file, started_processes, time_scale_options
 ):
-    program = start_program(started_processes, "--log", "live.mcap", *scale_options)
+    program = start_program(started_processes, "--log", "live.mcap", *time_scale_options)
     wait_until(lambda: is_running(LOCAL_BUS))
     program.send_signal(signal.SIGINT)
     _, err = program.communicate(timeout=60.0)
@@ -431,10 +436,10 @@ def test_ctrl_c_while_it_starts_leaves_no_controller(
 
 @REALTIME_MARK
 def test_a_program_that_is_killed_leaves_no_armed_hand(
-    work_folder, hand_truth_file, calibration_options, started_processes, scale_options
+    work_folder, hand_truth_file, calibration_options, started_processes, time_scale_options
 ):
     program = start_program(
-        started_processes, "--calibration", "c.toml", "--log", "live.mcap", *scale_options
+        started_processes, "--calibration", "c.toml", "--log", "live.mcap", *time_scale_options
     )
     assert program.stdout.readline() == "live\n"
     program.kill()

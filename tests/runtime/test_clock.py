@@ -90,9 +90,9 @@ def test_stamps_before_the_beginning_are_negative(monkeypatch: pytest.MonkeyPatc
     wall = FakeMonotonicClock(monkeypatch)
     clock = RealClock(PERIOD_NS, 0.5)
     clock.start()
-    assert clock.run_time_of(clock.start_ns) == 0
-    assert clock.run_time_of(clock.start_ns + 4_000_000) == 2_000_000
-    assert clock.run_time_of(wall.now_ns) < 0
+    assert clock.convert_to_run_time(clock.start_ns) == 0
+    assert clock.convert_to_run_time(clock.start_ns + 4_000_000) == 2_000_000
+    assert clock.convert_to_run_time(wall.now_ns) < 0
 
 
 @pytest.mark.realtime
@@ -109,13 +109,13 @@ def test_the_real_clock_keeps_time() -> None:
 def test_the_granted_priority_is_described() -> None:
     assert str(GrantedPriority(True, True)) == "SCHED_FIFO, memory locked"
     assert (
-        str(GrantedPriority(True, True, processors_awake=True))
+        str(GrantedPriority(True, True, are_processors_awake=True))
         == "SCHED_FIFO, memory locked, processors kept awake"
     )
     assert "not permitted" in str(GrantedPriority(False, False))
 
 
-class RecordingPeer:
+class FakeLockstepSimulator:
     """A fake simulator for the lockstep clock, which records its steps.
 
     The simulator replies to each frame with an identifier that is larger by 0x10.
@@ -134,7 +134,7 @@ class RecordingPeer:
 
 
 def test_lockstep_steps_the_peer_once_a_tick_with_the_frames_of_that_tick() -> None:
-    peer = RecordingPeer()
+    peer = FakeLockstepSimulator()
     clock = LockstepClock(peer, PERIOD_NS)
     bus = LockstepBus(clock)
     seen_frames = []
@@ -153,7 +153,7 @@ def test_lockstep_steps_the_peer_once_a_tick_with_the_frames_of_that_tick() -> N
 
 
 def test_a_second_run_continues_the_peers_time_from_its_own_zero() -> None:
-    peer = RecordingPeer()
+    peer = FakeLockstepSimulator()
     clock = LockstepClock(peer, PERIOD_NS)
     bus = LockstepBus(clock)
     for k in range(3):
@@ -182,7 +182,7 @@ def test_a_second_run_continues_the_peers_time_from_its_own_zero() -> None:
     assert (clock.offset_ns, len(peer.steps)) == (0, 5), "no tick to finish before the first run"
 
 
-class RecordReturningPeer(RecordingPeer):
+class FakePackedSimulator(FakeLockstepSimulator):
     """A fake simulator for the lockstep clock, which exchanges frames as packed records instead of objects."""
 
     def exchange(self, t_ns: int, records: RecordArray) -> RecordArray:
@@ -199,7 +199,7 @@ class RecordReturningPeer(RecordingPeer):
 
 def test_a_peer_with_exchange_and_one_with_step_get_the_same_frames() -> None:
     runs = []
-    for peer in (RecordingPeer(), RecordReturningPeer()):
+    for peer in (FakeLockstepSimulator(), FakePackedSimulator()):
         clock = LockstepClock(peer, PERIOD_NS)
         bus = LockstepBus(clock)
         seen_frames = []
@@ -219,7 +219,7 @@ def test_a_peer_with_exchange_and_one_with_step_get_the_same_frames() -> None:
 
 
 def test_error_frames_of_a_peer_are_events_of_their_bus() -> None:
-    clock = LockstepClock(RecordReturningPeer(), PERIOD_NS)
+    clock = LockstepClock(FakePackedSimulator(), PERIOD_NS)
     bus = LockstepBus(clock)
     bus.send([Frame(1, b"a"), Frame(ERROR_FLAG | 0x30, bytes(8), bus=1), Frame(2, b"b", bus=1)])
     clock.wait(1)
@@ -228,9 +228,9 @@ def test_error_frames_of_a_peer_are_events_of_their_bus() -> None:
 
 
 def test_peers_are_loaded_by_name() -> None:
-    assert isinstance(load_simulator(f"{__name__}:RecordingPeer"), RecordingPeer)
+    assert isinstance(load_simulator(f"{__name__}:FakeLockstepSimulator"), FakeLockstepSimulator)
     for entry in ("no.such.module:Peer", f"{__name__}:Nobody", "nonsense"):
         with pytest.raises(ConfigError, match="module:Class"):
             load_simulator(entry)
     with pytest.raises(ConfigError, match="too hot"):
-        load_simulator(f"{__name__}:RecordingPeer", failure_text="too hot")
+        load_simulator(f"{__name__}:FakeLockstepSimulator", failure_text="too hot")

@@ -20,7 +20,7 @@ from handctl.runtime.diagnostics.conformance import (
     run_checks,
 )
 from handctl.runtime.diagnostics.drive_rig import DriveRig
-from tests.drives.virtual_bench import OPTIONS_BY_PROTOCOL, VirtualBench, drive_rig_on
+from tests.drives.virtual_bench import OPTIONS_BY_PROTOCOL, VirtualBench, make_drive_rig
 
 TORQUE_LIMIT_N_M = 0.1
 DRIVES_PAGE = Path(__file__).parents[2] / "docs" / "evidence" / "drives.md"
@@ -33,23 +33,23 @@ def check_results(
     protocol, drive_fault="", drive_options=None, shaft_inertia=None, delay_ticks=0
 ) -> tuple[dict[str, ConformanceCheck], VirtualBench, DriveRig]:
     virtual_bench = VirtualBench(protocol, drive_fault, shaft_inertia, delay_ticks)
-    rig = drive_rig_on(virtual_bench, protocol, TORQUE_LIMIT_N_M, drive_options)
-    return checks_of(rig), virtual_bench, rig
+    rig = make_drive_rig(virtual_bench, protocol, TORQUE_LIMIT_N_M, drive_options)
+    return run_checks_by_name(rig), virtual_bench, rig
 
 
-def checks_of(rig: DriveRig) -> dict[str, ConformanceCheck]:
+def run_checks_by_name(rig: DriveRig) -> dict[str, ConformanceCheck]:
     """Run the checks on a drive, and return them by name."""
     return {check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.05))}
 
 
-def checks_of_three_runs(virtual_bench, protocol, drive_options=None):
+def run_checks_three_times(virtual_bench, protocol, drive_options=None):
     """Run the checks of a drive three times.
 
     After each run, two seconds pass without frames from the host.
     """
     for _ in range(3):
-        rig = drive_rig_on(virtual_bench, protocol, TORQUE_LIMIT_N_M, drive_options)
-        checks = checks_of(rig)
+        rig = make_drive_rig(virtual_bench, protocol, TORQUE_LIMIT_N_M, drive_options)
+        checks = run_checks_by_name(rig)
         assert release_drive(rig, 0.05)
         virtual_bench.advance_time(2.0)
         yield checks
@@ -103,14 +103,14 @@ def test_a_good_drive_passes_although_the_host_is_late(protocol, seed, monkeypat
     source = random.Random(seed)
     wait = VirtualBench.wait
 
-    def wait_and_stall(virtual_bench, k):
+    def wait_with_stalls(virtual_bench, k):
         late = wait(virtual_bench, k)
         if source.random() < 1.0 / 40.0:
             virtual_bench.advance_time(source.uniform(0.0, 0.03))
             late = wait(virtual_bench, k)
         return late
 
-    monkeypatch.setattr(VirtualBench, "wait", wait_and_stall)
+    monkeypatch.setattr(VirtualBench, "wait", wait_with_stalls)
     checks, virtual_bench, rig = check_results(protocol)
     assert failed_checks(checks) == []
     assert (unchecked_results(checks) == []) is (protocol in VERIFIABLE_PROTOCOLS)
@@ -124,13 +124,15 @@ def test_a_good_drive_passes_three_times_running(protocol):
     So these drives failed when the checks ran a second time.
     """
     virtual_bench = VirtualBench(protocol)
-    for checks in checks_of_three_runs(virtual_bench, protocol):
+    for checks in run_checks_three_times(virtual_bench, protocol):
         assert failed_checks(checks) == []
-        late_rig = drive_rig_on(virtual_bench, protocol, TORQUE_LIMIT_N_M)
-        late_rig.run_tick(DriveTarget.LISTEN)
-        late_rig.run_for(DriveTarget.POLL, 0.3)
-        assert late_rig.state.error_text == "", "nothing is latched after a silence of two seconds"
-        assert release_drive(late_rig, 0.05)
+        second_rig = make_drive_rig(virtual_bench, protocol, TORQUE_LIMIT_N_M)
+        second_rig.run_tick(DriveTarget.LISTEN)
+        second_rig.run_for(DriveTarget.POLL, 0.3)
+        assert second_rig.state.error_text == "", (
+            "nothing is latched after a silence of two seconds"
+        )
+        assert release_drive(second_rig, 0.05)
 
 
 @pytest.mark.parametrize("shaft_inertia", [2e-5, 1e-4, 2e-3])
@@ -207,7 +209,7 @@ def test_a_silent_motor_is_reported_with_the_expected_identifier(protocol, expec
 @pytest.mark.parametrize("drive_fault", ["", "deaf", "twin"])
 def test_an_odrive_of_firmware_05_is_judged_without_torque_reports(drive_fault):
     virtual_bench = VirtualBench("odrive", drive_fault, firmware="0.5", usb_watchdog_s=0.1)
-    rig = drive_rig_on(virtual_bench, "odrive", TORQUE_LIMIT_N_M, {"firmware": "0.5"})
+    rig = make_drive_rig(virtual_bench, "odrive", TORQUE_LIMIT_N_M, {"firmware": "0.5"})
     checks = {
         check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.1))
     }
@@ -266,7 +268,7 @@ def test_an_odrive_that_confirms_writes_passes_every_check():
     """
     options = OPTIONS_BY_PROTOCOL["odrive"]
     virtual_bench = VirtualBench("odrive", **options, confirms_writes=True)
-    rig = drive_rig_on(virtual_bench, "odrive", TORQUE_LIMIT_N_M)
+    rig = make_drive_rig(virtual_bench, "odrive", TORQUE_LIMIT_N_M)
     checks = {
         check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.05))
     }
@@ -276,7 +278,7 @@ def test_an_odrive_that_confirms_writes_passes_every_check():
 
 def test_an_odrive_whose_watchdog_was_set_over_usb_passes_without_options():
     virtual_bench = VirtualBench("odrive", usb_watchdog_s=0.1)
-    rig = drive_rig_on(virtual_bench, "odrive", TORQUE_LIMIT_N_M, OPTIONS_WITHOUT_ENDPOINTS)
+    rig = make_drive_rig(virtual_bench, "odrive", TORQUE_LIMIT_N_M, OPTIONS_WITHOUT_ENDPOINTS)
     checks = {
         check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.1))
     }
@@ -287,7 +289,7 @@ def test_an_odrive_whose_watchdog_was_set_over_usb_passes_without_options():
 def test_a_good_motor_without_guards_passes_all_that_can_be_checked_three_times(protocol):
     """Reproduce a defect: each good motor of these protocols failed the checks of watchdog and cut."""
     virtual_bench = VirtualBench(protocol)
-    for checks in checks_of_three_runs(virtual_bench, protocol):
+    for checks in run_checks_three_times(virtual_bench, protocol):
         assert failed_checks(checks) == []
         names = unchecked_results(checks)
         assert names == [FAILED_CHECK["readback"], FAILED_CHECK["watchdog"], TORQUE_CUT_CHECK_TITLE]
@@ -296,7 +298,7 @@ def test_a_good_motor_without_guards_passes_all_that_can_be_checked_three_times(
 
 def test_an_odrive_without_endpoint_options_passes_all_that_can_be_checked_three_times():
     virtual_bench = VirtualBench("odrive", **OPTIONS_WITHOUT_ENDPOINTS)
-    for checks in checks_of_three_runs(virtual_bench, "odrive", OPTIONS_WITHOUT_ENDPOINTS):
+    for checks in run_checks_three_times(virtual_bench, "odrive", OPTIONS_WITHOUT_ENDPOINTS):
         assert failed_checks(checks) == []
         assert len(unchecked_results(checks)) == 2
 
@@ -313,7 +315,7 @@ def test_a_motor_in_velocity_mode_is_set_to_mit_mode():
     node = virtual_bench.bench.nodes[0]
     node.registers.write(10, (3).to_bytes(4, "little"))
     node._update_derived_values()
-    rig = drive_rig_on(virtual_bench, "mit", TORQUE_LIMIT_N_M)
+    rig = make_drive_rig(virtual_bench, "mit", TORQUE_LIMIT_N_M)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
     assert node.mode == 1
 
@@ -325,7 +327,7 @@ def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(clear_
     Without this reply, the host never regarded the motor as ready.
     """
     virtual_bench = VirtualBench("mit", clear_answers=clear_is_answered)
-    rig = drive_rig_on(virtual_bench, "mit", TORQUE_LIMIT_N_M)
+    rig = make_drive_rig(virtual_bench, "mit", TORQUE_LIMIT_N_M)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
     virtual_bench.bench.faults.inject("error node=33")
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase.name == "FAULT", 1.0)
@@ -342,7 +344,7 @@ def test_a_disabled_motor_is_ready_whenever_its_watchdog_fires(watchdog_ms):
     Earlier defect: the watchdog of a disabled motor fired, so the motor had a fault before arming.
     """
     virtual_bench = VirtualBench("mit", watchdog=watchdog_ms)
-    rig = drive_rig_on(virtual_bench, "mit", TORQUE_LIMIT_N_M)
+    rig = make_drive_rig(virtual_bench, "mit", TORQUE_LIMIT_N_M)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
     reached_phases = set()
 
@@ -366,7 +368,7 @@ def test_a_disabled_motor_is_ready_whenever_its_watchdog_fires(watchdog_ms):
 def test_a_motor_whose_watchdog_also_fires_while_disabled_passes_three_times():
     virtual_bench = VirtualBench("mit", watchdog="always")
     for _ in range(3):
-        rig = drive_rig_on(virtual_bench, "mit", TORQUE_LIMIT_N_M)
+        rig = make_drive_rig(virtual_bench, "mit", TORQUE_LIMIT_N_M)
         rig.clear_faults()
         checks = {
             check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.05))

@@ -33,7 +33,7 @@ PROTOCOL_MODES = [
 PROTOCOL_MODES.append(("mit", DriveMode.FORCE_POSITION))
 
 
-def bench_of(
+def make_jog_bench(
     protocol,
     drive_mode,
     drive_fault="",
@@ -59,7 +59,7 @@ def bench_of(
     )
 
 
-def goal_of(drive_mode, target_value, duration_s=2.0, travel_limit=10.0):
+def make_jog_goal(drive_mode, target_value, duration_s=2.0, travel_limit=10.0):
     return JogGoal(
         drive_mode, target_value, duration_s, MOTION_LIMITS, TORQUE_LIMIT_N_M, travel_limit
     )
@@ -72,11 +72,11 @@ def goal_of(drive_mode, target_value, duration_s=2.0, travel_limit=10.0):
 def test_a_drive_moves_in_its_own_mode_and_ends_at_rest(
     protocol, drive_mode, motor_direction, motor_zero, target_sign
 ):
-    virtual_bench, rig, torque_drive = bench_of(
+    virtual_bench, rig, torque_drive = make_jog_bench(
         protocol, drive_mode, motor_direction=motor_direction, motor_zero=motor_zero
     )
     motor = virtual_bench.bench.motors[0]
-    result = jog_drive(rig, goal_of(drive_mode, 2.0 * target_sign))
+    result = jog_drive(rig, make_jog_goal(drive_mode, 2.0 * target_sign))
     assert result.failure == ""
     expected = 2.0 * target_sign if drive_mode != DriveMode.VELOCITY else 2.0 * target_sign * 2.0
     assert result.moved_rad == pytest.approx(
@@ -92,7 +92,7 @@ def test_a_drive_moves_in_its_own_mode_and_ends_at_rest(
 
 @pytest.mark.parametrize("protocol", ["mit", "odrive", "cia402", "moteus", "robstride", "cubemars"])
 def test_every_protocol_has_the_torque_mode(protocol):
-    virtual_bench, rig, torque_drive = bench_of(protocol, DriveMode.TORQUE)
+    virtual_bench, rig, torque_drive = make_jog_bench(protocol, DriveMode.TORQUE)
     result = jog_drive(
         rig,
         JogGoal(DriveMode.TORQUE, 0.05, 0.3, MotionLimits(200.0, 10.0), TORQUE_LIMIT_N_M, 500.0),
@@ -106,19 +106,19 @@ def test_every_protocol_has_the_torque_mode(protocol):
 @pytest.mark.parametrize("protocol", ["moteus", "robstride", "cubemars"])
 def test_a_protocol_without_the_mode_says_so(protocol):
     with pytest.raises(ConfigError, match="cia402, mit, odrive"):
-        bench_of(protocol, DriveMode.POSITION)
+        make_jog_bench(protocol, DriveMode.POSITION)
 
 
 @pytest.mark.parametrize("protocol", ["odrive", "cia402"])
 def test_force_position_is_a_mode_of_damiao_motors(protocol):
     with pytest.raises(ConfigError, match="force-position"):
-        bench_of(protocol, DriveMode.FORCE_POSITION)
+        make_jog_bench(protocol, DriveMode.FORCE_POSITION)
 
 
 @pytest.mark.parametrize(("protocol", "drive_mode"), PROTOCOL_MODES)
 @pytest.mark.parametrize("target_value", [math.nan, math.inf, -math.inf, 1e3, -1e3])
 def test_no_command_beyond_its_range_is_encoded(protocol, drive_mode, target_value):
-    _, rig, _ = bench_of(protocol, drive_mode)
+    _, rig, _ = make_jog_bench(protocol, drive_mode)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0)
     rig.idle_command = lambda state: state.position if "position" in drive_mode.value else 0.0
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 5.0)
@@ -132,9 +132,9 @@ def test_a_drive_that_is_turned_away_stays_where_it_is_when_it_is_enabled(protoc
 
     A position command of zero at the moment of enabling would therefore move the drive by 5 rad.
     """
-    virtual_bench, rig, torque_drive = bench_of(protocol, drive_mode)
+    virtual_bench, rig, torque_drive = make_jog_bench(protocol, drive_mode)
     virtual_bench.bench.motors[0].theta = 5.0
-    result = jog_drive(rig, goal_of(drive_mode, 0.0, 1.0, 0.2))
+    result = jog_drive(rig, make_jog_goal(drive_mode, 0.0, 1.0, 0.2))
     assert result.failure == ""
     assert virtual_bench.bench.motors[0].theta == pytest.approx(5.0, abs=0.01)
     assert release_drive(rig, 0.05, torque_drive)
@@ -142,8 +142,8 @@ def test_a_drive_that_is_turned_away_stays_where_it_is_when_it_is_enabled(protoc
 
 @pytest.mark.parametrize(("protocol", "drive_mode"), PROTOCOL_MODES)
 def test_travel_beyond_its_limit_stops_the_drive(protocol, drive_mode):
-    virtual_bench, rig, _ = bench_of(protocol, drive_mode)
-    result = jog_drive(rig, goal_of(drive_mode, 2.5, 4.0, 0.5))
+    virtual_bench, rig, _ = make_jog_bench(protocol, drive_mode)
+    result = jog_drive(rig, make_jog_goal(drive_mode, 2.5, 4.0, 0.5))
     assert "expected at most 0.5" in result.failure
     assert rig.confirm_disabled(0.05)
     assert virtual_bench.bench.motors[0].servo.kd == 0.0
@@ -151,7 +151,7 @@ def test_travel_beyond_its_limit_stops_the_drive(protocol, drive_mode):
 
 @pytest.mark.parametrize(("protocol", "drive_mode"), PROTOCOL_MODES)
 def test_a_shaft_driven_too_fast_stops_the_drive(protocol, drive_mode):
-    virtual_bench, rig, _ = bench_of(protocol, drive_mode)
+    virtual_bench, rig, _ = make_jog_bench(protocol, drive_mode)
     wait = virtual_bench.wait
 
     def wait_with_fast_shaft(k):
@@ -163,15 +163,15 @@ def test_a_shaft_driven_too_fast_stops_the_drive(protocol, drive_mode):
         return wait(k)
 
     virtual_bench.wait = wait_with_fast_shaft
-    result = jog_drive(rig, goal_of(drive_mode, 0.1, 4.0, 1e6))
+    result = jog_drive(rig, make_jog_goal(drive_mode, 0.1, 4.0, 1e6))
     assert "rad/s, expected at most 3" in result.failure or "error" in result.failure
     assert rig.confirm_disabled(0.05)
 
 
 @pytest.mark.parametrize(("protocol", "drive_mode"), PROTOCOL_MODES)
 def test_the_watchdog_disables_a_drive_if_the_host_falls_silent(protocol, drive_mode):
-    virtual_bench, rig, _ = bench_of(protocol, drive_mode)
-    assert jog_drive(rig, goal_of(drive_mode, 1.0, 0.5)).failure == ""
+    virtual_bench, rig, _ = make_jog_bench(protocol, drive_mode)
+    assert jog_drive(rig, make_jog_goal(drive_mode, 1.0, 0.5)).failure == ""
     rig.run_for(DriveTarget.LISTEN, 0.5)
     assert (virtual_bench.bench.motors[0].servo.kd, virtual_bench.bench.motors[0].servo.torque) == (
         0.0,
@@ -183,30 +183,31 @@ def test_the_watchdog_disables_a_drive_if_the_host_falls_silent(protocol, drive_
 
 @pytest.mark.parametrize(("protocol", "drive_mode"), PROTOCOL_MODES)
 def test_a_drive_that_sends_nothing_is_not_enabled(protocol, drive_mode):
-    virtual_bench, rig, _ = bench_of(protocol, drive_mode, drive_fault="mute")
-    assert jog_drive(rig, goal_of(drive_mode, 1.0)).failure
+    virtual_bench, rig, _ = make_jog_bench(protocol, drive_mode, drive_fault="mute")
+    assert jog_drive(rig, make_jog_goal(drive_mode, 1.0)).failure
     assert virtual_bench.bench.motors[0].theta == 0.0
 
 
 def test_a_target_beyond_the_range_is_refused_before_it_is_enabled():
-    virtual_bench, rig, _ = bench_of("mit", DriveMode.POSITION)
+    virtual_bench, rig, _ = make_jog_bench("mit", DriveMode.POSITION)
     virtual_bench.bench.motors[0].theta = 11.0
     assert (
-        "beyond its range of 12.5 rad" in jog_drive(rig, goal_of(DriveMode.POSITION, 2.0)).failure
+        "beyond its range of 12.5 rad"
+        in jog_drive(rig, make_jog_goal(DriveMode.POSITION, 2.0)).failure
     )
     assert rig.state.phase == DrivePhase.READY
 
 
 def test_a_drive_that_loses_its_largest_speed_is_a_fault():
-    virtual_bench, rig, _ = bench_of("mit", DriveMode.VELOCITY)
-    assert jog_drive(rig, goal_of(DriveMode.VELOCITY, 1.0, 0.5)).failure == ""
+    virtual_bench, rig, _ = make_jog_bench("mit", DriveMode.VELOCITY)
+    assert jog_drive(rig, make_jog_goal(DriveMode.VELOCITY, 1.0, 0.5)).failure == ""
     virtual_bench.bench.receive(SimFrame(0x7FF, struct.pack("<HBBf", DRIVE_NODE_ID, 0x55, 6, 25.0)))
     rig.run_for(DriveTarget.ENABLE, 2.5)
     assert "MAX_SPD" in rig.state.error_text
 
 
 def test_a_blocked_cia402_drive_reports_its_following_error():
-    virtual_bench, rig, _ = bench_of("cia402", DriveMode.POSITION)
+    virtual_bench, rig, _ = make_jog_bench("cia402", DriveMode.POSITION)
     wait = virtual_bench.wait
 
     def blocked(k):
@@ -214,7 +215,7 @@ def test_a_blocked_cia402_drive_reports_its_following_error():
         return wait(k)
 
     virtual_bench.wait = blocked
-    result = jog_drive(rig, goal_of(DriveMode.POSITION, 3.0, 4.0))
+    result = jog_drive(rig, make_jog_goal(DriveMode.POSITION, 3.0, 4.0))
     assert result.failure == "following error"
     assert result.moved_rad == pytest.approx(0.0, abs=0.01)
 
@@ -239,7 +240,7 @@ def stall_host(virtual_bench, rig, stall_time_s, missed_ticks):
                 commands.append((t_ns, command))
             return advance_drive(state, t_ns, target, command)
 
-    def wait_and_stall(k):
+    def wait_with_stalls(k):
         if (
             remaining_stalls
             and commands
@@ -256,7 +257,7 @@ def stall_host(virtual_bench, rig, stall_time_s, missed_ticks):
                 virtual_bench.advance_time(PERIOD_NS * 1e-9)
         return wait(k)
 
-    drive, rig.drive, virtual_bench.wait = rig.drive, CommandRecordingDrive(), wait_and_stall
+    drive, rig.drive, virtual_bench.wait = rig.drive, CommandRecordingDrive(), wait_with_stalls
     return commands
 
 
@@ -267,10 +268,10 @@ def test_a_ramp_keeps_its_time_although_ticks_are_missed(drive_mode, stall_time_
     """Reproduce a defect: after a stall of the host, the commands of all missed ticks were sent at once."""
     ramp_samples = []
     for stall in (0, missed_ticks):
-        virtual_bench, rig, _ = bench_of("mit", drive_mode)
+        virtual_bench, rig, _ = make_jog_bench("mit", drive_mode)
         commands = stall_host(virtual_bench, rig, stall_time_s, stall)
         target = {DriveMode.TORQUE: 0.005}.get(drive_mode, 2.0)
-        goal = goal_of(drive_mode, target)._replace(
+        goal = make_jog_goal(drive_mode, target)._replace(
             limits=MotionLimits(1e3, 10.0), max_travel_rad=1e4
         )
         assert jog_drive(rig, goal).failure == ""
@@ -296,9 +297,9 @@ def test_a_host_that_misses_too_many_ticks_ends_the_jog(protocol, drive_mode):
     The watchdog of the drive cannot be the reason, because the drive gets commands during the
     stall.
     """
-    virtual_bench, rig, _ = bench_of(protocol, drive_mode)
+    virtual_bench, rig, _ = make_jog_bench(protocol, drive_mode)
     commands = stall_host(virtual_bench, rig, 0.5, MAX_MISSED_TICKS + 1)
-    result = jog_drive(rig, goal_of(drive_mode, 1.0))
+    result = jog_drive(rig, make_jog_goal(drive_mode, 1.0))
     assert f"missed {MAX_MISSED_TICKS + 1} ticks in a row" in result.failure
     assert 0.4 < (commands[-1][0] - commands[0][0]) * 1e-9 < 0.7
     assert rig.confirm_disabled(0.05)
@@ -322,4 +323,4 @@ def test_the_host_ramp_has_no_jump_and_keeps_its_limits(distance, speed, acceler
 )
 def test_limits_are_positive(motion_limits):
     with pytest.raises(ConfigError, match="more than 0"):
-        bench_of("mit", DriveMode.VELOCITY, motion_limits=motion_limits)
+        make_jog_bench("mit", DriveMode.VELOCITY, motion_limits=motion_limits)

@@ -7,7 +7,7 @@ from handctl.drives.mit.codec import MotorRanges
 from handctl.drives.mit.drive import MitDrive
 from handctl.runtime.diagnostics import drive_rig
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS
-from tests.drives.virtual_bench import OPTIONS_BY_PROTOCOL, VirtualBench, drive_rig_on
+from tests.drives.virtual_bench import OPTIONS_BY_PROTOCOL, VirtualBench, make_drive_rig
 
 
 def test_everything_is_compiled_before_the_clock_begins(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -32,7 +32,7 @@ def test_everything_is_compiled_before_the_clock_begins(monkeypatch: pytest.Monk
 def test_missed_ticks_are_skipped_and_not_executed_later(protocol: str, missed_ticks: int) -> None:
     """Reproduce a defect: after a stall of the host, the rig sent the commands of all missed ticks at once."""
     virtual_bench = VirtualBench(protocol)
-    rig = drive_rig_on(virtual_bench, protocol, 0.1)
+    rig = make_drive_rig(virtual_bench, protocol, 0.1)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0)
     first_tick = rig.k
     virtual_bench.advance_time((missed_ticks + 0.5) * PERIOD_NS * 1e-9)
@@ -57,7 +57,7 @@ def test_a_drive_that_was_never_heard_is_not_confirmed_off(protocol: str) -> Non
     Another host may have enabled this drive.
     """
     virtual_bench = VirtualBench(protocol, "mute")
-    rig = drive_rig_on(virtual_bench, protocol, 0.1)
+    rig = make_drive_rig(virtual_bench, protocol, 0.1)
     rig.run_for(DriveTarget.POLL, 0.5)
     assert not rig.confirm_disabled(0.05)
 
@@ -68,7 +68,7 @@ def test_a_drive_whose_replies_end_after_the_enable_command_is_not_confirmed_off
     protocol: str, ticks: int
 ) -> None:
     virtual_bench = VirtualBench(protocol)
-    rig = drive_rig_on(virtual_bench, protocol, 0.1)
+    rig = make_drive_rig(virtual_bench, protocol, 0.1)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0)
     for _ in range(ticks):
         rig.run_tick(DriveTarget.ENABLE)
@@ -81,7 +81,7 @@ def test_a_drive_whose_replies_end_after_the_enable_command_is_not_confirmed_off
 @pytest.mark.parametrize("protocol", OPTIONS_BY_PROTOCOL)
 @pytest.mark.parametrize("ticks", [0, 1, 2, 5, 20, 60, 200])
 def test_a_good_drive_is_confirmed_off_at_any_time_of_its_setup(protocol: str, ticks: int) -> None:
-    rig = drive_rig_on(VirtualBench(protocol), protocol, 0.1)
+    rig = make_drive_rig(VirtualBench(protocol), protocol, 0.1)
     for _ in range(ticks):
         rig.run_tick(DriveTarget.POLL)
     assert rig.confirm_disabled(0.05)
@@ -107,7 +107,7 @@ def test_the_velocity_after_missed_ticks_is_that_of_the_shaft(
         return int(late)
 
     virtual_bench.wait = wait_while_shaft_turns  # type: ignore[method-assign]
-    rig = drive_rig_on(virtual_bench, "mit", 0.1)
+    rig = make_drive_rig(virtual_bench, "mit", 0.1)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 2.0)
     rig.run_for(DriveTarget.POLL, 0.1)
     virtual_bench.advance_time(missed_ticks * PERIOD_NS * 1e-9)

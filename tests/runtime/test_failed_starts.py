@@ -19,8 +19,8 @@ from handctl.programs.task import load_task
 from handctl.programs.task_program import TaskProgram
 from handctl.runtime.loop import StopSignals
 from handctl.session import run
+from handctl.session.lockstep_simulation import SimulatorSettings
 from handctl.session.run_plan import RunPlan, default_control_rate
-from handctl.session.simulate import SimulatorSettings
 from tests.drives.protocol_bench import hand_file, move_to_second_bus
 from tests.runtime.processes import MOVE_PHASE, TASK_HEAD
 
@@ -72,11 +72,11 @@ def started_recorders(tmp_path, monkeypatch):
     started = []
     start = Recorder.start
 
-    def start_and_store(*words):
+    def start_recorder(*words):
         started.append(start(*words))
         return started[-1]
 
-    monkeypatch.setattr(run.Recorder, "start", start_and_store)
+    monkeypatch.setattr(run.Recorder, "start", start_recorder)
     return started
 
 
@@ -93,7 +93,7 @@ def plan_and_controller(tmp_path, start_display):
 def check_recorder_closed(recorder: Recorder, log_path: Path) -> None:
     """Check that a recorder process has ended, and that its log has an end mark."""
     assert recorder._child.poll() is not None
-    assert scan_path(log_path).complete
+    assert scan_path(log_path).is_complete
 
 
 def check_failed_lockstep_run(started_recorders, work_folder, start_display):

@@ -64,7 +64,7 @@ class StreamOwner:
         return dict.fromkeys(JAMIA11_HAND.joints, START_ANGLE_RAD)
 
 
-class StoringSender:
+class FakeTargetSender:
     """Fake sender that stores the streamed targets."""
 
     def __init__(self):
@@ -78,7 +78,7 @@ class StoringSender:
 
 def test_a_stream_of_positions_sends_joint_angles():
     tips = Fingertips(JAMIA11_HAND, ["index", "thumb"])
-    sender = StoringSender()
+    sender = FakeTargetSender()
     goal = {"stream": "1-1", "space": "joint", "names": list(tips.joints), "rate_Hz": 50.0}
     stream = FingertipStream(StreamOwner(), sender, goal, tips, 0.03, 1.0)
     assert stream.names == ("index", "thumb")

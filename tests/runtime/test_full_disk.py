@@ -14,7 +14,7 @@ import pytest
 
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.replay.execute import execute_log
+from handctl.replay.log_execution import execute_log
 from handctl.runtime.mailbox import StatusWatcher
 from tests.runtime.processes import (
     LOCAL_BUS,
@@ -79,10 +79,10 @@ def seconds_until_output(process, awaited_word, timeout_s=20.0):
 
 
 def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(
-    work_folder, small_disk, scale_options
+    work_folder, small_disk, time_scale_options
 ):
     simulated_hand_process = start_hand(
-        work_folder / "hand.truth", "--hand", "jamia", *scale_options
+        work_folder / "hand.truth", "--hand", "jamia", *time_scale_options
     )
     words = (
         "--hand",
@@ -93,7 +93,7 @@ def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(
         "c.toml",
         "--task",
         "long.toml",
-        *scale_options,
+        *time_scale_options,
     )
     process = start_handctl("run", *words, "--log", str(small_disk / "run.mcap"))
     watcher = StatusWatcher(LOCAL_BUS)

@@ -9,7 +9,7 @@ import os
 
 import pytest
 
-from tests.runtime.killed_controllers import disturb_in_batches, summary_of_kills
+from tests.runtime.killed_controllers import disturb_controllers_in_batches, summary_of_kills
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 CONTROLLER_COUNT = 500 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 8
@@ -19,7 +19,9 @@ TIME_SCALE = 0.7
 def all_batches(controller_count, seed, time_scale):
     """Kill or stop ``controller_count`` controllers, and return the verdict on each run."""
     return [
-        run for batch in disturb_in_batches(controller_count, seed, time_scale) for run in batch
+        run
+        for batch in disturb_controllers_in_batches(controller_count, seed, time_scale)
+        for run in batch
     ]
 
 

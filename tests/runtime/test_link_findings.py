@@ -48,8 +48,8 @@ def failed_findings(ip_output, data_bitrate=None):
 
 def test_a_good_interface_has_only_good_findings():
     assert failed_findings(link_json()) == []
-    fast = {"link": {"mtu": 72}, "data": {"data_bittiming": {"bitrate": 5 * MEGABIT_PER_S}}}
-    assert failed_findings(link_json(**fast), 5 * MEGABIT_PER_S) == []
+    fast_link = {"link": {"mtu": 72}, "data": {"data_bittiming": {"bitrate": 5 * MEGABIT_PER_S}}}
+    assert failed_findings(link_json(**fast_link), 5 * MEGABIT_PER_S) == []
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ def test_a_controller_without_usb_has_no_speed(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("adapter_facts", "adapter_kind", "is_good", "expected_message"),
+    ("adapter", "adapter_kind", "is_good", "expected_message"),
     [
         (UsbAdapter("gs_usb", 12.0, "0042"), "can", True, "at most 333 Hz"),
         (UsbAdapter("peak_usb", 480.0, "1"), "can", True, "USB 480 Mbit/s"),
@@ -157,8 +157,8 @@ def test_a_controller_without_usb_has_no_speed(tmp_path):
         (None, "slcan", False, "serial line"),
     ],
 )
-def test_each_adapter_type_has_a_finding(adapter_facts, adapter_kind, is_good, expected_message):
-    last_adapter_finding = adapter_findings("can0", adapter_facts, adapter_kind, [])[-1]
+def test_each_adapter_type_has_a_finding(adapter, adapter_kind, is_good, expected_message):
+    last_adapter_finding = adapter_findings("can0", adapter, adapter_kind, [])[-1]
     assert (
         last_adapter_finding.is_good,
         expected_message in last_adapter_finding.observation,

@@ -13,9 +13,9 @@ from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import load_task
 from handctl.programs.task_program import TaskProgram
+from handctl.session.lockstep_simulation import SimulatorSettings
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.run_plan import RunPlan, default_control_rate
-from handctl.session.simulate import SimulatorSettings
 from tests.drives.protocol_bench import hand_file
 from tests.runtime.processes import MOVE_PHASE, TASK_HEAD
 

@@ -13,10 +13,10 @@ from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.task import load_task
 from handctl.programs.task_program import TaskProgram
-from handctl.runtime.hold_limit import MAX_HOLD_S
+from handctl.runtime.hold_timeout import MAX_HOLD_S
+from handctl.session.lockstep_simulation import SimulatorSettings
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.run_plan import RunPlan, default_control_rate
-from handctl.session.simulate import SimulatorSettings
 from tests.runtime.processes import MOVE_PHASE, TASK_HEAD
 
 

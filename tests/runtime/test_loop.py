@@ -45,7 +45,7 @@ class ScriptedClock:
     def now_ns(self) -> int:
         return 0
 
-    def clock_facts(self) -> dict[str, str]:
+    def clock_statistics(self) -> dict[str, str]:
         return {}
 
 
@@ -78,7 +78,7 @@ class FakeBus:
 
 
 @dataclass
-class SingleStepTick:
+class FakeControllerTick:
     """A tick that does all its work in the step ``command``."""
 
     tick: Callable[[int, TickIn], tuple[int, TickOut]]
@@ -101,14 +101,14 @@ class SingleStepTick:
 
 
 @dataclass
-class RecordedLoop:
+class RecordedControlLoop:
     """A control loop that runs a few ticks. The test records all calls of the loop."""
 
     ticks: int = 5
     clock: ScriptedClock = field(default_factory=ScriptedClock)
     buses: list[FakeBus] = field(default_factory=lambda: [FakeBus()])
     frames: tuple[Frame, ...] = ()
-    fail: Callable[[TickIn], None] = lambda entry: None
+    tick_hook: Callable[[TickIn], None] = lambda entry: None
     requests: list[tuple[str, ...]] = field(default_factory=list)
     host: list[list[IoEvent]] = field(default_factory=list)
 
@@ -117,7 +117,7 @@ class RecordedLoop:
         self.recorded_ticks: list[tuple[TickIn, TickOut]] = []
         self.shown: list[tuple[TickIn, TickOut]] = []
         self.loop: ControlLoop[int] = ControlLoop(
-            self.clock, PERIOD_NS, self.buses, lambda state, entry: SingleStepTick(self.tick, state, entry),
+            self.clock, PERIOD_NS, self.buses, lambda state, entry: FakeControllerTick(self.tick, state, entry),
             TORQUE_CUT_FRAMES,
             lambda: self.requests.pop(0) if self.requests else (),
             lambda: self.host.pop(0) if self.host else [],
@@ -127,7 +127,7 @@ class RecordedLoop:
 
     def tick(self, state: int, entry: TickIn) -> tuple[int, TickOut]:
         self.entries.append(entry)
-        self.fail(entry)
+        self.tick_hook(entry)
         done = state + 1 >= self.ticks
         mode = HandMode.DONE if done else HandMode.ACTIVE
         return state + 1, TickOut(self.frames, mode, "", 0, None, (), b"")  # type: ignore[arg-type]
@@ -137,7 +137,7 @@ class RecordedLoop:
 
 
 def test_ticks_follow_one_another_at_their_times() -> None:
-    run = RecordedLoop()
+    run = RecordedControlLoop()
     assert run.go() == 5
     assert [entry.k for entry, _ in run.recorded_ticks] == [0, 1, 2, 3, 4]
     assert [entry.t_ns for entry, _ in run.recorded_ticks] == [k * PERIOD_NS for k in range(5)]
@@ -152,7 +152,7 @@ def test_the_warm_up_tick_has_no_effect() -> None:
 
     This tick sends and records nothing, and the state after it is discarded.
     """
-    run = RecordedLoop(frames=(Frame(7, b""),))
+    run = RecordedControlLoop(frames=(Frame(7, b""),))
     run.go()
     assert len(run.entries) == 6
     assert run.entries[0] == TickIn(0, 0)
@@ -161,7 +161,7 @@ def test_the_warm_up_tick_has_no_effect() -> None:
 
 
 def test_only_ticks_run_with_realtime_priority() -> None:
-    run = RecordedLoop()
+    run = RecordedControlLoop()
     is_realtime = [False]
 
     @contextmanager
@@ -172,7 +172,7 @@ def test_only_ticks_run_with_realtime_priority() -> None:
 
     realtime_in_ticks: list[bool] = []
     run.loop.tick_priority = record_realtime_priority
-    run.fail = lambda entry: realtime_in_ticks.append(is_realtime[0])
+    run.tick_hook = lambda entry: realtime_in_ticks.append(is_realtime[0])
     run.go()
     assert realtime_in_ticks + is_realtime == [False, True, True, True, True, True, False], (
         "the first value is of the warm-up"
@@ -180,7 +180,7 @@ def test_only_ticks_run_with_realtime_priority() -> None:
 
 
 @pytest.mark.parametrize(
-    ("lateness_by_tick", "executed_ticks", "missed_ticks", "remaining_lateness"),
+    ("lateness_by_tick", "executed_ticks", "missed_ticks", "expected_lateness_ns"),
     [
         ([0, PERIOD_NS - 1], [0, 1, 2, 3], 0, [0, PERIOD_NS - 1, 0, 0]),
         ([0, PERIOD_NS], [0, 2, 3, 4], 1, [0, 0, 0, 0]),
@@ -193,15 +193,15 @@ def test_missed_deadlines_are_skipped_and_counted_never_caught_up(
     lateness_by_tick: list[int],
     executed_ticks: list[int],
     missed_ticks: int,
-    remaining_lateness: list[int],
+    expected_lateness_ns: list[int],
 ) -> None:
-    run = RecordedLoop(ticks=4, clock=ScriptedClock(list(lateness_by_tick)))
+    run = RecordedControlLoop(ticks=4, clock=ScriptedClock(list(lateness_by_tick)))
     run.go()
     assert [entry.k for entry, _ in run.recorded_ticks] == executed_ticks
     assert [entry.t_ns for entry, _ in run.recorded_ticks] == [
         k * PERIOD_NS for k in executed_ticks
     ]
-    assert [entry.late_ns for entry, _ in run.recorded_ticks] == remaining_lateness
+    assert [entry.late_ns for entry, _ in run.recorded_ticks] == expected_lateness_ns
     assert run.loop.stats.missed_ticks == missed_ticks
     assert run.loop.stats.ticks == 4
     assert list(run.loop.stats.tick_lateness_ns) == (lateness_by_tick + [0] * 4)[:4], (
@@ -219,7 +219,7 @@ def test_received_frames_enter_one_tick_in_order() -> None:
         frames_by_tick=[[old_frame], [first_frame], []], pending_events=[("dropped", "a", 3)]
     )
     right_bus = FakeBus(1, frames_by_tick=[[], [second_frame]])
-    run = RecordedLoop(
+    run = RecordedControlLoop(
         3,
         buses=[left_bus, right_bus],
         requests=[("x", "y"), (), ("z",)],
@@ -241,31 +241,31 @@ def test_each_bus_gets_its_own_frames() -> None:
     left_bus = FakeBus()
     right_bus = FakeBus(1)
     frames = (Frame(1, b"a"), Frame(2, b"b", bus=1), Frame(3, b"c"))
-    RecordedLoop(1, buses=[left_bus, right_bus], frames=frames).go()
+    RecordedControlLoop(1, buses=[left_bus, right_bus], frames=frames).go()
     assert left_bus.sent == [(frames[0], frames[2])]
     assert right_bus.sent == [(frames[1],)]
 
 
 def test_one_bus_object_may_serve_all_buses() -> None:
     bus, frames = FakeBus(), (Frame(1, b"a"), Frame(2, b"b", bus=1))
-    RecordedLoop(1, buses=[bus], frames=frames).go()
+    RecordedControlLoop(1, buses=[bus], frames=frames).go()
     assert bus.sent == [frames]
 
 
 def test_frames_that_a_bus_refuses_are_counted_as_refused_not_as_sent() -> None:
     frames = tuple(Frame(i, b"") for i in range(5))
-    run = RecordedLoop(3, buses=[FakeBus(capacity=2)], frames=frames)
+    run = RecordedControlLoop(3, buses=[FakeBus(capacity=2)], frames=frames)
     run.go()
     assert run.loop.stats.refused_frames == 9
     assert run.loop.stats.frames_tx == 6
 
 
-class StageError(Exception):
+class InjectedError(Exception):
     """Error that a test raises in a stage of a tick."""
 
 
 def raise_error(*_: object) -> None:
-    raise StageError
+    raise InjectedError
 
 
 @pytest.mark.parametrize(
@@ -275,7 +275,7 @@ def raise_error(*_: object) -> None:
         "record_tick",
         "show_tick",
         "publish_tick",
-        "keep_snapshot",
+        "record_snapshot",
         "take_requests",
         "take_targets",
         "take_host_events",
@@ -288,9 +288,9 @@ def raise_error(*_: object) -> None:
 def test_any_error_cuts_the_drives_and_is_raised_again(failing_stage: str) -> None:
     left_bus = FakeBus()
     right_bus = FakeBus(1)
-    run = RecordedLoop(5, buses=[left_bus, right_bus], frames=(Frame(9, b"torque"),))
+    run = RecordedControlLoop(5, buses=[left_bus, right_bus], frames=(Frame(9, b"torque"),))
     if failing_stage == "tick":
-        run.fail = lambda entry: raise_error() if entry.k == 2 else None
+        run.tick_hook = lambda entry: raise_error() if entry.k == 2 else None
     elif hasattr(run.loop, failing_stage):
         setattr(run.loop, failing_stage, raise_error)
     else:
@@ -302,7 +302,7 @@ def test_any_error_cuts_the_drives_and_is_raised_again(failing_stage: str) -> No
             lambda *words: raise_error() if run.recorded_ticks else original_method(*words),
         )
     # the frames that disable the drives were not sent
-    with pytest.raises(PowerError if failing_stage == "send" else StageError):
+    with pytest.raises(PowerError if failing_stage == "send" else InjectedError):
         run.go()
     assert right_bus.sent[-1] == (TORQUE_CUT_FRAMES[1],)
     if failing_stage != "send":
@@ -310,7 +310,9 @@ def test_any_error_cuts_the_drives_and_is_raised_again(failing_stage: str) -> No
     assert gc.isenabled()
 
 
-def times_of_polls(recorded_loop: RecordedLoop, motors_by_poll: list[tuple[str, ...]]) -> list[int]:
+def times_of_polls(
+    recorded_loop: RecordedControlLoop, motors_by_poll: list[tuple[str, ...]]
+) -> list[int]:
     """Return the times at which a loop polls the drives after a failure [ns].
 
     The loop fails in its third tick. ``motors_by_poll`` lists, for each poll, the drives that have
@@ -319,7 +321,7 @@ def times_of_polls(recorded_loop: RecordedLoop, motors_by_poll: list[tuple[str, 
     times: list[int] = []
 
     def disable_drives(
-        state: int, t_ns: int, heard: list[Frame]
+        state: int, t_ns: int, received_frames: list[Frame]
     ) -> tuple[int, tuple[Frame, ...], tuple[str, ...]]:
         times.append(t_ns)
         return (
@@ -329,7 +331,7 @@ def times_of_polls(recorded_loop: RecordedLoop, motors_by_poll: list[tuple[str, 
         )
 
     recorded_loop.loop.disable_drives = disable_drives
-    recorded_loop.fail = lambda entry: raise_error() if entry.k == 2 else None
+    recorded_loop.tick_hook = lambda entry: raise_error() if entry.k == 2 else None
     recorded_loop.go()
     return times
 
@@ -344,11 +346,11 @@ def test_an_error_after_the_commands_disables_from_the_state_with_these_commands
     enabled in this tick, it counted as disabled in this state.
     """
     bus = FakeBus()
-    run = RecordedLoop(5, buses=[bus], frames=(Frame(9, b"enable"),))
+    run = RecordedControlLoop(5, buses=[bus], frames=(Frame(9, b"enable"),))
     states: list[int] = []
 
     def disable_drives(
-        state: int, t_ns: int, heard: list[Frame]
+        state: int, t_ns: int, received_frames: list[Frame]
     ) -> tuple[int, tuple[Frame, ...], tuple[str, ...]]:
         states.append(state)
         return state, (), ()
@@ -356,7 +358,7 @@ def test_an_error_after_the_commands_disables_from_the_state_with_these_commands
     def fail_in_third_tick(*words: object) -> int:
         if len(run.recorded_ticks) == 2:
             run.recorded_ticks.append(run.recorded_ticks[0])
-            raise StageError
+            raise InjectedError
         return 0
 
     run.loop.disable_drives = disable_drives
@@ -364,7 +366,7 @@ def test_an_error_after_the_commands_disables_from_the_state_with_these_commands
         bus.send = fail_in_third_tick  # type: ignore[method-assign]
     else:
         run.loop.publish_tick = fail_in_third_tick  # type: ignore[assignment]
-    with pytest.raises(StageError):
+    with pytest.raises(InjectedError):
         run.go()
     assert states == [3], "the state after the third tick"
 
@@ -372,8 +374,8 @@ def test_an_error_after_the_commands_disables_from_the_state_with_these_commands
 def test_after_an_error_drives_are_polled_until_each_reports_off() -> None:
     bus = FakeBus()
     answers = [("index", "thumb"), ("thumb",), ()]
-    with pytest.raises(StageError):
-        times_of_polls(RecordedLoop(5, buses=[bus]), answers)
+    with pytest.raises(InjectedError):
+        times_of_polls(RecordedControlLoop(5, buses=[bus]), answers)
     assert answers == []
     assert [sent for sent in bus.sent if sent] == [
         TORQUE_CUT_FRAMES,
@@ -383,12 +385,12 @@ def test_after_an_error_drives_are_polled_until_each_reports_off() -> None:
 
 
 def test_a_drive_that_does_not_report_off_is_named_with_the_error() -> None:
-    run = RecordedLoop(5)
+    run = RecordedControlLoop(5)
     with pytest.raises(
         PowerError, match="REMOVE POWER: not confirmed disabled: index, thumb"
     ) as message:
         times_of_polls(run, [])
-    assert isinstance(message.value.__cause__, StageError)
+    assert isinstance(message.value.__cause__, InjectedError)
     assert len(run.clock.waits) == 3 + 501, "half a second of ticks"
 
 
@@ -398,25 +400,25 @@ def test_after_a_stall_drives_are_polled_from_the_present_time_on() -> None:
     After a stall, the loop sent the polls of all missed ticks at once, so the drives had no time to
     answer.
     """
-    run = RecordedLoop(600, clock=ScriptedClock([0, 600 * PERIOD_NS]))
+    run = RecordedControlLoop(600, clock=ScriptedClock([0, 600 * PERIOD_NS]))
     times: list[int] = []
 
     def disable_drives(
-        state: int, t_ns: int, heard: list[Frame]
+        state: int, t_ns: int, received_frames: list[Frame]
     ) -> tuple[int, tuple[Frame, ...], tuple[str, ...]]:
         times.append(t_ns)
         return state, (), () if len(times) == 2 else ("index",)
 
     run.loop.disable_drives = disable_drives
-    run.fail = lambda entry: raise_error() if entry.k == 601 else None
-    with pytest.raises(StageError):
+    run.tick_hook = lambda entry: raise_error() if entry.k == 601 else None
+    with pytest.raises(InjectedError):
         run.go()
     assert times == [602 * PERIOD_NS, 603 * PERIOD_NS]
 
 
 def test_drives_that_cannot_be_polled_do_not_count_as_disabled() -> None:
-    run = RecordedLoop(5)
-    run.fail = lambda entry: raise_error() if entry.k == 2 else None
+    run = RecordedControlLoop(5)
+    run.tick_hook = lambda entry: raise_error() if entry.k == 2 else None
     run.loop.disable_drives = raise_error  # type: ignore[assignment]
     with pytest.raises(PowerError, match="the drives are unknown"):
         run.go()
@@ -429,8 +431,8 @@ def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
     """
     left_bus = FakeBus()
     right_bus = FakeBus(1)
-    run = RecordedLoop(5, buses=[left_bus, right_bus])
-    run.fail = lambda entry: raise_error() if entry.k == 2 else None
+    run = RecordedControlLoop(5, buses=[left_bus, right_bus])
+    run.tick_hook = lambda entry: raise_error() if entry.k == 2 else None
     remaining_capacities = [0, 0, 1]
     original_send = left_bus.send
 
@@ -439,7 +441,7 @@ def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
         return original_send(frames)
 
     left_bus.send = send  # type: ignore[method-assign]
-    with pytest.raises(StageError):
+    with pytest.raises(InjectedError):
         run.go()
     assert [sent for sent in left_bus.sent if sent] == [(TORQUE_CUT_FRAMES[0],)]
     assert remaining_capacities == []
@@ -471,9 +473,9 @@ def test_a_bus_that_refuses_every_cut_delays_no_other(
             return original_send(frames)
 
         bus.send = send  # type: ignore[method-assign]
-    run = RecordedLoop(5, buses=buses)
-    run.fail = lambda entry: raise_error() if entry.k == 2 else None
-    with pytest.raises(StageError):
+    run = RecordedControlLoop(5, buses=buses)
+    run.tick_hook = lambda entry: raise_error() if entry.k == 2 else None
+    with pytest.raises(InjectedError):
         run.go()
     other_bus = 1 - refusing_bus
     assert [pause for index, pause in tries if index == other_bus] == [0]
@@ -484,9 +486,9 @@ def test_a_bus_that_refuses_every_cut_delays_no_other(
 
 
 def test_a_failed_tick_sends_nothing_else() -> None:
-    run = RecordedLoop(5, frames=(Frame(9, b"torque"),))
-    run.fail = lambda entry: raise_error() if entry.k == 2 else None
-    with pytest.raises(StageError):
+    run = RecordedControlLoop(5, frames=(Frame(9, b"torque"),))
+    run.tick_hook = lambda entry: raise_error() if entry.k == 2 else None
+    with pytest.raises(InjectedError):
         run.go()
     assert run.buses[0].sent == [run.frames, run.frames, TORQUE_CUT_FRAMES]
     assert [entry.k for entry, _ in run.recorded_ticks] == [0, 1]
@@ -495,15 +497,15 @@ def test_a_failed_tick_sends_nothing_else() -> None:
 @pytest.mark.parametrize("with_failure", [False, True])
 def test_garbage_collection_is_off_in_the_loop_only(with_failure: bool) -> None:
     collector_states = []
-    run = RecordedLoop(3)
-    run.fail = lambda entry: (
+    run = RecordedControlLoop(3)
+    run.tick_hook = lambda entry: (
         collector_states.append((gc.isenabled(), gc.get_freeze_count() > 0))
         or (raise_error() if with_failure and entry.k else None)
     )
     freeze_count_before = gc.get_freeze_count()
     assert gc.isenabled()
     if with_failure:
-        with pytest.raises(StageError):
+        with pytest.raises(InjectedError):
             run.go()
     else:
         run.go()
@@ -515,9 +517,9 @@ def test_garbage_collection_is_off_in_the_loop_only(with_failure: bool) -> None:
 def test_garbage_collection_is_restored_when_the_clock_does_not_begin(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    run = RecordedLoop(3)
+    run = RecordedControlLoop(3)
     monkeypatch.setattr(run.clock, "start", raise_error)
-    with pytest.raises(StageError):
+    with pytest.raises(InjectedError):
         run.go()
     assert gc.isenabled()
     assert gc.get_freeze_count() == 0
@@ -529,14 +531,14 @@ def test_a_long_run_has_the_lateness_of_its_last_ticks(monkeypatch: pytest.Monke
     To store this for all ticks of a day at 500 Hz would take 330 MiB of locked memory.
     """
     monkeypatch.setattr(loop, "LATENESS_RING_TICKS", 16)
-    run = RecordedLoop(200, clock=ScriptedClock(list(range(200))))
+    run = RecordedControlLoop(200, clock=ScriptedClock(list(range(200))))
     run.go()
     assert sorted(run.loop.stats.tick_lateness_ns) == list(range(184, 200))
     assert run.loop.stats.ticks == 200
 
 
 def test_lateness_is_recorded_for_every_tick() -> None:
-    run = RecordedLoop(200, clock=ScriptedClock(list(range(200))))
+    run = RecordedControlLoop(200, clock=ScriptedClock(list(range(200))))
     run.go()
     assert isinstance(run.loop.stats.tick_lateness_ns, array)
     np.testing.assert_array_equal(run.loop.stats.tick_lateness_ns, range(200))

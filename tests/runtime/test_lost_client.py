@@ -46,7 +46,7 @@ def start_holding_client(**connect_options):
     return process
 
 
-def wait_for_end(client, timeout_s):
+def wait_for_run_end(client, timeout_s):
     """Wait until the run ends, and return the reason why it ended.
 
     The wait takes at most ``timeout_s`` on the clock of the hand.
@@ -66,12 +66,12 @@ def wait_for_end(client, timeout_s):
     ["suspended", *[pytest.param(how, marks=pytest.mark.nightly) for how in ("killed", "hangs")]],
 )
 def test_a_lost_client_makes_the_hand_relax(
-    work_folder, hand_truth_file, calibration_options, scale_options, client_end
+    work_folder, hand_truth_file, calibration_options, time_scale_options, client_end
 ):
     """Reproduce a defect: without a time limit, the hand kept the tension of a client that was lost."""
-    factor = float(scale_options[1])
+    factor = float(time_scale_options[1])
     client = library.connect(
-        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale_options
+        "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *time_scale_options
     ).open()
     try:
         other_client = start_holding_client(
@@ -86,7 +86,7 @@ def test_a_lost_client_makes_the_hand_relax(
                 other_client.send_signal(
                     signal.SIGKILL if client_end == "killed" else signal.SIGSTOP
                 )
-            last_text = wait_for_end(client, 8.0 * LEASE_S)
+            last_text = wait_for_run_end(client, 8.0 * LEASE_S)
         finally:
             other_client.kill()
             other_client.communicate()
@@ -111,14 +111,14 @@ def test_a_lost_client_makes_the_hand_relax(
 @REALTIME_MARK
 @pytest.mark.nightly
 def test_a_program_that_waits_keeps_its_hold(
-    work_folder, hand_truth_file, calibration_options, scale_options
+    work_folder, hand_truth_file, calibration_options, time_scale_options
 ):
     """A thread of the client renews its lease while the program waits.
 
     A client without a lease sends no signs of life.
     """
-    factor = float(scale_options[1])
-    options = ("--calibration", "c.toml", "--log", "live.mcap", *scale_options)
+    factor = float(time_scale_options[1])
+    options = ("--calibration", "c.toml", "--log", "live.mcap", *time_scale_options)
     with library.connect("jamia", LOCAL_BUS, *options, lease_s=LEASE_S) as client:
         client.hold(index=HOLD_TENSION_N)
         time.sleep(4.0 * LEASE_S / factor)
@@ -166,7 +166,7 @@ def test_a_watchdog_stops_the_signs_of_life(work_folder):
         assert count(0.1) > 0
         count(0.3)
         assert count(0.2) == 0
-        heartbeat_sender.note_call()
+        heartbeat_sender.record_call_time()
         assert count(0.1) > 0
     finally:
         heartbeat_sender.end()

@@ -38,12 +38,20 @@ def work_folder(work_folder):
     return work_folder
 
 
-def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, scale_options):
+def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, time_scale_options):
     simulated_hand_process = start_hand(
-        work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale_options
+        work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *time_scale_options
     )
     try:
-        words = ("--hand", "jamia", "--bus", LOCAL_BUS, "--calibration", "c.toml", *scale_options)
+        words = (
+            "--hand",
+            "jamia",
+            "--bus",
+            LOCAL_BUS,
+            "--calibration",
+            "c.toml",
+            *time_scale_options,
+        )
         done = run_handctl(
             "replay", "drive", str(GOLDEN_LOG), *words, "--log", "again.mcap", "--json"
         )
@@ -67,9 +75,9 @@ def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, scale_options):
     np.testing.assert_allclose(replayed_tensions, original_tensions, rtol=0.05)
 
 
-def test_an_interrupted_replay_reports_its_progress(work_folder, scale_options):
+def test_an_interrupted_replay_reports_its_progress(work_folder, time_scale_options):
     simulated_hand_process = start_hand(
-        work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale_options
+        work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *time_scale_options
     )
     words = (
         "--hand",
@@ -78,7 +86,7 @@ def test_an_interrupted_replay_reports_its_progress(work_folder, scale_options):
         LOCAL_BUS,
         "--calibration",
         "c.toml",
-        *scale_options,
+        *time_scale_options,
         "--log",
         "half.mcap",
         "--json",

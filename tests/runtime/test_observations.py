@@ -22,7 +22,7 @@ from handctl.core.tick_types import (
     TELEMETRY_FIELDS,
     HandMode,
     PackedTelemetry,
-    TelemetryPlaces,
+    TelemetrySlices,
     TickIn,
     TickOut,
 )
@@ -42,7 +42,7 @@ from handctl.runtime.target_socket import (
     MAX_DATAGRAMS_PER_TICK,
     MAX_TARGETS_PER_TICK,
     TARGET_MAGIC,
-    TargetBox,
+    TargetReceiver,
     TargetSender,
 )
 from handctl.safety.safety_action import SafetyAction
@@ -59,17 +59,17 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def telemetry_of_tick(tick_index: int) -> PackedTelemetry:
     """Return telemetry in which each number is computed from the tick and from its index."""
-    places, first_element = TelemetryPlaces(), 0
+    places, first_element = TelemetrySlices(), 0
     for name in TELEMETRY_FIELDS:
         places[name] = slice(first_element, first_element + AXIS_LENGTHS[TELEMETRY_AXES[name]])
         first_element = places[name].stop
     return PackedTelemetry(1000.0 * tick_index + np.arange(first_element), places)
 
 
-NO_STREAM = StreamStatus()
+CLOSED_STREAM_STATUS = StreamStatus()
 
 
-def unread_ticks(reader: ObservationReader) -> list[int]:
+def ticks_of_unread_records(reader: ObservationReader) -> list[int]:
     """Return the ticks of all records that the reader has not yet read."""
     ticks = list[int]()
     while (record := reader.next_record()) is not None:
@@ -78,7 +78,7 @@ def unread_ticks(reader: ObservationReader) -> list[int]:
 
 
 def write_observation(
-    writer: ObservationWriter, tick_index: int, status: StreamStatus = NO_STREAM
+    writer: ObservationWriter, tick_index: int, status: StreamStatus = CLOSED_STREAM_STATUS
 ) -> None:
     """Write the record of tick k into the ring of observations."""
     out = TickOut(
@@ -93,10 +93,10 @@ def write_observation(
 def test_a_full_disk_is_an_error_and_leaves_no_file(
     error_number: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse_space(*_: int) -> None:
+    def fail_to_allocate(*_: int) -> None:
         raise OSError(error_number, os.strerror(error_number))
 
-    monkeypatch.setattr(os, "posix_fallocate", refuse_space)
+    monkeypatch.setattr(os, "posix_fallocate", fail_to_allocate)
     with pytest.raises(BusError, match="cannot write observations"):
         ObservationWriter("local:x", AXIS_LENGTHS, {})
     assert not observations_path("local:x").exists()
@@ -156,10 +156,10 @@ def test_a_reader_gets_every_tick_once_and_a_late_one_misses_the_oldest() -> Non
     reader = ObservationReader("local:x")
     for k in range(10):
         write_observation(writer, k)
-    assert unread_ticks(reader) == list(range(10))
+    assert ticks_of_unread_records(reader) == list(range(10))
     for k in range(10, 10 + 2 * RING_RECORDS):
         write_observation(writer, k)
-    late_ticks = unread_ticks(reader)
+    late_ticks = ticks_of_unread_records(reader)
     assert late_ticks == list(range(10 + 2 * RING_RECORDS - len(late_ticks), 10 + 2 * RING_RECORDS))
     assert RING_RECORDS - 4 <= len(late_ticks) < RING_RECORDS
     reader.close()
@@ -232,7 +232,7 @@ def test_a_file_that_a_killed_controller_left_is_replaced() -> None:
 
 
 def test_targets_arrive_in_order_with_the_time_of_the_run() -> None:
-    box = TargetBox("local:x", lambda ns: ns - 1000)
+    box = TargetReceiver("local:x", lambda ns: ns - 1000)
     sender = TargetSender("local:x", 17, 3)
     for index in range(3):
         assert sender.send(index, 5000 + index, np.array([0.1, math.nan, 1e308]))
@@ -254,7 +254,7 @@ def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
 
     Requests such as a stop use another socket and are not delayed.
     """
-    box, mail = TargetBox("local:x", int), Mailbox("local:x")
+    box, mail = TargetReceiver("local:x", int), Mailbox("local:x")
     sender, sent = TargetSender("local:x", 1, 1), 0
     start_time_s = time.monotonic()
     while time.monotonic() < start_time_s + 0.2:
@@ -282,7 +282,7 @@ def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
     ],
 )  # fmt: skip
 def test_a_datagram_of_another_form_is_dropped(datagram: bytes) -> None:
-    box, sender = TargetBox("local:x", int), TargetSender("local:x", 1, 1)
+    box, sender = TargetReceiver("local:x", int), TargetSender("local:x", 1, 1)
     sender._socket.send(datagram)
     assert box.read_targets() == ()
     sender._socket.send(

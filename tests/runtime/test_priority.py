@@ -48,10 +48,10 @@ def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyP
     calls: list[str] = []
     monkeypatch.setattr(realtime_priority, "_lock_memory", lambda: calls.append("memory") is None)
     monkeypatch.setattr(
-        realtime_priority, "_enter_fifo", lambda level: calls.append("priority") is None
+        realtime_priority, "_set_fifo_scheduling", lambda level: calls.append("priority") is None
     )
     assert request_priority() == realtime_priority.GrantedPriority(
-        is_realtime=True, memory_locked=True
+        is_realtime=True, is_memory_locked=True
     )
     assert calls == ["memory", "priority"]
 
@@ -79,19 +79,19 @@ def test_processors_stay_awake_only_during_the_ticks(tmp_path, monkeypatch) -> N
     """
     latency = tmp_path / "cpu_dma_latency"
     latency.touch()
-    monkeypatch.setattr(realtime_priority, "LATENCY_FILE", str(latency))
+    monkeypatch.setattr(realtime_priority, "CPU_LATENCY_FILE", str(latency))
     assert str(latency) not in open_files()
     with realtime_priority.realtime_priority():
         assert str(latency) in open_files()
         assert latency.read_bytes() == bytes(4)
     assert str(latency) not in open_files()
-    assert realtime_priority.prepare_priority().processors_awake
+    assert realtime_priority.prepare_priority().are_processors_awake
     restore_priority()
 
 
 def test_a_system_that_lets_processors_sleep_is_no_error(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(realtime_priority, "LATENCY_FILE", str(tmp_path / "absent"))
+    monkeypatch.setattr(realtime_priority, "CPU_LATENCY_FILE", str(tmp_path / "absent"))
     with realtime_priority.keep_processors_awake() as awake:
         assert not awake
-    assert not realtime_priority.prepare_priority().processors_awake
+    assert not realtime_priority.prepare_priority().are_processors_awake
     restore_priority()

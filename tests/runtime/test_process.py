@@ -30,21 +30,21 @@ from tests.runtime.processes import (
 pytestmark = pytest.mark.realtime
 
 
-def run_short_task(work_folder, started_processes, scale_options):
+def run_short_task(work_folder, started_processes, time_scale_options):
     """Commission a new simulated hand and run a short task.
 
     Return the result of ``handctl run`` and the path of its log.
     """
     truth = work_folder / "hand.truth"
     log = work_folder / "run.mcap"
-    started_processes.append(start_hand(truth, "--hand", "jamia", *scale_options))
+    started_processes.append(start_hand(truth, "--hand", "jamia", *time_scale_options))
     words = (
         "--task",
         "short.toml",
         "--json",
         "--log",
         str(log),
-        *scale_options,
+        *time_scale_options,
         "--truth",
         str(truth),
     )
@@ -55,9 +55,9 @@ def run_short_task(work_folder, started_processes, scale_options):
 
 
 def test_a_run_commissions_moves_and_reports_its_result(
-    work_folder, started_processes, scale_options
+    work_folder, started_processes, time_scale_options
 ):
-    (code, result, err), log = run_short_task(work_folder, started_processes, scale_options)
+    (code, result, err), log = run_short_task(work_folder, started_processes, time_scale_options)
     assert code == 0, err
     assert err.startswith("commissioning jamia first: there is no jamia.calibration.toml")
     assert result["failure"] == ""
@@ -94,11 +94,17 @@ def start_long_task(started_processes, calibration_options, *extra_options):
 
 
 def test_a_stop_from_another_process_ends_the_run(
-    work_folder, hand_truth_file, calibration_options, started_processes, scale_options
+    work_folder, hand_truth_file, calibration_options, started_processes, time_scale_options
 ):
-    process = start_long_task(started_processes, calibration_options, *scale_options)
+    process = start_long_task(started_processes, calibration_options, *time_scale_options)
     second_process_result = run_handctl(
-        "run", *calibration_options, "--task", "long.toml", *scale_options, "--log", "second.mcap"
+        "run",
+        *calibration_options,
+        "--task",
+        "long.toml",
+        *time_scale_options,
+        "--log",
+        "second.mcap",
     )
     assert second_process_result.returncode == 1
     assert second_process_result.stderr.startswith(
@@ -117,9 +123,9 @@ def test_a_stop_from_another_process_ends_the_run(
 
 
 def test_the_first_ctrl_c_relaxes_disables_and_confirms(
-    work_folder, hand_truth_file, calibration_options, started_processes, scale_options
+    work_folder, hand_truth_file, calibration_options, started_processes, time_scale_options
 ):
-    process = start_long_task(started_processes, calibration_options, *scale_options)
+    process = start_long_task(started_processes, calibration_options, *time_scale_options)
     process.send_signal(signal.SIGINT)
     code, result, err = process_result(process)
     assert (code, result["failure"]) == (0, ""), err
@@ -137,9 +143,9 @@ def test_the_first_ctrl_c_relaxes_disables_and_confirms(
 
 
 def test_the_second_ctrl_c_cuts(
-    work_folder, hand_truth_file, calibration_options, started_processes, scale_options
+    work_folder, hand_truth_file, calibration_options, started_processes, time_scale_options
 ):
-    process = start_long_task(started_processes, calibration_options, *scale_options)
+    process = start_long_task(started_processes, calibration_options, *time_scale_options)
     process.send_signal(signal.SIGINT)
     process.send_signal(signal.SIGTERM)  # Linux may merge two SIGINT signals into one
     code, _, err = process_result(process)
@@ -151,12 +157,22 @@ def test_the_second_ctrl_c_cuts(
     ]
 
 
-def test_a_missing_motor_is_named(work_folder, hand_truth_file, started_processes, scale_options):
+def test_a_missing_motor_is_named(
+    work_folder, hand_truth_file, started_processes, time_scale_options
+):
     content = hand_content("jamia")
     content["motor"][2]["node_id"] = 9
     (work_folder / "mine.toml").write_text(toml_text(content))
     write_homed_calibration(work_folder / "c.toml", load_hand("mine.toml"))
-    words = ("--hand", "mine.toml", "--bus", LOCAL_BUS, "--calibration", "c.toml", *scale_options)
+    words = (
+        "--hand",
+        "mine.toml",
+        "--bus",
+        LOCAL_BUS,
+        "--calibration",
+        "c.toml",
+        *time_scale_options,
+    )
     refused_process_result = run_handctl(
         "run", *words, "--task", "short.toml", "--log", "run.mcap", "--json"
     )

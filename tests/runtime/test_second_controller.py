@@ -32,12 +32,12 @@ RUN_OPTIONS = (
 )
 
 
-def test_a_second_controller_is_refused_and_the_first_goes_on(work_folder, scale_options):
+def test_a_second_controller_is_refused_and_the_first_goes_on(work_folder, time_scale_options):
     write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
     simulated_hand_process = start_hand(
-        work_folder / "hand.truth", "--hand", "jamia", *scale_options
+        work_folder / "hand.truth", "--hand", "jamia", *time_scale_options
     )
-    first_process = start_handctl("run", *RUN_OPTIONS, "--log", "first.mcap", *scale_options)
+    first_process = start_handctl("run", *RUN_OPTIONS, "--log", "first.mcap", *time_scale_options)
     try:
         with SyncListener() as listener:
             until = time.monotonic() + 60.0
@@ -46,7 +46,7 @@ def test_a_second_controller_is_refused_and_the_first_goes_on(work_folder, scale
                 assert time.monotonic() < until
                 listener.listen(0.01)
             second_process_result = run_handctl(
-                "run", *RUN_OPTIONS, "--log", "second.mcap", *scale_options
+                "run", *RUN_OPTIONS, "--log", "second.mcap", *time_scale_options
             )
             assert second_process_result.returncode == 1
             assert "another controller runs here" in second_process_result.stderr

@@ -67,7 +67,7 @@ def clock_pair(tmp_path, monkeypatch):
 def test_both_sides_agree_on_the_file(tmp_path) -> None:
     names = (
         "CLOCK_FILE_VERSION", "GATE_INDEX", "PAUSED_INDEX", "SENT_INDEX", "ANSWERED_INDEX", "REACHED_INDEX",
-        "INTEGER_COUNT", "OPEN_GATE_NS",
+        "CLOCK_FILE_INTEGER_COUNT", "OPEN_GATE_NS",
     )  # fmt: skip
     assert [getattr(shared_clock, name) for name in names] == [
         getattr(simulated, name) for name in names
@@ -82,7 +82,10 @@ def test_a_fast_machine_needs_no_pause(clock_pair) -> None:
     late = [clock_pair.controller.wait(k) for k in range(200)]
     assert max(late) <= 20_000
     assert clock_pair.controller.pause_count == 0
-    assert clock_pair.controller.clock_facts() == {"clock_pauses": "0", "clock_paused_ms": "0.0"}
+    assert clock_pair.controller.clock_statistics() == {
+        "clock_pauses": "0",
+        "clock_paused_ms": "0.0",
+    }
 
 
 @pytest.mark.parametrize("late_ms", [1, 3, 99])
@@ -216,8 +219,8 @@ def test_a_time_stamp_before_the_last_pause_is_converted(clock_pair) -> None:
     stamp, run_ns = clock_pair.now, clock.now_ns()
     clock_pair.overshoots = [20 * NS_PER_MS]
     clock.wait(1)
-    assert clock.run_time_of(stamp) == pytest.approx(run_ns, abs=1)
-    assert clock.run_time_of(clock_pair.now) == clock.now_ns()
+    assert clock.convert_to_run_time(stamp) == pytest.approx(run_ns, abs=1)
+    assert clock.convert_to_run_time(clock_pair.now) == clock.now_ns()
 
 
 @pytest.mark.parametrize("seed", range(20))

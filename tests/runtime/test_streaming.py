@@ -32,7 +32,7 @@ PAGE_TEXT = (Path(__file__).parents[2] / "docs" / "how-to" / "python.md").read_t
 
 
 @pytest.fixture
-def live_hand(work_folder, hand_truth_file, calibration_options, scale_options):
+def live_hand(work_folder, hand_truth_file, calibration_options, time_scale_options):
     """Return a client that has started the controller of a simulated hand."""
     with library.connect(
         "jamia",
@@ -41,14 +41,14 @@ def live_hand(work_folder, hand_truth_file, calibration_options, scale_options):
         "c.toml",
         "--log",
         "live.mcap",
-        *scale_options,
+        *time_scale_options,
     ) as client:
         yield client
 
 
 @REALTIME_MARK
 def test_a_stream_is_followed_observed_logged_and_repeated(
-    work_folder, hand_truth_file, calibration_options, scale_options
+    work_folder, hand_truth_file, calibration_options, time_scale_options
 ):
     with library.connect(
         "jamia",
@@ -57,7 +57,7 @@ def test_a_stream_is_followed_observed_logged_and_repeated(
         "c.toml",
         "--log",
         "live.mcap",
-        *scale_options,
+        *time_scale_options,
     ) as client:
         client.move(index=30.0)
         observed_ticks, ready = [], threading.Event()
@@ -181,8 +181,8 @@ def test_every_watcher_gets_its_lines(work_folder):
         watcher.send(SUBSCRIBE_REQUEST, 1.0)
         box.read_requests()
     box.publish_status({"k": 1})
-    heard = [watcher.next_status_line(0.0) is not None for watcher in watchers]
-    assert all(heard[:MAX_WATCHERS])
+    has_status_line = [watcher.next_status_line(0.0) is not None for watcher in watchers]
+    assert all(has_status_line[:MAX_WATCHERS])
     for watcher in watchers[MAX_WATCHERS:]:
         watcher.send(SUBSCRIBE_REQUEST, 1.0)
         box.read_requests()
@@ -199,7 +199,7 @@ def fake_stream(work_folder):
     """Return a stream of two angles [rad], and the list of the targets that it has sent [deg]."""
     from handctl.client.stream import TargetStream
 
-    class Sender:
+    class FakeTargetSender:
         def send(self, index, sent_ns, values):
             sent.append(values.tolist())
             return True
@@ -210,7 +210,7 @@ def fake_stream(work_folder):
     sent = []
     goal = {"stream": "1-1", "names": ["index_j1", "thumb_j1"], "rate_Hz": 100.0, "space": "joint"}
     owner = SimpleNamespace(description=load_hand("jamia"))
-    return TargetStream(owner, Sender(), goal, "rad", 0.012, 1.0), sent
+    return TargetStream(owner, FakeTargetSender(), goal, "rad", 0.012, 1.0), sent
 
 
 def test_values_are_checked_before_they_are_sent(fake_stream):
@@ -249,10 +249,10 @@ def test_a_program_may_reuse_the_array_of_a_target(fake_stream):
 @pytest.mark.realtime
 @pytest.mark.alone
 @pytest.mark.parametrize("example", range(3))
-def test_the_programs_of_the_page_run(work_folder, started_processes, scale_options, example):
+def test_the_programs_of_the_page_run(work_folder, started_processes, time_scale_options, example):
     programs = re.findall(r"^```python[^\n]*\n(.*?)^```$", PAGE_TEXT, re.MULTILINE | re.DOTALL)
     assert len(programs) == 3
-    simulator = start_handctl("sim", "--hand", "jamia", "--bus", "local:lab", *scale_options)
+    simulator = start_handctl("sim", "--hand", "jamia", "--bus", "local:lab", *time_scale_options)
     started_processes.append(simulator)
     assert select.select([simulator.stdout], [], [], READY_TIMEOUT_S)[0]
     (work_folder / "example.py").write_text(programs[example])

@@ -24,13 +24,17 @@ The rate is low because four real-time processes share the processors.
 TIME_SCALE = 0.5
 
 
-def test_a_stop_of_one_hand_leaves_the_other_moving(work_folder, started_processes, scale_options):
+def test_a_stop_of_one_hand_leaves_the_other_moving(
+    work_folder, started_processes, time_scale_options
+):
     write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
     buses = [f"local:{side}" for side in HAND_SIDES]
     runs = []
     for side, bus in zip(HAND_SIDES, buses, strict=True):
         started_processes.append(
-            start_hand(work_folder / f"{side}.truth", "--hand", "jamia", *scale_options, bus=bus)
+            start_hand(
+                work_folder / f"{side}.truth", "--hand", "jamia", *time_scale_options, bus=bus
+            )
         )
         words = (
             "--calibration",
@@ -41,7 +45,7 @@ def test_a_stop_of_one_hand_leaves_the_other_moving(work_folder, started_process
             "--log",
             f"{side}.mcap",
             *RATE_OPTION,
-            *scale_options,
+            *time_scale_options,
         )
         runs.append(start_handctl("run", "--hand", "jamia", "--bus", bus, *words))
         started_processes.append(runs[-1])

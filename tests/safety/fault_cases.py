@@ -27,7 +27,7 @@ from tests.safety.synthetic_monitor import (
     NOW_NS,
     PERIOD_NS,
     PERIOD_S,
-    StateRows,
+    StateValues,
     SyntheticMonitor,
     synthetic_limits,
 )
@@ -48,11 +48,11 @@ LOAD_CELLS_NODE = TENDON_COUNT
 class TickInput(NamedTuple):
     """Input of the safety monitor for one tick.
 
-    ``state_rows`` contains the values of the state that differ from a hand at rest. Its keys are
+    ``state_values`` contains the values of the state that differ from a hand at rest. Its keys are
     the name of a field and an index. The input also contains events of the buses and of the host.
     """
 
-    state_rows: Mapping[str, dict[object, float]] = MappingProxyType({})
+    state_values: Mapping[str, dict[object, float]] = MappingProxyType({})
     reports: tuple[EventReport, ...] = ()
 
 
@@ -80,7 +80,7 @@ class FaultCase(NamedTuple):
     is_found_only_while_armed: bool = False
 
 
-def state_rows(**values_by_field: object) -> TickInput:
+def state_input(**values_by_field: object) -> TickInput:
     """Return an input with values of the state.
 
     If a field applies to the whole run, its value is a single number. The value of any other field
@@ -99,7 +99,7 @@ def frame_ages(field: str, **age_by_node: int) -> TickInput:
     1.
     """
     first_index = TENDON_COUNT if field == "group_ns" and min(age_by_node)[0] == "j" else 0
-    return state_rows(
+    return state_input(
         **{
             field: {
                 first_index + int(name[1:]): NOW_NS - ticks * PERIOD_NS
@@ -123,7 +123,7 @@ def lost_frames(**lost_frames_by_node: int) -> TickInput:
     Each keyword is the name of a node. Its value is the number of frames that this node has lost.
     Examples are m1=... for motor 1, and cells=... for the load cells.
     """
-    return state_rows(
+    return state_input(
         lost={
             (0, LOAD_CELLS_NODE if name == "cells" else int(name[1:])): (1 << n) - 1
             for name, n in lost_frames_by_node.items()
@@ -136,32 +136,32 @@ def malformed_frames(node_index: int, earlier_frames: int) -> TickInput:
 
     ``earlier_frames`` such frames have arrived in earlier ticks.
     """
-    return state_rows(
+    return state_input(
         misread_now={node_index: 1}, misshapen={node_index: (1 << earlier_frames) - 1}
     )
 
 
-def filtered_residuals(residual_row: int, **residual_by_part: float) -> TickInput:
+def filtered_residuals(residual_kind: int, **residual_by_part: float) -> TickInput:
     """Return an input with one kind of filtered residual, for the named tendons or motors."""
-    return state_rows(
-        residual={(residual_row, int(name[1:])): value for name, value in residual_by_part.items()}
+    return state_input(
+        residual={(residual_kind, int(name[1:])): value for name, value in residual_by_part.items()}
     )
 
 
 def measured_tensions(**tension_by_tendon: float) -> TickInput:
-    return state_rows(
+    return state_input(
         measured_tension={int(name[1:]): value for name, value in tension_by_tendon.items()}
     )
 
 
 def drive_temperatures(**temperature_by_motor: float) -> TickInput:
-    return state_rows(
+    return state_input(
         temperature={int(name[1:]): value for name, value in temperature_by_motor.items()}
     )
 
 
 def drive_error(motor_index: int, cause: DriveFaultCause, error_code: int = 9) -> TickInput:
-    return state_rows(
+    return state_input(
         phase={motor_index: int(DrivePhase.FAULT)},
         fault_cause={motor_index: int(cause)},
         fault_code={motor_index: error_code},
@@ -176,7 +176,7 @@ def merge_inputs(*tick_input: TickInput) -> TickInput:
     """Combine several inputs into one input of the same tick."""
     cells: dict[str, dict[object, float]] = {}
     for single_input in tick_input:
-        for name, values in single_input.state_rows.items():
+        for name, values in single_input.state_values.items():
             merge_function = min if name.endswith("_ns") and name != "late_ns" else max
             merged_cells = cells.setdefault(name, {})
             for index, value in values.items():
@@ -194,7 +194,7 @@ def merge_inputs(*tick_input: TickInput) -> TickInput:
 def input_without_torque(tick_input: TickInput) -> TickInput:
     """Return a copy of an input with the mode READY. In this mode, the hand can be armed."""
     return TickInput(
-        {**tick_input.state_rows, "mode": {...: int(HandMode.READY)}}, tick_input.reports
+        {**tick_input.state_values, "mode": {...: int(HandMode.READY)}}, tick_input.reports
     )
 
 
@@ -203,7 +203,7 @@ def slack_tendon(earlier_slack_ticks: int, tendon_index: int = 3) -> TickInput:
 
     The tendon was also slack in the last ``earlier_slack_ticks`` ticks.
     """
-    return state_rows(
+    return state_input(
         slack_ticks={tendon_index: earlier_slack_ticks},
         taut_ago={tendon_index: 5},
         residual={(TENSION, tendon_index): 0.0},
@@ -216,7 +216,7 @@ def derailed_tendon(tendon_index: int, deviation_deg: float) -> TickInput:
     The two angles disagree in the third reading in a row.
     """
     excursion = -20.0 / 1e5 - 0.02 * np.radians(deviation_deg)
-    return state_rows(
+    return state_input(
         joints_read=1,
         taut_s={tendon_index: 1.0},
         slip_from={tendon_index: 0.0},
@@ -230,19 +230,19 @@ def open_stream(silence_ns: int) -> TickInput:
 
     The latest target of the stream was sent ``silence_ns`` ago.
     """
-    return state_rows(streaming=2, stream_sent_ns=NOW_NS - silence_ns)
+    return state_input(streaming=2, stream_sent_ns=NOW_NS - silence_ns)
 
 
 def stuck_motor(motor_index: int, goal_change_m: float) -> TickInput:
-    return state_rows(motor_value={motor_index: 0.0}, motor_stuck={motor_index: 50},
-                      motor_anchor={(0, motor_index): 0.0, (1, motor_index): 20.0},
-                followed={motor_index: goal_change_m})  # fmt: skip
+    return state_input(motor_value={motor_index: 0.0}, motor_stuck={motor_index: 50},
+                       motor_anchor={(0, motor_index): 0.0, (1, motor_index): 20.0},
+                       followed={motor_index: goal_change_m})  # fmt: skip
 
 
 def stuck_joint(joint_index: int, spool_turn_deg: float) -> TickInput:
     turned = np.radians(spool_turn_deg) / 50.0 + 20.0 / 1e5
-    return state_rows(joint_value={joint_index: 0.3}, joint_stuck={joint_index: 50}, joint_anchor={joint_index: 0.0},
-                measured_joint={joint_index: 0.3}, measured_travel={joint_index: turned})  # fmt: skip
+    return state_input(joint_value={joint_index: 0.3}, joint_stuck={joint_index: 50}, joint_anchor={joint_index: 0.0},
+                       measured_joint={joint_index: 0.3}, measured_travel={joint_index: turned})  # fmt: skip
 
 
 def replayed_readings(tendon_index: int, repeated_readings: int) -> TickInput:
@@ -251,27 +251,29 @@ def replayed_readings(tendon_index: int, repeated_readings: int) -> TickInput:
     Each of the last ``repeated_readings`` readings equals the reading of 16 ticks earlier.
     """
     past_readings = {(age, tendon_index): 20.0 + (age - 15) / 16.0 for age in range(64)}
-    return state_rows(past=past_readings, same={(15, tendon_index): repeated_readings - 1})
+    return state_input(past=past_readings, same={(15, tendon_index): repeated_readings - 1})
 
 
-def input_of_first_bus_mode(other_node_heard: bool) -> TickInput:
-    reports = filter_error_frames([("error_frame", "can0 no acknowledge", 3.0)], other_node_heard)
+def unacknowledged_frames_input(is_other_node_heard: bool) -> TickInput:
+    reports = filter_error_frames(
+        [("error_frame", "can0 no acknowledge", 3.0)], is_other_node_heard
+    )
     return TickInput({"mode": {...: int(HandMode.INVENTORY)}}, tuple(reports))
 
 
-STATE_ROWS_WHILE_RELAXING = {
+RELAX_STATE_VALUES = {
     "mode": {...: int(HandMode.RELAX)},
     "mode_since": {...: NOW_NS * 1e-9 - 0.2},
 }
 """Values of the state of a hand that has already been relaxing for longer than this usually takes."""
-STATE_ROWS_AFTER_CUT = {"mode": {...: int(HandMode.CUT)}, "cut_ticks": {...: 49}}
+CUT_STATE_VALUES = {"mode": {...: int(HandMode.CUT)}, "cut_ticks": {...: 49}}
 """Values of the state of a hand whose motors were disabled 100 ms ago."""
 
 
 def tension_after_cut(tension_N: float) -> TickInput:
     return TickInput(
         {
-            **STATE_ROWS_AFTER_CUT,
+            **CUT_STATE_VALUES,
             "measured_tension": {...: 5.0, 0: tension_N},
             "cut_from": {0: 30.0},
         }
@@ -279,7 +281,7 @@ def tension_after_cut(tension_N: float) -> TickInput:
 
 
 def swinging_tension(tendon_index: int, duration_before: float) -> TickInput:
-    return state_rows(swing_square={tendon_index: 90.0}, swing_s={tendon_index: duration_before})
+    return state_input(swing_square={tendon_index: 90.0}, swing_s={tendon_index: duration_before})
 
 
 def partial_torque_reports(motor_index: int, reported_fraction: float) -> TickInput:
@@ -287,7 +289,7 @@ def partial_torque_reports(motor_index: int, reported_fraction: float) -> TickIn
 
     After a change of the command, the report changes only by the fraction ``reported_fraction``.
     """
-    return state_rows(
+    return state_input(
         report_moments={
             (row, motor_index): value
             for row, value in enumerate((1.0, reported_fraction, reported_fraction, 1.0, 0.95))
@@ -303,16 +305,16 @@ CASE_BY_FAULT = {
                      RELAX, True, True),
     "B03a": FaultCase(lost_frames(m1=21), lost_frames(m0=20, m1=20, cells=20), "m1", 1, HOLD, False, True),
     "B03b": FaultCase(lost_frames(cells=41), lost_frames(m0=40, m1=40, cells=40), "load cells", 1, RELAX, True, True),
-    "B04": FaultCase(state_rows(stale_now=1), INPUT_AT_REST, "load cells", 1, WARN, False, True),
-    "B05": FaultCase(state_rows(twice={0: 1}), INPUT_AT_REST, "m0", 1, WARN, False, True),
-    "B06": FaultCase(state_rows(twice={2: 2}), state_rows(twice={2: 1}), "m2", 1, RELAX, True, True),
-    "B07": FaultCase(state_rows(stale_now=2), state_rows(stale_now=1), "load cells", 1, WARN, False, True),
+    "B04": FaultCase(state_input(stale_now=1), INPUT_AT_REST, "load cells", 1, WARN, False, True),
+    "B05": FaultCase(state_input(twice={0: 1}), INPUT_AT_REST, "m0", 1, WARN, False, True),
+    "B06": FaultCase(state_input(twice={2: 2}), state_input(twice={2: 1}), "m2", 1, RELAX, True, True),
+    "B07": FaultCase(state_input(stale_now=2), state_input(stale_now=1), "load cells", 1, WARN, False, True),
     "B08": FaultCase(malformed_frames(1, 2), malformed_frames(1, 1), "m1", 1, RELAX, True, True),
-    "B09": FaultCase(malformed_frames(1, 0), state_rows(misshapen={1: 1}), "m1", 1, WARN, False, True),
-    "B10": FaultCase(state_rows(strange=50, unknown=0.1 / (1.0 - PERIOD_S)), state_rows(strange=50), "bus", 1, WARN,
+    "B09": FaultCase(malformed_frames(1, 0), state_input(misshapen={1: 1}), "m1", 1, WARN, False, True),
+    "B10": FaultCase(state_input(strange=50, unknown=0.1 / (1.0 - PERIOD_S)), state_input(strange=50), "bus", 1, WARN,
                      False),
-    "B11a": FaultCase(state_rows(frames=65), state_rows(frames=64), "bus", 2, RELAX, True, True),
-    "B11b": FaultCase(state_rows(frames=65), state_rows(frames=128, missed=1), "bus", 10, CUT, True, True),
+    "B11a": FaultCase(state_input(frames=65), state_input(frames=64), "bus", 2, RELAX, True, True),
+    "B11b": FaultCase(state_input(frames=65), state_input(frames=128, missed=1), "bus", 10, CUT, True, True),
     "B12": FaultCase(event_report("bus_off"), event_report("bus_on"), "can0", 1, CUT, True),
     "B13a": FaultCase(event_report("error_warning"), event_report("error_active"), "can0", 1, WARN, False),
     "B13b": FaultCase(event_report("error_passive"), event_report("error_warning"), "can0", 20, RELAX, True),
@@ -323,7 +325,7 @@ CASE_BY_FAULT = {
                      late_motor_frames(**dict.fromkeys(EIGHT_TENDON_LIMITS.motors, 4)), "m0", 1,
                      RELAX, True, True),
     "B18": FaultCase(
-        input_of_first_bus_mode(False), input_of_first_bus_mode(True), "can0 no acknowledge", 20, RELAX, True),
+        unacknowledged_frames_input(False), unacknowledged_frames_input(True), "can0 no acknowledge", 20, RELAX, True),
     "N01": FaultCase(drive_error(1, DriveFaultCause.DROPPED_OUT), drive_error(1, DriveFaultCause.OTHER), "m1", 1,
                      RELAX, True, True),
     "N02": FaultCase(late_sensor_frames(t1=6),
@@ -331,8 +333,8 @@ CASE_BY_FAULT = {
                      1, RELAX, True, True),
     "N02b": FaultCase(late_sensor_frames(j1=16), late_sensor_frames(j1=15), "j1", 1, RELAX, True, True),
     "N04": FaultCase(stuck_motor(5, 0.6e-3), stuck_motor(5, 0.49e-3), "m5", 1, RELAX, True, True),
-    "N05a": FaultCase(state_rows(jump={0: 0.4}), INPUT_AT_REST, "m0", 1, WARN, False),
-    "N05b": FaultCase(state_rows(jump={0: 0.4}, dropped={0: 2.0}), state_rows(jump={0: 0.4}, dropped={0: 1.0}), "m0",
+    "N05a": FaultCase(state_input(jump={0: 0.4}), INPUT_AT_REST, "m0", 1, WARN, False),
+    "N05b": FaultCase(state_input(jump={0: 0.4}, dropped={0: 2.0}), state_input(jump={0: 0.4}, dropped={0: 1.0}), "m0",
                       1, RELAX, True),
     "N06a": FaultCase(filtered_residuals(SLIP, t1=3.1), filtered_residuals(SLIP, t0=3.0), "t1", 1, WARN, False, True),
     "N06b": FaultCase(filtered_residuals(SLIP, t0=6.1), filtered_residuals(SLIP, t1=6.0), "t0", 1, RELAX, True, True),
@@ -342,16 +344,16 @@ CASE_BY_FAULT = {
                      True, True),
     "N09a": FaultCase(drive_temperatures(m0=70.1), drive_temperatures(m0=70.0), "m0", 20, WARN, False),
     "N09b": FaultCase(drive_temperatures(m1=85.1), drive_temperatures(m1=85.0), "m1", 20, RELAX, True),
-    "N10": FaultCase(drive_error(3, DriveFaultCause.VOLTAGE), drive_error(3, DriveFaultCause.HOT), "m3", 1, RELAX,
-                     True, True),
-    "N11": FaultCase(drive_error(4, DriveFaultCause.OTHER), state_rows(fault_cause={4: DriveFaultCause.OTHER}), "m4",
+    "N10": FaultCase(drive_error(3, DriveFaultCause.VOLTAGE), drive_error(3, DriveFaultCause.OVERHEATED), "m3", 1,
+                     RELAX, True, True),
+    "N11": FaultCase(drive_error(4, DriveFaultCause.OTHER), state_input(fault_cause={4: DriveFaultCause.OTHER}), "m4",
                      1, RELAX, True,
     True),
     "N11b": FaultCase(drive_error(5, DriveFaultCause.UNKNOWN), drive_error(5, DriveFaultCause.OTHER), "m5", 1, CUT,
                       True, True),
     "N12": FaultCase(drive_error(6, DriveFaultCause.SETTING_MISMATCH), drive_error(6, DriveFaultCause.OTHER),
                      "m6", 1, CUT, True, True),
-    "N13": FaultCase(state_rows(twice={0: 1}), INPUT_AT_REST, "m0", 3, RELAX, True, True),
+    "N13": FaultCase(state_input(twice={0: 1}), INPUT_AT_REST, "m0", 3, RELAX, True, True),
     "N14": FaultCase(
         filtered_residuals(COMMAND_DIFFERENCE, m0=15.1),
         filtered_residuals(COMMAND_DIFFERENCE, m0=15.0, m1=6.0), "m0", 1,
@@ -359,35 +361,35 @@ CASE_BY_FAULT = {
     ),
     "N14b": FaultCase(swinging_tension(1, 0.25), swinging_tension(1, 0.25 - 1.5 * PERIOD_S), "t1", 1, RELAX, True,
                       True),
-    "N15": FaultCase(lost_frames(m7=0)._replace(state_rows={"lost": {(0, 7): 0b1010101010101}}),
-                lost_frames(m7=0)._replace(state_rows={"lost": {(0, 7): 0b10101010101}}), "m7", 1, WARN, False, True),
+    "N15": FaultCase(lost_frames(m7=0)._replace(state_values={"lost": {(0, 7): 0b1010101010101}}),
+                lost_frames(m7=0)._replace(state_values={"lost": {(0, 7): 0b10101010101}}), "m7", 1, WARN, False, True),
     "N16": FaultCase(tension_after_cut(30.0), tension_after_cut(14.9), "t0", 1, CUT, True, True),
     "N17": FaultCase(partial_torque_reports(1, 0.1), partial_torque_reports(1, 0.2), "m1", 1, RELAX, True, True),
-    "T01": FaultCase(state_rows(measured_tension={3: 0.0}, speed={3: 0.1}),
-                     state_rows(measured_tension={3: 0.0}, speed={3: 0.03}),
+    "T01": FaultCase(state_input(measured_tension={3: 0.0}, speed={3: 0.1}),
+                     state_input(measured_tension={3: 0.0}, speed={3: 0.03}),
                 "t3", 2, RELAX, True, True),
     "T02a": FaultCase(slack_tendon(25), slack_tendon(24), "t3", 1, WARN, False, True),
     "T02b": FaultCase(slack_tendon(250), slack_tendon(249), "t3", 1, RELAX, True, True),
     "T03": FaultCase(measured_tensions(t1=50.1), measured_tensions(t0=139.9, t1=50.0), "t1", 1, RELAX, True),
     "T03b": FaultCase(measured_tensions(t1=60.1), measured_tensions(t0=159.9, t1=60.0), "t1", 1, CUT, True),
-    "T03c": FaultCase(merge_inputs(measured_tensions(t1=50.1), TickInput(STATE_ROWS_WHILE_RELAXING)),
-                      merge_inputs(measured_tensions(t0=139.9, t1=50.0), TickInput(STATE_ROWS_WHILE_RELAXING)), "t1", 1,
+    "T03c": FaultCase(merge_inputs(measured_tensions(t1=50.1), TickInput(RELAX_STATE_VALUES)),
+                      merge_inputs(measured_tensions(t0=139.9, t1=50.0), TickInput(RELAX_STATE_VALUES)), "t1", 1,
                       CUT, True, True),
     "T04a": FaultCase(filtered_residuals(BALANCE, t0=5.1), filtered_residuals(BALANCE, t1=5.0), "t0", 1, WARN, False,
                       True),
     "T04b": FaultCase(filtered_residuals(BALANCE, t1=10.1), filtered_residuals(BALANCE, t0=10.0), "t1", 1, RELAX, True,
                       True),
-    "T05": FaultCase(state_rows(cell_value={2: 20.0}, cell_stuck={2: 39}, cell_anchor={(0, 2): 14.0, (1, 2): 20.0}),
-                state_rows(cell_value={2: 20.0}, cell_stuck={2: 38}, cell_anchor={(0, 2): 14.0, (1, 2): 20.0}),
+    "T05": FaultCase(state_input(cell_value={2: 20.0}, cell_stuck={2: 39}, cell_anchor={(0, 2): 14.0, (1, 2): 20.0}),
+                state_input(cell_value={2: 20.0}, cell_stuck={2: 38}, cell_anchor={(0, 2): 14.0, (1, 2): 20.0}),
                 "t2", 1, RELAX, True, True),
     "T05b": FaultCase(replayed_readings(2, 16), replayed_readings(2, 7), "t2", 1, RELAX, True, True),
     "T06": FaultCase(measured_tensions(t0=244.0), measured_tensions(t0=243.9, t1=-4.9), "t0", 3, RELAX, True, True),
     "T08": FaultCase(derailed_tendon(4, 15.1), derailed_tendon(4, 14.9), "t4", 1, RELAX, True, True),
     "T09": FaultCase(filtered_residuals(EXCESS_FRICTION, t0=3.1), filtered_residuals(EXCESS_FRICTION, t1=3.0), "t0", 1,
                      WARN, False, True),
-    "H01": FaultCase(state_rows(late_ns=520_000), state_rows(late_ns=500_000), "loop", 1, PASS, False),
-    "H02": FaultCase(state_rows(missed=1), INPUT_AT_REST, "loop", 1, WARN, False),
-    "H03": FaultCase(state_rows(missed=5), state_rows(missed=4), "loop", 1, RELAX, True, True),
+    "H01": FaultCase(state_input(late_ns=520_000), state_input(late_ns=500_000), "loop", 1, PASS, False),
+    "H02": FaultCase(state_input(missed=1), INPUT_AT_REST, "loop", 1, WARN, False),
+    "H03": FaultCase(state_input(missed=5), state_input(missed=4), "loop", 1, RELAX, True, True),
     "H04": FaultCase(event_report("suspended", "host", 900), event_report("recorder", "host"), "host", 1, RELAX, True),
     "H08": FaultCase(event_report("recorder", "disk_full"), event_report("recorder", "misshapen"), "disk_full", 1,
                      WARN, False),
@@ -396,26 +398,26 @@ CASE_BY_FAULT = {
     "H10": FaultCase(event_report("recorder", "gone"), event_report("recorder", "misshapen"), "gone", 1, WARN, False),
     "H13": FaultCase(TickInput(reports=tuple(second_controller_reports(["0x001"]))), INPUT_AT_REST, "0x001", 1, RELAX,
                      True),
-    "I07a": FaultCase(state_rows(refused_now=1, refused=1), state_rows(refused=1), "goal", 1, WARN, False, True),
-    "I07b": FaultCase(state_rows(refused_now=1, refused=3), state_rows(refused_now=1, refused=2), "goal", 1, RELAX,
+    "I07a": FaultCase(state_input(refused_now=1, refused=1), state_input(refused=1), "goal", 1, WARN, False, True),
+    "I07b": FaultCase(state_input(refused_now=1, refused=3), state_input(refused_now=1, refused=2), "goal", 1, RELAX,
                       True, True),
     "I11a": FaultCase(open_stream(100_000_001), open_stream(100_000_000), "stream", 1, HOLD, False, True),
     "I11b": FaultCase(open_stream(1_000_000_001), open_stream(1_000_000_000), "stream", 1, RELAX, True, True),
 }  # fmt: skip
-OTHER_INPUTS_BY_FAULT = {
+ALTERNATIVE_INPUTS_BY_FAULT = {
     "B16": [event_report("ebadf")],
     "N04": [stuck_joint(0, 11.0), stuck_motor(5, -0.6e-3)],
-    "N05a": [state_rows(joint_jump={0: 0.4})],
-    "N05b": [state_rows(joint_jump={0: 0.4}, joint_dropped={0: 2.0})],
+    "N05a": [state_input(joint_jump={0: 0.4})],
+    "N05b": [state_input(joint_jump={0: 0.4}, joint_dropped={0: 2.0})],
     "N11": [
-        drive_error(4, DriveFaultCause.HOT),
+        drive_error(4, DriveFaultCause.OVERHEATED),
         drive_error(4, DriveFaultCause.COMMUNICATION_LOST),
     ],
     "T06": [
         measured_tensions(t0=-5.0),
         measured_tensions(t0=300.0),
-        merge_inputs(measured_tensions(t0=-3.0), state_rows(saturated={0: 1})),
-        merge_inputs(measured_tensions(t0=9.0), state_rows(saturated={0: 1})),
+        merge_inputs(measured_tensions(t0=-3.0), state_input(saturated={0: 1})),
+        merge_inputs(measured_tensions(t0=9.0), state_input(saturated={0: 1})),
     ],
     "H08": [event_report("recorder", "disk_low")],
     "H09": [event_report("recorder", "filling")],
@@ -431,10 +433,10 @@ def monitor_at_rest() -> SyntheticMonitor:
     return SyntheticMonitor(EIGHT_TENDON_LIMITS, residual_fraction=0.0, coulomb=0.0, stiffness=1e5)
 
 
-def reset_for_input(monitor: SyntheticMonitor, tick_input: TickInput) -> StateRows:
+def reset_monitor_for_input(monitor: SyntheticMonitor, tick_input: TickInput) -> StateValues:
     """Reset a monitor to a hand at rest.
 
     Return the values of ``tick_input`` that must be set for one tick.
     """
     monitor.reset_to_rest()
-    return dict(tick_input.state_rows)
+    return dict(tick_input.state_values)

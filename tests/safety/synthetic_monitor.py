@@ -17,8 +17,8 @@ from handctl.core import tick_stages
 from handctl.core.constants import (
     CONSTANT_AXES,
     CONSTANT_SCHEMA,
-    DESIGN_ELEMENT_COUNT,
     FILTER_DESIGN_COUNT,
+    FILTER_DESIGN_SIZE,
     ConstantTables,
     constant_tables,
 )
@@ -35,9 +35,9 @@ from handctl.safety.faults.fault import (
 from handctl.safety.faults.table import DETECTOR_ROWS
 from handctl.safety.safety_limits import LOAD_CELLS, SafetyLimits
 from handctl.safety.tick_verdict import (
-    CountedFault,
     EventReport,
     LatchedFault,
+    ReportedFault,
     TickVerdict,
     judge_tick,
     newly_active_faults,
@@ -52,7 +52,7 @@ NOW_NS = 10_000_000_000
 All ticks have the same time, because the detectors use only the ages of readings.
 """
 PERIOD_NS = round(PERIOD_S * 1e9)
-StateRows = dict[str, Any]
+StateValues = dict[str, Any]
 """Values of the state by the name of a field: one value for all elements of the field, or values by index."""
 
 
@@ -65,7 +65,7 @@ def synthetic_limits(tendon_count: int) -> SafetyLimits:
     return SafetyLimits(
         *names, tension_trip=(140.0,) * tendon_count, drive_limit=(160.0,) * tendon_count,
         tension_rail=244.0, tension_low=-5.0, silent_ticks=6, silent_ticks_of_single_motor=4, stalled_ticks=5,
-        frames=64, noise=1e-4,
+        max_frames_per_tick=64, max_position_noise=1e-4,
     )  # fmt: skip
 
 
@@ -97,7 +97,7 @@ class SyntheticMonitor:
         self.limits = limits
         sizes = dict.fromkeys((*s.STATE_AXES, *CONSTANT_AXES), n) | {
             "node": n + 1, "group": 2 * n, "instance": n + 1, "run": 1,
-            "kind": FILTER_DESIGN_COUNT, "element": DESIGN_ELEMENT_COUNT, "place": 3,
+            "kind": FILTER_DESIGN_COUNT, "element": FILTER_DESIGN_SIZE, "place": 3,
         }  # fmt: skip
         self.layout = STATE_SCHEMA.layout({name: sizes[name] for name in s.STATE_AXES})
         self.constants_layout = CONSTANT_SCHEMA.layout(
@@ -119,8 +119,8 @@ class SyntheticMonitor:
         self.set_constants(**constants)
         self.block = self.layout.initial.copy()
         self.latched: tuple[LatchedFault, ...] = ()
-        self.reported_faults: tuple[CountedFault, ...] = ()
-        self.set_rows({
+        self.reported_faults: tuple[ReportedFault, ...] = ()
+        self.set_state_values({
             "mode": int(HandMode.ACTIVE), "t_ns": NOW_NS, "feedback_ns": NOW_NS, "group_ns": NOW_NS, "started": 1,
             "measured_travel": 0.0, "measured_position": 0.0, "measured_tension": 20.0, "measured_force": 20.0,
             "asked": 20.0, "wanted": 20.0, "followed": 0.0, "temperature": 40.0, "phase": 3, "phase_before": 3,
@@ -132,11 +132,11 @@ class SyntheticMonitor:
         """Replace the names and thresholds of the hand from the next tick on."""
         self.limits = limits
         self.set_constants(
-            tension_trip=limits.tension_trip, drive_limit=limits.drive_limit, noise_limit=limits.noise,
+            tension_trip=limits.tension_trip, drive_limit=limits.drive_limit, noise_limit=limits.max_position_noise,
             temperature_soft=limits.temperature_soft, temperature_hard=limits.temperature_hard,
             tension_rail=limits.tension_rail, tension_low=limits.tension_low, silent_ticks=limits.silent_ticks,
             one_silent_ticks=limits.silent_ticks_of_single_motor, stalled_ticks=limits.stalled_ticks,
-            frames_limit=limits.frames,
+            frames_limit=limits.max_frames_per_tick,
         )  # fmt: skip
 
     def set_constants(self, **constant_by_name: Any) -> None:
@@ -144,7 +144,7 @@ class SyntheticMonitor:
         for name, value in constant_by_name.items():
             self.constants_layout.view(self.constants, name)[...] = value
 
-    def set_rows(self, value_by_field: StateRows) -> None:
+    def set_state_values(self, value_by_field: StateValues) -> None:
         """Set rows of the state by name."""
         for name, value in value_by_field.items():
             if isinstance(value, dict):
@@ -168,31 +168,31 @@ class SyntheticMonitor:
         """
         present = self.view("fault_ticks").copy()
         self.block[:] = self.block_at_rest
-        self.set_rows({"fault_ticks": present})
+        self.set_state_values({"fault_ticks": present})
 
     @property
     def state_tables(self) -> StateTables:
         """Return the tables of the state in the form that interpreted functions need."""
-        return _uncompiled(state_tables)(self.block, self.layout.places)
+        return _uncompiled_helper(state_tables)(self.block, self.layout.offsets)
 
     @property
     def hand_tables(self) -> ConstantTables:
         """Return the tables of the constants in the form that interpreted functions need."""
-        return _uncompiled(constant_tables)(self.constants, self.constants_layout.places)
+        return _uncompiled_helper(constant_tables)(self.constants, self.constants_layout.offsets)
 
     def tick(
-        self, value_by_field: StateRows | None = None, **more_values: Any
+        self, value_by_field: StateValues | None = None, **more_values: Any
     ) -> dict[str, dict[str, float]]:
         """Set values of the state, and run the fault detectors for one tick.
 
         Return the value of each finding by fault and by part of the hand.
         """
-        self.set_rows({**(value_by_field or {}), **more_values})
+        self.set_state_values({**(value_by_field or {}), **more_values})
         self.demanded_action, self.found_values = tick_stages.find_faults(
             self.block,
-            self.layout.places,
+            self.layout.offsets,
             self._read_only_constants(),
-            self.constants_layout.places,
+            self.constants_layout.offsets,
             self.layout.initial,
         )
         reported: dict[str, dict[str, float]] = {}
@@ -203,31 +203,31 @@ class SyntheticMonitor:
             )
         return reported
 
-    def observe_readings(self, value_by_field: StateRows | None = None) -> None:
+    def observe_readings(self, value_by_field: StateValues | None = None) -> None:
         """Convert received values to measurements, and reject impossible positions.
 
         In a tick, this happens before the detectors run.
         """
-        self.set_rows(value_by_field or {})
+        self.set_state_values(value_by_field or {})
         tick_stages.observe_tick(
             self.block,
-            self.layout.places,
+            self.layout.offsets,
             self._read_only_constants(),
-            self.constants_layout.places,
+            self.constants_layout.offsets,
         )
 
-    def store_commands(self, value_by_field: StateRows | None = None) -> None:
+    def store_commands(self, value_by_field: StateValues | None = None) -> None:
         """Store the commands of this tick. In a run, this happens at the end of each tick."""
-        self.set_rows(value_by_field or {})
+        self.set_state_values(value_by_field or {})
         tick_stages.store_commands(
             self.block,
-            self.layout.places,
+            self.layout.offsets,
             self._read_only_constants(),
-            self.constants_layout.places,
+            self.constants_layout.offsets,
         )
 
     def judge(
-        self, value_by_field: StateRows | None = None, reports: Iterable[EventReport] = ()
+        self, value_by_field: StateValues | None = None, reports: Iterable[EventReport] = ()
     ) -> TickVerdict:
         """Return the verdict of the safety monitor on one tick.
 
@@ -240,7 +240,7 @@ class SyntheticMonitor:
         """Latch the findings of a tick, add events of buses and host, and select the action."""
         fresh = newly_active_faults(self.limits, self.found_values, self.view("fault_ticks"))
         verdict = judge_tick(self.latched, self.reported_faults, fresh, demanded_action, reports)
-        self.latched, self.reported_faults = verdict.latched, verdict.reported_faults
+        self.latched, self.reported_faults = verdict.latched_faults, verdict.reported_faults
         return verdict
 
     def clear_latched(self) -> None:
@@ -248,7 +248,7 @@ class SyntheticMonitor:
         decisions = ControllerDecisions((), None, self.latched, self.reported_faults)  # type: ignore[arg-type]
         state = ControllerState(self.layout, self.block, decisions)
         clear_latched_faults(state)
-        self.latched, self.reported_faults = state.latched, state.decisions.reported_faults
+        self.latched, self.reported_faults = state.latched_faults, state.decisions.reported_faults
 
     def instance_name(self, part_kind: str, part_index: int) -> str:
         """Return the name of the part that has a fault, or an empty text for a fault of the whole hand."""
@@ -269,7 +269,7 @@ class SyntheticMonitor:
         return constants
 
 
-def _uncompiled(kernel_helper: Any) -> Any:
+def _uncompiled_helper(kernel_helper: Any) -> Any:
     """Return an uncompiled copy of a function that only kernels call.
 
     The copy calls uncompiled copies of the other functions that only kernels call.
@@ -279,7 +279,7 @@ def _uncompiled(kernel_helper: Any) -> Any:
     code = kernel_helper.py_func
     global_names = dict(code.__globals__)
     global_names |= {
-        name: _uncompiled(global_names[name])
+        name: _uncompiled_helper(global_names[name])
         for name in code.__code__.co_names
         if hasattr(global_names.get(name), "py_func")
     }
@@ -293,4 +293,4 @@ def call_interpreted(kernel_helper: Any, *arguments: Any) -> Any:
     helpers of its module.
     """
     with np.errstate(all="ignore"):
-        return _uncompiled(kernel_helper)(*arguments)
+        return _uncompiled_helper(kernel_helper)(*arguments)

@@ -18,7 +18,7 @@ REPOSITORY = Path(__file__).parents[2]
 ADDING_A_FAULT_PAGE = (REPOSITORY / "docs" / "how-to" / "adding-a-fault.md").read_text(
     encoding="utf-8"
 )
-TRY_FAULT_CODE = """
+ADDED_FAULT_SCRIPT = """
 import json
 from handctl.controller.tick import _fault_event
 from handctl.safety.faults.markdown import catalogue_markdown, fault_table_markdown
@@ -35,7 +35,7 @@ print(json.dumps({
 """
 
 
-def add_fault_of_page(package_folder: Path) -> None:
+def add_example_fault(package_folder: Path) -> None:
     """Add the example fault of the how-to page to a copy of the package."""
     declaration, detector = re.findall(r"```python\n(.*?) *```", ADDING_A_FAULT_PAGE, re.DOTALL)
     kind = package_folder / "safety" / "faults" / "tendon.py"
@@ -49,7 +49,7 @@ def add_fault_of_page(package_folder: Path) -> None:
     source = source.replace(preceding_line, preceding_line + lines, 1)
     source = source.replace(
         "from handctl.safety.faults.tendon import (\n",
-        "from handctl.safety.faults.tendon import (\n    HEAVY_N,\n    T10,\n",
+        "from handctl.safety.faults.tendon import (\n    HEAVY_N,\n    FAULT_T10,\n",
     )
     path.write_text(source, encoding="utf-8")
 
@@ -62,14 +62,14 @@ def test_a_fault_is_declared_once_and_found_by_one_detector(
     shutil.copytree(
         REPOSITORY / "src" / "handctl", package, ignore=shutil.ignore_patterns("__pycache__")
     )
-    add_fault_of_page(package)
+    add_example_fault(package)
     path = os.pathsep.join(map(str, (tmp_path, REPOSITORY)))
     added_variables = {
         "PYTHONPATH": path,
         "NUMBA_DISABLE_JIT": numba_disabled,
         "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
     }
-    words = [sys.executable, "-W", "ignore", "-c", TRY_FAULT_CODE]
+    words = [sys.executable, "-W", "ignore", "-c", ADDED_FAULT_SCRIPT]
     done = subprocess.run(
         words,
         env=os.environ | added_variables,

@@ -6,7 +6,7 @@ pages.
 
 import pytest
 
-from handctl.core.detectors.node_faults import ROW_OF_CAUSE
+from handctl.core.detectors.node_faults import FAULT_ROW_BY_CAUSE_INDEX
 from handctl.drives.contract import DriveFaultCause
 from handctl.drives.motor_description import PROTOCOL_TRAITS, VERIFIABLE_PROTOCOLS
 from handctl.safety.faults.fault import CatalogueRow, Fault
@@ -14,7 +14,7 @@ from handctl.safety.faults.markdown import (
     catalogue_markdown,
     fault_table_markdown,
     hardware_checklist,
-    late_reaction_rows,
+    late_reactions_markdown,
     reacts_too_late,
 )
 from handctl.safety.faults.table import DETECTOR_ROWS
@@ -29,21 +29,21 @@ from tests.safety.fault_cases import (
 
 
 def test_causes_of_a_drive_s_error() -> None:
-    assert len(ROW_OF_CAUSE) == len(DriveFaultCause)
+    assert len(FAULT_ROW_BY_CAUSE_INDEX) == len(DriveFaultCause)
     tick_input = merge_inputs(
         drive_error(0, DriveFaultCause.OTHER, 9),
-        drive_error(1, DriveFaultCause.HOT, 11),
+        drive_error(1, DriveFaultCause.OVERHEATED, 11),
         drive_error(2, DriveFaultCause.COMMUNICATION_LOST, 12),
     )
-    assert monitor_at_rest().tick(tick_input.state_rows)["N11"] == {
+    assert monitor_at_rest().tick(tick_input.state_values)["N11"] == {
         "m0": 9.0,
         "m1": 11.0,
         "m2": 12.0,
     }
-    assert "N11" not in monitor_at_rest().tick(input_without_torque(tick_input).state_rows)
+    assert "N11" not in monitor_at_rest().tick(input_without_torque(tick_input).state_values)
     rows = {
         cause: DETECTOR_ROWS[row][0].id
-        for cause, row in zip(DriveFaultCause, ROW_OF_CAUSE, strict=True)
+        for cause, row in zip(DriveFaultCause, FAULT_ROW_BY_CAUSE_INDEX, strict=True)
     }
     assert rows[DriveFaultCause.DROPPED_OUT] == "N01"
     assert rows[DriveFaultCause.WATCHDOG] == "N08"
@@ -54,11 +54,11 @@ def test_causes_of_a_drive_s_error() -> None:
 
 def test_a_tension_above_its_limit_is_detected() -> None:
     nan = float("nan")
-    assert monitor_at_rest().tick(measured_tensions(t0=140.0, t1=50.5).state_rows)["T03"] == {
+    assert monitor_at_rest().tick(measured_tensions(t0=140.0, t1=50.5).state_values)["T03"] == {
         "t1": 50.5
     }
-    assert "T03" not in monitor_at_rest().tick(measured_tensions(t0=140.0, t1=50.0).state_rows)
-    assert monitor_at_rest().tick(measured_tensions(t0=150.0, t1=nan, t2=140.5).state_rows)[
+    assert "T03" not in monitor_at_rest().tick(measured_tensions(t0=140.0, t1=50.0).state_values)
+    assert monitor_at_rest().tick(measured_tensions(t0=150.0, t1=nan, t2=140.5).state_values)[
         "T03"
     ] == {
         "t0": 150.0,
@@ -74,13 +74,13 @@ EXAMPLE_FAULT = Fault(
     "by itself",
     "Why.",
     "Do.",
-    debounce=3,
+    debounce_ticks=3,
     reports=("x",),
 )
 
 
 def test_a_row_knows_its_catalogue_row_and_whether_it_latches() -> None:
-    assert (EXAMPLE_FAULT.row, EXAMPLE_FAULT.latched) == ("X01", False)
+    assert (EXAMPLE_FAULT.row, EXAMPLE_FAULT.is_latched) == ("X01", False)
     assert fault_table_markdown((EXAMPLE_FAULT,)).splitlines() == [
         "| id | fault | what happens | action | cleared |", "|---|---|---|---|---|",
         "| X01b | a title | a sign | HOLD | by itself |",
@@ -124,12 +124,13 @@ def test_rows_later_than_required_are_listed_with_reasons() -> None:
     row_with_reason = CatalogueRow(
         "C", "u", "fault table", ticks=1, ms=30, required=5, why="because"
     )
-    free_row = CatalogueRow(
+    row_without_deadline = CatalogueRow(
         "D", "t", "fault table", ticks=9
     )  # the reaction to a fault without a required reaction time is never late
     row_in_time = CatalogueRow("E", "t", "fault table", ticks=2, required=1)
     assert [
-        reacts_too_late(row) for row in (soon, just, row_with_reason, free_row, row_in_time)
+        reacts_too_late(row)
+        for row in (soon, just, row_with_reason, row_without_deadline, row_in_time)
     ] == [
         False,
         False,
@@ -137,11 +138,11 @@ def test_rows_later_than_required_are_listed_with_reasons() -> None:
         False,
         True,
     ]
-    assert late_reaction_rows((soon, just, row_with_reason, free_row)).splitlines() == [
+    assert late_reactions_markdown((soon, just, row_with_reason, row_without_deadline)).splitlines() == [
         "| id | fault | required, ticks | at 500 Hz, ticks | required | takes | why |", "|---|---|---|---|---|---|---|",
         "| C | u | 5 | 16 | 25 ms | 32 ms | because |",
     ]  # fmt: skip
-    assert row_with_reason.max_reaction_ms(200.0) == 35.0
+    assert row_with_reason.max_reaction_time_ms(200.0) == 35.0
 
 
 def test_hardware_checklist_lists_the_tests_in_order() -> None:

@@ -9,7 +9,7 @@ from handctl.safety.tick_verdict import LatchedFault, locate_reports, second_con
 from tests.safety.fault_cases import (
     EIGHT_TENDON_LIMITS,
     INPUT_AT_REST,
-    STATE_ROWS_WHILE_RELAXING,
+    RELAX_STATE_VALUES,
     TickInput,
     event_report,
     late_motor_frames,
@@ -17,10 +17,10 @@ from tests.safety.fault_cases import (
     measured_tensions,
     merge_inputs,
     monitor_at_rest,
-    reset_for_input,
-    state_rows,
+    reset_monitor_for_input,
+    state_input,
 )
-from tests.safety.test_fault_table import check_ticks
+from tests.safety.test_fault_table import judge_ticks
 
 NAN = math.nan
 INPUT_WITHOUT_TENSIONS = measured_tensions(**dict.fromkeys(EIGHT_TENDON_LIMITS.tendons, NAN))
@@ -29,7 +29,9 @@ INPUT_WITHOUT_TENSIONS = measured_tensions(**dict.fromkeys(EIGHT_TENDON_LIMITS.t
 def findings_of_fault(fault_id: str, tick_input: TickInput) -> list[tuple[str, float]]:
     """Run the detectors for one tick, and return the findings of one fault as pairs of a part and a value."""
     monitor = monitor_at_rest()
-    return list(monitor.tick(reset_for_input(monitor, tick_input)).get(fault_id, {}).items())
+    return list(
+        monitor.tick(reset_monitor_for_input(monitor, tick_input)).get(fault_id, {}).items()
+    )
 
 
 def test_a_latched_fault_remains_in_a_tick_without_symptoms() -> None:
@@ -42,7 +44,7 @@ def test_a_latched_fault_remains_in_a_tick_without_symptoms() -> None:
 
 
 def test_a_finding_has_its_measured_value() -> None:
-    _, verdicts = check_ticks(event_report("bus_off", report_value=7))
+    _, verdicts = judge_ticks(event_report("bus_off", report_value=7))
     assert [finding.value for verdict in verdicts for finding in verdict.findings] == [7.0]
     assert findings_of_fault("N15", TickInput({"lost": {(0, 0): 0b1010101010101}})) == [
         ("m0", 0.5)
@@ -56,10 +58,10 @@ def test_a_finding_has_its_measured_value() -> None:
 def test_no_replies_are_expected_in_ticks_missed_by_the_host() -> None:
     input_with_late_motors = late_motor_frames(**dict.fromkeys(EIGHT_TENDON_LIMITS.motors, 3))
     assert (
-        findings_of_fault("B01", merge_inputs(input_with_late_motors, state_rows(missed=3))) == []
+        findings_of_fault("B01", merge_inputs(input_with_late_motors, state_input(missed=3))) == []
     )
     assert findings_of_fault(
-        "B01", merge_inputs(input_with_late_motors, state_rows(missed=3), late_motor_frames(m1=4))
+        "B01", merge_inputs(input_with_late_motors, state_input(missed=3), late_motor_frames(m1=4))
     ) == [("m1", 4)]
     assert findings_of_fault("B01", late_motor_frames(m0=1)) == [("m0", 1)]
 
@@ -80,25 +82,25 @@ def test_losses_of_a_hundred_ticks_are_reported_with_their_number() -> None:
 
 
 def test_a_tension_at_the_rail_is_a_load_cell_fault_and_below_it_a_tendon_fault() -> None:
-    upper_rail = EIGHT_TENDON_LIMITS.tension_rail
+    saturation_tension = EIGHT_TENDON_LIMITS.tension_rail
     for row in ("T03", "T03b"):
         findings = findings_of_fault(
-            row, measured_tensions(t0=math.nextafter(upper_rail, 0.0), t1=0.0)
+            row, measured_tensions(t0=math.nextafter(saturation_tension, 0.0), t1=0.0)
         )
         assert [name for name, _ in findings] == ["t0"], row
-        assert findings_of_fault(row, measured_tensions(t0=upper_rail, t1=0.0)) == [], row
+        assert findings_of_fault(row, measured_tensions(t0=saturation_tension, t1=0.0)) == [], row
 
 
 def test_over_tension_remains_at_the_rail_and_below_it_only_after_relaxing() -> None:
     high = merge_inputs(INPUT_WITHOUT_TENSIONS, INPUT_AT_REST)
-    high.state_rows["measured_tension"][1] = EIGHT_TENDON_LIMITS.tension_rail + 1.0
+    high.state_values["measured_tension"][1] = EIGHT_TENDON_LIMITS.tension_rail + 1.0
     assert findings_of_fault("T03c", high) == []
-    assert findings_of_fault("T03c", TickInput(high.state_rows | STATE_ROWS_WHILE_RELAXING)) == [
+    assert findings_of_fault("T03c", TickInput(high.state_values | RELAX_STATE_VALUES)) == [
         ("t1", EIGHT_TENDON_LIMITS.tension_rail + 1.0)
     ]
     assert (
         findings_of_fault(
-            "T03c", TickInput(INPUT_WITHOUT_TENSIONS.state_rows | STATE_ROWS_WHILE_RELAXING)
+            "T03c", TickInput(INPUT_WITHOUT_TENSIONS.state_values | RELAX_STATE_VALUES)
         )
         == []
     )
@@ -108,5 +110,5 @@ def test_over_tension_remains_at_the_rail_and_below_it_only_after_relaxing() -> 
 def test_unread_tensions_cause_no_fault(fault_id: str) -> None:
     assert findings_of_fault(fault_id, INPUT_WITHOUT_TENSIONS) == []
     inputs = merge_inputs(INPUT_WITHOUT_TENSIONS, INPUT_AT_REST)
-    inputs.state_rows["measured_tension"][0] = 243.0 if fault_id != "T06" else 300.0
+    inputs.state_values["measured_tension"][0] = 243.0 if fault_id != "T06" else 300.0
     assert [name for name, _ in findings_of_fault(fault_id, inputs)] == ["t0"], "one of them"

@@ -32,10 +32,10 @@ from handctl.safety.safety_action import RelaxMethod, SafetyAction
 from handctl.safety.safety_limits import SafetyLimits, tick_count_for_time
 from handctl.safety.tick_verdict import TickVerdict
 from tests.safety.fault_cases import (
+    ALTERNATIVE_INPUTS_BY_FAULT,
     CASE_BY_FAULT,
     EIGHT_TENDON_LIMITS,
     INPUT_AT_REST,
-    OTHER_INPUTS_BY_FAULT,
     TickInput,
     drive_temperatures,
     filtered_residuals,
@@ -43,20 +43,20 @@ from tests.safety.fault_cases import (
     measured_tensions,
     merge_inputs,
     monitor_at_rest,
-    reset_for_input,
+    reset_monitor_for_input,
 )
 from tests.safety.synthetic_monitor import SyntheticMonitor, call_interpreted
 
 SAFETY_PAGE = Path(__file__).parents[2] / "docs/explanation/safety.md"
 
 
-def check_ticks(
+def judge_ticks(
     *tick_inputs: TickInput, monitor: SyntheticMonitor | None = None
 ) -> tuple[SyntheticMonitor, list[TickVerdict]]:
     """Judge several ticks one after the other, and return the monitor and the verdicts."""
     monitor = monitor or monitor_at_rest()
     return monitor, [
-        monitor.judge(reset_for_input(monitor, tick_input), tick_input.reports)
+        monitor.judge(reset_monitor_for_input(monitor, tick_input), tick_input.reports)
         for tick_input in tick_inputs
     ]
 
@@ -71,7 +71,7 @@ def check_fault_alone(
     """
     monitor, actions, reported = monitor or monitor_at_rest(), [], []
     for tick_input in tick_inputs:
-        verdict = monitor.judge(reset_for_input(monitor, tick_input), tick_input.reports)
+        verdict = monitor.judge(reset_monitor_for_input(monitor, tick_input), tick_input.reports)
         fault_rows = [row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == fault_id]
         present = [int(monitor.view("fault_ticks")[row].max()) for row in fault_rows]
         present += [
@@ -79,12 +79,12 @@ def check_fault_alone(
             for reported_fault in verdict.reported_faults
             if reported_fault.id == fault_id
         ]
-        counts = max(present, default=0) >= FAULT_BY_ID[fault_id].debounce or fault_id in {
-            mark.id for mark in verdict.latched
+        counts = max(present, default=0) >= FAULT_BY_ID[fault_id].debounce_ticks or fault_id in {
+            mark.id for mark in verdict.latched_faults
         }
         actions.append(FAULT_BY_ID[fault_id].action if counts else SafetyAction.PASS)
         assert verdict.action >= actions[-1], "the largest wins"
-        reported += [(f.fault.id, f.instance) for f in verdict.findings if f.fault.id == fault_id]
+        reported += [(f.fault.id, f.part_name) for f in verdict.findings if f.fault.id == fault_id]
     return monitor, actions, reported
 
 
@@ -93,7 +93,7 @@ def test_every_row_has_a_case_and_is_there_once() -> None:
 
 
 def test_hand_without_disturbance_has_no_fault() -> None:
-    monitor, verdicts = check_ticks(*[INPUT_AT_REST] * 50)
+    monitor, verdicts = judge_ticks(*[INPUT_AT_REST] * 50)
     assert (monitor.latched, monitor.reported_faults) == ((), ())
     assert {verdict.action for verdict in verdicts} == {SafetyAction.PASS}
     assert not any(verdict.findings for verdict in verdicts)
@@ -129,9 +129,9 @@ def test_just_below_its_threshold_it_never_counts(fault_id: str) -> None:
     assert not reported
 
 
-@pytest.mark.parametrize("fault_id", OTHER_INPUTS_BY_FAULT)
+@pytest.mark.parametrize("fault_id", ALTERNATIVE_INPUTS_BY_FAULT)
 def test_every_sign_of_a_fault_is_detected(fault_id: str) -> None:
-    for tick_input in OTHER_INPUTS_BY_FAULT[fault_id]:
+    for tick_input in ALTERNATIVE_INPUTS_BY_FAULT[fault_id]:
         _, actions, _ = check_fault_alone(
             fault_id, *[tick_input] * CASE_BY_FAULT[fault_id].debounce_ticks
         )
@@ -192,9 +192,9 @@ def test_a_silent_drive_is_no_fault_while_torque_is_off(fault_id: str) -> None:
 
 
 def test_a_missing_sample_is_neither_tension_nor_temperature() -> None:
-    nan = {f"t{i}": math.nan for i in range(len(EIGHT_TENDON_LIMITS.tendons))}
-    _, verdicts = check_ticks(
-        *[merge_inputs(measured_tensions(**nan), drive_temperatures(**nan))] * 30
+    nan_values = {f"t{i}": math.nan for i in range(len(EIGHT_TENDON_LIMITS.tendons))}
+    _, verdicts = judge_ticks(
+        *[merge_inputs(measured_tensions(**nan_values), drive_temperatures(**nan_values))] * 30
     )
     assert {verdict.action for verdict in verdicts} == {SafetyAction.PASS}
 
@@ -205,8 +205,8 @@ def test_each_row_is_one_line_for_the_operator() -> None:
         assert fault.detection
         assert "\n" not in fault.title + fault.detection
         assert fault.cleared_by in ("by the operator", "by itself")
-        assert fault.latched == CASE_BY_FAULT[fault.id].is_latched
-        assert fault.action < SafetyAction.RELAX or fault.latched, (
+        assert fault.is_latched == CASE_BY_FAULT[fault.id].is_latched
+        assert fault.action < SafetyAction.RELAX or fault.is_latched, (
             "only a person ends a relax or a cut"
         )
 
@@ -255,10 +255,10 @@ def test_faults_of_the_tension_loop_relax_without_it() -> None:
 def test_properties_of_faults_are_consistent() -> None:
     for fault in FAULT_TABLE:
         if fault.makes_tension_unreliable or fault.shows_torque_after_cut:
-            assert fault.latched, fault.id
+            assert fault.is_latched, fault.id
             assert FAULT_PLACE_TENDON in fault.fault_places, fault.id
         if fault.caused_by_lateness:
-            assert fault.latched, fault.id
+            assert fault.is_latched, fault.id
         if fault.makes_tension_unreliable:
             assert fault.needs_load_cell, fault.id
         if fault.needs_load_cell or fault.needs_joint_encoders:
@@ -296,7 +296,7 @@ def test_a_fault_is_either_found_or_reported() -> None:
     assert len(DETECTOR_ROWS) <= len(monitor_at_rest().view("fault_ticks")), (
         "there is room for how long each is present"
     )
-    assert [fault.debounce for fault, _ in DETECTOR_ROWS] == DEBOUNCE_TICKS.tolist()
+    assert [fault.debounce_ticks for fault, _ in DETECTOR_ROWS] == DEBOUNCE_TICKS.tolist()
     assert [fault.action for fault, _ in DETECTOR_ROWS] == ACTION_NUMBERS.tolist()
     assert {
         fault.id for faults_of_kind in FAULTS_BY_EVENT_KIND.values() for fault in faults_of_kind
@@ -312,7 +312,7 @@ def test_a_time_is_rounded_to_ticks(
     assert tick_count_for_time(duration_s, period_s, minimum_ticks) == expected_ticks
 
 
-def trace_fault(fault_id: str) -> list[tuple[SafetyAction, int]]:
+def fault_trace(fault_id: str) -> list[tuple[SafetyAction, int]]:
     """Return the action and the number of findings of one fault in each tick.
 
     The first ticks are before the onset of the fault.
@@ -327,19 +327,19 @@ def trace_fault(fault_id: str) -> list[tuple[SafetyAction, int]]:
         INPUT_AT_REST,
     ]:
         rows, ticks_before = (
-            reset_for_input(monitor, tick_input),
+            reset_monitor_for_input(monitor, tick_input),
             monitor.view("fault_ticks").copy(),
         )
         monitor.tick(rows)
-        monitor.set_rows({"fault_ticks": ticks_before})
+        monitor.set_state_values({"fault_ticks": ticks_before})
         monitor.found_values[
             [row for row in range(len(DETECTOR_ROWS)) if row not in rows_of_fault]
         ] = math.nan
-        demanded = call_interpreted(
+        demanded_action = call_interpreted(
             compiled_judge.debounce_faults, monitor.state_tables, monitor.found_values
         )
         reports = tick_input.reports if judgement.FAULT_BY_ID[fault_id].reports else ()
-        verdict = monitor.conclude(demanded, reports)
+        verdict = monitor.conclude(demanded_action, reports)
         actions_and_counts.append((verdict.action, len(verdict.findings)))
     return actions_and_counts
 
@@ -363,7 +363,7 @@ def redeclare_fault(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
         })  # fmt: skip
         debounce, actions = DEBOUNCE_TICKS.copy(), ACTION_NUMBERS.copy()
         for row, (fault, _) in enumerate(changed_rows):
-            debounce[row], actions[row] = fault.debounce, fault.action
+            debounce[row], actions[row] = fault.debounce_ticks, fault.action
         monkeypatch.setattr(judgement, "DEBOUNCE_TICKS", debounce)
         monkeypatch.setattr(compiled_judge, "DEBOUNCE_TICKS", debounce)
         monkeypatch.setattr(compiled_judge, "ACTION_NUMBERS", actions)
@@ -378,40 +378,44 @@ def test_a_changed_row_would_be_noticed(fault_id: str, redeclare_fault) -> None:
     The failure shows that the test cases notice wrong declarations.
     """
     fault = FAULT_BY_ID[fault_id]
-    other_clearing = CLEARED_BY_ITSELF if fault.latched else CLEARED_BY_OPERATOR
+    other_clearing = CLEARED_BY_ITSELF if fault.is_latched else CLEARED_BY_OPERATOR
     changed = [
-        replace(fault, debounce=fault.debounce + 1),
+        replace(fault, debounce_ticks=fault.debounce_ticks + 1),
         replace(fault, cleared_by=other_clearing),
     ]
-    changed += [replace(fault, debounce=fault.debounce - 1)] if fault.debounce > 1 else []
+    changed += (
+        [replace(fault, debounce_ticks=fault.debounce_ticks - 1)]
+        if fault.debounce_ticks > 1
+        else []
+    )
     changed += [
         replace(fault, action=SafetyAction(fault.action + step))
         for step in (-1, 1)
         if 0 <= fault.action + step <= 4
     ]
     redeclare_fault(fault)
-    expected_trace = trace_fault(fault_id)
+    expected_trace = fault_trace(fault_id)
     for mutant in changed:
-        if (mutant.action, mutant.latched) == (
+        if (mutant.action, mutant.is_latched) == (
             SafetyAction.PASS,
             True,
         ) or fault.action == mutant.action == SafetyAction.PASS:
             continue  # a latched fault without an action has no effect
         redeclare_fault(mutant)
-        assert trace_fault(fault_id) != expected_trace, mutant
+        assert fault_trace(fault_id) != expected_trace, mutant
 
 
-THRESHOLD_STEPS = {
+THRESHOLD_STEP_BY_FAULT = {
     "B02": {"silent_ticks": 1}, "N02": {"silent_ticks": 1}, "H03": {"stalled_ticks": 1},
     "N09a": {"temperature_soft": 0.2}, "N09b": {"temperature_hard": 0.2},
     "T06": {"tension_rail": 0.1},
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("fault_id", THRESHOLD_STEPS)
+@pytest.mark.parametrize("fault_id", THRESHOLD_STEP_BY_FAULT)
 @pytest.mark.parametrize("step_sign", [-1, 1])
 def test_a_moved_threshold_would_be_noticed(fault_id: str, step_sign: int) -> None:
-    name, step = next(iter(THRESHOLD_STEPS[fault_id].items()))
+    name, step = next(iter(THRESHOLD_STEP_BY_FAULT[fault_id].items()))
     moved: SafetyLimits = replace(
         EIGHT_TENDON_LIMITS, **{name: getattr(EIGHT_TENDON_LIMITS, name) + step_sign * step}
     )

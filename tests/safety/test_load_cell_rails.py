@@ -10,32 +10,32 @@ from tests.safety.fault_cases import (
     input_without_torque,
     measured_tensions,
     merge_inputs,
-    state_rows,
+    state_input,
 )
 from tests.safety.synthetic_monitor import SyntheticMonitor, synthetic_limits
 
-RAIL_LIMITS = replace(synthetic_limits(2), tension_rail=243.9, tension_low=-4.0)
+LOAD_CELL_RAIL_LIMITS = replace(synthetic_limits(2), tension_rail=243.9, tension_low=-4.0)
 
 
 @pytest.mark.parametrize("rail_tension_N", [243.9, 249.0, -4.0, -6.0])
 def test_a_cell_at_a_rail_relaxes_the_hand_at_the_third_tick(rail_tension_N: float) -> None:
-    monitor = SyntheticMonitor(RAIL_LIMITS)
+    monitor = SyntheticMonitor(LOAD_CELL_RAIL_LIMITS)
     actions = [
-        monitor.judge(measured_tensions(t0=5.0, t1=rail_tension_N).state_rows).action
+        monitor.judge(measured_tensions(t0=5.0, t1=rail_tension_N).state_values).action
         for _ in range(3)
     ]
     assert actions == [SafetyAction.PASS, SafetyAction.PASS, SafetyAction.RELAX]
-    assert [(mark.id, mark.instance) for mark in monitor.latched] == [("T06", "t1")]
+    assert [(mark.id, mark.part_name) for mark in monitor.latched] == [("T06", "t1")]
 
 
 @pytest.mark.parametrize("tension", [-2.0, 0.0, 100.0, math.nan])
 def test_tensions_possible_for_a_tendon_are_no_fault(tension: float) -> None:
-    monitor = SyntheticMonitor(RAIL_LIMITS)
+    monitor = SyntheticMonitor(LOAD_CELL_RAIL_LIMITS)
     force = {0: 5.0, 1: tension}
-    explained_rows = state_rows(measured_force=force, asked=force)
+    explained_rows = state_input(measured_force=force, asked=force)
     tick_input = merge_inputs(measured_tensions(t0=5.0, t1=tension), explained_rows)
     for _ in range(10):
-        assert monitor.judge(tick_input.state_rows).action == SafetyAction.PASS
+        assert monitor.judge(tick_input.state_values).action == SafetyAction.PASS
 
 
 def test_a_saturated_load_cell_is_reported_once_with_its_reading_for_any_tare() -> None:
@@ -43,10 +43,15 @@ def test_a_saturated_load_cell_is_reported_once_with_its_reading_for_any_tare() 
 
     An intact load cell may also read -3 N for a moment.
     """
-    tick_input = merge_inputs(measured_tensions(t1=-3.0), state_rows(saturated={1: 1}))
-    assert SyntheticMonitor(RAIL_LIMITS).tick(tick_input.state_rows)["T06"] == {"t1": -3.0}
-    assert "T06" not in SyntheticMonitor(RAIL_LIMITS).tick(
-        input_without_torque(tick_input).state_rows
+    tick_input = merge_inputs(measured_tensions(t1=-3.0), state_input(saturated={1: 1}))
+    assert SyntheticMonitor(LOAD_CELL_RAIL_LIMITS).tick(tick_input.state_values)["T06"] == {
+        "t1": -3.0
+    }
+    assert "T06" not in SyntheticMonitor(LOAD_CELL_RAIL_LIMITS).tick(
+        input_without_torque(tick_input).state_values
     )
-    high = merge_inputs(measured_tensions(t0=250.0, t1=244.0), state_rows(saturated={1: 1}))
-    assert SyntheticMonitor(RAIL_LIMITS).tick(high.state_rows)["T06"] == {"t0": 250.0, "t1": 244.0}
+    high = merge_inputs(measured_tensions(t0=250.0, t1=244.0), state_input(saturated={1: 1}))
+    assert SyntheticMonitor(LOAD_CELL_RAIL_LIMITS).tick(high.state_values)["T06"] == {
+        "t0": 250.0,
+        "t1": 244.0,
+    }

@@ -19,7 +19,7 @@ from tests.safety.synthetic_monitor import (
     NOW_NS,
     PERIOD_NS,
     SPOOL_RADIUS_M,
-    StateRows,
+    StateValues,
     SyntheticMonitor,
     call_interpreted,
     synthetic_limits,
@@ -44,7 +44,7 @@ def loss_window_words(loss_window: int) -> tuple[int, int]:
     return loss_window & frame_losses.WORD_MASK, loss_window >> frame_losses.BITS_PER_WORD
 
 
-class LossWindows(SyntheticMonitor):
+class LostFrameWindows(SyntheticMonitor):
     """A motor and a load cell with their windows of lost frames.
 
     A window has one bit per tick, which is set if a frame was lost.
@@ -53,7 +53,7 @@ class LossWindows(SyntheticMonitor):
     def __init__(self, motor_losses: int = 0, cell_losses: int = 0, **constants: Any) -> None:
         super().__init__(synthetic_limits(1), **constants)
         pairs = (loss_window_words(motor_losses), loss_window_words(cell_losses))
-        self.set_rows(
+        self.set_state_values(
             {
                 "lost": {
                     (half, node): pair[half] for node, pair in enumerate(pairs) for half in (0, 1)
@@ -102,11 +102,14 @@ HALF_WINDOW = LOSS_WINDOW_TICKS // 2
     ((1 << (HALF_WINDOW - 1), 1 << HALF_WINDOW), (False, True), (1 << HALF_WINDOW, 1 << HALF_WINDOW + 1 | 1)),
 ])  # fmt: skip
 def test_window_shifts_by_one_bit_per_tick(windows_before, missing_replies, windows_after):
-    assert LossWindows(*windows_before).run_tick_without_replies(*missing_replies) == windows_after
+    assert (
+        LostFrameWindows(*windows_before).run_tick_without_replies(*missing_replies)
+        == windows_after
+    )
 
 
 def test_lost_replies_are_counted_per_window():
-    window = LossWindows(0b1011, (1 << LOSS_WINDOW_TICKS) - 1)
+    window = LostFrameWindows(0b1011, (1 << LOSS_WINDOW_TICKS) - 1)
     assert [
         call_interpreted(frame_losses.count_lost_replies, window.state_tables, node)
         for node in (0, 1)
@@ -121,7 +124,7 @@ def test_lost_replies_are_counted_per_window():
         ((1 << 62) - 1, 62),
     ):
         assert call_interpreted(frame_losses.count_set_bits, number) == set_bit_count
-    window.set_rows({"misshapen": 1 << (MALFORMED_WINDOW_TICKS - 1) | 0b1})
+    window.set_state_values({"misshapen": 1 << (MALFORMED_WINDOW_TICKS - 1) | 0b1})
     window.tick({"misread_now": 1})
     assert window.field_values("misshapen") == [0b11, 0b11], (
         "so many of the last ticks, and no longer"
@@ -139,7 +142,7 @@ def test_missing_every_second_tick_is_detected(reply_pattern, misses_every_secon
     assert (
         call_interpreted(
             frame_losses.misses_every_second_reply,
-            LossWindows(loss_bits(reply_pattern)).state_tables,
+            LostFrameWindows(loss_bits(reply_pattern)).state_tables,
             0,
         )
         is misses_every_second_reply
@@ -147,18 +150,18 @@ def test_missing_every_second_tick_is_detected(reply_pattern, misses_every_secon
 
 
 def test_the_count_of_unknown_frames_decays_in_a_second():
-    def unknown_count_after(
+    def unknown_frame_count(
         unknown_count: float, new_unknown_frames: int = 0, control_rate_hz: float = 100.0
     ) -> float:
-        window = LossWindows(period=1.0 / control_rate_hz)
+        window = LostFrameWindows(period=1.0 / control_rate_hz)
         window.run_tick_without_replies(strange=new_unknown_frames, unknown=unknown_count)
         return float(window.view("unknown").item())
 
-    assert unknown_count_after(0.0, 3) == 3.0
-    assert unknown_count_after(3.0, 2) == pytest.approx(3.0 * 0.99 + 2.0)
-    assert unknown_count_after(1.02e-3) > 0.0
-    assert unknown_count_after(1.01e-3) == 0.0
-    assert unknown_count_after(2e-3, control_rate_hz=2.0) == 0.0, "a thousandth is forgotten"
+    assert unknown_frame_count(0.0, 3) == 3.0
+    assert unknown_frame_count(3.0, 2) == pytest.approx(3.0 * 0.99 + 2.0)
+    assert unknown_frame_count(1.02e-3) > 0.0
+    assert unknown_frame_count(1.01e-3) == 0.0
+    assert unknown_frame_count(2e-3, control_rate_hz=2.0) == 0.0, "a thousandth is forgotten"
 
 
 def refusal_counter(control_rate_hz: float) -> Any:
@@ -167,12 +170,12 @@ def refusal_counter(control_rate_hz: float) -> Any:
     Its arguments are the number of targets that were refused in a tick, and the number of this
     tick. The function returns the ticks of all refusals that are recent enough to count.
     """
-    window = LossWindows()
+    window = LostFrameWindows()
     state = ControllerState(window.layout, window.block, ControllerDecisions((), None))  # type: ignore[arg-type]
     controller: Any = SimpleNamespace(model=SimpleNamespace(period=1.0 / control_rate_hz))
 
     def count_refusals(refused_count: int, tick_index: int) -> tuple[int, ...]:
-        window.set_rows({"k": tick_index})
+        window.set_state_values({"k": tick_index})
         Controller._count_refusals(
             controller, state, (TickEvent("warn", "request", "", ""),) * refused_count
         )
@@ -192,15 +195,15 @@ def test_refused_goals_are_those_of_the_last_second():
 
 
 def test_lost_and_malformed_replies_are_counted_separately():
-    window = LossWindows()
-    window.set_rows({"misread_now": {1: 1}})
+    window = LostFrameWindows()
+    window.set_state_values({"misread_now": {1: 1}})
     assert window.run_tick_without_replies(is_motor_missing=True) == (1, 0)
     assert window.field_values("misshapen") == [0, 1]
     assert window.run_tick_without_replies(misread_now=0) == (2, 0)
     assert window.field_values("misshapen") == [0, 2]
 
 
-class ScreenedPositions(SyntheticMonitor):
+class PositionJumpMonitor(SyntheticMonitor):
     """Motors whose reported positions are checked for jumps.
 
     Each motor has its own largest permitted step in a period [rad].
@@ -208,11 +211,9 @@ class ScreenedPositions(SyntheticMonitor):
 
     def __init__(self, step_limits: list[float], **value_by_field: list[float]) -> None:
         super().__init__(synthetic_limits(len(step_limits)), step_limit=step_limits)
-        self.set_rows(value_by_field)
+        self.set_state_values(value_by_field)
 
-    def screen_positions(
-        self, reported_positions: list[float], missed_ticks: int = 0
-    ) -> list[float]:
+    def position_jumps(self, reported_positions: list[float], missed_ticks: int = 0) -> list[float]:
         """Check one position per motor, and return how far each motor has jumped.
 
         A missing position is NaN.
@@ -225,8 +226,8 @@ class ScreenedPositions(SyntheticMonitor):
 
 
 def test_the_first_position_is_accepted_wherever_it_is():
-    positions = ScreenedPositions([0.1] * 3)
-    assert positions.screen_positions([5.0, -1e9, NAN]) == [0.0] * 3
+    positions = PositionJumpMonitor([0.1] * 3)
+    assert positions.position_jumps([5.0, -1e9, NAN]) == [0.0] * 3
     accepted = positions.field_values("accepted")
     assert accepted[:2] == [5.0, -1e9]
     assert np.isnan(accepted[2])
@@ -241,8 +242,8 @@ def test_the_first_position_is_accepted_wherever_it_is():
 def test_an_impossible_step_is_rejected_and_the_allowed_step_grows(
     reported_position, missed_readings, expected_jump
 ):
-    positions = ScreenedPositions([0.125], accepted=[1.0], accepted_gap=[float(missed_readings)])
-    assert positions.screen_positions([reported_position])[0] == pytest.approx(expected_jump)
+    positions = PositionJumpMonitor([0.125], accepted=[1.0], accepted_gap=[float(missed_readings)])
+    assert positions.position_jumps([reported_position])[0] == pytest.approx(expected_jump)
     assert positions.field_values("accepted") == [1.0 if expected_jump else reported_position]
     assert positions.field_values("accepted_gap") == [missed_readings + 1 if expected_jump else 0]
     assert np.isnan(positions.view("measured_position")[0]) == bool(expected_jump), (
@@ -251,8 +252,8 @@ def test_an_impossible_step_is_rejected_and_the_allowed_step_grows(
 
 
 def test_a_missing_position_is_no_jump():
-    positions = ScreenedPositions([0.1], accepted=[1.0], accepted_gap=[2.0])
-    assert positions.screen_positions([NAN]) == [0.0]
+    positions = PositionJumpMonitor([0.1], accepted=[1.0], accepted_gap=[2.0])
+    assert positions.position_jumps([NAN]) == [0.0]
     assert (positions.field_values("accepted"), positions.field_values("accepted_gap")) == (
         [1.0],
         [3.0],
@@ -260,10 +261,10 @@ def test_a_missing_position_is_no_jump():
 
 
 def test_tick_without_measurements_changes_nothing():
-    positions = ScreenedPositions(
+    positions = PositionJumpMonitor(
         [0.1] * 2, accepted=[1.0, 2.0], accepted_gap=[0.0, 3.0], dropped=[0.0, 2.0]
     )
-    positions.screen_positions([NAN, NAN])
+    positions.position_jumps([NAN, NAN])
     assert (positions.field_values("accepted"), positions.field_values("accepted_gap")) == (
         [1.0, 2.0],
         [1.0, 4.0],
@@ -272,7 +273,7 @@ def test_tick_without_measurements_changes_nothing():
 
 
 def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
-    positions, dropped = ScreenedPositions([0.125] * 2, accepted=[0.0, 0.0]), []
+    positions, dropped = PositionJumpMonitor([0.125] * 2, accepted=[0.0, 0.0]), []
     for position_pair in [
         (1.0, 0.0),
         (NAN, 0.0),
@@ -282,7 +283,7 @@ def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
         (1.5, 2.0),
         (0.1, 0.0),
     ]:
-        positions.screen_positions(list(position_pair))
+        positions.position_jumps(list(position_pair))
         dropped.append(positions.field_values("dropped"))
     assert [int(a) for a, _ in dropped] == [1, 1, 2, 2, 0, 1, 0]
     assert [int(b) for _, b in dropped] == [0, 0, 0, 0, 0, 1, 0]
@@ -304,7 +305,7 @@ def test_allowed_step_grows_over_skipped_ticks(missed_ticks, position_steps, all
     """
     for other_position in (0.0, NAN):
         positions, at, jump_flags = (
-            ScreenedPositions([1.0] * 2, accepted=[0.0, other_position]),
+            PositionJumpMonitor([1.0] * 2, accepted=[0.0, other_position]),
             0.0,
             [],
         )
@@ -312,7 +313,7 @@ def test_allowed_step_grows_over_skipped_ticks(missed_ticks, position_steps, all
             at += step
             jump_flags.append(
                 int(
-                    positions.screen_positions([at, other_position], 0 if k else missed_ticks)[0]
+                    positions.position_jumps([at, other_position], 0 if k else missed_ticks)[0]
                     > 0.0
                 )
             )
@@ -320,8 +321,8 @@ def test_allowed_step_grows_over_skipped_ticks(missed_ticks, position_steps, all
 
 
 def test_a_missing_reading_after_skipped_ticks_increases_the_allowed_step():
-    positions = ScreenedPositions([0.1], accepted=[1.0], accepted_gap=[1.0])
-    positions.screen_positions([NAN], 3)
+    positions = PositionJumpMonitor([0.1], accepted=[1.0], accepted_gap=[1.0])
+    positions.position_jumps([NAN], 3)
     assert positions.field_values("accepted_gap") == [5.0]
 
 
@@ -333,21 +334,21 @@ def add_reading(
     Return three values. The first is the number of ticks in which the reading has not changed. The
     other two are the changes of the target and of the tension in these ticks.
     """
-    rows: StateRows = {
+    rows: StateValues = {
         "measured_position": motor_position,
         "followed": goal_travel,
         "residual": {TENSION: tension},
     }
     monitor.tick(rows)
     anchor_values = monitor.view("motor_anchor")[:, 0].tolist()
-    away = [
-        call_interpreted(stuck_sensors.motion_since_reading, *pair)
+    changes = [
+        call_interpreted(stuck_sensors.change_since_reading, *pair)
         for pair in zip((goal_travel, tension), anchor_values, strict=True)
     ]
-    return int(monitor.view("motor_stuck")[0]), *away
+    return int(monitor.view("motor_stuck")[0]), *changes
 
 
-def ticks_and_motion(motor_positions, goals_and_tensions):
+def add_readings(motor_positions, goals_and_tensions):
     """Return the monitor and, for each tick, the results of ``add_reading``.
 
     The target and the tension are the signals that should move together with a reading.
@@ -360,7 +361,7 @@ def ticks_and_motion(motor_positions, goals_and_tensions):
 
 
 def test_constant_reading_counts_while_its_references_move():
-    _, ticks_and_motions = ticks_and_motion(
+    _, ticks_and_motions = add_readings(
         [1.0, 1.0, 1.0, 2.0, 2.0], [(0.0, 5.0), (0.5, 5.0), (-1.0, 7.0), (-1.0, 7.0), (-1.0, 8.0)]
     )
     assert ticks_and_motions == [
@@ -384,7 +385,7 @@ def test_an_encoder_is_stuck_although_the_carrier_of_its_digit_moves():
 
 
 def test_a_missing_reading_is_neither_constant_nor_changed():
-    monitor, ticks_and_motions = ticks_and_motion(
+    monitor, ticks_and_motions = add_readings(
         [1.0, NAN, 1.0, NAN, 2.0], [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 0.0), (3.0, 0.0)]
     )
     assert [ticks for ticks, *_ in ticks_and_motions] == [0, 0, 1, 1, 0]
@@ -393,9 +394,7 @@ def test_a_missing_reading_is_neither_constant_nor_changed():
 
 
 def test_missing_reference_is_used_once_it_is_read():
-    _, ticks_and_motions = ticks_and_motion(
-        [1.0] * 4, [(NAN, 0.0), (5.0, NAN), (7.0, 3.0), (NAN, 1.0)]
-    )
+    _, ticks_and_motions = add_readings([1.0] * 4, [(NAN, 0.0), (5.0, NAN), (7.0, 3.0), (NAN, 1.0)])
     assert [first_motion for _, first_motion, _ in ticks_and_motions] == [0.0, 0.0, 2.0, 0.0]
     assert [second_motion for _, _, second_motion in ticks_and_motions] == [0.0, 0.0, 3.0, 1.0]
 

@@ -17,8 +17,8 @@ from handctl.core.detectors.residuals import (
     EXCESS_FRICTION,
     MOTOR_FORCE,
     QUICK_FORCE,
+    RESIDUAL_TIME_CONSTANTS_S,
     TENSION,
-    TIME_CONSTANTS_S,
 )
 from handctl.core.state_block import STATE_SCHEMA
 from handctl.core.tick_types import HandMode
@@ -53,11 +53,11 @@ def make_monitor(
         excursion_to_joints=np.diag(1.0 / arms),
         step_limit=[0.1, 0.2], joint_step_limit=[0.3, 0.4],
     )  # fmt: skip
-    monitor.set_rows({"residual": 0.0, "filtered": 0})
+    monitor.set_state_values({"residual": 0.0, "filtered": 0})
     return monitor
 
 
-FIELD_BY_NAME = {"tension": "measured_tension", "travel": "measured_travel", "position": "measured_position",
+STATE_FIELD_BY_READING = {"tension": "measured_tension", "travel": "measured_travel", "position": "measured_position",
                  "speed": "speed",
          "force": "measured_force", "excursion": "measured_excursion", "joints": "measured_joint",
          "read": "joints_read"}  # fmt: skip
@@ -84,7 +84,7 @@ def measurements_at_rest(**changed_measurements: Any) -> dict[str, Any]:
     resting_measurements.setdefault(
         "position", np.asarray(resting_measurements["travel"]) / SPOOL_RADIUS_M
     )
-    return {FIELD_BY_NAME[name]: value for name, value in resting_measurements.items()}
+    return {STATE_FIELD_BY_READING[name]: value for name, value in resting_measurements.items()}
 
 
 def monitor_at_20_newton(
@@ -92,7 +92,9 @@ def monitor_at_20_newton(
 ) -> SyntheticMonitor:
     """Return the monitor of a hand at rest. Its commanded and planned tensions are 20 N."""
     monitor = monitor or make_monitor()
-    monitor.set_rows({"asked": 20.0, "wanted": 20.0, "followed": 0.0} | changed_measurements)
+    monitor.set_state_values(
+        {"asked": 20.0, "wanted": 20.0, "followed": 0.0} | changed_measurements
+    )
     return monitor
 
 
@@ -136,17 +138,17 @@ def test_a_hand_that_is_armed_while_its_tendons_are_taut_is_not_stuck():
 
 def test_without_torque_all_history_but_the_counts_is_reset():
     monitor, _ = run_ticks(10)
-    monitor.set_rows({"unknown": 3.0, "open_questions": [2, 1], "lost": 5, "misshapen": 3})
+    monitor.set_state_values({"unknown": 3.0, "open_questions": [2, 1], "lost": 5, "misshapen": 3})
     assert monitor.tick(measurements_at_rest(), mode=int(HandMode.READY)) == {}
     for field in STATE_SCHEMA.fields:
         first_row, end = {
-            "tendon": (s.MONITOR_TENDON_FIRST_ROW, s.MONITOR_TENDON_END_ROW),
-            "tendon_int": (s.MONITOR_TENDON_INT_FIRST_ROW, s.MONITOR_TENDON_INT_END_ROW),
-            "joint": (s.MONITOR_JOINT_FIRST_ROW, s.MONITOR_JOINT_END_ROW),
-            "joint_int": (s.MONITOR_JOINT_INT_FIRST_ROW, s.MONITOR_JOINT_INT_END_ROW),
-            "run_int": (s.MONITOR_RUN_INT_FIRST_ROW, s.MONITOR_RUN_INT_END_ROW),
+            "tendon": s.RESET_TENDON_ROWS,
+            "tendon_int": s.RESET_TENDON_INTEGER_ROWS,
+            "joint": s.RESET_JOINT_ROWS,
+            "joint_int": s.RESET_JOINT_INTEGER_ROWS,
+            "run_int": s.RESET_RUN_INTEGER_ROWS,
         }.get(field.table, (0, 0))  # fmt: skip
-        if first_row <= field.first < end:
+        if first_row <= field.first_row < end:
             initial = monitor.layout.view(monitor.layout.initial, field.name)
             np.testing.assert_array_equal(monitor.view(field.name), initial, err_msg=field.name)
     assert monitor.view("unknown").item() == pytest.approx(3.0 * (1.0 - PERIOD_S))
@@ -157,7 +159,7 @@ def test_without_torque_all_history_but_the_counts_is_reset():
 
 def test_a_tendon_that_stays_taut_after_the_cut_is_reported():
     monitor = run_ticks(3)[0]
-    monitor.set_rows({"mode": int(HandMode.CUT)})
+    monitor.set_state_values({"mode": int(HandMode.CUT)})
     for _ in range(50):
         assert "N16" not in monitor.tick(measurements_at_rest(tension=[30.0, 8.0], force=0.0))
     assert monitor.tick(measurements_at_rest(tension=[30.0, 8.0], force=0.0))["N16"] == {"a": 30.0}
@@ -167,7 +169,7 @@ def test_a_tendon_that_stays_taut_after_the_cut_is_reported():
 def test_a_tendon_that_stays_taut_is_reported_despite_a_lost_sample_at_the_cut():
     monitor = run_ticks(3, tension=[30.0, 25.0])[0]
     run_ticks(2, monitor, tension=NAN)
-    monitor.set_rows({"mode": int(HandMode.CUT)})
+    monitor.set_state_values({"mode": int(HandMode.CUT)})
     for k in range(51):
         findings = monitor.tick(measurements_at_rest(tension=[30.0, 8.0] if k else NAN, force=0.0))
     assert findings["N16"] == {"a": 30.0}
@@ -229,7 +231,7 @@ def test_friction_above_the_hand_file_is_a_fault(excess_friction_N, is_reported)
     the torque constant.
     """
     monitor = run_ticks(30)[0]
-    monitor.set_rows({"residual": {EXCESS_FRICTION: excess_friction_N, MOTOR_FORCE: 29.0}})
+    monitor.set_state_values({"residual": {EXCESS_FRICTION: excess_friction_N, MOTOR_FORCE: 29.0}})
     _, findings = run_ticks(1, monitor, force=29.0, tension=29.0)
     excess_frictions = [
         call_interpreted(residuals.excess_friction, monitor.state_tables, n) for n in (0, 1)
@@ -308,7 +310,7 @@ On a slow bus, more readings may not be possible.
 """
 
 
-def run_sparse_joints(
+def run_with_sparse_joint_readings(
     tick_count: int, monitor: SyntheticMonitor, **changed_measurements: Any
 ) -> list[FindingsByFault]:
     """Run ticks of a hand whose joints are read only in every fourth tick.
@@ -328,12 +330,12 @@ def run_sparse_joints(
 
 def test_a_derailed_tendon_is_found_in_three_readings_at_any_joint_rate():
     monitor = monitor_at_20_newton(make_monitor(joint_period=TICKS_PER_JOINT_READING * PERIOD_S))
-    run_sparse_joints(100, monitor, excursion=0.0, joints=0.0)
+    run_with_sparse_joint_readings(100, monitor, excursion=0.0, joints=0.0)
     off = {"excursion": [-0.02 * np.radians(15.1), 0.0], "joints": 0.0}
-    reported_findings = run_sparse_joints(9, monitor, **off)
+    reported_findings = run_with_sparse_joint_readings(9, monitor, **off)
     assert [k for k, findings in enumerate(reported_findings) if "T08" in findings] == [8]
     assert reported_findings[8]["T08"] == {"a": pytest.approx(15.1, abs=1e-6)}
-    reported_findings = run_sparse_joints(8, monitor, **off)
+    reported_findings = run_with_sparse_joint_readings(8, monitor, **off)
     assert [k for k, findings in enumerate(reported_findings) if "T08" in findings] == [0, 4], (
         "in ticks in which joints are read"
     )
@@ -341,11 +343,15 @@ def test_a_derailed_tendon_is_found_in_three_readings_at_any_joint_rate():
 
 def test_good_reading_restarts_the_count_of_derailed_readings():
     monitor = monitor_at_20_newton(make_monitor(joint_period=TICKS_PER_JOINT_READING * PERIOD_S))
-    run_sparse_joints(100, monitor, excursion=0.0, joints=0.0)
+    run_with_sparse_joint_readings(100, monitor, excursion=0.0, joints=0.0)
     off = {"excursion": [-0.02 * np.radians(15.1), 0.0], "joints": 0.0}
-    assert not any("T08" in findings for findings in run_sparse_joints(8, monitor, **off))
-    run_sparse_joints(4, monitor, excursion=0.0, joints=0.0)
-    assert not any("T08" in findings for findings in run_sparse_joints(8, monitor, **off))
+    assert not any(
+        "T08" in findings for findings in run_with_sparse_joint_readings(8, monitor, **off)
+    )
+    run_with_sparse_joint_readings(4, monitor, excursion=0.0, joints=0.0)
+    assert not any(
+        "T08" in findings for findings in run_with_sparse_joint_readings(8, monitor, **off)
+    )
 
 
 def test_the_joint_spool_filter_has_one_time_constant_at_any_joint_rate():
@@ -379,9 +385,9 @@ def test_a_stuck_encoder_is_reported_after_the_same_time_at_any_rate():
             joint_period=TICKS_PER_JOINT_READING * PERIOD_S,
         )
     )
-    run_sparse_joints(100, monitor, travel=0.0, excursion=0.0, joints=0.2)
-    run_sparse_joints(4, monitor, travel=0.0, excursion=0.0, joints=0.3)
-    reported_findings = run_sparse_joints(
+    run_with_sparse_joint_readings(100, monitor, travel=0.0, excursion=0.0, joints=0.2)
+    run_with_sparse_joint_readings(4, monitor, travel=0.0, excursion=0.0, joints=0.3)
+    reported_findings = run_with_sparse_joint_readings(
         56, monitor, travel=[np.radians(10.1) / 50.0, 0.0], excursion=0.0, joints=0.3
     )
     joint = [
@@ -396,7 +402,7 @@ def test_a_stuck_encoder_is_reported_after_the_same_time_at_any_rate():
             joint_period=TICKS_PER_JOINT_READING * PERIOD_S,
         )
     )
-    monitor.set_rows({"followed": [0.51e-3, 0.0]})
+    monitor.set_state_values({"followed": [0.51e-3, 0.0]})
     first_reported_tick = None
     for k in range(60):
         findings = monitor.tick(
@@ -430,7 +436,7 @@ def test_constant_motor_reading_is_stuck_while_its_goal_moves(
     tick_count, goal_change_m, is_reported
 ):
     monitor = monitor_after_motion()
-    monitor.set_rows({"followed": [goal_change_m, 0.0]})
+    monitor.set_state_values({"followed": [goal_change_m, 0.0]})
     _, findings = run_ticks(tick_count, monitor, travel=1e-5)
     assert findings.get("N04", {}) == ({"ma": pytest.approx(0.51)} if is_reported else {})
 
@@ -460,18 +466,18 @@ def test_a_turning_spool_with_a_slack_tendon_does_not_make_a_joint_stuck():
     """
     turn, joints = np.radians(10.1) / 50.0, {"joints": 0.3, "excursion": 0.0, "read": True}
 
-    def stuck(findings: FindingsByFault) -> list[str]:
+    def stuck_joint_names(findings: FindingsByFault) -> list[str]:
         return [name for name in findings.get("N04", {}) if name[0] == "j"]
 
     slack = {"tension": 0.5, "force": 0.5}
     monitor, reported = run_ticks(
         200, None, **slack, travel=lambda k: [3.0 * turn * (k > 20), 0.0], **joints
     )
-    assert stuck(reported) == []
+    assert stuck_joint_names(reported) == []
     _, reported = run_ticks(200, monitor, travel=[3.0 * turn, 0.0], **joints)
-    assert stuck(reported) == [], "that it has become taut moves nothing"
+    assert stuck_joint_names(reported) == [], "that it has become taut moves nothing"
     _, reported = run_ticks(200, monitor, travel=[4.1 * turn, 0.0], **joints)
-    assert stuck(reported) == ["ja"]
+    assert stuck_joint_names(reported) == ["ja"]
 
 
 @pytest.mark.parametrize(("tension", "expected_stuck_joints"), [(2.1, ["ja"]), (1.9, [])])
@@ -520,7 +526,7 @@ def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(reply_late_
     tick.
     """
 
-    def run_over_gap(missed_ticks):
+    def noise_and_balance_after_gap(missed_ticks):
         monitor, at, speed, noisy = run_ticks(5, speed=0.1, force=27.0)[0], 0.0, 0.1, False
         for k in range(20):
             at, speed = (at + 0.25, 0.14) if k == 10 + reply_late_ticks else (at + 0.05, speed)
@@ -528,15 +534,15 @@ def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(reply_late_
             noisy |= "N07" in monitor.tick(rows, missed=missed_ticks if k == 10 else 0)
         return noisy, monitor.view("residual")[BALANCE]
 
-    is_noise_reported, balance = run_over_gap(4)
+    is_noise_reported, balance = noise_and_balance_after_gap(4)
     assert not is_noise_reported
     assert np.abs(balance).max() < 0.05
-    is_noise_reported, balance = run_over_gap(0)
+    is_noise_reported, balance = noise_and_balance_after_gap(0)
     assert is_noise_reported, "positive control"
     assert np.abs(balance).max() > 0.5
 
 
-def screen_positions(
+def position_jumps(
     monitor: SyntheticMonitor,
     motor_positions: list[float],
     joint_positions: list[float] | None,
@@ -555,9 +561,9 @@ def screen_positions(
 
 def test_positions_are_checked_separately():
     monitor = make_monitor()
-    assert screen_positions(monitor, [0.0, 0.0], [0.0, 0.0]) == ([0.0, 0.0], [0.0, 0.0])
-    assert screen_positions(monitor, [0.11, 0.19], [0.29, 0.41]) == ([0.11, 0.0], [0.0, 0.41])
-    assert screen_positions(monitor, [0.05, 0.19], None) == ([0.0, 0.0], [0.0, 0.0])
+    assert position_jumps(monitor, [0.0, 0.0], [0.0, 0.0]) == ([0.0, 0.0], [0.0, 0.0])
+    assert position_jumps(monitor, [0.11, 0.19], [0.29, 0.41]) == ([0.11, 0.0], [0.0, 0.41])
+    assert position_jumps(monitor, [0.05, 0.19], None) == ([0.0, 0.0], [0.0, 0.0])
     assert monitor.field_values("joint_gap") == [1.0, 2.0]
     assert monitor.field_values("accepted") == [0.05, 0.19]
     assert monitor.field_values("dropped") == [0.0, 0.0]
@@ -567,28 +573,33 @@ def test_positions_are_checked_separately():
 def test_missed_ticks_increase_the_allowed_step_of_motors_and_joints():
     def monitor_at_zero() -> SyntheticMonitor:
         monitor = make_monitor()
-        screen_positions(monitor, [0.0, 0.0], [0.0, 0.0])
+        position_jumps(monitor, [0.0, 0.0], [0.0, 0.0])
         return monitor
 
     motor, joint = [0.29, 0.61], [0.91, 1.19]
-    assert screen_positions(monitor_at_zero(), motor, joint) == (motor, joint)
+    assert position_jumps(monitor_at_zero(), motor, joint) == (motor, joint)
     monitor = monitor_at_zero()
-    jumped, twisted = screen_positions(monitor, motor, joint, 2)
+    jumped, twisted = position_jumps(monitor, motor, joint, 2)
     assert jumped == [0.0, 0.61], "three times 0.1 and 0.2"
     assert twisted == [0.91, 0.0], "three times 0.3 and 0.4"
     monitor = monitor_at_zero()
-    screen_positions(monitor, motor, None, 2)
+    position_jumps(monitor, motor, None, 2)
     assert monitor.field_values("joint_gap") == [3.0, 3.0]
 
 
-def rows_with_ages(**age_by_node: int) -> dict[str, Any]:
+def state_with_reply_ages(**age_by_node: int) -> dict[str, Any]:
     """Return values of the state that contain the ages of replies [ticks].
 
     The keyword ``ma`` is the age of the last frame from the motor of tendon a. The keyword ``a`` is
     the age of the last frame from the load cell of tendon a.
     """
-    heard = {name: NOW_NS - age_by_node.get(name, 0) * PERIOD_NS for name in ("ma", "mb", "a", "b")}
-    return {"feedback_ns": [heard["ma"], heard["mb"]], "group_ns": {0: heard["a"], 1: heard["b"]}}
+    last_frame_ns_by_node = {
+        name: NOW_NS - age_by_node.get(name, 0) * PERIOD_NS for name in ("ma", "mb", "a", "b")
+    }
+    return {
+        "feedback_ns": [last_frame_ns_by_node["ma"], last_frame_ns_by_node["mb"]],
+        "group_ns": {0: last_frame_ns_by_node["a"], 1: last_frame_ns_by_node["b"]},
+    }
 
 
 def test_without_lost_replies_no_count_grows():
@@ -598,9 +609,10 @@ def test_without_lost_replies_no_count_grows():
 
 
 @pytest.mark.parametrize(("value_by_field", "expected_lost"), [
-    (rows_with_ages(mb=1), [0, 1, 0]), (rows_with_ages(b=1), [0, 0, 1]), (rows_with_ages(ma=3), [1, 0, 0]),
-    (rows_with_ages(ma=1, mb=1) | {"missed": 1}, [0, 0, 0]),
-    (rows_with_ages(ma=1, mb=1) | {"mode": int(HandMode.READY)}, [0, 0, 0]),
+    (state_with_reply_ages(mb=1), [0, 1, 0]), (state_with_reply_ages(b=1), [0, 0, 1]),
+    (state_with_reply_ages(ma=3), [1, 0, 0]),
+    (state_with_reply_ages(ma=1, mb=1) | {"missed": 1}, [0, 0, 0]),
+    (state_with_reply_ages(ma=1, mb=1) | {"mode": int(HandMode.READY)}, [0, 0, 0]),
 ])  # fmt: skip
 def test_lost_replies_are_recorded_per_node(value_by_field, expected_lost):
     monitor = make_monitor()
@@ -619,7 +631,7 @@ def test_malformed_frames_are_reported_with_sender_and_recent_count():
 def test_a_node_that_replies_in_every_second_tick_is_reported():
     monitor = make_monitor()
     for k in range(20):
-        findings = monitor.tick(rows_with_ages(mb=k % 2))
+        findings = monitor.tick(state_with_reply_ages(mb=k % 2))
         assert list(findings.get("N15", {})) == (["mb"] if k >= 13 else []), k
 
 
@@ -641,7 +653,7 @@ def test_refused_goals_are_reported_in_their_tick():
 def test_thresholds_follow_from_the_hand():
     assert safety_thresholds.POSITION_STEP_FACTOR == 1.5
     assert residuals.TORQUE_CONSTANT_TOLERANCE == 0.1
-    assert TIME_CONSTANTS_S == (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0, 0.02)
+    assert RESIDUAL_TIME_CONSTANTS_S == (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0, 0.02)
 
 
 def test_fast_residuals_start_at_the_first_reading():

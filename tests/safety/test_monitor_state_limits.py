@@ -31,7 +31,7 @@ from tests.safety.test_monitor_state import make_monitor, measurements_at_rest
 
 SOFT_STIFFNESS = 5e3
 """Low stiffness of a tendon [N/m]. With this stiffness, 20 N stretch the tendon by 4 mm."""
-JOINTS_READ = {"excursion": 0.0, "joints": 0.0, "read": True}
+ZERO_JOINT_READINGS = {"excursion": 0.0, "joints": 0.0, "read": True}
 """Readings of joint encoders whose angle is zero."""
 
 
@@ -43,14 +43,14 @@ def monitor() -> SyntheticMonitor:
     """
     monitor = make_monitor(SOFT_STIFFNESS)
     monitor.set_constants(residual_fraction=0.0)
-    monitor.set_rows({"filtered": 1, "residual": {TENSION: 20.0, QUICK_FORCE: 20.0}})
+    monitor.set_state_values({"filtered": 1, "residual": {TENSION: 20.0, QUICK_FORCE: 20.0}})
     return monitor
 
 
 def joint_rotations_from_spools(
     monitor: SyntheticMonitor, **changed_measurements: Any
 ) -> list[float]:
-    monitor.set_rows(measurements_at_rest(**changed_measurements) | {"bears": 1})
+    monitor.set_state_values(measurements_at_rest(**changed_measurements) | {"bears": 1})
     return [
         call_interpreted(
             stuck_sensors.joint_angle_by_spools, monitor.state_tables, monitor.hand_tables, j
@@ -65,15 +65,15 @@ def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: SyntheticMonitor
     This length does not move the joint.
     """
     np.testing.assert_allclose(
-        joint_rotations_from_spools(monitor, travel=20.0 / SOFT_STIFFNESS, **JOINTS_READ),
+        joint_rotations_from_spools(monitor, travel=20.0 / SOFT_STIFFNESS, **ZERO_JOINT_READINGS),
         0.0,
         atol=1e-12,
     )
     wound = joint_rotations_from_spools(
-        monitor, travel=[20.0 / SOFT_STIFFNESS + 1e-3, 20.0 / SOFT_STIFFNESS], **JOINTS_READ
+        monitor, travel=[20.0 / SOFT_STIFFNESS + 1e-3, 20.0 / SOFT_STIFFNESS], **ZERO_JOINT_READINGS
     )
     np.testing.assert_allclose(wound, [0.05, 0.0], atol=1e-12)
-    monitor.set_rows({"bears": [0, 1]})
+    monitor.set_state_values({"bears": [0, 1]})
     angle = call_interpreted(
         stuck_sensors.joint_angle_by_spools, monitor.state_tables, monitor.hand_tables, 0
     )
@@ -86,7 +86,7 @@ def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: SyntheticMonitor
 def test_the_taut_time_does_not_change_between_slack_and_taut(
     monitor: SyntheticMonitor, tension_N: float, expected_taut_time: float
 ) -> None:
-    monitor.tick(measurements_at_rest(tension=tension_N, **JOINTS_READ), taut_s=1.0)
+    monitor.tick(measurements_at_rest(tension=tension_N, **ZERO_JOINT_READINGS), taut_s=1.0)
     assert monitor.field_values("taut_s") == [expected_taut_time, expected_taut_time]
 
 
@@ -97,7 +97,9 @@ def test_joint_and_spool_are_not_compared_before_the_tendon_has_settled(
         (MIN_TAUT_DURATION_S, False),
         (np.nextafter(MIN_TAUT_DURATION_S, 1.0), True),
     ):
-        now = measurements_at_rest(**JOINTS_READ | {"tension": 2.2, "excursion": [0.0, 1e-3]})
+        now = measurements_at_rest(
+            **ZERO_JOINT_READINGS | {"tension": 2.2, "excursion": [0.0, 1e-3]}
+        )
         monitor.tick(now, taut_s=[float(since), 1.0], slip_from=0.0)
         begin, slipped = monitor.field_values("slip_from"), monitor.field_values("slip")
         assert np.isnan(begin[0]) != settled
@@ -105,7 +107,7 @@ def test_joint_and_spool_are_not_compared_before_the_tendon_has_settled(
         assert slipped[1] == pytest.approx((-2.2 / SOFT_STIFFNESS - 1e-3) / 0.01 * DEG_PER_RAD)
 
 
-def stuck_names(
+def stuck_sensor_names(
     monitor: SyntheticMonitor,
     equal_readings: int,
     cell_tension: float,
@@ -118,7 +120,7 @@ def stuck_names(
     """
     zero = [0.0, 0.0]
     findings = monitor.tick(
-        measurements_at_rest(tension=cell_tension, **JOINTS_READ), motor_stuck=equal_readings,
+        measurements_at_rest(tension=cell_tension, **ZERO_JOINT_READINGS), motor_stuck=equal_readings,
         cell_stuck=equal_readings,
         joint_stuck=equal_readings, motor_value=0.0, cell_value=cell_tension, joint_value=0.0,
         followed=changed_state.get("goal", zero),
@@ -138,15 +140,15 @@ def test_a_stuck_sensor_is_reported_above_its_limits_and_not_at_them(
     monitor: SyntheticMonitor,
 ) -> None:
     stuck_ticks = int(STUCK_SENSOR_TIME_S / PERIOD_S)
-    assert not any(stuck_names(monitor, 9999, 20.0, {}).values())
+    assert not any(stuck_sensor_names(monitor, 9999, 20.0, {}).values())
     at = {"goal": [STUCK_SENSOR_GOAL_CHANGE_M, 0.0], "tension": [0.0, STUCK_SENSOR_TENSION_CHANGE_N],
           "pushed": [STUCK_CELL_FORCE_RANGE_N, 9.0],
           "turned": [STUCK_SENSOR_JOINT_CHANGE_DEG / DEG_PER_RAD * (1.0 - 1e-12), 0.1]}  # fmt: skip
-    assert stuck_names(monitor, 9999, 20.0, at) == {"motor": [], "joint": [], "cell": ["b"]}
+    assert stuck_sensor_names(monitor, 9999, 20.0, at) == {"motor": [], "joint": [], "cell": ["b"]}
     pairs_beyond_limits = {name: [value * 1.01 for value in pair] for name, pair in at.items()}
     all_names = {"motor": ["ma", "mb"], "joint": ["ja"], "cell": ["a", "b"]}
-    assert stuck_names(monitor, stuck_ticks, 20.0, pairs_beyond_limits) == all_names
-    assert stuck_names(monitor, stuck_ticks - 1, 20.0, pairs_beyond_limits) == all_names | {
+    assert stuck_sensor_names(monitor, stuck_ticks, 20.0, pairs_beyond_limits) == all_names
+    assert stuck_sensor_names(monitor, stuck_ticks - 1, 20.0, pairs_beyond_limits) == all_names | {
         "motor": [],
         "joint": [],
     }
@@ -155,17 +157,21 @@ def test_a_stuck_sensor_is_reported_above_its_limits_and_not_at_them(
 def test_a_load_cell_may_repeat_a_reading_for_one_tick_less_than_the_limit(
     monitor: SyntheticMonitor,
 ) -> None:
-    pushed = {"pushed": [9.0, 9.0]}
-    assert stuck_names(monitor, STUCK_CELL_READINGS - 1, 20.0, pushed)["cell"] == ["a", "b"]
-    assert stuck_names(monitor, STUCK_CELL_READINGS - 2, 20.0, pushed)["cell"] == []
-    assert stuck_names(monitor, STUCK_CELL_READINGS - 1, TAUT_TENSION_N, pushed)["cell"] == [], (
-        "a slack tendon's cell may rest"
-    )
+    changed_state = {"pushed": [9.0, 9.0]}
+    assert stuck_sensor_names(monitor, STUCK_CELL_READINGS - 1, 20.0, changed_state)["cell"] == [
+        "a",
+        "b",
+    ]
+    assert stuck_sensor_names(monitor, STUCK_CELL_READINGS - 2, 20.0, changed_state)["cell"] == []
+    assert (
+        stuck_sensor_names(monitor, STUCK_CELL_READINGS - 1, TAUT_TENSION_N, changed_state)["cell"]
+        == []
+    ), "a slack tendon's cell may rest"
 
 
 def test_a_repeating_load_cell_is_reported_in_the_same_tick() -> None:
     monitor = make_monitor(SOFT_STIFFNESS)
-    monitor.set_rows({"asked": 20.0, "wanted": 20.0, "followed": 0.0})
+    monitor.set_state_values({"asked": 20.0, "wanted": 20.0, "followed": 0.0})
     for k in range(STUCK_CELL_READINGS + 2):
         findings = monitor.tick(measurements_at_rest(force=20.0 if k == 0 else 60.0, tension=20.0))
         assert ("T05" in findings) == (
@@ -183,7 +189,7 @@ def test_a_motor_force_that_rises_and_then_falls_shows_a_stuck_load_cell() -> No
     its start value. On ``n_plus_1``, a stuck load cell of an extensor was reported only after 5 s.
     """
     monitor = make_monitor(SOFT_STIFFNESS)
-    monitor.set_rows({"asked": 20.0, "wanted": 20.0, "followed": 0.0})
+    monitor.set_state_values({"asked": 20.0, "wanted": 20.0, "followed": 0.0})
     reported = []
     for force in (20.0, 24.0, 16.0, 20.0):
         for _ in range(STUCK_CELL_READINGS):
@@ -206,13 +212,13 @@ def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
     """
     monitor.set_constants(cell_group=cell_group)
 
-    def slip_and_count(excursion_difference: float) -> tuple[float, float]:
-        monitor.set_rows(
+    def slip_and_derailed_ticks(excursion_difference: float) -> tuple[float, float]:
+        monitor.set_state_values(
             measurements_at_rest(
-                **JOINTS_READ | {"tension": 0.0, "excursion": -excursion_difference}
+                **ZERO_JOINT_READINGS | {"tension": 0.0, "excursion": -excursion_difference}
             )
         )
-        monitor.set_rows(
+        monitor.set_state_values(
             {
                 "taut_s": 9.0,
                 "slip_from": 0.0,
@@ -222,11 +228,13 @@ def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
                 "measured_travel": TAUT_TENSION_N / SOFT_STIFFNESS,
             }
         )
-        call_interpreted(tendon_slip.update_slip, monitor.state_tables, monitor.hand_tables, True)
+        call_interpreted(
+            tendon_slip.update_tendon_slip, monitor.state_tables, monitor.hand_tables, True
+        )
         return abs(monitor.field_values("slip")[0]), monitor.field_values("derailed")[0]
 
     apart = pulley_limit / DEG_PER_RAD * 0.02
-    around = [slip_and_count(apart * (1.0 + i * 2.0**-52)) for i in range(-4, 5)]
+    around = [slip_and_derailed_ticks(apart * (1.0 + i * 2.0**-52)) for i in range(-4, 5)]
     assert min(angle for angle, _ in around) <= pulley_limit < max(angle for angle, _ in around)
     assert all(count == float(angle > pulley_limit) for angle, count in around)
 
@@ -244,8 +252,10 @@ def test_a_tendon_without_load_cell_and_torque_is_not_off_its_pulley(
     interpreted the friction of the motor as tension.
     """
     monitor.set_constants(cell_group=cell_group)
-    monitor.set_rows(measurements_at_rest(**JOINTS_READ | {"tension": 0.0, "excursion": -0.02}))
-    monitor.set_rows(
+    monitor.set_state_values(
+        measurements_at_rest(**ZERO_JOINT_READINGS | {"tension": 0.0, "excursion": -0.02})
+    )
+    monitor.set_state_values(
         {
             "wanted": commanded_force_N,
             "taut_s": 9.0,
@@ -254,6 +264,8 @@ def test_a_tendon_without_load_cell_and_torque_is_not_off_its_pulley(
             "tension": TAUT_TENSION_N,
         }
     )
-    call_interpreted(tendon_slip.update_slip, monitor.state_tables, monitor.hand_tables, True)
+    call_interpreted(
+        tendon_slip.update_tendon_slip, monitor.state_tables, monitor.hand_tables, True
+    )
     assert np.isnan(monitor.field_values("slip")[0]) != is_checked
     assert (monitor.field_values("taut_s")[0] == 0.0) != is_checked

@@ -6,7 +6,7 @@ A reply to such a request may be late. A reply without any request is a duplicat
 import pytest
 
 from handctl.core.detectors.outstanding_requests import (
-    MAX_REQUESTS,
+    MAX_OUTSTANDING_REQUESTS,
     add_requests,
     close_answered_requests,
 )
@@ -22,17 +22,17 @@ class OpenRequests(SyntheticMonitor):
 
     def __init__(self, open_request_ticks: RequestTicks) -> None:
         super().__init__(synthetic_limits(len(open_request_ticks)))
-        self.set_rows({
+        self.set_state_values({
             "open_questions": {n: len(ticks) for n, ticks in enumerate(open_request_ticks)},
             "question": {(i, n): k for n, ticks in enumerate(open_request_ticks) for i, k in enumerate(ticks)},
         })  # fmt: skip
 
     @property
-    def outstanding(self) -> RequestTicks:
+    def outstanding_request_ticks(self) -> RequestTicks:
         """Return the ticks of the requests to each motor that have no reply yet."""
         numbers, ticks = (
             self.view("open_questions"),
-            self.view("question").reshape(MAX_REQUESTS, -1),
+            self.view("question").reshape(MAX_OUTSTANDING_REQUESTS, -1),
         )
         return tuple(tuple(ticks[:number, n].tolist()) for n, number in enumerate(numbers.tolist()))
 
@@ -44,7 +44,7 @@ class OpenRequests(SyntheticMonitor):
         A motor that is not in ``motors_must_reply`` may leave its request unanswered.
         """
         if motors_must_reply:
-            self.set_rows(
+            self.set_state_values(
                 {
                     "phase_before": [
                         int(DrivePhase.READY if must_reply else DrivePhase.READY - 1)
@@ -59,10 +59,10 @@ class OpenRequests(SyntheticMonitor):
 
         Return the indices of motors that replied more often than requested.
         """
-        self.set_rows({"answered": reply_counts})
-        some = call_interpreted(close_answered_requests, self.state_tables, self.hand_tables)
+        self.set_state_values({"answered": reply_counts})
+        has_surplus = call_interpreted(close_answered_requests, self.state_tables, self.hand_tables)
         surplus = self.view("surplus")
-        assert some == bool(surplus.any())
+        assert has_surplus == bool(surplus.any())
         return [n for n, count in enumerate(surplus.tolist()) if count]
 
 
@@ -82,18 +82,22 @@ def test_a_request_increases_the_number_of_outstanding_replies(
 ):
     questions = OpenRequests(open_request_ticks)
     questions.send_requests(7, replies_to_each_request)
-    assert questions.outstanding == outstanding_after_tick
+    assert questions.outstanding_request_ticks == outstanding_after_tick
 
 
 def test_outstanding_requests_are_limited() -> None:
     questions = OpenRequests(((),))
-    for k in range(3 * MAX_REQUESTS):
+    for k in range(3 * MAX_OUTSTANDING_REQUESTS):
         questions.send_requests(k)
-        assert len(questions.outstanding[0]) == min(k + 1, MAX_REQUESTS)
-    assert questions.outstanding[0] == tuple(range(2 * MAX_REQUESTS, 3 * MAX_REQUESTS))
+        assert len(questions.outstanding_request_ticks[0]) == min(k + 1, MAX_OUTSTANDING_REQUESTS)
+    assert questions.outstanding_request_ticks[0] == tuple(
+        range(2 * MAX_OUTSTANDING_REQUESTS, 3 * MAX_OUTSTANDING_REQUESTS)
+    )
 
 
-@pytest.mark.parametrize(("open_request_ticks", "reply_counts", "outstanding_after_tick", "excess_motors"), [
+@pytest.mark.parametrize((
+    "open_request_ticks", "reply_counts", "outstanding_after_tick", "motors_with_excess_replies",
+), [
     (((1,), (1,)), [1, 1], ((), ()), []),
     (((1,), (1,)), [1, 0], ((), (1,)), []),
     # a late reply and a new reply arrive in one tick
@@ -108,18 +112,19 @@ def test_outstanding_requests_are_limited() -> None:
     (((1, 2), (1, 2)), [1, 2], ((1,), ()), []),
 ])  # fmt: skip
 def test_replies_match_requests_and_the_rest_is_excess(
-    open_request_ticks, reply_counts, outstanding_after_tick, excess_motors
+    open_request_ticks, reply_counts, outstanding_after_tick, motors_with_excess_replies
 ):
     questions = OpenRequests(open_request_ticks)
-    assert questions.receive_replies(reply_counts) == excess_motors
-    assert questions.outstanding == outstanding_after_tick
+    assert questions.receive_replies(reply_counts) == motors_with_excess_replies
+    assert questions.outstanding_request_ticks == outstanding_after_tick
     expected = [
-        1 + len(ticks) if n in excess_motors else 0 for n, ticks in enumerate(open_request_ticks)
+        1 + len(ticks) if n in motors_with_excess_replies else 0
+        for n, ticks in enumerate(open_request_ticks)
     ]
     assert questions.field_values("surplus") == expected
 
 
-@pytest.mark.parametrize("ticks_without_reply", [2, 3, MAX_REQUESTS - 1])
+@pytest.mark.parametrize("ticks_without_reply", [2, 3, MAX_OUTSTANDING_REQUESTS - 1])
 def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(
     ticks_without_reply: int,
 ) -> None:
@@ -129,14 +134,14 @@ def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(
     """
     questions = OpenRequests(((),))
     for start in range(2 * LOSS_WINDOW_TICKS):
-        questions.set_rows({"open_questions": 0})
+        questions.set_state_values({"open_questions": 0})
         for k in range(start, start + ticks_without_reply + 1):
             questions.send_requests(k)
-            excess_motors = questions.receive_replies(
+            motors_with_excess_replies = questions.receive_replies(
                 [0] if k < start + ticks_without_reply else [ticks_without_reply + 1]
             )
-            assert excess_motors == [], f"from tick {start} on"
-        assert questions.outstanding == ((),)
+            assert motors_with_excess_replies == [], f"from tick {start} on"
+        assert questions.outstanding_request_ticks == ((),)
         questions.send_requests(k + 1)
         assert questions.receive_replies([2]) == [0]
 
@@ -146,7 +151,9 @@ def test_lost_replies_do_not_hide_duplicates_for_long() -> None:
     for k in range(LOSS_WINDOW_TICKS + 3):
         questions.send_requests(k)
         assert questions.receive_replies([0] if k < 3 else [1]) == []
-    assert questions.outstanding == ((2,),), "the last one stays open: all may come a tick late"
+    assert questions.outstanding_request_ticks == ((2,),), (
+        "the last one stays open: all may come a tick late"
+    )
     questions.send_requests(k + 1)
     assert questions.receive_replies([3]) == [0]
 
@@ -159,5 +166,5 @@ def test_node_with_cyclic_messages_has_no_outstanding_requests() -> None:
 
 def test_a_second_frame_of_a_load_cell_is_in_excess() -> None:
     questions = OpenRequests(((),))
-    questions.set_rows({"answered": 0, "group_answered": {0: 2}})
+    questions.set_state_values({"answered": 0, "group_answered": {0: 2}})
     assert call_interpreted(close_answered_requests, questions.state_tables, questions.hand_tables)

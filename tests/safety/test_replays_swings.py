@@ -48,13 +48,13 @@ def first_repetition_tick(cell_readings: np.ndarray) -> tuple[int, list[tuple[in
     return -1, []
 
 
-@pytest.mark.parametrize("repetition_age", [16, 32, 50, replayed_readings.MAX_AGE_TICKS])
+@pytest.mark.parametrize("repetition_age", [16, 32, 50, replayed_readings.MAX_READING_AGE_TICKS])
 @pytest.mark.parametrize("seed", NOISE_SEEDS)
 def test_repeated_content_is_found_within_sixteen_ticks(seed: int, repetition_age: int) -> None:
     rows = noisy_readings(seed, 300, 0.5)
-    late_rows = rows.copy()
-    late_rows[200:, 2] = rows[200 - repetition_age : 300 - repetition_age, 2]
-    k, repetitions = first_repetition_tick(late_rows)
+    rows_with_repetition = rows.copy()
+    rows_with_repetition[200:, 2] = rows[200 - repetition_age : 300 - repetition_age, 2]
+    k, repetitions = first_repetition_tick(rows_with_repetition)
     assert 207 <= k < 200 + min(repetition_age, 24)
     assert repetitions == [(2, repetition_age)]
 
@@ -157,5 +157,5 @@ def test_a_grasping_hand_relaxes(
         assert hand_run.run_until(
             lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), duration_s
         )
-        assert {mark.id for mark in hand_run.state.latched} <= expected_faults
+        assert {mark.id for mark in hand_run.state.latched_faults} <= expected_faults
         assert hand_run.simulated_hand.fault_states()[0]["felt"]

@@ -13,8 +13,8 @@ def test_bus_events_become_faults() -> None:
         "the kind, if there is no place"
     )
     assert faults_of_reports(("bus_on", "can0", 1.0)) == []
-    two = (("enodev", "can0", 1.0), ("other", "x", 2.0), ("ebadf", "can1", 3.0))
-    assert faults_of_reports(*two) == [("B16", "can0", 1.0), ("B16", "can1", 3.0)]
+    reports = (("enodev", "can0", 1.0), ("other", "x", 2.0), ("ebadf", "can1", 3.0))
+    assert faults_of_reports(*reports) == [("B16", "can0", 1.0), ("B16", "can1", 3.0)]
     assert faults_of_reports(("error_passive", "can0", 1.0)) == [
         ("B13a", "can0", 1.0),
         ("B13b", "can0", 1.0),

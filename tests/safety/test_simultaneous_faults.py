@@ -23,16 +23,16 @@ from tests.safety.fault_cases import (
     measured_tensions,
     merge_inputs,
     monitor_at_rest,
-    reset_for_input,
-    state_rows,
+    reset_monitor_for_input,
+    state_input,
 )
 from tests.safety.synthetic_monitor import SyntheticMonitor
-from tests.safety.test_fault_table import check_ticks
+from tests.safety.test_fault_table import judge_ticks
 
 FAULTS_WHILE_ARMED = [
     id_
     for id_ in CASE_BY_FAULT
-    if CASE_BY_FAULT[id_].input_with_fault.state_rows.get("mode", {...: HandMode.ACTIVE})[...]
+    if CASE_BY_FAULT[id_].input_with_fault.state_values.get("mode", {...: HandMode.ACTIVE})[...]
     in (4, 5)
 ]
 FAULT_PAIRS = list(pairwise([*FAULTS_WHILE_ARMED, FAULTS_WHILE_ARMED[0]])) + [
@@ -40,8 +40,8 @@ FAULT_PAIRS = list(pairwise([*FAULTS_WHILE_ARMED, FAULTS_WHILE_ARMED[0]])) + [
 ]
 
 
-def judge_input(monitor: SyntheticMonitor, tick_input: TickInput):
-    return monitor.judge(reset_for_input(monitor, tick_input), tick_input.reports)
+def verdict_on_input(monitor: SyntheticMonitor, tick_input: TickInput):
+    return monitor.judge(reset_monitor_for_input(monitor, tick_input), tick_input.reports)
 
 
 def test_every_fault_of_the_active_mode_is_paired() -> None:
@@ -54,9 +54,9 @@ def test_of_two_simultaneous_faults_the_more_severe_action_wins_and_both_are_rep
 ) -> None:
     a, b = CASE_BY_FAULT[first_fault_id], CASE_BY_FAULT[second_fault_id]
     merged_input = merge_inputs(a.input_with_fault, b.input_with_fault)
-    monitor, verdicts = check_ticks(*[merged_input] * max(a.debounce_ticks, b.debounce_ticks))
+    monitor, verdicts = judge_ticks(*[merged_input] * max(a.debounce_ticks, b.debounce_ticks))
     assert verdicts[-1].action >= max(a.action, b.action)
-    reported = {(f.fault.id, f.instance) for verdict in verdicts for f in verdict.findings}
+    reported = {(f.fault.id, f.part_name) for verdict in verdicts for f in verdict.findings}
     assert {(first_fault_id, a.faulty_part), (second_fault_id, b.faulty_part)} <= reported
     for id_, case in ((first_fault_id, a), (second_fault_id, b)):
         assert (LatchedFault(id_, case.faulty_part) in monitor.latched) == case.is_latched
@@ -74,52 +74,52 @@ def test_a_second_fault_neither_ends_nor_hides_the_first(
     The first fault stays latched, and the second is still reported.
     """
     a, b = CASE_BY_FAULT[first_fault_id], CASE_BY_FAULT[second_fault_id]
-    monitor, first_verdicts = check_ticks(*[a.input_with_fault] * a.debounce_ticks, INPUT_AT_REST)
-    _, verdicts = check_ticks(*[b.input_with_fault] * b.debounce_ticks, monitor=monitor)
+    monitor, first_verdicts = judge_ticks(*[a.input_with_fault] * a.debounce_ticks, INPUT_AT_REST)
+    _, verdicts = judge_ticks(*[b.input_with_fault] * b.debounce_ticks, monitor=monitor)
     expected = max(b.action, a.action if a.is_latched else SafetyAction.PASS)
     assert verdicts[-1].action >= expected
     reported = [f.fault.id for verdict in (*first_verdicts, *verdicts) for f in verdict.findings]
     assert second_fault_id in reported
-    _, (verdict_after,) = check_ticks(INPUT_AT_REST, monitor=monitor)
+    _, (verdict_after,) = judge_ticks(INPUT_AT_REST, monitor=monitor)
     latched_actions = [case.action for case in (a, b) if case.is_latched]
     assert verdict_after.action >= max(latched_actions, default=SafetyAction.PASS)
     monitor.clear_latched()
-    _, (verdict_without_fault,) = check_ticks(INPUT_AT_REST, monitor=monitor)
+    _, (verdict_without_fault,) = judge_ticks(INPUT_AT_REST, monitor=monitor)
     assert verdict_without_fault.action == SafetyAction.PASS
     assert monitor.latched == ()
 
 
 def test_the_same_fault_of_two_instances_is_two_faults() -> None:
-    monitor, (verdict,) = check_ticks(late_motor_frames(m0=6))
-    _, (two,) = check_ticks(late_motor_frames(m1=6), monitor=monitor)
-    assert [f.instance for f in verdict.findings if f.fault.id == "B02"] == ["m0"]
-    assert [f.instance for f in two.findings if f.fault.id == "B02"] == ["m1"]
-    assert [mark.instance for mark in monitor.latched if mark.id == "B02"] == ["m0", "m1"]
+    monitor, (verdict,) = judge_ticks(late_motor_frames(m0=6))
+    _, (two,) = judge_ticks(late_motor_frames(m1=6), monitor=monitor)
+    assert [f.part_name for f in verdict.findings if f.fault.id == "B02"] == ["m0"]
+    assert [f.part_name for f in two.findings if f.fault.id == "B02"] == ["m1"]
+    assert [mark.part_name for mark in monitor.latched if mark.id == "B02"] == ["m0", "m1"]
 
 
 def test_instances_do_not_share_their_debounce_counts() -> None:
     left_input, right_input = measured_tensions(t0=244.0), measured_tensions(t1=244.0)
-    _, verdicts = check_ticks(
+    _, verdicts = judge_ticks(
         left_input, right_input, left_input, right_input, left_input, right_input
     )
     assert {verdict.action for verdict in verdicts} == {SafetyAction.PASS}
 
 
 def test_two_events_of_one_bus_in_one_tick_are_one_tick() -> None:
-    twice = TickInput(
+    two_overflow_reports = TickInput(
         reports=(
             *event_report("enobufs", "can0", 1).reports,
             *event_report("enobufs", "can0", 2).reports,
         )
     )
-    _, verdicts = check_ticks(twice)
+    _, verdicts = judge_ticks(two_overflow_reports)
     assert verdicts[0].action == SafetyAction.PASS
-    _, verdicts = check_ticks(twice, twice)
+    _, verdicts = judge_ticks(two_overflow_reports, two_overflow_reports)
     assert verdicts[-1].action == SafetyAction.RELAX
     assert len(verdicts[-1].findings) == 1
 
 
-INPUTS_WITH_MANY_FRAMES = {id_: state_rows(frames=6 * 64 + 1) for id_ in ("B11a", "B11b")}
+INPUTS_WITH_MANY_FRAMES = {id_: state_input(frames=6 * 64 + 1) for id_ in ("B11a", "B11b")}
 """Inputs with too many frames.
 
 The number exceeds the limit even if ticks were missed because of another fault of the test.
@@ -130,10 +130,10 @@ INPUT_BY_FAULT = {
 }
 fault_ids = st.lists(st.sampled_from(FAULTS_WHILE_ARMED), max_size=4)
 inputs_with_faults = fault_ids.map(lambda ids: merge_inputs(*(INPUT_BY_FAULT[i] for i in ids)))
-course_of_faults = st.lists(st.tuples(inputs_with_faults, fault_ids, st.booleans()), max_size=30)
+fault_sequences = st.lists(st.tuples(inputs_with_faults, fault_ids, st.booleans()), max_size=30)
 
 
-@given(course_of_faults)
+@given(fault_sequences)
 def test_additional_faults_never_weaken_the_action(
     ticks: list[tuple[TickInput, list[str], bool]],
 ) -> None:
@@ -147,8 +147,8 @@ def test_additional_faults_never_weaken_the_action(
         if cleared:
             monitor_with_fewer_faults.clear_latched()
             monitor_with_more_faults.clear_latched()
-        verdict_with_fewer_faults = judge_input(monitor_with_fewer_faults, tick_input)
-        verdict_with_more_faults = judge_input(
+        verdict_with_fewer_faults = verdict_on_input(monitor_with_fewer_faults, tick_input)
+        verdict_with_more_faults = verdict_on_input(
             monitor_with_more_faults,
             merge_inputs(tick_input, *(INPUT_BY_FAULT[i] for i in added_faults)),
         )
@@ -156,7 +156,7 @@ def test_additional_faults_never_weaken_the_action(
         assert set(monitor_with_fewer_faults.latched) <= set(monitor_with_more_faults.latched)
 
 
-@given(course_of_faults)
+@given(fault_sequences)
 def test_latches_only_grow_between_clearings(
     ticks: list[tuple[TickInput, list[str], bool]],
 ) -> None:
@@ -165,7 +165,7 @@ def test_latches_only_grow_between_clearings(
         latched_before = () if cleared else monitor.latched
         if cleared:
             monitor.clear_latched()
-        verdict = judge_input(monitor, tick_input)
+        verdict = verdict_on_input(monitor, tick_input)
         assert monitor.latched[: len(latched_before)] == latched_before, (
             "in the order in which they came"
         )
@@ -174,8 +174,8 @@ def test_latches_only_grow_between_clearings(
         assert verdict.action >= max(
             (actions[mark.id] for mark in monitor.latched), default=SafetyAction.PASS
         )
-        reported += [(f.fault.id, f.instance) for f in verdict.findings]
-        assert {(mark.id, mark.instance) for mark in monitor.latched} <= set(reported), (
+        reported += [(f.fault.id, f.part_name) for f in verdict.findings]
+        assert {(mark.id, mark.part_name) for mark in monitor.latched} <= set(reported), (
             "nothing latches in silence"
         )
 

@@ -26,12 +26,12 @@ NAN = math.nan
 TensionList = list[float]
 
 
-class FilteredTendons(SyntheticMonitor):
+class FilteredTensionMonitor(SyntheticMonitor):
     """Tendons with a safety monitor. The test sets the filtered tensions of these tendons."""
 
     def __init__(self, tendon_count: int, **value_by_field: Any) -> None:
         super().__init__(synthetic_limits(tendon_count), residual_fraction=0.0)
-        self.set_rows(value_by_field)
+        self.set_state_values(value_by_field)
 
     def run_tick(
         self, tension: TensionList, commanded_tension: TensionList, **value_by_field: Any
@@ -78,25 +78,25 @@ class FilteredTendons(SyntheticMonitor):
 def test_slack_detector_updates_its_counts_in_each_tick(
     cell_tension_N, commanded_tension_N, counts_before, counts_after
 ):
-    tendons = FilteredTendons(1, taut_ago=counts_before[0], slack_ticks=counts_before[1])
+    tendons = FilteredTensionMonitor(1, taut_ago=counts_before[0], slack_ticks=counts_before[1])
     assert tendons.run_tick([cell_tension_N], [commanded_tension_N]) == [counts_after]
 
 
 def test_tendons_count_separately_and_begin_as_never_taut():
-    tendons = FilteredTendons(3)
+    tendons = FilteredTensionMonitor(3)
     assert tendons.run_tick([20.0, 0.0, 1.0], [24.0, 24.0, NAN]) == [(0, 0), (-1, 0), (-1, 0)]
     assert tendons.run_tick([0.0, 20.0, 1.0], [24.0, 24.0, 24.0]) == [(1, 1), (0, 0), (-1, 0)]
 
 
 def test_slack_is_reported_by_name_and_in_seconds():
-    tendons = FilteredTendons(3, taut_ago=[0, 8, 1], slack_ticks=[0, 25, 24])
+    tendons = FilteredTensionMonitor(3, taut_ago=[0, 8, 1], slack_ticks=[0, 25, 24])
     tendons.run_tick([20.0, 0.0, 0.0], [20.0] * 3)
     assert tendons.reported["T02a"] == {"t1": 26 * PERIOD_S}
-    tendons = FilteredTendons(2, taut_ago=9, slack_ticks=[249, 250])
+    tendons = FilteredTensionMonitor(2, taut_ago=9, slack_ticks=[249, 250])
     tendons.run_tick([0.0] * 2, [20.0] * 2)
     assert tendons.reported["T02a"] == {"t0": 250 * PERIOD_S, "t1": 251 * PERIOD_S}
     assert tendons.reported["T02b"] == {"t1": 251 * PERIOD_S}
-    tendons = FilteredTendons(1)
+    tendons = FilteredTensionMonitor(1)
     tendons.run_tick([0.0], [20.0])
     assert "T02a" not in tendons.reported
 
@@ -125,7 +125,7 @@ def test_a_snapped_tendon_is_detected(
 
     The other tendon of this digit is taut.
     """
-    tendons = FilteredTendons(
+    tendons = FilteredTensionMonitor(
         2, taut_ago=[0, ticks_since_taut - 1 if ticks_since_taut > 0 else ticks_since_taut]
     )
     taut = 20.0 if ticks_since_taut == 0 else 2.2
@@ -160,9 +160,9 @@ def test_the_speed_of_a_snapped_tendon_depends_on_its_tension_loop(
     """
 
     def is_snapped(spool_speed):
-        tendon = FilteredTendons(1, taut_ago=0, goal_kind=int(GoalKind.TENSION))
+        tendon = FilteredTensionMonitor(1, taut_ago=0, goal_kind=int(GoalKind.TENSION))
         if is_digit_moving:
-            tendon.set_rows({"way_kind": MINIMUM_JERK})
+            tendon.set_state_values({"way_kind": MINIMUM_JERK})
         tendon.set_constants(tension_gain=0.1, tension_speed_gain=speed_gain, coulomb=friction_N)
         tendon.run_tick([2.2], [commanded_tension_N], measured_tension=0.0, speed=spool_speed)
         return "T01" in tendon.reported
@@ -172,13 +172,13 @@ def test_the_speed_of_a_snapped_tendon_depends_on_its_tension_loop(
 
 
 def test_no_tendon_snaps_before_tension_is_commanded():
-    tendons = FilteredTendons(1)
+    tendons = FilteredTensionMonitor(1)
     tendons.run_tick([0.0], [24.0], measured_tension=0.0, speed=0.05)
     assert "T01" not in tendons.reported
 
 
 def test_tension_at_the_cut_is_stored_and_ticks_are_counted():
-    tendons = FilteredTendons(2, taut_ago=0, slack_ticks=[0, 3], cell_value=[31.0, 21.0])
+    tendons = FilteredTensionMonitor(2, taut_ago=0, slack_ticks=[0, 3], cell_value=[31.0, 21.0])
     tendons.run_tick_after_cut([30.0, 20.0])
     assert (tendons.field_values("cut_ticks"), tendons.field_values("cut_from")) == (
         [0],
@@ -194,7 +194,7 @@ def test_tension_at_the_cut_is_stored_and_ticks_are_counted():
 
 
 def test_a_missing_sample_at_the_cut_is_replaced_by_the_previous_one():
-    tendons = FilteredTendons(2, cell_value=[31.0, NAN])
+    tendons = FilteredTensionMonitor(2, cell_value=[31.0, NAN])
     tendons.run_tick_after_cut([NAN, 20.0])
     assert tendons.field_values("cut_from") == [31.0, 20.0]
     tendons.run_tick_after_cut([10.0, 10.0])
@@ -202,7 +202,7 @@ def test_a_missing_sample_at_the_cut_is_replaced_by_the_previous_one():
 
 
 def test_a_tendon_without_a_sample_before_the_cut_counts_from_its_first_reading():
-    tendons = FilteredTendons(2)
+    tendons = FilteredTensionMonitor(2)
     tendons.run_tick_after_cut([NAN, 20.0])
     assert math.isnan(tendons.field_values("cut_from")[0])
     tendons.run_tick_after_cut([NAN, NAN], cell_value=40.0)
@@ -235,7 +235,7 @@ def test_a_tendon_still_pulled_by_its_motor_is_detected(
 
     Without an earlier reading, the detector compares with the first reading.
     """
-    tendons = FilteredTendons(
+    tendons = FilteredTensionMonitor(
         2, cut_ticks=ticks_after_cut - 1, cut_from=[0.0, tension_before_cut], cut_bears=NAN
     )
     reported_tick = tendons.run_tick_after_cut([0.0, present_tension])
@@ -261,7 +261,7 @@ def test_a_spool_that_has_paid_out_is_released(paid_out_m, is_detected):
     estimate hid a motor that did not release.
     """
     position = 1.0 - paid_out_m / SPOOL_RADIUS_M
-    tendons = FilteredTendons(
+    tendons = FilteredTensionMonitor(
         1,
         cut_ticks=49,
         cut_from=11.0,
@@ -278,7 +278,7 @@ def test_the_last_tension_counts_if_the_latest_sample_is_missing():
 
     Earlier readings do not show whether a motor has released its tendon.
     """
-    tendons = FilteredTendons(2)
+    tendons = FilteredTensionMonitor(2)
     for k in range(50):
         tendons.run_tick_after_cut([30.0 if k < 40 else NAN, 30.0 if k < 41 else NAN])
         np.testing.assert_array_equal(
@@ -305,10 +305,10 @@ def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(
 ):
     """If a disabled drive keeps its torque, the drive is detected from the torque in its reports.
 
-    Earlier defect: without load cells, such a drive did not cause the fault N16 (a drive does not
-    release). With a load cell, a drive that kept 9 N did not cause this fault either.
+    Reproduce two defects. The fault N16 (a drive does not release) was not reported for a tendon
+    without load cell. With a load cell, it was not reported for a drive that kept 9 N.
     """
-    tendons = FilteredTendons(1)
+    tendons = FilteredTensionMonitor(1)
     tendons.set_constants(cell_group=cell_group)
     tendons.tick(measured_force=force_before_cut, asked=force_before_cut)
     reported_ticks = [
@@ -327,7 +327,7 @@ def test_a_step_of_a_coarse_torque_report_is_no_pull(torque_step_N, is_detected)
     torque that corresponds to 1.2 N. The reported torque caused the fault N16 (a drive does not
     release).
     """
-    tendons = FilteredTendons(1)
+    tendons = FilteredTensionMonitor(1)
     tendons.set_constants(torque_step=torque_step_N)
     tendons.tick(measured_force=1.2, asked=1.2)
     reported_ticks = [
@@ -341,7 +341,7 @@ def test_an_old_torque_is_no_sign_of_a_drive_that_does_not_release():
 
     An example is an ODrive with torque feedback.
     """
-    tendons = FilteredTendons(1)
+    tendons = FilteredTensionMonitor(1)
     tendons.set_constants(answers_once=0)
     tendons.tick(measured_force=20.0, asked=20.0)
     for _ in range(60):

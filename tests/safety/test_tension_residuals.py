@@ -16,8 +16,8 @@ from handctl.core.detectors.residuals import (
     COMMAND_DIFFERENCE,
     EXCESS_FRICTION,
     FULL_FRICTION_SPEED_M_S,
+    RESIDUAL_TIME_CONSTANTS_S,
     TENSION,
-    TIME_CONSTANTS_S,
 )
 from handctl.core.tick_types import HandMode
 from handctl.safety.faults.node import TORQUE_DIFFERENCE_LIMIT_N
@@ -50,7 +50,7 @@ class MotorWithTendon(SyntheticMonitor):
             motor_damping=MOTOR_DAMPING,
             coulomb=COULOMB_FRICTION_N,
         )
-        self.set_rows({"residual": 0.0, **value_by_field})
+        self.set_state_values({"residual": 0.0, **value_by_field})
 
     def run_tick(
         self, tension: float, force: float, speed: float = 0.0, commanded_force: float | None = None
@@ -59,9 +59,9 @@ class MotorWithTendon(SyntheticMonitor):
         commanded = force if commanded_force is None else commanded_force
         self.tick(speed=speed, measured_tension=tension, measured_force=force, asked=commanded)
 
-    def filtered_residual(self, residual_row: int) -> float:
+    def filtered_residual(self, residual_kind: int) -> float:
         """Return the filtered residual in one row of the field ``residual``."""
-        return float(self.view("residual")[residual_row, 0])
+        return float(self.view("residual")[residual_kind, 0])
 
     @property
     def unexplained_tension(self) -> float:
@@ -222,11 +222,11 @@ def test_noise_causes_no_fault_in_ten_thousand_hours():
         ]
     )
     chance = 1.0 / (10_000.0 * 3600.0 / PERIOD_S)
-    residual_of_chance = NormalDist(sigma=float(simulated_residuals.std())).inv_cdf(
+    chance_residual_N = NormalDist(sigma=float(simulated_residuals.std())).inv_cdf(
         1.0 - chance / 2.0
     )
-    assert 0.5 < residual_of_chance < 1.5, "the noise was felt"
-    assert residual_of_chance < min(
+    assert 0.5 < chance_residual_N < 1.5, "the noise was felt"
+    assert chance_residual_N < min(
         RESIDUAL_WARN_N, EXCESS_FRICTION_WARN_N, TORQUE_DIFFERENCE_LIMIT_N
     )
 
@@ -297,7 +297,7 @@ def test_the_residual_filter_takes_the_exact_share_per_tick(spool_speed):
     balance = (
         30.0 - 20.0 - MOTOR_DAMPING * spool_speed - COULOMB_FRICTION_N * np.tanh(spool_speed / 1e-3)
     )
-    filter_gain = -np.expm1(-PERIOD_S / TIME_CONSTANTS_S[BALANCE])
+    filter_gain = -np.expm1(-PERIOD_S / RESIDUAL_TIME_CONSTANTS_S[BALANCE])
     assert rotor.filtered_residual(BALANCE) == pytest.approx(filter_gain * balance, rel=1e-12)
 
 

@@ -14,10 +14,10 @@ from tests.safety.synthetic_monitor import (
     synthetic_limits,
 )
 
-COMMAND_TICKS = 1000
+COMMAND_TICK_COUNT = 1000
 
 
-class ReportingMotors(SyntheticMonitor):
+class TorqueReportMonitor(SyntheticMonitor):
     """Two motors, and a safety monitor that compares commanded and reported forces in each tick."""
 
     def __init__(self, torque_step: float = 0.078) -> None:
@@ -41,7 +41,7 @@ class ReportingMotors(SyntheticMonitor):
         self.ever_unfollowed |= [name in self.now_unfollowed for name in self.limits.motors]
 
     @property
-    def reported_fractions(self) -> list[float]:
+    def reported_torque_fractions(self) -> list[float]:
         """Return one fraction for each motor.
 
         It is the fraction of a command change that appears in the torque reports.
@@ -51,21 +51,21 @@ class ReportingMotors(SyntheticMonitor):
         ]
 
 
-def motors_after(
+def motors_after_reports(
     commanded: np.ndarray, reported: np.ndarray, torque_step: float = 0.078
-) -> ReportingMotors:
-    motors = ReportingMotors(torque_step)
+) -> TorqueReportMonitor:
+    motors = TorqueReportMonitor(torque_step)
     for force, report in zip(commanded, reported, strict=True):
         motors.run_tick(force, report)
     return motors
 
 
 def noisy_commands(seed: int, noise_N: float = 0.1) -> np.ndarray:
-    """Return noisy commands (COMMAND_TICKS, 2) [N] for two motors that hold 90 N.
+    """Return noisy commands (COMMAND_TICK_COUNT, 2) [N] for two motors that hold 90 N.
 
     The commands are rounded to 12 bits, as in a frame to a drive.
     """
-    return 90.0 + noise_N * np.random.default_rng(seed).standard_normal((COMMAND_TICKS, 2))
+    return 90.0 + noise_N * np.random.default_rng(seed).standard_normal((COMMAND_TICK_COUNT, 2))
 
 
 def rounded_to_counts(reported_force: np.ndarray) -> np.ndarray:
@@ -99,7 +99,7 @@ def test_a_report_in_coarse_steps_is_never_doubted(seed: int, step_fraction: flo
         1.0 + 0.01 * np.random.default_rng(seed).random()
     ) + step_fraction * step * (noisy_commands(seed, 1.0) - 90.0)
     reported = np.round(np.roll(commanded, 1, axis=0) / step) * step
-    assert not motors_after(commanded, reported, step).ever_unfollowed.any()
+    assert not motors_after_reports(commanded, reported, step).ever_unfollowed.any()
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -117,19 +117,21 @@ def test_a_report_of_another_motor_or_of_another_time_is_found(
 
 
 def test_constant_command_and_constant_report_give_no_verdict() -> None:
-    constant_command = np.full((COMMAND_TICKS, 2), 90.0)
-    assert not motors_after(constant_command, delayed_reports(noisy_commands(1))).now_unfollowed
-    assert not motors_after(noisy_commands(1), constant_command).now_unfollowed
+    constant_command = np.full((COMMAND_TICK_COUNT, 2), 90.0)
+    assert not motors_after_reports(
+        constant_command, delayed_reports(noisy_commands(1))
+    ).now_unfollowed
+    assert not motors_after_reports(noisy_commands(1), constant_command).now_unfollowed
 
 
 def test_missing_reports_are_left_out() -> None:
     commanded = noisy_commands(3)
     reports = delayed_reports(commanded)
     reports[::10] = np.nan
-    state = motors_after(commanded, reports)
-    assert state.reported_fractions == pytest.approx([1.0, 1.0], abs=0.25)
+    state = motors_after_reports(commanded, reports)
+    assert state.reported_torque_fractions == pytest.approx([1.0, 1.0], abs=0.25)
     assert not state.now_unfollowed
-    silent_motors = motors_after(commanded, np.full_like(reports, np.nan))
+    silent_motors = motors_after_reports(commanded, np.full_like(reports, np.nan))
     assert not silent_motors.now_unfollowed
 
 
@@ -137,7 +139,7 @@ def test_one_outlier_is_not_a_fault() -> None:
     commanded = noisy_commands(4)
     reports = delayed_reports(commanded)
     reports[-2] += 50.0
-    assert not motors_after(commanded, reports).now_unfollowed
+    assert not motors_after_reports(commanded, reports).now_unfollowed
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -152,15 +154,15 @@ def test_a_report_that_is_a_tick_late_is_not_a_fault(seed: int, noise_N: float) 
 
 
 def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return commands (COMMAND_TICKS, 2) [N], and the torque that healthy drives report [N].
+    """Return commands (COMMAND_TICK_COUNT, 2) [N], and the torque that healthy drives report [N].
 
     The bus sometimes transmits no frames for one to five ticks, while the commands continue to change. The first
     reports after a stop still show the command from before the stop.
     """
     random = np.random.default_rng(seed)
-    commanded, torque_reports = noisy_commands(seed), np.full((COMMAND_TICKS, 2), np.nan)
+    commanded, torque_reports = noisy_commands(seed), np.full((COMMAND_TICK_COUNT, 2), np.nan)
     obeyed_commands, stalled_tick_count = commanded[0].copy(), 0
-    for k in range(1, COMMAND_TICKS):
+    for k in range(1, COMMAND_TICK_COUNT):
         stalled_tick_count = (
             stalled_tick_count - 1
             if stalled_tick_count
@@ -178,7 +180,7 @@ def motors_with_doubtful_reports(commanded: np.ndarray, reported: np.ndarray) ->
 
     The value is True if, in any tick, the reports of the motor do not follow its commands.
     """
-    return motors_after(commanded, reported).ever_unfollowed
+    return motors_after_reports(commanded, reported).ever_unfollowed
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -212,7 +214,7 @@ def test_exchanged_drives_are_found_before_their_rotors_gain_speed() -> None:
     commanded = diverging_commands()
     torque_reports = delayed_reports(commanded)[:, ::-1]
     torque_reports[0] = 0.0  # delayed_reports puts the last command into this row
-    motors = motors_after(commanded, torque_reports)
+    motors = motors_after_reports(commanded, torque_reports)
     assert abs(commanded[motors.disobeyed[0]]).max() < 40.0
 
 
@@ -223,8 +225,8 @@ def test_a_drive_without_torque_is_found_although_its_command_is_small() -> None
     """
     commanded = np.full((100, 2), 9.0)
     silent = np.zeros((100, 2))
-    assert motors_after(commanded, silent).disobeyed[0] <= 30
-    assert not motors_after(commanded * 0.6, silent).disobeyed, (
+    assert motors_after_reports(commanded, silent).disobeyed[0] <= 30
+    assert not motors_after_reports(commanded * 0.6, silent).disobeyed, (
         "N17 and the joint encoders find 5.4 N"
     )
 
@@ -239,32 +241,32 @@ def test_a_drive_that_obeys_fast_commands_is_not_a_fault(seed: int, ticks: int) 
     random = np.random.default_rng(seed)
     command_steps = (
         50.0
-        * random.uniform(-1.0, 1.0, (COMMAND_TICKS, 2))
-        * (random.random((COMMAND_TICKS, 2)) < 0.05)
+        * random.uniform(-1.0, 1.0, (COMMAND_TICK_COUNT, 2))
+        * (random.random((COMMAND_TICK_COUNT, 2)) < 0.05)
     )
     commanded = np.clip(np.cumsum(command_steps, axis=0), -100.0, 100.0)
-    commanded += 40.0 * np.sin(np.arange(COMMAND_TICKS) / 4.0)[:, None]
+    commanded += 40.0 * np.sin(np.arange(COMMAND_TICK_COUNT) / 4.0)[:, None]
     reports = delayed_reports(commanded, ticks)
-    lost = np.flatnonzero(random.random(COMMAND_TICKS - 5) < 0.02) + 2
+    lost = np.flatnonzero(random.random(COMMAND_TICK_COUNT - 5) < 0.02) + 2
     reports[lost] = reports[lost - 1] if ticks == 1 else np.nan
-    assert not motors_after(commanded, reports).disobeyed
+    assert not motors_after_reports(commanded, reports).disobeyed
 
 
 def test_a_drive_with_a_slow_current_and_a_wrong_torque_constant_is_not_a_fault() -> None:
     """In this test, the motor current lags by 4 ms, and the torque constant is 15 % too low."""
-    commanded = 24.0 + 36.0 * (np.arange(COMMAND_TICKS) // 50 % 2)[:, None] * np.ones(2)
+    commanded = 24.0 + 36.0 * (np.arange(COMMAND_TICK_COUNT) // 50 % 2)[:, None] * np.ones(2)
     torque_reports = np.zeros_like(commanded)
-    for k in range(1, COMMAND_TICKS):
+    for k in range(1, COMMAND_TICK_COUNT):
         torque_reports[k] = torque_reports[k - 1] + (1.0 - np.exp(-0.5)) * (
             0.85 * commanded[k - 1] - torque_reports[k - 1]
         )
     torque_reports[:10] = commanded[:10]
-    assert not motors_after(commanded, torque_reports).disobeyed
+    assert not motors_after_reports(commanded, torque_reports).disobeyed
 
 
 def test_torque_that_comes_separately_is_judged_by_its_mean_only() -> None:
     commanded = np.full((100, 2), 14.0)
-    motors = ReportingMotors()
+    motors = TorqueReportMonitor()
     motors.set_constants(answers_once=0)
     for force in commanded:
         motors.run_tick(force, np.zeros(2))
@@ -275,7 +277,7 @@ def test_one_report_that_contradicts_its_command_is_not_a_fault() -> None:
     commanded = np.full((100, 2), 24.0)
     torque_reports = commanded.copy()
     torque_reports[50] = 0.0
-    assert not motors_after(commanded, torque_reports).disobeyed
+    assert not motors_after_reports(commanded, torque_reports).disobeyed
 
 
 @pytest.mark.parametrize(("cell_group", "period_s"), [([0, 1], PERIOD_S), ([-1, -1], 1e-3)])
@@ -287,7 +289,7 @@ def test_a_late_report_is_no_fault_with_a_load_cell_or_at_a_high_rate(
     A run at 1 kHz ended with the fault N14 (a command is not obeyed) because the computer was busy
     for 4 ms.
     """
-    motors = ReportingMotors()
+    motors = TorqueReportMonitor()
     motors.set_constants(cell_group=cell_group, period=period_s)
     commanded = np.repeat(np.array([[9.0, 9.0], [40.0, 40.0]]), 40, axis=0)
     reports = delayed_reports(commanded, 6)

@@ -22,35 +22,35 @@ from handctl.tune.identify.contact_detection import (
 from handctl.tune.identify.identify import SWEEP_PARAMETERS, TendonResult
 from tests.conftest import NIGHTLY
 
-SPRING_FACTOR = 1.2
+SPRING_STIFFNESS_FACTOR = 1.2
 ROW_COUNT = 300
 DIGIT_NAMES = ("index", "middle", "ring", "thumb")
 THUMB_MOUNT_LINE = "mount_position_m = [0.0, -0.025, 0.0]"
 
 
-def with_near_thumb(hand_name: str, thumb_mm: int, hand_folder: Path) -> str:
+def write_near_thumb_hand(hand_name: str, thumb_shift_mm: int, hand_folder: Path) -> str:
     """Write a copy of a packaged hand file, and return the path of the copy.
 
     In the copy, the thumb is nearer to the middle finger.
     """
     text = load_hand(hand_name).to_toml()
     assert THUMB_MOUNT_LINE in text
-    path = hand_folder / f"{hand_name}-{thumb_mm}.toml"
+    path = hand_folder / f"{hand_name}-{thumb_shift_mm}.toml"
     path.write_text(
         text.replace(
-            THUMB_MOUNT_LINE, f"mount_position_m = [0.0, {thumb_mm / 1e3 - 0.025:.3f}, 0.0]"
+            THUMB_MOUNT_LINE, f"mount_position_m = [0.0, {thumb_shift_mm / 1e3 - 0.025:.3f}, 0.0]"
         )
     )
     return str(path)
 
 
 def identify_touching_finger(
-    hand_name: str, thumb_mm: int, seed: int, hand_folder: Path
+    hand_name: str, thumb_shift_mm: int, seed: int, hand_folder: Path
 ) -> dict[str, TendonResult]:
     """Identify a middle finger that touches the thumb during its sweeps, and return the results."""
-    path = with_near_thumb(hand_name, thumb_mm, hand_folder)
+    path = write_near_thumb_hand(hand_name, thumb_shift_mm, hand_folder)
     results, row = excite_and_fit(
-        path, "middle", seed, {"spring": SPRING_FACTOR}, Gains(), hand_folder
+        path, "middle", seed, {"spring": SPRING_STIFFNESS_FACTOR}, Gains(), hand_folder
     )
     assert "failure" not in row
     return results
@@ -58,27 +58,27 @@ def identify_touching_finger(
 
 NEAR_THUMB_CASES = [("jamia", mm, seed) for seed in range(5) for mm in (25, 29, 33, 37, 40)]
 NEAR_THUMB_CASES += [("jamia11", mm, seed) for seed in range(5) for mm in (29, 37)]
-NEAR_THUMB_SAMPLE = {("jamia", 37, 1)}
+QUICK_NEAR_THUMB_CASES = {("jamia", 37, 1)}
 UNDISTURBED_CASES = [(hand, seed) for seed in range(20) for hand in ("jamia", "jamia11")]
-UNDISTURBED_SAMPLE = {("jamia", 5)}
+QUICK_UNDISTURBED_CASES = {("jamia", 5)}
 
 
 @pytest.mark.parametrize(
-    ("hand", "thumb_mm", "seed"),
-    [case for case in NEAR_THUMB_CASES if NIGHTLY or case in NEAR_THUMB_SAMPLE],
+    ("hand", "thumb_shift_mm", "seed"),
+    [case for case in NEAR_THUMB_CASES if NIGHTLY or case in QUICK_NEAR_THUMB_CASES],
 )
 def test_springs_of_fingers_that_touch_each_other_are_not_kept(
-    tmp_path: Path, hand: str, thumb_mm: int, seed: int
+    tmp_path: Path, hand: str, thumb_shift_mm: int, seed: int
 ) -> None:
     """Reproduce a defect: the values 1.41 and 1.73 of a spring parameter were accepted without a message.
 
     The true value of this parameter is 1.2.
     """
-    fits = identify_touching_finger(hand, thumb_mm, seed, tmp_path)
+    fits = identify_touching_finger(hand, thumb_shift_mm, seed, tmp_path)
     for result in fits.values():
-        assert result.contact_text or result.blocked_event
+        assert result.contact_text or result.blocked_event_text
         assert not set(result.identified_names) & set(SWEEP_PARAMETERS)
-    real = true_parameters(
+    true_values = true_parameters(
         load_hand(hand), next(iter(fits)), draw_plant(0) | dict.fromkeys(draw_plant(0), 1.0)
     )
     for result in fits.values():  # the contact does not affect the other parameters
@@ -89,13 +89,14 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
             "tendon_stiffness",
         }:
             assert (
-                abs(result.fit.parameter_values[name] - real[name])
+                abs(result.fit.parameter_values[name] - true_values[name])
                 < 2.0 * result.fit.half_widths[name]
             ), name
 
 
 @pytest.mark.parametrize(
-    ("hand", "seed"), [case for case in UNDISTURBED_CASES if NIGHTLY or case in UNDISTURBED_SAMPLE]
+    ("hand", "seed"),
+    [case for case in UNDISTURBED_CASES if NIGHTLY or case in QUICK_UNDISTURBED_CASES],
 )
 def test_parameters_of_a_digit_without_contact_are_kept(
     tmp_path: Path, hand: str, seed: int
@@ -109,9 +110,9 @@ def test_parameters_of_a_digit_without_contact_are_kept(
     )
     assert "failure" not in row
     assert [
-        (result.contact_text, result.blocked_event)
+        (result.contact_text, result.blocked_event_text)
         for result in results.values()
-        if result.contact_text or result.blocked_event
+        if result.contact_text or result.blocked_event_text
     ] == []
 
 
@@ -125,7 +126,7 @@ def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
     )
     assert "failure" not in row
     index_result = results["index_tendon"]
-    assert (index_result.contact_text, index_result.blocked_event) == ("", "")
+    assert (index_result.contact_text, index_result.blocked_event_text) == ("", "")
     assert index_result.fit.parameter_values["spring_stiffness"] == pytest.approx(
         draw_plant(8)["spring"], rel=0.05
     )

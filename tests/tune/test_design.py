@@ -30,9 +30,9 @@ from handctl.tune.loops.linear_models import LoopKind, PlantFactors
 from handctl.tune.search.ensemble import MIN_FACTOR_SPREAD, factor_half_widths, sample_ensemble
 from tests.conftest import NIGHTLY
 
-MANY_PLANTS = 8
+DEFAULT_PLANT_COUNT = 8
 """Number of plants of the default ensemble of `tune design`."""
-FEW_PLANTS = 2
+REDUCED_PLANT_COUNT = 2
 """Number of plants for a hand with many different tendons, in an ordinary test run."""
 
 
@@ -46,7 +46,9 @@ def test_the_packaged_gains_keep_their_margins(hand_name: str) -> None:
     model = HandModel.from_hand(
         hand, packaged_gains(hand_name), control_rate(None, hand, bus_loads(hand))
     )
-    count = MANY_PLANTS if len(distinct_tendons(model)) < 5 or NIGHTLY else FEW_PLANTS
+    count = (
+        DEFAULT_PLANT_COUNT if len(distinct_tendons(model)) < 5 or NIGHTLY else REDUCED_PLANT_COUNT
+    )
     margins = worst_margins(
         model, tuple(linear_factors(plant_factors) for plant_factors in sample_ensemble(count, 0))
     )
@@ -82,13 +84,13 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
     # Without separate force weights, the tendons of both digits would have the small force weight
     # that the heavy digit requires.
     shared_gains = gain_design.gains.model_copy(update={"tendon": ()})
-    assert model_with_gains(model, shared_gains).motion.stiffness[
+    assert model_with_gains(model, shared_gains).motion_design.stiffness[
         1
     ] < 0.6 * stiffness_of_motion_loop(model, gain_design.gains)
     redesigned_model = model_with_gains(model, gain_design.as_weights())
     assert np.allclose(
-        redesigned_model.motion.stiffness,
-        model_with_gains(model, gain_design.gains).motion.stiffness,
+        redesigned_model.motion_design.stiffness,
+        model_with_gains(model, gain_design.gains).motion_design.stiffness,
         rtol=1e-6,
     )
 
@@ -98,7 +100,7 @@ def stiffness_of_motion_loop(model: HandModel, gains: Gains) -> float:
 
     The model of the hand has the given gains.
     """
-    return float(model_with_gains(model, gains).motion.stiffness[1])
+    return float(model_with_gains(model, gains).motion_design.stiffness[1])
 
 
 def test_a_design_keeps_its_margins_and_more_authority_does_not(jamia: HandModel) -> None:
@@ -114,18 +116,18 @@ def test_a_design_keeps_its_margins_and_more_authority_does_not(jamia: HandModel
     assert gain_design.worst_margins_after.are_sufficient
     assert not gain_design.worst_margins_before.are_sufficient
     assert keeps_required_margins(model_with_gains(jamia, gain_design.gains), plants)
-    gains_with_more_authority = gain_design.gains.model_copy(
+    gains_with_larger_force = gain_design.gains.model_copy(
         update={
             "tension": gain_design.gains.tension.model_copy(
                 update={"force_N": 1.3 * gain_design.gains.tension.force_N}
             )
         }
     )
-    assert not keeps_required_margins(model_with_gains(jamia, gains_with_more_authority), plants)
+    assert not keeps_required_margins(model_with_gains(jamia, gains_with_larger_force), plants)
     redesigned_model = model_with_gains(jamia, gain_design.as_weights())
     assert np.allclose(
-        redesigned_model.motion.stiffness,
-        model_with_gains(jamia, gain_design.gains).motion.stiffness,
+        redesigned_model.motion_design.stiffness,
+        model_with_gains(jamia, gain_design.gains).motion_design.stiffness,
         rtol=1e-6,
     )
 
@@ -151,7 +153,7 @@ def test_the_closed_loop_has_the_requested_poles(
     fast_model = HandModel.from_hand(jamia.hand, gains, 4000.0)
     A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
     F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), fast_model.period)
-    K = np.array([[fast_model.motion.stiffness[0], fast_model.motion.damping[0]]])
+    K = np.array([[fast_model.motion_design.stiffness[0], fast_model.motion_design.damping[0]]])
     poles = np.log(np.linalg.eigvals(F - G @ K)) / fast_model.period
     assert np.abs(poles) / (2.0 * math.pi) == pytest.approx(
         [pole_frequency_hz, pole_frequency_hz], rel=0.03
@@ -215,9 +217,11 @@ def test_an_uncertain_identification_widens_the_ensemble_to_its_intervals() -> N
         }
     )
     assert spread == {"stiffness": pytest.approx(0.4)}
-    drawn = [plant_factors["stiffness"] for plant_factors in sample_ensemble(65, 0, spread)]
-    assert min(drawn) < 0.62
-    assert max(drawn) > 1.38
+    stiffness_factors = [
+        plant_factors["stiffness"] for plant_factors in sample_ensemble(65, 0, spread)
+    ]
+    assert min(stiffness_factors) < 0.62
+    assert max(stiffness_factors) > 1.38
 
 
 def test_the_worst_of_an_ensemble_is_no_better_than_the_nominal_plant(jamia: HandModel) -> None:

@@ -23,7 +23,7 @@ def gains_store(tmp_path: Path) -> GainsStore:
     return GainsStore("jamia", "abc", tmp_path)
 
 
-def present_force(gains_store: GainsStore) -> float:
+def present_motion_force(gains_store: GainsStore) -> float:
     file = gains_store.present_gains()
     return file.gains.motion.force_N if file else Gains().motion.force_N
 
@@ -54,7 +54,7 @@ def test_repeated_rollbacks_go_back_to_the_packaged_gains(gains_store: GainsStor
     forces = []
     for _ in range(3):
         gains_store.roll_back()
-        forces.append(present_force(gains_store))
+        forces.append(present_motion_force(gains_store))
     assert forces == [22.0, 21.0, Gains().motion.force_N]
     with pytest.raises(ConfigError, match="no gains precede the packaged gains"):
         gains_store.roll_back()
@@ -107,9 +107,9 @@ def test_a_damaged_file_is_set_aside_and_not_lost(gains_store: GainsStore) -> No
         gains_store.path.write_text(text)
         with pytest.raises(ConfigError):
             gains_store.roll_back()
-        aside_path = gains_store.rename_damaged_file()
-        assert aside_path is not None
-        renamed_files.append((aside_path.name, aside_path.read_text()))
+        renamed_path = gains_store.rename_damaged_file()
+        assert renamed_path is not None
+        renamed_files.append((renamed_path.name, renamed_path.read_text()))
         assert gains_store.roll_back(to=1).gains == gains_with_force(21.0)
     assert renamed_files == [
         ("jamia.gains.damaged.toml", "schema = ["),
@@ -170,6 +170,6 @@ def test_a_change_that_fails_leaves_the_present_gains(
         gains_store.apply_gains(gains_with_force(22.0), GainsProvenance())
     monkeypatch.undo()
     assert gains_store.path.read_bytes() == content_before
-    assert present_force(gains_store) == 21.0
+    assert present_motion_force(gains_store) == 21.0
     gains_store.apply_gains(gains_with_force(23.0), GainsProvenance())
-    assert present_force(gains_store) == 23.0
+    assert present_motion_force(gains_store) == 23.0

@@ -31,11 +31,11 @@ from handctl.tune.identify.fit_motor import (
     _window_value,
 )
 from handctl.tune.identify.fit_tendon import PARAMETER_NAMES
-from handctl.tune.identify.identifiability import _needs_missing_encoders, _reason_not_identified
+from handctl.tune.identify.identifiability import _lacks_needed_encoders, _reason_not_identified
 from handctl.tune.identify.identification_figure import _draw_parameters
 from handctl.tune.identify.identify import identify_tendons, result_table
 
-PARAMETERS_OF_SPRUNG_DIGIT = PARAMETER_TOLERANCES.keys() - {"moment_arm", "pretension"}
+SPRING_DIGIT_PARAMETERS = PARAMETER_TOLERANCES.keys() - {"moment_arm", "pretension"}
 """Parameters that the identification estimates for digits with return springs."""
 GOLDEN_LOGS = Path(__file__).parents[2] / "logs" / "golden"
 SEED_COUNT = 100
@@ -64,7 +64,7 @@ def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
     """
     row = measure_digit(seed, digit, tmp_path)
     assert "failure" not in row
-    assert {parameter["name"] for parameter in row["parameters"]} == PARAMETERS_OF_SPRUNG_DIGIT
+    assert {parameter["name"] for parameter in row["parameters"]} == SPRING_DIGIT_PARAMETERS
     assert [parameter for parameter in row["parameters"] if not parameter["within"]] == []
     assert [
         parameter
@@ -80,7 +80,7 @@ def test_springs_behind_several_tendons_are_found_by_the_joint_encoders(tmp_path
     confidence intervals of these two parameters are therefore wider.
     """
     row = measure_digit(3, "thumb", tmp_path, "jamia11")
-    assert {parameter["name"] for parameter in row["parameters"]} == PARAMETERS_OF_SPRUNG_DIGIT
+    assert {parameter["name"] for parameter in row["parameters"]} == SPRING_DIGIT_PARAMETERS
     assert [
         parameter
         for parameter in row["parameters"]
@@ -101,7 +101,7 @@ def test_intervals_cover_the_parameters_of_a_hundred_hands(tmp_path: Path) -> No
         [measure_digit(seed, digits[seed % 4], tmp_path) for seed in range(1, SEED_COUNT + 1)]
     )
     assert figures["failed"] == []
-    parameters = {name: figures["parameters"][name] for name in PARAMETERS_OF_SPRUNG_DIGIT}
+    parameters = {name: figures["parameters"][name] for name in SPRING_DIGIT_PARAMETERS}
     assert {
         name: coverage["covered"]
         for name, coverage in parameters.items()
@@ -185,19 +185,21 @@ def test_the_controller_s_hand_is_the_identified_one() -> None:
             tendon_stiffness=8e4, motor_inertia=1e-4, spring_stiffness=1.2, torque_gain=0.9
         )
     }
-    real = identified_hand(hand, identified)
-    assert real.tendon[3].stiffness_N_per_m == 8e4
-    assert real.motor_of("thumb_tendon").inertia_kg_m2 == 1e-4
-    assert real.digit_named("thumb").spring_stiffness_N_m_per_rad == pytest.approx((0.036, 0.036))
-    assert real.tendon[:3] == hand.tendon[:3]
+    controller_hand = identified_hand(hand, identified)
+    assert controller_hand.tendon[3].stiffness_N_per_m == 8e4
+    assert controller_hand.motor_of_tendon("thumb_tendon").inertia_kg_m2 == 1e-4
+    assert controller_hand.digit_named("thumb").spring_stiffness_N_m_per_rad == pytest.approx(
+        (0.036, 0.036)
+    )
+    assert controller_hand.tendon[:3] == hand.tendon[:3]
     assert torque_gain(hand, identified).tolist() == [1.0, 1.0, 1.0, 0.9]
     assert set(identified["thumb_tendon"].names) <= PARAMETER_UNITS.keys()
 
 
 def test_a_name_of_an_earlier_version_is_still_read() -> None:
     parameters = identified_parameters(tendon_stiffness=8e4, delay=1e-4)
-    earlier = parameters.model_dump() | {"names": ("rope_stiffness", "delay")}
-    assert IdentifiedParameters.model_validate(earlier) == parameters
+    renamed_content = parameters.model_dump() | {"names": ("rope_stiffness", "delay")}
+    assert IdentifiedParameters.model_validate(renamed_content) == parameters
 
 
 def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
@@ -247,7 +249,7 @@ def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
         0.04,
         0.08,
     ]
-    assert tuned_hand.factor_spread.keys() == {"friction"}
+    assert tuned_hand.half_width_by_factor.keys() == {"friction"}
     assert load_tuned_hand("jamia", None).identified_hand.identity == hand.identity
     write_calibration(path, calibration)
     with pytest.raises(ConfigError, match="holds nothing identified"):
@@ -298,8 +300,8 @@ def test_springs_of_a_digit_with_several_tendons_need_joint_encoders(
     node = content["sensor_node"]
     content["sensor_node"] = node | {"joints": node["joints"] if with_joint_encoders else []}
     hand = hand_from_content(content, "test")
-    assert _needs_missing_encoders(hand, "index") != with_joint_encoders
-    assert not _needs_missing_encoders(load_hand("jamia"), "index")
+    assert _lacks_needed_encoders(hand, "index") != with_joint_encoders
+    assert not _lacks_needed_encoders(load_hand("jamia"), "index")
 
 
 def test_a_picture_shows_what_is_far_from_the_hand_file() -> None:
@@ -329,7 +331,7 @@ def test_parameters_missing_in_a_new_run_keep_their_earlier_values() -> None:
         update={"log": ("b.mcap",)}
     )
     merged_parameters = IdentifiedParameters.model_validate(
-        new_parameters.merged_with_older(old_parameters).model_dump()
+        new_parameters.merge_older_parameters(old_parameters).model_dump()
     )
     assert dict(zip(merged_parameters.names, merged_parameters.values, strict=True)) == {
         "motor_inertia": 2e-4, "torque_gain": 0.9, "tendon_stiffness": 8e4, "capstan": 0.2,
@@ -341,5 +343,5 @@ def test_parameters_missing_in_a_new_run_keep_their_earlier_values() -> None:
         (0, 0, 0.25, 9.0),
     )
     assert merged_parameters.log == ("b.mcap", "a.mcap")
-    assert new_parameters.merged_with_older(None) is new_parameters
-    assert merged_parameters.merged_with_older(old_parameters) is merged_parameters
+    assert new_parameters.merge_older_parameters(None) is new_parameters
+    assert merged_parameters.merge_older_parameters(old_parameters) is merged_parameters

@@ -16,15 +16,15 @@ from handctl.core.tick_types import HandMode
 from handctl.errors import DriveError
 from handctl.hand.digit import DigitModel
 from handctl.hand.hand_loading import load_hand
-from handctl.runtime.hold_limit import HoldLimit
+from handctl.runtime.hold_timeout import HoldTimeout
 from handctl.safety.safety_action import SafetyAction
 from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.excitation_antagonists import (
-    PAIR_MAX_TENSION_FRACTION,
+    SPOOL_PAIR_MAX_TENSION_FRACTION,
     STRETCH_TENSION_FRACTION,
     sweep_range,
 )
-from handctl.tune.identify.fit_pair import stretch_of_pair, tension_of_pair
+from handctl.tune.identify.fit_spool_pair import spool_pair_stretch, spool_pair_tension
 from handctl.tune.identify.identifiability import unobservable_parameters
 
 SEED_RANGE = range(20)
@@ -39,7 +39,7 @@ MIN_COVERED_FRACTION_PER_PARAMETER = 0.8
 
 The limit is lower, because a parameter has only 40 to 70 values in this test.
 """
-PARAMETERS_OF_EVERY_PAIR = {"motor_coulomb", "tendon_stiffness", "moment_arm"}
+COMMON_PAIR_PARAMETERS = {"motor_coulomb", "tendon_stiffness", "moment_arm"}
 """Parameters that can be identified for every pair of tendons on one motor in the packaged hand."""
 
 
@@ -62,7 +62,7 @@ def test_a_digit_returned_by_its_tendons_is_identified(
     identified = [
         parameter_row for parameter_row in row["parameters"] if parameter_row["identified"]
     ]
-    for name in PARAMETERS_OF_EVERY_PAIR:
+    for name in COMMON_PAIR_PARAMETERS:
         assert {
             parameter_row["tendon"] for parameter_row in identified if parameter_row["name"] == name
         } == set(tendons)
@@ -89,14 +89,14 @@ def test_intervals_cover_the_parameters_of_twenty_hands(tmp_path: Path, hand_nam
     identified_rows = {
         name: row for name, row in figures["parameters"].items() if row["identified"]
     }
-    covered = {name: row["covered"] for name, row in identified_rows.items()}
+    covered_counts = {name: row["covered"] for name, row in identified_rows.items()}
     identified = {name: row["identified"] for name, row in identified_rows.items()}
     assert [
         name
         for name in identified_rows
-        if covered[name] < MIN_COVERED_FRACTION_PER_PARAMETER * identified[name]
+        if covered_counts[name] < MIN_COVERED_FRACTION_PER_PARAMETER * identified[name]
     ] == []
-    assert sum(covered.values()) >= MIN_COVERED_FRACTION * sum(identified.values())
+    assert sum(covered_counts.values()) >= MIN_COVERED_FRACTION * sum(identified.values())
 
 
 @pytest.mark.parametrize("hand_name", TESTED_HANDS)
@@ -104,14 +104,14 @@ def test_the_excitation_of_antagonists_keeps_within_the_limits(hand_name: str) -
     hand = load_hand(hand_name)
     steps = excitation_steps(hand, hand.digit_names)
     for digit in map(DigitModel.from_hand, [hand] * len(hand.digit_names), hand.digit_names):
-        own_steps = [step for step in steps if step.digit == digit.name]
-        assert sum(step.duration_s for step in own_steps) < 35.0
+        digit_steps = [step for step in steps if step.digit == digit.name]
+        assert sum(step.duration_s for step in digit_steps) < 35.0
         low, high = sweep_range(digit)
         lowest_angles, highest_angles = digit.coordinate_limits
         assert (lowest_angles < low).all()
         assert (low < high).all()
         assert (high < highest_angles).all()
-        for step in own_steps:
+        for step in digit_steps:
             if step.kind == "move":
                 assert (np.array(step.targets) >= low - 1e-9).all()
                 assert (np.array(step.targets) <= high + 1e-9).all()
@@ -119,7 +119,7 @@ def test_the_excitation_of_antagonists_keeps_within_the_limits(hand_name: str) -
                 ceiling = np.array([tendon.tension_max_N for tendon in hand.tendon[digit.tendons]])
                 is_pair = bool(hand.is_pair[digit.tendons].any())
                 largest = (
-                    PAIR_MAX_TENSION_FRACTION if is_pair else STRETCH_TENSION_FRACTION
+                    SPOOL_PAIR_MAX_TENSION_FRACTION if is_pair else STRETCH_TENSION_FRACTION
                 ) * ceiling
                 assert (np.abs(step.targets) <= largest + 1e-9).all()
                 floor = np.array([tendon.tension_floor_N for tendon in hand.tendon[digit.tendons]])
@@ -143,7 +143,7 @@ def test_both_tendons_of_a_pair_balance_its_joint(passes_wrist: float) -> None:
     difference of both tensions turns the joint.
     """
     net_tensions = np.linspace(-40.0, 40.0, 81)
-    spool = tension_of_pair(net_tensions, 10.0, np.full(81, passes_wrist))
+    spool = spool_pair_tension(net_tensions, 10.0, np.full(81, passes_wrist))
     first_tension, second_tension = (
         np.maximum(np.maximum(10.0 + 0.5 * side * spool, side * spool), 0.0) for side in (1.0, -1.0)
     )
@@ -158,9 +158,11 @@ def test_the_stretch_of_a_pair_makes_its_net_tension() -> None:
     Here p is the pretension, k the stiffness and d the stretch. The net tension is the difference
     of the two tensions.
     """
-    stretch = stretch_of_pair(np.linspace(-50.0, 50.0, 101), 5e4, 10.0)
-    single = [np.maximum(10.0 + 5e4 * side * stretch, 0.0) for side in (1.0, -1.0)]
-    np.testing.assert_allclose(single[0] - single[1], np.linspace(-50.0, 50.0, 101), atol=1e-9)
+    stretch = spool_pair_stretch(np.linspace(-50.0, 50.0, 101), 5e4, 10.0)
+    single_tensions = [np.maximum(10.0 + 5e4 * side * stretch, 0.0) for side in (1.0, -1.0)]
+    np.testing.assert_allclose(
+        single_tensions[0] - single_tensions[1], np.linspace(-50.0, 50.0, 101), atol=1e-9
+    )
 
 
 def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
@@ -169,7 +171,7 @@ def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
     While a fault holds the hand, the identification makes no progress. Such a run therefore never
     ended.
     """
-    limit = HoldLimit()
+    limit = HoldTimeout()
 
     def ticks(action: SafetyAction, begin_s: float, end_s: float) -> list[str]:
         requests = []
@@ -196,11 +198,13 @@ def test_identified_moment_arms_and_pretensions_are_those_of_the_controller() ->
         half_widths=(0.01, 0.5),
         covariance=((1e-4, 0.0), (0.0, 0.1)),
     )
-    real = identified_hand(hand, {"index_mcp": known_parameters})
+    controller_hand = identified_hand(hand, {"index_mcp": known_parameters})
     tendon_index = hand.tendon_names.index("index_mcp")
-    np.testing.assert_allclose(real.moment_arms[tendon_index], 1.1 * hand.moment_arms[tendon_index])
-    assert real.tendon[tendon_index].pretension_N == 8.0
+    np.testing.assert_allclose(
+        controller_hand.moment_arms[tendon_index], 1.1 * hand.moment_arms[tendon_index]
+    )
+    assert controller_hand.tendon[tendon_index].pretension_N == 8.0
     is_other_tendon = np.arange(len(hand.tendon)) != tendon_index
     np.testing.assert_array_equal(
-        real.moment_arms[is_other_tendon], hand.moment_arms[is_other_tendon]
+        controller_hand.moment_arms[is_other_tendon], hand.moment_arms[is_other_tendon]
     )

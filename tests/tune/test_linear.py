@@ -36,11 +36,11 @@ def test_the_linear_controller_predicts_the_running_one(
     tick, state, reading, steps = linear_models._operating_point(model, 0, loop_kind)
     centre, random = tick(state, reading), np.random.default_rng(0)
     for _ in range(10):
-        moved = steps * random.normal(size=len(state))
+        state_step = steps * random.normal(size=len(state))
         reading_step = np.array([1e-7, 1e-2, 1e-7]) * random.normal(size=3)
-        state_change = tick(state + moved, reading + reading_step) - centre
+        state_change = tick(state + state_step, reading + reading_step) - centre
         predicted_state = np.concatenate(
-            [K.A @ moved + K.B @ reading_step, K.C @ moved + K.D @ reading_step]
+            [K.A @ state_step + K.B @ reading_step, K.C @ state_step + K.D @ reading_step]
         )
         scale = np.append(steps, 1e-6)
         assert (

@@ -19,7 +19,7 @@ from handctl.errors import ConfigError
 from handctl.hand.hand_loading import load_hand
 from handctl.tune.scoring import GainScore, evaluate_job
 from handctl.tune.search.ensemble import sample_ensemble
-from handctl.tune.search.search import (
+from handctl.tune.search.gain_search import (
     RANDOM_BATCH_COUNT,
     SearchPlan,
     SearchResult,
@@ -189,7 +189,7 @@ def long_search(
     longer_plan = replace(
         search_plan,
         trials=8 * RANDOM_BATCH_COUNT + 2,
-        others=(Gains(motion=MotionGains(force_N=20.0)),),
+        further_gains=(Gains(motion=MotionGains(force_N=20.0)),),
     )
     path = tmp_path_factory.mktemp("study") / "whole"
     return (

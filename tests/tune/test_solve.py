@@ -13,8 +13,8 @@ import pytest
 from handctl.tune.identify.least_squares import (
     MAX_BLOCK_ROWS,
     NOISE_BLOCK_S,
-    _block_rows,
     _parameter_covariance,
+    _rows_by_time_block,
 )
 
 
@@ -22,7 +22,7 @@ from handctl.tune.identify.least_squares import (
 def test_rows_are_in_one_block_each(seed: int) -> None:
     random = np.random.default_rng(seed)
     times = np.sort(random.uniform(0.0, random.choice([0.01, 1.0, 20.0]), 3000))
-    blocks = list(_block_rows(times))
+    blocks = list(_rows_by_time_block(times))
     assert sorted(np.concatenate(blocks).tolist()) == list(range(3000))
     assert max(map(len, blocks)) <= MAX_BLOCK_ROWS
     assert all(np.ptp(times[rows]) <= NOISE_BLOCK_S for rows in blocks)

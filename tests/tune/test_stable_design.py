@@ -18,7 +18,7 @@ from handctl.tune.loops.gain_design import (
     distinct_tendons,
     keeps_required_margins,
     linear_factors,
-    model_with_largest_authority,
+    model_with_largest_force,
 )
 from handctl.tune.loops.linear_models import (
     LinearSystem,
@@ -48,13 +48,13 @@ from tests.conftest import NIGHTLY
 
 TESTED_HANDS = packaged_hands()
 SEED_RANGE = range(20) if NIGHTLY else range(2)
-EVERY_RUN_HANDS = tuple(name for name in TESTED_HANDS if NIGHTLY or name != "orca_like")
+QUICK_TEST_HANDS = tuple(name for name in TESTED_HANDS if NIGHTLY or name != "orca_like")
 """Packaged hands whose tests run in ordinary test runs.
 
 For a hand of 17 joints, the simulation that tests whether the hand comes to rest takes more than
 five minutes.
 """
-RATE_BY_HAND_HZ = {"jamia": 500.0, "n_plus_1": 250.0, "orca_like": 400.0, "t42": 500.0}
+CONTROL_RATES_HZ = {"jamia": 500.0, "n_plus_1": 250.0, "orca_like": 400.0, "t42": 500.0}
 SATURATED_GAINS = {"tension": {"tension_error_N": 0.5, "speed_error_m_s": 0.1}}
 """Weights of the tension loop in the LQR design.
 
@@ -98,7 +98,7 @@ def random_gains(seed: int, gain_range: float = 10.0) -> Gains:
 def model_of(hand_name: str, seed: int, gain_range: float = 10.0) -> HandModel:
     """Return the model of a packaged hand. The gains of the model are random."""
     return HandModel.from_hand(
-        load_hand(hand_name), random_gains(seed, gain_range), RATE_BY_HAND_HZ.get(hand_name, 200.0)
+        load_hand(hand_name), random_gains(seed, gain_range), CONTROL_RATES_HZ.get(hand_name, 200.0)
     )
 
 
@@ -117,7 +117,9 @@ def test_a_law_at_its_limit_is_judged_as_the_linear_law(force_N: float) -> None:
     """
     model = model_with_force_weight(force_N)
     K = controller_system(model, 0, LoopKind.TENSION)
-    force_per_newton = model.motion.tension[0] + model.gains.tension.integral_per_s * model.period
+    force_per_newton = (
+        model.motion_design.tension[0] + model.gains.tension.integral_per_s * model.period
+    )
     assert force_per_newton > 0.5
     states = K.C[0]
     integral = states[np.isclose(states, 1.0)]
@@ -126,10 +128,10 @@ def test_a_law_at_its_limit_is_judged_as_the_linear_law(force_N: float) -> None:
 
 
 def test_a_loop_without_gain_has_no_margin() -> None:
-    open_system = LinearSystem(
+    zero_gain_system = LinearSystem(
         np.array([[0.5]]), np.zeros((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 0.002
     )
-    for margins in (margins_of_loop(open_system), confirmed_margins(open_system)):
+    for margins in (margins_of_loop(zero_gain_system), confirmed_margins(zero_gain_system)):
         assert (
             margins.gain_db,
             margins.phase_deg,
@@ -147,9 +149,9 @@ def test_a_loop_without_gain_has_no_margin() -> None:
 
 def test_an_unstable_loop_has_no_margin(jamia: HandModel) -> None:
     system = open_loop(jamia, 0, LoopKind.TENSION)
-    lost_system = LinearSystem(system.A, 10.0 * system.B, system.C, system.D, system.period)
-    assert not is_stable(lost_system)
-    for margins in (margins_of_loop(lost_system), confirmed_margins(lost_system)):
+    unstable_system = LinearSystem(system.A, 10.0 * system.B, system.C, system.D, system.period)
+    assert not is_stable(unstable_system)
+    for margins in (margins_of_loop(unstable_system), confirmed_margins(unstable_system)):
         assert (
             margins.gain_db,
             margins.phase_deg,
@@ -260,14 +262,14 @@ def test_tendons_that_share_joints_keep_their_margins_together() -> None:
     """
     model = HandModel.from_hand(load_hand("n_plus_1"), Gains(), 250.0)
     plants = (linear_factors({}),)
-    largest_design = model_with_largest_authority(model, LoopKind.MOTION, plants)
+    largest_design = model_with_largest_force(model, LoopKind.MOTION, plants)
     assert largest_design is not None
     assert keeps_required_margins(largest_design, plants, (LoopKind.MOTION,))
 
 
 def test_a_failed_rest_test_gives_no_design(jamia: HandModel) -> None:
     with pytest.raises(ValueError, match="simulation"):
-        design_gains(jamia, (linear_factors({}),), lambda tried: False)
+        design_gains(jamia, (linear_factors({}),), lambda tried_model: False)
 
 
 def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
@@ -296,19 +298,19 @@ def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
     A digit without load cells that closed with 30 N caused the fault T01 (a tendon snapped). Every
     step test therefore ended with this fault.
     """
-    model = HandModel.from_hand(load_hand("orca_like"), Gains(), RATE_BY_HAND_HZ["orca_like"])
+    model = HandModel.from_hand(load_hand("orca_like"), Gains(), CONTROL_RATES_HZ["orca_like"])
     swing_amplitude = simulate_swing(model.hand, model, {}, 0)
     assert swing_amplitude.failure == ""
 
 
-@pytest.mark.parametrize("hand_name", EVERY_RUN_HANDS)
+@pytest.mark.parametrize("hand_name", QUICK_TEST_HANDS)
 def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand_name: str) -> None:
     """An oscillation that also occurs without feedback is not an oscillation of the control loop."""
     model = HandModel.from_hand(
-        load_hand(hand_name), packaged_gains(hand_name), RATE_BY_HAND_HZ.get(hand_name, 200.0)
+        load_hand(hand_name), packaged_gains(hand_name), CONTROL_RATES_HZ.get(hand_name, 200.0)
     )
-    proof = rest_test_of(model)
-    assert proof(model), proof.reason
+    rest_test = rest_test_of(model)
+    assert rest_test(model), rest_test.reason
 
 
 @pytest.mark.parametrize("hand_name", TESTED_HANDS)
@@ -328,20 +330,22 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
     All other hands of the ensemble come to rest.
     """
     model = HandModel.from_hand(
-        load_hand(hand_name), Gains(), RATE_BY_HAND_HZ.get(hand_name, 200.0)
+        load_hand(hand_name), Gains(), CONTROL_RATES_HZ.get(hand_name, 200.0)
     )
 
     def fake_simulate_swing(
-        hand_name: object, tried: HandModel, factors: dict[str, float], seed: int
+        hand_name: object, tried_model: HandModel, factors: dict[str, float], seed: int
     ) -> StepOscillation:
         is_least_friction = factors == {"friction": 0.5}
-        hold = chatter_N if tried.gains.tension.integral_per_s == 0.0 else swing_N
-        return StepOscillation(0.0, 0.0, (hold if is_least_friction else 0.0,) * tried.tendon_count)
+        hold = chatter_N if tried_model.gains.tension.integral_per_s == 0.0 else swing_N
+        return StepOscillation(
+            0.0, 0.0, (hold if is_least_friction else 0.0,) * tried_model.tendon_count
+        )
 
     monkeypatch.setattr("handctl.tune.loops.step_tests.simulate_swing", fake_simulate_swing)
-    proof = rest_test_of(model)
-    assert proof(model) == is_accepted
-    assert ("0.5 of the friction swings" in proof.reason) != is_accepted
+    rest_test = rest_test_of(model)
+    assert rest_test(model) == is_accepted
+    assert ("0.5 of the friction swings" in rest_test.reason) != is_accepted
 
 
 def test_one_peak_in_five_runs_does_not_decide_about_gains(
@@ -354,7 +358,9 @@ def test_one_peak_in_five_runs_does_not_decide_about_gains(
     """
     runs = [5.0, 0.9, 1.0, 0.9, 1.1]
 
-    def swing(hand_name: object, tried: HandModel, factors: object, seed: int) -> StepOscillation:
+    def swing(
+        hand_name: object, tried_model: HandModel, factors: object, seed: int
+    ) -> StepOscillation:
         return StepOscillation(0.0, 0.0, (runs[seed // SEED_INCREMENT],) * 4)
 
     monkeypatch.setattr("handctl.tune.loops.step_tests.simulate_swing", swing)
@@ -371,8 +377,8 @@ def test_a_design_keeps_a_distance_from_the_limits(
     """
     monkeypatch.setattr(
         "handctl.tune.loops.step_tests.simulate_swing",
-        lambda hand, tried, factors, seed: StepOscillation(
-            0.0, 0.0, (0.0 if tried.gains.tension.integral_per_s == 0.0 else 1.6,) * 4
+        lambda hand, tried_model, factors, seed: StepOscillation(
+            0.0, 0.0, (0.0 if tried_model.gains.tension.integral_per_s == 0.0 else 1.6,) * 4
         ),
     )
     assert rest_test_of(jamia)(jamia)
@@ -392,11 +398,13 @@ def rest_test_with(
     """
 
     def fake_simulate_swing(
-        hand_name: object, tried: HandModel, factors: dict[str, float], seed: int
+        hand_name: object, tried_model: HandModel, factors: dict[str, float], seed: int
     ) -> StepOscillation:
         is_least_friction = factors == {"friction": 0.5}
         hold = (
-            chatter_by_plant if tried.gains.tension.integral_per_s == 0.0 else oscillation_by_plant
+            chatter_by_plant
+            if tried_model.gains.tension.integral_per_s == 0.0
+            else oscillation_by_plant
         )
         return StepOscillation(0.0, 0.0, hold if is_least_friction else (0.0,) * 4)
 
@@ -414,9 +422,9 @@ def test_chatter_of_a_tendon_does_not_hide_swings_of_others(
     """
     chatter_N = (4.1, 0.0, 3.9, 0.0)
     assert rest_test_with(monkeypatch, jamia, chatter_N, (5.0, 0.1, 4.4, 0.1))(jamia)
-    proof = rest_test_with(monkeypatch, jamia, chatter_N, (4.1, 3.9, 3.9, 3.9))
-    assert not proof(jamia)
-    assert "0.5 of the friction swings" in proof.reason
+    rest_test = rest_test_with(monkeypatch, jamia, chatter_N, (4.1, 3.9, 3.9, 3.9))
+    assert not rest_test(jamia)
+    assert "0.5 of the friction swings" in rest_test.reason
 
 
 def test_an_oscillating_loop_is_not_hidden_by_chatter(
@@ -427,17 +435,19 @@ def test_an_oscillating_loop_is_not_hidden_by_chatter(
     The gains are nevertheless refused, because the eigenvalues show that the loop oscillates.
     """
     chatter_N = (4.0, 4.0, 4.0, 4.0)
-    slow = {"tension": {"integral_per_s": 30.0, "force_N": 1.0}}
-    model_with_ringing_loop = HandModel.from_hand(jamia.hand, Gains.model_validate(slow), 500.0)
+    slow_gains = {"tension": {"integral_per_s": 30.0, "force_N": 1.0}}
+    model_with_ringing_loop = HandModel.from_hand(
+        jamia.hand, Gains.model_validate(slow_gains), 500.0
+    )
     assert is_stable(open_loop(model_with_ringing_loop, 0, LoopKind.TENSION))
     assert all(
         is_loop_ringing(model, linear_factors({"friction": 0.5}))
         for model in (model_with_ringing_loop, model_with_force_weight(393.0))
     )
     assert not is_loop_ringing(jamia, linear_factors({"friction": 0.5}))
-    proof = rest_test_with(monkeypatch, model_with_ringing_loop, chatter_N, chatter_N)
-    assert not proof(model_with_ringing_loop)
-    assert "of a loop that oscillates" in proof.reason
+    rest_test = rest_test_with(monkeypatch, model_with_ringing_loop, chatter_N, chatter_N)
+    assert not rest_test(model_with_ringing_loop)
+    assert "of a loop that oscillates" in rest_test.reason
     assert rest_test_with(monkeypatch, jamia, chatter_N, chatter_N)(jamia)
 
 
@@ -448,15 +458,15 @@ def test_gains_that_fail_at_the_least_friction_are_refused(
 
     The gains are then refused.
     """
-    lost_oscillation = StepOscillation(math.inf, math.inf, (math.inf,) * 4, "N14b")
+    failed_oscillation = StepOscillation(math.inf, math.inf, (math.inf,) * 4, "N14b")
     no_oscillation = StepOscillation(0.0, 0.0, (0.0,) * 4)
     monkeypatch.setattr(
         "handctl.tune.loops.step_tests.simulate_swing",
-        lambda hand, m, f, s: lost_oscillation if f == {"friction": 0.5} else no_oscillation,
+        lambda hand, m, f, s: failed_oscillation if f == {"friction": 0.5} else no_oscillation,
     )
-    proof = rest_test_of(jamia)
-    assert not proof(jamia)
-    assert "N14b" in proof.reason
+    rest_test = rest_test_of(jamia)
+    assert not rest_test(jamia)
+    assert "N14b" in rest_test.reason
 
 
 COUPLED_SYSTEMS = [((1.0,), (0.5,), (0.25,)), ((0.2,), (1.0,), (1.0,)), ((1.0,), (-0.4,), (0.6,))]
@@ -486,5 +496,7 @@ def test_a_coupled_digit_is_linearised_at_a_posture_that_it_can_have(
     joints = digit.coupling @ coordinates
     assert np.all(joints > digit.joint_min)
     assert np.all(joints < digit.joint_max)
-    judged: list[LoopMargins] = [confirmed_margins(open_loop(model, 0, kind)) for kind in LoopKind]
-    assert all(margins.stable and 2.0 < margins.gain_db < 40.0 for margins in judged)
+    loop_margins: list[LoopMargins] = [
+        confirmed_margins(open_loop(model, 0, kind)) for kind in LoopKind
+    ]
+    assert all(margins.stable and 2.0 < margins.gain_db < 40.0 for margins in loop_margins)

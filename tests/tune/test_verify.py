@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 
 from handctl.cli.main import main
-from handctl.cli.tuning.tune_verify import _gains_label, _print_rounds, gains_return_text
+from handctl.cli.tuning.tune_verify import _gains_label, _print_rounds, rollback_text
 from handctl.core.gains.gains import Gains, MotionGains, TensionGains
-from handctl.core.tick_types import HandMode, PackedTelemetry, TelemetryPlaces, TickOut
+from handctl.core.tick_types import HandMode, PackedTelemetry, TelemetrySlices, TickOut
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.gains_exercise import ExerciseProgram
-from handctl.replay.execute import execute_log
+from handctl.replay.log_execution import execute_log
 from handctl.safety.safety_action import SafetyAction
+from handctl.session.lockstep_simulation import SimulatorSettings
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.run_plan import RunPlan, default_control_rate
-from handctl.session.simulate import SimulatorSettings
 from handctl.tune.gains_verification import (
     VerifyLimits,
     VerifyObserver,
@@ -78,14 +78,14 @@ def test_ringing_gains_are_rolled_back(
         assert observer.rollback.k < requests[1].k <= observer.rollback.k + 2
 
 
-OPPOSED_HANDS = [("1", "40,30", "each"), ("1", "24,16", "each"), ("1", "60,40", "each")]
+TOUCHING_DIGIT_CASES = [("1", "40,30", "each"), ("1", "24,16", "each"), ("1", "60,40", "each")]
 
 
 @pytest.mark.parametrize(
     ("finger_count", "link_lengths_mm", "tendon_choice"),
     [
         pytest.param(*words, marks=pytest.mark.nightly if i else ())
-        for i, words in enumerate(OPPOSED_HANDS)
+        for i, words in enumerate(TOUCHING_DIGIT_CASES)
     ],
 )
 def test_digits_that_meet_are_named_and_not_blamed_on_the_gains(
@@ -150,7 +150,7 @@ def test_the_tracking_limit_holds_for_prismatic_joints(
     hand = load_hand(GRIPPER_FOLDER / hand_file)
     observer = VerifyObserver(hand, GAINS_WITHOUT_RINGING, GAINS_WITHOUT_RINGING)
     numbers = np.zeros(len(hand.joints) * 2 + len(hand.digit) + len(hand.tendon))
-    places, first_element = TelemetryPlaces(), 0
+    places, first_element = TelemetrySlices(), 0
     for name, size in (
         ("q", len(hand.joints)), ("q_goal", len(hand.joints)), ("contact", len(hand.digit)),
         ("tension", len(hand.tendon)),
@@ -221,7 +221,7 @@ def test_the_page_about_tuning_quotes_the_report() -> None:
     page = Path(__file__).parents[2] / "docs" / "how-to" / "tuning.md"
     text = " ".join(page.read_text(encoding="utf-8").split())
     why = "motor torques oscillate by 60.9 N m/s, limit 60.0"
-    quoted_text = gains_return_text({"t_s": 13.298, "k": 6649, "amplitude": 0.3, "why": why})
+    quoted_text = rollback_text({"t_s": 13.298, "k": 6649, "amplitude": 0.3, "why": why})
     assert f'"{quoted_text}"' in text
     rounds = round_amplitudes(1.0)
     later_round_labels = {_gains_label(i, {"amplitude": rounds[2]}, rounds) for i in range(2, 5)}

@@ -23,7 +23,7 @@ def main() -> None:
     os.environ.setdefault("RUST_LOG", "error")  # handctl view also sets this variable
     from handctl.cli.logs import view  # noqa: F401 (what the verb imports counts)
     from handctl.log.read.reader import RunLog
-    from handctl.view.browse import browse_log
+    from handctl.view.log_browser import browse_log
     from handctl.view.scene.run_info import RunInfo
     from handctl.view.viewer import software_vulkan
 
@@ -48,13 +48,13 @@ def _time_first_picture(data_received: threading.Event) -> None:
         time.sleep(0.02)
     size = len(client.take_screenshot())
     seconds = time.time() - psutil.Process().create_time()
-    spent = [sum(process.cpu_times()[:2]) for process in (psutil.Process(), viewer)]
+    cpu_times_s = [sum(process.cpu_times()[:2]) for process in (psutil.Process(), viewer)]
     print(
         json.dumps(
             {
                 "seconds": seconds,
-                "handctl_cpu_s": spent[0],
-                "viewer_cpu_s": spent[1],
+                "handctl_cpu_s": cpu_times_s[0],
+                "viewer_cpu_s": cpu_times_s[1],
                 "png_bytes": size,
             }
         )

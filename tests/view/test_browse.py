@@ -18,8 +18,8 @@ from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import scan_path
 from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.log_writer import LogWriter
-from handctl.view.browse import browse_log
 from handctl.view.dashboard_picture import connect_client, wait_until_loaded
+from handctl.view.log_browser import browse_log
 from handctl.view.rerun_conversion import chunks_of_run
 from handctl.view.scene.chunk_arrays import RUN_TIME_TIMELINE
 from handctl.view.scene.run_info import RunInfo
@@ -111,13 +111,13 @@ def test_a_log_that_is_damaged_at_once_leaves_no_viewer_behind(
 ) -> None:
     data, damaged_chunk = bytearray(GOLDEN_LOG.read_bytes()), scan_path(GOLDEN_LOG).chunks[2]
     data[damaged_chunk.data_offset + 40] ^= 0xFF
-    broken = tmp_path / "broken.mcap"
-    broken.write_bytes(data)
-    with RunLog(broken, verify_checksums=False) as log:
+    damaged_log = tmp_path / "broken.mcap"
+    damaged_log.write_bytes(data)
+    with RunLog(damaged_log, verify_checksums=False) as log:
         run, scan = RunInfo.from_header(log.header, "x"), log.scan
     with (
         pytest.raises(LogError, match="damaged"),
-        browse_log(broken, run, ["--headless"], vulkan_environment, scan),
+        browse_log(damaged_log, run, ["--headless"], vulkan_environment, scan),
     ):
         raise AssertionError("it was shown")
     assert not any("--headless" in command_line_of(child) for child in psutil.Process().children())

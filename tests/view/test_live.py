@@ -23,7 +23,7 @@ pytestmark = pytest.mark.timeout(120)
 VIEWER_TIMEOUT_S = 40.0
 
 
-def url_of(live_view_process: "subprocess.Popen[bytes]") -> str:
+def viewer_url(live_view_process: "subprocess.Popen[bytes]") -> str:
     """Return the address of the viewer that a process of the live view has started."""
     end = time.monotonic() + VIEWER_TIMEOUT_S
     while time.monotonic() < end:
@@ -69,7 +69,7 @@ def test_a_growing_log_arrives_in_the_viewer(
     try:
         for tick_in, out in ticks[:200]:
             recorder.send_record(pack_tick_record(tick_in, out))
-        client = ViewerClient.connect(url_of(follower))
+        client = ViewerClient.connect(viewer_url(follower))
         viewers = psutil.Process(follower.pid).children()
         assert wait_for_time(client, 1_000_000_000) >= 1_000_000_000
         assert latest_received_ns(client) <= ticks[199][0].t_ns
@@ -100,7 +100,7 @@ def test_live_view_ends_with_its_viewer(
     try:
         for tick_in, out in synthetic_run.SyntheticRunTicks(run, 1.0):
             recorder.send_record(pack_tick_record(tick_in, out))
-        assert wait_for_time(ViewerClient.connect(url_of(follower)), 1) > 0, (
+        assert wait_for_time(ViewerClient.connect(viewer_url(follower)), 1) > 0, (
             "the follower is connected to its viewer"
         )
         (window,) = psutil.Process(follower.pid).children()

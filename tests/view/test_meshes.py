@@ -57,23 +57,23 @@ def test_each_mesh_is_an_asset_in_the_frame_of_its_link(
     run = run_info_of(mesh_log)
     assert run.missing_mesh_note == ""
     for mesh in meshes_of_hand(run.hand):
-        shown_static = recorded_entities[f"/hand/{mesh.link}/mesh"].static_values
-        assert shown_static["CoordinateFrame:frame"] == [mesh.link]
+        mesh_values = recorded_entities[f"/hand/{mesh.link}/mesh"].static_values
+        assert mesh_values["CoordinateFrame:frame"] == [mesh.link]
         assert (
-            bytes(np.array(shown_static["Asset3D:blob"][0], np.uint8)) == run.meshes[mesh.link].data
+            bytes(np.array(mesh_values["Asset3D:blob"][0], np.uint8)) == run.meshes[mesh.link].data
         )
-        assert shown_static["Asset3D:media_type"] == [MESH_MEDIA_TYPES[mesh.suffix]]
+        assert mesh_values["Asset3D:media_type"] == [MESH_MEDIA_TYPES[mesh.suffix]]
         red, green, blue, *_ = link_colour(mesh.link, run)
-        assert shown_static["Asset3D:albedo_factor"] == [
+        assert mesh_values["Asset3D:albedo_factor"] == [
             (red << 24) | (green << 16) | (blue << 8) | 255
         ]
-        assert shown_static["InstancePoses3D:translations"] == [
+        assert mesh_values["InstancePoses3D:translations"] == [
             pytest.approx(mesh.position, rel=1e-6)
         ]
-        assert shown_static["InstancePoses3D:quaternions"] == [
+        assert mesh_values["InstancePoses3D:quaternions"] == [
             pytest.approx(quaternion_of_rotation(mesh.rotation), abs=1e-6)
         ]
-        assert shown_static["InstancePoses3D:scales"] == [pytest.approx(mesh.scale, rel=1e-6)]
+        assert mesh_values["InstancePoses3D:scales"] == [pytest.approx(mesh.scale, rel=1e-6)]
 
 
 def test_a_link_has_a_mesh_or_capsules(
@@ -99,17 +99,17 @@ def test_a_link_has_a_mesh_or_capsules(
 def test_the_live_view_sends_the_same_meshes(
     mesh_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from handctl.view import follow
+    from handctl.view import log_follower
 
     sent: list[str] = []
     monkeypatch.setattr(
-        follow.rr,
+        log_follower.rr,
         "send_chunks",
         lambda chunks, recording: sent.extend(chunk.entity_path for chunk in chunks),
     )
-    monkeypatch.setattr(follow, "FLUSH_TIMEOUT_S", 0.05)  # no viewer listens, so wait briefly
+    monkeypatch.setattr(log_follower, "FLUSH_TIMEOUT_S", 0.05)  # no viewer listens, so wait briefly
     run = run_info_of(mesh_log)
-    follower = follow.LogFollower(mesh_log, run, "rerun+http://127.0.0.1:1/proxy")
+    follower = log_follower.LogFollower(mesh_log, run, "rerun+http://127.0.0.1:1/proxy")
     follower.close()
     links = {path.split("/")[2] for path in sent if path.endswith("/mesh")}
     assert links == {mesh.link for mesh in meshes_of_hand(run.hand)}
@@ -129,10 +129,12 @@ def test_a_log_without_its_meshes_shows_capsules_and_says_so(
 
 
 def test_the_page_of_a_run_draws_meshes(mesh_log: Path, tmp_path: Path) -> None:
-    bare = tmp_path / "bare.mcap"
-    synthetic_run.write_synthetic_run(bare, synthetic_run.synthetic_header("jamia", 100), 0.5)
+    log_without_meshes = tmp_path / "bare.mcap"
+    synthetic_run.write_synthetic_run(
+        log_without_meshes, synthetic_run.synthetic_header("jamia", 100), 0.5
+    )
     pictures = []
-    for log in (mesh_log, bare):
+    for log in (mesh_log, log_without_meshes):
         page = tmp_path / f"{log.stem}.html"
         assert main(["report", str(log), "--output", str(page)]) == 0
         poses = page.read_text().split("The hand in each phase")[1].split("</section>")[0]

@@ -33,7 +33,7 @@ def pixels_of_png(png_bytes: bytes) -> NDArray[np.int16]:
     return np.asarray(Image.open(io.BytesIO(png_bytes)).convert("RGB"), np.int16)
 
 
-def fraction_near_colour(pixels: NDArray[np.int16], colour: palette.Colour) -> float:
+def colour_fraction(pixels: NDArray[np.int16], colour: palette.Colour) -> float:
     """Return the fraction of pixels whose hue is near the hue of ``colour``, at any brightness."""
     brightness = np.linalg.norm(pixels, axis=2)
     cosine = pixels @ np.array(colour) / np.maximum(brightness * np.linalg.norm(colour), 1e-9)
@@ -56,15 +56,15 @@ def test_the_dashboard_shows_the_hand_its_forces_and_its_lines(
     assert len(np.unique(image.reshape(-1, 3), axis=0)) > 2000
     hand, plots = image[70:500, :640], image[60:680, 650:]
     for index in range(4):
-        assert fraction_near_colour(hand, palette.digit_colour(index)) > 0.003, (
+        assert colour_fraction(hand, palette.digit_colour(index)) > 0.003, (
             f"digit {index} is not in the picture"
         )
-    assert fraction_near_colour(plots, palette.LIMIT_COLOUR) == 0.0, "a distant limit"
-    assert fraction_near_colour(image[680:860, 650:], palette.PHASE_COLOURS["hold"]) > 0.02
+    assert colour_fraction(plots, palette.LIMIT_COLOUR) == 0.0, "a distant limit"
+    assert colour_fraction(image[680:860, 650:], palette.PHASE_COLOURS["hold"]) > 0.02
 
 
 @pytest.fixture(scope="module")
-def bare_viewer(
+def viewer_without_layout(
     jamia_log_path: Path, vulkan_environment: dict[str, str]
 ) -> Iterator["tuple[Viewer, ViewerClient]"]:
     """Open the log file directly in a viewer, as `rerun LOG` does, without the layout of handctl."""
@@ -77,9 +77,9 @@ def bare_viewer(
 
 
 def test_a_bare_log_opens_with_a_hand_that_moves(
-    bare_viewer: "tuple[Viewer, ViewerClient]",
+    viewer_without_layout: "tuple[Viewer, ViewerClient]",
 ) -> None:
-    _, client = bare_viewer
+    _, client = viewer_without_layout
     state = client.get_state()
     (hand,) = (view for view in state.views if view.view_class == "3D")
     screenshots = []
@@ -94,9 +94,9 @@ def test_a_bare_log_opens_with_a_hand_that_moves(
 
 
 def test_the_viewer_listens_on_this_machine_only(
-    bare_viewer: "tuple[Viewer, ViewerClient]",
+    viewer_without_layout: "tuple[Viewer, ViewerClient]",
 ) -> None:
-    running, _ = bare_viewer
+    running, _ = viewer_without_layout
     connections = psutil.Process(running.process.pid).net_connections()
     assert any(connection.status == psutil.CONN_LISTEN for connection in connections)
     assert {connection.laddr.ip for connection in connections} == {"127.0.0.1"}
@@ -104,7 +104,7 @@ def test_the_viewer_listens_on_this_machine_only(
 
 
 def test_viewer_ignores_streams_of_other_programs(
-    bare_viewer: "tuple[Viewer, ViewerClient]",
+    viewer_without_layout: "tuple[Viewer, ViewerClient]",
 ) -> None:
     """Another program may still send data to an earlier viewer.
 
@@ -113,7 +113,7 @@ def test_viewer_ignores_streams_of_other_programs(
     Earlier defect: the new viewer showed the data of the other program. It did not show its own
     views.
     """
-    running, client = bare_viewer
+    running, client = viewer_without_layout
     assert not running.url.endswith(":9876/proxy"), (
         "the viewer does not use the default port of Rerun"
     )
@@ -140,10 +140,10 @@ def test_a_recording_without_its_times_is_not_loaded_yet(monkeypatch: pytest.Mon
         [state(), state(line(None)), state(elsewhere), state(line(49)), state(line(50))]
     )
 
-    class ClientWithoutTimes:
+    class FakeViewerClient:
         def get_state(self) -> ViewerState:
             return next(remaining_states)
 
     monkeypatch.setattr(time, "sleep", lambda _: None)
-    wait_until_loaded(ClientWithoutTimes(), "run_time", 50)  # type: ignore[arg-type] # stands in for a client
+    wait_until_loaded(FakeViewerClient(), "run_time", 50)  # type: ignore[arg-type] # stands in for a client
     assert next(remaining_states, None) is None

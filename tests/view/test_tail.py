@@ -37,7 +37,7 @@ def growing_file_sizes(log_bytes: bytes, seed: int) -> list[int]:
 def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(
     seed: int, jamia_log_path: Path, tmp_path: Path
 ) -> None:
-    whole_content, path, part_path = (
+    whole_content, path, new_chunks_path = (
         jamia_log_path.read_bytes(),
         tmp_path / "run.mcap",
         tmp_path / "part.mcap",
@@ -47,12 +47,12 @@ def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(
     for size in growing_file_sizes(whole_content, seed):
         path.write_bytes(whole_content[:size])
         assert not (tail.has_log_ended and size < 0.9 * len(whole_content))
-        since = tail.write_new_chunks(part_path)
+        since = tail.write_new_chunks(new_chunks_path)
         if since is not None:
-            chunks += chunks_of_log(part_path, converters, "part", since)
+            chunks += chunks_of_log(new_chunks_path, converters, "part", since)
             times += 1
     assert tail.has_log_ended
-    assert tail.write_new_chunks(part_path) is None
+    assert tail.write_new_chunks(new_chunks_path) is None
     assert times > 4
     shown_entities, expected = (
         read_entities(chunks),
@@ -70,7 +70,7 @@ def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(
 
 
 def test_every_byte_of_growth_within_a_chunk_is_safe(jamia_log_path: Path, tmp_path: Path) -> None:
-    whole_content, path, part_path = (
+    whole_content, path, new_chunks_path = (
         jamia_log_path.read_bytes(),
         tmp_path / "run.mcap",
         tmp_path / "part.mcap",
@@ -79,7 +79,7 @@ def test_every_byte_of_growth_within_a_chunk_is_safe(jamia_log_path: Path, tmp_p
     start = len(whole_content) // 2
     for size in range(start, start + 60_000, 997):
         path.write_bytes(whole_content[:size])
-        part_count += tail.write_new_chunks(part_path) is not None
+        part_count += tail.write_new_chunks(new_chunks_path) is not None
     assert part_count > 1
 
 
@@ -87,7 +87,7 @@ def test_a_call_reads_no_record_again(
     jamia_log_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Reproduce a defect: each call scanned all records from the start of the log again, several times per second."""
-    whole_content, path, part_path = (
+    whole_content, path, new_chunks_path = (
         jamia_log_path.read_bytes(),
         tmp_path / "run.mcap",
         tmp_path / "part.mcap",
@@ -95,23 +95,23 @@ def test_a_call_reads_no_record_again(
     offsets = list[int]()
     read_range = LogFile.read_range
 
-    def read_and_note(file: LogFile, offset: int, size: int) -> bytes:
+    def read_and_record_offset(file: LogFile, offset: int, size: int) -> bytes:
         offsets.append(offset)
         return read_range(file, offset, size)
 
-    monkeypatch.setattr(LogFile, "read_range", read_and_note)
+    monkeypatch.setattr(LogFile, "read_range", read_and_record_offset)
     path.write_bytes(whole_content[: len(whole_content) // 2])
     tail = LogTail(path)
-    assert tail.write_new_chunks(part_path) is not None
+    assert tail.write_new_chunks(new_chunks_path) is not None
     assert len(offsets) > 100
     offsets.clear()
-    assert tail.write_new_chunks(part_path) is None
+    assert tail.write_new_chunks(new_chunks_path) is None
     assert len(offsets) <= 3, "the two magic texts, and the head of the incomplete record"
     path.write_bytes(whole_content)
-    assert tail.write_new_chunks(part_path) is not None
+    assert tail.write_new_chunks(new_chunks_path) is not None
     assert tail.has_log_ended
     offsets.clear()
-    assert tail.write_new_chunks(part_path) is None
+    assert tail.write_new_chunks(new_chunks_path) is None
     assert offsets == []
 
 

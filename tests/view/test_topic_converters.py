@@ -19,7 +19,7 @@ from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.view import rerun_conversion
 from handctl.view.scene import palette
-from handctl.view.scene.bus_load_calculator import LOAD_WINDOW_NS
+from handctl.view.scene.bus_load_calculator import BUS_LOAD_WINDOW_NS
 from handctl.view.scene.run_info import RunInfo
 from handctl.view.scene.topic_converters import ARROW_LENGTH_M_PER_N, limits_near_tensions
 
@@ -142,16 +142,16 @@ def test_lateness_and_bus_load_add_up(
         atol=1e-9,
     )
     period = run_log.header.period_ns * 1e-9
-    spent, expected = [], []
+    bus_times, expected = [], []
     for tick in run_log.ticks():
         frames = (*tick.tick_in.frames, *tick.frames)
-        spent.append(
+        bus_times.append(
             (tick.tick_in.t_ns, sum(frame_time_s(len(frame.data), False, 1e6) for frame in frames))
         )
         now = tick.tick_in.t_ns
-        times_in_window = [time for t, time in spent if now - LOAD_WINDOW_NS < t <= now]
+        times_in_window = [time for t, time in bus_times if now - BUS_LOAD_WINDOW_NS < t <= now]
         expected.append(
-            100 * sum(times_in_window) / min(LOAD_WINDOW_NS * 1e-9, now * 1e-9 + period)
+            100 * sum(times_in_window) / min(BUS_LOAD_WINDOW_NS * 1e-9, now * 1e-9 + period)
         )
     np.testing.assert_allclose(
         recorded_entities["/bus/load"].table("Scalars:scalars")[:, 0], expected, rtol=1e-9
@@ -235,7 +235,7 @@ def test_the_layout_is_saved_with_the_recording(recording_path: Path, log_path: 
 def test_time_slices_do_not_change_the_recording(
     recorded_entities: dict[str, RecordingEntity], log_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("handctl.view.time_slices.SLICE_NS", 333_000_000)
+    monkeypatch.setattr("handctl.view.time_slices.SLICE_DURATION_NS", 333_000_000)
     repeated_entities = read_entities(
         rerun_conversion.chunks_of_run(log_path, run_info_of(log_path), 333_000_000)
     )

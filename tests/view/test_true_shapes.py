@@ -15,27 +15,27 @@ from rrd_entities import entities_of_file, read_entities, run_info_of
 from handctl.cli.main import main
 from handctl.errors import LogError
 from handctl.report.truth_record import TruthRecord, read_truth
+from handctl.view.scene.object_and_table import object_and_table_chunks
 from handctl.view.scene.run_info import RunInfo
-from handctl.view.scene.true_shapes import true_shape_chunks
 
 SCENE_SHAPES: dict[str, Any] = {
     "object": {"shape": "cylinder", "size_m": [0.04, 0.04, 0.09]},
     "table": {"shape": "box", "size_m": [0.2, 0.2, 0.01], "position_m": [0.02, 0.0, -0.05]},
 }
-TRUTH_COLUMNS = (
+GROUND_TRUTH_COLUMNS = (
     *(f"object/{pose_column}" for pose_column in ("x", "y", "z", "qw", "qx", "qy", "qz")),
     "support",
 )
 
 
-def truth_of(scene_shapes: dict[str, Any], duration_s: float = 1.0) -> TruthRecord:
+def make_truth_record(scene_shapes: dict[str, Any], duration_s: float = 1.0) -> TruthRecord:
     """Return a truth record in which the object rises by 10 mm/s and the table sinks by 50 mm/s."""
     t_ns = np.arange(0, int(duration_s * 1e9) + 1, 1_000_000)
-    values = np.zeros((len(t_ns), len(TRUTH_COLUMNS)))
+    values = np.zeros((len(t_ns), len(GROUND_TRUTH_COLUMNS)))
     values[:, 2] = 0.01e-9 * t_ns
     values[:, 3] = 1.0
     values[:, 7] = 0.05e-9 * t_ns
-    return TruthRecord({"shapes": scene_shapes}, t_ns, values, TRUTH_COLUMNS)
+    return TruthRecord({"shapes": scene_shapes}, t_ns, values, GROUND_TRUTH_COLUMNS)
 
 
 def drawn_entities(log_path: Path, truth: TruthRecord | None, offset_ns: int = 0) -> dict[str, Any]:
@@ -47,11 +47,13 @@ def drawn_entities(log_path: Path, truth: TruthRecord | None, offset_ns: int = 0
     header = replace(
         run.header, metadata={**run.header.metadata, "truth_offset_ns": str(offset_ns)}
     )
-    return read_entities(true_shape_chunks(RunInfo(header, run.hand, run.name, truth)))
+    return read_entities(object_and_table_chunks(RunInfo(header, run.hand, run.name, truth)))
 
 
 def test_object_and_table_are_where_the_truth_has_them(jamia_log_path: Path) -> None:
-    entities = drawn_entities(jamia_log_path, truth_of(SCENE_SHAPES), offset_ns=400_000_000)
+    entities = drawn_entities(
+        jamia_log_path, make_truth_record(SCENE_SHAPES), offset_ns=400_000_000
+    )
     assert entities.keys() == {
         f"/true/{name}" for name in ("object", "table", "object_pose", "table_pose")
     }
@@ -60,19 +62,19 @@ def test_object_and_table_are_where_the_truth_has_them(jamia_log_path: Path) -> 
     position = np.array([row[0] for row in body.rows["Transform3D:translation"]])
     assert position[0] == pytest.approx([0.0, 0.0, 0.004], abs=1e-6)
     assert np.diff(position[:, 2]) == pytest.approx(0.01 * 0.02, abs=1e-6)
-    sunk = np.array([row[0] for row in table.rows["Transform3D:translation"]])
-    assert sunk[0] == pytest.approx([0.02, 0.0, -0.07], abs=1e-6)
+    table_positions = np.array([row[0] for row in table.rows["Transform3D:translation"]])
+    assert table_positions[0] == pytest.approx([0.02, 0.0, -0.07], abs=1e-6)
 
 
 def test_a_run_without_truth_or_without_shapes_has_none(jamia_log_path: Path) -> None:
     assert drawn_entities(jamia_log_path, None) == {}
-    assert drawn_entities(jamia_log_path, truth_of({})) == {}
+    assert drawn_entities(jamia_log_path, make_truth_record({})) == {}
 
 
 def test_an_unknown_shape_is_one_line(jamia_log_path: Path) -> None:
     with pytest.raises(LogError, match="expected cylinder, sphere or box"):
         drawn_entities(
-            jamia_log_path, truth_of({"object": {"shape": "torus", "size_m": [1, 1, 1]}})
+            jamia_log_path, make_truth_record({"object": {"shape": "torus", "size_m": [1, 1, 1]}})
         )
 
 
@@ -90,12 +92,12 @@ def test_a_named_truth_is_drawn_and_one_of_another_time_refused(
     jamia_log_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, out = tmp_path / "some.truth", tmp_path / "run.rrd"
-    write_truth(path, truth_of(SCENE_SHAPES))
+    write_truth(path, make_truth_record(SCENE_SHAPES))
     words = ["view", str(jamia_log_path), "--save", str(out), "--truth", str(path)]
     assert main([*words, "--json"]) == 0
     assert "/true/object" in entities_of_file(out)
     capsys.readouterr()
-    late_truth = truth_of(SCENE_SHAPES)
+    late_truth = make_truth_record(SCENE_SHAPES)
     write_truth(
         path,
         TruthRecord(

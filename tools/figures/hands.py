@@ -14,7 +14,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.report.run_figure import digit_colours
 from handctl.report.truth_record import read_truth
-from handctl.session.tasks import scene_for_hand
+from handctl.session.task_loading import scene_for_hand
 from tools.figures.plant_scene import TruePoses, body_names, painted_model
 from tools.figures.tuning import call_handctl, empty_folder
 

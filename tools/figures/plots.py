@@ -266,7 +266,7 @@ def bus_tick(folder: Path) -> Any:
     ]
     at = 0.0
     for lane, message_name, label, colour in [*commands, *answers]:
-        us = 1e6 * next(row.frame_s for row in rows if row.what == message_name)
+        us = 1e6 * next(row.frame_s for row in rows if row.sender == message_name)
         axes.barh(lanes[lane], us - 6.0, left=at, color=colour, height=0.55)
         # Write the label of a short frame vertically.
         turned = 90.0 if us < 100.0 else 0.0

@@ -27,7 +27,7 @@ from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
 from handctl.replay.motion_replay import active_interval, playback_program
 from handctl.report.truth_record import TruthRecord, read_truth
-from handctl.session.simulate import SimulatedRun, SimulatorSettings
+from handctl.session.lockstep_simulation import SimulatedRun, SimulatorSettings
 from tools.figures.style import PLOT_SETTINGS
 
 Array = NDArray[np.float64]

@@ -24,7 +24,7 @@ BLOCK_FUNCTIONS: dict[str, Callable[[], str]] = {
     "fault-table": faults.fault_table_markdown,
     "fault-sections": faults.fault_sections,
     "fault-catalogue": faults.catalogue_markdown,
-    "fault-times": faults.late_reaction_rows,
+    "fault-times": faults.late_reactions_markdown,
     "hardware-tests": faults.hardware_checklist,
 }
 """For the name of each block, the function that generates its text."""

@@ -5,7 +5,7 @@ from handctl.safety.faults.markdown import (
     fault_sections,
     fault_table_markdown,
     hardware_checklist,
-    late_reaction_rows,
+    late_reactions_markdown,
 )
 
 __all__ = [
@@ -13,5 +13,5 @@ __all__ = [
     "fault_sections",
     "fault_table_markdown",
     "hardware_checklist",
-    "late_reaction_rows",
+    "late_reactions_markdown",
 ]

@@ -7,8 +7,8 @@ from typing import Annotated, Any, get_args, get_origin
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from handctl.core.gains.gain_bounds import (
+    COMMON_KEY_BY_FORCE,
     GAIN_SECTIONS,
-    SHARED_KEYS,
     TENDON_SECTION,
     bounds_of_key,
     gain_bounds,
@@ -18,7 +18,7 @@ from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
 from handctl.hand.description import Hand
 from handctl.hand.file.key_descriptions import key_description
-from handctl.programs.requests import CommandBase, Request
+from handctl.programs.requests import CommandRequestBase, Request
 from tools.reference.markdown import markdown_table, prose_markdown, quoted_code
 
 KEY_MEANINGS = {
@@ -172,7 +172,7 @@ def gains_sections() -> str:
     for section in GAIN_SECTIONS:
         model = Gains.model_fields[section].annotation
         keys = [bound for key, bound in gain_bounds().items() if key.startswith(f"{section}.")]
-        live = "during a run" if keys[0].is_live_changeable else "before a run only"
+        live = "during a run" if keys[0].is_changeable_live else "before a run only"
         rows = (
             (quoted_code(b.key), f"{b.default:g}", str(b), prose_markdown(b.meaning)) for b in keys
         )
@@ -186,7 +186,7 @@ def gains_sections() -> str:
         f"{prose_markdown(TendonForces.__doc__)}\n\nChanges: during a run.",
     ]
     forces = []
-    for field, shared in SHARED_KEYS.items():
+    for field, shared in COMMON_KEY_BY_FORCE.items():
         if bound := bounds_of_key(f"{TENDON_SECTION}.NAME.{field}"):
             forces.append(
                 (
@@ -215,7 +215,7 @@ def _field_rows(model: type[BaseModel], request_word: str) -> Iterable[tuple[str
     """Yield a row for each field of a request, except the fields that all requests have."""
     schema = model.model_json_schema()["properties"]
     for name, field in model.model_fields.items():
-        if name == "do" or name in CommandBase.model_fields:
+        if name == "do" or name in CommandRequestBase.model_fields:
             continue
         default = "required" if field.is_required() else str(field.default).removesuffix(".0")
         meaning = (

@@ -37,7 +37,7 @@ from firmware_sim.nodes.robstride import bench
 from firmware_sim.nodes.robstride.node import (
     DEFAULT_MOTOR_TYPE,
     FAULT_REPORT_BITS,
-    REPORT_SHIFT,
+    FAULT_REPORT_SHIFT,
     RUN_MODE,
     RobstrideNode,
 )
@@ -45,7 +45,7 @@ from firmware_sim.plant.motor import Motor
 
 POSITION_RANGE = 12.57
 """Largest position in the frames of MIT mode [rad]."""
-FACTORY_HOST = 0
+FACTORY_HOST_ID = 0
 """Number of the host in a motor as delivered."""
 HOST_ID_OFFSET = 0x10
 """The host's number minus the motor's number, if the hand file does not give ``host_id``."""
@@ -159,7 +159,7 @@ class RobstrideMitNode(RobstrideNode):
         """Return the present faults, coded as in a fault report."""
         return (
             sum(report_bit for bit, report_bit in FAULT_REPORT_BITS.items() if self.fault & bit)
-            | self.fault >> REPORT_SHIFT
+            | self.fault >> FAULT_REPORT_SHIFT
         )
 
     def follow_command(self, data: bytes) -> None:
@@ -220,7 +220,7 @@ def _force_command(node: RobstrideMitNode, frame: Frame) -> None:
 _DEFAULT_SHAFT = bench.shaft_of_robstride_motor(DEFAULT_MOTOR_TYPE)
 ROBSTRIDE_MIT_SPEC = ProtocolSpec(
     RobstrideMitNode, range(1, 0x80),
-    _DEFAULT_SHAFT._replace(position=POSITION_RANGE, options={**_DEFAULT_SHAFT.options, "host_id": FACTORY_HOST}),
+    _DEFAULT_SHAFT._replace(position=POSITION_RANGE, options={**_DEFAULT_SHAFT.options, "host_id": FACTORY_HOST_ID}),
     _host_frame, _corrupt_command, force_command=_force_command,
 )  # fmt: skip
 """Specification of RobStride motors in MIT mode."""

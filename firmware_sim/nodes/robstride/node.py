@@ -67,9 +67,9 @@ FAULT_REPORT_BITS = {
 FEEDBACK_FAULTS = 0x3F
 """Mask of the faults that the feedback can report.
 
-Faults with higher bits appear only in the fault report, see ``REPORT_SHIFT``.
+Faults with higher bits appear only in the fault report, see ``FAULT_REPORT_SHIFT``.
 """
-REPORT_SHIFT = 8
+FAULT_REPORT_SHIFT = 8
 """Number of the fault bit that corresponds to bit 0 of the fault report."""
 OVERHEATING_C = 135.0
 """Winding temperature above which the motor reports a fault [degC]."""
@@ -79,7 +79,7 @@ TIMEOUT_UNIT_NS = 50_000
 """One count of the watchdog's timeout [ns]: 20000 counts are a second."""
 FIRST_SERIAL_NUMBER = 0x5253_0500_0000_0000
 """Identity (64 bits) of motor 0. Other motors add their number."""
-FACTORY_HOST = 0xFD
+FACTORY_HOST_ID = 0xFD
 """Number of the host that gets feedback before any host has sent a request."""
 WRITABLE_PARAMETERS = {
     0x7005: "B",
@@ -154,7 +154,7 @@ class RobstrideNode:
         self._saved[0x7018] = struct.pack("<f", self._torque / 0.5)
         self._saved[0x7026] = struct.pack("<HH", 1, 0)
         self.parameters = dict(self._saved)
-        self._host = FACTORY_HOST
+        self._host = FACTORY_HOST_ID
         self._reports: list[int] = []
         self._thermal_ns = -1
 
@@ -355,7 +355,7 @@ class RobstrideNode:
         """Restart in reset mode, with the saved parameters."""
         self._stop(clear_faults=True)
         self.parameters = dict(self._saved)
-        self._host = FACTORY_HOST
+        self._host = FACTORY_HOST_ID
 
     def lose_settings(self) -> None:
         """Restore the saved parameters, but keep the mode."""
@@ -397,7 +397,7 @@ class RobstrideNode:
         """Return the frame that reports faults."""
         bits = (
             sum(report_bit for bit, report_bit in FAULT_REPORT_BITS.items() if fault & bit)
-            | fault >> REPORT_SHIFT
+            | fault >> FAULT_REPORT_SHIFT
         )
         warning = int(self.thermal.winding > OVERHEATING_C)
         return Frame(

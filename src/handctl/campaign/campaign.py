@@ -14,14 +14,14 @@ from handctl.campaign.scenario_run import ScenarioResult, run_scenario
 from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.description import Hand
 from handctl.safety.safety_action import SafetyAction
-from handctl.session.simulate import SimulatedRun
+from handctl.session.lockstep_simulation import SimulatedRun
 
 QUICK_SCENARIO_STEP = 7
 """Interval between two scenarios that a quick campaign runs.
 
 A quick campaign runs only every seventh scenario of the fault matrix.
 """
-NOISE_FACTOR = 3.0
+POSITION_NOISE_FACTOR = 3.0
 """Factor by which the specified sensor noise is increased in the runs without faults."""
 FRAME_LOSS_PROBABILITY = 0.001
 """Probability with which each CAN frame is lost in the runs without faults."""
@@ -68,7 +68,7 @@ class CampaignReport:
                 (result.ticks / max(result.bound, 1) for result in results), default=0.0
             ),
             "worst_tension_N": max((result.tension for result in results), default=0.0),
-            "not_felt": sum(not result.effects for result in results),
+            "not_felt": sum(not result.effect_count for result in results),
             "false_alarms": sum(map(len, self.false_alarms.values())),
             "false_alarm_run_s": self.simulated_s,
             "alarms": self.false_alarms,
@@ -112,7 +112,7 @@ def campaign_scenarios(
 def run_campaign(
     name: str,
     protocols: Iterable[str],
-    rate_of_hand: Callable[[Hand], float],
+    control_rate_of_hand: Callable[[Hand], float],
     *,
     jobs: int,
     is_quick: bool,
@@ -128,7 +128,7 @@ def run_campaign(
     Args:
         name: name of the hand.
         protocols: drive protocols to test, one after the other.
-        rate_of_hand: function that returns the control rate of a hand [Hz].
+        control_rate_of_hand: function that returns the control rate of a hand [Hz].
         jobs: number of processes that run at the same time.
         is_quick: True to run only a sample of the scenarios.
         fault_free_s: simulated time of the runs without faults, for each protocol [s].
@@ -142,7 +142,7 @@ def run_campaign(
     report = CampaignReport(name)
     for protocol in protocols:
         hand = hand_with_protocol(name, protocol)
-        rate = report.control_rates_hz[protocol] = rate_of_hand(hand)
+        rate = report.control_rates_hz[protocol] = control_rate_of_hand(hand)
         scenarios_to_run = (
             []
             if fault_free_only
@@ -175,12 +175,14 @@ def run_campaign(
             )
         # A quick campaign also contains the runs without faults, because false alarms are as bad as
         # missed faults.
-        report.false_alarms[protocol] = run_fault_free(hand, rate, fault_free_s, seed)
+        report.false_alarms[protocol] = simulate_without_faults(hand, rate, fault_free_s, seed)
         report.simulated_s += fault_free_s
     return report
 
 
-def run_fault_free(hand: Hand, rate_hz: float, duration_s: float, seed: int = 1) -> list[str]:
+def simulate_without_faults(
+    hand: Hand, rate_hz: float, duration_s: float, seed: int = 1
+) -> list[str]:
     """Simulate a hand without faults, and return the false alarms.
 
     The noise is larger than normal, and some frames are lost. During the run, the hand moves and
@@ -190,7 +192,7 @@ def run_fault_free(hand: Hand, rate_hz: float, duration_s: float, seed: int = 1)
     alarms: list[str] = []
     remaining_s = duration_s
     while remaining_s > 0.0:
-        with homed_run(hand, rate_hz, seed, {"noise": NOISE_FACTOR}) as simulation:
+        with homed_run(hand, rate_hz, seed, {"noise": POSITION_NOISE_FACTOR}) as simulation:
             for bus in hand.bus_names:
                 # The fault command `drop` loses frames that the drives send to the host. The fault
                 # command `deaf` loses frames that the host sends to the drives.

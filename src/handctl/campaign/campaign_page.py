@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from handctl.campaign.campaign import CampaignReport
-from handctl.campaign.fault_matrix import UNTESTED_ROWS
+from handctl.campaign.fault_matrix import TEST_PLACE_BY_UNTESTED_FAULT
 from handctl.campaign.scenario_run import ScenarioResult
 from handctl.output_files import write_text_atomically
 from handctl.safety.faults.table import FAULT_CATALOGUE
@@ -35,55 +35,58 @@ TABLE_TITLES = (
     "",
 )
 """Titles of the columns in the table of scenarios."""
-FAULT_TITLES = {entry.id: entry.title for entry in FAULT_CATALOGUE}
+TITLE_BY_FAULT_ID = {entry.id: entry.title for entry in FAULT_CATALOGUE}
 """Title of each fault in the catalogue, by fault id."""
 
 
 def write_page(path: Path, report: CampaignReport) -> None:
     """Write the report of a campaign as an HTML page."""
-    figures = report.as_json()
+    content = report.as_json()
     title = f"Fault campaign: {html.escape(report.hand)}"
     title_cells = "".join(
         f"<tr><th>{html.escape(label)}</th><td class=n>{value}</td></tr>"
         for label, value in (
-            ("scenarios", figures["scenarios"]),
-            ("failed", figures["late"]),
-            ("without effect (no positive control)", figures["not_felt"]),
-            ("slowest reaction [ticks]", figures["worst_ticks"]),
-            ("slowest reaction, fraction of its bound", f"{figures['worst_share_of_bound']:.2f}"),
-            ("largest true tension [N]", f"{figures['worst_tension_N']:.0f}"),
-            ("false alarms of the fault-free hand", figures["false_alarms"]),
-            ("simulated without faults [s]", f"{figures['false_alarm_run_s']:g}"),
+            ("scenarios", content["scenarios"]),
+            ("failed", content["late"]),
+            ("without effect (no positive control)", content["not_felt"]),
+            ("slowest reaction [ticks]", content["worst_ticks"]),
+            (
+                "slowest reaction, fraction of its bound",
+                f"{content['worst_share_of_bound']:.2f}",
+            ),
+            ("largest true tension [N]", f"{content['worst_tension_N']:.0f}"),
+            ("false alarms of the fault-free hand", content["false_alarms"]),
+            ("simulated without faults [s]", f"{content['false_alarm_run_s']:g}"),
         )
     )
-    page_sections = [f"<h1>{title}</h1><table>{title_cells}</table>"]
+    html_sections = [f"<h1>{title}</h1><table>{title_cells}</table>"]
     for protocol, results in report.results.items():
         rate = report.control_rates_hz[protocol]
         number = Counter(result.id for result in results)
         table_title = f"{protocol}, {rate:g} Hz: each row by its slowest scenario"
-        page_sections.append(
-            f"<h2>{table_title}</h2>{_html_table(_slowest_of_rows(results), rate, number)}"
+        html_sections.append(
+            f"<h2>{table_title}</h2>{_html_table(_slowest_result_per_row(results), rate, number)}"
         )
         failed_results = [result for result in results if not result.ok]
         if failed_results:
-            page_sections.append(
+            html_sections.append(
                 f"<h2 class=bad>{protocol}: failed</h2>{_html_table(failed_results, rate, number)}"
             )
     rows = "".join(
         f"<tr><td>{id_}</td><td>{html.escape(reason)}</td></tr>"
-        for id_, reason in UNTESTED_ROWS.items()
+        for id_, reason in TEST_PLACE_BY_UNTESTED_FAULT.items()
     )
-    page_sections.append(f"<h2>Rows that are tested elsewhere</h2><table>{rows}</table>")
+    html_sections.append(f"<h2>Rows that are tested elsewhere</h2><table>{rows}</table>")
     page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{PAGE_STYLE}</style>"
-    write_text_atomically(path, page + "\n".join(page_sections) + "</html>\n")
+    write_text_atomically(path, page + "\n".join(html_sections) + "</html>\n")
 
 
-def _slowest_of_rows(results: Iterable[ScenarioResult]) -> list[ScenarioResult]:
-    """Return, for each row of the fault matrix, the result with the largest ``bound_fraction``."""
+def _slowest_result_per_row(results: Iterable[ScenarioResult]) -> list[ScenarioResult]:
+    """Return, for each row of the fault matrix, the result with the largest ``reaction_time_ratio``."""
     slowest_by_row: dict[str, ScenarioResult] = {}
     for result in results:
         current = slowest_by_row.get(result.id)
-        if current is None or bound_fraction(result) > bound_fraction(current):
+        if current is None or reaction_time_ratio(result) > reaction_time_ratio(current):
             slowest_by_row[result.id] = result
     # The rows are in the order of the fault catalogue: bus, node, tendon, host, interface.
     return sorted(
@@ -91,7 +94,7 @@ def _slowest_of_rows(results: Iterable[ScenarioResult]) -> list[ScenarioResult]:
     )
 
 
-def bound_fraction(result: ScenarioResult) -> float:
+def reaction_time_ratio(result: ScenarioResult) -> float:
     """Return the reaction time in a scenario, divided by the longest time that is allowed.
 
     If there was no reaction, the result is 9.9.
@@ -107,11 +110,11 @@ def _html_table(results: Iterable[ScenarioResult], rate_hz: float, number: Count
 
 def _html_row(result: ScenarioResult, rate_hz: float, number: int) -> str:
     failure_class = "" if result.ok else " bad"
-    width = BAR_WIDTH_EM * min(bound_fraction(result), 1.0)
+    width = BAR_WIDTH_EM * min(reaction_time_ratio(result), 1.0)
     scenario = result.scenario.removeprefix(result.id).strip()
     reaction_time_text = f"{result.ticks * 1e3 / rate_hz:g} ms" if result.ticks >= 0 else "never"
     cells = [
-        f"<td>{result.id}</td><td>{html.escape(FAULT_TITLES[result.id])}</td><td class=n>{number}</td>",
+        f"<td>{result.id}</td><td>{html.escape(TITLE_BY_FAULT_ID[result.id])}</td><td class=n>{number}</td>",
         f"<td>{html.escape(scenario)}</td><td>{html.escape(result.detected_by or 'requested')}</td>",
         f"<td class=n>{reaction_time_text}</td><td class=n>{result.ticks}</td><td class=n>{result.bound}</td>",
         f'<td><span class="bar{failure_class}" style="width:{width:.2f}em"></span></td>',
@@ -123,12 +126,12 @@ def _html_row(result: ScenarioResult, rate_hz: float, number: int) -> str:
 
 def summary_lines(report: CampaignReport) -> list[str]:
     """Return the summary of a campaign's report as lines for a terminal."""
-    figures = report.as_json()
+    content = report.as_json()
     summary = [
-        f"{figures['scenarios']} scenarios, {figures['late']} failed, {figures['not_felt']} without effect",
-        f"slowest reaction {figures['worst_ticks']} ticks, {100 * figures['worst_share_of_bound']:.0f} % of its bound",
-        f"largest true tension {figures['worst_tension_N']:.0f} N",
-        f"{figures['false_alarms']} false alarms in {figures['false_alarm_run_s']:g} s without faults",
+        f"{content['scenarios']} scenarios, {content['late']} failed, {content['not_felt']} without effect",
+        f"slowest reaction {content['worst_ticks']} ticks, {100 * content['worst_share_of_bound']:.0f} % of its bound",
+        f"largest true tension {content['worst_tension_N']:.0f} N",
+        f"{content['false_alarms']} false alarms in {content['false_alarm_run_s']:g} s without faults",
     ]
     return summary + [
         f"{result.scenario}: {result.problem}" for result in report.all_results if not result.ok

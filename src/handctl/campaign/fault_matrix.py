@@ -19,7 +19,7 @@ from handctl.safety.safety_action import SafetyAction
 from handctl.safety.safety_limits import MAX_STALL_S, MIN_STALLED_TICKS, tick_count_for_time
 
 ARMING_STAGE = "arming"
-FREE_STAGE = "free motion"
+FREE_MOTION_STAGE = "free motion"
 GRASP_STAGE = "grasp"
 MIT = "mit"
 ODRIVE = "odrive"
@@ -28,16 +28,16 @@ MOTEUS = "moteus"
 ROBSTRIDE = "robstride"
 ALL_PROTOCOLS = VERIFIABLE_PROTOCOLS
 """Drive protocols that the fault matrix covers."""
-ALL_STAGES = (ARMING_STAGE, FREE_STAGE, GRASP_STAGE)
-MOVING_STAGES = (FREE_STAGE, GRASP_STAGE)
+ALL_STAGES = (ARMING_STAGE, FREE_MOTION_STAGE, GRASP_STAGE)
+MOVING_STAGES = (FREE_MOTION_STAGE, GRASP_STAGE)
 """Stages of a run in which the program moves the hand."""
 REPORT_DELAY_MS = {ODRIVE: 100.0}
 """Longest delay until a drive reports a change of state, by protocol [ms]."""
-RESTART_TICKS = {CIA402: 2}
+DRIVE_RESTART_TICKS = {CIA402: 2}
 """Number of ticks in which a drive that restarts is silent, by protocol."""
-MIN_LATE_MS = 7.0
+MIN_LATE_DELAY_MS = 7.0
 """Smallest value that the place holder {late} in a fault text gets [ms]."""
-MIN_LATE_TICKS = 1.5
+MIN_LATE_DELAY_TICKS = 1.5
 """Smallest value that the place holder {late} in a fault text gets [control periods]."""
 POSITION_JUMP_RAD = 1.0
 """Step of the position that no drive can make within two control periods [rad]."""
@@ -51,16 +51,16 @@ MAX_READABLE_TRIP_N = 0.9 * TENSION_RAIL_N
 """Largest trip tension that a load cell can read without looking saturated (fault T06) [N]."""
 TIME_LIMIT_PERIOD_MS = 2.0
 """Control period at which a row with ``scales_with_period`` has exactly its ``max_ticks`` as time limit [ms]."""
-HOST_PREFIX = "host "
+HOST_FAULT_PREFIX = "host "
 """Prefix of the fault texts that concern the host: I/O events, missed ticks, requests."""
 
 
-class MatrixRow(NamedTuple):
+class FaultMatrixRow(NamedTuple):
     """Row of the fault matrix.
 
     Attributes:
         id: id of the fault in the fault catalogue.
-        fault: command for the simulator, or text that begins with HOST_PREFIX. The text may contain
+        fault: command for the simulator, or text that begins with HOST_FAULT_PREFIX. The text may contain
             place holders for the part of the hand that has the fault: {node}, {tendon}, {digit},
             {bus} or {joint}. The place holder {other} stands for the next motor. Other place
             holders stand for sizes. {trip} and {limit} are a tendon's tension_trip_N and
@@ -74,12 +74,13 @@ class MatrixRow(NamedTuple):
             prefix is the fault of the row itself.
         stages: stages of a run in which the fault is tested.
         protocols: drive protocols with which the fault is tested.
-        extra_ms: further time that the reaction may take with some protocols [ms], by the name of
+        extra_ms_by_protocol: further time that the reaction may take with some protocols [ms], by the name of
             the protocol.
         extra_ticks: further number of ticks that the reaction may take with some protocols, by the
-            name of the protocol. These ticks are added to the time ``extra_ms``.
-        extra_ms_without_cell: further time if the tendon of the fault has no load cell [ms].
-        sensor_frames: number of further frames of the sensor node that the detection needs.
+            name of the protocol. These ticks are added to the time ``extra_ms_by_protocol``.
+        protocols_needing_cell: protocols with which the fault is only detected by a load cell.
+        extra_ms_without_load_cell: further time if the tendon of the fault has no load cell [ms].
+        extra_sensor_frames: number of further frames of the sensor node that the detection needs.
             ``max_ticks`` contains one tick for each of these frames. If the hand has no load cells,
             the sensor node sends only joint frames, and each comes after ``joint_decimation`` ticks.
         force_change_N: variation of the motor force that the detection needs [N]. The time limit
@@ -98,19 +99,22 @@ class MatrixRow(NamedTuple):
     accepted_faults: tuple[str, ...] = ()
     stages: tuple[str, ...] = MOVING_STAGES
     protocols: tuple[str, ...] = ALL_PROTOCOLS
-    extra_ms: dict[str, float] = {}  # noqa: RUF012 - read only
+    extra_ms_by_protocol: dict[str, float] = {}  # noqa: RUF012 - read only
     extra_ticks: dict[str, int] = {}  # noqa: RUF012 - read only
-    extra_ms_without_cell: float = 0.0
-    sensor_frames: int = 0
+    protocols_needing_cell: tuple[str, ...] = ()
+    extra_ms_without_load_cell: float = 0.0
+    extra_sensor_frames: int = 0
     force_change_N: float = 0.0
     scales_with_period: bool = False
 
-    def bound_ticks(self, protocol: str, period_ms: float) -> int:
+    def reaction_limit_ticks(self, protocol: str, period_ms: float) -> int:
         """Return the time limit of the row for drives of a given protocol [ticks]."""
         ticks = self.max_ticks + self.extra_ticks.get(protocol, 0)
         if self.scales_with_period:
             ticks = math.ceil(ticks * max(1.0, TIME_LIMIT_PERIOD_MS / period_ms))
-        return ticks + math.ceil((self.max_extra_ms + self.extra_ms.get(protocol, 0.0)) / period_ms)
+        return ticks + math.ceil(
+            (self.max_extra_ms + self.extra_ms_by_protocol.get(protocol, 0.0)) / period_ms
+        )
 
     def missing_sensor_ticks(self, hand: Hand, fault: str, period_ms: float) -> int:
         """Return the additional ticks that the reaction to a fault may take on a hand without some sensors.
@@ -123,9 +127,9 @@ class MatrixRow(NamedTuple):
         ticks = 0
         node = hand.sensor_node
         if not node.tendons:
-            ticks += self.sensor_frames * (node.joint_decimation - 1)
+            ticks += self.extra_sensor_frames * (node.joint_decimation - 1)
         if _lacks_load_cell(hand, fault):
-            ticks += math.ceil(self.extra_ms_without_cell / period_ms)
+            ticks += math.ceil(self.extra_ms_without_load_cell / period_ms)
         return ticks
 
 
@@ -137,10 +141,10 @@ class FaultScenario(NamedTuple):
         fault: fault text of the row, in which the place holders are filled in.
         stage: stage of the run at which the fault is injected.
         second_fault: text of the second fault of a pair. The text is empty for a single fault.
-        missing_sensor_ticks: addition to the time limit of the row, see ``MatrixRow.missing_sensor_ticks``.
+        missing_sensor_ticks: addition to the time limit of the row, see ``FaultMatrixRow.missing_sensor_ticks``.
     """
 
-    row: MatrixRow
+    row: FaultMatrixRow
     fault: str
     stage: str
     second_fault: str = ""
@@ -169,10 +173,10 @@ SINGLE_ANSWER_PROTOCOLS = (MIT, CIA402, MOTEUS, ROBSTRIDE)
 """Protocols whose drives send exactly one answer to each command."""
 READBACK_PROTOCOLS = (MIT, ODRIVE, MOTEUS, ROBSTRIDE)
 """Protocols with which the host can read the temperature of a drive, and detect that a drive receives no commands."""
-SHORT_ID_PROTOCOLS = (MIT, ODRIVE, CIA402)
+PROTOCOLS_WITH_11_BIT_IDS = (MIT, ODRIVE, CIA402)
 """Protocols whose drives answer with 11-bit identifiers."""
 
-_FAULTS_OF_EXCHANGED_DRIVES = ("N14", "N05", "N06", "T04", "T02", "N04", "T03")
+_EXCHANGED_DRIVE_FAULTS = ("N14", "N05", "N06", "T04", "T02", "N04", "T03")
 """Faults that may be detected earlier than N17 if two drives are exchanged, in motion or at unequal tensions."""
 
 _TORN_TENDON_FAULTS = ("T08", "N06")
@@ -181,148 +185,163 @@ _TORN_TENDON_FAULTS = ("T08", "N06")
 The controller may report them in place of T01 and T02 after a tendon has torn.
 """
 
-FAULT_MATRIX: tuple[MatrixRow, ...] = (
-    MatrixRow("B01", "drop node={node} for=2500us", WARN, 2, accepted_faults=("B01", "N02"), stages=ALL_STAGES),
-    MatrixRow("B02", "drop bus={bus}", RELAX, 1, 30.0, ("B02", "N02", "B17"), ALL_STAGES),
-    MatrixRow("B03", "drop node={node} p=0.3 seed=3", HOLD, 102, 0.0, ("B03", "B17", "N02"),
+FAULT_MATRIX: tuple[FaultMatrixRow, ...] = (
+    FaultMatrixRow("B01", "drop node={node} for=2500us", WARN, 2, accepted_faults=("B01", "N02"), stages=ALL_STAGES),
+    FaultMatrixRow("B02", "drop bus={bus}", RELAX, 1, 30.0, ("B02", "N02", "B17"), ALL_STAGES),
+    FaultMatrixRow("B03", "drop node={node} p=0.3 seed=3", HOLD, 102, 0.0, ("B03", "B17", "N02"),
         protocols=SINGLE_ANSWER_PROTOCOLS),
-    MatrixRow("B03", "drop node={node} p=0.6 seed=3", HOLD, 102, 0.0, ("B03", "B17", "N02", "N11"),
+    FaultMatrixRow("B03", "drop node={node} p=0.6 seed=3", HOLD, 102, 0.0, ("B03", "B17", "N02", "N11"),
         protocols=(ODRIVE,)),
-    MatrixRow("B03", "replay node=sensors size=16", RELAX, 102, 0.0, ("B03", "N02", "B04")),
+    FaultMatrixRow("B03", "replay node=sensors size=16", RELAX, 102, 0.0, ("B03", "N02", "B04")),
     # The delayed frame shows the fault only when it arrives.
-    MatrixRow("B04", "delay node=sensors size={late} for=20ms", WARN, 4, accepted_faults=("B04",),
+    FaultMatrixRow("B04", "delay node=sensors size={late} for=20ms", WARN, 4, accepted_faults=("B04",),
         scales_with_period=True),
-    MatrixRow("B05", "duplicate node={node}", WARN, 2, accepted_faults=("B05", "N13", "B06"),
+    FaultMatrixRow("B05", "duplicate node={node}", WARN, 2, accepted_faults=("B05", "N13", "B06"),
               protocols=SINGLE_ANSWER_PROTOCOLS),
-    MatrixRow("B05", "duplicate node=sensors", WARN, 2, accepted_faults=("B05",)),
-    MatrixRow("B06", "twin node={node}", RELAX, 2, accepted_faults=("B06",), protocols=SINGLE_ANSWER_PROTOCOLS),
-    MatrixRow("B06", "twin node=sensors", RELAX, 2, accepted_faults=("B06",)),
+    FaultMatrixRow("B05", "duplicate node=sensors", WARN, 2, accepted_faults=("B05",)),
+    FaultMatrixRow("B06", "twin node={node}", RELAX, 2, accepted_faults=("B06",), protocols=SINGLE_ANSWER_PROTOCOLS),
+    FaultMatrixRow("B06", "twin node=sensors", RELAX, 2, accepted_faults=("B06",)),
     # The first frame comes after the second frame, so the detector needs two frames.
-    MatrixRow("B07", "reorder node=sensors", WARN, 2, accepted_faults=("B07",), sensor_frames=1),
-    MatrixRow("B08", "shorten node={node}", RELAX, 4, accepted_faults=("B08", "B17")),
-    MatrixRow("B09", "shorten node={node} for=3ms", WARN, 2, accepted_faults=("B09",)),
-    MatrixRow("B09", "extend node={node} for=3ms", WARN, 2, accepted_faults=("B09",), protocols=SHORT_ID_PROTOCOLS),
-    MatrixRow("B10", "unknown bus={bus}", WARN, 2, 51.0, ("B10",), ALL_STAGES),
-    MatrixRow("B11", "flood bus={bus} size=100", RELAX, 3, accepted_faults=("B11",)),
-    MatrixRow("B11", "flood bus={bus} size=101", CUT, 11, accepted_faults=("B11b", "B11a")),
-    MatrixRow("B12", HOST_PREFIX + "io bus_off", CUT, 1, accepted_faults=("B12",), stages=ALL_STAGES),
-    MatrixRow("B13", HOST_PREFIX + "io error_warning", WARN, 1, accepted_faults=("B13a",)),
-    MatrixRow("B13", HOST_PREFIX + "io error_passive lasting", RELAX, 21, accepted_faults=("B13b",)),
-    MatrixRow("B14", HOST_PREFIX + "io enetdown", CUT, 1, accepted_faults=("B14",), stages=ALL_STAGES),
-    MatrixRow("B15", HOST_PREFIX + "io enobufs lasting", RELAX, 3, accepted_faults=("B15",)),
-    MatrixRow("B16", HOST_PREFIX + "io enodev", CUT, 1, accepted_faults=("B16",), stages=ALL_STAGES),
-    MatrixRow("B17", "deaf node={node}", RELAX, 4, accepted_faults=("B17", "N08", "B02", "B03"),
+    FaultMatrixRow("B07", "reorder node=sensors", WARN, 2, accepted_faults=("B07",), extra_sensor_frames=1),
+    FaultMatrixRow("B08", "shorten node={node}", RELAX, 4, accepted_faults=("B08", "B17")),
+    FaultMatrixRow("B09", "shorten node={node} for=3ms", WARN, 2, accepted_faults=("B09",)),
+    FaultMatrixRow("B09", "extend node={node} for=3ms", WARN, 2, accepted_faults=("B09",),
+        protocols=PROTOCOLS_WITH_11_BIT_IDS),
+    FaultMatrixRow("B10", "unknown bus={bus}", WARN, 2, 51.0, ("B10",), ALL_STAGES),
+    FaultMatrixRow("B11", "flood bus={bus} size=100", RELAX, 3, accepted_faults=("B11",)),
+    FaultMatrixRow("B11", "flood bus={bus} size=101", CUT, 11, accepted_faults=("B11b", "B11a")),
+    FaultMatrixRow("B12", HOST_FAULT_PREFIX + "io bus_off", CUT, 1, accepted_faults=("B12",), stages=ALL_STAGES),
+    FaultMatrixRow("B13", HOST_FAULT_PREFIX + "io error_warning", WARN, 1, accepted_faults=("B13a",)),
+    FaultMatrixRow("B13", HOST_FAULT_PREFIX + "io error_passive lasting", RELAX, 21, accepted_faults=("B13b",)),
+    FaultMatrixRow("B14", HOST_FAULT_PREFIX + "io enetdown", CUT, 1, accepted_faults=("B14",), stages=ALL_STAGES),
+    FaultMatrixRow("B15", HOST_FAULT_PREFIX + "io enobufs lasting", RELAX, 3, accepted_faults=("B15",)),
+    FaultMatrixRow("B16", HOST_FAULT_PREFIX + "io enodev", CUT, 1, accepted_faults=("B16",), stages=ALL_STAGES),
+    FaultMatrixRow("B17", "deaf node={node}", RELAX, 4, accepted_faults=("B17", "N08", "B02", "B03"),
         protocols=READBACK_PROTOCOLS,
-        extra_ms={ODRIVE: 160.0}),
-    MatrixRow("B17", "drop node={node}", RELAX, 4, accepted_faults=("B17",)),
-    MatrixRow("N01", "reset node={node}", RELAX, 2, accepted_faults=("N01", "N11", "B17"),
-        extra_ms=REPORT_DELAY_MS, extra_ticks=RESTART_TICKS),
-    MatrixRow("N01", "reset node={node}", RELAX, 2, accepted_faults=("N01", "N11", "B17"), stages=(ARMING_STAGE,),
+        extra_ms_by_protocol={ODRIVE: 160.0}),
+    FaultMatrixRow("B17", "drop node={node}", RELAX, 4, accepted_faults=("B17",)),
+    # N12: reading back the settings may show the restart before the drive reports it.
+    FaultMatrixRow("N01", "reset node={node}", RELAX, 2, accepted_faults=("N01", "N11", "N12", "B17"),
+        extra_ms_by_protocol=REPORT_DELAY_MS, extra_ticks=DRIVE_RESTART_TICKS),
+    FaultMatrixRow("N01", "reset node={node}", RELAX, 2, accepted_faults=("N01", "N11", "B17"), stages=(ARMING_STAGE,),
         protocols=(MIT, CIA402, ROBSTRIDE),
-        extra_ticks=RESTART_TICKS),
-    MatrixRow("N02", "drop node=sensors", RELAX, 1, 30.0, ("N02",), ALL_STAGES),
-    MatrixRow("N02", "off node={node}", RELAX, 5, accepted_faults=("B17", "B02", "N01"), stages=ALL_STAGES),
-    MatrixRow("N04", "stuck encoder={node}", RELAX, 2, 500.0, ("N04", "T04", "N05", "N06", "T08"), (FREE_STAGE,)),
-    MatrixRow("N04", "stuck joint={joint}", RELAX, 2, 500.0, ("N04", "N06", "T08"), (FREE_STAGE,)),
-    MatrixRow("N05", "offset encoder={node} size={jump}", RELAX, 3, accepted_faults=("N05",)),
-    MatrixRow("N06", "drift joint={joint} size=0.8", RELAX, 4, 900.0, ("N06", "T08")),
-    MatrixRow("N07", "noise encoder={node} size={rough}", HOLD, 4, 60.0, ("N07", "N05")),
-    MatrixRow("N08", "watchdog node={node}", RELAX, 2, accepted_faults=("N08",), stages=ALL_STAGES,
+        extra_ticks=DRIVE_RESTART_TICKS),
+    # Without load cells, only the frames of the joint encoders are missed, and they do not come in each tick.
+    FaultMatrixRow("N02", "drop node=sensors", RELAX, 1, 30.0, ("N02",), ALL_STAGES, extra_sensor_frames=3),
+    FaultMatrixRow("N02", "off node={node}", RELAX, 5, accepted_faults=("B17", "B02", "N01"), stages=ALL_STAGES),
+    # Without load cells, the position loop is softer, and the motor follows its goal later.
+    FaultMatrixRow("N04", "stuck encoder={node}", RELAX, 2, 500.0, ("N04", "T04", "N05", "N06", "T08"),
+        (FREE_MOTION_STAGE,), extra_ms_without_load_cell=100.0),
+    FaultMatrixRow("N04", "stuck joint={joint}", RELAX, 2, 500.0, ("N04", "N06", "T08"), (FREE_MOTION_STAGE,),
+        extra_sensor_frames=3),
+    FaultMatrixRow("N05", "offset encoder={node} size={jump}", RELAX, 3, accepted_faults=("N05",)),
+    FaultMatrixRow("N06", "drift joint={joint} size=0.8", RELAX, 4, 900.0, ("N06", "T08")),
+    FaultMatrixRow("N07", "noise encoder={node} size={rough}", HOLD, 4, 60.0, ("N07", "N05")),
+    FaultMatrixRow("N08", "watchdog node={node}", RELAX, 2, accepted_faults=("N08",), stages=ALL_STAGES,
         protocols=(MIT, ODRIVE, CIA402, MOTEUS),
-        extra_ms=REPORT_DELAY_MS),
-    MatrixRow("N08", "watchdog node={node}", RELAX, 2, accepted_faults=("N08", "N01"), stages=ALL_STAGES,
+        extra_ms_by_protocol=REPORT_DELAY_MS),
+    FaultMatrixRow("N08", "watchdog node={node}", RELAX, 2, accepted_faults=("N08", "N01"), stages=ALL_STAGES,
         protocols=(ROBSTRIDE,)),
-    MatrixRow("N09", "hot node={node} size=95", RELAX, 22, accepted_faults=("N09b",), protocols=READBACK_PROTOCOLS,
-        extra_ms={ODRIVE: 200.0}),
-    MatrixRow("N09", "hot node={node} size=80", WARN, 22, accepted_faults=("N09a",), protocols=READBACK_PROTOCOLS,
-        extra_ms={ODRIVE: 200.0}),
-    MatrixRow("N10", "voltage node={node}", RELAX, 2, accepted_faults=("N10",), stages=ALL_STAGES,
-        extra_ms=REPORT_DELAY_MS),
-    MatrixRow("N11", "error node={node}", RELAX, 2, accepted_faults=("N11",), stages=ALL_STAGES,
-        extra_ms=REPORT_DELAY_MS),
-    MatrixRow("N11", "error node={node} size=3", CUT, 2, accepted_faults=("N11b",), protocols=(MIT,)),
-    MatrixRow("N11", "error node={node} size=0xff01", CUT, 2, accepted_faults=("N11b",), protocols=(CIA402,)),
-    MatrixRow("N11", "error node={node} size=0x20000000", CUT, 2, accepted_faults=("N11b",), protocols=(ODRIVE,),
-        extra_ms=REPORT_DELAY_MS),
-    MatrixRow("N11", "error node={node} size=60", CUT, 2, accepted_faults=("N11b",), protocols=(MOTEUS,)),
-    MatrixRow("N11", "error node={node} size=0x4000", CUT, 2, accepted_faults=("N11b",), protocols=(ROBSTRIDE,)),
-    MatrixRow("N12", "forget node={node}", CUT, 4, 1000.0, ("N12",), protocols=(MIT, ODRIVE, CIA402, ROBSTRIDE)),
+    FaultMatrixRow("N09", "hot node={node} size=95", RELAX, 22, accepted_faults=("N09b",), protocols=READBACK_PROTOCOLS,
+        extra_ms_by_protocol={ODRIVE: 200.0}),
+    FaultMatrixRow("N09", "hot node={node} size=80", WARN, 22, accepted_faults=("N09a",), protocols=READBACK_PROTOCOLS,
+        extra_ms_by_protocol={ODRIVE: 200.0}),
+    FaultMatrixRow("N10", "voltage node={node}", RELAX, 2, accepted_faults=("N10",), stages=ALL_STAGES,
+        extra_ms_by_protocol=REPORT_DELAY_MS),
+    FaultMatrixRow("N11", "error node={node}", RELAX, 2, accepted_faults=("N11",), stages=ALL_STAGES,
+        extra_ms_by_protocol=REPORT_DELAY_MS),
+    FaultMatrixRow("N11", "error node={node} size=3", CUT, 2, accepted_faults=("N11b",), protocols=(MIT,)),
+    FaultMatrixRow("N11", "error node={node} size=0xff01", CUT, 2, accepted_faults=("N11b",), protocols=(CIA402,)),
+    FaultMatrixRow("N11", "error node={node} size=0x20000000", CUT, 2, accepted_faults=("N11b",), protocols=(ODRIVE,),
+        extra_ms_by_protocol=REPORT_DELAY_MS),
+    FaultMatrixRow("N11", "error node={node} size=60", CUT, 2, accepted_faults=("N11b",), protocols=(MOTEUS,)),
+    FaultMatrixRow("N11", "error node={node} size=0x4000", CUT, 2, accepted_faults=("N11b",), protocols=(ROBSTRIDE,)),
+    FaultMatrixRow("N12", "forget node={node}", CUT, 4, 1000.0, ("N12",), protocols=(MIT, ODRIVE, CIA402, ROBSTRIDE)),
     # Every command of this drive protocol contains the torque limit and the watchdog time. After a
     # restart, the drive also forgets its position limits. The default position limits make the
     # drive remove its torque. The controller reports this as N14 (a command is not obeyed). At the
     # edge of its default limits, the drive also pulls for some ticks. The slack tendon that it then
     # winds up looks like a torn one (T01).
-    MatrixRow("N12", "forget node={node}", RELAX, 4, 1000.0, ("N12", "N14", "T01"), protocols=(MOTEUS,)),
+    FaultMatrixRow("N12", "forget node={node}", RELAX, 4, 1000.0, ("N12", "N14", "T01"), protocols=(MOTEUS,)),
     # A drive may restart before it first answers the enable command. Such a restart looks like a
     # lost command. The controller recognises the restart by the settings that the drive has lost.
-    MatrixRow("N12", "reset node={node}", RELAX, 4, 1000.0, ("N12", "N01", "N14"), (ARMING_STAGE,), (MOTEUS,)),
-    MatrixRow("N13", "twin node={node} seed=1", RELAX, 2, accepted_faults=("B06", "N13"),
+    FaultMatrixRow("N12", "reset node={node}", RELAX, 4, 1000.0, ("N12", "N01", "N14"), (ARMING_STAGE,), (MOTEUS,)),
+    FaultMatrixRow("N13", "twin node={node} seed=1", RELAX, 2, accepted_faults=("B06", "N13"),
               protocols=SINGLE_ANSWER_PROTOCOLS),
-    MatrixRow("N13", "duplicate node={node} seed=1", RELAX, 4, accepted_faults=("N13", "B06"),
+    FaultMatrixRow("N13", "duplicate node={node} seed=1", RELAX, 4, accepted_faults=("N13", "B06"),
               protocols=SINGLE_ANSWER_PROTOCOLS),
     # A load cell shows the missing tension. Without a load cell, the fault N17 finds the drive
     # within the time constant of the comparison, although the command of this drive is smaller than
     # the thresholds of N14. N14 compares low-passed forces, so its detection takes the same time at
     # every control rate.
-    MatrixRow("N14", "disobey node={node} size=0", RELAX, 22, accepted_faults=("N14", "T02", "T04", "N17"),
-        stages=(GRASP_STAGE,), protocols=SINGLE_ANSWER_PROTOCOLS, extra_ms_without_cell=250.0, scales_with_period=True),
-    MatrixRow("N14", "runaway node={node}", RELAX, 10, accepted_faults=("N14", "T03", "N05", "T04")),
-    MatrixRow("N14", "ripple node={node} size=0.2 hz=20", RELAX, 22, 600.0,
-        ("N14b", "T03", "N07", "T01", "N17", "N14"), (GRASP_STAGE,)),
-    MatrixRow("N15", "slow node={node} size=2", WARN, 22, accepted_faults=("N15",), protocols=SINGLE_ANSWER_PROTOCOLS),
-    MatrixRow("N15", "slow node={node} size=4", WARN, 4, accepted_faults=("B01",), protocols=(ODRIVE,)),
-    MatrixRow("N16", "hold_on node={node}", CUT, 2, 100.0, ("N16",), (GRASP_STAGE,)),
-    MatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_FAULTS_OF_EXCHANGED_DRIVES),
+    FaultMatrixRow("N14", "disobey node={node} size=0", RELAX, 22, accepted_faults=("N14", "T02", "T04", "N17"),
+        stages=(GRASP_STAGE,), protocols=SINGLE_ANSWER_PROTOCOLS, extra_ms_without_load_cell=250.0,
+        scales_with_period=True),
+    FaultMatrixRow("N14", "runaway node={node}", RELAX, 10, accepted_faults=("N14", "T03", "N05", "T04")),
+    FaultMatrixRow("N14", "ripple node={node} size=0.2 hz=20", RELAX, 22, 600.0,
+        ("N14b", "T03", "N07", "T01", "N17", "N14"), (GRASP_STAGE,), protocols_needing_cell=(ODRIVE,)),
+    FaultMatrixRow("N15", "slow node={node} size=2", WARN, 22, accepted_faults=("N15",),
         protocols=SINGLE_ANSWER_PROTOCOLS),
-    MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_FAULTS_OF_EXCHANGED_DRIVES),
+    FaultMatrixRow("N15", "slow node={node} size=4", WARN, 4, accepted_faults=("B01",), protocols=(ODRIVE,)),
+    # An ODrive sends its torque in a separate frame, and sends none after a cut.
+    FaultMatrixRow("N16", "hold_on node={node}", CUT, 2, 100.0, ("N16",), (GRASP_STAGE,),
+        protocols_needing_cell=(ODRIVE,)),
+    FaultMatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
         protocols=SINGLE_ANSWER_PROTOCOLS),
-    MatrixRow("N17", "late node={node} size=50", RELAX, 2, 4000.0, ("N17", *_FAULTS_OF_EXCHANGED_DRIVES),
+    FaultMatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
+        protocols=SINGLE_ANSWER_PROTOCOLS),
+    FaultMatrixRow("N17", "late node={node} size=50", RELAX, 2, 4000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
         protocols=SINGLE_ANSWER_PROTOCOLS),
     # While a grasp is at rest, the velocity limit of ODrive drives hides that two drives have been
     # exchanged.
-    MatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_FAULTS_OF_EXCHANGED_DRIVES),
-        (FREE_STAGE,), (ODRIVE,)),
-    MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 2000.0, ("N17", *_FAULTS_OF_EXCHANGED_DRIVES),
-        (FREE_STAGE,), (ODRIVE,)),
+    FaultMatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
+        (FREE_MOTION_STAGE,), (ODRIVE,)),
+    FaultMatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 2000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
+        (FREE_MOTION_STAGE,), (ODRIVE,)),
     # Without a load cell, a torn tendon is visible only after the joint and the spool have moved
     # apart. If the torque command of a motor is smaller than the friction of the motor, the spool
     # does not turn. In this case the joint moves slowly, and the filter of the fault N06b takes 0.3
     # s more.
-    MatrixRow("T01", "snap tendon={tendon}", RELAX, 10, accepted_faults=("T01", *_TORN_TENDON_FAULTS),
-        stages=(GRASP_STAGE,), extra_ms_without_cell=500.0),
-    MatrixRow("T02", "snap tendon={tendon}", WARN, 4, 110.0, ("T02", "T01", "N04", *_TORN_TENDON_FAULTS), (FREE_STAGE,),
-        extra_ms_without_cell=100.0),
-    MatrixRow("T02", "slack tendon={tendon} size=30", WARN, 10, accepted_faults=("T02", "T01", *_TORN_TENDON_FAULTS),
-        stages=(GRASP_STAGE,), extra_ms_without_cell=500.0),
-    MatrixRow("T03", "offset cell={tendon} size={trip}", RELAX, 2, accepted_faults=("T03",), stages=(GRASP_STAGE,)),
-    MatrixRow("T03", "offset cell={tendon} size={limit}", CUT, 2, accepted_faults=("T03b",), stages=(GRASP_STAGE,)),
-    MatrixRow("T03", "runaway node={node} size=1 seed=1", RELAX, 10, accepted_faults=("T03", "N14", "T06"),
+    FaultMatrixRow("T01", "snap tendon={tendon}", RELAX, 10, accepted_faults=("T01", *_TORN_TENDON_FAULTS),
+        stages=(GRASP_STAGE,), extra_ms_without_load_cell=500.0),
+    FaultMatrixRow("T02", "snap tendon={tendon}", WARN, 4, 110.0, ("T02", "T01", "N04", *_TORN_TENDON_FAULTS),
+        (FREE_MOTION_STAGE,),
+        extra_ms_without_load_cell=100.0),
+    FaultMatrixRow("T02", "slack tendon={tendon} size=30", WARN, 10,
+        accepted_faults=("T02", "T01", *_TORN_TENDON_FAULTS),
+        stages=(GRASP_STAGE,), extra_ms_without_load_cell=500.0),
+    FaultMatrixRow("T03", "offset cell={tendon} size={trip}", RELAX, 2, accepted_faults=("T03",),
         stages=(GRASP_STAGE,)),
-    MatrixRow("T04", "drift cell={tendon} size=60", RELAX, 2, 500.0, ("T04", "T03", "N14", "T02"),
+    FaultMatrixRow("T03", "offset cell={tendon} size={limit}", CUT, 2, accepted_faults=("T03b",),
+        stages=(GRASP_STAGE,)),
+    FaultMatrixRow("T03", "runaway node={node} size=1 seed=1", RELAX, 10, accepted_faults=("T03", "N14", "T06"),
+        stages=(GRASP_STAGE,)),
+    FaultMatrixRow("T04", "drift cell={tendon} size=60", RELAX, 2, 500.0, ("T04", "T03", "N14", "T02"),
         (GRASP_STAGE,)),
-    MatrixRow("T04", "drift cell={tendon} size=-60", RELAX, 2, 500.0, ("T04", "T02", "T01"), (GRASP_STAGE,)),
-    MatrixRow("T05", "stuck cell={tendon}", RELAX, 42, accepted_faults=("T05", "T04"), stages=(GRASP_STAGE,),
+    FaultMatrixRow("T04", "drift cell={tendon} size=-60", RELAX, 2, 500.0, ("T04", "T02", "T01"), (GRASP_STAGE,)),
+    FaultMatrixRow("T05", "stuck cell={tendon}", RELAX, 42, accepted_faults=("T05", "T04"), stages=(GRASP_STAGE,),
         force_change_N=STUCK_CELL_FORCE_RANGE_N + FORCE_RANGE_ERROR_N),
-    MatrixRow("T05", "old cell={tendon} size=16", RELAX, 20, accepted_faults=("T05b",)),
-    MatrixRow("T05", "old cell={tendon} size=50", RELAX, 20, accepted_faults=("T05b",)),
-    MatrixRow("T06", "saturate cell={tendon} size=1", RELAX, 4, accepted_faults=("T06",), stages=ALL_STAGES),
-    MatrixRow("T06", "saturate cell={tendon} size=-1", RELAX, 4, accepted_faults=("T06", "T01"), stages=ALL_STAGES),
-    MatrixRow("T08", "offset joint={joint} size=0.5", RELAX, 8, 400.0, ("T08", "N06", "N05")),
-    MatrixRow("H01", HOST_PREFIX + "late 0.4", SafetyAction.PASS, 1, accepted_faults=("H01",)),
-    MatrixRow("H02", HOST_PREFIX + "skip 1", WARN, 1, accepted_faults=("H02",)),
-    MatrixRow("H03", HOST_PREFIX + "skip {stall}", RELAX, 1, accepted_faults=("H03",)),
-    MatrixRow("H04", HOST_PREFIX + "io suspended", RELAX, 1, accepted_faults=("H04",)),
-    MatrixRow("H06", HOST_PREFIX + "ask stop", RELAX, 1, accepted_faults=("",), stages=ALL_STAGES),
-    MatrixRow("H06", HOST_PREFIX + "ask cut", CUT, 1, accepted_faults=("",), stages=ALL_STAGES),
-    MatrixRow("H08", HOST_PREFIX + "io recorder disk_full", WARN, 1, accepted_faults=("H08",)),
-    MatrixRow("H09", HOST_PREFIX + "io recorder dropped", WARN, 1, accepted_faults=("H09",)),
-    MatrixRow("H10", HOST_PREFIX + "io recorder gone", WARN, 1, accepted_faults=("H10",)),
-    MatrixRow("H13", "foreign node={node}", RELAX, 2, accepted_faults=("H13",), stages=ALL_STAGES),
-    MatrixRow("I07", HOST_PREFIX + "ask nonsense 3", RELAX, 1, accepted_faults=("I07b",)),
+    FaultMatrixRow("T05", "old cell={tendon} size=16", RELAX, 20, accepted_faults=("T05b",)),
+    FaultMatrixRow("T05", "old cell={tendon} size=50", RELAX, 20, accepted_faults=("T05b",)),
+    FaultMatrixRow("T06", "saturate cell={tendon} size=1", RELAX, 4, accepted_faults=("T06",), stages=ALL_STAGES),
+    FaultMatrixRow("T06", "saturate cell={tendon} size=-1", RELAX, 4, accepted_faults=("T06", "T01"),
+        stages=ALL_STAGES),
+    FaultMatrixRow("T08", "offset joint={joint} size=0.5", RELAX, 8, 400.0, ("T08", "N06", "N05")),
+    FaultMatrixRow("H01", HOST_FAULT_PREFIX + "late 0.4", SafetyAction.PASS, 1, accepted_faults=("H01",)),
+    FaultMatrixRow("H02", HOST_FAULT_PREFIX + "skip 1", WARN, 1, accepted_faults=("H02",)),
+    FaultMatrixRow("H03", HOST_FAULT_PREFIX + "skip {stall}", RELAX, 1, accepted_faults=("H03",)),
+    FaultMatrixRow("H04", HOST_FAULT_PREFIX + "io suspended", RELAX, 1, accepted_faults=("H04",)),
+    FaultMatrixRow("H06", HOST_FAULT_PREFIX + "ask stop", RELAX, 1, accepted_faults=("",), stages=ALL_STAGES),
+    FaultMatrixRow("H06", HOST_FAULT_PREFIX + "ask cut", CUT, 1, accepted_faults=("",), stages=ALL_STAGES),
+    FaultMatrixRow("H08", HOST_FAULT_PREFIX + "io recorder disk_full", WARN, 1, accepted_faults=("H08",)),
+    FaultMatrixRow("H09", HOST_FAULT_PREFIX + "io recorder dropped", WARN, 1, accepted_faults=("H09",)),
+    FaultMatrixRow("H10", HOST_FAULT_PREFIX + "io recorder gone", WARN, 1, accepted_faults=("H10",)),
+    FaultMatrixRow("H13", "foreign node={node}", RELAX, 2, accepted_faults=("H13",), stages=ALL_STAGES),
+    FaultMatrixRow("I07", HOST_FAULT_PREFIX + "ask nonsense 3", RELAX, 1, accepted_faults=("I07b",)),
 )  # fmt: skip
 """Rows for all faults that the simulator or the control loop can inject while the hand is armed."""
 
-ROWS_TESTED_IN_PAIRS = (
+FAULT_IDS_TESTED_IN_PAIRS = (
     "B01",
     "B02",
     "B03",
@@ -340,7 +359,7 @@ ROWS_TESTED_IN_PAIRS = (
 
 The faults concern wires, connectors, supply, tendons and a busy host.
 """
-UNTESTED_ROWS = {
+TEST_PLACE_BY_UNTESTED_FAULT = {
     "B18": "before arming: unit tests with error frames", "N03": "before arming: tests of the modes",
     "T07": "commissioning: its own tests",
     "T09": "needs minutes of motion: tests of the residuals", "H05": "real processes: tests/runtime",
@@ -366,7 +385,7 @@ def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[Fault
     scenarios = []
     for row in FAULT_MATRIX:
         if protocol in row.protocols:
-            fault_texts = texts_of_fault(hand, row.fault, period_ms)
+            fault_texts = fault_texts_for_hand(hand, row.fault, period_ms)
             end_texts = dict.fromkeys(fault_texts[:1] + fault_texts[-1:])
             scenarios += [
                 FaultScenario(
@@ -377,12 +396,13 @@ def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[Fault
                 )
                 for stage in row.stages
                 for text in end_texts
+                if protocol not in row.protocols_needing_cell or not _lacks_load_cell(hand, text)
             ]
     return scenarios
 
 
 def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenario]:
-    """Return the scenarios with two faults: one for every pair of the faults in `ROWS_TESTED_IN_PAIRS`.
+    """Return the scenarios with two faults: one for every pair of the faults in `FAULT_IDS_TESTED_IN_PAIRS`.
 
     All these scenarios happen during a grasp. The fault with the more severe reaction comes first.
     The other fault of the pair starts a few ticks later, on another part of the hand, such as
@@ -391,7 +411,7 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenar
     """
     rows = [
         next(row for row in FAULT_MATRIX if row.id == id_ and protocol in row.protocols)
-        for id_ in ROWS_TESTED_IN_PAIRS
+        for id_ in FAULT_IDS_TESTED_IN_PAIRS
     ]
     scenarios = []
     for i, first_scenario in enumerate(rows):
@@ -403,8 +423,8 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenar
                 if first_scenario.action >= second_scenario.action
                 else (second_scenario, first_scenario)
             )
-            texts = texts_of_fault(hand, main_row.fault, period_ms)
-            second_fault_texts = texts_of_fault(hand, other_row.fault, period_ms)
+            texts = fault_texts_for_hand(hand, main_row.fault, period_ms)
+            second_fault_texts = fault_texts_for_hand(hand, other_row.fault, period_ms)
             if texts and second_fault_texts:
                 extra_ticks = main_row.missing_sensor_ticks(hand, texts[0], period_ms)
                 scenarios.append(
@@ -415,7 +435,7 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenar
     return scenarios
 
 
-def texts_of_fault(hand: Hand, fault: str, period_ms: float) -> list[str]:
+def fault_texts_for_hand(hand: Hand, fault: str, period_ms: float) -> list[str]:
     """Return the text of a fault for each part of the hand that the fault can affect.
 
     The list is empty if the hand has no such part.
@@ -423,15 +443,15 @@ def texts_of_fault(hand: Hand, fault: str, period_ms: float) -> list[str]:
     sizes = {
         # One tick more than the shortest stall that is a fault.
         "stall": tick_count_for_time(MAX_STALL_S, period_ms * 1e-3, MIN_STALLED_TICKS) + 1,
-        "late": max(MIN_LATE_MS, MIN_LATE_TICKS * period_ms),
+        "late": max(MIN_LATE_DELAY_MS, MIN_LATE_DELAY_TICKS * period_ms),
         "jump": POSITION_JUMP_RAD * max(1.0, period_ms / POSITION_JUMP_MS),
         "rough": POSITION_NOISE_RAD * max(1.0, (period_ms / POSITION_NOISE_MS) ** 2),
     }
     words = {name: f"{size:g}" for name, size in sizes.items()}
-    return [fault.format(**words, **instance) for instance in _instance_values(hand, fault)]
+    return [fault.format(**words, **instance) for instance in _placeholder_values(hand, fault)]
 
 
-def _instance_values(hand: Hand, fault: str) -> list[dict[str, str]]:
+def _placeholder_values(hand: Hand, fault: str) -> list[dict[str, str]]:
     """Return the values of the place holders for each part of the hand that a fault can affect.
 
     A fault text without such a place holder gives a single entry.
@@ -465,15 +485,15 @@ def _instance_values(hand: Hand, fault: str) -> list[dict[str, str]]:
     )
 
 
-def words_of_fault(fault: str) -> dict[str, str]:
+def parse_fault_text(fault: str) -> dict[str, str]:
     """Return the KEY=VALUE words of a fault text, by key."""
     return dict(word.split("=", 1) for word in fault.split() if "=" in word)
 
 
 def _lacks_load_cell(hand: Hand, fault: str) -> bool:
     """Return True if a fault concerns a tendon without load cell, or the motor of such a tendon."""
-    words = words_of_fault(fault)
-    names = (words.get("tendon"), words.get("node"))
+    words = parse_fault_text(fault)
+    names = (words.get("tendon"), words.get("node"), words.get("encoder"))
     return any(
         not has_cell and (tendon.name in names or tendon.motor in names)
         for tendon, has_cell in zip(hand.tendon, hand.has_cell.tolist(), strict=True)

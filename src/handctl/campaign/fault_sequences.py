@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from handctl.campaign.fault_matrix import FAULT_MATRIX, HOST_PREFIX, texts_of_fault
+from handctl.campaign.fault_matrix import FAULT_MATRIX, HOST_FAULT_PREFIX, fault_texts_for_hand
 from handctl.campaign.run_stages import RUN_STAGES, run_experiments
 from handctl.campaign.scenario_run import RUNAWAY_FAULT, HostFault, ScenarioResult, runaway_tension
 from handctl.controller.controller_state import ControllerState
@@ -31,7 +31,7 @@ from handctl.core.tick_types import HandMode
 from handctl.errors import REMOVE_POWER
 from handctl.hand.description import Hand
 from handctl.runtime.mailbox import CLEAR_REQUEST, STOP_REQUEST
-from handctl.session.simulate import SimulatedRun
+from handctl.session.lockstep_simulation import SimulatedRun
 
 SEQUENCE_TICKS = 200
 """Length of a sequence, after which the hand is stopped [ticks]."""
@@ -47,11 +47,11 @@ HOST_FAULT_FRACTION = 0.2
 BRIEF_FAULT_FRACTION = 0.6
 """Fraction of the simulator's faults in a sequence that end by themselves."""
 HOST_FAULT_TEXTS = (
-    f"{HOST_PREFIX}ask stop",
-    f"{HOST_PREFIX}ask clear",
-    f"{HOST_PREFIX}ask nonsense 1",
-    f"{HOST_PREFIX}skip 3",
-    f"{HOST_PREFIX}late 0.3",
+    f"{HOST_FAULT_PREFIX}ask stop",
+    f"{HOST_FAULT_PREFIX}ask clear",
+    f"{HOST_FAULT_PREFIX}ask nonsense 1",
+    f"{HOST_FAULT_PREFIX}skip 3",
+    f"{HOST_FAULT_PREFIX}late 0.3",
 )
 """Requests and faults of the host that a sequence may contain."""
 SHUTDOWN_TIMEOUT_S = 2.5
@@ -62,7 +62,7 @@ ODrive.
 """
 WATCHDOG_S = 0.05
 """Time without a command after which a drive disables itself [s]."""
-REACTION_TICKS = 10
+MAX_RUNAWAY_REACTION_TICKS = 10
 """The controller stops commanding a runaway drive after at most this number of ticks."""
 SHUTDOWN_MODE_ORDER = (
     HandMode.ARMING,
@@ -133,17 +133,20 @@ def draw_sequence(hand: Hand, protocol: str, period_ms: float, seed: int) -> Fau
             steps.append(FaultStep(tick, chance.choice(HOST_FAULT_TEXTS)))
             continue
         fault = chance.choice(
-            texts_of_fault(hand, chance.choice(rows).fault, period_ms) or list(HOST_FAULT_TEXTS)
+            fault_texts_for_hand(hand, chance.choice(rows).fault, period_ms)
+            or list(HOST_FAULT_TEXTS)
         )
-        is_brief = (
-            not fault.startswith((HOST_PREFIX, *PERMANENT_FAULTS))
+        ends_by_itself = (
+            not fault.startswith((HOST_FAULT_PREFIX, *PERMANENT_FAULTS))
             and " for=" not in fault
             and chance.random() < BRIEF_FAULT_FRACTION
         )
         steps.append(
             FaultStep(
                 tick,
-                f"{fault} for={chance.randint(*BRIEF_DURATION_RANGE_MS)}ms" if is_brief else fault,
+                f"{fault} for={chance.randint(*BRIEF_DURATION_RANGE_MS)}ms"
+                if ends_by_itself
+                else fault,
             )
         )
     return FaultSequence(seed, RUN_STAGES[seed % len(RUN_STAGES)], tuple(steps))
@@ -216,7 +219,7 @@ def run_sequence(simulation: SimulatedRun, sequence: FaultSequence) -> ScenarioR
         sequence.name,
         sequence.id,
         sequence.stage,
-        effects=active_faults,
+        effect_count=active_faults,
         tension=tension,
         tension_bound=bound,
         ok=not violations,
@@ -233,8 +236,8 @@ def _sequence_ticks(simulation: SimulatedRun, sequence: FaultSequence) -> Iterat
     host_faults: list[tuple[int, HostFault]] = []
     for i in range(SEQUENCE_TICKS + round(SHUTDOWN_TIMEOUT_S * 1e9 / simulation.period_ns)):
         for fault in [step.fault for step in sequence.steps if step.tick == i]:
-            if fault.startswith(HOST_PREFIX):
-                host_faults.append((i, HostFault(fault.removeprefix(HOST_PREFIX))))
+            if fault.startswith(HOST_FAULT_PREFIX):
+                host_faults.append((i, HostFault(fault.removeprefix(HOST_FAULT_PREFIX))))
             else:
                 simulation.simulated_hand.inject(fault)
         inputs: dict[str, Any] = {
@@ -256,7 +259,7 @@ def violations_in_tick(
         violations.append(
             f"the mode goes back: {state_before.mode.name} to {state_after.mode.name}"
         )
-    unlatched_faults = set(state_before.latched) - set(state_after.latched)
+    unlatched_faults = set(state_before.latched_faults) - set(state_after.latched_faults)
     if unlatched_faults and not is_cleared:
         violations.append(
             f"no longer latched: {', '.join(sorted(latched_fault.id for latched_fault in unlatched_faults))}"
@@ -283,13 +286,16 @@ def _tension_bound(
     """
     # Without a runaway drive, the bound is the larger of two tensions: the largest trip tension,
     # and the largest tension at the start.
-    limits = simulation.controller.derived.limits
+    limits = simulation.controller.derived_constants.limits
     model = simulation.controller.model
     if not any(step.fault.startswith(RUNAWAY_FAULT) for step in sequence.steps):
         return max(*limits.tension_trip, *start_tension)
-    rest_speeds = [0.0] * model.tendon_count
+    zero_speeds = [0.0] * model.tendon_count
     return runaway_tension(
-        model, rest_speeds, rest_speeds, WATCHDOG_S + REACTION_TICKS * simulation.period_ns * 1e-9
+        model,
+        zero_speeds,
+        zero_speeds,
+        WATCHDOG_S + MAX_RUNAWAY_REACTION_TICKS * simulation.period_ns * 1e-9,
     )
 
 

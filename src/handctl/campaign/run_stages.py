@@ -12,7 +12,7 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any, Protocol, TypeVar, cast
 
-from handctl.campaign.fault_matrix import ARMING_STAGE, FREE_STAGE, GRASP_STAGE, MIT
+from handctl.campaign.fault_matrix import ARMING_STAGE, FREE_MOTION_STAGE, GRASP_STAGE, MIT
 from handctl.campaign.scenario_run import ScenarioResult
 from handctl.controller.bus_load import with_more_buses
 from handctl.controller.run_setup import make_controller
@@ -26,8 +26,8 @@ from handctl.hand.hand_loading import load_hand
 from handctl.processes import run_in_forked_copy
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
+from handctl.session.lockstep_simulation import SimulatedRun, SimulatorSettings
 from handctl.session.run_plan import default_control_rate
-from handctl.session.simulate import SimulatedRun, SimulatorSettings
 
 FIRST_NODE_NUMBER = 0x10
 """Node id of the first motor in a hand whose drives have been replaced."""
@@ -47,9 +47,9 @@ CAMPAIGN_TASK: dict[str, Any] = {
     ],
 }
 """Task that the hand executes in all runs: a free motion, then a grasp that is held for the rest of the run."""
-RUN_STAGES = (ARMING_STAGE, FREE_STAGE, GRASP_STAGE)
+RUN_STAGES = (ARMING_STAGE, FREE_MOTION_STAGE, GRASP_STAGE)
 """Stages of a run in the order of time."""
-DELAY_OF_FREE_STAGE_S = 0.2
+FREE_MOTION_STAGE_DELAY_S = 0.2
 """Time from the start of the free motion to the stage FREE, at which faults are injected [s]."""
 STAGE_TIMEOUT_S = 12.0
 """Longest simulated time until a run reaches the next stage [s]."""
@@ -153,22 +153,22 @@ def advance_to_stage(simulation: SimulatedRun, stage: str) -> None:
     Raises:
         ConfigError: the run does not reach the stage, so this hand cannot be tested.
     """
-    free_ticks = 0
+    free_motion_ticks = 0
 
     def is_stage_reached(tick_output: Any) -> bool:
-        nonlocal free_ticks
+        nonlocal free_motion_ticks
         if stage == ARMING_STAGE:
             return bool(tick_output.mode == HandMode.ARMING)
         # A run has reached the grasp stage if at least one digit touches an object and a tendon has
         # at least 16 N.
-        free_ticks += tick_output.phase == "free"
-        is_free_stage = free_ticks * simulation.period_ns > DELAY_OF_FREE_STAGE_S * 1e9
+        free_motion_ticks += tick_output.phase == "free"
+        is_free_stage = free_motion_ticks * simulation.period_ns > FREE_MOTION_STAGE_DELAY_S * 1e9
         is_holding = (
             tick_output.phase == "hold"
             and min(tick_output.telemetry.contact.max(), tick_output.telemetry.tension.max() / 16.0)
             >= 1.0
         )
-        return bool(is_free_stage if stage == FREE_STAGE else is_holding)
+        return bool(is_free_stage if stage == FREE_MOTION_STAGE else is_holding)
 
     if not simulation.run_until(is_stage_reached, STAGE_TIMEOUT_S):
         failure = simulation.state.failure or simulation.state.mode.name
@@ -219,7 +219,7 @@ def run_experiments(
 ) -> None:
     """Simulate a run up to each stage, and run the experiments of this stage in copies of the simulation.
 
-    See `run_in_branches` for the arguments.
+    See `run_in_forked_processes` for the arguments.
     """
     with homed_run(hand, rate_hz, seed) as simulation:
         for stage in RUN_STAGES:
@@ -228,12 +228,12 @@ def run_experiments(
             ]
             if experiments_at_stage:
                 advance_to_stage(simulation, stage)
-                run_in_branches(
+                run_in_forked_processes(
                     simulation, experiments_at_stage, jobs, run_experiment, on_result, on_failure
                 )
 
 
-def run_in_branches(
+def run_in_forked_processes(
     simulation: SimulatedRun,
     experiments: Sequence[T],
     jobs: int,

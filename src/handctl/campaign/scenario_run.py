@@ -13,21 +13,21 @@ import numpy as np
 
 from handctl.campaign.fault_matrix import (
     GRASP_STAGE,
-    HOST_PREFIX,
+    HOST_FAULT_PREFIX,
+    FaultMatrixRow,
     FaultScenario,
-    MatrixRow,
-    words_of_fault,
+    parse_fault_text,
 )
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, IoEvent, TickOut
 from handctl.errors import REMOVE_POWER
 from handctl.runtime.mailbox import CUT_REQUEST
 from handctl.safety.safety_action import SafetyAction
-from handctl.session.simulate import SimulatedRun
+from handctl.session.lockstep_simulation import SimulatedRun
 
 OBSERVATION_TIME_S = 1.3
 """Time for which a run is observed after the largest allowed reaction time, to see the torque disappear [s]."""
-FORCE_CHANGE_TIME_S = 8.0
+FORCE_CHANGE_OBSERVATION_S = 8.0
 """Further time for which a run is observed if the detection needs a change of the motor force [s]."""
 FORCE_TIME_CONSTANT_S = 0.02
 """Time constant of the low-pass filter for the motor force whose change a detection needs [s]."""
@@ -35,9 +35,9 @@ RUNAWAY_FAULT = "runaway"
 """Name of the fault of a drive that ignores all commands and pulls with the largest torque."""
 SHUT_DOWN_MODES = (HandMode.DISARM, HandMode.DONE)
 """Modes in which the hand shuts down."""
-PAIR_DELAY_TICKS = 5
+SECOND_FAULT_DELAY_TICKS = 5
 """Number of ticks from the first fault of a pair to the second one."""
-PAIR_EXTRA_TICKS = 2
+FAULT_PAIR_EXTRA_TICKS = 2
 """Further reaction time allowed for a pair of faults, because of a missed tick and the next tick [ticks]."""
 
 
@@ -49,7 +49,7 @@ class ScenarioResult:
         scenario: description of the scenario.
         id: id of the scenario's row in the fault matrix.
         stage: stage of the run at which the fault was injected.
-        effects: number of times that the injected fault took effect. Without an effect, the
+        effect_count: number of times that the injected fault took effect. Without an effect, the
             scenario is not a valid test.
         ticks: number of ticks from the physical event to the frames with the reaction, or from the
             change of the motor force that the detection needs. The number
@@ -70,7 +70,7 @@ class ScenarioResult:
     scenario: str
     id: str
     stage: str
-    effects: int = 0
+    effect_count: int = 0
     ticks: int = -1
     bound: int = 0
     detected_by: str = ""
@@ -85,7 +85,7 @@ class ScenarioResult:
         # The keys must stay equal to those of the report file, because other programs read that
         # file.
         keys = {
-            "effects": "felt",
+            "effect_count": "felt",
             "detected_by": "found",
             "tension_bound": "most",
             "problem": "why",
@@ -105,50 +105,55 @@ def run_scenario(
         protocol: protocol that the drives of the hand use.
     """
     row = scenario.row
-    bound = row.bound_ticks(protocol, simulation.period_ns / 1e6) + scenario.missing_sensor_ticks
-    bound += PAIR_EXTRA_TICKS if scenario.second_fault else 0
+    bound = (
+        row.reaction_limit_ticks(protocol, simulation.period_ns / 1e6)
+        + scenario.missing_sensor_ticks
+    )
+    bound += FAULT_PAIR_EXTRA_TICKS if scenario.second_fault else 0
     result = ScenarioResult(scenario.name, row.id, scenario.stage, bound=bound)
     start_ns = simulation.k * simulation.period_ns
     start_tension = simulation.simulated_hand.truth()["tension"]
     speed = _tendon_speeds(simulation)
     reaction_start = ReactionStart(simulation, scenario)
     host = (
-        HostFault(scenario.fault.removeprefix(HOST_PREFIX))
-        if scenario.fault.startswith(HOST_PREFIX)
+        HostFault(scenario.fault.removeprefix(HOST_FAULT_PREFIX))
+        if scenario.fault.startswith(HOST_FAULT_PREFIX)
         else None
     )
     if host is None:
         simulation.simulated_hand.inject(scenario.fault)
     second_host = (
-        HostFault(scenario.second_fault.removeprefix(HOST_PREFIX))
-        if scenario.second_fault.startswith(HOST_PREFIX)
+        HostFault(scenario.second_fault.removeprefix(HOST_FAULT_PREFIX))
+        if scenario.second_fault.startswith(HOST_FAULT_PREFIX)
         else None
     )
-    observation_s = OBSERVATION_TIME_S + (FORCE_CHANGE_TIME_S if row.force_change_N else 0.0)
-    for i in range(bound + PAIR_DELAY_TICKS + round(observation_s * 1e9 / simulation.period_ns)):
+    observation_s = OBSERVATION_TIME_S + (FORCE_CHANGE_OBSERVATION_S if row.force_change_N else 0.0)
+    for i in range(
+        bound + SECOND_FAULT_DELAY_TICKS + round(observation_s * 1e9 / simulation.period_ns)
+    ):
         inputs: dict[str, Any] = {"requests": (CUT_REQUEST,)} if i == 1 and row.id == "N16" else {}
         inputs |= host.tick_arguments(i, simulation) if host else {}
-        if i == PAIR_DELAY_TICKS and second_host:
+        if i == SECOND_FAULT_DELAY_TICKS and second_host:
             inputs |= second_host.tick_arguments(0, simulation)
-        elif i == PAIR_DELAY_TICKS and scenario.second_fault:
+        elif i == SECOND_FAULT_DELAY_TICKS and scenario.second_fault:
             simulation.simulated_hand.inject(scenario.second_fault)
         t_ns = (simulation.k + int(inputs.get("skipped_ticks", 0))) * simulation.period_ns
         # If the fault stops the host for some ticks, the reaction time begins with the tick in
         # which the host continues.
         start_ns = t_ns if host and i == 0 else start_ns
         tick_output = simulation.run_tick(**inputs)
-        effect_ns = _first_effect_ns(simulation, host, start_ns)
+        first_effect_ns = _first_effect_ns(simulation, host, start_ns)
         _observe_tick(
             result,
             simulation,
             scenario,
             tick_output,
-            reaction_start.update(simulation, effect_ns, t_ns),
+            reaction_start.update(simulation, first_effect_ns, t_ns),
             t_ns,
         )
         if tick_output.mode == HandMode.DONE:
             break
-    result.effects = 1 if host else int(simulation.simulated_hand.fault_states()[0]["felt"])
+    result.effect_count = 1 if host else int(simulation.simulated_hand.fault_states()[0]["felt"])
     result.tension_bound = tension_bound(
         simulation,
         scenario,
@@ -166,7 +171,7 @@ def _tendon_speeds(simulation: SimulatedRun) -> list[float]:
     """
     if simulation.last_output is None:
         return [0.0] * simulation.controller.model.tendon_count
-    spool = simulation.controller.model.space.spool
+    spool = simulation.controller.model.tendon_constants.spool_radius
     return [
         float(v)
         for v in np.nan_to_num(np.abs(simulation.last_output.telemetry.motor_velocity * spool))
@@ -194,7 +199,7 @@ def tension_bound(
         duration_s: time from the start of the fault until all torques are zero [s].
     """
     if RUNAWAY_FAULT not in (scenario.fault.split()[0], *scenario.second_fault.split()[:1]):
-        return max(*simulation.controller.derived.limits.tension_trip, *start_tension)
+        return max(*simulation.controller.derived_constants.limits.tension_trip, *start_tension)
     return runaway_tension(
         simulation.controller.model,
         start_tension,
@@ -222,12 +227,12 @@ def runaway_tension(
         spool_speeds: speed of each tendon when the fault begins [m/s].
         duration_s: time for which the finger moves freely [s].
     """
-    space = model.space
+    tendons = model.tendon_constants
     bounds = []
     for tendon, k, m, tension, v in zip(
         model.hand.tendon,
-        space.stiffness,
-        space.motor_mass,
+        tendons.stiffness,
+        tendons.motor_mass,
         start_tension,
         spool_speeds,
         strict=True,
@@ -253,7 +258,7 @@ class ReactionStart:
     """Instant from which the reaction time of a scenario counts.
 
     Normally this is the first effect of the fault. A stuck load cell is not visible until the motor
-    force has varied, see ``MatrixRow.force_change_N``. Its reaction time then counts from the
+    force has varied, see ``FaultMatrixRow.force_change_N``. Its reaction time then counts from the
     instant at which the low-passed motor force has varied enough.
     """
 
@@ -264,7 +269,7 @@ class ReactionStart:
         self._tendon = 0
         if self._force_change_N:
             names = [tendon.name for tendon in simulation.controller.model.hand.tendon]
-            self._tendon = names.index(words_of_fault(scenario.fault)["cell"])
+            self._tendon = names.index(parse_fault_text(scenario.fault)["cell"])
         self._fraction = 1.0 - math.exp(-simulation.period_ns * 1e-9 / FORCE_TIME_CONSTANT_S)
         self._force = self._motor_force(simulation)
         self._smallest = self._largest = self._force
@@ -274,7 +279,7 @@ class ReactionStart:
         """Return False if the motor force has not varied enough for a detection."""
         return not self._force_change_N or self._varied_ns >= 0
 
-    def update(self, simulation: SimulatedRun, effect_ns: int, t_ns: int) -> int:
+    def update(self, simulation: SimulatedRun, first_effect_ns: int, t_ns: int) -> int:
         """Return the instant from which the reaction time counts [ns].
 
         The instant is -1 before the first effect. While the motor force has not varied enough, the
@@ -282,11 +287,11 @@ class ReactionStart:
 
         Args:
             simulation: simulation after the present tick.
-            effect_ns: time of the first effect of the fault [ns], -1 before it.
+            first_effect_ns: time of the first effect of the fault [ns], -1 before it.
             t_ns: time of the present tick [ns].
         """
-        if effect_ns < 0 or not self._force_change_N:
-            return effect_ns
+        if first_effect_ns < 0 or not self._force_change_N:
+            return first_effect_ns
         self._force += self._fraction * (self._motor_force(simulation) - self._force)
         self._smallest = min(self._smallest, self._force)
         self._largest = max(self._largest, self._force)
@@ -297,7 +302,9 @@ class ReactionStart:
     def _motor_force(self, simulation: SimulatedRun) -> float:
         """Return the force of the scenario's motor at its tendon [N]."""
         torque = simulation.simulated_hand.truth()["torque"][self._tendon]
-        return float(torque / simulation.controller.model.space.spool[self._tendon])
+        return float(
+            torque / simulation.controller.model.tendon_constants.spool_radius[self._tendon]
+        )
 
 
 def _observe_tick(
@@ -308,7 +315,7 @@ def _observe_tick(
     reaction_start_ns: int,
     t_ns: int,
 ) -> None:
-    """Add to the result of a scenario the information in the output of a tick."""
+    """Update the result of a scenario by the output of a tick."""
     row = scenario.row
     truth = simulation.simulated_hand.truth()
     result.tension = max(result.tension, *truth["tension"])
@@ -351,7 +358,7 @@ def _observe_tick(
         result.safe_ticks = max(0, ticks_since_start)
 
 
-def _judge_result(result: ScenarioResult, row: MatrixRow, is_visible: bool) -> ScenarioResult:
+def _judge_result(result: ScenarioResult, row: FaultMatrixRow, is_visible: bool) -> ScenarioResult:
     """Add the verdict and the list of problems to a result, and return the result.
 
     Args:
@@ -360,7 +367,7 @@ def _judge_result(result: ScenarioResult, row: MatrixRow, is_visible: bool) -> S
         is_visible: False if no reaction is required, because the motor force has not varied.
     """
     problems = []
-    if not result.effects:
+    if not result.effect_count:
         problems.append("the disturbance had no effect")
     elif not is_visible and result.ticks < 0:
         pass
@@ -371,7 +378,7 @@ def _judge_result(result: ScenarioResult, row: MatrixRow, is_visible: bool) -> S
     elif not result.detected_by and any(row.accepted_faults):
         problems.append(f"none of {', '.join(filter(None, row.accepted_faults))} was reported")
     is_relax_required = row.action >= SafetyAction.RELAX and (is_visible or result.ticks >= 0)
-    if is_relax_required and result.effects and result.safe_ticks < 0:
+    if is_relax_required and result.effect_count and result.safe_ticks < 0:
         problems.append("torque remains")
     if result.tension > result.tension_bound:
         problems.append(

@@ -22,16 +22,16 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from typing import Any, NamedTuple
 
 from handctl.blas_kernels import use_portable_kernels
-from handctl.cli.console.streams import discard_output, flush_stdout, open_standard_streams
-from handctl.cli.console.termination import (
+from handctl.cli.console.process_termination import (
     TerminationRequested,
     install_excepthook,
     terminate_on_signals,
 )
-from handctl.cli.console.verbosity import is_verbose, print_detail, use_verbosity
-from handctl.cli.parsing.completion import is_completing, print_completions
+from handctl.cli.console.standard_streams import discard_output, flush_stdout, open_standard_streams
+from handctl.cli.console.verbosity import apply_verbosity, is_verbose, print_detail
+from handctl.cli.parsing.completion import is_shell_completion, print_completions
 from handctl.cli.parsing.optional_packages import optional_packages
-from handctl.cli.parsing.parser import VerbParser, check_words, did_you_mean
+from handctl.cli.parsing.parser import VerbParser, check_command_line, did_you_mean
 from handctl.errors import (
     ConfigError,
     HandctlError,
@@ -125,7 +125,7 @@ completion in a shell:
 example:
   handctl demo --lockstep"""
 
-FILE_NAME_ERRORS = {
+FILE_NAME_ERRNOS = {
     errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENOTEMPTY, errno.ENAMETOOLONG, errno.ELOOP,
 }  # fmt: skip
 """Error numbers of file errors that a wrong file name causes.
@@ -141,7 +141,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
-        if is_completing():
+        if is_shell_completion():
             print_completions(parser_of_all_verbs())
         install_excepthook()
     use_portable_kernels()
@@ -154,7 +154,7 @@ def _run_and_report_errors(command_words: list[str]) -> int:
     """Run a command line. If there is an error, print the error. Return the exit code."""
     try:
         with terminate_on_signals():
-            check_words(command_words)
+            check_command_line(command_words)
             code = _run_command_line(command_words)
             flush_stdout()
             return code
@@ -178,7 +178,7 @@ def _run_and_report_errors(command_words: list[str]) -> int:
         location = f"{error.filename}: " if error.filename else has_no_file_name
         text = f"{location}{error.strerror or error}"
         return _report_error(
-            text, ExitCode.BAD_INPUT if error.errno in FILE_NAME_ERRORS else ExitCode.FAILED
+            text, ExitCode.BAD_INPUT if error.errno in FILE_NAME_ERRNOS else ExitCode.FAILED
         )
     except TerminationRequested as error:
         return _report_error(str(error) or "ended by a signal", ExitCode.TERMINATED)
@@ -250,7 +250,7 @@ def _import_arguments(name: str) -> Any:
 def verb_parser(name: str) -> VerbParser:
     """Return the parser of a verb."""
     text = VERB_HELP[name]
-    example = _import_arguments(name).EXAMPLES[name]
+    example = _import_arguments(name).COMMAND_EXAMPLES[name]
     parser = VerbParser(
         prog=f"handctl {name}",
         description=f"{text[0].upper()}{text[1:]}.",
@@ -273,7 +273,7 @@ def parser_of_all_verbs() -> VerbParser:
 def _run_verb(name: str, command_words: list[str]) -> int:
     """Run one verb, and return the exit code."""
     args = verb_parser(name).parse_args(command_words)
-    with use_verbosity(args):
+    with apply_verbosity(args):
         require_extra(name, *optional_packages(name, args))
         start_s = time.monotonic()
         if is_verbose():
@@ -310,10 +310,10 @@ def _start_recorder_early() -> AbstractContextManager[None]:
     The recorder process and this process then import their modules at the same time.
     """
     from handctl.log.write.recorder_start import (
-        recorder_process_started_in_advance,
+        prestarted_recorder_process,
     )  # a verb that records no run does not need the module subprocess
 
-    return recorder_process_started_in_advance()
+    return prestarted_recorder_process()
 
 
 def _import_verb(name: str) -> Any:

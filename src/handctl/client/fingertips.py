@@ -96,7 +96,9 @@ class Fingertips:
             solution = closest_tip(model, target, self._coordinates[d])
             self._coordinates[d] = solution.coordinates
             self.distances_m[d] = solution.distance
-            joints = model.joint_units.to_displayed(model.coupling @ solution.coordinates).tolist()
+            joints = model.joint_units.to_display_units(
+                model.coupling @ solution.coordinates
+            ).tolist()
             angles |= dict(zip(model.joint_names, joints, strict=True))
         return angles
 
@@ -173,8 +175,8 @@ class FingertipStream(TargetStream):
     def _present_values(self) -> NDArray[np.float64]:
         """Return the present joint angles [deg]."""
         present_angles = self._hand.observe().named("q_rad")
-        units = self._hand.description.display_units
+        display_units = self._hand.description.display_units
         factor_by_joint = dict(
-            zip(self._hand.description.joints, units.factor.tolist(), strict=True)
+            zip(self._hand.description.joints, display_units.factor.tolist(), strict=True)
         )
         return np.array([factor_by_joint[joint] * present_angles[joint] for joint in self.joints])

@@ -32,7 +32,7 @@ from handctl.hand.hand_loading import hand_from_content, load_hand, parse_toml
 from handctl.printing import escape_text
 from handctl.programs.requests import (
     LONGEST_LEASE_S,
-    REFUSED_PREFIX,
+    REFUSAL_EVENT_PREFIX,
     SHORTEST_LEASE_S,
     HoldTensionRequest,
     MoveDigitsRequest,
@@ -49,10 +49,10 @@ from handctl.runtime.confirmed_requests import (
 from handctl.runtime.mailbox import MAX_REQUEST_BYTES, StatusWatcher, is_running
 from handctl.runtime.observations import ObservationReader
 from handctl.runtime.target_socket import TargetSender, stream_name
-from handctl.session.buses import named_buses, refuse_default_hand
-from handctl.session.defaults import DEFAULT_HAND
+from handctl.session.buses import parse_bus_arguments, refuse_default_hand
+from handctl.session.default_hand import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
-from handctl.session.tasks import load_task_for_hand
+from handctl.session.task_loading import load_task_for_hand
 
 StreamSpace = Literal["joint", "digit", "tension", "tip_force", "fingertip"]
 """Meaning of the values of a target, see ``HandClient.stream``."""
@@ -128,7 +128,7 @@ def connect(
     """
     _check_lease(lease_s, watchdog_s)
     buses = [bus] if isinstance(bus, str) else list(bus)
-    specs = list(named_buses(buses).values())
+    specs = list(parse_bus_arguments(buses).values())
     if not specs:
         raise ConfigError("no bus", "bus", "one, as in 'local:demo'")
     if is_running(specs[0]):
@@ -295,8 +295,8 @@ class HandClient:
         angles = _values_by_digit("move", goals, angle_deg)
         goal = {
             "do": "move",
-            "angle_deg": _with_float_numbers(angles),
-            **_with_float_numbers({"duration_s": duration_s}),
+            "angle_deg": _convert_to_floats(angles),
+            **_convert_to_floats({"duration_s": duration_s}),
         }
         validate_content(goal, MoveDigitsRequest, "move")
         start_s = self._set_goal(goal)
@@ -330,8 +330,8 @@ class HandClient:
         tensions = _values_by_digit("hold", goals, tension_N)
         goal = {
             "do": "hold",
-            "tension_N": _with_float_numbers(tensions),
-            **_with_float_numbers({"rate_N_per_s": rate_N_per_s}),
+            "tension_N": _convert_to_floats(tensions),
+            **_convert_to_floats({"rate_N_per_s": rate_N_per_s}),
         }
         validate_content(goal, HoldTensionRequest, "hold")
         self._set_goal(goal)
@@ -384,18 +384,18 @@ class HandClient:
         all_names = {"joint": hand.joints, "tension": hand.tendon_names}.get(
             space, hand.digit_names
         )
-        tips = Fingertips(hand, names) if space == "fingertip" else None
-        if tips is not None:
-            names = tips.joints
+        fingertips = Fingertips(hand, names) if space == "fingertip" else None
+        if fingertips is not None:
+            names = fingertips.joints
         number = next(_client_number_counter)
         numbers = {"rate_Hz": rate_Hz, "damping_ratio": damping_ratio}
         if stiffness_N_m_per_rad is not None:
             numbers["stiffness_N_m_per_rad"] = stiffness_N_m_per_rad
         goal = {
             "do": "stream", "stream": stream_name(os.getpid(), number),
-            "space": "joint" if tips else space,
+            "space": "joint" if fingertips else space,
             "names": list(all_names if names is None else names), "interpolation": interpolation,
-            **_with_float_numbers(numbers),
+            **_convert_to_floats(numbers),
         }  # fmt: skip
         validate_content(goal, OpenStreamRequest, "stream")
         with ExitStack() as exit_stack:
@@ -404,10 +404,12 @@ class HandClient:
             self._set_goal(goal)
             exit_stack.pop_all()
         constants = self._open_reader().description
-        horizon = target_horizon_s(goal["rate_Hz"], 1.0 / constants["rate_Hz"])
-        if tips is not None:
-            return FingertipStream(self, sender, goal, tips, horizon, constants["time_scale"])
-        return TargetStream(self, sender, goal, unit, horizon, constants["time_scale"])
+        horizon_s = target_horizon_s(goal["rate_Hz"], 1.0 / constants["rate_Hz"])
+        if fingertips is not None:
+            return FingertipStream(
+                self, sender, goal, fingertips, horizon_s, constants["time_scale"]
+            )
+        return TargetStream(self, sender, goal, unit, horizon_s, constants["time_scale"])
 
     def grasp(
         self, task: str | os.PathLike[str], wait: bool = True, timeout_s: float = 30.0
@@ -430,7 +432,7 @@ class HandClient:
                 has ended.
         """
         grasp_task, _ = load_task_for_hand(Path(task), self.description)
-        hold_name = next(
+        hold_phase_name = next(
             (phase.name for phase in grasp_task.phase if isinstance(phase, HoldPhase)), "live"
         )
         content = grasp_task.model_dump(by_alias=True, exclude_unset=True, mode="json")
@@ -439,7 +441,7 @@ class HandClient:
             return self.observe(wait=True)
         end = time.monotonic() + timeout_s
         observation = self.observe(wait=True)
-        while observation.phase != hold_name:
+        while observation.phase != hold_phase_name:
             if observation.phase == "live" or time.monotonic() > end:
                 raise DriveError(
                     f"the hand does not hold an object: it is in phase {observation.phase!r}",
@@ -501,7 +503,7 @@ class HandClient:
             DriveError: the run has ended. The error message contains the reason.
             BusError: no tick of the controller arrives within this time, or this client is closed.
         """
-        self._note_call()
+        self._record_call_time()
         reader = self._open_reader()
         end = time.monotonic() + timeout_s
         while True:
@@ -548,7 +550,7 @@ class HandClient:
             self._check_not_closed()
             if (record := reader.next_record()) is not None:
                 end = time.monotonic() + timeout_s
-                self._note_call()
+                self._record_call_time()
                 yield Observation(record, self.description)
             elif reader.has_run_ended:
                 return
@@ -587,8 +589,10 @@ class HandClient:
         end = time.monotonic() + timeout_s
         while True:
             observation = self.observe(wait=True)
-            all_in_contact = all(observation.contact[names.index(digit)] > 0.5 for digit in digits)
-            if all_in_contact and (phase is None or observation.phase == phase):
+            are_all_in_contact = all(
+                observation.contact[names.index(digit)] > 0.5 for digit in digits
+            )
+            if are_all_in_contact and (phase is None or observation.phase == phase):
                 return observation
             if time.monotonic() > end:
                 raise DriveError(
@@ -643,7 +647,7 @@ class HandClient:
             DriveError: the run has ended. The error message contains the reason.
             BusError: the controller sends no status line in this time.
         """
-        self._note_call()
+        self._record_call_time()
         end = time.monotonic() + timeout_s
         while True:
             self._check_run_active()
@@ -722,9 +726,10 @@ class HandClient:
         except UnconfirmedError:
             self._check_run_active()
             raise
-        if refused_replies := [text for text in replies if text.startswith(REFUSED_PREFIX)]:
+        if refused_replies := [text for text in replies if text.startswith(REFUSAL_EVENT_PREFIX)]:
             raise ConfigError(
-                refused_replies[0].removeprefix(REFUSED_PREFIX), f"the controller of {self.bus}"
+                refused_replies[0].removeprefix(REFUSAL_EVENT_PREFIX),
+                f"the controller of {self.bus}",
             )
         self._has_commanded = True
         self._start_heartbeat()
@@ -745,10 +750,10 @@ class HandClient:
                 self._watchdog_s,
             )
 
-    def _note_call(self) -> None:
+    def _record_call_time(self) -> None:
         """Store the present time. The watchdog uses it."""
         if self._heartbeat is not None:
-            self._heartbeat.note_call()
+            self._heartbeat.record_call_time()
 
     def _wait_until_following(self, timeout_s: float) -> dict[str, Any]:
         """Return the state of the hand while the hand follows goals.
@@ -886,7 +891,7 @@ def _values_by_digit(do: str, goals: object, keyword_goals: Mapping[str, Any]) -
     return values | dict(keyword_goals)
 
 
-def _with_float_numbers(values: Mapping[str, Any]) -> dict[str, Any]:
+def _convert_to_floats(values: Mapping[str, Any]) -> dict[str, Any]:
     """Convert all numbers among the given values to float, and return all values.
 
     The numbers may have any numeric type. Other values stay unchanged, so that the error message of

@@ -7,7 +7,7 @@ import threading
 import time
 from contextlib import closing, suppress
 
-from handctl.programs.requests import alive_request_text
+from handctl.programs.requests import keep_alive_text
 from handctl.runtime.mailbox import RequestSender
 
 HEARTBEATS_PER_LEASE = 4
@@ -36,7 +36,7 @@ class Heartbeat:
                 is None, the program may be idle for any time.
         """
         self._bus = bus
-        self._heartbeat_request = alive_request_text(client).encode()
+        self._heartbeat_request = keep_alive_text(client).encode()
         self._period_s = period_s
         self._watchdog_s = watchdog_s
         self._last_call_s = time.monotonic()
@@ -46,7 +46,7 @@ class Heartbeat:
         )
         self._thread.start()
 
-    def note_call(self) -> None:
+    def record_call_time(self) -> None:
         """Store the present time as the time at which the program last called the client."""
         self._last_call_s = time.monotonic()
 

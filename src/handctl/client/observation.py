@@ -14,7 +14,7 @@ from handctl.hand.description import Hand
 from handctl.programs.stream_plans import StreamStatus
 from handctl.runtime.observations import PUBLISHED_NAME_BY_FIELD
 
-AXIS_OF_FIELD = {PUBLISHED_NAME_BY_FIELD[name]: axis for name, axis in TELEMETRY_AXES.items()}
+AXIS_BY_FIELD = {PUBLISHED_NAME_BY_FIELD[name]: axis for name, axis in TELEMETRY_AXES.items()}
 """For each array in an observation, the kind of its elements: joint, tendon, motor or digit."""
 
 
@@ -121,7 +121,7 @@ class Observation:
     @property
     def q_deg(self) -> Vector:
         """Return the estimated joint angles (J,) [deg], or positions [mm] for prismatic joints."""
-        return self._hand.display_units.to_displayed(self.q_rad)
+        return self._hand.display_units.to_display_units(self.q_rad)
 
     @property
     def stream(self) -> StreamStatus:
@@ -140,7 +140,7 @@ class Observation:
         hand = self._hand
         axes = {"joint": hand.joints, "tendon": hand.tendon_names, "motor": hand.motor_names,
                 "digit": hand.digit_names}  # fmt: skip
-        return axes[AXIS_OF_FIELD[field]]
+        return axes[AXIS_BY_FIELD[field]]
 
     def named(self, field: str) -> dict[str, float]:
         """Return the values of a field by name, e.g. ``observation.named("q_rad")["index_j1"]``."""

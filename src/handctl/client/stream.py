@@ -94,7 +94,7 @@ class TargetStream:
         self.name: str = goal["stream"]
         self.names: tuple[str, ...] = tuple(goal["names"])
         takes_si_units = unit == "rad" and TARGET_UNIT_BY_SPACE[self.space] == "deg"
-        self._unit_factor: Any = self._displayed_per_si() if takes_si_units else 1.0
+        self._unit_factor: Any = self._display_unit_factors() if takes_si_units else 1.0
         self.rate_Hz: float = goal["rate_Hz"]
         self.horizon_s = horizon_s
         self.sent = self.skipped = 0
@@ -200,11 +200,11 @@ class TargetStream:
             raise ConfigError(f"{name} is not finite", "send", "a finite number")
         return target
 
-    def _displayed_per_si(self) -> NDArray[np.float64]:
+    def _display_unit_factors(self) -> NDArray[np.float64]:
         """Return the factors (V,) that convert a target from SI units to displayed units [deg/rad or mm/m]."""
         hand = self._hand.description
         factors = dict(zip(hand.joints, hand.display_units.factor.tolist(), strict=True))
-        factors |= {name: hand.displayed_mean(name).factor[0] for name in hand.digit_names}
+        factors |= {name: hand.mean_position_units(name).factor[0] for name in hand.digit_names}
         return np.array([factors[name] for name in self.names])
 
     def _present_values(self) -> NDArray[np.float64]:
@@ -219,7 +219,7 @@ class TargetStream:
             )
             return np.array([present_values[name] for name in self.names])
         hand = self._hand.description
-        displayed_angles = hand.display_units.to_displayed(observation.q_rad)
+        displayed_angles = hand.display_units.to_display_units(observation.q_rad)
         angles = dict(zip(hand.joints, displayed_angles.tolist(), strict=True))
         for name, joints_of_digit in hand.digit_joints.items():
             angles[name] = float(displayed_angles[joints_of_digit].mean())

@@ -33,15 +33,15 @@ from handctl.programs.live_session import (
 )
 from handctl.programs.program import Program
 from handctl.programs.requests import (
-    AliveRequest,
     ArmRequest,
     ClearFaultsRequest,
     CloseStreamRequest,
-    CommandBase,
+    CommandRequestBase,
     CutTorqueRequest,
     GiveUpCommandRequest,
     GraspRequest,
     HoldTensionRequest,
+    KeepAliveRequest,
     MoveDigitsRequest,
     OpenStreamRequest,
     ReleaseGraspRequest,
@@ -85,14 +85,14 @@ def apply_requests(
         if not is_routine_request(text):
             events.append(TickEvent("info", "request", "", describe_request(request)))
         if isinstance(request, StopRequest):
-            operator_requests = replace(operator_requests, stop=True)
+            operator_requests = replace(operator_requests, is_stop_requested=True)
         elif isinstance(request, CutTorqueRequest):
-            operator_requests = replace(operator_requests, cut=True)
+            operator_requests = replace(operator_requests, is_cut_requested=True)
         elif isinstance(request, ArmRequest):
-            state.arming_requested = True
+            state.is_arming_requested = True
         elif isinstance(request, ClearFaultsRequest):
             clear_latched_faults(state)
-            state.clearing = state.mode in MODES_BEFORE_READY
+            state.is_clearing_errors = state.mode in MODES_BEFORE_READY
         else:
             events += _apply_other_request(model, program, state, request)
     return operator_requests, tuple(events)
@@ -107,10 +107,12 @@ def _apply_other_request(
     """
     if isinstance(request, SetGainsRequest):
         return _set_gains(model, program, state, request)
-    if isinstance(request, AliveRequest):
+    if isinstance(request, KeepAliveRequest):
         return renew_lease(state, request.client)
     return (
-        _apply_command(model, program, state, request) if isinstance(request, CommandBase) else ()
+        _apply_command(model, program, state, request)
+        if isinstance(request, CommandRequestBase)
+        else ()
     )
 
 
@@ -120,23 +122,23 @@ def _set_gains(
     """Begin to design the controller for the gains that a request demands."""
     if isinstance(program, CommissionProgram):
         return (TickEvent("warn", "request", "", "refused: the hand is being commissioned"),)
-    pending_gains = state.decisions.pending
-    progress_of_design, refusal_text = gain_change.begin_design(
+    pending_gains = state.decisions.pending_gains
+    progress_of_design, refusal_text = gain_change.begin_gain_design(
         pending_gains.gains if pending_gains else model.gains, request.set
     )
-    state.decide(pending=progress_of_design or pending_gains)
+    state.decide(pending_gains=progress_of_design or pending_gains)
     return refusal_text
 
 
 def _apply_command(
-    model: HandModel, program: Program, state: ControllerState, request: CommandBase
+    model: HandModel, program: Program, state: ControllerState, request: CommandRequestBase
 ) -> tuple[TickEvent, ...]:
     """Execute a motion command of a client, if the run accepts commands from this client."""
     if refusal := _refusal_reason(program, state, request):
         return (refusal,)
-    if state.decisions.commander not in (None, request.client):
+    if state.decisions.commanding_client not in (None, request.client):
         close_stream(model, state)
-    state.decide(commander=request.client)
+    state.decide(commanding_client=request.client)
     begin_lease(state, request)
     if isinstance(request, GraspRequest | ReleaseGraspRequest):
         return _apply_grasp(model, state, request)
@@ -153,7 +155,7 @@ def _apply_command(
     elif stream is not None and stream.name == request.stream:
         close_stream(model, state)
     if isinstance(request, GiveUpCommandRequest):
-        state.decide(commander=None)
+        state.decide(commanding_client=None)
     return ()
 
 
@@ -173,7 +175,7 @@ def _apply_grasp(
 
 
 def _refusal_reason(
-    program: Program, state: ControllerState, request: CommandBase
+    program: Program, state: ControllerState, request: CommandRequestBase
 ) -> TickEvent | None:
     """Return an event that contains the reason why a command is refused.
 
@@ -188,7 +190,7 @@ def _refusal_reason(
         return TickEvent("warn", "request", "", "refused: this run has goals of its own")
     if state.mode != HandMode.ACTIVE or state.progress.phase in ("start", "tighten"):
         return TickEvent("warn", "request", "", "refused: the hand is not ready yet")
-    commanding_client = state.decisions.commander
+    commanding_client = state.decisions.commanding_client
     if commanding_client in (None, request.client) or request.take_over:
         return None
     text = f"refused: {commanding_client or 'a client without a name'} commands this hand, expected take_over"
@@ -231,8 +233,8 @@ def clear_latched_faults(state: ControllerState) -> None:
     np.minimum(ticks, DEBOUNCE_TICKS[:, None] - 1, out=ticks)
     reported_faults = [
         reported_fault._replace(
-            ticks=min(reported_fault.ticks, FAULT_BY_ID[reported_fault.id].debounce - 1)
+            ticks=min(reported_fault.ticks, FAULT_BY_ID[reported_fault.id].debounce_ticks - 1)
         )
         for reported_fault in state.decisions.reported_faults
     ]
-    state.decide(latched=(), reported_faults=tuple(reported_faults))
+    state.decide(latched_faults=(), reported_faults=tuple(reported_faults))

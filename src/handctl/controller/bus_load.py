@@ -9,7 +9,7 @@ from handctl.drives.contract import Drive
 from handctl.drives.frame_time import MAX_BUS_LOAD, frame_time_s
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.file.sections import Bus
+from handctl.hand.file.section_models import Bus
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,7 +17,7 @@ class BusLoadRow:
     """Row of the bus-load table: all frames of one kind on a bus.
 
     Attributes:
-        what: name of the motor, or of the part of the sensor node, that sends the frames.
+        sender: name of the motor, or of the part of the sensor node, that sends the frames.
         size: payload of each frame [bytes].
         fd: True for CAN FD frames.
         frames_per_tick: number of these frames in every tick.
@@ -26,7 +26,7 @@ class BusLoadRow:
         frame_s: longest duration of one frame [s].
     """
 
-    what: str
+    sender: str
     size: int
     fd: bool
     frames_per_tick: float
@@ -49,7 +49,7 @@ class BusLoad:
     rows: tuple[BusLoadRow, ...]
 
     @property
-    def tick_s(self) -> float:
+    def frame_time_per_tick_s(self) -> float:
         """Return the time that all frames of one tick take on the bus [s]."""
         return sum(row.frames_per_tick * row.frame_s for row in self.rows)
 
@@ -61,9 +61,9 @@ class BusLoad:
         """
         return sum(row.frames_per_second * row.frame_s for row in self.rows)
 
-    def load_at(self, rate_hz: float) -> float:
+    def load_at_rate(self, rate_hz: float) -> float:
         """Return the bus load at a control rate [Hz], as a fraction."""
-        return rate_hz * self.tick_s + self.periodic_load_fraction
+        return rate_hz * self.frame_time_per_tick_s + self.periodic_load_fraction
 
     def highest_rate_hz(self, load_limit: float) -> float:
         """Return the control rate [Hz] at which the bus load reaches ``load_limit``.
@@ -71,8 +71,8 @@ class BusLoad:
         If no frame is sent in every tick, return infinity.
         """
         return (
-            max(0.0, load_limit - self.periodic_load_fraction) / self.tick_s
-            if self.tick_s
+            max(0.0, load_limit - self.periodic_load_fraction) / self.frame_time_per_tick_s
+            if self.frame_time_per_tick_s
             else float("inf")
         )
 
@@ -164,7 +164,9 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
     first_bus = hand.bus[0]
     # The first bus also carries the SYNC frame and the load-cell frames. So it has less capacity
     # for motors.
-    free_bus_load = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first_bus)).load_at(rate_hz)
+    free_bus_load = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first_bus)).load_at_rate(
+        rate_hz
+    )
     # A CiA 402 drive sends its reply after a SYNC frame. Therefore each bus without the sensor
     # node's SYNC frame needs a SYNC frame of its own.
     uses_sync = SYNC in make_sensors(hand).host_ids
@@ -175,7 +177,7 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
         # Any drive may become the one that makes the host send its heartbeat. ``sync_load`` has the SYNC frame.
         if isinstance(drive, Cia402Drive):
             drive = replace(drive, sync=False, sends_heartbeat=True)
-        load = BusLoad("", 1, drive_rows(drive, first_bus)).load_at(rate_hz)
+        load = BusLoad("", 1, drive_rows(drive, first_bus)).load_at_rate(rate_hz)
         load_with_sync = load + sync_load * listens_to_sync
         if load_with_sync > MAX_BUS_LOAD:
             return []

@@ -13,20 +13,22 @@ from handctl.controller.target_streams import bring_to_rest, close_stream
 from handctl.core import state_block as s
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, TickEvent
-from handctl.programs.requests import CommandBase, GiveUpCommandRequest
+from handctl.programs.requests import CommandRequestBase, GiveUpCommandRequest
 
 RELAX_TIMEOUT_IN_LEASES = 2
 """Silence of a client after which the hand relaxes, as a multiple of the duration of its lease."""
 
 
-def begin_lease(state: ControllerState, request: CommandBase) -> None:
+def begin_lease(state: ControllerState, request: CommandRequestBase) -> None:
     """Start the lease of the client that has sent a command.
 
     If the command contains no lease, end the present lease.
     """
     lease = None
     if request.lease_s is not None and not isinstance(request, GiveUpCommandRequest):
-        lease = ClientLease(request.client, round(1e9 * request.lease_s), state.run_integer(s.T_NS))
+        lease = ClientLease(
+            request.client, round(1e9 * request.lease_s), state.run_table_integer(s.TICK_TIME_NS)
+        )
     state.decide(lease=lease)
 
 
@@ -39,9 +41,13 @@ def renew_lease(state: ControllerState, client_name: str) -> tuple[TickEvent, ..
     lease = state.decisions.lease
     if lease is None or lease.client != client_name:
         return ()
-    state.decide(lease=lease._replace(renewed_ns=state.run_integer(s.T_NS), resting=False))
+    state.decide(
+        lease=lease._replace(renewed_ns=state.run_table_integer(s.TICK_TIME_NS), is_at_rest=False)
+    )
     return (
-        (TickEvent("info", "lease", "", f"{client_name} answers again"),) if lease.resting else ()
+        (TickEvent("info", "lease", "", f"{client_name} answers again"),)
+        if lease.is_at_rest
+        else ()
     )
 
 
@@ -67,16 +73,16 @@ def enforce_lease(model: HandModel, state: ControllerState) -> tuple[TickEvent, 
     last_heard_ns = lease.renewed_ns
     stream = state.decisions.stream
     if stream is not None and stream.client == lease.client:
-        last_heard_ns = max(last_heard_ns, state.run_integer(s.STREAM_SENT_NS))
-    silence_ns = state.run_integer(s.T_NS) - last_heard_ns
+        last_heard_ns = max(last_heard_ns, state.run_table_integer(s.STREAM_SENT_NS))
+    silence_ns = state.run_table_integer(s.TICK_TIME_NS) - last_heard_ns
     text = f"client {lease.client or 'without a name'} has been silent for {silence_ns / 1e9:.2f} s"
     if silence_ns > RELAX_TIMEOUT_IN_LEASES * lease.duration_ns:
         state.decide(lease=None, progress=replace(state.progress, finished=True, failure=text))
         return (TickEvent("error", "lease", "", f"{text}: the hand relaxes"),)
-    if silence_ns > lease.duration_ns and not lease.resting:
+    if silence_ns > lease.duration_ns and not lease.is_at_rest:
         if state.progress.task is None:
             close_stream(model, state)
             state.decide(progress=bring_to_rest(model, state))
-        state.decide(lease=lease._replace(resting=True))
+        state.decide(lease=lease._replace(is_at_rest=True))
         return (TickEvent("warn", "lease", "", f"{text}: moving digits come to rest"),)
     return ()

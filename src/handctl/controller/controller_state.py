@@ -16,7 +16,7 @@ from handctl.core.gains.gains import Gains
 from handctl.core.hand_estimate import HandEstimate, TickMeasurements
 from handctl.core.hand_model import HandModel
 from handctl.core.identity_cache import IdentityCache, SequenceCache
-from handctl.core.plain_values import join_field_bytes, plain_bytes
+from handctl.core.plain_data import join_serialized_fields, serialized_bytes
 from handctl.core.state_block import STATE_SCHEMA
 from handctl.core.tick_types import HandMode
 from handctl.drives.cia404.amplifier import AmplifierState
@@ -24,7 +24,7 @@ from handctl.drives.contract import DrivePhase, DriveState
 from handctl.drives.readback import RecheckCursor
 from handctl.programs.program import ProgramProgress
 from handctl.programs.stream_plans import StreamPlan
-from handctl.safety.tick_verdict import CountedFault, LatchedFault
+from handctl.safety.tick_verdict import LatchedFault, ReportedFault
 
 
 class ClientLease(NamedTuple):
@@ -37,14 +37,14 @@ class ClientLease(NamedTuple):
         duration_ns: longest silence of the client until moving digits come to rest [ns]. If the
             silence lasts twice as long, the hand relaxes.
         renewed_ns: time of the client's last command or sign of life [ns].
-        resting: True if the digits have come to rest because of the silence that began at
+        is_at_rest: True if the digits have come to rest because of the silence that began at
             ``renewed_ns``.
     """
 
     client: str
     duration_ns: int
     renewed_ns: int
-    resting: bool = False
+    is_at_rest: bool = False
 
 
 class ControllerDecisions(NamedTuple):
@@ -56,18 +56,18 @@ class ControllerDecisions(NamedTuple):
         drives: state of each drive, without the numbers. The numbers of the drives are in the state
             block. In this field, these numbers are NaN or 0.
         progress: point that the program has reached.
-        latched: faults that stay latched until an operator clears them.
+        latched_faults: faults that stay latched until an operator clears them.
         reported_faults: faults that buses and the host report, each with the number of consecutive
             ticks in which it was reported.
         refusals: ticks within the last second that contained a malformed request.
         failure: reason why the run has ended early, in one line. The text is empty if the run has
             not failed.
-        unconfirmed: names of motors whose drives have not confirmed that they are disabled.
+        unconfirmed_motors: names of motors whose drives have not confirmed that they are disabled.
         gains: gains that have replaced the gains of the start of the run. None before the first
             change.
-        pending: requested gains whose controller design is in progress.
-        commander: client that may send commands, or None if any client may, see
-            ``requests.CommandBase``.
+        pending_gains: requested gains whose controller design is in progress.
+        commanding_client: client that may send commands, or None if any client may, see
+            ``requests.CommandRequestBase``.
         stream: open stream of targets.
         lease: lease of the commanding client, or None for a client without a lease.
         amplifiers: state of each CiA 404 amplifier. The value is empty if the load cells have no
@@ -76,36 +76,36 @@ class ControllerDecisions(NamedTuple):
 
     drives: tuple[DriveState, ...]
     progress: ProgramProgress
-    latched: tuple[LatchedFault, ...] = ()
-    reported_faults: tuple[CountedFault, ...] = ()
+    latched_faults: tuple[LatchedFault, ...] = ()
+    reported_faults: tuple[ReportedFault, ...] = ()
     refusals: tuple[int, ...] = ()
     failure: str = ""
-    unconfirmed: tuple[str, ...] = ()
+    unconfirmed_motors: tuple[str, ...] = ()
     gains: Gains | None = None
-    pending: PendingGains | None = None
-    commander: str | None = None
+    pending_gains: PendingGains | None = None
+    commanding_client: str | None = None
     stream: StreamPlan | None = None
     lease: ClientLease | None = None
     amplifiers: tuple[AmplifierState, ...] = ()
 
 
-def _part_bytes(state_part: object) -> bytes:
+def _serialized_part(state_part: object) -> bytes:
     """Return the serialized form of a part of the decisions.
 
     While a digit closes, the progress of the program changes in every tick. The goals in the
     progress stay the same objects, so their bytes are cached.
     """
     if isinstance(state_part, ProgramProgress):
-        return join_field_bytes(state_part, _field_bytes_cache)
-    return plain_bytes(state_part)
+        return join_serialized_fields(state_part, _serialized_field_cache)
+    return serialized_bytes(state_part)
 
 
 # Most decisions are the same objects in many ticks. So the serialized form of each part is cached
 # by the identity of the object.
-_field_bytes_cache = IdentityCache[Any](plain_bytes)
-_plain_bytes_cache = IdentityCache[Any](_part_bytes)
-_drives_cache, _goals_cache, _rest_cache = (
-    SequenceCache[Any](_plain_bytes_cache) for _ in range(3)
+_serialized_field_cache = IdentityCache[Any](serialized_bytes)
+_serialized_bytes_cache = IdentityCache[Any](_serialized_part)
+_drives_cache, _goals_cache, _other_parts_cache = (
+    SequenceCache[Any](_serialized_bytes_cache) for _ in range(3)
 )
 
 
@@ -118,8 +118,8 @@ def _hash_decisions(decisions: ControllerDecisions) -> bytes:
     goals = _goals_cache(decisions.progress.goals)
     # Without amplifiers, the hash equals the hash in logs of versions that did not support
     # amplifiers.
-    rest_hash = _rest_cache(decisions[1:] if decisions.amplifiers else decisions[1:-1])
-    return xxhash.xxh3_64_digest(b"".join([*drives, *goals, *rest_hash]))
+    other_hashes = _other_parts_cache(decisions[1:] if decisions.amplifiers else decisions[1:-1])
+    return xxhash.xxh3_64_digest(b"".join([*drives, *goals, *other_hashes]))
 
 
 _decision_hash_cache = IdentityCache[ControllerDecisions](_hash_decisions)
@@ -160,7 +160,7 @@ def drive_values(
         velocity,
         torque,
         temperature,
-        int(tendon_int[s.FEEDBACK_NS, n]),
+        int(tendon_int[s.FEEDBACK_RECEIVED_NS, n]),
         int(tendon_int[s.FEEDBACK_COUNT, n]),
         RecheckCursor(*tendon_int[s.RECHECK_STEP : s.RECHECK_TRIES + 1, n].tolist()),
     )
@@ -222,44 +222,44 @@ class ControllerState:
         """Return a view of the field with the given name in the state block."""
         return self.layout.view(self.block, name)
 
-    def run_real(self, row: int) -> float:
+    def run_table_real(self, row: int) -> float:
         """Return the number in a row of the table ``run``."""
         return float(self._run[row])
 
-    def set_run_real(self, row: int, value: float) -> None:
+    def set_run_table_real(self, row: int, value: float) -> None:
         """Set the number in a row of the table ``run``."""
         self._run[row] = value
 
-    def run_integer(self, row: int) -> int:
+    def run_table_integer(self, row: int) -> int:
         """Return the integer in a row of the table ``run_int``."""
         return int(self._run_int[row])
 
-    def set_run_integer(self, row: int, value: int) -> None:
+    def set_run_table_integer(self, row: int, value: int) -> None:
         """Set the integer in a row of the table ``run_int``."""
         self._run_int[row] = value
 
     @property
     def k(self) -> int:
         """Return the number of the last tick, or -1 before the first tick."""
-        return self.run_integer(s.K)
+        return self.run_table_integer(s.K)
 
     @property
     def mode(self) -> HandMode:
         """Return the mode of the hand."""
-        return _MODE_BY_NUMBER[self.run_integer(s.MODE)]
+        return _MODE_BY_NUMBER[self.run_table_integer(s.HAND_MODE)]
 
     @mode.setter
     def mode(self, mode: HandMode) -> None:
-        self.set_run_integer(s.MODE, mode)
+        self.set_run_table_integer(s.HAND_MODE, mode)
 
     @property
     def mode_start_time(self) -> float:
         """Return the time at which the present mode began [s]."""
-        return self.run_real(s.MODE_START_TIME)
+        return self.run_table_real(s.MODE_START_TIME)
 
     @mode_start_time.setter
     def mode_start_time(self, t: float) -> None:
-        self.set_run_real(s.MODE_START_TIME, t)
+        self.set_run_table_real(s.MODE_START_TIME, t)
 
     @property
     def goal_time(self) -> float:
@@ -267,34 +267,34 @@ class ControllerState:
 
         This time stops while the safety monitor makes the hand hold its position.
         """
-        return self.run_real(s.GOAL_TIME)
+        return self.run_table_real(s.GOAL_TIME)
 
     @goal_time.setter
     def goal_time(self, t: float) -> None:
-        self.set_run_real(s.GOAL_TIME, t)
+        self.set_run_table_real(s.GOAL_TIME, t)
 
     @property
-    def arming_requested(self) -> bool:
+    def is_arming_requested(self) -> bool:
         """Return True if the arming of the drives is requested."""
-        return bool(self.run_integer(s.ARMING_REQUESTED))
+        return bool(self.run_table_integer(s.ARMING_REQUESTED))
 
-    @arming_requested.setter
-    def arming_requested(self, is_armed: bool) -> None:
-        self.set_run_integer(s.ARMING_REQUESTED, is_armed)
+    @is_arming_requested.setter
+    def is_arming_requested(self, is_armed: bool) -> None:
+        self.set_run_table_integer(s.ARMING_REQUESTED, is_armed)
 
     @property
-    def clearing(self) -> bool:
+    def is_clearing_errors(self) -> bool:
         """Return True if the drives are clearing their latched errors before arming."""
-        return bool(self.run_integer(s.CLEARING_DRIVE_ERRORS))
+        return bool(self.run_table_integer(s.CLEARING_DRIVE_ERRORS))
 
-    @clearing.setter
-    def clearing(self, is_clearing: bool) -> None:
-        self.set_run_integer(s.CLEARING_DRIVE_ERRORS, is_clearing)
+    @is_clearing_errors.setter
+    def is_clearing_errors(self, is_clearing: bool) -> None:
+        self.set_run_table_integer(s.CLEARING_DRIVE_ERRORS, is_clearing)
 
     @property
     def has_started(self) -> bool:
         """Return True if the encoder and the load cell of every tendon have been read at least once."""
-        return bool(self.run_integer(s.FILTER_STARTED))
+        return bool(self.run_table_integer(s.FILTER_STARTED))
 
     @property
     def estimate(self) -> HandEstimate:
@@ -306,7 +306,7 @@ class ControllerState:
         return HandEstimate(self.tendon, joint, digit, self.tendon_int[s.REGIME])
 
     @property
-    def measured(self) -> TickMeasurements:
+    def measurements(self) -> TickMeasurements:
         """Return the measurements of the tick in the form that programs use."""
         return TickMeasurements(self.tendon, self.layout.table(self.block, "joint"))
 
@@ -314,9 +314,9 @@ class ControllerState:
     def sensor_counts(self) -> tuple[int, int, int]:
         """Return the counts of sent SYNC frames, accepted tension frames, and answers to an earlier SYNC."""
         return (
-            self.run_integer(s.SYNC_COUNT),
-            self.run_integer(s.TENSION_FRAMES),
-            self.run_integer(s.STALE_FRAMES),
+            self.run_table_integer(s.SYNC_COUNT),
+            self.run_table_integer(s.TENSION_FRAME_COUNT),
+            self.run_table_integer(s.STALE_FRAME_COUNT),
         )
 
     # The decisions, each by its name.
@@ -327,9 +327,9 @@ class ControllerState:
         return self.decisions.progress
 
     @property
-    def latched(self) -> tuple[LatchedFault, ...]:
+    def latched_faults(self) -> tuple[LatchedFault, ...]:
         """Return the faults that are latched."""
-        return self.decisions.latched
+        return self.decisions.latched_faults
 
     @property
     def failure(self) -> str:
@@ -340,9 +340,9 @@ class ControllerState:
         return self.decisions.failure
 
     @property
-    def unconfirmed(self) -> tuple[str, ...]:
+    def unconfirmed_motors(self) -> tuple[str, ...]:
         """Return the names of the motors that have not been confirmed as disabled."""
-        return self.decisions.unconfirmed
+        return self.decisions.unconfirmed_motors
 
     # States of the drives. Their set-up is in the decisions, and their numbers are in the state
     # block.
@@ -359,7 +359,7 @@ class ControllerState:
         return tuple([self.drive(n) for n in range(len(self.decisions.drives))])
 
     @property
-    def phases(self) -> tuple[DrivePhase, ...]:
+    def drive_phases(self) -> tuple[DrivePhase, ...]:
         """Return the phase of each drive."""
         return tuple([drive.phase for drive in self.decisions.drives])
 

@@ -26,12 +26,12 @@ from handctl.core.gains.motion_design import (
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import GAIN_EVENT, TickEvent, Vector
 from handctl.errors import ConfigError
-from handctl.programs.requests import REFUSED_PREFIX
+from handctl.programs.requests import REFUSAL_EVENT_PREFIX
 
 ControllerT = TypeVar("ControllerT")
 """Type variable for ``controller.tick.Controller``, or for another dataclass with a ``model``."""
 
-CACHE_SIZE = 8
+MAX_CACHED_DESIGNS = 8
 """Number of designs in the cache: for present gains, for pending gains, and for some earlier gains to return to."""
 
 
@@ -39,12 +39,12 @@ class DesignProgress(NamedTuple):
     """Result of a design step, if the design is not complete after this step.
 
     Attributes:
-        pending: state of the design, or None if no stabilising gains exist for the requested
+        pending_gains: state of the design, or None if no stabilising gains exist for the requested
             values.
         events: events which report that the design has failed.
     """
 
-    pending: PendingGains | None
+    pending_gains: PendingGains | None
     events: tuple[TickEvent, ...] = ()
 
 
@@ -56,33 +56,37 @@ class DesignCache:
     again when it is needed.
 
     Attributes:
-        designed_pieces: control loops that are designed so far, for each of the last ``CACHE_SIZE``
+        loop_designs: control loops that are designed so far, for each of the last ``MAX_CACHED_DESIGNS``
             sets of requested gains.
         controllers: controllers whose design is complete.
         gains_in_use: gains of the controller that was returned last.
     """
 
-    designed_pieces: dict[Gains, list[Vector]] = field(default_factory=dict)
+    loop_designs: dict[Gains, list[Vector]] = field(default_factory=dict)
     controllers: dict[Gains, Any] = field(default_factory=dict)
     gains_in_use: Gains | None = None
 
-    def advance(self, model: HandModel, pending_gains: PendingGains) -> DesignProgress | None:
+    def design_next_loop(
+        self, model: HandModel, pending_gains: PendingGains
+    ) -> DesignProgress | None:
         """Design one more control loop for pending gains.
 
         When the design is complete, return None.
         """
         try:
-            check_tendon_names(pending_gains.gains, model.space.names)
-            designed_pieces = self._design_in_pieces(
-                model, pending_gains.gains, pending_gains.step + 1
+            check_tendon_names(pending_gains.gains, model.tendon_constants.names)
+            loop_designs = self._design_missing_loops(
+                model, pending_gains.gains, pending_gains.designed_loop_count + 1
             )
         except ConfigError as error:
             return DesignProgress(
-                None, (TickEvent("warn", "gains", "", f"{REFUSED_PREFIX}{error}"),)
+                None, (TickEvent("warn", "gains", "", f"{REFUSAL_EVENT_PREFIX}{error}"),)
             )
-        if len(designed_pieces) >= control_loop_count(model.space):
+        if len(loop_designs) >= control_loop_count(model.tendon_constants):
             return None
-        return DesignProgress(replace(pending_gains, step=pending_gains.step + 1))
+        return DesignProgress(
+            replace(pending_gains, designed_loop_count=pending_gains.designed_loop_count + 1)
+        )
 
     def controller(self, controller: ControllerT, gains: Gains) -> ControllerT:
         """Return a copy of a controller with other gains.
@@ -93,37 +97,45 @@ class DesignCache:
         if gains not in self.controllers:
             old_controller: Any = controller
             model = old_controller.model
-            designed_pieces = self._design_in_pieces(model, gains, control_loop_count(model.space))
+            loop_designs = self._design_missing_loops(
+                model, gains, control_loop_count(model.tendon_constants)
+            )
             designed_model = replace(
-                model, gains=gains, motion=combine_loop_designs(model.space, designed_pieces)
+                model,
+                gains=gains,
+                motion_design=combine_loop_designs(model.tendon_constants, loop_designs),
             )
             self.controllers[gains] = replace(
-                old_controller, model=designed_model, similar_constants=old_controller.derived
+                old_controller,
+                model=designed_model,
+                reusable_constants=old_controller.derived_constants,
             )
         controller_with_gains: ControllerT = self.controllers[gains]
         return controller_with_gains
 
-    def _design_in_pieces(self, model: HandModel, gains: Gains, piece_count: int) -> list[Vector]:
-        """Design the missing ones of the first ``piece_count`` loops, and return all designed loops."""
-        designed_pieces = self.designed_pieces.setdefault(gains, [])
-        if len(self.designed_pieces) > CACHE_SIZE:
+    def _design_missing_loops(
+        self, model: HandModel, gains: Gains, loop_count: int
+    ) -> list[Vector]:
+        """Design the missing ones of the first ``loop_count`` loops, and return all designed loops."""
+        loop_designs = self.loop_designs.setdefault(gains, [])
+        if len(self.loop_designs) > MAX_CACHED_DESIGNS:
             # A dictionary keeps the order of insertion, so the first entry is the oldest one. The
             # entry of the gains in use is kept.
-            oldest_gains = next(
-                designed_piece
-                for designed_piece in self.designed_pieces
-                if designed_piece != self.gains_in_use
+            least_recent_gains = next(
+                designed_gains
+                for designed_gains in self.loop_designs
+                if designed_gains != self.gains_in_use
             )
-            self.controllers.pop(oldest_gains, None)
-            del self.designed_pieces[oldest_gains]
-        while len(designed_pieces) < piece_count:
-            designed_pieces.append(
-                design_control_loop(model.space, gains, model.period, len(designed_pieces))
+            self.controllers.pop(least_recent_gains, None)
+            del self.loop_designs[least_recent_gains]
+        while len(loop_designs) < loop_count:
+            loop_designs.append(
+                design_control_loop(model.tendon_constants, gains, model.period, len(loop_designs))
             )
-        return designed_pieces
+        return loop_designs
 
 
-def begin_design(
+def begin_gain_design(
     present_gains: Gains, new_values: dict[str, float]
 ) -> tuple[PendingGains | None, tuple[TickEvent, ...]]:
     """Begin the controller design for requested gains.
@@ -139,7 +151,7 @@ def begin_design(
     try:
         return PendingGains(gains_with_values(present_gains, new_values, "gains", is_live=True)), ()
     except ConfigError as error:
-        return None, (TickEvent("warn", "request", "", f"{REFUSED_PREFIX}{error}"),)
+        return None, (TickEvent("warn", "request", "", f"{REFUSAL_EVENT_PREFIX}{error}"),)
 
 
 def gain_change_events(old_gains: Gains, new_gains: Gains) -> tuple[TickEvent, ...]:

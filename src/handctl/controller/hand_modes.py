@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from handctl.controller.controller_state import ControllerState
-from handctl.controller.relaxing import (
+from handctl.controller.relaxation import (
     are_commands_relaxed,
     are_tensions_relaxed,
     start_relaxation,
@@ -37,7 +37,7 @@ from handctl.safety.safety_action import SafetyAction
 LISTENING_DURATION_S = 0.5
 """Time before this host sends its first frame, in which it detects a second controller [s]."""
 INVENTORY_TIMEOUT_S = 3.0
-CLEAR_ADVICE = " (when you have looked why: --clear)"
+CLEAR_ERRORS_ADVICE = " (when you have looked why: --clear)"
 """Advice to the operator, in the message about a drive with a latched error."""
 LATCHED_ERROR_HINT = " (or an error that does not clear)"
 READY_DURATION_S = 0.1
@@ -55,8 +55,8 @@ RELEASE_DETECTION_TICKS = 2
 class OperatorRequests:
     """Stop and cut requests from the operator in a tick."""
 
-    stop: bool = False
-    cut: bool = False
+    is_stop_requested: bool = False
+    is_cut_requested: bool = False
 
 
 class ModeInputs(NamedTuple):
@@ -65,10 +65,10 @@ class ModeInputs(NamedTuple):
     Attributes:
         model: model of the hand.
         drives: drives of all motors.
-        elapsed: time since the present mode began [s].
+        time_in_mode: time since the present mode began [s].
         action: reaction that the safety monitor demands.
         operator_requests: stop and cut requests from the operator.
-        other_host_texts: signs that a second controller uses the bus. Signs are frames that only a host
+        other_host_signs: signs that a second controller uses the bus. Signs are frames that only a host
             sends, and replies of motors to which this host has sent no request.
         identities: identities that the drives had when the hand was calibrated, see
             ``Drive.identity``. The identity of a drive is empty if it is not known.
@@ -76,10 +76,10 @@ class ModeInputs(NamedTuple):
 
     model: HandModel
     drives: tuple[Drive, ...]
-    elapsed: float
+    time_in_mode: float
     action: SafetyAction
     operator_requests: OperatorRequests
-    other_host_texts: tuple[str, ...]
+    other_host_signs: tuple[str, ...]
     identities: tuple[str, ...] = ()
 
     @property
@@ -88,10 +88,12 @@ class ModeInputs(NamedTuple):
         return tuple(drive.name for drive in self.drives)
 
     @property
-    def is_without_override(self) -> bool:
+    def has_no_mode_override(self) -> bool:
         """Return True if no safety reaction, operator request or other host determines the next mode."""
         return self.action < RELAX and not (
-            self.other_host_texts or self.operator_requests.stop or self.operator_requests.cut
+            self.other_host_signs
+            or self.operator_requests.is_stop_requested
+            or self.operator_requests.is_cut_requested
         )
 
 
@@ -138,9 +140,9 @@ def next_mode(
     state: ControllerState,
     action: SafetyAction,
     operator_requests: OperatorRequests,
-    other_host_frames: tuple[str, ...],
+    other_host_signs: tuple[str, ...],
     time_s: float,
-    fault_identities: tuple[str, ...] = (),
+    calibrated_identities: tuple[str, ...] = (),
 ) -> tuple[TickEvent, ...]:
     """Determine the next mode of the hand, and write it into the state.
 
@@ -150,9 +152,9 @@ def next_mode(
         state: state with the drive and filter values of the tick, modified in place.
         action: reaction that the safety monitor demands.
         operator_requests: stop and cut requests from the operator.
-        other_host_frames: texts that describe signs of a second controller on the bus.
+        other_host_signs: texts that describe signs of a second controller on the bus.
         time_s: time of the tick [s].
-        fault_identities: identities of the drives in the calibration. May be empty.
+        calibrated_identities: identities of the drives in the calibration. May be empty.
 
     Returns:
         The event of a mode change. There is no event if the mode does not change.
@@ -163,11 +165,11 @@ def next_mode(
         time_s - state.mode_start_time,
         action,
         operator_requests,
-        other_host_frames,
-        fault_identities,
+        other_host_signs,
+        calibrated_identities,
     )
     mode_before = state.mode
-    overriding_mode = None if inputs.is_without_override else _overriding_mode(state, inputs)
+    overriding_mode = None if inputs.has_no_mode_override else _overriding_mode(state, inputs)
     mode, failure = overriding_mode or _NEXT_MODE_FUNCTIONS[mode_before](state, inputs)
     if mode == mode_before:
         if mode == HandMode.RELAX:
@@ -189,7 +191,7 @@ def next_mode(
         if state.failure and unconfirmed_motors
         else state.failure or failure
     )
-    state.decide(failure=reason, unconfirmed=unconfirmed_motors)
+    state.decide(failure=reason, unconfirmed_motors=unconfirmed_motors)
     state.mode = mode
     state.mode_start_time = time_s
     if mode == HandMode.RELAX:
@@ -200,11 +202,13 @@ def next_mode(
 def _overriding_mode(state: ControllerState, inputs: ModeInputs) -> NextMode | None:
     """Return the mode that the safety monitor or the operator demands, or None."""
     makes_torque = state.mode in TORQUE_MODES
-    if makes_torque and (inputs.operator_requests.cut or inputs.action == SafetyAction.CUT):
+    if makes_torque and (
+        inputs.operator_requests.is_cut_requested or inputs.action == SafetyAction.CUT
+    ):
         return HandMode.CUT, _latched_faults(state)
     if state.mode in _MODE_AFTER_STOP and inputs.action == SafetyAction.RELAX:
         return _MODE_AFTER_STOP[state.mode], _latched_faults(state)
-    if state.mode in _MODE_AFTER_STOP and inputs.operator_requests.stop:
+    if state.mode in _MODE_AFTER_STOP and inputs.operator_requests.is_stop_requested:
         return _MODE_AFTER_STOP[state.mode], ""
     return _next_mode_before_arming(state, inputs) if state.mode in MODES_BEFORE_ARMING else None
 
@@ -214,12 +218,12 @@ def _next_mode_before_arming(state: ControllerState, inputs: ModeInputs) -> Next
 
     Return None if the run continues.
     """
-    if inputs.operator_requests.stop or inputs.operator_requests.cut:
+    if inputs.operator_requests.is_stop_requested or inputs.operator_requests.is_cut_requested:
         return HandMode.DONE, ""
-    if inputs.other_host_texts:
+    if inputs.other_host_signs:
         return (
             HandMode.DONE,
-            f"another controller is on the bus (heard: {', '.join(inputs.other_host_texts)})",
+            f"another controller is on the bus (heard: {', '.join(inputs.other_host_signs)})",
         )
     return (HandMode.DONE, _latched_faults(state)) if inputs.action >= SafetyAction.RELAX else None
 
@@ -236,15 +240,17 @@ def _latched_faults(state: ControllerState) -> str:
 
     The text is empty if no fault is latched.
     """
-    if not state.latched:
+    if not state.latched_faults:
         return ""
     return "fault " + ", ".join(
-        f"{latched_fault.id} {latched_fault.instance}" for latched_fault in state.latched
+        f"{latched_fault.id} {latched_fault.part_name}" for latched_fault in state.latched_faults
     )
 
 
 def _next_mode_after_silent(state: ControllerState, inputs: ModeInputs) -> NextMode:
-    return (HandMode.INVENTORY if inputs.elapsed >= LISTENING_DURATION_S else HandMode.SILENT), ""
+    return (
+        HandMode.INVENTORY if inputs.time_in_mode >= LISTENING_DURATION_S else HandMode.SILENT
+    ), ""
 
 
 def _next_mode_after_inventory(state: ControllerState, inputs: ModeInputs) -> NextMode:
@@ -256,8 +262,10 @@ def _next_mode_after_inventory(state: ControllerState, inputs: ModeInputs) -> Ne
     ]
     if wrong_amplifiers := _wrong_amplifiers(state):
         return HandMode.DONE, "; ".join(wrong_amplifiers)
-    if wrong_drives and not (state.clearing and inputs.elapsed < INVENTORY_TIMEOUT_S):
-        return HandMode.DONE, "; ".join(wrong_drives) + CLEAR_ADVICE
+    if wrong_drives and not (
+        state.is_clearing_errors and inputs.time_in_mode < INVENTORY_TIMEOUT_S
+    ):
+        return HandMode.DONE, "; ".join(wrong_drives) + CLEAR_ERRORS_ADVICE
     is_group_missing = not state.view("group_frames").all()
     if (
         all(drive.phase == DrivePhase.READY for drive in state.drives)
@@ -265,7 +273,7 @@ def _next_mode_after_inventory(state: ControllerState, inputs: ModeInputs) -> Ne
         and not is_group_missing
     ):
         return HandMode.READY, ""
-    if inputs.elapsed < INVENTORY_TIMEOUT_S:
+    if inputs.time_in_mode < INVENTORY_TIMEOUT_S:
         return HandMode.INVENTORY, ""
     unready_drives = [
         (name, drive) for name, drive in named_drives if drive.phase != DrivePhase.READY
@@ -282,7 +290,9 @@ def _next_mode_after_inventory(state: ControllerState, inputs: ModeInputs) -> Ne
         if name not in silent_names
     ]
     silence_text = (
-        [f"no answer from {', '.join(silent_names)}{LATCHED_ERROR_HINT if state.clearing else ''}"]
+        [
+            f"no answer from {', '.join(silent_names)}{LATCHED_ERROR_HINT if state.is_clearing_errors else ''}"
+        ]
         if silent_names
         else []
     )
@@ -320,12 +330,12 @@ def _missing_inputs(state: ControllerState, inputs: ModeInputs) -> list[str]:
     The tension filter needs the position of every motor.
     """
     drives = _named_drives(state, inputs)
-    blind_tendons = [
+    tendons_without_cell = [
         name
         for name, drive in drives
         if drive.phase == DrivePhase.READY and math.isnan(drive.position)
     ]
-    return [f"no position from {', '.join(blind_tendons)}"] if blind_tendons else []
+    return [f"no position from {', '.join(tendons_without_cell)}"] if tendons_without_cell else []
 
 
 def _next_mode_after_ready(state: ControllerState, inputs: ModeInputs) -> NextMode:
@@ -338,7 +348,7 @@ def _next_mode_after_ready(state: ControllerState, inputs: ModeInputs) -> NextMo
         )
     return (
         HandMode.ARMING
-        if state.arming_requested and inputs.elapsed >= READY_DURATION_S
+        if state.is_arming_requested and inputs.time_in_mode >= READY_DURATION_S
         else HandMode.READY
     ), ""
 
@@ -367,9 +377,9 @@ def _other_drives(state: ControllerState, inputs: ModeInputs) -> str:
 
 
 def _next_mode_after_arming(state: ControllerState, inputs: ModeInputs) -> NextMode:
-    if all(phase == DrivePhase.ENABLED for phase in state.phases):
+    if all(phase == DrivePhase.ENABLED for phase in state.drive_phases):
         return HandMode.ACTIVE, ""
-    if inputs.elapsed < ARMING_TIMEOUT_S:
+    if inputs.time_in_mode < ARMING_TIMEOUT_S:
         return HandMode.ARMING, ""
     late_names = [
         name for name, drive in _named_drives(state, inputs) if drive.phase != DrivePhase.ENABLED
@@ -388,7 +398,7 @@ def _next_mode_after_relax(state: ControllerState, inputs: ModeInputs) -> NextMo
         inputs.model, state
     )
     return (
-        HandMode.DISARM if is_relaxed or inputs.elapsed >= RELAX_TIMEOUT_S else HandMode.RELAX
+        HandMode.DISARM if is_relaxed or inputs.time_in_mode >= RELAX_TIMEOUT_S else HandMode.RELAX
     ), ""
 
 
@@ -402,16 +412,16 @@ def _next_mode_after_disarm(state: ControllerState, inputs: ModeInputs) -> NextM
     enabled = motors_not_confirmed_off(state, inputs.names)
     if not enabled:
         # A drive may report that it is disabled although its motor still pulls.
-        ticks_without_torque = state.run_integer(s.TICKS_SINCE_CUT) - RELEASE_DETECTION_TICKS
+        ticks_without_torque = state.run_table_integer(s.TICKS_SINCE_CUT) - RELEASE_DETECTION_TICKS
         is_checked = ticks_without_torque * inputs.model.period >= PULL_AFTER_CUT_TIME_S
         return (HandMode.DONE if is_checked else HandMode.DISARM), ""
-    if inputs.elapsed < DISARM_TIMEOUT_S:
+    if inputs.time_in_mode < DISARM_TIMEOUT_S:
         return HandMode.DISARM, ""
     return HandMode.DONE, f"{REMOVE_POWER}: not confirmed disabled: {', '.join(enabled)}"
 
 
 def _next_mode_after_cut(state: ControllerState, inputs: ModeInputs) -> NextMode:
-    return (HandMode.DISARM if inputs.elapsed >= TORQUE_CUT_DURATION_S else HandMode.CUT), ""
+    return (HandMode.DISARM if inputs.time_in_mode >= TORQUE_CUT_DURATION_S else HandMode.CUT), ""
 
 
 def _next_mode_after_done(state: ControllerState, inputs: ModeInputs) -> NextMode:
@@ -449,7 +459,7 @@ def motors_not_confirmed_off(
     if state.mode in MODES_BEFORE_ARMING:
         doubtful_motors = ()
     elif state.mode == HandMode.DONE:
-        doubtful_motors = state.unconfirmed
+        doubtful_motors = state.unconfirmed_motors
     return tuple(
         name
         for name, drive in zip(motor_names, state.drives, strict=True)
@@ -463,8 +473,8 @@ def _pulling_motors(
 ) -> tuple[str, ...]:
     """Return the names of motors with a tendon that still has tension after the torque was cut (N16)."""
     tendons = {
-        latched_fault.instance
-        for latched_fault in state.latched
+        latched_fault.part_name
+        for latched_fault in state.latched_faults
         if FAULT_BY_ID[latched_fault.id].shows_torque_after_cut
     }
     return tuple(

@@ -11,8 +11,8 @@ class PendingGains:
 
     Attributes:
         gains: all gains of the hand, including the requested changes.
-        step: number of control loops designed so far.
+        designed_loop_count: number of control loops designed so far.
     """
 
     gains: Gains
-    step: int = 0
+    designed_loop_count: int = 0

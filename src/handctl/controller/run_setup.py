@@ -30,8 +30,8 @@ from handctl.drives.signals import SignalQuantity
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.error_text import lines_by_text
-from handctl.hand.file.quantities import MAX_POSITION_RANGE_RAD
-from handctl.hand.file.sections import Motor
+from handctl.hand.file.quantity_types import MAX_POSITION_RANGE_RAD
+from handctl.hand.file.section_models import Motor
 from handctl.hand.hand_loading import hand_from_content, parse_toml
 from handctl.programs.commission import CommissionProgram
 from handctl.programs.excitation import ExciteProgram, ExciteStep
@@ -43,7 +43,7 @@ from handctl.programs.requests import HoldTensionRequest, MoveDigitsRequest
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
 
-SETUP_ATTACHMENT = "setup.json"
+SETUP_ATTACHMENT_NAME = "setup.json"
 """Name of the log attachment that holds the ``RunSetup``."""
 
 
@@ -99,10 +99,10 @@ class ExciteSetup(Document):
     steps: tuple[ExciteStep, ...]
 
 
-AnySetup = (
+AnyProgramSetup = (
     TaskSetup | LiveSetup | JogSetup | CommissionSetup | PlaybackSetup | ExerciseSetup | ExciteSetup
 )
-ProgramSetup = Annotated[AnySetup, Field(discriminator="program")]
+ProgramSetup = Annotated[AnyProgramSetup, Field(discriminator="program")]
 
 
 class RunSetup(Document):
@@ -137,8 +137,8 @@ class RunSetup(Document):
         return RunSetup(
             rate_hz=rate_hz,
             arm_at_once=controller.arm_at_once,
-            tare_N=tuple(controller.tare.tolist()),
-            zero_rad=tuple(controller.zero.tolist()),
+            tare_N=tuple(controller.tare_tensions.tolist()),
+            zero_rad=tuple(controller.motor_zeros.tolist()),
             identities=controller.identities,
             program=_setup_of_program(controller.program),
             identified_hand=""
@@ -154,8 +154,8 @@ class RunSetup(Document):
 
         The construction includes the design of all gains.
         """
-        identified = parse_toml(self.identified_hand, SETUP_ATTACHMENT)
-        known_hand = hand_from_content(identified, SETUP_ATTACHMENT) if identified else hand
+        identified = parse_toml(self.identified_hand, SETUP_ATTACHMENT_NAME)
+        known_hand = hand_from_content(identified, SETUP_ATTACHMENT_NAME) if identified else hand
         model = HandModel.from_hand(
             known_hand,
             gains,
@@ -211,7 +211,7 @@ def make_drives(hand: Hand) -> tuple[Drive, ...]:
             identifier, or neither a load cell nor a torque report shows the tension of a tendon.
     """
     buses = hand.bus_names
-    motors = [hand.motor_of(name) for name in hand.tendon_names]
+    motors = [hand.motor_of_tendon(name) for name in hand.tendon_names]
     drives = tuple(make_drive(motor, buses.index(motor.bus)) for motor in motors)
     for motor, drive, tendon, has_cell in zip(
         motors, drives, hand.tendon_names, hand.has_cell.tolist(), strict=True
@@ -339,8 +339,8 @@ def make_controller(
     limits always come from the hand file.
     """
     n = len(hand.tendon)
-    tare = calibration.tare(hand) if calibration else np.zeros(n)
-    zero = calibration.zero(hand) if calibration else np.zeros(n)
+    tare = calibration.tare_tensions(hand) if calibration else np.zeros(n)
+    zero = calibration.motor_zeros(hand) if calibration else np.zeros(n)
     identified = calibration.identified if calibration else {}
     gain = torque_gain(hand, identified) if identified else None
     model = HandModel.from_hand(
@@ -358,7 +358,7 @@ def make_controller(
     )
 
 
-def _setup_of_program(program: Program) -> AnySetup:
+def _setup_of_program(program: Program) -> AnyProgramSetup:
     """Return the set-up of a program.
 
     The program can be constructed again from this set-up.
@@ -381,7 +381,7 @@ def _setup_of_program(program: Program) -> AnySetup:
     raise TypeError(f"{type(program).__name__} cannot be written into a log")
 
 
-def _program_of_setup(setup: AnySetup, hand: Hand) -> Program:
+def _program_of_setup(setup: AnyProgramSetup, hand: Hand) -> Program:
     """Return the program that a set-up describes."""
     match setup:
         case TaskSetup():

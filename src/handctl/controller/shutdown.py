@@ -45,8 +45,10 @@ def shutdown_step(
         The next state, the frames to send, and the motors that are not confirmed as disabled.
     """
     state_after = state.copy()
-    state_after.set_run_integer(s.K, state.k + 1)
-    frames = [controller.sensors.sync(state_after.k)] if controller.derived.sends_sync else []
+    state_after.set_run_table_integer(s.K, state.k + 1)
+    frames = (
+        [controller.sensors.sync(state_after.k)] if controller.derived_constants.sends_sync else []
+    )
     for n, drive in enumerate(controller.drives):
         drive_state = state_after.drive(n)
         for frame in received_frames:

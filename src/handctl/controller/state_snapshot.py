@@ -22,11 +22,11 @@ from handctl.core.control_law.trajectory import (
     StreamedTrajectory,
 )
 from handctl.core.gains.gains import Gains
-from handctl.core.plain_values import (
+from handctl.core.plain_data import (
     BYTES_MARK,
-    object_from_plain_form,
-    plain_form,
+    object_from_plain_data,
     register_restorable_types,
+    to_plain_data,
 )
 from handctl.drives.cia402.progress import Cia402Progress
 from handctl.drives.cia404.amplifier import AmplifierState
@@ -42,32 +42,32 @@ from handctl.programs.grip import GripState
 from handctl.programs.program import ProgramProgress
 from handctl.programs.stream_plans import StreamPlan
 from handctl.programs.task import Task
-from handctl.safety.tick_verdict import CountedFault, LatchedFault
+from handctl.safety.tick_verdict import LatchedFault, ReportedFault
 
 register_restorable_types(
     ControllerDecisions, DriveState, DrivePhase, DriveTarget, ProgramProgress, GripState, DigitGoal, GoalKind,
     MinimumJerk, BlendTrajectory, CurveTrajectory,
     SampledTrajectory,
-    ChirpTrajectory, StreamedTrajectory, StreamPlan, Task, LatchedFault, CountedFault, Gains, PendingGains,
+    ChirpTrajectory, StreamedTrajectory, StreamPlan, Task, LatchedFault, ReportedFault, Gains, PendingGains,
     RecheckCursor, ReadbackCursor,
     MitProgress,
     CubemarsProgress, OdriveProgress, Cia402Progress, MoteusProgress, DiagnosticChannel, RobstrideProgress, ClientLease,
     AmplifierState,
 )  # fmt: skip
 
-IDENTITY_BYTES = 8
+LAYOUT_IDENTITY_SIZE = 8
 """Size of the layout's identity [bytes]."""
 
 
 def snapshot_bytes(state: ControllerState) -> bytes:
     """Return the snapshot of a controller's state as bytes."""
     decisions = json.dumps(
-        plain_form(state.decisions), separators=(",", ":"), default=_type_mark_and_bytes
+        to_plain_data(state.decisions), separators=(",", ":"), default=_json_value_of_bytes
     )
     return state.layout.identity + state.block.tobytes() + decisions.encode()
 
 
-def _type_mark_and_bytes(value: object) -> tuple[str, str]:
+def _json_value_of_bytes(value: object) -> tuple[str, str]:
     """Return bytes as a mark and a hexadecimal text, because JSON has no type for bytes."""
     assert isinstance(value, bytes)
     return BYTES_MARK, value.hex()
@@ -84,12 +84,12 @@ def restore_state(layout: BlockLayout, packed_snapshot: bytes) -> ControllerStat
         ValueError: the data are not a snapshot of a controller with this layout.
     """
     # All numbers of the state block have 8 bytes.
-    end = IDENTITY_BYTES + 8 * layout.size
-    if packed_snapshot[:IDENTITY_BYTES] != layout.identity or len(packed_snapshot) < end:
+    end = LAYOUT_IDENTITY_SIZE + 8 * layout.size
+    if packed_snapshot[:LAYOUT_IDENTITY_SIZE] != layout.identity or len(packed_snapshot) < end:
         raise ValueError(f"a snapshot of {len(packed_snapshot)} bytes of another schema or hand")
-    block = np.frombuffer(packed_snapshot, np.float64, layout.size, IDENTITY_BYTES).copy()
+    block = np.frombuffer(packed_snapshot, np.float64, layout.size, LAYOUT_IDENTITY_SIZE).copy()
     try:
-        decisions = object_from_plain_form(json.loads(packed_snapshot[end:]))
+        decisions = object_from_plain_data(json.loads(packed_snapshot[end:]))
     except (TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"decisions that cannot be read: {error}") from None
     if not isinstance(decisions, ControllerDecisions):

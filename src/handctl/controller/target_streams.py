@@ -10,7 +10,7 @@ from handctl.core.control_law.digit_goal import GoalKind
 from handctl.core.control_law.streamed_motion import CLIP_TOLERANCE, begin_segments
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, StreamTarget, TickEvent, Vector
-from handctl.programs.program import ProgramProgress, coordinates_by_excursion
+from handctl.programs.program import ProgramProgress, coordinates_from_excursion
 from handctl.programs.requests import OpenStreamRequest
 from handctl.programs.stream_plans import (
     TARGET_UNIT_BY_SPACE,
@@ -20,8 +20,8 @@ from handctl.programs.stream_plans import (
     loop_fractions,
     mapping_of_stream,
     nearest_holdable_posture,
-    plan_of_request,
-    progress_with_stopped_digits,
+    stop_moving_digits,
+    stream_plan_or_refusal,
     streamed_digits,
     streamed_goals,
     target_tensions,
@@ -29,7 +29,7 @@ from handctl.programs.stream_plans import (
 
 MAX_TARGET_AGE_S = 0.1
 """Age beyond which a target is ignored [s], because later targets replace it."""
-MAX_TARGET_GAP_PERIODS = 2.5
+MAX_TARGET_INTERVAL_PERIODS = 2.5
 """Longest time between two targets for which the speed between them is computed [periods of the stream]."""
 MAX_SETPOINT_LEAD_N = 6.0
 """Largest distance of a streamed setpoint above the estimated tension [N].
@@ -48,7 +48,7 @@ def present_references(model: HandModel, state: ControllerState) -> tuple[Vector
 
 def present_setpoints(model: HandModel, state: ControllerState) -> tuple[Vector, ...]:
     """Return the present tension setpoints of each digit [N]."""
-    return tuple(state.tendon[s.SETPOINT, tendons] for tendons in model.digit_tendons)
+    return tuple(state.tendon[s.TENSION_SETPOINT, tendons] for tendons in model.digit_tendons)
 
 
 def open_stream(model: HandModel, state: ControllerState, request: OpenStreamRequest) -> TickEvent:
@@ -56,7 +56,7 @@ def open_stream(model: HandModel, state: ControllerState, request: OpenStreamReq
 
     Until the first target arrives, the digits of the stream keep their present reference.
     """
-    stream = plan_of_request(model, request)
+    stream = stream_plan_or_refusal(model, request)
     if isinstance(stream, str):
         return TickEvent("info", "request", "", f"refused: {stream}")
     close_stream(model, state)
@@ -69,9 +69,9 @@ def open_stream(model: HandModel, state: ControllerState, request: OpenStreamReq
         s.LATE_TARGET_COUNT,
         s.REFUSED_TARGET_COUNT,
     ):
-        state.set_run_integer(row, 0)
-    state.set_run_integer(s.STREAM_SEQUENCE, -1)
-    state.set_run_integer(s.STREAMING, s.OPEN_STREAM)
+        state.set_run_table_integer(row, 0)
+    state.set_run_table_integer(s.STREAM_SEQUENCE, -1)
+    state.set_run_table_integer(s.STREAM_STATE, s.OPEN_STREAM)
     state.tendon[s.STIFFNESS_FRACTION], state.tendon[s.DAMPING_FRACTION] = loop_fractions(
         model, stream
     )
@@ -93,13 +93,13 @@ def _prepare_motion(model: HandModel, state: ControllerState, digits: tuple[int,
     for d in digits:
         if state.progress.goals[d].kind != GoalKind.MOTION:
             # If a digit has no reference, its motion starts at rest from the present angles.
-            reference[d][0] = coordinates_by_excursion(model.digits[d], state.estimate)
+            reference[d][0] = coordinates_from_excursion(model.digits[d], state.estimate)
             reference[d][1:] = 0.0
     rows[s.STREAM_TARGET] = np.clip(rows[s.TRAJECTORY], *model.coordinate_limits)
     rows[s.STREAM_RANGE : s.STREAM_RANGE + 2] = model.coordinate_limits
     rows[s.STREAM_SEGMENT : s.STREAM_SEGMENT + 6] = rows[s.STREAM_TARGET_RATE] = 0.0
-    state.set_run_real(s.STREAM_SEGMENT_START, 0.0)
-    state.set_run_real(s.STREAM_DURATION, 0.0)
+    state.set_run_table_real(s.STREAM_SEGMENT_START, 0.0)
+    state.set_run_table_real(s.STREAM_DURATION, 0.0)
 
 
 def close_stream(model: HandModel, state: ControllerState) -> None:
@@ -107,7 +107,7 @@ def close_stream(model: HandModel, state: ControllerState) -> None:
     if state.decisions.stream is None:
         return
     state.decide(stream=None, progress=bring_to_rest(model, state, streamed_digits_only=True))
-    state.set_run_integer(s.STREAMING, 0)
+    state.set_run_table_integer(s.STREAM_STATE, 0)
     state.tendon[[s.STIFFNESS_FRACTION, s.DAMPING_FRACTION]] = 1.0
 
 
@@ -120,7 +120,7 @@ def bring_to_rest(
     """
     reach_by_digit = tuple(digit.coordinate_limits for digit in model.digits)
     setpoints = present_setpoints(model, state)
-    return progress_with_stopped_digits(
+    return stop_moving_digits(
         state.progress,
         present_references(model, state),
         setpoints,
@@ -160,20 +160,20 @@ def apply_target(
             f"refused: a target that is no target, expected {expected}",
         )
     sent_ns = min(target.sent_ns, t_ns)
-    is_running = state.run_integer(s.STREAMING) == s.RUNNING_STREAM
+    is_running = state.run_table_integer(s.STREAM_STATE) == s.RUNNING_STREAM
     # If several targets arrive in one tick, the time of the tick may be assigned to each of them.
-    is_outdated = target.number <= state.run_integer(
+    is_outdated = target.number <= state.run_table_integer(
         s.STREAM_SEQUENCE
-    ) or sent_ns < state.run_integer(s.STREAM_SENT_NS)
+    ) or sent_ns < state.run_table_integer(s.STREAM_SENT_NS)
     if (is_running and is_outdated) or t_ns - sent_ns > 1e9 * MAX_TARGET_AGE_S:
         return _count_target(
             state, s.LATE_TARGET_COUNT, "ignored: a target that is repeated, overtaken or too old"
         )
     begin_stream = _begin_segment if stream.is_angle_stream else _begin_tension_ramp
     is_clipped = begin_stream(model, state, stream, np.array(target.values), sent_ns, t_ns)
-    state.set_run_integer(s.STREAM_SENT_NS, sent_ns)
-    state.set_run_integer(s.STREAM_SEQUENCE, target.number)
-    state.set_run_integer(s.STREAMING, s.RUNNING_STREAM)
+    state.set_run_table_integer(s.STREAM_SENT_NS, sent_ns)
+    state.set_run_table_integer(s.STREAM_SEQUENCE, target.number)
+    state.set_run_table_integer(s.STREAM_STATE, s.RUNNING_STREAM)
     _count_target(state, s.ACCEPTED_TARGET_COUNT)
     limit = (
         "the range of a joint, or one that taut tendons cannot hold"
@@ -201,7 +201,7 @@ def _begin_tension_ramp(
 
     Arguments: see ``_begin_segment``.
     """
-    setpoint = state.tendon[s.SETPOINT]
+    setpoint = state.tendon[s.TENSION_SETPOINT]
     goal_tensions = target_tensions(model, stream, target_values, setpoint, state.estimate.q)
     limited_tensions = np.clip(goal_tensions, model.floor, model.ceiling)
     goal_tension = np.minimum(
@@ -215,7 +215,7 @@ def _begin_tension_ramp(
     for d in streamed_digits(model, stream):
         tendons = model.digit_tendons[d]
         state.tendon[s.TENSION_TARGET, tendons] = goal_tension[tendons]
-        state.tendon[s.SETPOINT_STEP, tendons] = np.minimum(
+        state.tendon[s.TENSION_SETPOINT_STEP, tendons] = np.minimum(
             np.abs(goal_tension - setpoint)[tendons] / ticks, step
         )
     is_streamed = np.array([name in stream.names for name in model.hand.tendon_names])
@@ -260,18 +260,18 @@ def _begin_segment(
             )
     # The motion starts at the reference of the last tick. So the reference already moves in this
     # tick.
-    start_time = t_ns / 1e9 - model.period * (1 + state.run_integer(s.MISSED_TICKS))
+    start_time = t_ns / 1e9 - model.period * (1 + state.run_table_integer(s.MISSED_TICKS))
     duration = max(sent_ns / 1e9 + stream.horizon - start_time, model.period)
-    target_interval = (sent_ns - state.run_integer(s.STREAM_SENT_NS)) / 1e9
+    target_interval = (sent_ns - state.run_table_integer(s.STREAM_SENT_NS)) / 1e9
     is_steady = (
-        state.run_integer(s.STREAMING) == s.RUNNING_STREAM
-        and target_interval <= MAX_TARGET_GAP_PERIODS * stream.period
+        state.run_table_integer(s.STREAM_STATE) == s.RUNNING_STREAM
+        and target_interval <= MAX_TARGET_INTERVAL_PERIODS * stream.period
     )
     # The time between two targets that arrive together says nothing about the rate of the stream.
     # Therefore this time counts as at least half a period of the stream.
     target_interval = max(target_interval, 0.5 * stream.period) if is_steady else math.inf
     return begin_segments(
-        state.block, state.layout.places, goal_coordinates, held_coordinates, start_time, duration, target_interval,
+        state.block, state.layout.offsets, goal_coordinates, held_coordinates, start_time, duration, target_interval,
         math.radians(model.hand.stream.speed_deg_s), int(stream.interpolation == "minimum_jerk"),
     )  # fmt: skip
 
@@ -283,8 +283,8 @@ def _count_target(
 
     If the count becomes 1, return an event with the given text.
     """
-    count = state.run_integer(counter_row) + 1
-    state.set_run_integer(counter_row, count)
+    count = state.run_table_integer(counter_row) + 1
+    state.set_run_table_integer(counter_row, count)
     return (TickEvent("info", "stream", "", event_text),) if event_text and count == 1 else ()
 
 
@@ -292,9 +292,9 @@ def stream_status(state: ControllerState) -> StreamStatus:
     """Return the status of the open stream of targets."""
     if state.decisions.stream is None:
         return _EMPTY_STREAM_STATUS
-    is_running = state.run_integer(s.STREAMING) == s.RUNNING_STREAM
+    is_running = state.run_table_integer(s.STREAM_STATE) == s.RUNNING_STREAM
     age_s = (
-        (state.run_integer(s.T_NS) - state.run_integer(s.STREAM_SENT_NS)) / 1e9
+        (state.run_table_integer(s.TICK_TIME_NS) - state.run_table_integer(s.STREAM_SENT_NS)) / 1e9
         if is_running
         else math.nan
     )
@@ -306,7 +306,9 @@ def stream_status(state: ControllerState) -> StreamStatus:
         s.LIMITED_COORDINATE_COUNT,
     )
     return StreamStatus(
-        state.run_integer(s.STREAM_SEQUENCE), age_s, *[state.run_integer(row) for row in rows]
+        state.run_table_integer(s.STREAM_SEQUENCE),
+        age_s,
+        *[state.run_table_integer(row) for row in rows],
     )
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 
 from handctl.core.block_schema import BlockArray, BlockLayout
-from handctl.core.tick_types import TELEMETRY_FIELDS, PackedTelemetry, TelemetryPlaces
+from handctl.core.tick_types import TELEMETRY_FIELDS, PackedTelemetry, TelemetrySlices
 
-STATE_FIELD_OF = {
+STATE_FIELD_BY_TELEMETRY_FIELD = {
     "joint_encoder": "measured_joint",
     "tension_sigma": "sigma",
     "tension_raw": "measured_tension",
@@ -30,12 +30,12 @@ class TelemetryGatherer:
         # field contains the indices of the field's elements.
         element_numbers = np.arange(layout.size, dtype=np.float64)
         element_indices_of_fields = [
-            layout.view(element_numbers, STATE_FIELD_OF.get(name, name))
+            layout.view(element_numbers, STATE_FIELD_BY_TELEMETRY_FIELD.get(name, name))
             for name in TELEMETRY_FIELDS
         ]
         end_offsets = np.cumsum([0, *map(len, element_indices_of_fields)]).tolist()
         self._index = np.concatenate(element_indices_of_fields).astype(np.intp)
-        self._places = TelemetryPlaces(
+        self._places = TelemetrySlices(
             zip(TELEMETRY_FIELDS, map(slice, end_offsets[:-1], end_offsets[1:]), strict=True)
         )
 

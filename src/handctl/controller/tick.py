@@ -35,12 +35,12 @@ from handctl.controller.controller_state import (
 )
 from handctl.controller.monitor.safety_thresholds import compiled_constants, safety_limits
 from handctl.controller.monitor.unsolicited_replies import detect_unsolicited_replies
-from handctl.controller.relaxing import is_open_loop, present_relax_rate
+from handctl.controller.relaxation import is_open_loop, present_relax_rate
 from handctl.controller.target_streams import apply_target
 from handctl.controller.telemetry import TelemetryGatherer
 from handctl.core import state_block as s
 from handctl.core import tick_stages
-from handctl.core.block_schema import BlockLayout, TablePlaces
+from handctl.core.block_schema import BlockLayout, TableOffsets
 from handctl.core.control_law.goal_writer import sample_trajectories, write_goals
 from handctl.core.control_law.required_tensions import write_tension_goals
 from handctl.core.estimation.consistency_events import consistency_events
@@ -54,17 +54,21 @@ from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.frame_records import (
+    FIRST_PAYLOAD_WORD,
     NO_FRAMES,
-    PAYLOAD_WORD,
     WORDS_PER_RECORD,
     Frames,
     WordRows,
+    concatenate_frames,
     frames_as_records,
-    join_frames,
 )
 from handctl.drives.sensors.contract import SensorInterface
 from handctl.programs.program import TARE_PHASE, Program
-from handctl.programs.requests import REFUSED_PREFIX, parse_target, requests_and_stream_targets
+from handctl.programs.requests import (
+    REFUSAL_EVENT_PREFIX,
+    parse_target,
+    requests_and_stream_targets,
+)
 from handctl.safety.safety_action import SafetyAction
 from handctl.safety.safety_limits import SafetyLimits
 from handctl.safety.tick_verdict import (
@@ -94,11 +98,11 @@ class DerivedConstants:
         limits: thresholds of the safety monitor for the hand.
         layout: layout of the state block.
         constants: constants for the compiled code.
-        constant_args: block and places of ``constants``, the arguments of compiled functions.
-        wire: signal tables of the drives' cyclic frames.
-        gather_telemetry: function that copies the telemetry from the state block.
+        kernel_constants: block and places of ``constants``, the arguments of compiled functions.
+        wire_tables: signal tables of the drives' cyclic frames.
+        copy_telemetry: function that copies the telemetry from the state block.
         drive_index_by_id: index of the drive to which an identifier belongs, by bus and identifier.
-        amplifier_of: index of the CiA 404 amplifier, by bus and identifier.
+        amplifier_index_by_id: index of the CiA 404 amplifier, by bus and identifier.
         sends_sync: True if the sensor node needs SYNC frames. On a bus without such SYNC frames,
             the host sends SYNC after the command of a CiA 402 drive.
         sync_row: SYNC frame of the sensor node as a record.
@@ -107,18 +111,18 @@ class DerivedConstants:
     limits: SafetyLimits
     layout: BlockLayout
     constants: HandConstants
-    constant_args: tuple[Vector, TablePlaces]
-    wire: WireTables
-    gather_telemetry: TelemetryGatherer
+    kernel_constants: tuple[Vector, TableOffsets]
+    wire_tables: WireTables
+    copy_telemetry: TelemetryGatherer
     drive_index_by_id: dict[tuple[int, int], int]
-    amplifier_of: dict[tuple[int, int], int]
+    amplifier_index_by_id: dict[tuple[int, int], int]
     sends_sync: bool
     sync_row: WordRows
 
     def with_constants(self, limits: SafetyLimits, constants: HandConstants) -> "DerivedConstants":
         """Return a copy with other limits and constants, after a change of gains."""
-        args = (constants.block, constants.layout.places)
-        return replace(self, limits=limits, constants=constants, constant_args=args)
+        args = (constants.block, constants.layout.offsets)
+        return replace(self, limits=limits, constants=constants, kernel_constants=args)
 
     @staticmethod
     def from_configuration(
@@ -135,15 +139,15 @@ class DerivedConstants:
             limits=limits,
             layout=layout,
             constants=constants,
-            constant_args=(constants.block, constants.layout.places),
-            wire=WireTables(drives, sensors, closes_position_loop, model.torque_gain),
-            gather_telemetry=TelemetryGatherer(layout),
+            kernel_constants=(constants.block, constants.layout.offsets),
+            wire_tables=WireTables(drives, sensors, closes_position_loop, model.torque_gain),
+            copy_telemetry=TelemetryGatherer(layout),
             drive_index_by_id={
                 (drive.bus, can_id): n
                 for n, drive in enumerate(drives)
                 for can_id in drive.node_ids
             },
-            amplifier_of={
+            amplifier_index_by_id={
                 (amplifier.bus, can_id): i
                 for i, amplifier in enumerate(sensors.amplifiers)
                 for can_id in (*amplifier.service_ids, *amplifier.tpdo_ids)
@@ -164,51 +168,51 @@ class Controller:
         drives: the motor of each tendon, in the order of the tendons.
         sensors: sensor node of the hand.
         program: program that sets the goals of the digits.
-        tare: (N,) tare of each load cell [N].
-        zero: (N,) zero angle of each motor [rad].
+        tare_tensions: (N,) tare of each load cell [N].
+        motor_zeros: (N,) zero angle of each motor [rad].
         arm_at_once: True to arm the hand without a request, as soon as every node has replied.
         identities: identities of the drives in the calibration, or an empty tuple if they are
             unknown.
-        other_limits: thresholds of the safety monitor that replace the thresholds of the hand. If
+        replacement_limits: thresholds of the safety monitor that replace the thresholds of the hand. If
             it is None, the thresholds of the hand apply.
         design_cache: cache of the controller designs for gains that are set during a run.
-        similar_constants: constants of a controller that differs from this one only in its gains. If it is
-            None, all tables are computed. The tables of ``similar_constants`` are used again, because gains
+        reusable_constants: constants of a controller that differs from this one only in its gains. If it is
+            None, all tables are computed. The tables of ``reusable_constants`` are used again, because gains
             change during a run.
-        derived: constants that follow from the other attributes.
+        derived_constants: constants that follow from the other attributes.
     """
 
     model: HandModel
     drives: tuple[Drive, ...]
     sensors: SensorInterface
     program: Program
-    tare: Vector
-    zero: Vector
+    tare_tensions: Vector
+    motor_zeros: Vector
     arm_at_once: bool = True
     identities: tuple[str, ...] = ()
-    other_limits: SafetyLimits | None = None
+    replacement_limits: SafetyLimits | None = None
     design_cache: gain_change.DesignCache = field(
         default_factory=gain_change.DesignCache, compare=False, repr=False
     )
-    similar_constants: DerivedConstants | None = field(default=None, compare=False, repr=False)
-    derived: DerivedConstants = field(init=False, compare=False, repr=False)
+    reusable_constants: DerivedConstants | None = field(default=None, compare=False, repr=False)
+    derived_constants: DerivedConstants = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         """Compute the constants that follow from the other attributes."""
-        if self.similar_constants is None:
+        if self.reusable_constants is None:
             compile_kernels()
-        limits = self.other_limits or safety_limits(self.model, self.drives, self.sensors)
+        limits = self.replacement_limits or safety_limits(self.model, self.drives, self.sensors)
         constants = compiled_constants(
-            self.model, self.drives, self.sensors, limits, self.tare, self.zero
+            self.model, self.drives, self.sensors, limits, self.tare_tensions, self.motor_zeros
         )
         derived_constants = (
-            self.similar_constants.with_constants(limits, constants)
-            if self.similar_constants
+            self.reusable_constants.with_constants(limits, constants)
+            if self.reusable_constants
             else DerivedConstants.from_configuration(
                 self.model, self.drives, self.sensors, limits, constants
             )
         )
-        object.__setattr__(self, "derived", derived_constants)
+        object.__setattr__(self, "derived_constants", derived_constants)
 
     def initial_state(self) -> ControllerState:
         """Return the state before the first tick.
@@ -221,10 +225,12 @@ class Controller:
             self.program.initial_progress(self.model),
             amplifiers=tuple(amplifier.initial_state() for amplifier in self.sensors.amplifiers),
         )
-        state = ControllerState(self.derived.layout, self.derived.layout.initial.copy(), decisions)
-        state.arming_requested = self.arm_at_once
-        state.view("turn_sigma")[...] = self.derived.constants.layout.view(
-            self.derived.constants.block, "range_sigma"
+        state = ControllerState(
+            self.derived_constants.layout, self.derived_constants.layout.initial.copy(), decisions
+        )
+        state.is_arming_requested = self.arm_at_once
+        state.view("turn_sigma")[...] = self.derived_constants.constants.layout.view(
+            self.derived_constants.constants.block, "range_sigma"
         )
         for n, drive_state in enumerate(drives):
             self.store_drive_state(state, n, drive_state)
@@ -269,79 +275,93 @@ class Controller:
             else self.design_cache.controller(self, gains)
         )
         state = last_state.copy()
-        signs = controller._process_frames(
+        second_controller_signs = controller._process_frames(
             last_state, state, tick_input, frames_as_records(tick_input.frames)
         )
-        return TickInProgress(controller, last_state, state, tick_input, signs)
+        return TickInProgress(controller, last_state, state, tick_input, second_controller_signs)
 
-    def _decide_goals(self, open_tick: "TickInProgress", requests: tuple[str, ...]) -> None:
+    def _decide_goals(self, tick_in_progress: "TickInProgress", requests: tuple[str, ...]) -> None:
         """Apply requests, judge faults, and choose mode and goals, see ``TickInProgress.decide``."""
-        state_before, state, entry = open_tick.state_before, open_tick.state, open_tick.entry
+        last_state, state, tick_input = (
+            tick_in_progress.last_state,
+            tick_in_progress.state,
+            tick_in_progress.tick_input,
+        )
         operator_requests, request_events = NO_REQUESTS
         if requests:
             operator_requests, request_events = apply_requests(
                 self.model, self.program, state, requests
             )
         events = (
-            consistency_events(self.model, state_before, state) + request_events
-            if state.run_integer(s.CONSISTENCY_CHANGED)
+            consistency_events(self.model, last_state, state) + request_events
+            if state.run_table_integer(s.CONSISTENCY_CHANGED)
             else request_events
         )
         self._count_refusals(state, request_events)
         if state.decisions.lease is not None:
             events += enforce_lease(self.model, state)
-        action, findings = self._judge_faults(state, entry, open_tick.signs)
-        t = entry.t_ns / 1e9
+        action, findings = self._judge_faults(
+            state, tick_input, tick_in_progress.second_controller_signs
+        )
+        t = tick_input.t_ns / 1e9
         mode_events = hand_modes.next_mode(
             self.model,
             self.drives,
             state,
             action,
             operator_requests,
-            open_tick.signs,
+            tick_in_progress.second_controller_signs,
             t,
             self.identities,
         )
         program_events = self._advance_program(state, action)
-        self._write_progress(state, state_before)
-        open_tick.action = action
-        open_tick.events = (
+        self._write_progress(state, last_state)
+        tick_in_progress.action = action
+        tick_in_progress.events = (
             events + tuple(map(_fault_event, findings)) + mode_events + program_events
         )
 
     def _command_drives(
-        self, open_tick: "TickInProgress", targets: tuple[TickRequest, ...]
+        self, tick_in_progress: "TickInProgress", targets: tuple[TickRequest, ...]
     ) -> None:
         """Apply targets, and compute the frames to send, see ``TickInProgress.command``."""
-        state, entry = open_tick.state, open_tick.entry
+        state, tick_input = tick_in_progress.state, tick_in_progress.tick_input
         for target in targets:
-            open_tick.events += apply_target(self.model, state, parse_target(target), entry.t_ns)
-        open_tick.state_before_law = state.copy() if state.decisions.pending else None
-        self._compute_torques(state, open_tick.action, entry.k - open_tick.state_before.k)
-        open_tick.sent_frames = self._encode_frames(state, entry.t_ns)
+            tick_in_progress.events += apply_target(
+                self.model, state, parse_target(target), tick_input.t_ns
+            )
+        tick_in_progress.state_before_torques = (
+            state.copy() if state.decisions.pending_gains else None
+        )
+        self._compute_torques(
+            state, tick_in_progress.action, tick_input.k - tick_in_progress.last_state.k
+        )
+        tick_in_progress.sent_frames = self._encode_frames(state, tick_input.t_ns)
 
-    def _conclude_tick(self, open_tick: "TickInProgress") -> tuple[ControllerState, TickOut]:
+    def _conclude_tick(self, tick_in_progress: "TickInProgress") -> tuple[ControllerState, TickOut]:
         """Design pending gains, and complete state and output, see ``TickInProgress.conclude``."""
-        state = open_tick.state
-        if open_tick.state_before_law:
-            open_tick.events += self._design_pending_gains(
-                open_tick.state_before_law,
+        state = tick_in_progress.state
+        if tick_in_progress.state_before_torques:
+            tick_in_progress.events += self._design_pending_gains(
+                tick_in_progress.state_before_torques,
                 state,
-                open_tick.action,
-                open_tick.entry.k - open_tick.state_before.k,
+                tick_in_progress.action,
+                tick_in_progress.tick_input.k - tick_in_progress.last_state.k,
             )
         tick_stages.store_commands(
-            state.block, self.derived.layout.places, *self.derived.constant_args
+            state.block,
+            self.derived_constants.layout.offsets,
+            *self.derived_constants.kernel_constants,
         )
         mode = state.mode
         phase = state.progress.phase if mode == ACTIVE else mode.name.lower()
         tick_output = TickOut(
-            open_tick.sent_frames,
+            tick_in_progress.sent_frames,
             mode,
             phase,
-            open_tick.action,
-            self.derived.gather_telemetry(state.block),
-            open_tick.events,
+            tick_in_progress.action,
+            self.derived_constants.copy_telemetry(state.block),
+            tick_in_progress.events,
             state.digest(),
         )
         return state, tick_output
@@ -360,7 +380,7 @@ class Controller:
         Return texts that describe signs of a second controller on the bus.
         """
         block = state.block
-        places = self.derived.layout.places
+        places = self.derived_constants.layout.offsets
         missed_ticks = tick_input.k - last_state.k - 1
         tick_stages.begin_tick(
             block,
@@ -371,18 +391,22 @@ class Controller:
             missed_ticks,
             len(frames),
         )
-        signs = self._receive_frames(
-            state, frames, self.sensors.earliest_answer_time_ns(last_state.run_integer(s.T_NS))
+        second_controller_signs = self._receive_frames(
+            state,
+            frames,
+            self.sensors.earliest_answer_time_ns(last_state.run_table_integer(s.TICK_TIME_NS)),
         )
-        tick_stages.observe_tick(block, places, *self.derived.constant_args)
-        tick_stages.correct_tension_estimate(block, places, *self.derived.constant_args)
+        tick_stages.observe_tick(block, places, *self.derived_constants.kernel_constants)
+        tick_stages.correct_tension_estimate(
+            block, places, *self.derived_constants.kernel_constants
+        )
         if state.has_started:
-            predict_filter_states(self.model, self.derived.layout, block, missed_ticks)
-        if tick_stages.conclude_estimate(block, places, *self.derived.constant_args):
-            signs += detect_unsolicited_replies(
+            predict_filter_states(self.model, self.derived_constants.layout, block, missed_ticks)
+        if tick_stages.conclude_estimate(block, places, *self.derived_constants.kernel_constants):
+            second_controller_signs += detect_unsolicited_replies(
                 self.drives, self.sensors, last_state, state, tick_input.frames
             )
-        return signs
+        return second_controller_signs
 
     def _receive_frames(
         self, state: ControllerState, frames: Frames, min_receive_ns: int
@@ -397,8 +421,8 @@ class Controller:
         Return the identifiers of received frames that only this host may send. Each identifier
         occurs once.
         """
-        tables = self.derived.wire
-        signs = list[str]()
+        tables = self.derived_constants.wire_tables
+        second_controller_signs = list[str]()
         at = 0
         rows = frames.rows
         entries = tables.entries
@@ -408,23 +432,24 @@ class Controller:
             )
         while True:
             at = cyclic_frames.receive_frames(
-                state.block, self.derived.layout.places, *self.derived.constant_args, rows, tables.keys, entries,
-                tables.signal_integers, tables.signal_reals, tables.recheck_ranges, tables.rechecks, at, min_receive_ns,
+                state.block, self.derived_constants.layout.offsets, *self.derived_constants.kernel_constants, rows,
+                tables.keys, entries, tables.signal_integers, tables.signal_scalings, tables.recheck_ranges,
+                tables.rechecks, at, min_receive_ns,
             )  # fmt: skip
             if at >= len(rows):
-                return tuple(dict.fromkeys(signs))
+                return tuple(dict.fromkeys(second_controller_signs))
             # The kernel ``receive_frames`` has already counted error frames. So this frame is no
             # error frame.
             frame = frames[at]
-            owner = self.derived.drive_index_by_id.get((frame.bus, frame.can_id))
+            owner = self.derived_constants.drive_index_by_id.get((frame.bus, frame.can_id))
             if owner is not None:
                 self.store_drive_state(
                     state, owner, self.drives[owner].receive(state.drive(owner), frame)
                 )
-            elif (frame.bus, frame.can_id) in self.derived.amplifier_of:
+            elif (frame.bus, frame.can_id) in self.derived_constants.amplifier_index_by_id:
                 self._receive_amplifier_frame(state, frame)
             else:
-                signs.append(f"{frame.can_id:#05x}")
+                second_controller_signs.append(f"{frame.can_id:#05x}")
             at += 1
 
     def _groups_not_ready(self, amplifiers: tuple[AmplifierState, ...]) -> tuple[int, ...]:
@@ -432,7 +457,7 @@ class Controller:
 
         The values in these frames are not used.
         """
-        pairs = zip(amplifiers, self.sensors.group_ranges, strict=True)
+        pairs = zip(amplifiers, self.sensors.amplifier_frame_ranges, strict=True)
         return tuple(
             [
                 group
@@ -444,7 +469,7 @@ class Controller:
 
     def _receive_amplifier_frame(self, state: ControllerState, frame: Frame) -> None:
         """Pass a frame to the state machine of the amplifier that sent it."""
-        i = self.derived.amplifier_of[frame.bus, frame.can_id]
+        i = self.derived_constants.amplifier_index_by_id[frame.bus, frame.can_id]
         amplifiers_before = state.decisions.amplifiers
         state_after = self.sensors.amplifiers[i].receive(amplifiers_before[i], frame)
         if state_after != amplifiers_before[i]:
@@ -475,18 +500,18 @@ class Controller:
         """
         drive_state_before = state.decisions.drives[n]
         drive = self.drives[n]
-        tick_stages.store_drive(
-            state.block, self.derived.layout.places, n, *drive_state[1:7], *drive_state.recheck,
+        tick_stages.store_drive_values(
+            state.block, self.derived_constants.layout.offsets, n, *drive_state[1:7], *drive_state.recheck,
             int(drive_state.phase), drive_state.error,
             int(drive.fault_cause(drive_state.error)) if drive_state.phase == DrivePhase.FAULT else -1,
             drive.steady_status(drive_state), drive.due_ns(drive_state),
             int(drive_state.misread_frame_count != drive_state_before.misread_frame_count),
         )  # fmt: skip
         # The numbers of the drive are in the state block.
-        state_without_values = drive_state.with_values()
-        if state_without_values != drive_state_before:
+        state_without_numbers = drive_state.with_values()
+        if state_without_numbers != drive_state_before:
             drives = state.decisions.drives
-            state.decide(drives=(*drives[:n], state_without_values, *drives[n + 1 :]))
+            state.decide(drives=(*drives[:n], state_without_numbers, *drives[n + 1 :]))
 
     # judge, decide
 
@@ -501,7 +526,9 @@ class Controller:
         recent_refusals = state.decisions.refusals
         if request_events or recent_refusals:
             refused_texts = [event.text for event in request_events if event.level == "warn"]
-            malformed_count = sum(not text.startswith(REFUSED_PREFIX) for text in refused_texts)
+            malformed_count = sum(
+                not text.startswith(REFUSAL_EVENT_PREFIX) for text in refused_texts
+            )
             k = state.k
             rate = 1.0 / self.model.period
             recent_refusals = tuple(
@@ -510,8 +537,8 @@ class Controller:
                 if k - refusal_tick < rate
             )
             state.decide(refusals=recent_refusals)
-            state.set_run_integer(s.REFUSED_REQUESTS, len(recent_refusals))
-            state.set_run_integer(s.REFUSED_REQUESTS_NOW, len(refused_texts))
+            state.set_run_table_integer(s.REFUSED_REQUESTS, len(recent_refusals))
+            state.set_run_table_integer(s.REFUSED_REQUESTS_IN_TICK, len(refused_texts))
 
     def _judge_faults(
         self,
@@ -520,18 +547,20 @@ class Controller:
         second_controller_signs: tuple[str, ...],
     ) -> tuple[SafetyAction, tuple[FaultFinding, ...]]:
         """Detect the faults of the tick, latch them, and choose the reaction."""
-        state.set_run_integer(
-            s.CELLS_TARED, state.progress.phase != TARE_PHASE
+        state.set_run_table_integer(
+            s.ARE_CELLS_TARED, state.progress.phase != TARE_PHASE
         )  # before a load cell has been tared, it may read any value
         demanded_action, raw_findings = tick_stages.find_faults(
             state.block,
-            self.derived.layout.places,
-            *self.derived.constant_args,
-            self.derived.layout.initial,
+            self.derived_constants.layout.offsets,
+            *self.derived_constants.kernel_constants,
+            self.derived_constants.layout.initial,
         )
         new_findings = (
-            newly_active_faults(self.derived.limits, raw_findings, state.view("fault_ticks"))
-            if state.run_integer(s.NEW_FAULT_COUNT)
+            newly_active_faults(
+                self.derived_constants.limits, raw_findings, state.view("fault_ticks")
+            )
+            if state.run_table_integer(s.NEW_FAULT_COUNT)
             else []
         )
         decisions = state.decisions
@@ -539,27 +568,33 @@ class Controller:
             new_findings
             or tick_input.io_events
             or second_controller_signs
-            or decisions.latched
+            or decisions.latched_faults
             or decisions.reported_faults
         ):
             return _ACTION_BY_NUMBER[demanded_action], ()
         reports = [(event.kind, event.where, float(event.number)) for event in tick_input.io_events]
         reports = filter_error_frames(
-            reports, self._any_node_seen(state)
+            reports, self._has_any_node_answered(state)
         ) + second_controller_reports(second_controller_signs)
         verdict = judge_tick(
-            decisions.latched, decisions.reported_faults, new_findings, demanded_action, reports
+            decisions.latched_faults,
+            decisions.reported_faults,
+            new_findings,
+            demanded_action,
+            reports,
         )
         if (
-            verdict.latched != decisions.latched
+            verdict.latched_faults != decisions.latched_faults
             or verdict.reported_faults != decisions.reported_faults
         ):
-            state.decide(latched=verdict.latched, reported_faults=verdict.reported_faults)
+            state.decide(
+                latched_faults=verdict.latched_faults, reported_faults=verdict.reported_faults
+            )
         return verdict.action, verdict.findings
 
-    def _any_node_seen(self, state: ControllerState) -> bool:
+    def _has_any_node_answered(self, state: ControllerState) -> bool:
         """Return True if at least one node has answered, or if motors may make torque."""
-        is_node_seen = any(phase != DrivePhase.SILENT for phase in state.phases) or bool(
+        is_node_seen = any(phase != DrivePhase.SILENT for phase in state.drive_phases) or bool(
             state.view("group_frames").any()
         )
         return is_node_seen or HandMode.ARMING <= state.mode <= RELAX
@@ -575,7 +610,7 @@ class Controller:
             return ()
         t = state.goal_time + self.model.period
         progress, events = self.program.advance(
-            self.model, state.progress, state.estimate, state.measured, t
+            self.model, state.progress, state.estimate, state.measurements, t
         )
         if progress is not state.progress:
             state.decide(progress=progress)
@@ -589,11 +624,13 @@ class Controller:
         if progress is old_progress:
             return
         if old_progress is None or progress.goals is not old_progress.goals:
-            write_goals(self.model, self.derived.layout, state.block, progress.goals)
+            write_goals(self.model, self.derived_constants.layout, state.block, progress.goals)
         state.view("planned_contact")[...] = progress.contact
         state.view("closing")[...] = progress.closing or 0
-        state.set_run_integer(s.PROGRAM_HOLDS_OBJECT, progress.grip is not None)
-        state.set_run_real(s.SLIP_DETECTION_START, progress.grip.ready if progress.grip else 0.0)
+        state.set_run_table_integer(s.PROGRAM_HOLDS_OBJECT, progress.grip is not None)
+        state.set_run_table_real(
+            s.SLIP_DETECTION_START, progress.grip.ready if progress.grip else 0.0
+        )
         if progress.tare:
             state.view("program_tare")[...] = progress.tare
 
@@ -605,26 +642,34 @@ class Controller:
         The torques are 0 unless the hand is active or relaxing.
         """
         block = state.block
-        places = self.derived.layout.places
+        places = self.derived_constants.layout.offsets
         mode = state.mode
         if mode in (ACTIVE, RELAX):
             sample_trajectories(
-                self.model, self.derived.layout, block, state.progress.goals, state.goal_time
+                self.model,
+                self.derived_constants.layout,
+                block,
+                state.progress.goals,
+                state.goal_time,
             )
             write_tension_goals(
-                self.model, self.derived.layout, self.derived.constants, block, int(action)
+                self.model,
+                self.derived_constants.layout,
+                self.derived_constants.constants,
+                block,
+                int(action),
             )
         is_relaxing = mode == RELAX
         rate, opening_rate = (
             (present_relax_rate(state), is_open_loop(state)) if is_relaxing else (0.0, False)
         )
         tick_stages.compute_motor_torques(
-            block, places, *self.derived.constant_args, rate, int(opening_rate), ticks
+            block, places, *self.derived_constants.kernel_constants, rate, int(opening_rate), ticks
         )
 
     def _design_pending_gains(
         self,
-        state_before_law: ControllerState,
+        state_before_torques: ControllerState,
         state: ControllerState,
         action: SafetyAction,
         ticks: int,
@@ -634,25 +679,27 @@ class Controller:
         A complete design is used from the next tick on.
 
         Args:
-            state_before_law: state before the motor torques were computed.
+            state_before_torques: state before the motor torques were computed.
             state: state after the motor torques were computed.
             action: reaction that the safety monitor demands.
             ticks: number of control periods since the last tick.
         """
-        pending_gains = state.decisions.pending
+        pending_gains = state.decisions.pending_gains
         assert pending_gains is not None
-        if (unfinished := self.design_cache.advance(self.model, pending_gains)) is not None:
-            state.decide(pending=unfinished.pending)
+        if (
+            unfinished := self.design_cache.design_next_loop(self.model, pending_gains)
+        ) is not None:
+            state.decide(pending_gains=unfinished.pending_gains)
             return unfinished.events
         if state.mode in (ACTIVE, RELAX):
             other_controller = self.design_cache.controller(self, pending_gains.gains)
-            other_controller._compute_torques(state_before_law, action, ticks)
+            other_controller._compute_torques(state_before_torques, action, ticks)
             step = (
-                state.tendon[s.TORQUE] - state_before_law.tendon[s.TORQUE]
-            ) / self.model.space.spool
+                state.tendon[s.COMMANDED_TORQUE] - state_before_torques.tendon[s.COMMANDED_TORQUE]
+            ) / self.model.tendon_constants.spool_radius
             state.tendon[s.TRIM_FORCE] += step
-            state.set_run_integer(s.TRIM_ACTIVE, 1)
-        state.decide(gains=pending_gains.gains, pending=None)
+            state.set_run_table_integer(s.TRIM_ACTIVE, 1)
+        state.decide(gains=pending_gains.gains, pending_gains=None)
         return gain_change.gain_change_events(self.model.gains, pending_gains.gains)
 
     # encode
@@ -667,30 +714,32 @@ class Controller:
         mode = state.mode
         if mode in (SILENT, DONE):
             return frames_as_records(hand_modes.shutdown_frames(self.drives, state))
-        frame_rows = np.empty((self.derived.wire.max_frames, WORDS_PER_RECORD), dtype=np.uint64)
+        frame_rows = np.empty(
+            (self.derived_constants.wire_tables.max_frames, WORDS_PER_RECORD), dtype=np.uint64
+        )
         # A hand without sensors needs no SYNC frame. So row 0 is not sent.
-        start = 0 if self.derived.sends_sync else 1
-        if self.derived.sends_sync:
+        start = 0 if self.derived_constants.sends_sync else 1
+        if self.derived_constants.sends_sync:
             counter = self.sensors.counter(state.k)
-            frame_rows[0] = self.derived.sync_row
-            frame_rows[0, PAYLOAD_WORD] = counter
-            state.set_run_integer(s.SYNC_COUNTER, counter & 0xF)
+            frame_rows[0] = self.derived_constants.sync_row
+            frame_rows[0, FIRST_PAYLOAD_WORD] = counter
+            state.set_run_table_integer(s.SYNC_COUNTER, counter & 0xF)
             # Before the set-up of an amplifier is complete, its answers are not used, and missing
             # answers do not count as lost.
             amplifiers = state.decisions.amplifiers
             if not amplifiers or all(
                 amplifier.phase == DrivePhase.READY for amplifier in amplifiers
             ):
-                state.set_run_integer(s.SYNC_COUNT, state.run_integer(s.SYNC_COUNT) + 1)
-        torque = state.tendon[s.TORQUE]
+                state.set_run_table_integer(s.SYNC_COUNT, state.run_table_integer(s.SYNC_COUNT) + 1)
+        torque = state.tendon[s.COMMANDED_TORQUE]
         if self.model.torque_gain is not None:
             torque = torque / self.model.torque_gain
         target = hand_modes.drive_target(mode)
         sent_frames = self._write_commands(state, frame_rows, start, target, torque, t_ns)
         if state.decisions.amplifiers and (setup := self._advance_amplifiers(state, target, t_ns)):
-            sent_frames = join_frames([sent_frames, frames_as_records(setup)])
+            sent_frames = concatenate_frames([sent_frames, frames_as_records(setup)])
         return (
-            join_frames(
+            concatenate_frames(
                 [frames_as_records(self.torque_cut_frames()), Frames.from_rows(frame_rows[start:1])]
             )
             if mode == CUT
@@ -718,19 +767,19 @@ class Controller:
             torque: (N,) commanded torque [N m].
             t_ns: time of the tick [ns].
         """
-        tables = self.derived.wire
+        tables = self.derived_constants.wire_tables
         frame_batches = list[Frames]()
         first_row = 0
-        pending_row = start
+        first_unsent_row = start
         count = 1
-        is_clearing = state.clearing and state.mode == HandMode.INVENTORY
+        is_clearing = state.is_clearing_errors and state.mode == HandMode.INVENTORY
         n = len(self.drives)
         while True:
             if target == DriveTarget.ENABLE:
                 first_row, count = cyclic_frames.encode_commands(
-                    state.block, self.derived.layout.places, frame_words, tables.commands,
-                    tables.command_signal_integers, tables.command_signal_reals, tables.templates, torque,
-                    tables.servos, tables.servo_templates, tables.servo_signal_integers, tables.servo_signal_reals,
+                    state.block, self.derived_constants.layout.offsets, frame_words, tables.commands,
+                    tables.command_signal_integers, tables.command_signal_scalings, tables.templates, torque,
+                    tables.servos, tables.servo_templates, tables.servo_signal_integers, tables.servo_signal_scalings,
                     tables.recheck_ranges, tables.rechecks, first_row, count,
                 )  # fmt: skip
             if first_row >= n:
@@ -748,14 +797,16 @@ class Controller:
             self.store_drive_state(state, first_row, drive_state)
             if frames:
                 frame_batches += [
-                    Frames.from_rows(frame_words[pending_row:count]),
+                    Frames.from_rows(frame_words[first_unsent_row:count]),
                     frames_as_records(frames),
                 ]
-                pending_row = count
+                first_unsent_row = count
             first_row += 1
-        remaining_frames = Frames.from_rows(frame_words[pending_row:count])
+        remaining_frames = Frames.from_rows(frame_words[first_unsent_row:count])
         return (
-            join_frames([*frame_batches, remaining_frames]) if frame_batches else remaining_frames
+            concatenate_frames([*frame_batches, remaining_frames])
+            if frame_batches
+            else remaining_frames
         )
 
 
@@ -765,28 +816,28 @@ class TickInProgress:
 
     Attributes:
         controller: controller with the gains of the tick.
-        state_before: state after the previous tick.
+        last_state: state after the previous tick.
         state: state of the tick. Each step modifies this state.
-        entry: inputs of the tick, without requests.
-        signs: signs of a second controller.
+        tick_input: inputs of the tick, without requests.
+        second_controller_signs: signs of a second controller.
         targets: targets of streams among the requests, which ``command`` applies.
         sent_frames: frames to send, which ``command`` has computed.
         action: reaction that the safety monitor demands, which ``decide`` has determined.
         events: events of the tick so far.
-        state_before_law: state before the motor torques were computed. It is kept only while the design of
+        state_before_torques: state before the motor torques were computed. It is kept only while the design of
             other gains is in progress.
     """
 
     controller: Controller
-    state_before: ControllerState
+    last_state: ControllerState
     state: ControllerState
-    entry: TickIn
-    signs: tuple[str, ...]
+    tick_input: TickIn
+    second_controller_signs: tuple[str, ...]
     targets: tuple[TickRequest, ...] = ()
     sent_frames: Frames = NO_FRAMES
     action: SafetyAction = SafetyAction.PASS
     events: tuple[TickEvent, ...] = ()
-    state_before_law: ControllerState | None = None
+    state_before_torques: ControllerState | None = None
 
     def decide(self, requests: tuple[TickRequest, ...]) -> None:
         """Apply requests, judge faults, and choose the mode and the goals of the hand.
@@ -821,7 +872,7 @@ def send_torque_only(state: ControllerState, n: int) -> None:
     """Record that a drive's state machine has sent a torque command instead of a position command."""
     servo = state.layout.table(state.block, "servo")
     servo[[s.SERVO_KP, s.SERVO_KD], n] = 0.0
-    servo[s.SERVO_TORQUE, n] = state.tendon[s.TORQUE, n]
+    servo[s.SERVO_TORQUE, n] = state.tendon[s.COMMANDED_TORQUE, n]
 
 
 _ACTION_BY_NUMBER = {int(action): action for action in SafetyAction}
@@ -831,7 +882,7 @@ def _fault_event(finding: FaultFinding) -> TickEvent:
     """Return the event which reports a fault that has just become active."""
     fault = finding.fault
     level = "error" if fault.action >= SafetyAction.RELAX else "warn"
-    text = f"{fault.id} {fault.title}: {finding.instance} ({finding.value:g}): {fault.action.name}"
+    text = f"{fault.id} {fault.title}: {finding.part_name} ({finding.value:g}): {fault.action.name}"
     return TickEvent(
-        level if fault.action > SafetyAction.PASS else "info", "fault", finding.instance, text
+        level if fault.action > SafetyAction.PASS else "info", "fault", finding.part_name, text
     )

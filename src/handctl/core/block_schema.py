@@ -4,7 +4,7 @@ A schema is a list of fields. A field is one row or several rows of a table. Eac
 for example, a row of the table ``tendon`` has one number per tendon. The declaration of a field
 returns the index of the field's first row. Compiled code and the controller use this index::
 
-    TENSION = STATE.real_field("tension", "tendon", "N", "estimated tension")
+    TENSION = STATE.declare_real_field("tension", "tendon", "N", "estimated tension")
     x.tendon[TENSION, n]
 
 The block is one array of float64 that contains all tables of a schema. An integer table is a part
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 BlockArray = NDArray[np.float64]
 """Array with all tables of a schema, in the order of the schema."""
-TablePlaces = NDArray[np.int64]
+TableOffsets = NDArray[np.int64]
 """Places of tables: lengths of the axes, then the first element of each table, then the end of the last table."""
 
 INTEGER_TABLE_SUFFIX = "_int"
@@ -36,7 +36,7 @@ class BlockField(NamedTuple):
     Attributes:
         name: name of the quantity.
         table: name of the table that contains the quantity.
-        first: index of the first row in the table.
+        first_row: index of the first row in the table.
         rows: number of rows of the quantity.
         unit: SI unit of the quantity, or an empty text if it has no unit.
         meaning: description of the quantity.
@@ -45,7 +45,7 @@ class BlockField(NamedTuple):
 
     name: str
     table: str
-    first: int
+    first_row: int
     rows: int
     unit: str
     meaning: str
@@ -59,25 +59,25 @@ class BlockSchema:
         tables: names of the tables, in the order of the memory. A name is the name of an axis, or
             the names of several axes joined by ``*``. The name of an integer table ends with
             ``_int``.
-        optional_table: name of the only axis that may have the length 0. The value is empty if no axis
+        optional_axis: name of the only axis that may have the length 0. The value is empty if no axis
             may have it. If this axis has the length 0, it has no effect on
             ``BlockLayout.identity``.
         fields: all fields, in the order of declaration.
     """
 
-    def __init__(self, *tables: str, optional_table: str = "") -> None:
+    def __init__(self, *tables: str, optional_axis: str = "") -> None:
         """Create a schema without fields.
 
         Args:
             tables: names of the tables in memory order.
-            optional_table: name of the axis that may have the length 0, see the attributes of the class.
+            optional_axis: name of the axis that may have the length 0, see the attributes of the class.
         """
         self.tables = tables
-        self.optional_table = optional_table
+        self.optional_axis = optional_axis
         self.fields: list[BlockField] = []
         self._rows = dict.fromkeys(tables, 0)
 
-    def real_field(
+    def declare_real_field(
         self,
         name: str,
         axis_name: str,
@@ -91,7 +91,7 @@ class BlockSchema:
             BlockField(name, axis_name, self._rows[axis_name], rows, unit, meaning, initial)
         )
 
-    def integer_field(
+    def declare_integer_field(
         self, name: str, axis_name: str, unit: str, meaning: str, rows: int = 1, initial: int = 0
     ) -> int:
         """Declare a field of int64 numbers, and return the index of its first row."""
@@ -103,7 +103,7 @@ class BlockSchema:
     def _declare_field(self, field: BlockField) -> int:
         self.fields.append(field)
         self._rows[field.table] += field.rows
-        return field.first
+        return field.first_row
 
     def layout(self, axes: Mapping[str, int]) -> "BlockLayout":
         """Return the layout of the tables of this schema, for given lengths of the axes."""
@@ -120,7 +120,7 @@ class BlockLayout:
     Attributes:
         schema: schema with the tables and fields.
         axes: length of each axis.
-        places: lengths of the axes, position of the first element of each table, and end of the
+        offsets: lengths of the axes, position of the first element of each table, and end of the
             last table. Compiled code reads this array.
         size: number of elements of a block.
         identity: 8-byte hash of all fields and of the lengths of all axes.
@@ -132,26 +132,26 @@ class BlockLayout:
 
         Args:
             schema: schema with the tables and fields.
-            axes: length of each axis, in the order in which compiled code indexes ``places``.
+            axes: length of each axis, in the order in which compiled code indexes ``offsets``.
         """
         self.schema = schema
         self.axes = dict(axes)
-        omitted_table = ""
-        if schema.optional_table:
-            self.axes.setdefault(schema.optional_table, 0)
-            omitted_table = "" if self.axes[schema.optional_table] else schema.optional_table
+        omitted_axis = ""
+        if schema.optional_axis:
+            self.axes.setdefault(schema.optional_axis, 0)
+            omitted_axis = "" if self.axes[schema.optional_axis] else schema.optional_axis
         table_widths = {table: self._table_width(table) for table in schema.tables}
         end_offsets = np.cumsum(
             [0, *(schema.rows(table) * table_widths[table] for table in schema.tables)]
         )
         self.size = int(end_offsets[-1])
         layout_text = repr((
-            {axis: length for axis, length in self.axes.items() if axis != omitted_table},
-            tuple(table for table in schema.tables if table != omitted_table),
-            [field[:4] for field in schema.fields if field.table != omitted_table],
+            {axis: length for axis, length in self.axes.items() if axis != omitted_axis},
+            tuple(table for table in schema.tables if table != omitted_axis),
+            [field[:4] for field in schema.fields if field.table != omitted_axis],
         ))  # fmt: skip
         self.identity = hashlib.blake2b(layout_text.encode(), digest_size=8).digest()
-        self.places: TablePlaces = np.concatenate((list(self.axes.values()), end_offsets)).astype(
+        self.offsets: TableOffsets = np.concatenate((list(self.axes.values()), end_offsets)).astype(
             np.int64
         )
         table_spans = zip(
@@ -184,7 +184,7 @@ class BlockLayout:
         """Return the place of a field in a block: first element, end, shape, and True for integers."""
         start, _, width, is_integer = self._tables[field.table]
         shape = tuple(self.axes[axis] for axis in _axes_of_table(field.table))
-        first_offset = start + field.first * width
+        first_offset = start + field.first_row * width
         return (
             first_offset,
             first_offset + field.rows * width,
@@ -201,7 +201,7 @@ class BlockLayout:
         table_elements = block[first_offset:end]
         return (table_elements.view(np.int64) if is_integer else table_elements).reshape(shape)
 
-    def axis_of(self, name: str) -> str:
+    def axis_name_of_field(self, name: str) -> str:
         """Return the name of the axis of a field.
 
         If the field has the axes ``a`` and ``b``, the result is ``a*b``.
@@ -221,7 +221,7 @@ class BlockLayout:
             shape, kind, block, offset
         )  # a single call creates all views, because every tick creates several of them
 
-    def difference(
+    def first_difference(
         self, block: BlockArray, other_block: BlockArray
     ) -> tuple[str, int, float, float] | None:
         """Return the first difference between two blocks.
@@ -231,17 +231,17 @@ class BlockLayout:
         equals NaN, and 0.0 differs from -0.0.
         """
         # The numbers are compared as integers. So NaN equals NaN, and 0.0 differs from -0.0.
-        differing_places = np.flatnonzero(block.view(np.int64) != other_block.view(np.int64))
-        if not len(differing_places):
+        differing_elements = np.flatnonzero(block.view(np.int64) != other_block.view(np.int64))
+        if not len(differing_elements):
             return None
         for field in self.schema.fields:
             first_offset, end, _, is_integer = self._fields[field.name]
-            places_in_field = differing_places[
-                (differing_places >= first_offset) & (differing_places < end)
+            differing_in_field = differing_elements[
+                (differing_elements >= first_offset) & (differing_elements < end)
             ]
-            if len(places_in_field):
+            if len(differing_in_field):
                 kind = np.int64 if is_integer else np.float64
-                at = int(places_in_field[0])
+                at = int(differing_in_field[0])
                 return (
                     field.name,
                     at - first_offset,

@@ -17,7 +17,7 @@ from handctl.document import Document, validate_content
 from handctl.drives.sensors.sensor_node import TARE_MAX_N, TARE_MIN_N
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.file.quantities import MAX_POSITION_RANGE_RAD
+from handctl.hand.file.quantity_types import MAX_POSITION_RANGE_RAD
 
 
 class TendonCalibration(Document):
@@ -68,11 +68,11 @@ class Calibration(Document):
         datetime.datetime.fromisoformat(creation_date)
         return creation_date
 
-    def tare(self, hand: Hand) -> Vector:
+    def tare_tensions(self, hand: Hand) -> Vector:
         """Return the tares (N,) of all load cells [N]."""
         return np.array([self.tendon[name].tare_N for name in hand.tendon_names])
 
-    def zero(self, hand: Hand) -> Vector:
+    def motor_zeros(self, hand: Hand) -> Vector:
         """Return the zero angles (N,) of all motors [rad]."""
         return np.array([self.tendon[name].zero_rad for name in hand.tendon_names])
 

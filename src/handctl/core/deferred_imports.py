@@ -3,7 +3,7 @@
 Modules of these packages that handctl does not use are not imported. The import of ``scipy.stats``,
 ``scipy.ndimage`` and the plots of control takes longer than the import of all other modules of a
 run. Half of the import time of ``scipy.linalg`` is spent on modules for Fortran compilers and for
-tests. Each module in ``UNUSED_MODULES`` is replaced by a stand-in object. The stand-in imports the
+tests. Each module in ``DEFERRED_MODULES`` is replaced by a stand-in object. The stand-in imports the
 real module when one of the module's functions is used for the first time.
 """
 
@@ -15,7 +15,7 @@ from importlib.machinery import PathFinder
 from types import ModuleType
 from typing import Any
 
-UNUSED_MODULES = ("scipy.stats", "scipy.ndimage", "numpy.f2py", "numpy.testing")
+DEFERRED_MODULES = ("scipy.stats", "scipy.ndimage", "numpy.f2py", "numpy.testing")
 """Modules that filterpy or scipy import, for functions that handctl does not call."""
 
 
@@ -64,23 +64,23 @@ class _StandInModule(ModuleType):
 
 @contextmanager
 def deferred_imports() -> Iterator[None]:
-    """Replace the modules in ``UNUSED_MODULES`` by stand-ins, for the duration of a ``with`` block.
+    """Replace the modules in ``DEFERRED_MODULES`` by stand-ins, for the duration of a ``with`` block.
 
     Each stand-in also becomes an attribute of the package that contains its module.
     """
-    module_names = [name.rpartition(".") for name in UNUSED_MODULES if name not in sys.modules]
-    module_parts = [
+    module_names = [name.rpartition(".") for name in DEFERRED_MODULES if name not in sys.modules]
+    packages_and_modules = [
         (importlib.import_module(package), module_name) for package, _, module_name in module_names
     ]
-    for package, module_name in module_parts:
-        sys.modules[f"{package.__name__}.{module_name}"] = stand_in = _StandInModule(
+    for package, module_name in packages_and_modules:
+        sys.modules[f"{package.__name__}.{module_name}"] = stand_in_module = _StandInModule(
             f"{package.__name__}.{module_name}"
         )
-        setattr(package, module_name, stand_in)
+        setattr(package, module_name, stand_in_module)
     try:
         yield
     finally:
-        for package, module_name in module_parts:
+        for package, module_name in packages_and_modules:
             del sys.modules[f"{package.__name__}.{module_name}"]
             delattr(package, module_name)
 
@@ -113,7 +113,7 @@ class DeferredModule:
         return value
 
 
-def import_without_package(name: str) -> ModuleType:
+def import_without_package_init(name: str) -> ModuleType:
     """Import a module of a package, but do not execute the file ``__init__`` of the package.
 
     A later import of the whole package works as usual. The folder of the user's program may contain
@@ -129,10 +129,10 @@ def import_without_package(name: str) -> ModuleType:
     loaded_module = sys.modules.get(package)
     if hasattr(loaded_module, "__path__"):
         return importlib.import_module(name)
-    specs = (PathFinder.find_spec(package, [folder]) for folder in sys.path)
+    module_specs = (PathFinder.find_spec(package, [folder]) for folder in sys.path)
     package_folders = [
         spec.submodule_search_locations
-        for spec in specs
+        for spec in module_specs
         if spec and spec.submodule_search_locations
     ]
     if not package_folders:

@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 
 from handctl.core import constants as h
 from handctl.core.block_schema import BlockArray, BlockLayout
-from handctl.core.constants import CONSTANT_SCHEMA, DESIGN_ELEMENT_COUNT, FILTER_DESIGN_COUNT
+from handctl.core.constants import CONSTANT_SCHEMA, FILTER_DESIGN_COUNT, FILTER_DESIGN_SIZE
 from handctl.core.control_law.computed_torque import (
     MAX_UNWINDING_FORCE_FRACTION,
     MOTOR_FRICTION_SPEED_M_S,
     TRIM_DECAY_TIME_S,
 )
-from handctl.core.control_law.servo_commands import MAX_PHASE_RAD
+from handctl.core.control_law.servo_commands import MAX_LOOP_PHASE_RAD
 from handctl.core.deferred_imports import DeferredModule
-from handctl.core.detectors.residuals import TIME_CONSTANTS_S
+from handctl.core.detectors.residuals import RESIDUAL_TIME_CONSTANTS_S
 from handctl.core.estimation import blocked_digits, contact_force, posture
-from handctl.core.estimation.filter_stack import FilterBlock
+from handctl.core.estimation.filter_types import FilterBlock
 from handctl.core.estimation.varying_moment_arms import MIN_SPRING_STIFFNESS
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import Vector
@@ -31,7 +31,7 @@ from handctl.hand.digit import DigitModel
 
 linalg = DeferredModule("scipy.linalg")
 
-MIN_JOINT_MOTION = 1e-9
+MIN_JOINT_MOTION_FRACTION = 1e-9
 """Entry of ``EXCURSION_TO_JOINTS`` above which a tendon moves a joint, as a fraction of the largest entry.
 
 Smaller entries are rounding errors.
@@ -46,7 +46,7 @@ def layout_of_constants(model: HandModel) -> BlockLayout:
         "digit": len(model.digits),
         "coordinate": model.coordinate_count,
         "kind": FILTER_DESIGN_COUNT,
-        "element": DESIGN_ELEMENT_COUNT,
+        "element": FILTER_DESIGN_SIZE,
         "place": max(digit.joint_count for digit in model.digits) + 2,
         "run": 1,
     })  # fmt: skip
@@ -61,12 +61,12 @@ class HandConstants:
             varies with the joint angle.
     """
 
-    def __init__(self, model: HandModel, other_constants: Mapping[str, object]) -> None:
+    def __init__(self, model: HandModel, extra_constants: Mapping[str, object]) -> None:
         """Fill the block with the constants of a hand.
 
         Args:
             model: model of the hand.
-            other_constants: constants that are not in the model, by field: tare, zero, thresholds,
+            extra_constants: constants that are not in the model, by field: tare, zero, thresholds,
                 and constants of drives and sensors.
         """
         self.layout = layout_of_constants(model)
@@ -77,7 +77,7 @@ class HandConstants:
             _link_constants(model),
             _structure_constants(model),
             _posture_constants(model),
-            other_constants,
+            extra_constants,
         ):
             for name, value in constants_group.items():
                 self.layout.view(self.block, name)[...] = value
@@ -86,33 +86,33 @@ class HandConstants:
 
 
 def _motor_constants(model: HandModel) -> dict[str, object]:
-    space = model.space
+    tendons = model.tendon_constants
     return {
-        "motor_mass": space.motor_mass,
-        "motor_damping": space.motor_damping,
-        "coulomb": space.coulomb,
-        "stiffness": space.stiffness,
-        "load_stiffness": space.load_stiffness,
-        "load_damping": space.load_damping,
-        "spool": space.spool,
-        "capstan": model.friction,
-        "wrap": model.wrap,
+        "motor_mass": tendons.motor_mass,
+        "motor_damping": tendons.motor_damping,
+        "coulomb": tendons.coulomb_friction,
+        "stiffness": tendons.stiffness,
+        "load_stiffness": tendons.load_stiffness,
+        "load_damping": tendons.load_damping,
+        "spool": tendons.spool_radius,
+        "capstan": model.friction_coefficient,
+        "wrap": model.wrap_angle,
         "floor": model.floor,
         "ceiling": model.ceiling,
         "torque_gain": 1.0 if model.torque_gain is None else model.torque_gain,
         "digit": model.digit_of_tendon,
-        "side": model.redundancy.side,
+        "side": model.redundancy.closing_sign,
         "open_excursion": model.redundancy.excursion_at_lower_limits,
         "excursion_low": model.redundancy.excursion_range[0],
         "excursion_high": model.redundancy.excursion_range[1],
         "relaxed": model.relaxed_tensions,
-        "blind": model.blind_margin,
-        "balance": model.redundancy.balance,
+        "blind": model.margin_without_cell,
+        "balance": model.redundancy.balance_tension,
         "pair": model.is_pair,
         "pretension": model.hand.pretension,
-        "sprung": model.redundancy.is_sprung,
+        "sprung": model.redundancy.has_return_springs,
         "redundant": model.redundancy.has_surplus,
-        "absolute": ~model.redundancy.is_sprung & ~model.hand.tendons_with_encoders,
+        "absolute": ~model.redundancy.has_return_springs & ~model.hand.tendons_with_encoders,
         "period": model.period,
         "period_ns": round(model.period * 1e9),
         "touch_kept": math.exp(-model.period / blocked_digits.TOUCH_TIME_CONSTANT_S),
@@ -130,22 +130,22 @@ def _motor_constants(model: HandModel) -> dict[str, object]:
 
 
 def _control_law_constants(model: HandModel) -> dict[str, object]:
-    space = model.space
+    tendons = model.tendon_constants
     motion = model.gains.motion
     tension = model.gains.tension
-    limit = model.torque_limit / space.spool
-    half_period_gain = 0.5 * model.period / space.motor_mass
+    limit = model.torque_limit / tendons.spool_radius
+    half_period_gain = 0.5 * model.period / tendons.motor_mass
     return {
         "limit": limit,
         "unwind": np.where(model.is_pair, -1.0, -MAX_UNWINDING_FORCE_FRACTION) * limit,
-        "mass": space.motor_mass + space.load_mass,
-        "inertia": motion.inertia_share * space.motor_mass,
-        "error_gain": model.motion.stiffness,
-        "speed_gain": model.motion.damping,
-        "tension_gain": model.motion.tension,
-        "tension_speed_gain": model.motion.tension_speed,
+        "mass": tendons.motor_mass + tendons.load_mass,
+        "inertia": motion.inertia_share * tendons.motor_mass,
+        "error_gain": model.motion_design.stiffness,
+        "speed_gain": model.motion_design.damping,
+        "tension_gain": model.motion_design.tension,
+        "tension_speed_gain": model.motion_design.tension_speed,
         "half": half_period_gain,
-        "stopping": MOTOR_FRICTION_SPEED_M_S + half_period_gain * space.coulomb,
+        "stopping": MOTOR_FRICTION_SPEED_M_S + half_period_gain * tendons.coulomb_friction,
         "exact": [exact for digit in model.digits for exact in _has_exact_solution(digit)],
         "rejection": motion.disturbance_rejection,
         "friction_fraction": motion.friction_share,
@@ -166,16 +166,16 @@ def servo_constants(model: HandModel) -> dict[str, Vector]:
     If the hand file contains no values, the position loops have the gains of the motion loop. If
     the hand file contains only the stiffness, the position loops have the damping ratio of the
     motion loop. At low control rates, the stiffness is limited to a smaller value, see
-    ``servo_commands.MAX_PHASE_RAD``.
+    ``servo_commands.MAX_LOOP_PHASE_RAD``.
     """
-    space = model.space
-    motors = [model.hand.motor_of(name) for name in model.hand.tendon_names]
-    inertia = (space.motor_mass + space.load_mass) * space.spool**2
-    stiffness = inertia * model.motion.stiffness
-    damping = inertia * model.motion.damping
+    tendons = model.tendon_constants
+    motors = [model.hand.motor_of_tendon(name) for name in model.hand.tendon_names]
+    inertia = (tendons.motor_mass + tendons.load_mass) * tendons.spool_radius**2
+    stiffness = inertia * model.motion_design.stiffness
+    damping = inertia * model.motion_design.damping
     kp = np.array([motor.kp_N_m_per_rad for motor in motors], dtype=np.float64)  # NaN if absent
     kd = np.array([motor.kd_N_m_s_per_rad for motor in motors], dtype=np.float64)
-    max_stiffness = inertia * (MAX_PHASE_RAD / model.period) ** 2
+    max_stiffness = inertia * (MAX_LOOP_PHASE_RAD / model.period) ** 2
     kp = np.minimum(np.where(np.isnan(kp), stiffness, kp), max_stiffness)
     kd = np.where(np.isnan(kd), damping * np.sqrt(kp / stiffness), kd)
     return {
@@ -225,7 +225,7 @@ def _structure_constants(model: HandModel) -> dict[str, object]:
     size = np.abs(model.excursion_to_joints)
     return {
         "excursion_to_joints": model.excursion_to_joints,
-        "moves": size > MIN_JOINT_MOTION * size.max(initial=0.0),
+        "moves": size > MIN_JOINT_MOTION_FRACTION * size.max(initial=0.0),
         "moment_arms": model.hand.moment_arms_of_own_digit,
         "carrier_arms": model.hand.moment_arms_of_carrying_digits,
         "hand_passed": bool(model.hand.moment_arms_of_carrying_digits.any()),
@@ -233,7 +233,7 @@ def _structure_constants(model: HandModel) -> dict[str, object]:
         "digit_varying": [digit.has_varying_arm for digit in digits],
         "hand_varying": bool(model.hand.has_varying_arm.any()),
         "arm_polynomial": np.moveaxis(model.hand.arm_polynomials, 2, 0),
-        "mean_balance": model.redundancy.balance,
+        "mean_balance": model.redundancy.balance_tension,
         # The two offsets are zero for constant moment arms. ``estimation.varying_moment_arms`` writes them in
         # each tick for varying moment arms.
         "angle_offset": 0.0,
@@ -265,7 +265,9 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
         "spread": spread,
         "posture_torque": spread @ arms.T,
         "same_digit": linalg.block_diag(*(np.ones((size, size)) for size in sizes)),
-        "place_weight": np.concatenate([_place_weights(digits, digit) for digit in digits], axis=1),
+        "place_weight": np.concatenate(
+            [_contact_place_probabilities(digits, digit) for digit in digits], axis=1
+        ),
         "encoder_variance": noise,
         "loose": compliance.any(axis=1) & read,
         "excursion_variance": np.where(
@@ -296,7 +298,7 @@ def _joint_compliance(digit: DigitModel) -> Vector:
     )
 
 
-def _place_weights(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
+def _contact_place_probabilities(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
     """Return the assumed probability of each place of contact for each joint of a digit (places, n).
 
     The assumed contacts are a force at the middle of each link, a force at the tip, and an equal
@@ -312,7 +314,7 @@ def _place_weights(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
 def filter_design_array(model: HandModel) -> NDArray[np.float64]:
     """Return all numbers of the filter designs of a hand (N, KINDS, ELEMENTS)."""
     return np.array(
-        [[_block_elements(block) for block in tendon] for tendon in model.filter.blocks]
+        [[_block_elements(block) for block in tendon] for tendon in model.filter_design.blocks]
     )
 
 
@@ -321,7 +323,7 @@ def _block_elements(block: FilterBlock) -> Vector:
     return np.concatenate((
         block.F.ravel(), block.B.ravel(), block.K.ravel(), block.Q.ravel(), block.R, block.P.ravel(), block.H.ravel(),
         block.tension_row, [information[0, 0], 2.0 * information[0, 1], information[1, 1]],
-        [block.tension_variance, block.cell_sigma, block.cell_error_variance, float(block.cell_error_observable)],
+        [block.tension_variance, block.cell_sigma, block.cell_error_variance, float(block.is_cell_error_observable)],
     ))  # fmt: skip
 
 
@@ -330,10 +332,10 @@ def low_pass_fractions(model: HandModel, motor_period: Vector, joint_period: flo
 
     In an update, a residual moves by this fraction of its distance to the input.
     """
-    sample_periods = np.full((len(TIME_CONSTANTS_S), model.tendon_count), model.period)
+    sample_periods = np.full((len(RESIDUAL_TIME_CONSTANTS_S), model.tendon_count), model.period)
     sample_periods[2] = motor_period  # row COMMAND_DIFFERENCE
     sample_periods[5] = joint_period  # row SLIP
-    return np.asarray(1.0 - np.exp(-sample_periods / np.array(TIME_CONSTANTS_S)[:, None]))
+    return np.asarray(1.0 - np.exp(-sample_periods / np.array(RESIDUAL_TIME_CONSTANTS_S)[:, None]))
 
 
-assert h.CELL_ERROR_OBSERVABLE_OFFSET == DESIGN_ELEMENT_COUNT - 1
+assert h.CELL_ERROR_OBSERVABLE_OFFSET == FILTER_DESIGN_SIZE - 1

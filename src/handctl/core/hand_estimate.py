@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core import state_block as s
-from handctl.core.estimation.filter_stack import SLACK_REGIME
+from handctl.core.estimation.filter_types import SLACK_REGIME
 from handctl.core.tick_types import Vector
 
 QuantityTable = NDArray[np.float64]
@@ -63,12 +63,12 @@ class HandEstimate:
     @property
     def travel(self) -> Vector:
         """Return the tendon length that each spool has wound [m]."""
-        return self.tendon[s.TRAVEL]
+        return self.tendon[s.SPOOL_TRAVEL]
 
     @property
     def tendon_speed(self) -> Vector:
         """Return the rate of each tendon's travel [m/s]."""
-        return self.tendon[s.SPEED]
+        return self.tendon[s.SPOOL_SPEED]
 
     @property
     def excursion(self) -> Vector:
@@ -83,7 +83,7 @@ class HandEstimate:
     @property
     def motor_disturbance(self) -> Vector:
         """Return the force on each motor that the model does not explain [N]."""
-        return self.tendon[s.DISTURBANCE]
+        return self.tendon[s.MOTOR_DISTURBANCE]
 
     @property
     def external_tension(self) -> Vector:
@@ -149,12 +149,12 @@ class HandEstimate:
     @property
     def grip_opening(self) -> Vector:
         """Return the recent opening of digits that hold an object, as a length along each tendon [m]."""
-        return np.asarray(self.tendon[s.GRIP_TRAVEL_SLOW] - self.tendon[s.GRIP_TRAVEL_FAST])
+        return np.asarray(self.tendon[s.SLOW_GRIP_TRAVEL] - self.tendon[s.FAST_GRIP_TRAVEL])
 
     @property
     def grip_travel(self) -> Vector:
         """Return the length on each spool minus the stretch of the tendon, averaged over 0.2 s [m]."""
-        return self.tendon[s.GRIP_TRAVEL_SLOW]
+        return self.tendon[s.SLOW_GRIP_TRAVEL]
 
 
 class TickMeasurements:

@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from handctl.core.control_law.computed_torque import MIN_RELAXED_TENSION_N
 from handctl.core.control_law.tendon_redundancy import TendonRedundancy, redundancy_of_hand
 from handctl.core.deferred_imports import DeferredModule
-from handctl.core.estimation.filter_stack import FilterDesign
+from handctl.core.estimation.filter_types import FilterDesign
 from handctl.core.gains.filter_design import design_filter
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.motion_design import MotionDesign, design_motion
-from handctl.core.tendon_space import TendonSpace, tendon_space
+from handctl.core.tendon_constants import TendonConstants, collect_tendon_constants
 from handctl.core.tick_types import Vector
 from handctl.hand.description import Hand
 from handctl.hand.digit import JointValues
 from handctl.hand.dynamics import DigitModel, required_torque
-from handctl.hand.link_tree import HandLinkTree
+from handctl.hand.link_tree import LinkTree
 
 linalg = DeferredModule("scipy.linalg")
 
@@ -45,17 +45,17 @@ class HandModel:
         digit_coordinates: for each digit, the slice of its coordinates among all coordinates of the
             hand.
         coordinate_limits: (2, C) lowest and highest value of each coordinate [rad].
-        space: constants of the hand along the tendons.
-        filter: constant Kalman filter of each tendon.
-        motion: feedback gains of the motion loop and the tension loop of each tendon.
+        tendon_constants: constants of the hand along the tendons.
+        filter_design: constant Kalman filter of each tendon.
+        motion_design: feedback gains of the motion loop and the tension loop of each tendon.
         digit_of_tendon: for each tendon, the index of its digit.
         excursion_to_joints: (J, N) change of each joint angle per excursion of each tendon [rad/m].
         torque_to_tension: (N, J) smallest tensions per torque of each joint [1/m].
         pulleys: (N, J) 1 if a tendon passes the pulley of a joint, 0 if not.
         pulley_weights: (N, J) moment arm at each pulley, divided by the sum of all moment arms of
             the tendon.
-        friction: (N,) friction coefficient of the pulleys.
-        wrap: (N,) wrap angle of each tendon before its first joint pulley [rad].
+        friction_coefficient: (N,) friction coefficient of the pulleys.
+        wrap_angle: (N,) wrap angle of each tendon before its first joint pulley [rad].
         floor: (N,) smallest allowed tension at the load cell [N]. For a spool pair, the smallest
             value is the negative of the largest net tension.
         ceiling: (N,) largest allowed tension at the load cell [N]. For a spool pair, the value is
@@ -63,7 +63,7 @@ class HandModel:
         torque_limit: (N,) largest motor torque that the host may command [N m].
         redundancy: directions of the tendons, and tensions that balance each other.
         link_tree: tree of all links of the hand.
-        blind_margin: (N,) margin by which the tension limits of a tendon without a load cell are
+        margin_without_cell: (N,) margin by which the tension limits of a tendon without a load cell are
             stricter [N]. The value is 0 for a tendon with a load cell.
         torque_gain: (N,) torque at the spool per commanded torque. None if no run has
             identified it.
@@ -79,21 +79,21 @@ class HandModel:
     digit_coordinates: tuple[slice, ...]
     coordinate_limits: Vector
     digit_of_tendon: tuple[int, ...]
-    space: TendonSpace
-    filter: FilterDesign
-    motion: MotionDesign
+    tendon_constants: TendonConstants
+    filter_design: FilterDesign
+    motion_design: MotionDesign
     excursion_to_joints: Vector
     torque_to_tension: Vector
     pulleys: Vector
     pulley_weights: Vector
-    friction: Vector
-    wrap: Vector
+    friction_coefficient: Vector
+    wrap_angle: Vector
     floor: Vector
     ceiling: Vector
     torque_limit: Vector
     redundancy: TendonRedundancy
-    link_tree: HandLinkTree
-    blind_margin: Vector
+    link_tree: LinkTree
+    margin_without_cell: Vector
     torque_gain: Vector | None = None
     inverse_dynamics: InverseDynamics = required_torque
 
@@ -113,11 +113,13 @@ class HandModel:
                 has identified this ratio.
         """
         digits = tuple(DigitModel.from_hand(hand, digit.name) for digit in hand.digit)
-        space = tendon_space(hand, digits)
+        tendon_constants = collect_tendon_constants(hand, digits)
         tendons = hand.tendon
         arms = np.abs(hand.moment_arms_of_own_digit)
         period = 1.0 / rate_hz
-        filter_design = design_filter(space, gains.filter, period, _joint_period(hand, period))
+        filter_design = design_filter(
+            tendon_constants, gains.filter, period, _joint_period(hand, period)
+        )
         margin = np.where(
             hand.has_cell, 0.0, MARGIN_SIGMAS_WITHOUT_CELL * filter_design.held_tension_sigma
         )
@@ -149,21 +151,21 @@ class HandModel:
                 for d, digit in enumerate(digits)
                 for _ in range(digit.tendons.start, digit.tendons.stop)
             ),
-            space=space,
-            filter=filter_design,
-            motion=design_motion(space, gains, 1.0 / rate_hz),
+            tendon_constants=tendon_constants,
+            filter_design=filter_design,
+            motion_design=design_motion(tendon_constants, gains, 1.0 / rate_hz),
             excursion_to_joints=linalg.block_diag(*(digit.excursion_to_joints for digit in digits)),
             torque_to_tension=linalg.block_diag(*(digit.torque_to_tension for digit in digits)),
             pulleys=(arms > 0.0).astype(np.float64),
             pulley_weights=arms / arms.sum(axis=1, keepdims=True),
-            friction=np.array([tendon.friction_coefficient for tendon in tendons]),
-            wrap=np.array([tendon.wrap_angle_rad for tendon in tendons]),
+            friction_coefficient=np.array([tendon.friction_coefficient for tendon in tendons]),
+            wrap_angle=np.array([tendon.wrap_angle_rad for tendon in tendons]),
             floor=floor,
             ceiling=ceiling,
             torque_limit=_torque_limit(hand, torque_gain),
             redundancy=redundancy_of_hand(digits, floor, ceiling, hand.is_pair),
-            link_tree=HandLinkTree.from_hand(hand, digits),
-            blind_margin=margin,
+            link_tree=LinkTree.from_hand(hand, digits),
+            margin_without_cell=margin,
             torque_gain=torque_gain,
         )
 
@@ -179,10 +181,12 @@ class HandModel:
         In a relaxed hand, the tendons of digits with surplus tendons keep their balance tensions. A
         spool pair has no net tension in a relaxed hand.
         """
-        single_tensions = np.where(
-            self.redundancy.balance > 0.0, self.redundancy.balance, MIN_RELAXED_TENSION_N
+        unpaired_tensions = np.where(
+            self.redundancy.balance_tension > 0.0,
+            self.redundancy.balance_tension,
+            MIN_RELAXED_TENSION_N,
         )
-        return np.where(self.is_pair, 0.0, single_tensions)
+        return np.where(self.is_pair, 0.0, unpaired_tensions)
 
     @property
     def is_pair(self) -> NDArray[np.bool_]:
@@ -212,9 +216,9 @@ def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
     spool radius and the torque gain. Without the small reduction, rounding errors could exceed the
     limit.
     """
-    largest = np.array([hand.motor_of(tendon.name).torque_max_N_m for tendon in hand.tendon]) * (
-        1.0 - 1e-12
-    )
+    largest = np.array(
+        [hand.motor_of_tendon(tendon.name).torque_max_N_m for tendon in hand.tendon]
+    ) * (1.0 - 1e-12)
     return largest if gain is None else largest * np.minimum(gain, 1.0)
 
 

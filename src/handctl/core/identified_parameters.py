@@ -13,19 +13,19 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_from_content
 
-TENDON_KEYS = {
+TENDON_KEY_BY_PARAMETER = {
     "tendon_stiffness": "stiffness_N_per_m",
     "capstan": "friction_coefficient",
     "pretension": "pretension_N",
 }
 """Key in the hand file's tendon table whose value each identified parameter replaces."""
-MOTOR_KEYS = {
+MOTOR_KEY_BY_PARAMETER = {
     "motor_inertia": "inertia_kg_m2",
     "motor_viscous": "viscous_N_m_s_per_rad",
     "motor_coulomb": "coulomb_N_m",
 }
 """Key in the hand file's motor table whose value each identified parameter replaces."""
-DIGIT_KEYS = {
+DIGIT_KEY_BY_PARAMETER = {
     "spring_stiffness": "spring_stiffness_N_m_per_rad",
     "spring_preload": "spring_preload_rad",
     "joint_damping": "joint_damping_N_m_s_per_rad",
@@ -34,7 +34,7 @@ DIGIT_KEYS = {
 
 The parameter is a factor on the values of all joints of the digit.
 """
-LENGTH_KEYS = ("polynomial_m", "arm_m")
+MOMENT_ARM_LENGTH_KEYS = ("polynomial_m", "arm_m")
 """Keys whose values are lengths, in the hand file's table of a moment arm that depends on the joint angle."""
 PARAMETER_UNITS = {
     "torque_gain": "1", "motor_inertia": "kg m2", "motor_viscous": "N m s/rad", "motor_coulomb": "N m", "delay": "s",
@@ -47,7 +47,7 @@ PARAMETER_UNITS = {
 moment arms of a tendon about all its joints.
 """
 
-FORMER_NAMES = {"rope_stiffness": "tendon_stiffness"}
+NEW_NAME_BY_FORMER_NAME = {"rope_stiffness": "tendon_stiffness"}
 """Present name of a renamed parameter, by its name in earlier versions of handctl."""
 
 
@@ -74,7 +74,7 @@ class IdentifiedParameters(Document):
     def _replace_former_names(cls, parameter_names: object) -> object:
         """Replace the parameter names of earlier versions by the present names."""
         return (
-            tuple(FORMER_NAMES.get(name, name) for name in parameter_names)
+            tuple(NEW_NAME_BY_FORMER_NAME.get(name, name) for name in parameter_names)
             if isinstance(parameter_names, list | tuple)
             else parameter_names
         )
@@ -97,7 +97,7 @@ class IdentifiedParameters(Document):
         """Return the value of a parameter, or ``default`` if the parameter was not identified."""
         return self.values[self.names.index(name)] if name in self.names else default
 
-    def merged_with_older(
+    def merge_older_parameters(
         self, older_parameters: "IdentifiedParameters | None"
     ) -> "IdentifiedParameters":
         """Return these parameters, and add parameters that only an older identification contains.
@@ -114,9 +114,9 @@ class IdentifiedParameters(Document):
             return self
         n = len(self.names)
         m = len(other_parameters)
-        joined = np.zeros((n + m, n + m))
-        joined[:n, :n] = self.covariance
-        joined[n:, n:] = np.array(older_parameters.covariance)[
+        combined_covariance = np.zeros((n + m, n + m))
+        combined_covariance[:n, :n] = self.covariance
+        combined_covariance[n:, n:] = np.array(older_parameters.covariance)[
             np.ix_(other_parameters, other_parameters)
         ]
         return self.model_copy(
@@ -125,7 +125,7 @@ class IdentifiedParameters(Document):
                 "values": self.values + tuple(older_parameters.values[i] for i in other_parameters),
                 "half_widths": self.half_widths
                 + tuple(older_parameters.half_widths[i] for i in other_parameters),
-                "covariance": tuple(map(tuple, joined.tolist())),
+                "covariance": tuple(map(tuple, combined_covariance.tolist())),
                 "log": tuple(dict.fromkeys((*self.log, *older_parameters.log))),
             }
         )
@@ -151,9 +151,11 @@ def identified_hand(hand: Hand, parameters_by_tendon: dict[str, IdentifiedParame
             for d, name in enumerate(hand.digit_names)
             if _is_in_slice(hand.digit_tendons[name], i)
         )
-        _replace_tendon_values(content["tendon"][i], TENDON_KEYS, parameters)
+        _replace_tendon_values(content["tendon"][i], TENDON_KEY_BY_PARAMETER, parameters)
         _scale_moment_arms(content["tendon"][i], parameters.get("moment_arm", 1.0))
-        _replace_tendon_values(content["motor"][hand.motor_index[i]], MOTOR_KEYS, parameters)
+        _replace_tendon_values(
+            content["motor"][hand.motor_index[i]], MOTOR_KEY_BY_PARAMETER, parameters
+        )
         _scale_digit_values(content["digit"][digit], parameters)
     return hand_from_content(content, f"{hand.name} as identified")
 
@@ -223,7 +225,7 @@ def _scale_moment_arms(tendon: dict[str, Any], factor: float) -> None:
         if isinstance(arm, Mapping):
             lengths = {
                 key: tuple(factor * value for value in arm[key])
-                for key in LENGTH_KEYS
+                for key in MOMENT_ARM_LENGTH_KEYS
                 if key in arm
             }
             tendon["moment_arm_m"][joint] = {**arm, **lengths}
@@ -234,6 +236,6 @@ def _scale_moment_arms(tendon: dict[str, Any], factor: float) -> None:
 def _scale_digit_values(
     digit_table: dict[str, tuple[float, ...]], known_parameters: IdentifiedParameters
 ) -> None:
-    for name, key in DIGIT_KEYS.items():
+    for name, key in DIGIT_KEY_BY_PARAMETER.items():
         factor = known_parameters.get(name, 1.0)
         digit_table[key] = tuple(value * factor for value in digit_table[key])

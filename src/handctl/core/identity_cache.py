@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
-MAX_ENTRIES = 256
+MAX_CACHED_VALUES = 256
 """Largest number of cached values."""
 
 
@@ -18,13 +18,13 @@ class SequenceCache(Generic[T]):
     object as the item at this index in the last sequence, the earlier result is returned.
     """
 
-    def __init__(self, compute_bytes: Callable[[T], bytes]) -> None:
+    def __init__(self, serialize: Callable[[T], bytes]) -> None:
         """Create an empty cache.
 
         Args:
-            compute_bytes: function that computes the result for an item.
+            serialize: function that computes the result for an item.
         """
-        self._function = compute_bytes
+        self._function = serialize
         self._items: Sequence[T] = ()
         self._values: list[bytes] = []
 
@@ -50,13 +50,13 @@ class IdentityCache(Generic[T]):
     but have different bytes.
     """
 
-    def __init__(self, compute_bytes: Callable[[T], bytes]) -> None:
+    def __init__(self, serialize: Callable[[T], bytes]) -> None:
         """Create an empty cache.
 
         Args:
-            compute_bytes: function whose results are cached.
+            serialize: function whose results are cached.
         """
-        self._function = compute_bytes
+        self._function = serialize
         self._entries: dict[int, tuple[T, bytes]] = {}
 
     def __call__(self, key: T) -> bytes:
@@ -67,7 +67,7 @@ class IdentityCache(Generic[T]):
         entry = self._entries.get(id(key))
         if entry is not None and entry[0] is key:
             return entry[1]
-        if len(self._entries) >= MAX_ENTRIES:
+        if len(self._entries) >= MAX_CACHED_VALUES:
             self._entries.clear()
         value = self._function(key)
         # The cache entry refers to the object, so that no other object can get the same identity.

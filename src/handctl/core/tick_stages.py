@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from handctl.compiled import kernel
 from handctl.core import constants as h
 from handctl.core import state_block as s
-from handctl.core.block_schema import BlockArray, TablePlaces
+from handctl.core.block_schema import BlockArray, TableOffsets
 from handctl.core.constants import constant_tables
 from handctl.core.control_law import computed_torque, digit_reference
 from handctl.core.detectors import fault_detection, outstanding_requests, stuck_sensors
@@ -39,7 +39,7 @@ from handctl.core.estimation import (
     posture,
     varying_moment_arms,
 )
-from handctl.core.state_block import state_tables, write_standard_nan
+from handctl.core.state_block import state_tables, write_canonical_nan
 from handctl.core.tick_types import ACTIVE_MODE, ARMING_MODE, DONE_MODE, RELAX_MODE, SILENT_MODE
 from handctl.safety.safety_action import SafetyAction
 
@@ -50,7 +50,7 @@ HOLD_ACTION = int(SafetyAction.HOLD)
 @kernel("block", "layout", "count", "count", "count", "count", "count")
 def begin_tick(
     block: BlockArray,
-    at: TablePlaces,
+    at: TableOffsets,
     k: int,
     t_ns: int,
     lateness_ns: int,
@@ -61,7 +61,7 @@ def begin_tick(
 
     Args:
         block: state block.
-        at: ``BlockLayout.places`` of the state block.
+        at: ``BlockLayout.offsets`` of the state block.
         k: number of the tick.
         t_ns: time of the tick [ns].
         lateness_ns: delay of the start of the tick [ns].
@@ -70,27 +70,27 @@ def begin_tick(
     """
     x = state_tables(block, at)
     x.run_int[s.K] = k
-    x.run_int[s.T_NS] = t_ns
+    x.run_int[s.TICK_TIME_NS] = t_ns
     x.run_int[s.TICK_DELAY_NS] = lateness_ns
     x.run_int[s.MISSED_TICKS] = missed_ticks
-    x.run_int[s.RECEIVED_FRAMES] = frames
+    x.run_int[s.RECEIVED_FRAME_COUNT] = frames
     for n in range(x.tendon.shape[1]):
-        x.tendon_int[s.FEEDBACK_COUNT_NOW, n] = x.tendon_int[s.CELL_READ_NOW, n] = 0
-        x.tendon_int[s.PHASE_BEFORE, n] = x.tendon_int[s.PHASE, n]
+        x.tendon_int[s.FEEDBACK_COUNT_IN_TICK, n] = x.tendon_int[s.HAS_NEW_CELL_READING, n] = 0
+        x.tendon_int[s.LAST_DRIVE_PHASE, n] = x.tendon_int[s.DRIVE_PHASE, n]
     for j in range(x.joint.shape[1]):
-        x.joint_int[s.JOINT_READ_NOW, j] = 0
+        x.joint_int[s.HAS_NEW_JOINT_READING, j] = 0
     for g in range(x.group_int.shape[1]):
-        x.group_int[s.GROUP_FRAME_COUNT_NOW, g] = 0
+        x.group_int[s.GROUP_FRAME_COUNT_IN_TICK, g] = 0
     for node in range(x.node_int.shape[1]):
-        x.node_int[s.MALFORMED_FRAME_NOW, node] = x.node_int[s.DUPLICATE_REPLIES, node] = 0
-    x.run_int[s.STALE_FRAME_NOW] = x.run_int[s.UNKNOWN_FRAMES] = 0
-    x.run_int[s.REFUSED_REQUESTS_NOW] = x.run_int[s.CONSISTENCY_CHANGED] = 0
+        x.node_int[s.HAS_MALFORMED_FRAME, node] = x.node_int[s.DUPLICATE_REPLIES, node] = 0
+    x.run_int[s.STALE_FRAME_STATE] = x.run_int[s.UNKNOWN_FRAME_COUNT] = 0
+    x.run_int[s.REFUSED_REQUESTS_IN_TICK] = x.run_int[s.CONSISTENCY_CHANGED] = 0
 
 
 @kernel("block", "layout", "count", "real", "real", "real", "real", *("count",) * 11)
-def store_drive(
+def store_drive_values(
     block: BlockArray,
-    at: TablePlaces,
+    at: TableOffsets,
     n: int,
     position: float,
     velocity: float,
@@ -106,13 +106,13 @@ def store_drive(
     fault_cause: int,
     steady_status: int,
     due_ns: int,
-    misread: int,
+    is_malformed: int,
 ) -> None:
     """Store the values of a drive after a step of its state machine.
 
     Args:
         block: state block.
-        at: ``BlockLayout.places`` of the state block.
+        at: ``BlockLayout.offsets`` of the state block.
         n: index of the drive.
         position: motor position, at the spool [rad].
         velocity: motor velocity, at the spool [rad/s].
@@ -128,37 +128,37 @@ def store_drive(
         fault_cause: ``drives.contract.DriveFaultCause`` of the error code, -1 without a fault.
         steady_status: status that the drive reports while its state machine has nothing to do.
         due_ns: time at which the state machine of the drive must run next [ns].
-        misread: 1 if a frame of the drive in this tick had a wrong shape.
+        is_malformed: 1 if a frame of the drive in this tick had a wrong shape.
     """
     x = state_tables(block, at)
     x.tendon[s.POSITION, n] = position
     x.tendon[s.VELOCITY, n] = velocity
     x.tendon[s.REPORTED_TORQUE, n] = torque
     x.tendon[s.TEMPERATURE, n] = temperature
-    x.tendon_int[s.FEEDBACK_COUNT_NOW, n] += feedback_count - x.tendon_int[s.FEEDBACK_COUNT, n]
+    x.tendon_int[s.FEEDBACK_COUNT_IN_TICK, n] += feedback_count - x.tendon_int[s.FEEDBACK_COUNT, n]
     x.tendon_int[s.FEEDBACK_COUNT, n] = feedback_count
-    x.tendon_int[s.FEEDBACK_NS, n] = feedback_t_ns
+    x.tendon_int[s.FEEDBACK_RECEIVED_NS, n] = feedback_t_ns
     x.tendon_int[s.RECHECK_STEP, n] = recheck_step
     x.tendon_int[s.RECHECK_DUE_NS, n] = recheck_due_ns
     x.tendon_int[s.RECHECK_TRIES, n] = recheck_tries
-    x.tendon_int[s.PHASE, n] = phase
+    x.tendon_int[s.DRIVE_PHASE, n] = phase
     x.tendon_int[s.FAULT_CODE, n] = fault_code
     x.tendon_int[s.FAULT_CAUSE, n] = fault_cause
-    x.tendon_int[s.STATUS_EXPECTED, n] = steady_status
+    x.tendon_int[s.EXPECTED_DRIVE_STATUS, n] = steady_status
     x.tendon_int[s.DRIVE_DUE_NS, n] = due_ns
-    if misread:
-        x.node_int[s.MALFORMED_FRAME_NOW, n] = 1
+    if is_malformed:
+        x.node_int[s.HAS_MALFORMED_FRAME, n] = 1
 
 
 @kernel("block", "layout", "constants", "layout")
 def observe_tick(
-    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_places: TablePlaces
+    block: BlockArray, at: TableOffsets, constants: BlockArray, constant_offsets: TableOffsets
 ) -> None:
     """Convert the values that were received in the present tick into measurements."""
     x = state_tables(block, at)
-    c = constant_tables(constants, constants_places)
+    c = constant_tables(constants, constant_offsets)
     measurements.write_measurements(x, c)
-    if ARMING_MODE <= x.run_int[s.MODE] <= RELAX_MODE:
+    if ARMING_MODE <= x.run_int[s.HAND_MODE] <= RELAX_MODE:
         measurements.reject_outliers(x, c, x.run_int[s.MISSED_TICKS])
     else:
         measurements.reset_rejected_steps(x)
@@ -169,65 +169,65 @@ def observe_tick(
 
 @kernel("block", "layout", "constants", "layout")
 def correct_tension_estimate(
-    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_places: TablePlaces
+    block: BlockArray, at: TableOffsets, constants: BlockArray, constant_offsets: TableOffsets
 ) -> None:
     """Correct the tension filter by the measurements, and judge the regime of each tendon."""
     x = state_tables(block, at)
-    c = constant_tables(constants, constants_places)
+    c = constant_tables(constants, constant_offsets)
     if c.run_int[h.HAND_HAS_VARYING_ARM]:
-        varying_moment_arms.update_structure(x, c)
+        varying_moment_arms.update_moment_arm_tables(x, c)
     if x.run_int[s.FILTER_STARTED]:
         kalman.correct_tension_filter(x, c, x.run_int[s.MISSED_TICKS])
     else:
-        kalman.write_unknown_estimate(x)
+        kalman.write_estimate_before_start(x)
 
 
 @kernel("block", "layout", "constants", "layout")
 def conclude_estimate(
-    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_places: TablePlaces
+    block: BlockArray, at: TableOffsets, constants: BlockArray, constant_offsets: TableOffsets
 ) -> bool:
     """Compute the estimate of the tick from the predicted states of the tension filter.
 
     Return True if a node has sent more replies than it has received requests from this host.
     """
     x = state_tables(block, at)
-    c = constant_tables(constants, constants_places)
+    c = constant_tables(constants, constant_offsets)
     if c.run_int[h.HAND_HAS_VARYING_ARM]:
-        varying_moment_arms.update_structure(x, c)
+        varying_moment_arms.update_moment_arm_tables(x, c)
     kalman.derive_estimate(x, c)
-    if x.run_int[s.MODE] == ACTIVE_MODE or x.run_int[s.MODE] == RELAX_MODE:
+    if x.run_int[s.HAND_MODE] == ACTIVE_MODE or x.run_int[s.HAND_MODE] == RELAX_MODE:
         blocked_digits.update_blocked_digits(x, c)
     else:
         blocked_digits.reset_blocked_digits(x)
     for j in range(x.joint.shape[1]):
         x.joint[s.Q_SIGMA, j] = math.nan
     if x.run_int[s.FILTER_STARTED]:
-        posture.estimate_joint_angles(x, c, x.run_int[s.K], x.run_int[s.T_NS])
+        posture.estimate_joint_angles(x, c, x.run_int[s.K], x.run_int[s.TICK_TIME_NS])
     contact_force.update_tip_forces(x, c)
-    contact_force.average_grip_travel(x, c)
+    contact_force.update_grip_travel(x, c)
     return outstanding_requests.close_answered_requests(x, c)
 
 
 @kernel("block", "layout", "constants", "layout", "constants")
 def find_faults(
     block: BlockArray,
-    at: TablePlaces,
+    at: TableOffsets,
     constants: BlockArray,
-    constants_places: TablePlaces,
+    constant_offsets: TableOffsets,
     initial: BlockArray,
 ) -> tuple[int, EvidenceTable]:
     """Find and debounce the faults of a tick, see ``detectors.fault_detection``."""
     x = state_tables(block, at)
-    c = constant_tables(constants, constants_places)
+    c = constant_tables(constants, constant_offsets)
     return fault_detection.find_and_debounce_faults(x, c, state_tables(initial, at))
 
 
 @kernel("block", "layout", "constants", "layout", "count")
 def evaluate_goals(
     block: BlockArray,
-    at: TablePlaces,
+    at: TableOffsets,
     constants: BlockArray,
-    constants_places: TablePlaces,
+    constant_offsets: TableOffsets,
     action: int,
 ) -> int:
     """Evaluate the goals of all digits.
@@ -236,9 +236,9 @@ def evaluate_goals(
     digit must still be solved.
     """
     x = state_tables(block, at)
-    c = constant_tables(constants, constants_places)
+    c = constant_tables(constants, constant_offsets)
     computed_torque.update_hold_limits(
-        x, c, action == HOLD_ACTION and x.run_int[s.MODE] == ACTIVE_MODE
+        x, c, action == HOLD_ACTION and x.run_int[s.HAND_MODE] == ACTIVE_MODE
     )
     digit_reference.follow_trajectories(x, c, x.run_int[s.SAFETY_HOLD_ACTIVE] == 1)
     digit_reference.write_required_torque(x, c, digit_reference.joint_trajectories(x, c))
@@ -247,30 +247,30 @@ def evaluate_goals(
 
 @kernel("block", "layout", "constants", "layout")
 def joint_motion(
-    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_places: TablePlaces
+    block: BlockArray, at: TableOffsets, constants: BlockArray, constant_offsets: TableOffsets
 ) -> NDArray[np.float64]:
     """Return angles, rates and accelerations (3, J) of all joints on their trajectories."""
     return digit_reference.joint_trajectories(
-        state_tables(block, at), constant_tables(constants, constants_places)
+        state_tables(block, at), constant_tables(constants, constant_offsets)
     )
 
 
 @kernel("block", "layout", "constants", "layout")
 def write_loads(
-    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_places: TablePlaces
+    block: BlockArray, at: TableOffsets, constants: BlockArray, constant_offsets: TableOffsets
 ) -> int:
     """Convert the required joint torques into tensions, see ``digit_reference.write_required_tensions``."""
     return digit_reference.write_required_tensions(
-        state_tables(block, at), constant_tables(constants, constants_places)
+        state_tables(block, at), constant_tables(constants, constant_offsets)
     )
 
 
 @kernel("block", "layout", "constants", "layout", "real", "count", "count")
 def compute_motor_torques(
     block: BlockArray,
-    at: TablePlaces,
+    at: TableOffsets,
     constants: BlockArray,
-    constants_places: TablePlaces,
+    constant_offsets: TableOffsets,
     relax_rate: float,
     open_loop: int,
     ticks: int,
@@ -280,8 +280,8 @@ def compute_motor_torques(
     The motor torques are 0 unless the hand is active or relaxing.
     """
     x = state_tables(block, at)
-    c = constant_tables(constants, constants_places)
-    if x.run_int[s.MODE] == ACTIVE_MODE or x.run_int[s.MODE] == RELAX_MODE:
+    c = constant_tables(constants, constant_offsets)
+    if x.run_int[s.HAND_MODE] == ACTIVE_MODE or x.run_int[s.HAND_MODE] == RELAX_MODE:
         computed_torque.write_motor_torques(
             x, c, digit_reference.joint_trajectories(x, c), relax_rate, open_loop == 1, ticks
         )
@@ -291,16 +291,18 @@ def compute_motor_torques(
 
 @kernel("block", "layout", "constants", "layout")
 def store_commands(
-    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_places: TablePlaces
+    block: BlockArray, at: TableOffsets, constants: BlockArray, constant_offsets: TableOffsets
 ) -> None:
     """Store the commands and requests for the next tick, and complete the numbers for the log."""
     x = state_tables(block, at)
-    c = constant_tables(constants, constants_places)
-    mode = x.run_int[s.MODE]
+    c = constant_tables(constants, constant_offsets)
+    mode = x.run_int[s.HAND_MODE]
     for n in range(x.tendon.shape[1]):
         x.tendon[s.COMMANDED_FORCE, n] = x.tendon[s.COMMANDED_TENSION, n] = math.nan
         if mode == ACTIVE_MODE or mode == RELAX_MODE:
-            x.tendon[s.COMMANDED_FORCE, n] = x.tendon[s.TORQUE, n] / c.tendon[h.SPOOL_RADIUS, n]
+            x.tendon[s.COMMANDED_FORCE, n] = (
+                x.tendon[s.COMMANDED_TORQUE, n] / c.tendon[h.SPOOL_RADIUS, n]
+            )
         if mode == ACTIVE_MODE:
             x.tendon[s.COMMANDED_TENSION, n] = x.tendon[s.TENSION_GOAL, n]
     if mode == ACTIVE_MODE:
@@ -312,16 +314,16 @@ def store_commands(
         outstanding_requests.add_requests(x, x.run_int[s.K])
     posture.estimate_tip_forces(x, c)
     for d in range(x.digit.shape[1]):
-        has_contact = x.digit_int[s.PLANNED_CONTACT, d] == 1 or x.digit_int[s.BLOCKED, d] == 1
-        x.digit[s.CONTACT, d] = 1.0 if has_contact else 0.0
-    now_ns = x.run_int[s.T_NS]
+        has_contact = x.digit_int[s.PLANNED_CONTACT, d] == 1 or x.digit_int[s.IS_BLOCKED, d] == 1
+        x.digit[s.IS_IN_CONTACT, d] = 1.0 if has_contact else 0.0
+    now_ns = x.run_int[s.TICK_TIME_NS]
     for n in range(x.tendon.shape[1]):
-        last_heard_ns = x.tendon_int[s.FEEDBACK_NS, n]
+        last_frame_ns = x.tendon_int[s.FEEDBACK_RECEIVED_NS, n]
         x.tendon[s.MOTOR_AGE, n] = (
-            (now_ns - last_heard_ns) / 1e9 if last_heard_ns >= 0 else math.nan
+            (now_ns - last_frame_ns) / 1e9 if last_frame_ns >= 0 else math.nan
         )
-        x.tendon[s.DRIVE_PHASE, n] = x.tendon_int[s.PHASE, n]
+        x.tendon[s.LOGGED_DRIVE_PHASE, n] = x.tendon_int[s.DRIVE_PHASE, n]
         has_reading = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
         x.tendon[s.MOTOR_VELOCITY, n] = x.tendon[s.VELOCITY, n] if has_reading else math.nan
         x.tendon[s.MOTOR_TORQUE, n] = x.tendon[s.REPORTED_TORQUE, n] if has_reading else math.nan
-    write_standard_nan(block, at)
+    write_canonical_nan(block, at)

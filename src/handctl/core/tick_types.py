@@ -202,7 +202,7 @@ class Telemetry(NamedTuple):
     tip_force_sigma: Vector
     """(D,) standard deviation of the tip-equivalent force [N]."""
 
-    def packed(self) -> bytes:
+    def to_bytes(self) -> bytes:
         """Return all telemetry fields in order, as little-endian float64."""
         return b"".join([array.tobytes() for array in self])
 
@@ -211,7 +211,7 @@ FIELD_BY_AXIS = "q", "tension", "motor_torque", "contact"
 """One telemetry field for each axis, in the order joint, tendon, motor, digit."""
 
 
-class TelemetryPlaces(dict[str, slice]):
+class TelemetrySlices(dict[str, slice]):
     """Slice of each telemetry field in the array of all fields.
 
     The keys are the names of the fields.
@@ -230,12 +230,12 @@ class PackedTelemetry:
 
     Attributes:
         numbers: array of all fields in order.
-        places: slice of each field in the array.
+        slices: slice of each field in the array.
     """
 
-    __slots__ = ("numbers", "places")
+    __slots__ = ("numbers", "slices")
 
-    def __init__(self, packed_numbers: Vector, field_slices: TelemetryPlaces) -> None:
+    def __init__(self, packed_numbers: Vector, field_slices: TelemetrySlices) -> None:
         """Store the array, without a copy.
 
         Args:
@@ -243,28 +243,28 @@ class PackedTelemetry:
             field_slices: slice of each field in the array.
         """
         self.numbers = packed_numbers
-        self.places = field_slices
+        self.slices = field_slices
 
     def __getattr__(self, name: str) -> Vector:
         """Return a telemetry field by its name."""
         try:
-            return self.numbers[self.places[name]]
+            return self.numbers[self.slices[name]]
         except KeyError:
             raise AttributeError(name) from None
 
     def __iter__(self) -> Iterator[Vector]:
         """Iterate over the telemetry fields in order."""
-        return iter([self.numbers[field_slice] for field_slice in self.places.values()])
+        return iter([self.numbers[field_slice] for field_slice in self.slices.values()])
 
-    def packed(self) -> bytes:
+    def to_bytes(self) -> bytes:
         """Return all telemetry fields in order, as little-endian float64."""
         return self.numbers.tobytes()
 
 
 TELEMETRY_FIELDS = Telemetry._fields
-"""Names of the telemetry fields, in the order of ``Telemetry.packed``."""
+"""Names of the telemetry fields, in the order of ``Telemetry.to_bytes``."""
 
-FIRST_TELEMETRY_FIELD_COUNT = 25
+ORIGINAL_TELEMETRY_FIELD_COUNT = 25
 """Number of telemetry fields in logs of version 0.1 and before.
 
 Later versions added fields at the end.

@@ -27,10 +27,10 @@ if TYPE_CHECKING:  # imported for types only: signals imports numba, which progr
 
 NO_STEADY_STATUS = -1
 """Value of ``steady_status`` for a drive whose state machine must process every received frame."""
-END_OF_TIME_NS = (1 << 63) - 1
+MAX_TIME_NS = (1 << 63) - 1
 """Largest time [ns]. ``due_ns`` returns it if no call of ``advance`` is scheduled."""
 
-FIRST_RECHECK = RecheckCursor()
+INITIAL_RECHECK_CURSOR = RecheckCursor()
 """Position in the repeated read-back before a drive is enabled."""
 
 
@@ -85,7 +85,7 @@ class DriveFaultCause(enum.IntEnum):
     """The drive's watchdog fired, because commands of the host were missing."""
     VOLTAGE = 3
     """The supply voltage is too low or too high."""
-    HOT = 4
+    OVERHEATED = 4
     """The motor or the power stage is too hot."""
     SETTING_MISMATCH = 5
     """A setting of the drive reads back wrong, or another host has enabled the drive."""
@@ -122,7 +122,7 @@ class DriveState(NamedTuple):
         error: error code of the drive, or 0 without an error.
         error_text: error of the drive in words, or an empty text without an error.
         misread_frame_count: number of frames that had an identifier of the drive but an invalid payload.
-        private: internal values of the protocol, such as an open request or the end of a waiting
+        protocol_state: internal values of the protocol, such as an open request or the end of a waiting
             time. Code outside the protocol does not read these internal values.
     """
 
@@ -133,11 +133,11 @@ class DriveState(NamedTuple):
     temperature: float = math.nan
     feedback_t_ns: int = -1
     feedback_count: int = 0
-    recheck: RecheckCursor = FIRST_RECHECK
+    recheck: RecheckCursor = INITIAL_RECHECK_CURSOR
     error: int = 0
     error_text: str = ""
     misread_frame_count: int = 0
-    private: Any = ()
+    protocol_state: Any = ()
 
     def with_values(
         self,
@@ -147,7 +147,7 @@ class DriveState(NamedTuple):
         temperature: float = math.nan,
         feedback_t_ns: int = -1,
         feedback_count: int = 0,
-        recheck: RecheckCursor = FIRST_RECHECK,
+        recheck: RecheckCursor = INITIAL_RECHECK_CURSOR,
     ) -> "DriveState":
         """Return the state with other values of the fields that the state block contains.
 
@@ -157,7 +157,7 @@ class DriveState(NamedTuple):
         # every tick calls this method for each drive.
         return DriveState(
             self.phase, position, velocity, torque, temperature, feedback_t_ns, feedback_count, recheck,
-            self.error, self.error_text, self.misread_frame_count, self.private,
+            self.error, self.error_text, self.misread_frame_count, self.protocol_state,
         )  # fmt: skip
 
 

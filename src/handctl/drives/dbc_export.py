@@ -31,7 +31,7 @@ class SentMessage(NamedTuple):
     receiver: str
 
 
-def dbc_of_bus(
+def export_bus_dbc(
     bus: int,
     drives: Iterable[Drive],
     sensors: SensorInterface,
@@ -90,7 +90,7 @@ def dbc_text(sent_messages: Iterable[SentMessage]) -> str:
         for node in (sent_message.sender, sent_message.receiver)
     )
     lines = ['VERSION ""', "", "NS_ :", "", "BS_:", "", " ".join(["BU_:", *nodes]), ""]
-    float_lines = list[str]()
+    float_type_lines = list[str]()
     format_lines = list[str]()
     for message, sender, receiver in by_identifier.values():
         frame_id = message.can_id & ~EXTENDED_FLAG | (
@@ -102,12 +102,18 @@ def dbc_text(sent_messages: Iterable[SentMessage]) -> str:
             signal.name for signal in message.signals if signal.coding == SignalCoding.FLOAT
         ]
         # SIG_VALTYPE_ 1 marks a signal as an IEEE 754 float32.
-        float_lines += [f"SIG_VALTYPE_ {frame_id} {name} : 1;" for name in float_signals]
+        float_type_lines += [f"SIG_VALTYPE_ {frame_id} {name} : 1;" for name in float_signals]
         if message.flags:
             frame_format = FD_EXTENDED_FRAME_FORMAT if frame_id & EXTENDED_BIT else FD_FRAME_FORMAT
             format_lines.append(f'BA_ "VFrameFormat" BO_ {frame_id} {frame_format};')
     return "\n".join(
-        [*lines, *(_FRAME_FORMAT_LINES if format_lines else ()), *format_lines, *float_lines, ""]
+        [
+            *lines,
+            *(_FRAME_FORMAT_LINES if format_lines else ()),
+            *format_lines,
+            *float_type_lines,
+            "",
+        ]
     )
 
 
@@ -129,9 +135,9 @@ Source: the form in which Vector's tools write this attribute and cantools reads
 def _signal_line(signal: Signal, receiver_name: str) -> str:
     """Return the line of a DBC for a signal."""
     # In a DBC, @0 is big-endian and @1 little-endian. + is unsigned, - is signed or float.
-    order = 0 if signal.is_big_endian else 1
+    byte_order = 0 if signal.is_big_endian else 1
     sign = "+" if signal.coding == SignalCoding.UNSIGNED else "-"
-    layout = f"{signal.start}|{signal.length}@{order}{sign}"
+    layout = f"{signal.start}|{signal.length}@{byte_order}{sign}"
     return f' SG_ {signal.name} : {layout} ({signal.scale!r},{signal.offset!r}) [0|0] "{signal.unit}" {receiver_name}'
 
 

@@ -18,7 +18,7 @@ PROBE_ROUNDS = range(4)
 # Times of a scan [s]: time of listening, which is enough for several heartbeats, and time to wait
 # for answers in a round.
 SCAN_LISTEN_S = 0.7
-PROBE_ANSWER_S = 0.25
+PROBE_ANSWER_TIMEOUT_S = 0.25
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class DiscoveredNode:
     twins: bool = False
 
 
-TWO_DRIVES_WARNING = (
+DUPLICATE_NODE_WARNING = (
     "two drives answer with this number: set another number with one drive on the bus at a time"
 )
 """Warning for a node whose ``twins`` is True."""
@@ -81,7 +81,7 @@ def is_number_used_by_two_drives(
     )
 
 
-def unchanged_node(node: DiscoveredNode) -> DiscoveredNode:
+def keep_node_unchanged(node: DiscoveredNode) -> DiscoveredNode:
     """Return the node unchanged.
 
     This is the default for protocols in which a missing answer has no meaning.
@@ -105,7 +105,7 @@ class ProtocolDiscovery(NamedTuple):
             sent.
         ping: function returning a request to one node. The request does not move the motor.
         is_ping_reply: function returning True if a frame is the answer of a node to ``ping``.
-        correct_without_requests: function that corrects the data of a node if the scan has only listened, without
+        correct_passive_result: function that corrects the data of a node if the scan has only listened, without
             requests. Without requests, a missing answer has no meaning.
     """
 
@@ -115,7 +115,7 @@ class ProtocolDiscovery(NamedTuple):
     other_host_frames: Callable[[ReceivedFrames], tuple[Frame, ...]]
     ping: Callable[[DiscoveredNode], Frame]
     is_ping_reply: Callable[[DiscoveredNode, Frame], bool]
-    correct_without_requests: Callable[[DiscoveredNode], DiscoveredNode] = unchanged_node
+    correct_passive_result: Callable[[DiscoveredNode], DiscoveredNode] = keep_node_unchanged
 
 
 def split_safe_requests(
@@ -130,9 +130,11 @@ def split_safe_requests(
             no drive obeys it.
         command_ids: command identifiers of every discovered node of another protocol.
     """
-    obeyed_ids = frozenset().union(*command_ids)
+    all_command_ids = frozenset().union(*command_ids)
     requests = tuple(probe_frames)
     safe_requests = tuple(
-        frame for frame in requests if frame.can_id & REMOTE_FLAG or frame.can_id not in obeyed_ids
+        frame
+        for frame in requests
+        if frame.can_id & REMOTE_FLAG or frame.can_id not in all_command_ids
     )
     return safe_requests, tuple(frame for frame in requests if frame not in safe_requests)

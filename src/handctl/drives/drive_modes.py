@@ -22,7 +22,7 @@ class DriveMode(enum.Enum):
     FORCE_POSITION = "force-position"
     """Position. Each command also contains a current limit (Damiao drives)."""
 
-    def rest(self, position: float) -> float:
+    def command_at_rest(self, position: float) -> float:
         """Return the command that causes no motion.
 
         In the position modes, this is the present position. In the other modes, it is zero.

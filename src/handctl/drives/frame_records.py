@@ -32,22 +32,22 @@ FRAME_RECORD_DTYPE = np.dtype(
 """Type of the record of a frame: reception time [ns], identifier with flag bits, flags, bus, length, payload."""
 FRAME_RECORD_BYTES = FRAME_RECORD_DTYPE.itemsize
 """Size of a record [bytes]."""
-SHORT_RECORD_BYTES = 24
+CLASSICAL_RECORD_BYTES = 24
 """Length of a record up to the eighth byte of the payload [bytes]."""
 RecordArray = NDArray[np.void]
 WordRows = NDArray[np.uint64]
-_WORD = np.dtype(np.uint64)
+_WORD_DTYPE = np.dtype(np.uint64)
 WORDS_PER_RECORD = FRAME_RECORD_BYTES // 8
 """Size of a record in words of eight bytes."""
 # Indices of the words of a record. TIME_WORD is the time. ID_AND_FLAGS_WORD contains identifier, flags, bus and
-# length, from the lowest bit on. PAYLOAD_WORD is the first word of the payload.
+# length, from the lowest bit on. FIRST_PAYLOAD_WORD is the first word of the payload.
 TIME_WORD = 0
 ID_AND_FLAGS_WORD = 1
-PAYLOAD_WORD = 2
+FIRST_PAYLOAD_WORD = 2
 # Lowest bits of the fields flags, bus and length in the word ID_AND_FLAGS_WORD.
-FLAGS_BIT = 32
-BUS_BIT = 48
-LENGTH_BIT = 56
+FLAGS_SHIFT = 32
+BUS_SHIFT = 48
+LENGTH_SHIFT = 56
 ID_MASK = 0xFFFFFFFF
 """Mask of the identifier with its flag bits in the word ID_AND_FLAGS_WORD."""
 BYTE_MASK = 0xFF
@@ -78,7 +78,7 @@ class Frames(Sequence[Frame]):
     @property
     def rows(self) -> WordRows:
         """Return the records as words of eight bytes (n, WORDS_PER_RECORD), for compiled code."""
-        return np.ndarray((len(self.records), WORDS_PER_RECORD), _WORD, self.records)
+        return np.ndarray((len(self.records), WORDS_PER_RECORD), _WORD_DTYPE, self.records)
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -146,7 +146,7 @@ def frames_as_records(frames: Iterable[Frame]) -> Frames:
     return Frames(records)
 
 
-def join_frames(frame_batches: Sequence[Frames]) -> Frames:
+def concatenate_frames(frame_batches: Sequence[Frames]) -> Frames:
     """Return one sequence with the frames of several sequences."""
     nonempty_batches = [batch for batch in frame_batches if len(batch)]
     if len(nonempty_batches) < 2:

@@ -22,7 +22,7 @@ The rest is reserved for bursts.
 """
 
 
-EXTENDED_BITS = 20
+EXTENDED_FRAME_EXTRA_BITS = 20
 """Bits that a 29-bit identifier adds to a frame: SRR, IDE, and the lower 18 bits of the identifier."""
 
 
@@ -43,7 +43,7 @@ def frame_time_s(
         data_bitrate: bit rate of the data phase [bit/s]. With None, the nominal bit rate is used.
         extended: True for a 29-bit identifier.
     """
-    extra_bits = EXTENDED_BITS if extended else 0
+    extra_bits = EXTENDED_FRAME_EXTRA_BITS if extended else 0
     if not fd:
         stuffable_bits = 34 + extra_bits + 8 * payload_size
         return (stuffable_bits + 13 + (stuffable_bits - 1) // 4) / bitrate
@@ -77,14 +77,16 @@ def _fd_frame_time_s(
     """
     payload_size = next(length for length in FD_SIZES if length >= payload_size)
     # The body of the frame has ESI, the four bits of DLC, and the data.
-    body = 5 + 8 * payload_size
+    body_bits = 5 + 8 * payload_size
     header_stuff_bits = FD_HEADER_STUFF_BITS + extra_identifier_bits // 4
-    stuff_bits = (FD_HEADER_BITS + extra_identifier_bits + body - 1) // 4 - header_stuff_bits
+    stuff_bits = (FD_HEADER_BITS + extra_identifier_bits + body_bits - 1) // 4 - header_stuff_bits
     # The check field has a stuff count (3 bits and parity) and a CRC: 17 bits up to 16 data bytes,
     # 21 bits above.
     check = 4 + (17 if payload_size <= 16 else 21)
     nominal = FD_HEADER_BITS + extra_identifier_bits + header_stuff_bits + FD_END_BITS
-    return nominal / bitrate + (body + stuff_bits + check + math.ceil(check / 4)) / data_bitrate
+    return (
+        nominal / bitrate + (body_bits + stuff_bits + check + math.ceil(check / 4)) / data_bitrate
+    )
 
 
 def bus_time_s(
@@ -116,11 +118,11 @@ def highest_rate(
     pairs = tuple(
         zip(times, (0.0,) * len(times) if periodic_loads is None else periodic_loads, strict=True)
     )
-    is_within_load = (
+    feasible_rates = (
         rate
         for rate in COMMON_CONTROL_RATES_HZ
         if all(
             rate * busy_time + periodic_load <= MAX_BUS_LOAD for busy_time, periodic_load in pairs
         )
     )
-    return next(is_within_load, COMMON_CONTROL_RATES_HZ[-1])
+    return next(feasible_rates, COMMON_CONTROL_RATES_HZ[-1])

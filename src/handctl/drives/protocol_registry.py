@@ -125,10 +125,10 @@ def make_mode_drive(
     if mode == DriveMode.TORQUE:
         return make_drive(motor, bus)
     check_limits(limits)
-    make_drive_of_mode = (
+    mode_drive_factory = (
         PROTOCOL_ENTRIES[motor.protocol].make_mode if motor.protocol in PROTOCOL_ENTRIES else None
     )
-    if make_drive_of_mode is None:
+    if mode_drive_factory is None:
         protocols_with_modes = ", ".join(
             sorted(name for name, entry in PROTOCOL_ENTRIES.items() if entry.make_mode)
         )
@@ -137,4 +137,4 @@ def make_mode_drive(
             "mode",
             f"torque, or one of {protocols_with_modes}",
         )
-    return make_drive_of_mode(motor, bus, mode, limits)
+    return mode_drive_factory(motor, bus, mode, limits)

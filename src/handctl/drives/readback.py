@@ -51,21 +51,21 @@ class ReadbackCursor(NamedTuple):
 
     Attributes:
         step: index of the present setting.
-        writing: True if the next request writes the setting, because the value in the drive was
+        must_write: True if the next request writes the setting, because the value in the drive was
             wrong.
-        written: number of writes of this setting so far.
+        write_count: number of writes of this setting so far.
         sent_ns: time at which the open request was sent [ns], -1 if no request is open.
         tries: number of requests for this setting so far.
     """
 
     step: int = 0
-    writing: bool = False
-    written: int = 0
+    must_write: bool = False
+    write_count: int = 0
     sent_ns: int = -1
     tries: int = 0
 
     @property
-    def waiting(self) -> bool:
+    def is_waiting(self) -> bool:
         """Return True if a request has been sent, but no answer has arrived yet."""
         return self.sent_ns >= 0
 
@@ -78,12 +78,12 @@ class ReadbackCursor(NamedTuple):
 
         The next request then reads the setting that was written.
         """
-        return ReadbackCursor(self.step, written=self.written + 1)
+        return ReadbackCursor(self.step, write_count=self.write_count + 1)
 
 
 def is_request_due(cursor: ReadbackCursor, t_ns: int) -> bool:
     """Return True if no request waits for an answer, or if the open request has timed out."""
-    return not cursor.waiting or t_ns - cursor.sent_ns >= REQUEST_TIMEOUT_NS
+    return not cursor.is_waiting or t_ns - cursor.sent_ns >= REQUEST_TIMEOUT_NS
 
 
 def cursor_after_request(cursor: ReadbackCursor, t_ns: int) -> ReadbackCursor:
@@ -113,27 +113,27 @@ def request_setting(
     return cursor_after_request(cursor, t_ns), True, ""
 
 
-def on_wrong_value(
-    cursor: ReadbackCursor, name: str, value_text: str, expected_text: str, write_count: int
+def cursor_after_wrong_value(
+    cursor: ReadbackCursor, name: str, value_text: str, expected_text: str, max_write_count: int
 ) -> tuple[ReadbackCursor, str]:
     """Return the position in the read-back after a wrong value.
 
-    The next request then writes the setting, but at most ``write_count`` times.
+    The next request then writes the setting, but at most ``max_write_count`` times.
 
     Args:
         cursor: position in the settings.
         name: name of the setting.
         value_text: value in the drive, as text.
         expected_text: required value, as text.
-        write_count: largest number of times that the setting is written.
+        max_write_count: largest number of times that the setting is written.
 
     Returns:
         The new position in the read-back, and the problem in words (empty if there is no problem).
     """
-    if cursor.written < write_count:
-        return ReadbackCursor(cursor.step, writing=True, written=cursor.written), ""
-    after_text = " after writing" if cursor.written else ""
-    return cursor, f"{name} reads {value_text}{after_text}, expected {expected_text}"
+    if cursor.write_count < max_write_count:
+        return ReadbackCursor(cursor.step, must_write=True, write_count=cursor.write_count), ""
+    write_note = " after writing" if cursor.write_count else ""
+    return cursor, f"{name} reads {value_text}{write_note}, expected {expected_text}"
 
 
 class RecheckCursor(NamedTuple):
@@ -150,7 +150,7 @@ class RecheckCursor(NamedTuple):
     tries: int = 0
 
     @property
-    def waiting(self) -> bool:
+    def is_waiting(self) -> bool:
         """Return True if a request has been sent, but no answer has arrived yet."""
         return self.tries > 0
 
@@ -162,16 +162,16 @@ class SettingRecheck(NamedTuple):
         name: name of the setting.
         request: frame of the request.
         reply: frame of the reply with the required value, with at most 8 bytes of payload.
-        key_bytes: first byte of the payload that identifies the reply to this request, and the byte
+        key_byte_range: first byte of the payload that identifies the reply to this request, and the byte
             after the last. A reply to another request differs in these bytes.
-        compared_bytes: first byte of the payload that is compared, and the byte after the last.
+        compared_byte_range: first byte of the payload that is compared, and the byte after the last.
     """
 
     name: str
     request: Frame
     reply: Frame
-    key_bytes: tuple[int, int]
-    compared_bytes: tuple[int, int]
+    key_byte_range: tuple[int, int]
+    compared_byte_range: tuple[int, int]
 
 
 def first_recheck(node_id: int, t_ns: int) -> RecheckCursor:
@@ -179,10 +179,10 @@ def first_recheck(node_id: int, t_ns: int) -> RecheckCursor:
 
     The drive is enabled at ``t_ns`` [ns].
     """
-    return RecheckCursor(due_ns=_next_slot_ns(node_id, t_ns))
+    return RecheckCursor(due_ns=_next_request_time_ns(node_id, t_ns))
 
 
-def next_recheck(
+def cursor_after_recheck_request(
     check: RecheckCursor, name: str, node_id: int, t_ns: int
 ) -> tuple[RecheckCursor, str]:
     """Return the position in the read-back after a request to an enabled drive, and the problem in words.
@@ -195,11 +195,11 @@ def next_recheck(
         node_id: node number of the drive.
         t_ns: time of the tick [ns].
     """
-    check = check._replace(due_ns=_next_slot_ns(node_id, t_ns), tries=check.tries + 1)
+    check = check._replace(due_ns=_next_request_time_ns(node_id, t_ns), tries=check.tries + 1)
     return check, f"{name} is not answered while enabled" if check.tries >= RECHECK_TRIES else ""
 
 
-def on_recheck_reply(
+def cursor_after_recheck_reply(
     check: RecheckCursor, setting_count: int, is_equal: bool, name: str, answer: str, expected: str
 ) -> tuple[RecheckCursor, str]:
     """Compare a setting that was read again from an enabled drive with its required value.
@@ -222,7 +222,7 @@ def on_recheck_reply(
     return RecheckCursor(), f"{name} {answer} while enabled, expected {expected}: settings are lost"
 
 
-def _next_slot_ns(node_id: int, t_ns: int) -> int:
+def _next_request_time_ns(node_id: int, t_ns: int) -> int:
     """Return the time of the next read-back request to a drive [ns].
 
     Each drive has its own time slots.

@@ -52,7 +52,7 @@ class SignalQuantity(enum.IntEnum):
     """Stiffness of the drive's own position loop, kp."""
     DAMPING = 10
     """Damping of the drive's own position loop, kd."""
-    LIMIT = 11
+    TORQUE_LIMIT = 11
     """Largest absolute torque of the drive."""
 
 
@@ -66,7 +66,7 @@ class SignalCoding(enum.IntEnum):
     """IEEE 754, 32 bits."""
 
 
-FLOAT_STEPS = 1 << 16
+FLOAT_STEPS_PER_COUNT = 1 << 16
 """Steps of a float from 0 to 1 count in position commands.
 
 A float32 below 256 counts contains each of these steps exactly.
@@ -115,7 +115,7 @@ class Signal(NamedTuple):
             low = (
                 0.0
                 if self.quantity
-                in (SignalQuantity.STIFFNESS, SignalQuantity.DAMPING, SignalQuantity.LIMIT)
+                in (SignalQuantity.STIFFNESS, SignalQuantity.DAMPING, SignalQuantity.TORQUE_LIMIT)
                 else -high
             )
         values = (self.offset + low * self.scale, self.offset + high * self.scale)
@@ -125,9 +125,9 @@ class Signal(NamedTuple):
     def step(self) -> float:
         """Return the resolution of the value [unit].
 
-        The resolution is one count. For a float, it is 1 / ``FLOAT_STEPS`` of a count.
+        The resolution is one count. For a float, it is 1 / ``FLOAT_STEPS_PER_COUNT`` of a count.
         """
-        return abs(self.scale) / (FLOAT_STEPS if self.coding == SignalCoding.FLOAT else 1)
+        return abs(self.scale) / (FLOAT_STEPS_PER_COUNT if self.coding == SignalCoding.FLOAT else 1)
 
 
 class CyclicMessage(NamedTuple):
@@ -139,10 +139,10 @@ class CyclicMessage(NamedTuple):
         length: length of the payload [bytes].
         signals: signals in the frame.
         flags: flags of the frame, see ``frame``.
-        base: payload of a command in which all signals are 0.
-        answers: True for feedback that answers a command.
+        base_payload: payload of a command in which all signals are 0.
+        is_reply: True for feedback that answers a command.
         limit: largest absolute value that a command may have, in the unit of its signal.
-        nearest: True for feedback that the drive sends both on request and by itself, with values
+        keeps_nearest_frame: True for feedback that the drive sends both on request and by itself, with values
             measured at different times. If several such frames arrive in a tick, the one nearest to
             the expected position is used.
     """
@@ -152,10 +152,10 @@ class CyclicMessage(NamedTuple):
     length: int
     signals: tuple[Signal, ...] = ()
     flags: int = 0
-    base: bytes = b""
-    answers: bool = True
+    base_payload: bytes = b""
+    is_reply: bool = True
     limit: float = math.inf
-    nearest: bool = False
+    keeps_nearest_frame: bool = False
 
 
 class CyclicMessages(NamedTuple):
@@ -168,7 +168,7 @@ class CyclicMessages(NamedTuple):
             for no limit.
         position: the torque command with the signals of ``POSITION_COMMAND``, with which the drive
             closes its own position loop. None if the protocol has no such frame.
-        moves_commanded_position: True if the drive moves the commanded position with the commanded velocity
+        integrates_velocity: True if the drive moves the commanded position with the commanded velocity
             until the next command. The value is False if the commanded position stays unchanged
             until the next command. After a failure of the host, a moving position would increase
             the tension more and more, so its command contains a torque limit.
@@ -178,12 +178,12 @@ class CyclicMessages(NamedTuple):
     commands: tuple[CyclicMessage, ...]
     feedback_timeout_ns: int = 0
     position: CyclicMessage | None = None
-    moves_commanded_position: bool = False
+    integrates_velocity: bool = False
 
 
 POSITION_COMMAND = (
     SignalQuantity.POSITION, SignalQuantity.VELOCITY, SignalQuantity.STIFFNESS, SignalQuantity.DAMPING,
-    SignalQuantity.TORQUE, SignalQuantity.LIMIT,
+    SignalQuantity.TORQUE, SignalQuantity.TORQUE_LIMIT,
 )  # fmt: skip
 """Signals of ``CyclicMessages.position``, in order. The last one is optional.
 
@@ -284,7 +284,7 @@ def bytes_reversed(word: Any) -> Any:
 
 @kernel_helper
 def decode_signal(
-    value: Any, signal_integers: IntegerArray, signal_reals: RealArray, i: int
+    value: Any, signal_integers: IntegerArray, signal_scalings: RealArray, i: int
 ) -> float:
     """Decode the value of signal i in a window.
 
@@ -297,7 +297,7 @@ def decode_signal(
     if coding == FLOAT:
         number = np.float64(np.uint32(bits).view(np.float32))
         return (
-            number * signal_reals[i, SCALE_COLUMN] + signal_reals[i, OFFSET_COLUMN]
+            number * signal_scalings[i, SCALE_COLUMN] + signal_scalings[i, OFFSET_COLUMN]
             if math.isfinite(number)
             else math.nan
         )
@@ -305,13 +305,15 @@ def decode_signal(
     # The top bit is the sign, and is extended to all higher bits.
     if coding == SIGNED and integer_value >> (length - 1):
         integer_value -= np.int64(1) << length
-    result: float = integer_value * signal_reals[i, SCALE_COLUMN] + signal_reals[i, OFFSET_COLUMN]
+    result: float = (
+        integer_value * signal_scalings[i, SCALE_COLUMN] + signal_scalings[i, OFFSET_COLUMN]
+    )
     return result
 
 
 @kernel_helper
 def encode_signal(
-    value: float, signal_integers: IntegerArray, signal_reals: RealArray, i: int
+    value: float, signal_integers: IntegerArray, signal_scalings: RealArray, i: int
 ) -> Any:
     """Encode a value as signal i, and return its bits at their position in a window.
 
@@ -319,7 +321,7 @@ def encode_signal(
     """
     # floor(x + 0.5) is used, because round() rounds a half to the even number. The mask removes the
     # bits above the signal that a negative number sets.
-    scaled = (value - signal_reals[i, OFFSET_COLUMN]) / signal_reals[i, SCALE_COLUMN]
+    scaled = (value - signal_scalings[i, OFFSET_COLUMN]) / signal_scalings[i, SCALE_COLUMN]
     mask = (np.uint64(1) << np.uint64(signal_integers[i, LENGTH_COLUMN])) - np.uint64(1)
     if signal_integers[i, CODING_COLUMN] == FLOAT:
         bits = np.uint64(np.float32(scaled).view(np.uint32))
@@ -329,30 +331,30 @@ def encode_signal(
 
 
 @kernel("words", "matrix_int", "matrix")
-def unpack_rows(data: WordArray, rows: IntegerArray, signal_reals: RealArray) -> RealArray:
+def unpack_rows(data: WordArray, rows: IntegerArray, signal_scalings: RealArray) -> RealArray:
     """Decode each signal (signals,) in the words of an identifier and a payload (1, words).
 
-    The arrays ``rows`` and ``signal_reals`` have one row per signal.
+    The arrays ``rows`` and ``signal_scalings`` have one row per signal.
     """
     result = np.empty(len(rows))
     for i in range(len(rows)):
         value = read_window(data[0], 1, rows[i, WINDOW_COLUMN])
         result[i] = decode_signal(
-            bytes_reversed(value) if rows[i, ORDER_COLUMN] else value, rows, signal_reals, i
+            bytes_reversed(value) if rows[i, ORDER_COLUMN] else value, rows, signal_scalings, i
         )
     return result
 
 
 @kernel("words", "matrix_int", "matrix", "vector")
 def pack_rows(
-    data: WordArray, rows: IntegerArray, signal_reals: RealArray, values: RealArray
+    data: WordArray, rows: IntegerArray, signal_scalings: RealArray, values: RealArray
 ) -> None:
     """Encode each value (signals,) into the words of an identifier and a payload (1, words).
 
     Before the call, all bits at the positions of the signals must be zero.
     """
     for i in range(len(rows)):
-        bits = encode_signal(values[i], rows, signal_reals, i)
+        bits = encode_signal(values[i], rows, signal_scalings, i)
         write_window(
             data[0],
             1,
@@ -367,7 +369,7 @@ class SignalTable:
     Attributes:
         message: the message.
         signal_integers: (signals, INTEGER_COLUMN_COUNT) integer columns, see ``START_COLUMN``.
-        signal_reals: (signals, 2) scale and offset, see ``SCALE_COLUMN``.
+        signal_scalings: (signals, 2) scale and offset, see ``SCALE_COLUMN``.
     """
 
     def __init__(self, message: CyclicMessage) -> None:
@@ -378,7 +380,7 @@ class SignalTable:
             [integer_columns(signal) for signal in signals], dtype=np.int64
         ).reshape(-1, INTEGER_COLUMN_COUNT)
         self._names = [(signal.name, signal.unit) for signal in signals]
-        self.signal_reals: RealArray = np.array(
+        self.signal_scalings: RealArray = np.array(
             [(signal.scale, signal.offset) for signal in signals], dtype=np.float64
         ).reshape(-1, 2)
 
@@ -388,7 +390,7 @@ class SignalTable:
         If a float is not finite, its value is NaN.
         """
         values: list[float] = unpack_rows(
-            self._words(data), self.signal_integers, self.signal_reals
+            self._payload_words(data), self.signal_integers, self.signal_scalings
         ).tolist()
         return values
 
@@ -410,11 +412,13 @@ class SignalTable:
             # The comparison is negated, so that it refuses NaN.
             if not abs(value) <= self.message.limit:
                 raise ValueError(f"{name} {value} {unit}, expected at most {self.message.limit:g}")
-        data = self._words(self.message.base)
-        pack_rows(data, self.signal_integers, self.signal_reals, np.array(values, dtype=np.float64))
+        data = self._payload_words(self.message.base_payload)
+        pack_rows(
+            data, self.signal_integers, self.signal_scalings, np.array(values, dtype=np.float64)
+        )
         return int(data[0, 0]), data[0, 1:].tobytes()[: self.message.length]
 
-    def _words(self, data: bytes) -> WordArray:
+    def _payload_words(self, data: bytes) -> WordArray:
         """Return the identifier and a payload as words (1, words).
 
         If the payload is short, zeros are added at its end.

@@ -2,7 +2,7 @@
 
 These steps are the transition to a fault, the repeated read-back, and enabling and disabling. The
 state machine of each protocol has its own progress. The progress is a named tuple in
-``DriveState.private``. Each function returns the next drive state. It uses only the fields of
+``DriveState.protocol_state``. Each function returns the next drive state. It uses only the fields of
 ``EnablingProgress`` that its docstring lists.
 """
 
@@ -24,23 +24,23 @@ class EnablingProgress(Protocol):
 
     Attributes:
         cursor: position in the list of settings to read back.
-        configured: True if all settings have their required values.
+        is_configured: True if all settings have their required values.
         enabled_by_other_host: True if the drive may make torque without a command of this host.
-        enable_sent: True from the enable command until the drive reports that it is off.
-        disabling: True while the drive is being disabled.
+        is_enable_sent: True from the enable command until the drive reports that it is off.
+        is_disabling: True while the drive is being disabled.
         disable_command_ns: time of the first disable command [ns].
-        clearing: number of feedback frames with an error still to be ignored.
+        errors_to_ignore: number of feedback frames with an error still to be ignored.
         ready_ns: time at which the last setting was verified [ns].
         serial: serial number of the drive, 0 if unknown.
     """
 
     cursor: ReadbackCursor
-    configured: bool
+    is_configured: bool
     enabled_by_other_host: bool
-    enable_sent: bool
-    disabling: bool
+    is_enable_sent: bool
+    is_disabling: bool
     disable_command_ns: int
-    clearing: int
+    errors_to_ignore: int
     ready_ns: int
     serial: int
 
@@ -86,7 +86,9 @@ def request_recheck(
     if t_ns < state.recheck.due_ns or not (rechecks := drive.rechecks):
         return state, ()
     recheck = rechecks[state.recheck.step]
-    check, problem = readback.next_recheck(state.recheck, recheck.name, drive.node_id, t_ns)
+    check, problem = readback.cursor_after_recheck_request(
+        state.recheck, recheck.name, drive.node_id, t_ns
+    )
     state = state._replace(recheck=check)
     return enter_fault(state, error_code, problem) if problem else state, (recheck.request,)
 
@@ -111,7 +113,7 @@ def state_after_recheck_reply(
         answer: answer of the drive in words, such as ``reads 3``.
         expected: required value, as text.
     """
-    check, problem = readback.on_recheck_reply(
+    check, problem = readback.cursor_after_recheck_reply(
         state.recheck, setting_count, is_equal, name, answer, expected
     )
     state = state._replace(recheck=check)
@@ -121,21 +123,21 @@ def state_after_recheck_reply(
 def is_steady(state: DriveState) -> bool:
     """Return True if this host has enabled the drive, and is not disabling it.
 
-    The function uses the fields ``enable_sent`` and ``disabling``.
+    The function uses the fields ``is_enable_sent`` and ``is_disabling``.
     """
-    progress: EnablingProgress = state.private
-    return state.phase == ENABLED and progress.enable_sent and not progress.disabling
+    progress: EnablingProgress = state.protocol_state
+    return state.phase == ENABLED and progress.is_enable_sent and not progress.is_disabling
 
 
 def may_have_lost_power(state: DriveState, t_ns: int) -> bool:
     """Return True if a disabled drive has sent no frame for SILENCE_TIMEOUT_NS.
 
-    The function uses the fields ``enable_sent`` and ``ready_ns``.
+    The function uses the fields ``is_enable_sent`` and ``ready_ns``.
     """
-    progress: EnablingProgress = state.private
+    progress: EnablingProgress = state.protocol_state
     return (
         state.phase == READY
-        and not progress.enable_sent
+        and not progress.is_enable_sent
         and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_TIMEOUT_NS
     )
 
@@ -145,37 +147,37 @@ def state_after_configuration(state: DriveState, t_ns: int, serial: int) -> Driv
 
     A serial number of 0 means that the serial number is unknown.
     """
-    progress: EnablingProgress = state.private
+    progress: EnablingProgress = state.protocol_state
     ready_progress = progress._replace(
-        cursor=ReadbackCursor(), configured=True, ready_ns=t_ns, serial=serial
+        cursor=ReadbackCursor(), is_configured=True, ready_ns=t_ns, serial=serial
     )
-    return state._replace(phase=READY, private=ready_progress)
+    return state._replace(phase=READY, protocol_state=ready_progress)
 
 
 def start_enabling(state: DriveState, node_id: int, t_ns: int) -> DriveState:
     """Return the state of a drive when an enable command is sent to it.
 
-    The function uses the field ``enable_sent``.
+    The function uses the field ``is_enable_sent``.
     """
-    progress: EnablingProgress = state.private
-    if progress.enable_sent:
+    progress: EnablingProgress = state.protocol_state
+    if progress.is_enable_sent:
         return state
     check = readback.first_recheck(node_id, t_ns)
-    return state._replace(recheck=check, private=progress._replace(enable_sent=True))
+    return state._replace(recheck=check, protocol_state=progress._replace(is_enable_sent=True))
 
 
 def start_disabling(state: DriveState, t_ns: int) -> DriveState:
     """Return the state of a drive when a disable command is sent to it.
 
     A drive that may be enabled counts as enabled until its feedback reports that the drive is off.
-    The function uses the fields ``may_be_enabled``, ``disabling`` and ``disable_command_ns``.
+    The function uses the fields ``may_be_enabled``, ``is_disabling`` and ``disable_command_ns``.
     """
-    progress: EnablingProgress = state.private
+    progress: EnablingProgress = state.protocol_state
     phase = ENABLED if progress.may_be_enabled else state.phase
-    disabling_start_ns = progress.disable_command_ns if progress.disabling else t_ns
+    disabling_start_ns = progress.disable_command_ns if progress.is_disabling else t_ns
     return state._replace(
         phase=phase,
-        private=progress._replace(disabling=True, disable_command_ns=disabling_start_ns),
+        protocol_state=progress._replace(is_disabling=True, disable_command_ns=disabling_start_ns),
     )
 
 
@@ -184,7 +186,7 @@ def state_when_off(
 ) -> DriveState:
     """Return the state after the drive has reported that it is off, without an error.
 
-    The function uses the fields ``enable_sent``, ``enabled_by_other_host``, ``clearing``, ``disabling``
+    The function uses the fields ``is_enable_sent``, ``enabled_by_other_host``, ``errors_to_ignore``, ``is_disabling``
     and ``disable_command_ns``.
 
     Args:
@@ -194,48 +196,51 @@ def state_when_off(
         error_code: error code of a drive that has disabled itself.
         error_text: text of this error.
     """
-    progress: EnablingProgress = state.private
+    progress: EnablingProgress = state.protocol_state
     progress_when_off = progress._replace(
-        enable_sent=False, enabled_by_other_host=False, clearing=0
+        is_enable_sent=False, enabled_by_other_host=False, errors_to_ignore=0
     )
-    if progress.disabling:
+    if progress.is_disabling:
         # Feedback from before the disable command does not show the effect of this command.
         if state.feedback_t_ns < progress.disable_command_ns:
             return state
-        return state._replace(phase=FAULT if state.error else READY, private=progress_when_off)
+        return state._replace(
+            phase=FAULT if state.error else READY, protocol_state=progress_when_off
+        )
     if has_dropped_out:
-        return enter_fault(state._replace(private=progress_when_off), error_code, error_text)
-    progress_when_off = progress_when_off._replace(enable_sent=progress.enable_sent)
+        return enter_fault(state._replace(protocol_state=progress_when_off), error_code, error_text)
+    progress_when_off = progress_when_off._replace(is_enable_sent=progress.is_enable_sent)
     return state._replace(
-        phase=CONFIGURING if state.phase == SILENT else state.phase, private=progress_when_off
+        phase=CONFIGURING if state.phase == SILENT else state.phase,
+        protocol_state=progress_when_off,
     )
 
 
 def state_when_on(state: DriveState, error_code: int, error_text: str) -> DriveState:
     """Return the state after the drive has reported that it is on.
 
-    The function uses the field ``enable_sent``.
+    The function uses the field ``is_enable_sent``.
 
     Args:
         state: state of the drive.
         error_code: error code of a drive that this host has not enabled.
         error_text: text of this error.
     """
-    progress: EnablingProgress = state.private
-    if progress.enable_sent and state.phase != FAULT:
+    progress: EnablingProgress = state.protocol_state
+    if progress.is_enable_sent and state.phase != FAULT:
         return state if state.phase == ENABLED else state._replace(phase=ENABLED)
-    return state_when_on_by_other(state, error_code, error_text)
+    return state_enabled_by_other_host(state, error_code, error_text)
 
 
-def state_when_on_by_other(state: DriveState, error_code: int, error_text: str) -> DriveState:
+def state_enabled_by_other_host(state: DriveState, error_code: int, error_text: str) -> DriveState:
     """Return the state of a drive that may make torque without a command of this host.
 
-    The function uses the fields ``enabled_by_other_host`` and ``disabling``. The arguments have the same
+    The function uses the fields ``enabled_by_other_host`` and ``is_disabling``. The arguments have the same
     meaning as in ``state_when_on``.
     """
-    progress: EnablingProgress = state.private
-    on = state._replace(private=progress._replace(enabled_by_other_host=True))
-    if progress.disabling:
+    progress: EnablingProgress = state.protocol_state
+    on = state._replace(protocol_state=progress._replace(enabled_by_other_host=True))
+    if progress.is_disabling:
         return on._replace(phase=ENABLED)
     if state.phase in (READY, ENABLED):
         return enter_fault(on, error_code, error_text)

@@ -28,7 +28,7 @@ from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, StreamTarget, TickOut, TickRequest, Vector
 from handctl.errors import ConfigError
 from handctl.gym.observation_layout import (
-    FIELD_BY_PART_NAME,
+    TELEMETRY_FIELD_BY_PART_NAME,
     Float32Array,
     ObservationLayout,
     ObservationPart,
@@ -37,12 +37,12 @@ from handctl.gym.observation_layout import (
 from handctl.hand.file.display_units import DisplayUnits
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.live_session import LiveProgram
-from handctl.programs.requests import REFUSED_PREFIX
+from handctl.programs.requests import REFUSAL_EVENT_PREFIX
 from handctl.programs.stream_plans import target_horizon_s
+from handctl.session.lockstep_simulation import SimulatedRun, SimulatorSettings, homed_controller
 from handctl.session.run_plan import check_hand_ready, default_control_rate
-from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
 
-RATE_HZ = 50.0
+ACTION_RATE_HZ = 50.0
 """Desired rate of the actions of an environment [Hz].
 
 The actual rate is the nearest rate whose period is a whole number of ticks.
@@ -83,7 +83,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     has_tensions: ClassVar = False
     """True if an action contains a tension for each digit, after its targets."""
     metadata: dict[str, Any] = {  # noqa: RUF012
-        "render_modes": ["rgb_array"], "render_fps": round(RATE_HZ)
+        "render_modes": ["rgb_array"], "render_fps": round(ACTION_RATE_HZ)
     }  # fmt: skip
 
     def __init__(
@@ -136,7 +136,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         self.names = self.hand.joints if space == "joint" else self.hand.digit_names
         self.low_deg, self.high_deg = _target_range_deg(self.model, space)
         rate = 1.0 / self.model.period
-        self.ticks = max(1, round(rate / RATE_HZ))
+        self.ticks = max(1, round(rate / ACTION_RATE_HZ))
         self.step_s = self.ticks * self.model.period
         self.max_steps = max(1, round(duration_s / self.step_s))
         self.horizon_s = target_horizon_s(1.0 / self.step_s, self.model.period)
@@ -145,11 +145,11 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
             self.hand.display_units
             if space == "joint"
             else DisplayUnits.of(
-                [self.hand.displayed_mean(name).is_prismatic[0] for name in self.names]
+                [self.hand.mean_position_units(name).is_prismatic[0] for name in self.names]
             )
         )
         # A prismatic joint moves 10 mm per rad.
-        self._largest_step_deg = speed_deg_s * self.step_s * self.units.per_degree
+        self._largest_step_deg = speed_deg_s * self.step_s * self.units.displayed_per_degree
         self._target_deg = self.low_deg
         self._perturb = dict(perturb or {})
         self.layout = ObservationLayout(self.observation_parts())
@@ -166,7 +166,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def observation_parts(self) -> list[ObservationPart]:
         """Return the parts of an observation of this environment."""
 
-    def body_observation_parts(self) -> list[ObservationPart]:
+    def common_observation_parts(self) -> list[ObservationPart]:
         """Return the parts of an observation that all environments have: joint angles, joint rates and tensions."""
         largest = 2.0 * max(tendon.tension_max_N for tendon in self.hand.tendon)
         return [
@@ -176,7 +176,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         ]
 
     @abstractmethod
-    def extra_values(self, name: str) -> Any:
+    def values_outside_telemetry(self, name: str) -> Any:
         """Return the values of an observation part whose values are not in the telemetry."""
 
     @abstractmethod
@@ -184,7 +184,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         """Begin an episode. When this method is called, the simulated hand has just begun to accept targets."""
 
     @abstractmethod
-    def judge_step(self) -> tuple[float, bool, dict[str, Any]]:
+    def evaluate_step(self) -> tuple[float, bool, dict[str, Any]]:
         """Return three results of a step: the reward, the success or failure, and further information.
 
         The second result is True if the episode has ended by success or failure.
@@ -197,7 +197,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         """
         return None
 
-    def action_requests(self, action_vector: Vector) -> list[str]:
+    def requests_of_action(self, action_vector: Vector) -> list[str]:
         """Return the requests that a step sends in addition to the target of the stream."""
         return []
 
@@ -269,12 +269,12 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         self._target_number = 0
         self._last_streamed_names = ()
         self._target_deg = np.clip(
-            self.units.to_displayed(self.coordinates_of_joints(self.last_output.telemetry.q)),
+            self.units.to_display_units(self.coordinates_of_joints(self.last_output.telemetry.q)),
             self.low_deg,
             self.high_deg,
         )
         self.begin_episode()
-        return self._observation(), self._extra_information()
+        return self._observation(), self._step_information()
 
     def step(self, action: Float32Array) -> tuple[Float32Array, float, bool, bool, dict[str, Any]]:
         """Send the targets of an action to the hand, and simulate the hand until the next action is due.
@@ -289,7 +289,9 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
             )
         tick_output = run.run_tick(requests=tuple(self._step_requests(clipped_action)))
         refused_texts = [
-            event.text for event in tick_output.events if event.text.startswith(REFUSED_PREFIX)
+            event.text
+            for event in tick_output.events
+            if event.text.startswith(REFUSAL_EVENT_PREFIX)
         ]
         if refused_texts and tick_output.mode == HandMode.ACTIVE:
             raise ConfigError(
@@ -300,7 +302,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
                 break
             tick_output = run.run_tick()
         self.steps += 1
-        reward, is_terminated, information = self.judge_step()
+        reward, is_terminated, information = self.evaluate_step()
         has_failed = tick_output.mode != HandMode.ACTIVE
         is_truncated = self.steps >= self.max_steps and not (is_terminated or has_failed)
         return (
@@ -308,7 +310,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
             float(reward),
             is_terminated or has_failed,
             is_truncated,
-            self._extra_information() | information,
+            self._step_information() | information,
         )
 
     def render(self) -> NDArray[np.uint8] | None:
@@ -372,7 +374,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         This step may send targets for other joints or digits than the last step. In this case, the
         first request opens a new stream.
         """
-        requests: list[TickRequest] = list(self.action_requests(action_vector))
+        requests: list[TickRequest] = list(self.requests_of_action(action_vector))
         names = self.names_of_targets(action_vector)
         if names and names != self._last_streamed_names:
             opening_request = {
@@ -404,15 +406,15 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
     def _observation(self) -> Float32Array:
         telemetry = self.last_output.telemetry
-        return self.layout.vector(
+        return self.layout.to_vector(
             lambda name: (
-                getattr(telemetry, FIELD_BY_PART_NAME[name])
-                if name in FIELD_BY_PART_NAME
-                else self.extra_values(name)
+                getattr(telemetry, TELEMETRY_FIELD_BY_PART_NAME[name])
+                if name in TELEMETRY_FIELD_BY_PART_NAME
+                else self.values_outside_telemetry(name)
             )
         )
 
-    def _extra_information(self) -> dict[str, Any]:
+    def _step_information(self) -> dict[str, Any]:
         """Return information about the hand that the observation does not contain."""
         state = self.simulated_run.state
         stream = stream_status(state)
@@ -444,11 +446,11 @@ def _target_range_deg(model: HandModel, space: TargetSpace) -> tuple[Vector, Vec
     The range of a digit is the range that all joint coordinates of this digit have in common.
     """
     if space == "joint":
-        low, high = zip(*(digit.displayed_limits for digit in model.hand.digit), strict=True)
+        low, high = zip(*(digit.displayed_joint_limits for digit in model.hand.digit), strict=True)
         return np.concatenate(low), np.concatenate(high)
-    displayed_reach = [
-        digit.coordinate_units.to_displayed(digit.coordinate_limits) for digit in model.digits
+    displayed_limits = [
+        digit.coordinate_units.to_display_units(digit.coordinate_limits) for digit in model.digits
     ]
-    return np.array([bound_m[0].max() for bound_m in displayed_reach]), np.array(
-        [bound_m[1].min() for bound_m in displayed_reach]
+    return np.array([bound_m[0].max() for bound_m in displayed_limits]), np.array(
+        [bound_m[1].min() for bound_m in displayed_limits]
     )

@@ -98,12 +98,12 @@ class GraspEnv(HandEnv):
     def observation_parts(self) -> list[ObservationPart]:
         """Return the parts of an observation: joint angles, joint rates, tensions, tip forces and contacts."""
         return [
-            *self.body_observation_parts(),
+            *self.common_observation_parts(),
             telemetry_observation(self.hand, "tip_force_N", -50.0, 50.0),
             telemetry_observation(self.hand, "contact", 0.0, 1.0),
         ]
 
-    def extra_values(self, name: str) -> Any:
+    def values_outside_telemetry(self, name: str) -> Any:
         """Raise an error, because the telemetry contains all values of an observation."""
         raise KeyError(name)
 
@@ -124,7 +124,7 @@ class GraspEnv(HandEnv):
         self._pressing = 0.0
         self._held: dict[str, float] = {}
 
-    def action_requests(self, action_vector: Vector) -> list[str]:
+    def requests_of_action(self, action_vector: Vector) -> list[str]:
         """Return a request that changes the tensions of digits.
 
         If an action changes no tension, return no request.
@@ -169,7 +169,7 @@ class GraspEnv(HandEnv):
         tensions: Vector = np.round(action_vector[len(self.names) :] * self._max_tension_N, 3)
         return tensions
 
-    def judge_step(self) -> tuple[float, bool, dict[str, Any]]:
+    def evaluate_step(self) -> tuple[float, bool, dict[str, Any]]:
         """Return three results of a step: the reward, the end of the episode, and further information.
 
         The second result is True if the object has been held long enough or has been dropped.
@@ -180,11 +180,11 @@ class GraspEnv(HandEnv):
         self._pressing = mean_force_reward
         plant = self.simulated_world.plant
         fall_distance_m = self._height_m - plant.engine.object_pose()[2]
-        sink_start_s = plant.table.dropped_at
+        table_drop_time_s = plant.table.dropped_at
         is_dropped = fall_distance_m > DROP_DISTANCE_M
         is_held = (
-            sink_start_s is not None
-            and plant.t_ns / 1e9 - sink_start_s >= SUCCESS_HOLD_S
+            table_drop_time_s is not None
+            and plant.t_ns / 1e9 - table_drop_time_s >= SUCCESS_HOLD_S
             and not is_dropped
         )
         if is_held:
@@ -195,6 +195,6 @@ class GraspEnv(HandEnv):
             "is_success": is_held,
             "force_N": forces,
             "fallen_m": fall_distance_m,
-            "table_sinks": sink_start_s is not None,
+            "table_sinks": table_drop_time_s is not None,
         }
         return reward, is_held or is_dropped, information

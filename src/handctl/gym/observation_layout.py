@@ -16,7 +16,7 @@ from handctl.runtime.observations import PUBLISHED_NAME_BY_FIELD
 
 Float32Array = NDArray[np.float32]
 """Type of an observation, and of an action."""
-FIELD_BY_PART_NAME = {name: field for field, name in PUBLISHED_NAME_BY_FIELD.items()}
+TELEMETRY_FIELD_BY_PART_NAME = {name: field for field, name in PUBLISHED_NAME_BY_FIELD.items()}
 """Field of the telemetry that provides the values of an observation's part, by name of the part."""
 
 
@@ -25,12 +25,12 @@ class ObservationPart(NamedTuple):
 
     Attributes:
         name: name of the part with the unit, as in ``handctl.client.Observation``.
-        axis: name of each value of the part, e.g. the names of the joints.
+        value_names: name of each value of the part, e.g. the names of the joints.
         low, high: bounds of every value of the part.
     """
 
     name: str
-    axis: tuple[str, ...]
+    value_names: tuple[str, ...]
     low: float
     high: float
 
@@ -48,22 +48,22 @@ class ObservationLayout:
     def __init__(self, parts: Sequence[ObservationPart]) -> None:
         """Place the values of the parts in the vector, one part after the other."""
         self.parts = tuple(parts)
-        self.names = tuple([f"{part.name}[{name}]" for part in parts for name in part.axis])
-        sizes = [len(part.axis) for part in parts]
+        self.names = tuple([f"{part.name}[{name}]" for part in parts for name in part.value_names])
+        sizes = [len(part.value_names) for part in parts]
         low = np.repeat(np.array([part.low for part in parts], np.float32), sizes)
         high = np.repeat(np.array([part.high for part in parts], np.float32), sizes)
         self.space = Box(low, high, dtype=np.float32)
 
-    def vector(self, value_of_field: Callable[[str], Any]) -> Float32Array:
+    def to_vector(self, values_of_part: Callable[[str], Any]) -> Float32Array:
         """Return the observation as a vector.
 
         Args:
-            value_of_field: function that takes the name of a part and returns its values. An unknown value
+            values_of_part: function that takes the name of a part and returns its values. An unknown value
                 (NaN) becomes 0.
         """
         row = np.concatenate(
             [
-                np.asarray(value_of_field(observation_part.name), np.float64)
+                np.asarray(values_of_part(observation_part.name), np.float64)
                 for observation_part in self.parts
             ]
         )
@@ -81,4 +81,6 @@ def telemetry_observation(hand: Hand, name: str, low: float, high: float) -> Obs
         "motor": tuple(motor.name for motor in hand.motor),
         "digit": hand.digit_names,
     }
-    return ObservationPart(name, axis[TELEMETRY_AXES[FIELD_BY_PART_NAME[name]]], low, high)
+    return ObservationPart(
+        name, axis[TELEMETRY_AXES[TELEMETRY_FIELD_BY_PART_NAME[name]]], low, high
+    )

@@ -72,14 +72,14 @@ class TrackEnv(HandEnv):
     def observation_parts(self) -> list[ObservationPart]:
         """Return the parts of an observation: joint angles and rates, tensions, present and future references."""
         return [
-            *self.body_observation_parts(),
+            *self.common_observation_parts(),
             ObservationPart("reference_rad", self.names, -math.pi, math.pi),
             ObservationPart("reference_ahead_rad", self.names, -math.pi, math.pi),
         ]
 
     def begin_episode(self) -> None:
         """Begin an episode: choose a random reference."""
-        low, high = self._limits_deg()
+        low, high = self._reference_limits_deg()
         shape = (2, len(low))
         period = self.np_random.uniform(*SINE_PERIOD_RANGE_S, shape)
         self._rate = 2.0 * np.pi / period
@@ -97,11 +97,12 @@ class TrackEnv(HandEnv):
         s = min(t_s / REFERENCE_BLEND_S, 1.0)
         blend = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
         angles = (
-            self._reference_units.to_displayed(self._start) * (1.0 - blend) + sine_reference * blend
+            self._reference_units.to_display_units(self._start) * (1.0 - blend)
+            + sine_reference * blend
         )
         return angles if self._space == "digit" else self._joint_angles_at(angles)
 
-    def extra_values(self, name: str) -> Any:
+    def values_outside_telemetry(self, name: str) -> Any:
         """Return the references of an observation part [rad].
 
         The name of the part selects the present references, or the references after the horizon.
@@ -109,26 +110,26 @@ class TrackEnv(HandEnv):
         time_ahead_s = self.horizon_s if name == "reference_ahead_rad" else 0.0
         return self.units.si(self.reference_deg(self.t_s + time_ahead_s))
 
-    def judge_step(self) -> tuple[float, bool, dict[str, Any]]:
+    def evaluate_step(self) -> tuple[float, bool, dict[str, Any]]:
         """Return three results of a step: the reward, False, and the tracking error.
 
         The reward depends on the true tracking error. The second result is always False, because no
         step ends an episode.
         """
-        error = self.units.to_displayed(
+        error = self.units.to_display_units(
             self.coordinates_of_joints(self.true_q)
         ) - self.reference_deg(self.t_s)
         rms = float(np.sqrt(np.mean(error**2)))
         return 1.0 / (1.0 + (rms / HALF_REWARD_ERROR_DEG) ** 2), False, {"error_deg": rms}
 
-    def _limits_deg(self) -> tuple[Vector, Vector]:
+    def _reference_limits_deg(self) -> tuple[Vector, Vector]:
         """Return the lowest and the highest value of each reference [deg].
 
         A reference belongs to a digit or to a coordinate of joints.
         """
         if self._space == "digit":
             return self.low_deg, self.high_deg
-        low, high = self._reference_units.to_displayed(self.model.coordinate_limits)
+        low, high = self._reference_units.to_display_units(self.model.coordinate_limits)
         return low, high
 
     @property

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
-from handctl.hand.file import quantities as qty
+from handctl.hand.file import quantity_types as qty
 from handctl.hand.file.display_units import DisplayUnits
-from handctl.hand.file.sections import (
+from handctl.hand.file.section_models import (
     CIA404_KEYS,
     DEFAULT_JOINT_NOISE_M,
     HANDCTL_NODE_KEYS,
@@ -27,7 +27,7 @@ from handctl.hand.file.sections import (
     Tendon,
 )
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.moment_arms import is_arm_varying, mean_arm, polynomial_of_arm
+from handctl.hand.moment_arms import is_moment_arm_varying, mean_moment_arm, moment_arm_polynomial
 
 MESH_KEYS = ("link_mesh", "link_mesh_scale", "link_mesh_position_m", "link_mesh_rpy_deg")
 """Keys of a digit that describe the meshes of its links.
@@ -191,7 +191,7 @@ class Hand(Section):
         """Return the units (J,) in which a user sees the positions of the joints."""
         return DisplayUnits.of(self.is_prismatic)
 
-    def displayed_mean(self, digit: str) -> DisplayUnits:
+    def mean_position_units(self, digit: str) -> DisplayUnits:
         """Return the unit (1,) in which a user sees the mean position of a digit's joints.
 
         If all joints of the digit are prismatic, the unit is mm.
@@ -220,7 +220,7 @@ class Hand(Section):
         """
         limits = self.joint_limits.T.tolist()
         arms = np.array([
-            [mean_arm(tendon.arms.get(joint, 0.0), *limits[j]) for j, joint in enumerate(self.joints)]
+            [mean_moment_arm(tendon.arms.get(joint, 0.0), *limits[j]) for j, joint in enumerate(self.joints)]
             for tendon in self.tendon
         ])  # fmt: skip
         arms.setflags(write=False)
@@ -252,11 +252,11 @@ class Hand(Section):
     def arm_polynomials(self) -> NDArray[np.float64]:
         """Return the moment arms as polynomials of the joint angle, in a read-only array.
 
-        The array (N, J, quantities.POLYNOMIAL_COEFFICIENTS) contains the coefficients for each
+        The array (N, J, quantity_types.POLYNOMIAL_COEFFICIENTS) contains the coefficients for each
         tendon at each joint.
         """
         rows = [
-            [polynomial_of_arm(tendon.arms.get(joint, 0.0)) for joint in self.joints]
+            [moment_arm_polynomial(tendon.arms.get(joint, 0.0)) for joint in self.joints]
             for tendon in self.tendon
         ]
         polynomials = np.array(rows)
@@ -267,7 +267,10 @@ class Hand(Section):
     def has_varying_arm(self) -> NDArray[np.bool_]:
         """Return True for each tendon with a moment arm that depends on the joint angle, (N,)."""
         return np.array(
-            [any(map(is_arm_varying, tendon.moment_arm_m.values())) for tendon in self.tendon]
+            [
+                any(map(is_moment_arm_varying, tendon.moment_arm_m.values()))
+                for tendon in self.tendon
+            ]
         )
 
     @cached_property
@@ -316,13 +319,13 @@ class Hand(Section):
 
         The first name is that of the digit directly before the given digit.
         """
-        carrier = self.digit_named(digit).mount_on
+        carrier_name = self.digit_named(digit).mount_on
         # In an invalid hand file, digits may carry each other in a circle. Later checks refuse such
         # a file.
         carriers: list[str] = []
-        while carrier in self.digit_names and carrier not in carriers:
-            carriers.append(carrier)
-            carrier = self.digit_named(carrier).mount_on
+        while carrier_name in self.digit_names and carrier_name not in carriers:
+            carriers.append(carrier_name)
+            carrier_name = self.digit_named(carrier_name).mount_on
         return tuple(carriers)
 
     def digit_of_tendon(self, tendon: Tendon) -> str | None:
@@ -360,7 +363,7 @@ class Hand(Section):
         """Return the index of each tendon's motor in the list ``motor``."""
         return tuple(self.motor_names.index(tendon.motor) for tendon in self.tendon)
 
-    def motor_of(self, tendon: str) -> Motor:
+    def motor_of_tendon(self, tendon: str) -> Motor:
         """Return the motor of a tendon, by the tendon's name."""
         return self.motor[self.motor_index[self.tendon_names.index(tendon)]]
 
@@ -418,8 +421,8 @@ class Hand(Section):
         content["mount"] = _table_without_keys(content["mount"], PALM_MESH_KEYS)
         # Because the keys are sorted and the separators are fixed, equal content becomes equal
         # text.
-        canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
-        return hashlib.sha256(canonical.encode()).hexdigest()
+        canonical_json = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return hashlib.sha256(canonical_json.encode()).hexdigest()
 
 
 def _table_without_keys(table_content: dict[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:

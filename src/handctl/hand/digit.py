@@ -10,15 +10,15 @@ from numpy.typing import ArrayLike, NDArray
 from handctl.hand import rigid_body as body
 from handctl.hand.description import Hand
 from handctl.hand.file.display_units import DisplayUnits
-from handctl.hand.file.sections import Digit
-from handctl.hand.link_bodies import (
+from handctl.hand.file.section_models import Digit
+from handctl.hand.link_geometry import (
     centre_of_mass,
     joint_axes,
     link_inertia,
     link_placement,
     rotation_of_rpy,
 )
-from handctl.hand.moment_arms import excursions_at, moment_arms_at
+from handctl.hand.moment_arms import joint_excursions, moment_arms_at
 
 Array = NDArray[np.float64]
 JointValues = Sequence[float] | Array
@@ -73,7 +73,7 @@ class DigitModel:
         gravity: (3,) gravitational acceleration in the palm frame [m/s2]. If another digit carries
             this digit, the frame of the carrying link takes the place of the palm frame in these
             attributes.
-        table: (rigid_body.TABLE_ROW_COUNT, n) frames and inertial properties of the links, for
+        table: (rigid_body.LINK_TABLE_ROW_COUNT, n) frames and inertial properties of the links, for
             ``rigid_body``.
         parent: (n,) column in ``table`` of the link before each link, -1 for the palm.
         moment_arms: moment arms R (n_t, n) [m]. If a moment arm depends on the joint angle, R
@@ -89,7 +89,7 @@ class DigitModel:
         wrap: (n_t,) wrap angle of each tendon before its first joint pulley [rad].
         motor_mass: (n_t,) inertia of the rotor as a mass that moves with the tendon, J_m / r_a^2
             [kg].
-        arm_polynomials: (n_t, n, quantities.POLYNOMIAL_COEFFICIENTS) moment arms as polynomials of
+        arm_polynomials: (n_t, n, quantity_types.POLYNOMIAL_COEFFICIENTS) moment arms as polynomials of
             the joint angle.
         has_varying_arm: True if at least one moment arm depends on the joint angle.
         joint_units: (n,) units in which a user sees the positions of the joints.
@@ -182,13 +182,13 @@ class DigitModel:
         digit = hand.digit_named(name)
         joints = hand.digit_joints[name]
         tendons = hand.digit_tendons[name]
-        motors = [hand.motor_of(tendon.name) for tendon in hand.tendon[tendons]]
+        motors = [hand.motor_of_tendon(tendon.name) for tendon in hand.tendon[tendons]]
         links = range(len(digit.joints))
         arms = hand.moment_arms[:, joints][tendons]
         coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
         # By least squares, the pseudo-inverse of R B converts an excursion to coordinates. The
         # transpose of this pseudo-inverse converts a torque to the tensions of smallest norm.
-        to_coordinates = np.linalg.pinv(arms @ coupling)
+        excursion_to_coordinates = np.linalg.pinv(arms @ coupling)
         return DigitModel(
             name=name,
             joint_names=digit.joints,
@@ -216,8 +216,8 @@ class DigitModel:
             moment_arms=_read_only_copy(arms),
             coupling=_read_only_copy(coupling),
             reduced_moment_arms=_read_only_copy(arms @ coupling),
-            excursion_to_joints=_read_only_copy(coupling @ to_coordinates),
-            torque_to_tension=_read_only_copy(to_coordinates.T @ coupling.T),
+            excursion_to_joints=_read_only_copy(coupling @ excursion_to_coordinates),
+            torque_to_tension=_read_only_copy(excursion_to_coordinates.T @ coupling.T),
             joints_to_coordinates=_read_only_copy(np.linalg.pinv(coupling)),
             friction=_read_only_copy(
                 [tendon.friction_coefficient for tendon in hand.tendon[tendons]]
@@ -235,7 +235,7 @@ class DigitModel:
         )
 
     @staticmethod
-    def models_of_hand(hand: Hand) -> "tuple[DigitModel, ...]":
+    def digit_models_of_hand(hand: Hand) -> "tuple[DigitModel, ...]":
         """Build the models of all digits of a hand, in the order of the hand file."""
         return tuple(DigitModel.from_hand(hand, name) for name in hand.digit_names)
 
@@ -250,11 +250,11 @@ class DigitModel:
             return self.moment_arms
         return moment_arms_at(self.arm_polynomials, self.joint_limits, q)
 
-    def excursion_at(self, q: ArrayLike) -> Array:
+    def excursion_at_angles(self, q: ArrayLike) -> Array:
         """Return the excursion of each tendon, (n_t,) [m], at joint angles (n,) [rad]."""
         if not self.has_varying_arm:
             return np.asarray(self.moment_arms @ np.asarray(q))
-        return np.asarray(excursions_at(self.arm_polynomials, self.joint_limits, q).sum(axis=-1))
+        return np.asarray(joint_excursions(self.arm_polynomials, self.joint_limits, q).sum(axis=-1))
 
     def with_moment_arms_at(self, q: ArrayLike) -> "DigitModel":
         """Return a copy of the digit whose moment arms belong to the joint angles (n,) [rad].
@@ -273,7 +273,7 @@ class DigitModel:
             torque_to_tension=excursion_to_coordinates.T @ self.coupling.T,
         )
 
-    def coordinates_of(self, excursion: Array) -> Array:
+    def coordinates_of_excursion(self, excursion: Array) -> Array:
         """Return the coordinates (n_c,) [rad] that belong to excursions (n_t,) [m] of the tendons, by least squares.
 
         If moment arms depend on the joint angle, the solution is found by Gauss-Newton steps. The
@@ -285,7 +285,7 @@ class DigitModel:
         for _ in range(NEWTON_STEPS):
             q = self.coupling @ theta
             step = np.linalg.pinv(self.moment_arms_at(q) @ self.coupling) @ (
-                excursion - self.excursion_at(q)
+                excursion - self.excursion_at_angles(q)
             )
             theta = theta + step
             if np.abs(step).max() < NEWTON_TOLERANCE_RAD:
@@ -350,9 +350,9 @@ def coordinate_range(coupling: Array, joint_limits: Array) -> Array:
 
 
 def link_table(digit: Digit) -> Array:
-    """Return the table (rigid_body.TABLE_ROW_COUNT, n) of a digit's links for ``rigid_body``."""
-    table = np.zeros((body.TABLE_ROW_COUNT, len(digit.joints)))
-    table[body.PRISMATIC_ROW] = digit.is_prismatic
+    """Return the table (rigid_body.LINK_TABLE_ROW_COUNT, n) of a digit's links for ``rigid_body``."""
+    table = np.zeros((body.LINK_TABLE_ROW_COUNT, len(digit.joints)))
+    table[body.IS_PRISMATIC_ROW] = digit.is_prismatic
     armature = digit.joint_values("joint_armature_kg_m2")
     for i, axis in enumerate(joint_axes(digit)):
         position, rotation = link_placement(digit, i)
@@ -373,15 +373,15 @@ def link_table(digit: Digit) -> Array:
         moments = link_inertia(digit, i) + mass * (
             float(com @ com) * np.eye(3) - np.outer(com, com)
         )
-        table[body.ORIGIN_ROW : body.ORIGIN_ROW + 3, i] = position
-        table[body.AXIS_ROW : body.AXIS_ROW + 3, i] = axis
-        table[body.MASS_ROW, i] = mass
-        table[body.MOMENT_ROW : body.MOMENT_ROW + 3, i] = mass * com
-        table[body.INERTIA_ROW : body.INERTIA_ROW + 6, i] = moments[
+        table[body.JOINT_ORIGIN_ROW : body.JOINT_ORIGIN_ROW + 3, i] = position
+        table[body.JOINT_AXIS_ROW : body.JOINT_AXIS_ROW + 3, i] = axis
+        table[body.LINK_MASS_ROW, i] = mass
+        table[body.LINK_FIRST_MOMENT_ROW : body.LINK_FIRST_MOMENT_ROW + 3, i] = mass * com
+        table[body.LINK_INERTIA_ROW : body.LINK_INERTIA_ROW + 6, i] = moments[
             (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
         ]
-        table[body.ARMATURE_ROW, i] = armature[i]
-        table[body.LENGTH_ROW, i] = digit.link_length_m[i]
+        table[body.JOINT_ARMATURE_ROW, i] = armature[i]
+        table[body.LINK_LENGTH_ROW, i] = digit.link_length_m[i]
     return table
 
 

@@ -21,17 +21,17 @@ from handctl.hand.file.error_text import (
     validation_mistakes,
     with_paths_in_hand_file,
 )
-from handctl.hand.file.sections import Digit, Section, Tendon
+from handctl.hand.file.section_models import Digit, Section, Tendon
 from handctl.hand.file.templates import (
-    RESOLVED_SCHEMA,
-    WRITTEN_SCHEMA,
+    SCHEMA_WITH_TEMPLATES,
+    SCHEMA_WITHOUT_TEMPLATES,
     KeyPathOrigins,
-    join_mistakes_of_default,
+    join_missing_key_mistakes,
     resolve_templates,
 )
 from handctl.printing import similar_name
 
-READABLE_SCHEMAS = (RESOLVED_SCHEMA, WRITTEN_SCHEMA)
+READABLE_SCHEMAS = (SCHEMA_WITHOUT_TEMPLATES, SCHEMA_WITH_TEMPLATES)
 """Schema numbers of the hand files that this version of handctl reads."""
 PACKAGED_HANDS_FOLDER = Path(__file__).parent / "hands"
 """Folder of the packaged hand files."""
@@ -172,17 +172,17 @@ def validate_content(content: Mapping[str, Any]) -> tuple[Hand | None, list[File
     """
     if not content:
         expected = (
-            f"schema = {WRITTEN_SCHEMA} and the sections of a hand; "
+            f"schema = {SCHEMA_WITH_TEMPLATES} and the sections of a hand; "
             "handctl config init writes them from a few answers"
         )
         return None, [FileMistake("the file is empty", "schema", expected)]
-    version = content.get("schema", RESOLVED_SCHEMA)
+    version = content.get("schema", SCHEMA_WITHOUT_TEMPLATES)
     if isinstance(version, bool) or version not in READABLE_SCHEMAS:
         return None, [
             FileMistake(
                 toml_spelling(version),
                 "schema",
-                f"{RESOLVED_SCHEMA} or {WRITTEN_SCHEMA}, versions that this handctl reads",
+                f"{SCHEMA_WITHOUT_TEMPLATES} or {SCHEMA_WITH_TEMPLATES}, versions that this handctl reads",
             )
         ]
     resolved_content = resolve_templates(content)
@@ -192,8 +192,8 @@ def validate_content(content: Mapping[str, Any]) -> tuple[Hand | None, list[File
         hand = Hand.model_validate(resolved_content.content)
     except ValidationError as error:
         hand_mistakes = validation_mistakes(error, Hand, resolved_content.content)
-        if content.get("schema") == WRITTEN_SCHEMA:
-            hand_mistakes = join_mistakes_of_default(hand_mistakes, resolved_content.content)
+        if content.get("schema") == SCHEMA_WITH_TEMPLATES:
+            hand_mistakes = join_missing_key_mistakes(hand_mistakes, resolved_content.content)
         digits = _valid_sections(resolved_content.content, "digit", Digit)
         hand_mistakes += check_sections(
             digits, _valid_sections(resolved_content.content, "tendon", Tendon)
@@ -206,7 +206,7 @@ def validate_content(content: Mapping[str, Any]) -> tuple[Hand | None, list[File
     return (None, mistakes) if mistakes else (hand, [])
 
 
-class InspectedHand(NamedTuple):
+class HandInspection(NamedTuple):
     """Result of the inspection of a hand file.
 
     Attributes:
@@ -221,17 +221,19 @@ class InspectedHand(NamedTuple):
     origins: KeyPathOrigins
 
 
-def inspect_content(content: Mapping[str, Any]) -> InspectedHand:
+def inspect_hand_content(content: Mapping[str, Any]) -> HandInspection:
     """Validate the parsed content of a hand file, and find all mistakes that prevent the use of the hand."""
     hand, mistakes = validate_content(content)
-    origins = resolve_templates(content).origins if content.get("schema") == WRITTEN_SCHEMA else {}
+    origins = (
+        resolve_templates(content).origins if content.get("schema") == SCHEMA_WITH_TEMPLATES else {}
+    )
     if hand is not None:
         # The module that is imported here also imports numba. Importing numba takes long, and
         # loading a hand does not need it.
-        from handctl.hand.readiness import reasons_not_ready
+        from handctl.hand.readiness_checks import reasons_not_ready
 
         mistakes = with_paths_in_hand_file(reasons_not_ready(hand), origins)
-    return InspectedHand(hand, group_mistakes(mistakes), origins)
+    return HandInspection(hand, group_mistakes(mistakes), origins)
 
 
 def _valid_sections(

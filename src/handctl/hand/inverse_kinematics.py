@@ -13,18 +13,18 @@ SCAN_INTERVAL_COUNT = 64
 """Number of intervals in a scan along a coupled digit's path for the point closest to a target."""
 REACH_TOLERANCE = 1e-12
 """Relative tolerance for rounding errors when a squared distance is compared with the squared reach."""
-MAX_STEPS = 60
+MAX_SEARCH_STEPS = 60
 """Largest number of steps in the search for the closest tip position."""
-MIN_STEP_RAD = 1e-10
+MIN_SEARCH_STEP_RAD = 1e-10
 """The search ends after a step in which no coordinate changes by more than this value [rad]."""
-START_WEIGHT_M_PER_RAD = 1e-5
+START_DISTANCE_WEIGHT_M_PER_RAD = 1e-5
 """Weight of the distance from the start coordinates [m/rad].
 
 Of all postures with the same tip position, the weight selects the one nearest to the start.
 """
 DAMPING_RANGE = (1e-8, 1e8)
 """Smallest and largest damping of a Levenberg-Marquardt step, relative to the largest curvature."""
-START_RANGE_FRACTIONS = (0.5, 0.15, 0.85)
+START_COORDINATE_FRACTIONS = (0.5, 0.15, 0.85)
 """Start coordinates of a search without a given posture, as fractions of the coordinates' ranges."""
 
 
@@ -120,8 +120,8 @@ def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tupl
         # The distance has a minimum where its slope changes from negative to positive.
         if low_slope <= 0.0 <= high_slope:
             candidates.append(brentq(slope, low, high, xtol=1e-14))
-    best = min(candidates, key=distance)
-    return best, distance(best)
+    closest_candidate = min(candidates, key=distance)
+    return closest_candidate, distance(closest_candidate)
 
 
 def coordinate_limits(digit: DigitModel) -> tuple[float, float]:
@@ -208,7 +208,7 @@ def closest_tip(
     if start_angles is None:
         locally_closest_tips = [
             _locally_closest_tip(digit, target, low + range_fraction * (high - low))
-            for range_fraction in START_RANGE_FRACTIONS
+            for range_fraction in START_COORDINATE_FRACTIONS
         ]
         return min(locally_closest_tips, key=lambda tip: tip.distance)
     return _locally_closest_tip(
@@ -225,29 +225,33 @@ def _locally_closest_tip(
     gap = joint_points(digit, digit.coupling @ theta)[-1] - target_point
     cost = float(gap @ gap)
     damping = 1e-3
-    for _ in range(MAX_STEPS):
+    for _ in range(MAX_SEARCH_STEPS):
         jacobian = tip_jacobian(digit, digit.coupling @ theta) @ digit.coupling
-        slope = jacobian.T @ gap + START_WEIGHT_M_PER_RAD**2 * (theta - start_coordinates)
+        slope = jacobian.T @ gap + START_DISTANCE_WEIGHT_M_PER_RAD**2 * (theta - start_coordinates)
         is_free = ~(((theta <= low) & (slope > 0.0)) | ((theta >= high) & (slope < 0.0)))
         if not is_free.any():
             break
         curvature = jacobian[:, is_free].T @ jacobian[
             :, is_free
-        ] + START_WEIGHT_M_PER_RAD**2 * np.eye(int(is_free.sum()))
+        ] + START_DISTANCE_WEIGHT_M_PER_RAD**2 * np.eye(int(is_free.sum()))
         scale = float(curvature.diagonal().max())
         next_coordinates = theta
         while damping < DAMPING_RANGE[1]:
-            trial = theta.copy()
-            trial[is_free] -= np.linalg.solve(
+            trial_coordinates = theta.copy()
+            trial_coordinates[is_free] -= np.linalg.solve(
                 curvature + damping * scale * np.eye(len(curvature)), slope[is_free]
             )
-            trial = np.clip(trial, low, high)
-            distance_vector = joint_points(digit, digit.coupling @ trial)[-1] - target_point
-            start_cost = (START_WEIGHT_M_PER_RAD * (trial - start_coordinates)) @ (
-                START_WEIGHT_M_PER_RAD * (trial - start_coordinates)
+            trial_coordinates = np.clip(trial_coordinates, low, high)
+            distance_vector = (
+                joint_points(digit, digit.coupling @ trial_coordinates)[-1] - target_point
             )
-            if (present_cost := float(distance_vector @ distance_vector + start_cost)) < cost:
-                next_coordinates = trial
+            start_distance_cost = (
+                START_DISTANCE_WEIGHT_M_PER_RAD * (trial_coordinates - start_coordinates)
+            ) @ (START_DISTANCE_WEIGHT_M_PER_RAD * (trial_coordinates - start_coordinates))
+            if (
+                present_cost := float(distance_vector @ distance_vector + start_distance_cost)
+            ) < cost:
+                next_coordinates = trial_coordinates
                 gap = distance_vector
                 cost = present_cost
                 damping = max(0.1 * damping, DAMPING_RANGE[0])
@@ -255,6 +259,6 @@ def _locally_closest_tip(
             damping *= 10.0
         step = float(np.abs(next_coordinates - theta).max())
         theta = next_coordinates
-        if step < MIN_STEP_RAD:
+        if step < MIN_SEARCH_STEP_RAD:
             break
     return ClosestTip(theta, float(np.linalg.norm(gap)))

@@ -26,12 +26,14 @@ def link_poses(digit: DigitModel, q: JointValues) -> Array:
 
 def link_rotations(poses: Array) -> Array:
     """Return the rotations (n, 3, 3) from the frames of the links to the palm frame."""
-    return poses[:, rigid_body.ROTATION_COLUMN : rigid_body.ROTATION_COLUMN + 9].reshape(-1, 3, 3)
+    return poses[:, rigid_body.POSE_ROTATION_COLUMN : rigid_body.POSE_ROTATION_COLUMN + 9].reshape(
+        -1, 3, 3
+    )
 
 
 def joint_positions(poses: Array) -> Array:
     """Return the positions (n, 3) of the links' joints in the palm frame [m]."""
-    return poses[:, rigid_body.POSITION_COLUMN : rigid_body.POSITION_COLUMN + 3]
+    return poses[:, rigid_body.POSE_POSITION_COLUMN : rigid_body.POSE_POSITION_COLUMN + 3]
 
 
 def joint_points(digit: DigitModel, q: JointValues) -> Array:
@@ -65,7 +67,7 @@ def point_jacobian(
     point_on_link = (
         joint_positions(poses)[link] + distance_from_joint * link_rotations(poses)[link, :, 0]
     )
-    axes = poses[:, rigid_body.DIRECTION_COLUMN : rigid_body.DIRECTION_COLUMN + 3]
+    axes = poses[:, rigid_body.POSE_AXIS_COLUMN : rigid_body.POSE_AXIS_COLUMN + 3]
     revolute_columns = np.cross(axes, point_on_link - joint_positions(poses))
     jacobian = np.where(digit.is_prismatic[:, None], axes, revolute_columns).T
     # Joints beyond this link do not move the point.

@@ -19,12 +19,12 @@ from handctl.hand.kinematics import joint_positions, link_rotations
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HandLinkTree:
+class LinkTree:
     """All links of a hand in the order of its joints.
 
     Attributes:
         digits: models of the digits, in the order of the hand file.
-        table: (rigid_body.TABLE_ROW_COUNT, J) frames and inertial properties of the links, for
+        table: (rigid_body.LINK_TABLE_ROW_COUNT, J) frames and inertial properties of the links, for
             ``rigid_body``.
         parent: (J,) index of the joint before each joint, -1 for the palm.
         gravity: (3,) gravitational acceleration in the palm frame [m/s2].
@@ -40,7 +40,7 @@ class HandLinkTree:
     preload: Array
 
     @staticmethod
-    def from_hand(hand: Hand, digits: Sequence[DigitModel] = ()) -> "HandLinkTree":
+    def from_hand(hand: Hand, digits: Sequence[DigitModel] = ()) -> "LinkTree":
         """Build the tree of a hand.
 
         Args:
@@ -48,14 +48,14 @@ class HandLinkTree:
             digits: models of the hand's digits, in the order of the hand file. If no models are
                 given, this function builds them.
         """
-        digits = tuple(digits) or DigitModel.models_of_hand(hand)
+        digits = tuple(digits) or DigitModel.digit_models_of_hand(hand)
         parents = [
             np.where(
                 digit.parent < 0, hand.base_joints[digit.name], digit.parent + digit.joints.start
             )
             for digit in digits
         ]
-        return HandLinkTree(
+        return LinkTree(
             digits=digits,
             table=np.concatenate([digit.table for digit in digits], axis=1),
             parent=np.concatenate(parents),
@@ -73,12 +73,12 @@ class HandLinkTree:
         poses = self.poses(q)
         result = []
         for digit in self.digits:
-            own_poses = poses[digit.joints]
+            digit_poses = poses[digit.joints]
             tip = (
-                joint_positions(own_poses)[-1]
-                + digit.lengths[-1] * link_rotations(own_poses)[-1, :, 0]
+                joint_positions(digit_poses)[-1]
+                + digit.lengths[-1] * link_rotations(digit_poses)[-1, :, 0]
             )
-            result.append(np.vstack((joint_positions(own_poses), tip)))
+            result.append(np.vstack((joint_positions(digit_poses), tip)))
         return tuple(result)
 
     def mass_matrix(self, q: JointValues) -> Array:

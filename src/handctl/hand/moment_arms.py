@@ -4,7 +4,7 @@ All arms are stored as polynomials r(q) of the same fixed degree. The excursion 
 joint is the exact integral of r from 0 to q. Outside of the joint's range, the arm equals the arm
 at the nearer limit. Thus a polynomial is only evaluated in the range for which it was given. The
 excursion is therefore monotonic for all angles. A table of measured arms becomes the least-squares
-polynomial of degree ``TABLE_DEGREE``.
+polynomial of degree ``MOMENT_ARM_FIT_DEGREE``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,17 +12,17 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from handctl.hand.file.quantities import POLYNOMIAL_COEFFICIENTS
+from handctl.hand.file.quantity_types import POLYNOMIAL_COEFFICIENTS
 
 Array = NDArray[np.float64]
 MomentArm = float | Mapping[str, Sequence[float]]
 """Moment arm in a hand file: a number, ``{"polynomial_m": ...}``, or ``{"angle_deg": ..., "arm_m": ...}``."""
 
-TABLE_DEGREE = 3
+MOMENT_ARM_FIT_DEGREE = 3
 """Degree of the polynomial that replaces a table of moment arms, if the table has enough entries."""
 
 
-def polynomial_of_arm(arm: MomentArm) -> Array:
+def moment_arm_polynomial(arm: MomentArm) -> Array:
     """Return the coefficients (POLYNOMIAL_COEFFICIENTS,) of a moment arm as a polynomial of the angle in rad.
 
     The constant term comes first.
@@ -37,15 +37,15 @@ def polynomial_of_arm(arm: MomentArm) -> Array:
     if "polynomial_m" in arm:
         coefficients = np.asarray(arm["polynomial_m"])
     else:
-        angle, values = table_of_arm(arm)
+        angle, values = moment_arm_table(arm)
         coefficients = np.polynomial.polynomial.polyfit(
-            angle, values, min(TABLE_DEGREE, len(angle) - 1)
+            angle, values, min(MOMENT_ARM_FIT_DEGREE, len(angle) - 1)
         )
     result[: len(coefficients)] = coefficients
     return result
 
 
-def table_of_arm(arm: MomentArm) -> tuple[Array, Array]:
+def moment_arm_table(arm: MomentArm) -> tuple[Array, Array]:
     """Return the angles (k,) [rad] and the moment arms (k,) [m] of a table of moment arms.
 
     For a moment arm without a table, k is 0.
@@ -55,17 +55,17 @@ def table_of_arm(arm: MomentArm) -> tuple[Array, Array]:
     return np.radians(arm["angle_deg"]), np.asarray(arm["arm_m"], dtype=np.float64)
 
 
-def arm_table_residual(arm: MomentArm) -> float:
+def moment_arm_table_residual(arm: MomentArm) -> float:
     """Return the largest difference between a table of moment arms and its polynomial [m].
 
     For a moment arm without a table, the difference is 0.
     """
-    angle, values = table_of_arm(arm)
-    fitted_arms = np.polynomial.polynomial.polyval(angle, polynomial_of_arm(arm))
-    return float(np.abs(fitted_arms - values).max(initial=0.0))
+    angle, values = moment_arm_table(arm)
+    fitted_moment_arms = np.polynomial.polynomial.polyval(angle, moment_arm_polynomial(arm))
+    return float(np.abs(fitted_moment_arms - values).max(initial=0.0))
 
 
-def is_arm_varying(arm: MomentArm) -> bool:
+def is_moment_arm_varying(arm: MomentArm) -> bool:
     """Return True if a moment arm is written as a polynomial or as a table.
 
     Return False if it is a number.
@@ -87,7 +87,7 @@ def moment_arms_at(arm_polynomials: Array, joint_limits: Array, q: ArrayLike) ->
     return _evaluate_polynomials(arm_polynomials, clipped_angles)
 
 
-def excursions_at(arm_polynomials: Array, joint_limits: Array, q: ArrayLike) -> Array:
+def joint_excursions(arm_polynomials: Array, joint_limits: Array, q: ArrayLike) -> Array:
     """Return the excursion (..., n_t, n) of each tendon at each joint [m].
 
     The excursion is the integral of the moment arm over the joint angle.
@@ -107,7 +107,7 @@ def excursions_at(arm_polynomials: Array, joint_limits: Array, q: ArrayLike) -> 
     )
 
 
-def mean_arm(arm: MomentArm, min_angle: float, max_angle: float) -> float:
+def mean_moment_arm(arm: MomentArm, min_angle: float, max_angle: float) -> float:
     """Return the mean of a moment arm over the range of the joint [m].
 
     For a constant moment arm, the mean is the moment arm itself.
@@ -119,8 +119,8 @@ def mean_arm(arm: MomentArm, min_angle: float, max_angle: float) -> float:
     """
     if not isinstance(arm, Mapping):
         return arm
-    end_excursions = excursions_at(
-        polynomial_of_arm(arm)[None, None],
+    end_excursions = joint_excursions(
+        moment_arm_polynomial(arm)[None, None],
         np.array([[min_angle], [max_angle]]),
         [[min_angle], [max_angle]],
     )

@@ -31,39 +31,39 @@ SINE_ROTATION_ROW = 18
 The rotation from the frame of a link to that of its parent is F + C cos q + S sin q, with the matrices F,
 C and S in the order of these rows.
 """
-ORIGIN_ROW = 27
+JOINT_ORIGIN_ROW = 27
 """First table row with the joint's position in the parent's frame [m]."""
-AXIS_ROW = 30
+JOINT_AXIS_ROW = 30
 """First table row with the joint's axis, a unit vector in the link's frame."""
-MASS_ROW = 33
+LINK_MASS_ROW = 33
 """Table row with the link's mass [kg]."""
-MOMENT_ROW = 34
+LINK_FIRST_MOMENT_ROW = 34
 """First table row with the link's first moment of mass, in the frame of the link [kg m]."""
-INERTIA_ROW = 37
+LINK_INERTIA_ROW = 37
 """First table row with the link's inertia about its joint: xx, yy, zz, xy, xz, yz [kg m2]."""
-ARMATURE_ROW = 43
+JOINT_ARMATURE_ROW = 43
 """Table row with the inertia of the joint itself, without its link [kg m2]."""
-LENGTH_ROW = 44
+LINK_LENGTH_ROW = 44
 """Table row with the link's length [m]."""
-PRISMATIC_ROW = 45
+IS_PRISMATIC_ROW = 45
 """Row in the table that is 1 for a prismatic joint, and 0 for a hinge."""
-TABLE_ROW_COUNT = 46
+LINK_TABLE_ROW_COUNT = 46
 """Number of rows of a table."""
 
-ROTATION_COLUMN = 0
+POSE_ROTATION_COLUMN = 0
 """First column of a pose with the rotation from the link's frame to the palm frame.
 
 The rotation is stored row by row.
 """
-POSITION_COLUMN = 9
+POSE_POSITION_COLUMN = 9
 """First column of a pose with the position of the link's joint in the palm frame [m]."""
-DIRECTION_COLUMN = 12
+POSE_AXIS_COLUMN = 12
 """First column of a pose with the joint's axis in the palm frame."""
 CARRIED_MASS_COLUMN = 15
 """Column of a pose with the mass of the link and of all links that it carries [kg]."""
 CARRIED_MOMENT_COLUMN = 16
 """First column of a pose with the first moment of this mass, in the palm frame [kg m]."""
-PRISMATIC_COLUMN = 19
+POSE_PRISMATIC_COLUMN = 19
 """Column in a pose that is 1 for a prismatic joint, and 0 for a hinge."""
 POSE_COLUMN_COUNT = 20
 """Number of columns of a pose."""
@@ -107,42 +107,42 @@ def write_link_poses(
         parent_joint = parent[j]
         for a in range(3):
             if parent_joint < 0:
-                pose[j, POSITION_COLUMN + a] = link_table[first_row + ORIGIN_ROW + a, j]
+                pose[j, POSE_POSITION_COLUMN + a] = link_table[first_row + JOINT_ORIGIN_ROW + a, j]
                 for b in range(3):
-                    pose[j, ROTATION_COLUMN + 3 * a + b] = turn[3 * a + b]
+                    pose[j, POSE_ROTATION_COLUMN + 3 * a + b] = turn[3 * a + b]
             else:
-                first_element = pose[parent_joint, ROTATION_COLUMN + 3 * a]
-                second_element = pose[parent_joint, ROTATION_COLUMN + 3 * a + 1]
-                third_element = pose[parent_joint, ROTATION_COLUMN + 3 * a + 2]
+                first_element = pose[parent_joint, POSE_ROTATION_COLUMN + 3 * a]
+                second_element = pose[parent_joint, POSE_ROTATION_COLUMN + 3 * a + 1]
+                third_element = pose[parent_joint, POSE_ROTATION_COLUMN + 3 * a + 2]
                 for b in range(3):
-                    pose[j, ROTATION_COLUMN + 3 * a + b] = (
+                    pose[j, POSE_ROTATION_COLUMN + 3 * a + b] = (
                         first_element * turn[b]
                         + second_element * turn[3 + b]
                         + third_element * turn[6 + b]
                     )
-                pose[j, POSITION_COLUMN + a] = (
-                    pose[parent_joint, POSITION_COLUMN + a]
-                    + first_element * link_table[first_row + ORIGIN_ROW, j]
-                    + second_element * link_table[first_row + ORIGIN_ROW + 1, j]
-                    + third_element * link_table[first_row + ORIGIN_ROW + 2, j]
+                pose[j, POSE_POSITION_COLUMN + a] = (
+                    pose[parent_joint, POSE_POSITION_COLUMN + a]
+                    + first_element * link_table[first_row + JOINT_ORIGIN_ROW, j]
+                    + second_element * link_table[first_row + JOINT_ORIGIN_ROW + 1, j]
+                    + third_element * link_table[first_row + JOINT_ORIGIN_ROW + 2, j]
                 )
-            pose[j, DIRECTION_COLUMN + a] = _component_along(
-                link_table, first_row + AXIS_ROW, pose, j, a
+            pose[j, POSE_AXIS_COLUMN + a] = _palm_frame_component(
+                link_table, first_row + JOINT_AXIS_ROW, pose, j, a
             )
-            if link_table[first_row + PRISMATIC_ROW, j] != 0.0:
-                pose[j, POSITION_COLUMN + a] += q[j] * pose[j, DIRECTION_COLUMN + a]
-        pose[j, PRISMATIC_COLUMN] = link_table[first_row + PRISMATIC_ROW, j]
+            if link_table[first_row + IS_PRISMATIC_ROW, j] != 0.0:
+                pose[j, POSE_POSITION_COLUMN + a] += q[j] * pose[j, POSE_AXIS_COLUMN + a]
+        pose[j, POSE_PRISMATIC_COLUMN] = link_table[first_row + IS_PRISMATIC_ROW, j]
 
 
 @kernel_helper
-def _component_along(
+def _palm_frame_component(
     link_table: Array, first_row: int, pose: Array, j: int, axis_index: int
 ) -> float:
     """Convert a vector of the table from the frame of link j to the palm frame, and return one component."""
-    first_product = pose[j, ROTATION_COLUMN + 3 * axis_index] * link_table[first_row, j]
-    second_product = pose[j, ROTATION_COLUMN + 3 * axis_index + 1] * link_table[first_row + 1, j]
-    third_product = pose[j, ROTATION_COLUMN + 3 * axis_index + 2] * link_table[first_row + 2, j]
-    return first_product + second_product + third_product
+    x_product = pose[j, POSE_ROTATION_COLUMN + 3 * axis_index] * link_table[first_row, j]
+    y_product = pose[j, POSE_ROTATION_COLUMN + 3 * axis_index + 1] * link_table[first_row + 1, j]
+    z_product = pose[j, POSE_ROTATION_COLUMN + 3 * axis_index + 2] * link_table[first_row + 2, j]
+    return x_product + y_product + z_product
 
 
 @kernel_helper
@@ -151,11 +151,14 @@ def write_carried_masses(
 ) -> None:
     """Write the carried masses of all links, and their first moments, for given poses."""
     for j in range(len(pose)):
-        pose[j, CARRIED_MASS_COLUMN] = link_table[first_row + MASS_ROW, j]
+        pose[j, CARRIED_MASS_COLUMN] = link_table[first_row + LINK_MASS_ROW, j]
         for a in range(3):
-            moment = _component_along(link_table, first_row + MOMENT_ROW, pose, j, a)
+            moment = _palm_frame_component(
+                link_table, first_row + LINK_FIRST_MOMENT_ROW, pose, j, a
+            )
             pose[j, CARRIED_MOMENT_COLUMN + a] = (
-                link_table[first_row + MASS_ROW, j] * pose[j, POSITION_COLUMN + a] + moment
+                link_table[first_row + LINK_MASS_ROW, j] * pose[j, POSE_POSITION_COLUMN + a]
+                + moment
             )
     # The loop goes through the links from the tips to the palm.
     for j in range(len(pose) - 1, -1, -1):
@@ -187,22 +190,22 @@ def write_weight_torques(
     write_carried_masses(link_table, first_row, parent, pose)
     for j in range(len(pose)):
         mass = pose[j, CARRIED_MASS_COLUMN]
-        x = pose[j, CARRIED_MOMENT_COLUMN] - mass * pose[j, POSITION_COLUMN]
-        y = pose[j, CARRIED_MOMENT_COLUMN + 1] - mass * pose[j, POSITION_COLUMN + 1]
-        z = pose[j, CARRIED_MOMENT_COLUMN + 2] - mass * pose[j, POSITION_COLUMN + 2]
-        if pose[j, PRISMATIC_COLUMN] != 0.0:
+        x = pose[j, CARRIED_MOMENT_COLUMN] - mass * pose[j, POSE_POSITION_COLUMN]
+        y = pose[j, CARRIED_MOMENT_COLUMN + 1] - mass * pose[j, POSE_POSITION_COLUMN + 1]
+        z = pose[j, CARRIED_MOMENT_COLUMN + 2] - mass * pose[j, POSE_POSITION_COLUMN + 2]
+        if pose[j, POSE_PRISMATIC_COLUMN] != 0.0:
             torque[j] = -mass * (
-                pose[j, DIRECTION_COLUMN] * gravity[0]
-                + pose[j, DIRECTION_COLUMN + 1] * gravity[1]
-                + pose[j, DIRECTION_COLUMN + 2] * gravity[2]
+                pose[j, POSE_AXIS_COLUMN] * gravity[0]
+                + pose[j, POSE_AXIS_COLUMN + 1] * gravity[1]
+                + pose[j, POSE_AXIS_COLUMN + 2] * gravity[2]
             )
             continue
         # The weight makes the torque (first moment) x gravity about the axis of the joint. The
         # torque with the opposite sign balances the weight.
         torque[j] = -(
-            pose[j, DIRECTION_COLUMN] * (y * gravity[2] - z * gravity[1])
-            + pose[j, DIRECTION_COLUMN + 1] * (z * gravity[0] - x * gravity[2])
-            + pose[j, DIRECTION_COLUMN + 2] * (x * gravity[1] - y * gravity[0])
+            pose[j, POSE_AXIS_COLUMN] * (y * gravity[2] - z * gravity[1])
+            + pose[j, POSE_AXIS_COLUMN + 1] * (z * gravity[0] - x * gravity[2])
+            + pose[j, POSE_AXIS_COLUMN + 2] * (x * gravity[1] - y * gravity[0])
         )
 
 
@@ -223,49 +226,49 @@ def write_levers(
         levers_m: (n,) result, from ``first_joint`` to ``touched_link``.
     """
     px = (
-        pose[touched_link, POSITION_COLUMN]
-        + distance_from_joint * pose[touched_link, ROTATION_COLUMN]
+        pose[touched_link, POSE_POSITION_COLUMN]
+        + distance_from_joint * pose[touched_link, POSE_ROTATION_COLUMN]
     )
     py = (
-        pose[touched_link, POSITION_COLUMN + 1]
-        + distance_from_joint * pose[touched_link, ROTATION_COLUMN + 3]
+        pose[touched_link, POSE_POSITION_COLUMN + 1]
+        + distance_from_joint * pose[touched_link, POSE_ROTATION_COLUMN + 3]
     )
     pz = (
-        pose[touched_link, POSITION_COLUMN + 2]
-        + distance_from_joint * pose[touched_link, ROTATION_COLUMN + 6]
+        pose[touched_link, POSE_POSITION_COLUMN + 2]
+        + distance_from_joint * pose[touched_link, POSE_ROTATION_COLUMN + 6]
     )
     nx, ny, nz = (
-        pose[touched_link, ROTATION_COLUMN + 1],
-        pose[touched_link, ROTATION_COLUMN + 4],
-        pose[touched_link, ROTATION_COLUMN + 7],
+        pose[touched_link, POSE_ROTATION_COLUMN + 1],
+        pose[touched_link, POSE_ROTATION_COLUMN + 4],
+        pose[touched_link, POSE_ROTATION_COLUMN + 7],
     )
     for j in range(first_joint, touched_link + 1):
-        levers_m[j] = _lever(pose, j, px, py, pz, nx, ny, nz)
+        levers_m[j] = _lever_about_joint(pose, j, px, py, pz, nx, ny, nz)
 
 
 @kernel_helper
-def _lever(
+def _lever_about_joint(
     pose: Array, j: int, px: float, py: float, pz: float, nx: float, ny: float, nz: float
 ) -> float:
     """Return the lever about joint j of a force along a unit vector n at a point p [m].
 
     The lever is axis . ((p - joint) x n), and axis . n for a prismatic joint.
     """
-    if pose[j, PRISMATIC_COLUMN] != 0.0:
+    if pose[j, POSE_PRISMATIC_COLUMN] != 0.0:
         return (
-            pose[j, DIRECTION_COLUMN] * nx
-            + pose[j, DIRECTION_COLUMN + 1] * ny
-            + pose[j, DIRECTION_COLUMN + 2] * nz
+            pose[j, POSE_AXIS_COLUMN] * nx
+            + pose[j, POSE_AXIS_COLUMN + 1] * ny
+            + pose[j, POSE_AXIS_COLUMN + 2] * nz
         )
     x, y, z = (
-        px - pose[j, POSITION_COLUMN],
-        py - pose[j, POSITION_COLUMN + 1],
-        pz - pose[j, POSITION_COLUMN + 2],
+        px - pose[j, POSE_POSITION_COLUMN],
+        py - pose[j, POSE_POSITION_COLUMN + 1],
+        pz - pose[j, POSE_POSITION_COLUMN + 2],
     )
     return (
-        pose[j, DIRECTION_COLUMN] * (y * nz - z * ny)
-        + pose[j, DIRECTION_COLUMN + 1] * (z * nx - x * nz)
-        + pose[j, DIRECTION_COLUMN + 2] * (x * ny - y * nx)
+        pose[j, POSE_AXIS_COLUMN] * (y * nz - z * ny)
+        + pose[j, POSE_AXIS_COLUMN + 1] * (z * nx - x * nz)
+        + pose[j, POSE_AXIS_COLUMN + 2] * (x * ny - y * nx)
     )
 
 
@@ -294,42 +297,42 @@ def write_levers_after_turn(
         levers_m: (n,) levers before the turn, modified in place up to the turned joint.
     """
     ax, ay, az = (
-        pose[turning_joint, DIRECTION_COLUMN],
-        pose[turning_joint, DIRECTION_COLUMN + 1],
-        pose[turning_joint, DIRECTION_COLUMN + 2],
+        pose[turning_joint, POSE_AXIS_COLUMN],
+        pose[turning_joint, POSE_AXIS_COLUMN + 1],
+        pose[turning_joint, POSE_AXIS_COLUMN + 2],
     )
     nx, ny, nz = (
-        pose[last_joint, ROTATION_COLUMN + 1],
-        pose[last_joint, ROTATION_COLUMN + 4],
-        pose[last_joint, ROTATION_COLUMN + 7],
+        pose[last_joint, POSE_ROTATION_COLUMN + 1],
+        pose[last_joint, POSE_ROTATION_COLUMN + 4],
+        pose[last_joint, POSE_ROTATION_COLUMN + 7],
     )
     x = (
-        pose[last_joint, POSITION_COLUMN]
-        + distance_from_joint * pose[last_joint, ROTATION_COLUMN]
-        - pose[turning_joint, POSITION_COLUMN]
+        pose[last_joint, POSE_POSITION_COLUMN]
+        + distance_from_joint * pose[last_joint, POSE_ROTATION_COLUMN]
+        - pose[turning_joint, POSE_POSITION_COLUMN]
     )
     y = (
-        pose[last_joint, POSITION_COLUMN + 1]
-        + distance_from_joint * pose[last_joint, ROTATION_COLUMN + 3]
-        - pose[turning_joint, POSITION_COLUMN + 1]
+        pose[last_joint, POSE_POSITION_COLUMN + 1]
+        + distance_from_joint * pose[last_joint, POSE_ROTATION_COLUMN + 3]
+        - pose[turning_joint, POSE_POSITION_COLUMN + 1]
     )
     z = (
-        pose[last_joint, POSITION_COLUMN + 2]
-        + distance_from_joint * pose[last_joint, ROTATION_COLUMN + 6]
-        - pose[turning_joint, POSITION_COLUMN + 2]
+        pose[last_joint, POSE_POSITION_COLUMN + 2]
+        + distance_from_joint * pose[last_joint, POSE_ROTATION_COLUMN + 6]
+        - pose[turning_joint, POSE_POSITION_COLUMN + 2]
     )
-    if pose[turning_joint, PRISMATIC_COLUMN] != 0.0:
+    if pose[turning_joint, POSE_PRISMATIC_COLUMN] != 0.0:
         x, y, z = x + angle * ax, y + angle * ay, z + angle * az
     else:
         nx, ny, nz = _rotated_vector(ax, ay, az, angle, nx, ny, nz)
         x, y, z = _rotated_vector(ax, ay, az, angle, x, y, z)
     px, py, pz = (
-        pose[turning_joint, POSITION_COLUMN] + x,
-        pose[turning_joint, POSITION_COLUMN + 1] + y,
-        pose[turning_joint, POSITION_COLUMN + 2] + z,
+        pose[turning_joint, POSE_POSITION_COLUMN] + x,
+        pose[turning_joint, POSE_POSITION_COLUMN + 1] + y,
+        pose[turning_joint, POSE_POSITION_COLUMN + 2] + z,
     )
     for j in range(first_joint, turning_joint + 1):
-        levers_m[j] = _lever(pose, j, px, py, pz, nx, ny, nz)
+        levers_m[j] = _lever_about_joint(pose, j, px, py, pz, nx, ny, nz)
 
 
 @kernel_helper
@@ -380,12 +383,14 @@ def write_newton_euler(
     # The loop goes through the links from the tips to the palm, because each joint carries the
     # forces of its link and of all links beyond it.
     for j in range(len(q) - 1, -1, -1):
-        load = _FORCE_COLUMN if link_table[first_row + PRISMATIC_ROW, j] != 0.0 else _TORQUE_COLUMN
+        load = (
+            _FORCE_COLUMN if link_table[first_row + IS_PRISMATIC_ROW, j] != 0.0 else _TORQUE_COLUMN
+        )
         torque[j] = (
-            link_table[first_row + AXIS_ROW, j] * work_table[j, load]
-            + link_table[first_row + AXIS_ROW + 1, j] * work_table[j, load + 1]
-            + link_table[first_row + AXIS_ROW + 2, j] * work_table[j, load + 2]
-            + link_table[first_row + ARMATURE_ROW, j] * ddq[j]
+            link_table[first_row + JOINT_AXIS_ROW, j] * work_table[j, load]
+            + link_table[first_row + JOINT_AXIS_ROW + 1, j] * work_table[j, load + 1]
+            + link_table[first_row + JOINT_AXIS_ROW + 2, j] * work_table[j, load + 2]
+            + link_table[first_row + JOINT_ARMATURE_ROW, j] * ddq[j]
         )
         parent_joint = parent[j]
         if parent_joint >= 0:
@@ -418,13 +423,13 @@ def _move_link(
             + sine * link_table[first_row + SINE_ROTATION_ROW + i, j]
         )
     ax, ay, az = (
-        link_table[first_row + AXIS_ROW, j],
-        link_table[first_row + AXIS_ROW + 1, j],
-        link_table[first_row + AXIS_ROW + 2, j],
+        link_table[first_row + JOINT_AXIS_ROW, j],
+        link_table[first_row + JOINT_AXIS_ROW + 1, j],
+        link_table[first_row + JOINT_AXIS_ROW + 2, j],
     )
-    prismatic = link_table[first_row + PRISMATIC_ROW, j] != 0.0
+    prismatic = link_table[first_row + IS_PRISMATIC_ROW, j] != 0.0
     for a in range(3):
-        work_table[j, _ORIGIN_COLUMN + a] = link_table[first_row + ORIGIN_ROW + a, j]
+        work_table[j, _ORIGIN_COLUMN + a] = link_table[first_row + JOINT_ORIGIN_ROW + a, j]
         if prismatic:
             work_table[j, _ORIGIN_COLUMN + a] += q * (
                 work_table[j, 3 * a] * ax
@@ -503,11 +508,11 @@ def _move_link(
 @kernel_helper
 def _load_link(link_table: Array, first_row: int, work_table: Array, j: int) -> None:
     """Write the force and the torque at the joint of link j that the motion of this link requires."""
-    mass = link_table[first_row + MASS_ROW, j]
+    mass = link_table[first_row + LINK_MASS_ROW, j]
     hx, hy, hz = (
-        link_table[first_row + MOMENT_ROW, j],
-        link_table[first_row + MOMENT_ROW + 1, j],
-        link_table[first_row + MOMENT_ROW + 2, j],
+        link_table[first_row + LINK_FIRST_MOMENT_ROW, j],
+        link_table[first_row + LINK_FIRST_MOMENT_ROW + 1, j],
+        link_table[first_row + LINK_FIRST_MOMENT_ROW + 2, j],
     )
     wx, wy, wz = (
         work_table[j, _ANGULAR_VELOCITY_COLUMN],
@@ -530,14 +535,14 @@ def _load_link(link_table: Array, first_row: int, work_table: Array, j: int) -> 
     work_table[j, _FORCE_COLUMN + 1] = mass * my + (tz * hx - tx * hz) + (wz * ux - wx * uz)
     work_table[j, _FORCE_COLUMN + 2] = mass * mz + (tx * hy - ty * hx) + (wx * uy - wy * ux)
     xx, yy, zz = (
-        link_table[first_row + INERTIA_ROW, j],
-        link_table[first_row + INERTIA_ROW + 1, j],
-        link_table[first_row + INERTIA_ROW + 2, j],
+        link_table[first_row + LINK_INERTIA_ROW, j],
+        link_table[first_row + LINK_INERTIA_ROW + 1, j],
+        link_table[first_row + LINK_INERTIA_ROW + 2, j],
     )
     xy, xz, yz = (
-        link_table[first_row + INERTIA_ROW + 3, j],
-        link_table[first_row + INERTIA_ROW + 4, j],
-        link_table[first_row + INERTIA_ROW + 5, j],
+        link_table[first_row + LINK_INERTIA_ROW + 3, j],
+        link_table[first_row + LINK_INERTIA_ROW + 4, j],
+        link_table[first_row + LINK_INERTIA_ROW + 5, j],
     )
     # The required torque is I t + w x (I w) + h x a.
     lx, ly, lz = (
@@ -630,12 +635,12 @@ def inertia_matrix(link_table: Array, parent: IndexArray, q: Array) -> Array:
     The matrix is exactly symmetric, because the lower triangle is a copy of the upper triangle.
     """
     n = len(q)
-    rest_rates = np.zeros(max(n, 3))
+    zero_rates = np.zeros(max(n, 3))
     unit = np.zeros(n)
     matrix = np.empty((n, n))
     for k in range(n):
         unit[k] = 1.0
-        write_newton_euler(link_table, 0, parent, rest_rates, q, rest_rates, unit, matrix[k])
+        write_newton_euler(link_table, 0, parent, zero_rates, q, zero_rates, unit, matrix[k])
         unit[k] = 0.0
     for k in range(n):
         for i in range(k):

@@ -16,7 +16,7 @@ from handctl.hand.moment_arms import moment_arms_at
 
 MIN_STRENGTH_RATIO = 1.5
 """Required ratio of a tendon's ``rated_breaking_force_N`` to the peak tension when the drive runs away."""
-CHECKED_POSTURES = 11
+CHECKED_POSTURE_COUNT = 11
 """Number of postures among which the largest absolute moment arms are searched."""
 RUNAWAY_OVERSHOOT = 2.0
 """Ratio of peak tension to the constant force that moves a rotor.
@@ -45,7 +45,7 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
     """
     warnings_by_tendon: list[tuple[str, str]] = []
     for tendon in hand.tendon:
-        motor = hand.motor_of(tendon.name)
+        motor = hand.motor_of_tendon(tendon.name)
         breaking_force = tendon.rated_breaking_force_N
         peak = motor.torque_peak_N_m / motor.spool_radius_m
         for key, force in (("drive_limit_N", tendon.drive_limit_N), ("torque_peak_N_m", peak)):
@@ -92,14 +92,14 @@ def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
         return
     tendons = hand.digit_tendons[digit]
     joints = hand.digit_joints[digit]
-    motors = [hand.motor_of(tendon.name) for tendon in hand.tendon[tendons]]
+    motors = [hand.motor_of_tendon(tendon.name) for tendon in hand.tendon[tendons]]
     peak_loads = np.array(
         [runaway_tension(motor.torque_peak_N_m / motor.spool_radius_m) for motor in motors]
     )
     limits = hand.joint_limits[:, joints]
     arms = hand.moment_arms[tendons, joints]
     if hand.has_varying_arm[tendons].any():
-        postures = np.linspace(limits[0], limits[1], CHECKED_POSTURES)
+        postures = np.linspace(limits[0], limits[1], CHECKED_POSTURE_COUNT)
         arms = np.abs(moment_arms_at(hand.arm_polynomials[tendons, joints], limits, postures)).max(
             axis=0
         )

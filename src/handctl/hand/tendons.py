@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handctl.hand.digit import Array, DigitModel, JointValues
-from handctl.hand.file.sections import Tendon
+from handctl.hand.file.section_models import Tendon
 
 CAPSTAN_FRICTION_SPEED_M_S = 1e-3
 """Speed v0 in the factor tanh(v / v0) of the friction [m/s].
@@ -160,7 +160,7 @@ def excursions(digit: DigitModel, q: JointValues) -> Array:
 
     The excursion is the integral of R over the joint angles.
     """
-    return digit.excursion_at(q)
+    return digit.excursion_at_angles(q)
 
 
 def reflected_inertia(digit: DigitModel) -> Array:

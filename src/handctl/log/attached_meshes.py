@@ -59,8 +59,8 @@ def mesh_attachments(hand: Hand, folder: Path) -> tuple[dict[str, bytes], list[s
             f"the meshes have {sizes}, and are not stored in the log: its views show capsules"
         ]
     mistakes = list(mesh_mistakes(hand, folder))
-    wrong_places = {mistake.where for mistake in mistakes}
-    files = [mesh.file for mesh in meshes_of_hand(hand) if mesh.key not in wrong_places]
+    mistake_locations = {mistake.where for mistake in mistakes}
+    files = [mesh.file for mesh in meshes_of_hand(hand) if mesh.key not in mistake_locations]
     lines = [f"{mistake.where}: {mistake.what}; expected {mistake.right}" for mistake in mistakes]
     return {attachment_name(file): data for file, data in read_meshes(files, folder).items()}, lines
 
@@ -80,7 +80,7 @@ def attached_meshes(
         data = attachments.get(attachment_name(mesh.file), b"")
         try:
             mesh_by_name[mesh.link] = AttachedMesh(
-                mesh, data, mesh.place(mesh_triangles(data, mesh.suffix))
+                mesh, data, mesh.to_link_frame(mesh_triangles(data, mesh.suffix))
             )
         except ValueError:
             missing_meshes.append(mesh.link)

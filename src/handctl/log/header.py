@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Self
 
 from handctl.errors import LogError
-from handctl.hand.file.quantities import NAME_PATTERN
+from handctl.hand.file.quantity_types import NAME_PATTERN
 from handctl.printing import escape_surrogates
 
 TRUTH_OFFSET_KEY = "truth_offset_ns"
@@ -24,7 +24,7 @@ The sum of two accepted times fits into 64 bits. As a UNIX time, the limit lies 
 """
 NAME_LIST_KEYS = ("joints", "tendons", "motors", "digits", "buses")
 """Keys of those header values that are lists of names."""
-MAX_NAMES = 1000
+MAX_NAMES_PER_LIST = 1000
 """Largest number of names in one list of a header."""
 
 
@@ -203,9 +203,9 @@ def _checked_names(key: str, value: Any) -> tuple[str, ...]:
     Raises:
         ValueError: the value is not a list of valid names.
     """
-    if not isinstance(value, list) or len(value) > MAX_NAMES:
+    if not isinstance(value, list) or len(value) > MAX_NAMES_PER_LIST:
         raise ValueError(
-            f"{key} is {_shortened_json(value)}, not a list of at most {MAX_NAMES} names"
+            f"{key} is {_shortened_json(value)}, not a list of at most {MAX_NAMES_PER_LIST} names"
         )
     for name in value:
         if not isinstance(name, str) or not NAME_PATTERN.fullmatch(name):

@@ -21,7 +21,7 @@ PHASE_NUMBERS = {
 OTHER_PHASE_NUMBER = 255
 
 
-def _constant_lines(values: dict[str, int]) -> str:
+def _constant_definitions(values: dict[str, int]) -> str:
     """Return the definitions of the constants of a message type, one line for each constant."""
     return "".join(f"uint8 {name.upper()}={value}\n" for name, value in values.items())
 
@@ -64,13 +64,15 @@ MESSAGE_DEFINITIONS = {
     "rcl_interfaces/ParameterEvent": "builtin_interfaces/Time stamp\nstring node\n"
     "rcl_interfaces/Parameter[] new_parameters\nrcl_interfaces/Parameter[] changed_parameters\n"
     "rcl_interfaces/Parameter[] deleted_parameters\n",
-    "handctl_msgs/GraspPhase": _constant_lines(PHASE_NUMBERS | {"other": OTHER_PHASE_NUMBER})
+    "handctl_msgs/GraspPhase": _constant_definitions(PHASE_NUMBERS | {"other": OTHER_PHASE_NUMBER})
     + _HEADER_FIELD
     + "uint8 phase\nstring name\n",
-    "handctl_msgs/Mode": _constant_lines({mode.name: mode.value for mode in HandMode})
+    "handctl_msgs/Mode": _constant_definitions({mode.name: mode.value for mode in HandMode})
     + _HEADER_FIELD
     + "uint8 mode\nstring name\n",
-    "handctl_msgs/Action": _constant_lines({action.name: action.value for action in SafetyAction})
+    "handctl_msgs/Action": _constant_definitions(
+        {action.name: action.value for action in SafetyAction}
+    )
     + _HEADER_FIELD
     + "uint8 action\nstring name\n",
     "handctl_msgs/CycleStats": "# period: start of this tick since the start of the last one [s]; late: start\n"

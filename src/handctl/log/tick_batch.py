@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.tick_types import FIRST_TELEMETRY_FIELD_COUNT, TELEMETRY_AXES, TELEMETRY_FIELDS
+from handctl.core.tick_types import ORIGINAL_TELEMETRY_FIELD_COUNT, TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.log.header import RunHeader
 from handctl.log.tick_record import (
     FRAME_RECORD_BYTES,
@@ -28,7 +28,7 @@ FRAME_DTYPE = np.dtype(
     ]
 )
 """Layout of a CAN frame in a Tick message, 24 bytes little-endian."""
-FIXED_DTYPE = np.dtype(
+TICK_HEAD_DTYPE = np.dtype(
     {
         "names": ["k", "t_ns", "late_ns", "state_hash", "mode", "action"],
         "formats": ["<i8", "<i8", "<i8", "V8", "u1", "u1"],
@@ -40,7 +40,7 @@ FIXED_DTYPE = np.dtype(
 
 This part has a constant length. The hash of the controller's state is stored as raw bytes (V8).
 """
-_MAX_CACHED_TAILS = 256
+_MAX_CACHED_MESSAGE_TAILS = 256
 """Largest number of cached message ends.
 
 The end of a Tick message contains phase, io events, requests and events. Without events and
@@ -72,7 +72,7 @@ class TickBatch(NamedTuple):
         t_ns, late_ns: (n,) time since the start of the run, and lateness of each tick [ns].
         mode, action: (n,) mode and reaction to faults in each tick, as uint8.
         phases: grasp phase of each tick.
-        numbers: (n, columns) telemetry of each tick, in the order of Telemetry.packed.
+        numbers: (n, columns) telemetry of each tick, in the order of Telemetry.to_bytes.
         received, sent: CAN frames that the controller has received and sent.
         ticks_with_events: decoded record of each tick with events, requests or io events, by the
             index of the tick.
@@ -91,7 +91,7 @@ class TickBatch(NamedTuple):
     ticks_with_events: dict[int, TickRecord]
 
 
-def row_fields(header: RunHeader, width: int) -> tuple[str, ...]:
+def row_field_names(header: RunHeader, width: int) -> tuple[str, ...]:
     """Return the telemetry fields that a row of `width` columns contains.
 
     Logs of earlier versions of handctl do not contain the last fields.
@@ -100,7 +100,7 @@ def row_fields(header: RunHeader, width: int) -> tuple[str, ...]:
         header: header of the run.
         width: number of columns of a row.
     """
-    earlier_fields = TELEMETRY_FIELDS[:FIRST_TELEMETRY_FIELD_COUNT]
+    earlier_fields = TELEMETRY_FIELDS[:ORIGINAL_TELEMETRY_FIELD_COUNT]
     return earlier_fields if width == column_count(header, earlier_fields) else TELEMETRY_FIELDS
 
 
@@ -251,7 +251,7 @@ class TickBatcher:
             phase = tick.phase
             if tick.events or tick.tick_in.requests or tick.tick_in.io_events:
                 self._ticks_with_events[len(self._messages)] = tick
-            elif len(self._phase_of_tail) < _MAX_CACHED_TAILS:
+            elif len(self._phase_of_tail) < _MAX_CACHED_MESSAGE_TAILS:
                 self._phase_of_tail[tail_bytes] = phase
         self._phases.append(phase)
 
@@ -261,7 +261,7 @@ class TickBatcher:
         # constant.
         tick_heads = np.frombuffer(
             b"".join([message[4 : 4 + TICK_HEAD_STRUCT.size] for message in self._messages]),
-            FIXED_DTYPE,
+            TICK_HEAD_DTYPE,
         )
         numbers = np.frombuffer(b"".join(self._numbers), "<f8").reshape(
             len(tick_heads), self._width

@@ -43,9 +43,9 @@ from handctl.core.tick_types import (
     TickOut,
 )
 from handctl.drives.frame_records import (
+    CLASSICAL_RECORD_BYTES,
     FRAME_RECORD_DTYPE,
     NO_FRAMES,
-    SHORT_RECORD_BYTES,
     Frames,
     RecordArray,
     frames_as_records,
@@ -79,12 +79,12 @@ TICK_SIZES_STRUCT = struct.Struct("<IHHHH")
 """Layout of the start of the body of a tick's record: size of the Tick message, lengths of the telemetry axes."""
 TICK_HEAD_STRUCT = struct.Struct("<qqq8sBB2xI")
 """Layout of a Tick message's first part: k, t_ns, late_ns, state hash, mode, action, number of received frames."""
-FRAME_RECORD_BYTES = SHORT_RECORD_BYTES
+FRAME_RECORD_BYTES = CLASSICAL_RECORD_BYTES
 """Size of a CAN frame in a Tick message [bytes].
 
 The size is that of the first part of a frame's record, with eight data bytes.
 """
-_SHORT_FRAME_DTYPE = np.dtype(f"V{SHORT_RECORD_BYTES}")
+_CLASSICAL_FRAME_DTYPE = np.dtype(f"V{CLASSICAL_RECORD_BYTES}")
 """numpy type of a frame in a Tick message, as raw bytes."""
 _LENGTH_OFFSET = 15
 """Offset of the length byte in a frame of a Tick message."""
@@ -96,7 +96,7 @@ _SHORT_DATA_BYTES = 8
 """Number of data bytes in a frame of a Tick message."""
 _MAX_DATA_BYTES = 64
 """Number of data bytes in the longest CAN FD frame."""
-_DATA_MASKS = np.array(
+_DATA_MASK_BY_LENGTH = np.array(
     [(1 << 8 * length) - 1 for length in range(_SHORT_DATA_BYTES + 1)], np.uint64
 )
 """Mask of the used bytes in the data word, for each payload length from 0 to 8 bytes."""
@@ -119,7 +119,7 @@ This function is faster than the constructor of the named tuple.
 """
 _COUNT_STRUCT = struct.Struct("<I")
 _NO_LONG_DATA = _COUNT_STRUCT.pack(0)
-_SHORT_LENGTHS = bytes(range(9))
+_SHORT_DATA_LENGTHS = bytes(range(9))
 """Payload lengths of frames without long bytes."""
 
 
@@ -146,7 +146,7 @@ def record_bytes(kind: int, body: bytes) -> bytes:
     return RECORD_FRAMING_STRUCT.pack(len(body), kind) + body
 
 
-def _long_mask(records: RecordArray) -> NDArray[np.bool_]:
+def _long_data_mask(records: RecordArray) -> NDArray[np.bool_]:
     """Return a mask (n, 56) for the payload bytes after the eighth byte of n frames.
 
     The mask is True for the bytes that belong to the payload of their frame.
@@ -156,11 +156,11 @@ def _long_mask(records: RecordArray) -> NDArray[np.bool_]:
 
 def _long_data(records: RecordArray) -> bytes:
     """Return the payload bytes after the eighth byte of all frames, in order."""
-    return bytes(records["data"][:, _SHORT_DATA_BYTES:][_long_mask(records)].tobytes())
+    return bytes(records["data"][:, _SHORT_DATA_BYTES:][_long_data_mask(records)].tobytes())
 
 
 @functools.lru_cache(maxsize=64)
-def _tail_without_events(phase: str) -> bytes:
+def _eventless_message_tail(phase: str) -> bytes:
     """Return the end of a Tick message without events: the phase and three empty sequences.
 
     The bytes depend only on the phase, if the offset of the end in the message is divisible by
@@ -221,7 +221,7 @@ def pack_tick(tick_in: TickIn, tick_output: TickOut) -> bytes:
         len(received_records),
     )
     frame_starts = [
-        records.getfield(_SHORT_FRAME_DTYPE).tobytes()
+        records.getfield(_CLASSICAL_FRAME_DTYPE).tobytes()
         for records in (received_records, sent_records)
     ]
     long_payload_bytes = _NO_LONG_DATA
@@ -230,7 +230,7 @@ def pack_tick(tick_in: TickIn, tick_output: TickOut) -> bytes:
     lengths = b"".join(
         [frame_records[_LENGTH_OFFSET::FRAME_RECORD_BYTES] for frame_records in frame_starts]
     )
-    if lengths.strip(_SHORT_LENGTHS):
+    if lengths.strip(_SHORT_DATA_LENGTHS):
         long_data = _long_data(received_records) + _long_data(sent_records)
         long_payload_bytes = (
             _COUNT_STRUCT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
@@ -254,7 +254,7 @@ def pack_tick(tick_in: TickIn, tick_output: TickOut) -> bytes:
             )
         )
     else:
-        message_fields.append(_tail_without_events(tick_output.phase))
+        message_fields.append(_eventless_message_tail(tick_output.phase))
     return b"".join(message_fields)
 
 
@@ -264,7 +264,7 @@ def pack_tick_record(tick_in: TickIn, tick_output: TickOut) -> bytes:
     This function raises the same errors as `pack_tick`.
     """
     message = pack_tick(tick_in, tick_output)
-    values = tick_output.telemetry.packed()
+    values = tick_output.telemetry.to_bytes()
     sizes = TICK_SIZES_STRUCT.pack(len(message), *_axis_lengths(tick_output.telemetry))
     return b"".join(
         (
@@ -286,7 +286,7 @@ def pack_snapshot(tick_in: TickIn, data: bytes) -> bytes:
 def _axis_lengths(numbers: Telemetry | PackedTelemetry) -> tuple[int, ...]:
     """Return the numbers of joints, tendons, motors and digits in the telemetry."""
     if isinstance(numbers, PackedTelemetry):
-        return numbers.places.axis_lengths
+        return numbers.slices.axis_lengths
     return tuple(len(getattr(numbers, name)) for name in FIELD_BY_AXIS)
 
 
@@ -350,14 +350,14 @@ def _decode_frames(frame_starts: bytes, long_data: bytes) -> tuple[Frames, bytes
     if not count:
         return NO_FRAMES, long_data
     records = np.zeros(count, FRAME_RECORD_DTYPE)
-    records.setfield(np.frombuffer(frame_starts, _SHORT_FRAME_DTYPE), _SHORT_FRAME_DTYPE, 0)
+    records.setfield(np.frombuffer(frame_starts, _CLASSICAL_FRAME_DTYPE), _CLASSICAL_FRAME_DTYPE, 0)
     max_length = max(lengths)
     if max_length > _MAX_DATA_BYTES:
         raise ValueError(f"payload of {max_length} bytes, expected at most {_MAX_DATA_BYTES}")
     if lengths.count(_SHORT_DATA_BYTES) < count:
         _zero_unused_bytes(records)
     if max_length > _SHORT_DATA_BYTES:
-        long_payload_mask = _long_mask(records)
+        long_payload_mask = _long_data_mask(records)
         size = int(long_payload_mask.sum())
         if size > len(long_data):
             raise ValueError("less data than frames")
@@ -374,17 +374,17 @@ def _zero_unused_bytes(records: RecordArray) -> None:
     In a bad file, these bytes may have any value.
     """
     words = records.getfield(_DATA_WORD_DTYPE, _DATA_OFFSET)
-    words &= _DATA_MASKS[np.minimum(records["length"], _SHORT_DATA_BYTES)]
+    words &= _DATA_MASK_BY_LENGTH[np.minimum(records["length"], _SHORT_DATA_BYTES)]
 
 
 @functools.lru_cache(maxsize=256)
-def _phase_without_events(message_tail: bytes) -> str | None:
+def _phase_of_eventless_tail(message_tail: bytes) -> str | None:
     """Return the phase at the end of a Tick message, if the message has no events.
 
     If the message has events, return None.
     """
     phase = CdrReader(ENCAPSULATION_HEADER + message_tail).read_string()
-    return phase if _tail_without_events(phase) == message_tail else None
+    return phase if _eventless_message_tail(phase) == message_tail else None
 
 
 def unpack_tick(message: bytes) -> TickRecord:
@@ -430,7 +430,7 @@ def _build_tick(
         message: the whole Tick message.
         tail_offset: offset of the phase in the message [bytes].
     """
-    phase = _phase_without_events(message[tail_offset:])
+    phase = _phase_of_eventless_tail(message[tail_offset:])
     if phase is not None:
         return _tick_without_events(tick_head, received_frames, sent_frames, phase)
     k, t_ns, lateness_ns, state_hash, mode, action, _ = tick_head
@@ -473,8 +473,10 @@ def unpack_ticks(messages: list[bytes]) -> list[TickRecord]:
     Raises:
         ValueError: an element is not a Tick message.
     """
-    quick = _unpack_short_ticks(messages)
-    return quick if quick is not None else [unpack_tick(message) for message in messages]
+    short_ticks = _unpack_short_ticks(messages)
+    return (
+        short_ticks if short_ticks is not None else [unpack_tick(message) for message in messages]
+    )
 
 
 def _unpack_short_ticks(messages: list[bytes]) -> list[TickRecord] | None:

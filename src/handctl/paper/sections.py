@@ -9,7 +9,7 @@ from typing import Any
 
 from handctl.paper.bench import force_displacement, payload
 from handctl.paper.errata_item import ErrataItem, ErrataVerdict
-from handctl.paper.model import assumptions, kinematics, lagrange, motion, statics, text_statements
+from handctl.paper.model import assumptions, kinematics, lagrange, motion, paper_statements, statics
 
 PAGE_TITLE = "Source paper"
 PAPER_CITATION = (
@@ -73,7 +73,7 @@ def page_sections(experiment_results: Mapping[str, Any] | None) -> tuple[PageSec
     )
 
 
-def page_items(experiment_results: Mapping[str, Any] | None) -> list[ErrataItem]:
+def page_errata(experiment_results: Mapping[str, Any] | None) -> list[ErrataItem]:
     """Return all errata items of the page."""
     return [item for section in page_sections(experiment_results) for item in section.items]
 
@@ -94,7 +94,7 @@ def _hand_section() -> PageSection:
             "motor and one tendon move each digit. `handctl paper --export DIR` writes the hand as URDF and MJCF.",
         ),
         ("fig1-hand",),
-        tuple(text_statements.text_items()),
+        tuple(paper_statements.text_errata()),
     )
 
 
@@ -111,7 +111,7 @@ def _kinematics_section() -> PageSection:
             "would reach the shaded area.",
         ),
         ("fig2-model", "fig3-path"),
-        tuple(kinematics.kinematics_items()),
+        tuple(kinematics.kinematics_errata()),
     )
 
 
@@ -124,12 +124,12 @@ def _statics_section() -> PageSection:
             "friction, and the wire diameter from the allowable stress.",
         ),
         ("fig4-statics",),
-        tuple(statics.statics_items()),
+        tuple(statics.statics_errata()),
     )
 
 
 def _dynamics_section() -> PageSection:
-    rows = (*lagrange.term_items(), *lagrange.equation_items(), *motion.motion_items())
+    rows = (*lagrange.term_errata(), *lagrange.equation_errata(), *motion.motion_errata())
     return PageSection(
         "Dynamics (section 7, Eq. 3-12, Fig. 7)",
         (
@@ -153,7 +153,7 @@ def _assumptions_section() -> PageSection:
             "These items are no misprints, but parts of the paper that contradict each other or the laws of mechanics.",
         ),
         (),
-        tuple(assumptions.assumption_items()),
+        tuple(assumptions.assumption_errata()),
     )
 
 
@@ -168,7 +168,7 @@ def _bench_section(experiment_results: Mapping[str, Any]) -> PageSection:
             "softening beyond the knee is a parameter of the simulator, because the paper prints no data.",
         ),
         ("fig5-force-displacement",),
-        tuple(force_displacement.knee_items(experiment_results["force_displacement"])),
+        tuple(force_displacement.knee_errata(experiment_results["force_displacement"])),
         measured=True,
     )
 
@@ -186,7 +186,7 @@ def _payload_section(experiment_results: Mapping[str, Any]) -> PageSection:
             "Coulomb bound with the normal forces at the beginning of the load. The load changes the normal forces.",
         ),
         ("fig8-payload",),
-        tuple(payload.payload_items(experiment_results["payload"])),
+        tuple(payload.payload_errata(experiment_results["payload"])),
         measured=True,
         table=payload.payload_table(experiment_results["payload"]),
     )

@@ -35,7 +35,7 @@ def verdict_of_number(printed_number: str, exact_value: Fraction | float) -> Err
 def verdict_of_derived_number(
     printed_number: str,
     exact_value: Fraction | float,
-    value_from_source: Fraction,
+    value_from_other_number: Fraction,
     source_verdict: ErrataVerdict,
 ) -> ErrataVerdict:
     """Return the verdict on a printed number that the paper has calculated from another printed number.
@@ -43,12 +43,12 @@ def verdict_of_derived_number(
     Args:
         printed_number: decimal number as printed.
         exact_value: exact value.
-        value_from_source: value that results from a calculation with the other printed number.
-        source_verdict: verdict on the other printed number. If the number is wrong but equals `value_from_source`,
-            the verdict on the other number is returned.
+        value_from_other_number: value that results from a calculation with the other printed number.
+        source_verdict: verdict on the other printed number. If the number is wrong but equals
+            `value_from_other_number`, the verdict on the other number is returned.
     """
     verdict = verdict_of_number(printed_number, exact_value)
-    is_explained = verdict_of_number(printed_number, value_from_source) == ErrataVerdict.EQUAL
+    is_explained = verdict_of_number(printed_number, value_from_other_number) == ErrataVerdict.EQUAL
     return source_verdict if verdict == ErrataVerdict.WRONG and is_explained else verdict
 
 
@@ -73,7 +73,7 @@ def verdict_of_lower_bound(printed_number: str, value: float) -> ErrataVerdict:
     )
 
 
-def verdict_of_readings(are_readings_true: Sequence[bool]) -> ErrataVerdict:
+def verdict_of_ambiguous_statement(are_readings_true: Sequence[bool]) -> ErrataVerdict:
     """Return the verdict on a statement that can be read in several ways.
 
     If some readings are true and others are false, the verdict is undecidable.
@@ -93,7 +93,9 @@ def verdict_of_contradiction(
     If these values differ and there is no exact value, the verdict is undecidable.
     """
     if exact_value is None:
-        return verdict_of_readings([value == printed_numbers[0] for value in printed_numbers])
+        return verdict_of_ambiguous_statement(
+            [value == printed_numbers[0] for value in printed_numbers]
+        )
     verdicts = [verdict_of_number(value, exact_value) for value in printed_numbers]
     # The members of this enumeration are listed in the order of severity.
     return max(verdicts, key=list(ErrataVerdict).index)
@@ -109,5 +111,5 @@ def rounding_interval(printed_number: str) -> tuple[Fraction, Fraction]:
 
     The interval contains all values that would be rounded to a printed number.
     """
-    half_digit = last_digit_value(printed_number) / 2
-    return Fraction(printed_number) - half_digit, Fraction(printed_number) + half_digit
+    half_last_digit = last_digit_value(printed_number) / 2
+    return Fraction(printed_number) - half_last_digit, Fraction(printed_number) + half_last_digit

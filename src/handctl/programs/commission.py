@@ -65,15 +65,15 @@ HOLD_SETTLING_TIMEOUT_S = 3.0
 In this time, the digit moves to its lower limits. The digit stays there for the pulls of all its
 tendons, so only the first pull waits this long.
 """
-PRESS_TORQUE_FACTOR = 1.5
+PRESSING_TORQUE_FACTOR = 1.5
 """Torque that presses a digit without springs on its lower limits, as a multiple of the torque of a pull."""
 MEASUREMENT_DURATION_S = 0.3
 """Averaging time of the response to a pull [s]."""
-MIN_ANSWER_FRACTION = 0.6
+MIN_RESPONSE_FRACTION = 0.6
 """Smallest accepted response of the tendon's own load cell, as a fraction of the pull."""
 MAX_CROSSTALK_FRACTION = 0.3
 """Largest accepted response of any other load cell, as a fraction of the pull."""
-MIN_TAKE_UP_M = 0.1e-3
+MIN_EXCHANGED_ENCODER_MOTION_M = 0.1e-3
 """Smallest motion of another motor during a pull that shows exchanged encoders, if its own motor moves less [m].
 
 A motor without torque moves by less: simulated ones by at most 10 um, and a motor that gives back
@@ -96,7 +96,7 @@ COLUMN_COUNT = 9
 
 The constants above are the indices of its columns.
 """
-NOT_YET_PULLING = -1
+TOUCHING_BEFORE_PULL = -1
 """Value of `ProgramProgress.touching[0]` before a pull.
 
 During a pull, the value is 0 until the tendon is taut. After that, the value is 1 more than the
@@ -136,8 +136,8 @@ class CommissionProgram:
             return replace(progress, since=t), (TickEvent("info", "phase", "", _tare_text(model)),)
         if progress.step == 0:
             return self._tare_cells(model, progress, measurements, t)
-        if progress.touching[0] == NOT_YET_PULLING:
-            return self._advance_rest(model, progress, measurements, t)
+        if progress.touching[0] == TOUCHING_BEFORE_PULL:
+            return self._renew_tare(model, progress, measurements, t)
         if progress.phase == _hold_phase(model, progress.step - 1):
             return self._advance_hold(model, progress, estimate, measurements, t)
         return self._advance_tendon_pull(model, progress, estimate, measurements, t)
@@ -146,7 +146,7 @@ class CommissionProgram:
         self, model: HandModel, progress: ProgramProgress, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
         table = _commissioning_table(progress)
-        tension = _known_tensions(model, measured)
+        tension = _measured_or_estimated_tensions(model, measured)
         if not np.isnan(tension).any():
             table[:, TARE_SUM] += tension
             table[:, TARE_SAMPLES] += 1.0
@@ -172,7 +172,7 @@ class CommissionProgram:
             model, progress, worst_tendon, f"load cell reads {reading}, which can be tared {bounds}"
         )
 
-    def _advance_rest(
+    def _renew_tare(
         self, model: HandModel, progress: ProgramProgress, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
         """Read all load cells without torque, and renew the tare of the present tendon.
@@ -181,7 +181,7 @@ class CommissionProgram:
         may hold tension in a tendon that was pulled before. The tares of all tendons in a digit
         without springs are renewed together.
         """
-        tension = _known_tensions(model, measured)
+        tension = _measured_or_estimated_tensions(model, measured)
         is_missing = np.isnan(tension + measured.travel).any()
         if t - progress.since < REST_SETTLING_S or is_missing:
             return progress, ()
@@ -195,18 +195,20 @@ class CommissionProgram:
         if samples * model.period < REST_DURATION_S:
             return _with_commissioning_table(progress, table), ()
         # The new average has as much weight as all earlier readings together.
-        fresh_table = (
+        tendons_with_new_tare = (
             slice(i, i + 1)
-            if model.redundancy.is_sprung[i]
+            if model.redundancy.has_return_springs[i]
             else model.digit_tendons[model.digit_of_tendon[i]]
         )
-        table[fresh_table, TARE_SUM] += (
-            table[fresh_table, REST_SUM] / samples * table[fresh_table, TARE_SAMPLES]
+        table[tendons_with_new_tare, TARE_SUM] += (
+            table[tendons_with_new_tare, REST_SUM]
+            / samples
+            * table[tendons_with_new_tare, TARE_SAMPLES]
         )
-        table[fresh_table, REST_SUM] = 0.0
+        table[tendons_with_new_tare, REST_SUM] = 0.0
         table[:, START_TRAVEL] = measured.travel
         progress = _with_new_tare(_with_commissioning_table(progress, table))
-        if not model.redundancy.is_sprung[i]:
+        if not model.redundancy.has_return_springs[i]:
             hold_progress, events = self._begin_holding_digit(model, progress, t, is_taut=False)
             return self._check_tare(model, progress) or (hold_progress, events)
         goals = tuple(_pull_goal(tendons, i) for tendons in model.digit_tendons)
@@ -258,10 +260,10 @@ class CommissionProgram:
         Then pull the tendon.
         """
         i = progress.step - 1
-        own_tendons = model.digit_tendons[model.digit_of_tendon[i]]
-        waiting_tendon = progress.touching[0]
-        if waiting_tendon == 0:
-            if not estimate.is_slack[own_tendons].any():
+        digit_tendons = model.digit_tendons[model.digit_of_tendon[i]]
+        touching_ticks = progress.touching[0]
+        if touching_ticks == 0:
+            if not estimate.is_slack[digit_tendons].any():
                 # From now on, the joints are pressed against their limits. So the filter must treat
                 # the digit as a digit in contact.
                 contact = tuple(d == model.digit_of_tendon[i] for d in range(len(model.digits)))
@@ -270,18 +272,21 @@ class CommissionProgram:
                 ), ()
             if t - progress.since <= HOLD_TIMEOUT_S:
                 return progress, ()
-            slack = own_tendons.start + int(np.flatnonzero(estimate.is_slack[own_tendons])[0])
-            return self._refuse_tendon(model, progress, slack, _no_answer_text(model, measurements))
+            slack = digit_tendons.start + int(np.flatnonzero(estimate.is_slack[digit_tendons])[0])
+            return self._refuse_tendon(
+                model, progress, slack, _missing_response_reason(model, measurements)
+            )
         excursion = np.where(
             model.hand.tendons_with_encoders,
             measurements.excursion,
             model.redundancy.excursion_at_lower_limits,
-        )[own_tendons]
-        tension = _known_tensions(model, measurements, estimate)
+        )[digit_tendons]
+        tension = _measured_or_estimated_tensions(model, measurements, estimate)
         is_missing = (
-            np.isnan(tension).any() or np.isnan(measurements.travel[own_tendons] + excursion).any()
+            np.isnan(tension).any()
+            or np.isnan(measurements.travel[digit_tendons] + excursion).any()
         )
-        is_first_tendon = i == own_tendons.start
+        is_first_tendon = i == digit_tendons.start
         if (
             t - progress.since < (HOLD_SETTLING_TIMEOUT_S if is_first_tendon else PULL_SETTLING_S)
             or is_missing
@@ -291,18 +296,18 @@ class CommissionProgram:
         table[:, REST_SUM] += tension
         table[:, REST_SAMPLES] += 1.0
         if is_first_tendon:
-            stretch = tension[own_tendons] / model.space.stiffness[own_tendons]
-            table[own_tendons, ZERO_COLUMN] += (
-                measurements.travel[own_tendons] - stretch - excursion
-            ) / model.space.spool[own_tendons]
+            stretch = tension[digit_tendons] / model.tendon_constants.stiffness[digit_tendons]
+            table[digit_tendons, ZERO_COLUMN] += (
+                measurements.travel[digit_tendons] - stretch - excursion
+            ) / model.tendon_constants.spool_radius[digit_tendons]
         progress = replace(
             _with_commissioning_table(progress, table),
-            touching=(waiting_tendon + 1, *progress.touching[1:]),
+            touching=(touching_ticks + 1, *progress.touching[1:]),
         )
-        if waiting_tendon * model.period < MEASUREMENT_DURATION_S:
+        if touching_ticks * model.period < MEASUREMENT_DURATION_S:
             return progress, ()
         if is_first_tendon:
-            table[own_tendons, ZERO_COLUMN] /= waiting_tendon
+            table[digit_tendons, ZERO_COLUMN] /= touching_ticks
         added_tension = np.zeros(model.tendon_count)
         added_tension[i] = PULL_TENSION_N
         name = model.hand.tendon_names[i]
@@ -330,26 +335,28 @@ class CommissionProgram:
         Wait until it is taut, let its tension settle, and measure the response.
         """
         i = progress.step - 1
-        waiting_tendon = progress.touching[0]
-        if waiting_tendon == 0 and not estimate.is_slack[i]:
+        touching_ticks = progress.touching[0]
+        if touching_ticks == 0 and not estimate.is_slack[i]:
             progress = replace(progress, touching=(1, *progress.touching[1:]), since=t)
-        if waiting_tendon == 0:
+        if touching_ticks == 0:
             is_late = t - progress.since > TAKE_UP_TIMEOUT_S
             return (
-                self._refuse_tendon(model, progress, i, _no_answer_text(model, measurements))
+                self._refuse_tendon(
+                    model, progress, i, _missing_response_reason(model, measurements)
+                )
                 if is_late
                 else (progress, ())
             )
-        tension = _known_tensions(model, measurements, estimate)
+        tension = _measured_or_estimated_tensions(model, measurements, estimate)
         is_missing = np.isnan(tension + measurements.travel).any()
         if t - progress.since < PULL_SETTLING_S or is_missing:
             return progress, ()
         table = _commissioning_table(progress)
         table[:, PULL_SUM] += tension
-        if model.redundancy.is_sprung[i]:
+        if model.redundancy.has_return_springs[i]:
             # The motor angle [rad] is the travel of the tendon [m] divided by the radius of the
             # spool.
-            table[i, ZERO_COLUMN] += measurements.travel[i] / model.space.spool[i]
+            table[i, ZERO_COLUMN] += measurements.travel[i] / model.tendon_constants.spool_radius[i]
         samples = progress.touching[0]
         if samples * model.period >= MEASUREMENT_DURATION_S:
             other_encoder = _encoder_that_turned(model, table, i, measurements.travel)
@@ -359,7 +366,9 @@ class CommissionProgram:
                 return self._refuse_tendon(model, progress, i, text)
             return self._judge_response(
                 model,
-                _with_commissioning_table(progress, _table_with_results(model, table, i, samples)),
+                _with_commissioning_table(
+                    progress, _table_with_pull_results(model, table, i, samples)
+                ),
                 i,
                 t,
             )
@@ -373,7 +382,7 @@ class CommissionProgram:
     ) -> ProgressAndEvents:
         """Accept the measured response of tendon i, or refuse the hand."""
         answer, crosstalk = _commissioning_table(progress)[i, [ANSWER_COLUMN, CROSSTALK_COLUMN]]
-        if answer < MIN_ANSWER_FRACTION * PULL_TENSION_N:
+        if answer < MIN_RESPONSE_FRACTION * PULL_TENSION_N:
             sensor = "load cell" if model.hand.has_cell[i] else "motor"
             return self._refuse_tendon(
                 model,
@@ -405,20 +414,22 @@ class CommissionProgram:
             1 < step <= model.tendon_count
             and model.digit_of_tendon[step - 1] == model.digit_of_tendon[step - 2]
         )
-        if is_same_digit and not model.redundancy.is_sprung[step - 1]:
+        if is_same_digit and not model.redundancy.has_return_springs[step - 1]:
             return self._begin_holding_digit(model, replace(progress, step=step), t, is_taut=True)
-        passive_goals = (DigitGoal(),) * len(model.digits)
+        zero_torque_goals = (DigitGoal(),) * len(model.digits)
         if step > model.tendon_count:
-            finished_progress = replace(progress, finished=True, phase="end", goals=passive_goals)
+            finished_progress = replace(
+                progress, finished=True, phase="end", goals=zero_torque_goals
+            )
             return finished_progress, (TickEvent("info", "phase", "", "commissioned"),)
         return replace(
             progress,
             step=step,
             since=t,
-            goals=passive_goals,
+            goals=zero_torque_goals,
             phase="rest",
-            contact=(False,) * len(passive_goals),
-            touching=(NOT_YET_PULLING,) * len(passive_goals),
+            contact=(False,) * len(zero_torque_goals),
+            touching=(TOUCHING_BEFORE_PULL,) * len(zero_torque_goals),
         ), ()
 
     def _refuse_tendon(
@@ -455,23 +466,25 @@ def _response_text(model: HandModel, i: int, answer: float, crosstalk: float) ->
         crosstalk: largest response of any other load cell [N].
     """
     has_cell = model.hand.has_cell
-    own_text = f"answers {answer:.2f} N" if has_cell[i] else f"taut at {answer:.2f} N by its motor"
+    response_text = (
+        f"answers {answer:.2f} N" if has_cell[i] else f"taut at {answer:.2f} N by its motor"
+    )
     if (has_cell & (np.arange(model.tendon_count) != i)).any():
-        return f"{own_text}, other load cells {crosstalk:.2f} N"
-    return f"{own_text}; no other load cell, so swapped tendons are not checked"
+        return f"{response_text}, other load cells {crosstalk:.2f} N"
+    return f"{response_text}; no other load cell, so swapped tendons are not checked"
 
 
-def _no_answer_text(model: HandModel, measured: TickMeasurements) -> str:
+def _missing_response_reason(model: HandModel, measured: TickMeasurements) -> str:
     """Return the reason why the load cell of the pulled tendon does not respond.
 
     Another load cell may respond instead.
     """
-    answer_tensions = np.nan_to_num(measured.tension)
-    other_tendon = int(answer_tensions.argmax())
-    if answer_tensions[other_tendon] < MIN_ANSWER_FRACTION * PULL_TENSION_N:
+    measured_tensions = np.nan_to_num(measured.tension)
+    other_tendon = int(measured_tensions.argmax())
+    if measured_tensions[other_tendon] < MIN_RESPONSE_FRACTION * PULL_TENSION_N:
         return "does not become taut"
     name = model.hand.tendon_names[other_tendon]
-    return f"does not become taut, but the load cell of {name} reads {answer_tensions[other_tendon]:.1f} N: swapped?"
+    return f"does not become taut, but the load cell of {name} reads {measured_tensions[other_tendon]:.1f} N: swapped?"
 
 
 def _pull_goal(tendons: slice, i: int) -> DigitGoal:
@@ -486,7 +499,7 @@ def _pull_goal(tendons: slice, i: int) -> DigitGoal:
     return DigitGoal(GoalKind.TENSION, tension=tension, rate=20.0, force_limit=PULL_FORCE_LIMIT_N)
 
 
-def _known_tensions(
+def _measured_or_estimated_tensions(
     model: HandModel, measurements: TickMeasurements, estimate: HandEstimate | None = None
 ) -> Vector:
     """Return the tensions (N,) in a tick [N].
@@ -520,7 +533,7 @@ def _hold_goals(model: HandModel, i: int, extra_tension: Vector) -> tuple[DigitG
     arms = digit.with_moment_arms_at(digit.joint_min).reduced_moment_arms
     # A stronger pull of one tendon must not lift the digit off its limits. The torque of this pull
     # is at most the pull times the largest moment arm of a closing tendon.
-    pressing_torque = PRESS_TORQUE_FACTOR * PULL_TENSION_N * np.maximum(arms, 0.0).max(axis=0)
+    pressing_torque = PRESSING_TORQUE_FACTOR * PULL_TENSION_N * np.maximum(arms, 0.0).max(axis=0)
     torque = digit.coupling.T @ np.asarray(static_torque(digit, digit.joint_min)) - pressing_torque
     tension = tensions_for_torque(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
     limit = float(np.abs(tension).max()) + PULL_FORCE_LIMIT_N
@@ -550,25 +563,27 @@ def _with_new_tare(progress: ProgramProgress) -> ProgramProgress:
     return replace(progress, tare=tuple(_tares_from_table(_commissioning_table(progress)).tolist()))
 
 
-def _table_with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vector:
+def _table_with_pull_results(model: HandModel, table: Vector, i: int, samples: int) -> Vector:
     """Return the table after the results for tendon i are stored and the sums are set to zero."""
     rest_tensions = table[:, REST_SUM] / table[i, REST_SAMPLES]
     rise = table[:, PULL_SUM] / samples - rest_tensions
-    if model.redundancy.is_sprung[i]:
+    if model.redundancy.has_return_springs[i]:
         # The pull stretches the tendon. So the motor turns beyond the position at which the tendon
         # becomes taut.
-        stretch = rise[i] / model.space.stiffness[i] / model.space.spool[i]
+        stretch = (
+            rise[i] / model.tendon_constants.stiffness[i] / model.tendon_constants.spool_radius[i]
+        )
         table[i, ZERO_COLUMN] = (
             table[i, ZERO_COLUMN] / samples
             - stretch
-            - model.redundancy.excursion_at_lower_limits[i] / model.space.spool[i]
+            - model.redundancy.excursion_at_lower_limits[i] / model.tendon_constants.spool_radius[i]
         )
     table[i, ANSWER_COLUMN] = rise[i]
     tendons = np.arange(model.tendon_count)
     # Friction holds tension in a tendon that was pulled before. This tension falls without a
     # command. So only an increase counts as crosstalk.
     spring_tensions = np.where(
-        model.redundancy.is_sprung & (tendons < i), np.maximum(rest_tensions, 0.0), 0.0
+        model.redundancy.has_return_springs & (tendons < i), np.maximum(rest_tensions, 0.0), 0.0
     )
     other_tendons = model.hand.has_cell & (tendons != i)
     table[i, CROSSTALK_COLUMN] = np.maximum(rise, -rise - spring_tensions)[other_tendons].max(
@@ -590,11 +605,11 @@ def _encoder_that_turned(model: HandModel, table: Vector, i: int, travel: Vector
         i: index of the pulled tendon.
         travel: (N,) measured travel at the end of the pull [m].
     """
-    is_sprung = model.redundancy.is_sprung
-    joint_travel = np.where(is_sprung, np.abs(travel - table[:, START_TRAVEL]), 0.0)
+    has_return_springs = model.redundancy.has_return_springs
+    joint_travel = np.where(has_return_springs, np.abs(travel - table[:, START_TRAVEL]), 0.0)
     largest = int(joint_travel.argmax())
-    are_encoders_exchanged = is_sprung[i] and joint_travel[largest] > max(
-        joint_travel[i], MIN_TAKE_UP_M
+    are_encoders_exchanged = has_return_springs[i] and joint_travel[largest] > max(
+        joint_travel[i], MIN_EXCHANGED_ENCODER_MOTION_M
     )
     return largest if are_encoders_exchanged else None
 
@@ -614,7 +629,7 @@ def idle_torque_warnings(hand: Hand, drives: Sequence[Drive]) -> tuple[str, ...]
     largest = MAX_CROSSTALK_FRACTION * PULL_TENSION_N
     warnings_by_motor: list[tuple[str, str]] = []
     for tendon, drive in zip(hand.tendon_names, drives, strict=True):
-        motor = hand.motor_of(tendon)
+        motor = hand.motor_of_tendon(tendon)
         torque = _idle_torque(drive)
         if torque <= largest * motor.spool_radius_m:
             continue

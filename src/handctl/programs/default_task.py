@@ -13,12 +13,12 @@ from handctl.document import validate_content
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.file.error_text import shortened_list
-from handctl.hand.file.new_file import CLEARANCE_MM, OBJECT_DIAMETER_RATIO, SMALLEST_OBJECT_MM
+from handctl.hand.file.new_hand_file import CLEARANCE_MM, OBJECT_DIAMETER_RATIO, SMALLEST_OBJECT_MM
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.hand_loading import parse_toml
 from handctl.hand.kinematics import link_rotations
-from handctl.hand.link_tree import HandLinkTree
-from handctl.hand.readiness import displayed_range
+from handctl.hand.link_tree import LinkTree
+from handctl.hand.readiness_checks import displayed_range
 from handctl.programs.task import Task
 
 CLOSED_FRACTION = 0.85
@@ -26,25 +26,25 @@ CLOSED_FRACTION = 0.85
 
 A digit that touches no object therefore stops before its joints reach their limits.
 """
-CLOSING_SPEED = 50.0
-SLIDING_SPEED = 20.0
+CLOSING_SPEED_DEG_S = 50.0
+PRISMATIC_CLOSING_SPEED = 20.0
 """Speed with which digits close [deg/s], and the speed of a hand with prismatic joints [deg/s or mm/s]."""
 LARGEST_CLOSED_DEG = 120.0
 """Largest angle of a closed coordinate [deg]."""
-HOLD_FRACTION = 0.3
+HOLD_TENSION_FRACTION = 0.3
 """Tension of a hold divided by ``tension_max_N``, if as many digits close from one side as from the other."""
-MAX_HOLD_FRACTION = 0.7
+MAX_HOLD_TENSION_FRACTION = 0.7
 """Largest tension of a hold divided by ``tension_max_N``."""
-MIN_BALANCE_FACTOR = 0.1
+MIN_FORCE_BALANCE_FACTOR = 0.1
 """Smallest factor on the tension of a digit that may be used to balance the forces on an object.
 
 If the balance requires a smaller factor, the tensions do not balance the forces.
 """
 PRESSING_FORCE_N = 1.0
 """Smallest force with which a hold presses at the tip of a half-closed digit, against its springs [N]."""
-CONTACT_FRACTION = 0.16
+CONTACT_TENSION_FRACTION = 0.16
 """Tension of a digit in contact divided by ``tension_max_N``, in the time until all digits hold."""
-RELEASE_MARGIN_N = 6.0
+RELEASE_TENSION_MARGIN_N = 6.0
 """Tension of a release above the highest ``tension_floor_N`` of the hand [N]."""
 OPENING_DURATION_S = 1.2
 """Duration of the last phase, in which the hand opens [s].
@@ -69,7 +69,7 @@ OBJECT_HALF_LENGTH_M = 0.0465
 
 Source: ``firmware_sim/scenes/cylinder.toml``.
 """
-LINK_SAMPLES = 9
+SAMPLES_PER_LINK = 9
 """Number of points along a link for which the distance to the object is computed."""
 
 
@@ -98,8 +98,10 @@ def default_task(hand: Hand) -> tuple[Task, str]:
                 "angle_deg": {
                     name: _closed_angles_deg(hand, name).tolist() for name in closing_digit_names
                 },
-                "speed_deg_s": SLIDING_SPEED if hand.is_prismatic.any() else CLOSING_SPEED,
-                "contact_tension_N": round(max(CONTACT_FRACTION * largest, floor + 1.0), 1),
+                "speed_deg_s": PRISMATIC_CLOSING_SPEED
+                if hand.is_prismatic.any()
+                else CLOSING_SPEED_DEG_S,
+                "contact_tension_N": round(max(CONTACT_TENSION_FRACTION * largest, floor + 1.0), 1),
             },
             {
                 "kind": "hold",
@@ -114,7 +116,7 @@ def default_task(hand: Hand) -> tuple[Task, str]:
             {
                 "kind": "release",
                 "name": "release",
-                "tension_N": min(floor + RELEASE_MARGIN_N, largest),
+                "tension_N": min(floor + RELEASE_TENSION_MARGIN_N, largest),
                 "rate_N_per_s": 60.0,
             },
             {
@@ -148,7 +150,7 @@ def _tension_factors(hand: Hand) -> dict[str, float]:
     The mean of the factors is 1. With these factors, the forces of the digits on an object balance
     each other. With equal factors, for example, two fingers would push a thumb open.
     """
-    balance = _balance_factors(hand)
+    balance = _force_balance_factors(hand)
     if balance is not None:
         return balance
     # In this case, the palm or friction balances the forces. The opposed digits together press with
@@ -164,7 +166,7 @@ def _tension_factors(hand: Hand) -> dict[str, float]:
     }
 
 
-def _balance_factors(hand: Hand) -> dict[str, float] | None:
+def _force_balance_factors(hand: Hand) -> dict[str, float] | None:
     """Return factors for which the forces of the digits cancel.
 
     The factors have the mean 1, and are as near to 1 as possible. If a factor is too small, return
@@ -173,7 +175,7 @@ def _balance_factors(hand: Hand) -> dict[str, float] | None:
     directions = _flexion_directions(hand)
     rows = np.array(list(directions.values()))
     factors = 1.0 - rows @ np.linalg.pinv(rows.T @ rows) @ rows.sum(axis=0)
-    if factors.min() < MIN_BALANCE_FACTOR:
+    if factors.min() < MIN_FORCE_BALANCE_FACTOR:
         return None
     return dict(zip(directions, (factors / factors.mean()).tolist(), strict=True))
 
@@ -183,7 +185,7 @@ def _flexion_directions(hand: Hand) -> dict[str, Array]:
 
     It is the direction of the y axis of the last link when all joint angles are 0.
     """
-    tree = HandLinkTree.from_hand(hand)
+    tree = LinkTree.from_hand(hand)
     turned_link_rotations = link_rotations(tree.poses(np.zeros(len(hand.joints))))
     return {
         digit.name: turned_link_rotations[digit.joints][-1, :, 1]
@@ -209,15 +211,18 @@ def _hold_tensions(hand: Hand, name: str, tension_fraction: float) -> float | li
     """
     if hand.is_pair[hand.digit_tendons[name]].any():
         largest = min(tendon.tension_max_N for tendon in hand.tendon[hand.digit_tendons[name]])
-        return round(min(HOLD_FRACTION * tension_fraction, MAX_HOLD_FRACTION) * largest, 1)
+        return round(
+            min(HOLD_TENSION_FRACTION * tension_fraction, MAX_HOLD_TENSION_FRACTION) * largest, 1
+        )
     pressing_tension = _pressing_tension(hand, name)
     arms = DigitModel.from_hand(hand, name).reduced_moment_arms
     rows = zip(hand.tendon[hand.digit_tendons[name]], arms.sum(axis=1), strict=True)
     return [
         round(
             min(
-                tension_fraction * max(HOLD_FRACTION * tendon.tension_max_N, pressing_tension),
-                MAX_HOLD_FRACTION * tendon.tension_max_N,
+                tension_fraction
+                * max(HOLD_TENSION_FRACTION * tendon.tension_max_N, pressing_tension),
+                MAX_HOLD_TENSION_FRACTION * tendon.tension_max_N,
             )
             if arm > 0.0
             else EXTENSOR_TENSION_FACTOR * tendon.tension_floor_N,
@@ -237,10 +242,10 @@ def _pressing_tension(hand: Hand, name: str) -> float:
     )
     torque = springs + PRESSING_FORCE_N * reduced_tip_lever(digit, q)
     arms = digit.with_moment_arms_at(q).reduced_moment_arms
-    closing_arm = arms[arms.sum(axis=1) > 0.0].sum(axis=0)
+    closing_moment_arms = arms[arms.sum(axis=1) > 0.0].sum(axis=0)
     # A coordinate whose angle stays the same, or that no tendon closes, determines no tension.
-    is_flexed = (half_closed_angles > 0.0) & (closing_arm > 0.0)
-    return float((torque[is_flexed] / closing_arm[is_flexed]).max(initial=0.0))
+    is_flexed = (half_closed_angles > 0.0) & (closing_moment_arms > 0.0)
+    return float((torque[is_flexed] / closing_moment_arms[is_flexed]).max(initial=0.0))
 
 
 def grasp_warnings(hand: Hand) -> tuple[str, ...]:
@@ -257,7 +262,9 @@ def grasp_warnings(hand: Hand) -> tuple[str, ...]:
         )
     for name in opposed:
         tendons = hand.tendon[hand.digit_tendons[name]]
-        max_hold_tension = MAX_HOLD_FRACTION * min(tendon.tension_max_N for tendon in tendons)
+        max_hold_tension = MAX_HOLD_TENSION_FRACTION * min(
+            tendon.tension_max_N for tendon in tendons
+        )
         if (tension := _pressing_tension(hand, name)) > max_hold_tension:
             warnings.append(
                 f"{name}: pressing with {PRESSING_FORCE_N:g} N at its tip takes {tension:.0f} N of tension, "
@@ -278,11 +285,11 @@ def default_scene(hand: Hand) -> str:
     are_digits_parallel = all(
         abs(direction[2]) < MAX_AXIAL_COMPONENT for direction in directions.values()
     )
-    if not are_digits_parallel and _balance_factors(hand) is None:
+    if not are_digits_parallel and _force_balance_factors(hand) is None:
         return CYLINDER_SCENE
     shape = CYLINDER_SCENE if are_digits_parallel else SPHERE_SCENE
     longest_digit_mm = 1e3 * max(sum(hand.digit_named(name).link_length_m) for name in directions)
-    free_space_mm = 1e3 * _largest_object(hand, is_ball=shape == SPHERE_SCENE)
+    free_space_mm = 1e3 * _largest_object_diameter(hand, is_ball=shape == SPHERE_SCENE)
     diameter = max(
         SMALLEST_OBJECT_MM,
         min(OBJECT_DIAMETER_RATIO * longest_digit_mm, free_space_mm - CLEARANCE_MM),
@@ -296,12 +303,12 @@ def default_scene(hand: Hand) -> str:
     )
 
 
-def _largest_object(hand: Hand, is_ball: bool) -> float:
+def _largest_object_diameter(hand: Hand, is_ball: bool) -> float:
     """Return the diameter of the largest cylinder or ball between the open digits [m]."""
-    tree = HandLinkTree.from_hand(hand)
+    tree = LinkTree.from_hand(hand)
     q = np.concatenate([np.maximum(digit.joint_min, 0.0) for digit in tree.digits])
     largest = 1.0
-    fractions = np.linspace(0.0, 1.0, LINK_SAMPLES)[:, None]
+    fractions = np.linspace(0.0, 1.0, SAMPLES_PER_LINK)[:, None]
     for digit, points in zip(tree.digits, tree.points(q), strict=True):
         for start, end in pairwise(points):
             x, y, z = (start + fractions * (end - start)).T

@@ -18,7 +18,7 @@ from handctl.core.hand_estimate import HandEstimate, TickMeasurements
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import TickEvent, Vector
 from handctl.document import Document
-from handctl.programs.program import ProgramProgress, ProgressAndEvents, coordinates_by_excursion
+from handctl.programs.program import ProgramProgress, ProgressAndEvents, coordinates_from_excursion
 
 TAUT_TIMEOUT_S = 4.0
 """Longest time that a healthy tendon takes to become taut [s]."""
@@ -121,9 +121,9 @@ class ExciteProgram:
             if elapsed < TAUT_TIMEOUT_S:
                 return progress, ()
             text = f"not taut after {TAUT_TIMEOUT_S:g} s"
-            passive_goals = (DigitGoal(),) * len(progress.goals)
+            zero_torque_goals = (DigitGoal(),) * len(progress.goals)
             failed_progress = replace(
-                progress, finished=True, failure=f"{step.digit}: {text}", goals=passive_goals
+                progress, finished=True, failure=f"{step.digit}: {text}", goals=zero_torque_goals
             )
             return failed_progress, (TickEvent("error", "identify", step.digit, text),)
         if elapsed < step.duration_s:
@@ -168,7 +168,7 @@ def _digit_goal(
     """Return the goal of digit d in a step."""
     digit = model.digits[d]
     tendons = model.digit_tendons[d]
-    coordinates = coordinates_by_excursion(digit, estimate)
+    coordinates = coordinates_from_excursion(digit, estimate)
     targets = np.array(step.targets) if step.targets else None
     if step.kind == "move":
         path = MinimumJerk(

@@ -38,7 +38,7 @@ T01). Its spools wind fast, and the tension is small.
 """
 GENTLE_CLOSE_DURATION_S = 1.5
 """Time in which digits without springs close [s]."""
-GENTLE_RISE_N_PER_S = 20.0
+GENTLE_TENSION_RATE_N_PER_S = 20.0
 """Rate at which the tension of digits without springs then rises [N/s].
 
 Friction or another digit may have stopped a digit before its end stop. With a slow rise, this digit
@@ -79,7 +79,7 @@ def move_amplitude(angle: float) -> float:
 
 def _gentle_rise(stage: ExerciseStage) -> ExerciseStage:
     """Return a copy of a stage with a slow rise of the tension, for digits without springs."""
-    return replace(stage, duration=GENTLE_RISE_DURATION_S, tension_rate=GENTLE_RISE_N_PER_S)
+    return replace(stage, duration=GENTLE_RISE_DURATION_S, tension_rate=GENTLE_TENSION_RATE_N_PER_S)
 
 
 def exercise_stages(
@@ -128,7 +128,7 @@ class ExerciseProgram:
         return _stages_of_program(self, model.hand.has_springs)
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress before the hand is armed. The motors make no torque."""
+        """Return the first step of the program. The hand is not armed in this step."""
         return LiveProgram().initial_progress(model)
 
     def advance(
@@ -182,9 +182,9 @@ class ExerciseProgram:
         event = TickEvent("info", "phase", "", f"{stage.name} {stage_index + 1} of {len(stages)}")
         # In the stage `hold`, every digit that holds a tension is pressed against its closed joint
         # limit.
-        must_block = tuple(stage.name == "hold" and not carries for carries in carriers)
+        is_blocked = tuple(stage.name == "hold" and not carries for carries in carriers)
         return replace(
-            progress, step=stage_index, since=t, phase=stage.name, goals=goals, contact=must_block
+            progress, step=stage_index, since=t, phase=stage.name, goals=goals, contact=is_blocked
         ), (event,)
 
 
@@ -194,12 +194,14 @@ def _stages_of_program(program: ExerciseProgram, has_springs: bool) -> tuple[Exe
     """Return the stages for a hand with or without springs, see ``ExerciseProgram.stages_of``."""
     if has_springs:
         return program.stages
-    gentle = ExerciseStage("close", GENTLE_CLOSE_DURATION_S, tension=GENTLE_CLOSE_TENSION_N)
+    gentle_close_stage = ExerciseStage(
+        "close", GENTLE_CLOSE_DURATION_S, tension=GENTLE_CLOSE_TENSION_N
+    )
     return tuple(
         stage_or_gentle_rise
         for stage in program.stages
         for stage_or_gentle_rise in (
-            (gentle, _gentle_rise(stage)) if stage.name == "close" else (stage,)
+            (gentle_close_stage, _gentle_rise(stage)) if stage.name == "close" else (stage,)
         )
     )
 

@@ -31,11 +31,11 @@ SLIP_DETECTION_PAUSE_S = 0.4
 
 In this time, the fingers adapt to the object.
 """
-RAISE_PAUSE_S = 0.1
+TENSION_RAISE_PAUSE_S = 0.1
 """Shortest time between two rises of the tension [s]."""
 TENSION_RAISE_FACTOR = 1.2
 """Factor by which slip raises every tension of the grip."""
-RAISE_RATE_N_PER_S = 300.0
+TENSION_RAISE_RATE_N_PER_S = 300.0
 """Rate at which tensions rise after slip [N/s].
 
 The rate is high, because slip is faster than the closing of a grasp.
@@ -53,14 +53,14 @@ class GripState(NamedTuple):
             grip has settled.
         ready: time from which slip is detected [s].
         tension_factor: present factor on the tensions.
-        limited: True after the event which reports that no more tension is allowed.
+        is_limit_reported: True after the event which reports that no more tension is allowed.
     """
 
     tension: Vector
     reference_excursion: Vector
     ready: float
     tension_factor: float = 1.0
-    limited: bool = False
+    is_limit_reported: bool = False
 
     @staticmethod
     def at_start_of_hold(
@@ -98,7 +98,7 @@ class GripPlan:
 
 def grip_excursions(model: HandModel, estimate: HandEstimate) -> Vector:
     """Return the excursion (N,) of each tendon up to a constant [m]: the wound length minus the stretch."""
-    return np.asarray(estimate.travel - estimate.tension / model.space.stiffness)
+    return np.asarray(estimate.travel - estimate.tension / model.tendon_constants.stiffness)
 
 
 def advance_grip(
@@ -131,10 +131,10 @@ def advance_grip(
     if is_slip_judged:
         # A tendon that opens a digit is pulled out while the digit closes.
         opening_travel = np.where(
-            np.isnan(grip.tension), 0.0, model.redundancy.side * estimate.grip_opening
+            np.isnan(grip.tension), 0.0, model.redundancy.closing_sign * estimate.grip_opening
         )
         if opening_travel.max() > SLIP_EXCURSION_M:
-            grip, events = _raise_after_slip(model, grip, plan, opening_travel, t)
+            grip, events = _raise_tension_after_slip(model, grip, plan, opening_travel, t)
     if not (is_slip_judged or is_settled) or not (events or plan.stiffness):
         return grip, goals, events
     return (
@@ -144,7 +144,7 @@ def advance_grip(
     )
 
 
-def _raise_after_slip(
+def _raise_tension_after_slip(
     model: HandModel, grip: GripState, plan: GripPlan, opening_distances: Vector, t: float
 ) -> tuple[GripState, tuple[TickEvent, ...]]:
     """Raise the tensions of a grip after slip, within the limits of the task."""
@@ -154,11 +154,11 @@ def _raise_after_slip(
         for name, tendons in zip(model.hand.digit_names, model.digit_tendons, strict=True)
         if tendons.start <= worst_digit < tendons.stop
     )
-    grip = grip._replace(ready=t + RAISE_PAUSE_S)
+    grip = grip._replace(ready=t + TENSION_RAISE_PAUSE_S)
     slip_text = f"{digit} is pushed open, {1e6 * opening_distances[worst_digit]:.0f} um of tendon"
     # The tendon that is farthest below its limit determines the largest possible factor. All
     # tensions are multiplied by the same factor.
-    is_closing_side = model.redundancy.side > 0.0
+    is_closing_side = model.redundancy.closing_sign > 0.0
     factor_limits = plan.limit[is_closing_side] / grip.tension[is_closing_side]
     max_factor = float(np.nanmax(np.append(factor_limits, 1.0)))
     if grip.tension_factor < max_factor:
@@ -169,7 +169,7 @@ def _raise_after_slip(
             TickEvent("warn", "slip", digit, f"{slip_text}: force x {grip.tension_factor:.2f}"),
         )
     refusal_event = TickEvent("warn", "slip", digit, f"{slip_text}; the task allows no more force")
-    return grip._replace(limited=True), () if grip.limited else (refusal_event,)
+    return grip._replace(is_limit_reported=True), () if grip.is_limit_reported else (refusal_event,)
 
 
 def _goals_of_held_grip(
@@ -184,7 +184,7 @@ def _goals_of_held_grip(
     No tension is below the floor.
     """
     limit = np.fmax(plan.limit, grip.tension)
-    tension_factors = np.where(model.redundancy.side > 0.0, grip.tension_factor, 1.0)
+    tension_factors = np.where(model.redundancy.closing_sign > 0.0, grip.tension_factor, 1.0)
     target = np.minimum(tension_factors * grip.tension, limit) + plan.stiffness * (
         grip.reference_excursion - excursion
     )
@@ -197,6 +197,6 @@ def _goals_of_held_grip(
     return tuple(
         goal
         if np.isnan(target[tendons]).any()
-        else replace(goal, tension=target[tendons], rate=RAISE_RATE_N_PER_S)
+        else replace(goal, tension=target[tendons], rate=TENSION_RAISE_RATE_N_PER_S)
         for goal, tendons in zip(goals, model.digit_tendons, strict=True)
     )

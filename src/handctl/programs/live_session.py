@@ -18,7 +18,7 @@ from handctl.programs.program import (
     TIGHTEN_TIMEOUT_S,
     ProgramProgress,
     ProgressAndEvents,
-    coordinates_by_excursion,
+    coordinates_from_excursion,
     goal_to_move_to_angle,
     pull_tensions,
     slack_tendons,
@@ -26,7 +26,7 @@ from handctl.programs.program import (
     tightening_goals,
 )
 from handctl.programs.requests import HoldTensionRequest, MoveDigitsRequest
-from handctl.programs.stream_plans import move_that_continues_motion
+from handctl.programs.stream_plans import blended_move
 from handctl.programs.task import (
     FOLLOW_SPEED_DEG_S,
     HoldPhase,
@@ -60,7 +60,7 @@ class LiveProgram:
     """
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress before the hand is armed. The motors make no torque."""
+        """Return the first step of the program. The hand is not armed in this step."""
         return ProgramProgress.initial(len(model.digits), "start")
 
     def advance(
@@ -144,7 +144,9 @@ def begin_task(
         task = task.model_copy(
             update={"phase": (*task.phase[:at], hold_phase, *task.phase[at + 1 :])}
         )
-    progress, events = TaskProgram(task).begin(model, replace(progress, task=task), estimate, t)
+    progress, events = TaskProgram(task).begin_first_phase(
+        model, replace(progress, task=task), estimate, t
+    )
     if progress.finished:
         progress = end_task(progress)
     return progress, (TickEvent("info", "request", "", f"grasp {task.name}"), *events)
@@ -162,7 +164,7 @@ def _refusal_of_fast_first_move(
         angle = end_angles(
             first_move.angle_deg,
             digit,
-            digit.coordinate_units.to_displayed(coordinates_by_excursion(digit, estimate)),
+            digit.coordinate_units.to_display_units(coordinates_from_excursion(digit, estimate)),
         )
         if angle is None:
             continue
@@ -196,7 +198,7 @@ class JogProgram:
     duration: float
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress before the hand is armed. The motors make no torque."""
+        """Return the first step of the program. The hand is not armed in this step."""
         return LiveProgram().initial_progress(model)
 
     def advance(
@@ -314,9 +316,9 @@ def _end_coordinates_of_move(
         return np.full(count, angle_of_digit[name]) if name in angle_of_digit else None
     if name in angle_of_digit:
         return f"{name} and {joints[next(iter(angles))]}, expected either the digit or its joints"
-    present_angles = digit.coordinate_units.to_displayed(
+    present_angles = digit.coordinate_units.to_display_units(
         np.clip(
-            start if isinstance(start, np.ndarray) else coordinates_by_excursion(digit, start),
+            start if isinstance(start, np.ndarray) else coordinates_from_excursion(digit, start),
             *digit.coordinate_limits,
         )
     )
@@ -346,7 +348,7 @@ def _move_goal(
         return goal_to_move_to_angle(model.digits[d], estimate, end_coordinates, duration, t)
     return DigitGoal(
         GoalKind.MOTION,
-        move_that_continues_motion(
+        blended_move(
             start_coordinates, end_coordinates, duration, model.digits[d].coordinate_limits
         ),
         since=t,
@@ -362,18 +364,20 @@ def _reach_problem(
     """
     digit = model.digits[d]
     units = digit.coordinate_units
-    joint_min, joint_max = (units.to_displayed(bound) for bound in digit.coordinate_limits)
+    joint_min, joint_max = (units.to_display_units(bound) for bound in digit.coordinate_limits)
     for angle, low, high, unit in zip(
         end_coordinates, joint_min, joint_max, units.names, strict=True
     ):
         if not low - ROUNDING_DEG <= angle <= high + ROUNDING_DEG:
             return f"{angle:g} {unit}, expected from {low:g} to {high:g} {unit}"
-    travel = np.abs(end_coordinates - units.to_displayed(coordinates_by_excursion(digit, estimate)))
-    worst_coordinate = int(np.argmax(travel / units.per_degree))
+    travel = np.abs(
+        end_coordinates - units.to_display_units(coordinates_from_excursion(digit, estimate))
+    )
+    worst_coordinate = int(np.argmax(travel / units.displayed_per_degree))
     peak = PEAK_SPEED_RATIO * float(travel[worst_coordinate]) / duration
     unit, limit = (
         units.names[worst_coordinate],
-        FOLLOW_SPEED_DEG_S * units.per_degree[worst_coordinate],
+        FOLLOW_SPEED_DEG_S * units.displayed_per_degree[worst_coordinate],
     )
     speed_problem = (
         f"at up to {peak:.0f} {unit}/s, expected at most {limit:.4g} {unit}/s: give it more time"

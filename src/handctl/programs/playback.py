@@ -14,7 +14,7 @@ from handctl.core.hand_estimate import HandEstimate, TickMeasurements
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import TickEvent, Vector
 from handctl.programs.live_session import LiveProgram
-from handctl.programs.program import ProgramProgress, ProgressAndEvents, coordinates_by_excursion
+from handctl.programs.program import ProgramProgress, ProgressAndEvents, coordinates_from_excursion
 
 APPROACH_DURATION_S = 2.0
 """Duration of the slow move to the first pose of the recording [s]."""
@@ -86,7 +86,7 @@ class PlaybackProgram:
     raw: bool = False
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress before the hand is armed. The motors make no torque."""
+        """Return the first step of the program. The hand is not armed in this step."""
         return LiveProgram().initial_progress(model)
 
     def advance(
@@ -136,7 +136,7 @@ class PlaybackProgram:
             else:
                 end = np.asarray(digit.joints_to_coordinates @ first_angles)
                 path = MinimumJerk(
-                    coordinates_by_excursion(digit, estimate), end, APPROACH_DURATION_S
+                    coordinates_from_excursion(digit, estimate), end, APPROACH_DURATION_S
                 )
                 goals.append(DigitGoal(GoalKind.MOTION, path, since=t))
         progress = replace(progress, goals=tuple(goals), phase="approach", since=t)

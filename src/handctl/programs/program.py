@@ -76,7 +76,7 @@ class Program(Protocol):
     """
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress before the hand is armed."""
+        """Return the first step of the program. The hand is not armed in this step."""
         ...
 
     def advance(
@@ -132,7 +132,7 @@ def _tightening_tension(model: HandModel, tendons: slice) -> Vector:
     If a digit has more tendons than necessary, these tensions balance each other and make no
     torque.
     """
-    balance = model.redundancy.balance[tendons]
+    balance = model.redundancy.balance_tension[tendons]
     min_tension = model.floor[tendons] + TIGHTEN_MARGIN_N
     # The pretension of a spool pair keeps its tendons taut.
     min_tension = np.where(model.is_pair[tendons], 0.0, min_tension)
@@ -156,8 +156,10 @@ def pull_tensions(
         digit = model.digits[d]
         load = digit.torque_to_tension @ joint_lever(digit, estimate.q[digit.joints])
         return np.asarray(tension / np.abs(load).max() * load)
-    is_antagonist = model.redundancy.has_surplus[tendons] & (model.redundancy.side[tendons] < 0.0)
-    return np.where(is_antagonist, model.redundancy.balance[tendons], tension)
+    is_antagonist = model.redundancy.has_surplus[tendons] & (
+        model.redundancy.closing_sign[tendons] < 0.0
+    )
+    return np.where(is_antagonist, model.redundancy.balance_tension[tendons], tension)
 
 
 def tension_goal(
@@ -167,9 +169,9 @@ def tension_goal(
 
     Spool pairs that move the digit sideways keep their position instead.
     """
-    if model.redundancy.side[model.digit_tendons[d]].all():
+    if model.redundancy.closing_sign[model.digit_tendons[d]].all():
         return DigitGoal(GoalKind.TENSION, tension=tension, rate=rate)
-    coordinates = coordinates_by_excursion(model.digits[d], estimate)
+    coordinates = coordinates_from_excursion(model.digits[d], estimate)
     return DigitGoal(
         GoalKind.TENSION,
         MinimumJerk(coordinates, coordinates, HOLD_STILL_DURATION_S),
@@ -185,7 +187,7 @@ def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
     given tension. The net tension of a released spool pair is zero.
     """
     tendons = model.digit_tendons[d]
-    balance = model.redundancy.balance[tendons]
+    balance = model.redundancy.balance_tension[tendons]
     return balance if balance.all() else np.where(model.is_pair[tendons], 0.0, tension)
 
 
@@ -202,12 +204,12 @@ def slack_tendons(model: HandModel, estimate: HandEstimate) -> list[str]:
     return [name for name, ok in zip(model.hand.tendon_names, is_taut, strict=True) if not ok]
 
 
-def coordinates_by_excursion(digit: DigitModel, estimate: HandEstimate) -> Vector:
+def coordinates_from_excursion(digit: DigitModel, estimate: HandEstimate) -> Vector:
     """Return the coordinates (n_c,) of a digit, computed from the excursions of its tendons [rad].
 
     During contact, the joints may turn further than the excursions show.
     """
-    return digit.coordinates_of(estimate.excursion[digit.tendons])
+    return digit.coordinates_of_excursion(estimate.excursion[digit.tendons])
 
 
 def goal_to_move_to_angle(
@@ -217,7 +219,7 @@ def goal_to_move_to_angle(
 
     The target is one angle for all coordinates, or one angle for each coordinate [rad].
     """
-    start = coordinates_by_excursion(digit, estimate)
+    start = coordinates_from_excursion(digit, estimate)
     return DigitGoal(
         GoalKind.MOTION, MinimumJerk(start, np.full_like(start, angle), duration), since=t
     )

@@ -58,7 +58,7 @@ class ClearFaultsRequest(RequestBase):
     do: Literal["clear"]
 
 
-class CommandBase(RequestBase):
+class CommandRequestBase(RequestBase):
     """Fields of a request that moves the hand. Only one client at a time commands the hand."""
 
     client: str = Field("", max_length=40, pattern=r"^[\w.-]*$")
@@ -75,7 +75,7 @@ class CommandBase(RequestBase):
     time the hand relaxes. If it is not given, the last goal applies without a time limit."""
 
 
-class AliveRequest(RequestBase):
+class KeepAliveRequest(RequestBase):
     """Send a sign of life of a client.
 
     The request renews the `lease_s` of the client's last command.
@@ -86,7 +86,7 @@ class AliveRequest(RequestBase):
     """Name of the client that is alive. A client that does not command the hand is ignored."""
 
 
-class MoveDigitsRequest(CommandBase):
+class MoveDigitsRequest(CommandRequestBase):
     """Move digits or joints to angles. The angle of a digit applies to all its joints."""
 
     do: Literal["move"]
@@ -95,7 +95,7 @@ class MoveDigitsRequest(CommandBase):
     duration_s: float = Field(1.0, ge=SHORTEST_MOVE_S, le=600)
 
 
-class StopMotionRequest(CommandBase):
+class StopMotionRequest(CommandRequestBase):
     """Bring the moving digits to rest at their present positions.
 
     Digits that hold a tension continue.
@@ -104,13 +104,13 @@ class StopMotionRequest(CommandBase):
     do: Literal["stay"]
 
 
-class GiveUpCommandRequest(CommandBase):
+class GiveUpCommandRequest(CommandRequestBase):
     """Give the command back. The digits come to rest, and another client may command."""
 
     do: Literal["leave"]
 
 
-class OpenStreamRequest(CommandBase):
+class OpenStreamRequest(CommandRequestBase):
     """Begin a stream of targets. A stream that is already open ends."""
 
     do: Literal["stream"]
@@ -137,7 +137,7 @@ class OpenStreamRequest(CommandBase):
     """Damping ratio of joints with this stiffness, as a multiple of the damping ratio of the gains."""
 
 
-class GraspRequest(CommandBase):
+class GraspRequest(CommandRequestBase):
     """Carry out a task up to its first hold, and hold until the request ``release``."""
 
     do: Literal["grasp"]
@@ -145,13 +145,13 @@ class GraspRequest(CommandBase):
     """The task, as in a task file."""
 
 
-class ReleaseGraspRequest(CommandBase):
+class ReleaseGraspRequest(CommandRequestBase):
     """End the hold of a task, and carry out the phases of the task after the hold."""
 
     do: Literal["release"]
 
 
-class CloseStreamRequest(CommandBase):
+class CloseStreamRequest(CommandRequestBase):
     """End a stream. The digits of the stream come to rest at their present positions."""
 
     do: Literal["stream_end"]
@@ -159,7 +159,7 @@ class CloseStreamRequest(CommandBase):
     """Name of the stream."""
 
 
-class HoldTensionRequest(CommandBase):
+class HoldTensionRequest(CommandRequestBase):
     """Hold tensions. The tension of a digit applies to all its tendons."""
 
     do: Literal["hold"]
@@ -179,7 +179,7 @@ Request = (
     ArmRequest | StopRequest | CutTorqueRequest | ClearFaultsRequest | MoveDigitsRequest | HoldTensionRequest
     | StopMotionRequest | GiveUpCommandRequest
     | GraspRequest | ReleaseGraspRequest | OpenStreamRequest
-    | CloseStreamRequest | AliveRequest | SetGainsRequest
+    | CloseStreamRequest | KeepAliveRequest | SetGainsRequest
 )  # fmt: skip
 
 _ACCEPTED_PREFIX = "asked: "
@@ -187,7 +187,7 @@ _REQUEST_ADAPTER: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(di
 
 MAX_REFUSAL_TEXT_LENGTH = 200
 """Largest length of a line with the reason for refusing a request [characters]."""
-REFUSED_PREFIX = "refused: "
+REFUSAL_EVENT_PREFIX = "refused: "
 """Prefix of the event of a refused request."""
 
 
@@ -263,13 +263,13 @@ def requests_and_stream_targets(
     return tuple(other_texts), tuple(targets)
 
 
-_ALIVE_REQUEST_PREFIX = '{"do": "alive", '
-"""Start of the text of ``AliveRequest``."""
+_KEEP_ALIVE_PREFIX = '{"do": "alive", '
+"""Start of the text of ``KeepAliveRequest``."""
 
 
-def alive_request_text(client: str) -> str:
-    """Return the text of the request that renews the lease of a client, see ``AliveRequest``."""
-    return f'{_ALIVE_REQUEST_PREFIX}"client": "{client}"}}'
+def keep_alive_text(client: str) -> str:
+    """Return the text of the request that renews the lease of a client, see ``KeepAliveRequest``."""
+    return f'{_KEEP_ALIVE_PREFIX}"client": "{client}"}}'
 
 
 def is_routine_request(request: TickRequest) -> bool:
@@ -279,7 +279,7 @@ def is_routine_request(request: TickRequest) -> bool:
     """
     if isinstance(request, StreamTarget):
         return True
-    return is_stream_target(request) or request.startswith(_ALIVE_REQUEST_PREFIX)
+    return is_stream_target(request) or request.startswith(_KEEP_ALIVE_PREFIX)
 
 
 def parse_target(request: TickRequest) -> StreamTarget | None:

@@ -25,7 +25,7 @@ If the next target is late by less than this time, the motion does not stop.
 """
 STOP_DURATION_S = 0.15
 """Duration of the motion with which a streamed digit comes to rest [s]."""
-MIN_HOLD_PERIODS = 2
+MIN_STREAM_PERIODS_BEFORE_HOLD = 2
 """Smallest number of stream periods without a target after which the hand holds.
 
 A single lost target therefore causes no hold.
@@ -158,7 +158,7 @@ def mapping_of_stream(
     return TargetMapping(values * si_factor[:, None], is_streamed, tuple(digits), held_digits)
 
 
-def stream_problem(model: HandModel, request: OpenStreamRequest) -> str:
+def stream_refusal_reason(model: HandModel, request: OpenStreamRequest) -> str:
     """Return the reason why a hand cannot follow a stream, or an empty text if it can."""
     hand = model.hand
     expected = {"joint": hand.joints, "tension": hand.tendon_names}.get(
@@ -180,11 +180,11 @@ def stream_problem(model: HandModel, request: OpenStreamRequest) -> str:
     return ""
 
 
-def plan_of_request(model: HandModel, request: OpenStreamRequest) -> StreamPlan | str:
+def stream_plan_or_refusal(model: HandModel, request: OpenStreamRequest) -> StreamPlan | str:
     """Return the stream that a request opens, or the reason why the request is refused."""
-    if reason := stream_problem(model, request):
+    if reason := stream_refusal_reason(model, request):
         return reason
-    min_rate_hz = MIN_HOLD_PERIODS * 1e3 / model.hand.stream.hold_after_ms
+    min_rate_hz = MIN_STREAM_PERIODS_BEFORE_HOLD * 1e3 / model.hand.stream.hold_after_ms
     max_rate_hz = 1.0 / model.period
     if not min_rate_hz <= request.rate_Hz <= max_rate_hz:
         limits = "stream.hold_after_ms of the hand file, and the control rate"
@@ -195,9 +195,9 @@ def plan_of_request(model: HandModel, request: OpenStreamRequest) -> StreamPlan 
     )  # fmt: skip
 
 
-FLOOR_MARGIN_N = 0.5
+TENSION_FLOOR_MARGIN_N = 0.5
 """Margin of the tensions above the floor in a posture that counts as holdable [N]."""
-HOLDABLE_NEWTON_STEPS = 4
+MAX_NEWTON_STEPS = 4
 """Largest number of Newton steps towards a holdable posture.
 
 Because of gravity, which the slope does not include, more than one step may be necessary.
@@ -218,15 +218,15 @@ def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vect
     if not _is_held_by_each_tendon(digit):
         return coordinates
     angles = coordinates.copy()
-    for _ in range(HOLDABLE_NEWTON_STEPS):
+    for _ in range(MAX_NEWTON_STEPS):
         torque_to_tension = digit.with_moment_arms_at(digit.coupling @ angles).torque_to_tension
         slope = torque_to_tension @ np.diag(digit.spring_stiffness) @ digit.coupling
         tension = torque_to_tension @ np.asarray(static_torque(digit, digit.coupling @ angles))
-        tension_deficit = floor + FLOOR_MARGIN_N - tension
-        is_short = tension_deficit > 1e-6
-        if not is_short.any():
+        tension_deficit = floor + TENSION_FLOOR_MARGIN_N - tension
+        is_tension_too_low = tension_deficit > 1e-6
+        if not is_tension_too_low.any():
             break
-        angles += np.linalg.pinv(slope[is_short]) @ tension_deficit[is_short]
+        angles += np.linalg.pinv(slope[is_tension_too_low]) @ tension_deficit[is_tension_too_low]
     return angles
 
 
@@ -268,8 +268,8 @@ def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector
         # The stiffness of a prismatic joint is converted as if it moved on a circle whose radius is
         # the joint's scale.
         arms = ((digit.reduced_moment_arms * digit.coordinate_units.scale) ** 2).sum(axis=1)
-        mass = (model.space.motor_mass + model.space.load_mass)[digit.tendons]
-        full_stiffness = arms * mass * model.motion.stiffness[digit.tendons]
+        mass = (model.tendon_constants.motor_mass + model.tendon_constants.load_mass)[digit.tendons]
+        full_stiffness = arms * mass * model.motion_design.stiffness[digit.tendons]
         stiffness[digit.tendons] = np.clip(
             stream.joint_stiffness / full_stiffness, MIN_STIFFNESS_FRACTION, 1.0
         )
@@ -329,24 +329,24 @@ def streamed_goals(
             contact[d] = False
         else:
             goals[d] = DigitGoal(
-                GoalKind.TENSION, tension=tension[d].copy(), rate=RATE_OF_STREAMED_GOALS
+                GoalKind.TENSION, tension=tension[d].copy(), rate=STREAMED_GOAL_RATE
             )
     return replace(progress, goals=tuple(goals), contact=tuple(contact))
 
 
-RATE_OF_STREAMED_GOALS = 0.0
+STREAMED_GOAL_RATE = 0.0
 """Rate of the goal of a digit with streamed tensions [N/s].
 
 The rate has no effect, because the targets contain the setpoints.
 """
 
 
-def progress_with_stopped_digits(
+def stop_moving_digits(
     progress: ProgramProgress,
     reference: tuple[Vector, ...],
     tension: tuple[Vector, ...],
     t: float,
-    reach: tuple[tuple[Vector, Vector], ...],
+    coordinate_bounds: tuple[tuple[Vector, Vector], ...],
     streamed_digits_only: bool,
 ) -> ProgramProgress:
     """Return the progress with new goals that bring moving digits to rest.
@@ -357,21 +357,21 @@ def progress_with_stopped_digits(
             digit.
         tension: for each digit, the present tension setpoints [N].
         t: time of the program [s].
-        reach: lowest and highest coordinates of each digit [rad].
+        coordinate_bounds: lowest and highest coordinates of each digit [rad].
         streamed_digits_only: True if only the digits that follow a stream shall come to rest.
     """
     goals = list(progress.goals)
     for d, goal in enumerate(goals):
-        if goal.kind == GoalKind.TENSION and goal.rate == RATE_OF_STREAMED_GOALS:
+        if goal.kind == GoalKind.TENSION and goal.rate == STREAMED_GOAL_RATE:
             goals[d] = DigitGoal(GoalKind.TENSION, tension=tension[d].copy())
         if goal.kind == GoalKind.MOTION and (
             isinstance(goal.trajectory, StreamedTrajectory) or not streamed_digits_only
         ):
             position, rate, _ = reference[d]
-            end = np.clip(position + 0.5 * STOP_DURATION_S * rate, *reach[d])
+            end = np.clip(position + 0.5 * STOP_DURATION_S * rate, *coordinate_bounds[d])
             goals[d] = DigitGoal(
                 GoalKind.MOTION,
-                move_that_continues_motion(reference[d], end, STOP_DURATION_S, reach[d]),
+                blended_move(reference[d], end, STOP_DURATION_S, coordinate_bounds[d]),
                 since=t,
             )
     return replace(progress, goals=tuple(goals))
@@ -383,8 +383,8 @@ _CHECKED_FRACTIONS = np.linspace(0.0, 1.0, 33)[1:]
 """Instants at which the positions of a move are checked, as fractions of its duration."""
 
 
-def move_that_continues_motion(
-    reference: Vector, end: Vector, duration: float, reach: tuple[Vector, Vector]
+def blended_move(
+    reference: Vector, end: Vector, duration: float, coordinate_bounds: tuple[Vector, Vector]
 ) -> MinimumJerk:
     """Return a move that begins with the position, rate and acceleration of a reference.
 
@@ -397,7 +397,7 @@ def move_that_continues_motion(
         reference: (3, n) position, rate and acceleration at the start [rad, s].
         end: (n,) coordinates at the end [rad].
         duration: duration of the move [s].
-        reach: lowest and highest coordinates [rad].
+        coordinate_bounds: lowest and highest coordinates [rad].
     """
     position, rate, acceleration = (row.copy() for row in reference)
     if not rate.any() and not acceleration.any():
@@ -408,8 +408,8 @@ def move_that_continues_motion(
         sampled_positions = np.array(
             [move.motion_at(share * blend)[0] for share in _CHECKED_FRACTIONS]
         )
-        is_inside = (sampled_positions >= np.minimum(reach[0], position)).all() and (
-            sampled_positions <= np.maximum(reach[1], position)
+        is_inside = (sampled_positions >= np.minimum(coordinate_bounds[0], position)).all() and (
+            sampled_positions <= np.maximum(coordinate_bounds[1], position)
         ).all()
         if is_inside or blend <= SHORTEST_BLEND_S:
             return move

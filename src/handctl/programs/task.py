@@ -104,9 +104,9 @@ class HoldPhase(Document):
     @model_validator(mode="after")
     def _require_one_target(self) -> "HoldPhase":
         if (self.tension_N is None) == (self.tip_force_N is None):
-            given_count_text = "neither" if self.tension_N is None else "both"
+            neither_or_both = "neither" if self.tension_N is None else "both"
             raise ValueError(
-                f"{given_count_text} of tension_N and tip_force_N; expected either tension_N or tip_force_N"
+                f"{neither_or_both} of tension_N and tip_force_N; expected either tension_N or tip_force_N"
             )
         return self
 
@@ -182,7 +182,7 @@ def interpolating_curve(times_s: tuple[float, ...], angles: tuple[float, ...]) -
     The check of a task computes the curves of its digits. Each curve takes up to 1 ms. The phase
     begins in a later tick, and gets the curves from the cache.
     """
-    return CurveTrajectory.through_points(times_s, angles, 1)
+    return CurveTrajectory.curve_through_points(times_s, angles, 1)
 
 
 TaskPhase = Annotated[
@@ -228,6 +228,14 @@ def load_trajectory(path: Path) -> Task:
             out of range.
     """
     return task_from_trajectory_file(read_toml(path), str(path))
+
+
+def phase_key(index: int, phase: TaskPhase) -> str:
+    """Return the location of a phase in error messages, for example ``phase[grasp]``.
+
+    A phase without a name in its file is counted from 0. Errors of the file format use the same form.
+    """
+    return f"phase[{phase.name if 'name' in phase.model_fields_set else index}]"
 
 
 def task_from_trajectory_file(file_content: Mapping[str, Any], source_name: str) -> Task:
@@ -310,7 +318,7 @@ def check_task(
     for i, phase in enumerate(task.phase):
         for key in ("angle_deg", "tension_N", "tip_force_N", "contact_tension_N", "slip_limit_N"):
             value = getattr(phase, key, None)
-            key_path = f"{task_name}: phase[{i}].{key}"
+            key_path = f"{task_name}: {phase_key(i, phase)}.{key}"
             value_by_digit = value if isinstance(value, dict) else {}
             joints = _digit_of_joint(digit_shapes) if key == "angle_deg" else {}
             for name in sorted(value_by_digit.keys() - {*digits, *joints}):

@@ -10,8 +10,8 @@ from handctl.core.tick_types import Vector
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.hand.file.sections import Digit
-from handctl.hand.readiness import displayed_range
+from handctl.hand.file.section_models import Digit
+from handctl.hand.readiness_checks import displayed_range
 from handctl.programs.task import (
     FOLLOW_SPEED_DEG_S,
     ClosePhase,
@@ -24,6 +24,7 @@ from handctl.programs.task import (
     end_angles,
     interpolating_curve,
     joint_values,
+    phase_key,
     shapes_of_digits,
     value_for_digit,
 )
@@ -58,7 +59,7 @@ def check_task_for_hand(
     )
     check_tip_force(task, hand, task_name)
     check_slip_limit(task, hand, task_name)
-    digits = digits or DigitModel.models_of_hand(hand)
+    digits = digits or DigitModel.digit_models_of_hand(hand)
     check_joint_range(task, hand, task_name, digits)
     check_speed(task, digits, task_name)
 
@@ -83,30 +84,32 @@ def check_speed(task: Task, models: Sequence[DigitModel], task_name: str) -> Non
     }  # when the hand is armed, its digits are open
     for i, phase in enumerate(task.phase):
         if isinstance(phase, FollowPhase):
-            _check_curves(phase, models, f"{task_name}: phase[{i}].angle_deg")
+            _check_curves(phase, models, f"{task_name}: {phase_key(i, phase)}.angle_deg")
         for digit, angle_range in range_by_digit.items():
             low, high = angle_range
-            end_from_low = _coordinates_after(phase, digits[digit], low)
-            end_from_high = _coordinates_after(phase, digits[digit], high)
+            end_from_low = _coordinates_after_phase(phase, digits[digit], low)
+            end_from_high = _coordinates_after_phase(phase, digits[digit], high)
             if end_from_low is None or end_from_high is None:
                 continue
             if isinstance(phase, MovePhase):
                 units = digits[digit].coordinate_units
                 distances = np.maximum(np.abs(end_from_low - low), np.abs(high - end_from_high))
-                worst_coordinate = int(np.argmax(distances / units.per_degree))
+                worst_coordinate = int(np.argmax(distances / units.displayed_per_degree))
                 # The speed limit of a prismatic joint is that of a hinge with a usual moment arm.
-                travel = float((distances / units.per_degree)[worst_coordinate])
+                travel = float((distances / units.displayed_per_degree)[worst_coordinate])
                 min_duration = (
                     math.ceil(100.0 * minimum_jerk_duration(travel, FOLLOW_SPEED_DEG_S, 0.0))
                     / 100.0
                 )
                 if phase.duration_s < min_duration:
                     unit = units.names[worst_coordinate]
-                    limit = FOLLOW_SPEED_DEG_S * units.per_degree[worst_coordinate]
+                    limit = FOLLOW_SPEED_DEG_S * units.displayed_per_degree[worst_coordinate]
                     distance = f"{digit} may have {distances[worst_coordinate]:g} {unit} to go, at {limit:.4g} {unit}/s"
                     expected = f"at least {min_duration:g} s: {distance}"
                     raise ConfigError(
-                        f"{phase.duration_s:g}", f"{task_name}: phase[{i}].duration_s", expected
+                        f"{phase.duration_s:g}",
+                        f"{task_name}: {phase_key(i, phase)}.duration_s",
+                        expected,
                     )
             is_close_phase = isinstance(phase, ClosePhase)  # a close phase may end at any angle
             end_angles_text = (
@@ -130,14 +133,14 @@ def _check_curves(phase: FollowPhase, models: Sequence[DigitModel], task_name: s
             j = 0 if name == model.name else model.joint_names.index(name)
             if angles is None or not units.is_prismatic[j]:
                 continue
-            limit = FOLLOW_SPEED_DEG_S * units.per_degree[j]
+            limit = FOLLOW_SPEED_DEG_S * units.displayed_per_degree[j]
             peak = interpolating_curve(phase.time_s, angles).peak_speed()
             if peak > limit:
                 expected = f"at most {limit:.4g} mm/s on the way"
                 raise ConfigError(f"{name} reaches {peak:.0f} mm/s", task_name, expected)
 
 
-def _coordinates_after(
+def _coordinates_after_phase(
     phase: TaskPhase, digit: DigitModel, present_angles: Vector
 ) -> Vector | None:
     """Return the coordinates that a digit has after a phase [deg].
@@ -184,7 +187,7 @@ def check_joint_range(task: Task, hand: Hand, task_name: str, digits: Sequence[D
     """
     range_and_units = {
         digit.name: (
-            digit.coordinate_units.to_displayed(digit.coordinate_limits),
+            digit.coordinate_units.to_display_units(digit.coordinate_limits),
             digit.coordinate_units.names,
         )
         for digit in digits
@@ -194,15 +197,18 @@ def check_joint_range(task: Task, hand: Hand, task_name: str, digits: Sequence[D
             continue
         for digit in digits:
             _check_joints(
-                phase, digit, hand.digit_named(digit.name), f"{task_name}: phase[{i}].angle_deg"
+                phase,
+                digit,
+                hand.digit_named(digit.name),
+                f"{task_name}: {phase_key(i, phase)}.angle_deg",
             )
         for name, ((low, high), names) in range_and_units.items():
-            for row in _reached_angles(phase, name):
+            for row in _required_angles(phase, name):
                 for angle, lower, upper, unit in zip(
                     *np.broadcast_arrays(row, low, high), names, strict=True
                 ):
                     if not lower - ROUNDING_DEG <= angle <= upper + ROUNDING_DEG:
-                        angle_key = f"{task_name}: phase[{i}].angle_deg"
+                        angle_key = f"{task_name}: {phase_key(i, phase)}.angle_deg"
                         raise ConfigError(
                             f"{angle:g} {unit} for {name}",
                             angle_key,
@@ -223,7 +229,7 @@ def _check_joints(
     angles = joint_values(phase.angle_deg, digit)
     if not angles:
         return
-    low, high = digit.joint_units.to_displayed(digit.joint_limits)
+    low, high = digit.joint_units.to_display_units(digit.joint_limits)
     if digit.coupling.shape[1] == 1:
         # All joints of a digit with one tendon turn together, until one of the joints reaches its
         # limit.
@@ -281,7 +287,9 @@ def check_tip_force(task: Task, hand: Hand, task_name: str) -> None:
                 tendons_text = f"{tendon_count} tendon{'s' * (tendon_count > 1)}"
                 problem = f"{name} has {tendons_text} for {joint_count} joints: no force at its tip can be made"
                 raise ConfigError(
-                    problem, f"{task_name}: phase[{i}].tip_force_N", f"tension_N for {name}"
+                    problem,
+                    f"{task_name}: {phase_key(i, phase)}.tip_force_N",
+                    f"tension_N for {name}",
                 )
 
 
@@ -311,11 +319,13 @@ def check_slip_limit(task: Task, hand: Hand, task_name: str) -> None:
             if limit is not None and tension is not None and np.max(limit) < np.max(tension):
                 expected = f"at least tension_N of {name}, {np.max(tension):g}"
                 raise ConfigError(
-                    f"{np.max(limit):g}", f"{task_name}: phase[{i}].slip_limit_N", expected
+                    f"{np.max(limit):g}",
+                    f"{task_name}: {phase_key(i, phase)}.slip_limit_N",
+                    expected,
                 )
 
 
-def _reached_angles(
+def _required_angles(
     phase: MovePhase | ClosePhase | FollowPhase, name: str
 ) -> Iterable[float | tuple[float, ...]]:
     """Return the angles that a digit must reach in a phase.

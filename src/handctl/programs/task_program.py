@@ -20,7 +20,7 @@ from handctl.programs.program import (
     TIGHTEN_TIMEOUT_S,
     ProgramProgress,
     ProgressAndEvents,
-    coordinates_by_excursion,
+    coordinates_from_excursion,
     goal_to_move_to_angle,
     pull_tensions,
     released_tensions,
@@ -42,7 +42,7 @@ from handctl.programs.task import (
     value_for_digit,
 )
 
-FOLLOW_START_DEG = 4.0
+MAX_CURVE_START_DISTANCE_DEG = 4.0
 """Largest accepted distance of a digit from the start of a curve [deg]."""
 SETTLE_AFTER_CLOSE_S = 0.3
 """Time in which a digit without contact comes to rest before the next phase [s]."""
@@ -50,7 +50,7 @@ MAX_TENSION_ABOVE_RELEASE_N = 2.0
 """Distance above the tension of a release within which a tendon counts as released [N]."""
 RELEASE_TIMEOUT_S = 10.0
 """Longest time that a release may take [s]."""
-REFERENCE_JOINTS = 2
+REFERENCE_JOINT_COUNT = 2
 """Number of joints of the digit to which the contact threshold refers.
 
 Each further joint adds its friction to the estimated tip force. On fingers of three joints that
@@ -75,7 +75,7 @@ class TaskProgram:
     task: Task
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress before the hand is armed. The motors make no torque."""
+        """Return the first step of the program. The hand is not armed in this step."""
         return ProgramProgress.initial(len(model.digits), "start")
 
     def advance(
@@ -96,12 +96,14 @@ class TaskProgram:
             return self._wait_until_taut(model, progress, estimate, t)
         return self._advance_phase(model, progress, estimate, t)
 
-    def begin(
+    def begin_first_phase(
         self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
         """Begin with the first phase of the task. The tendons of the hand are already taut."""
-        no_touches = (0,) * len(model.digits)
-        return self._enter_phase(model, replace(progress, step=0, touching=no_touches), estimate, t)
+        zero_contact_ticks = (0,) * len(model.digits)
+        return self._enter_phase(
+            model, replace(progress, step=0, touching=zero_contact_ticks), estimate, t
+        )
 
     def _advance_phase(
         self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
@@ -155,7 +157,9 @@ class TaskProgram:
         contact = (False,) * len(model.digits) if is_free_motion else progress.contact
         progress = replace(progress, step=step, since=t, phase=phase.name, contact=contact)
         names = model.hand.digit_names
-        if isinstance(phase, FollowPhase) and (error := _distance_error(model, phase, estimate)):
+        if isinstance(phase, FollowPhase) and (
+            error := _curve_start_problem(model, phase, estimate)
+        ):
             return replace(progress, finished=True, failure=error), (
                 TickEvent("error", "phase", "", error),
             )
@@ -170,8 +174,8 @@ class TaskProgram:
             if isinstance(phase, HoldPhase) and any(contact)
             else None
         )
-        no_touches = (0,) * len(names)
-        progress = replace(progress, goals=goals, touching=no_touches, grip=grip)
+        zero_contact_ticks = (0,) * len(names)
+        progress = replace(progress, goals=goals, touching=zero_contact_ticks, grip=grip)
         return replace(progress, closing=_closing_digits(phase, progress)), tuple(events)
 
     def _digit_goal(
@@ -192,7 +196,7 @@ class TaskProgram:
             angle = end_angles(
                 phase.angle_deg,
                 digit,
-                units.to_displayed(coordinates_by_excursion(digit, estimate)),
+                units.to_display_units(coordinates_from_excursion(digit, estimate)),
             )
             return (
                 previous_goal
@@ -206,12 +210,12 @@ class TaskProgram:
             angle = end_angles(
                 phase.angle_deg,
                 digit,
-                units.to_displayed(coordinates_by_excursion(digit, estimate)),
+                units.to_display_units(coordinates_from_excursion(digit, estimate)),
             )
             if angle is None or progress.contact[d]:
                 return previous_goal
             # A speed in deg/s for hinges is used in mm/s for prismatic joints.
-            travel_to_goal = units.si(angle) - coordinates_by_excursion(digit, estimate)
+            travel_to_goal = units.si(angle) - coordinates_from_excursion(digit, estimate)
             travel = float(np.abs(units.as_equivalent_angles(travel_to_goal)).max())
             duration = minimum_jerk_duration(
                 travel, math.radians(phase.speed_deg_s), SHORTEST_MOVE_S
@@ -305,7 +309,7 @@ class TaskProgram:
                 contact[d] = True
                 # If a digit already pulls harder than the contact tension, it keeps this tension.
                 start = pull_tensions(model, d, phase.contact_tension_N, estimate)
-                side = model.redundancy.side[tendons]
+                side = model.redundancy.closing_sign[tendons]
                 pulling_tension = np.maximum(side * estimate.tension[tendons], side * start)
                 is_closing_tendon = np.where(model.is_pair[tendons], side != 0.0, side > 0.0)
                 start = np.where(is_closing_tendon, side * pulling_tension, start)
@@ -350,7 +354,7 @@ class TaskProgram:
             )
         is_late = elapsed > RELEASE_TIMEOUT_S
         return elapsed >= phase.settle_s and (
-            is_late or not _still_tensioned(model, progress, phase, estimate)
+            is_late or not _tensioned_digits(model, progress, phase, estimate)
         )
 
     def _release_warnings(
@@ -365,7 +369,7 @@ class TaskProgram:
         return tuple(
             [
                 TickEvent("warn", "phase", name, text)
-                for name in _still_tensioned(model, progress, phase, estimate)
+                for name in _tensioned_digits(model, progress, phase, estimate)
             ]
         )
 
@@ -384,14 +388,16 @@ def _closing_digits(
     return tuple([goal.kind == GoalKind.MOTION and not in_contact for goal, in_contact in rows])
 
 
-def _still_tensioned(
+def _tensioned_digits(
     model: HandModel, progress: ProgramProgress, phase: ReleasePhase, estimate: HandEstimate
 ) -> list[str]:
     """Return the names of digits whose tension is still above the tension of the release phase.
 
     Only digits under tension control are checked.
     """
-    limit = np.maximum(phase.tension_N, model.redundancy.balance) + MAX_TENSION_ABOVE_RELEASE_N
+    limit = (
+        np.maximum(phase.tension_N, model.redundancy.balance_tension) + MAX_TENSION_ABOVE_RELEASE_N
+    )
     rows = zip(model.hand.digit_names, progress.goals, model.digit_tendons, strict=True)
     return [
         name
@@ -425,23 +431,23 @@ def _grip_plan(
     return GripPlan(1e3 * stiffness_N_per_mm, limit)
 
 
-def _distance_error(model: HandModel, phase: FollowPhase, estimate: HandEstimate) -> str:
+def _curve_start_problem(model: HandModel, phase: FollowPhase, estimate: HandEstimate) -> str:
     """Return a message if a digit is too far from the start of its curve.
 
     Otherwise return an empty text.
     """
     for digit in model.digits:
-        angle = digit.coordinate_units.to_displayed(coordinates_by_excursion(digit, estimate))
+        angle = digit.coordinate_units.to_display_units(coordinates_from_excursion(digit, estimate))
         joints = digit.coupling @ angle
-        coordinate_places = {
+        angle_and_unit_by_name = {
             digit.joint_names[j]: (joints[j : j + 1], digit.joint_units.names[j])
             for j in joint_values(phase.angle_deg, digit)
         }
         if digit.name in phase.angle_deg:
-            coordinate_places[digit.name] = angle, digit.coordinate_units.names[0]
-        for name, (present_angle, unit) in coordinate_places.items():
+            angle_and_unit_by_name[digit.name] = angle, digit.coordinate_units.names[0]
+        for name, (present_angle, unit) in angle_and_unit_by_name.items():
             first_angle = phase.angle_deg[name][0]
-            if np.abs(present_angle - first_angle).max() > FOLLOW_START_DEG:
+            if np.abs(present_angle - first_angle).max() > MAX_CURVE_START_DISTANCE_DEG:
                 start = f"the trajectory begins at {first_angle:g} {unit}: move there first"
                 return f"{name} is at {present_angle.mean():.1f} {unit}, but {start}"
     return ""
@@ -459,13 +465,15 @@ def _curve_of_digit(
         si_factor = digit.coordinate_units.si_factor.tolist()
         rows = phase.angle_deg[digit.name]
         if len(set(si_factor)) > 1:
-            return CurveTrajectory.through_points(phase.time_s, np.outer(rows, si_factor), count)
+            return CurveTrajectory.curve_through_points(
+                phase.time_s, np.outer(rows, si_factor), count
+            )
         angles = tuple(si_factor[0] * angle for angle in rows)
         return replace(interpolating_curve(phase.time_s, angles), coordinates=count)
     goal_angles = joint_values(phase.angle_deg, digit)
     if not goal_angles:
         return None
-    present_coordinates = coordinates_by_excursion(digit, estimate)
+    present_coordinates = coordinates_from_excursion(digit, estimate)
     si_factor = digit.joint_units.si_factor[list(goal_angles)]
     points = [
         digit.with_joint_angles(
@@ -473,7 +481,7 @@ def _curve_of_digit(
         )
         for row in zip(*goal_angles.values(), strict=True)
     ]
-    return CurveTrajectory.through_points(phase.time_s, np.array(points), count)
+    return CurveTrajectory.curve_through_points(phase.time_s, np.array(points), count)
 
 
 @functools.lru_cache(maxsize=64)
@@ -483,7 +491,7 @@ def contact_margin_without_cells(model: HandModel, d: int) -> float:
     If all tendons have load cells, the margin is 0.
     """
     digit = model.digits[d]
-    margin = float(model.blind_margin[digit.tendons].mean())
+    margin = float(model.margin_without_cell[digit.tendons].mean())
     if margin == 0.0:
         return 0.0
     # The response contains the tension of each tendon per tip force, for the open digit. The
@@ -492,20 +500,22 @@ def contact_margin_without_cells(model: HandModel, d: int) -> float:
     return margin / float(np.linalg.norm(tension_per_tip_force))
 
 
-def contact_threshold(goal: DigitGoal, joints: int, stated_threshold: float, t: float) -> float:
+def contact_threshold(goal: DigitGoal, joints: int, moving_threshold_N: float, t: float) -> float:
     """Return the smallest tip force that counts as contact [N].
 
     Args:
         goal: goal of the digit.
         joints: number of joints of the digit.
-        stated_threshold: threshold of a moving digit with two joints [N].
+        moving_threshold_N: threshold of a moving digit with two joints [N].
         t: time [s].
     """
-    stated_threshold *= joints / REFERENCE_JOINTS
+    moving_threshold_N *= joints / REFERENCE_JOINT_COUNT
     is_moving = (
         goal.trajectory is not None
         and t - goal.since < goal.trajectory.duration + ARRIVAL_DURATION_S
     )
     return (
-        stated_threshold if is_moving else CONTACT_THRESHOLD_FACTOR_AFTER_ARRIVAL * stated_threshold
+        moving_threshold_N
+        if is_moving
+        else CONTACT_THRESHOLD_FACTOR_AFTER_ARRIVAL * moving_threshold_N
     )

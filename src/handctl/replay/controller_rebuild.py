@@ -5,13 +5,13 @@ from typing import TypeVar
 
 from pydantic import ValidationError
 
-from handctl.controller.run_setup import SETUP_ATTACHMENT, RunSetup
+from handctl.controller.run_setup import SETUP_ATTACHMENT_NAME, RunSetup
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
 from handctl.errors import ConfigError, LogError
 from handctl.hand.description import Hand
 from handctl.log.code_identity import UNKNOWN_IDENTITY, code_identity
-from handctl.log.read.log_hand import described_hand
+from handctl.log.read.hand_in_log import described_hand
 from handctl.log.read.reader import RunLog
 from handctl.printing import printable_text
 
@@ -43,7 +43,7 @@ def logged_setup(log: RunLog) -> RunSetup:
     Raises:
         LogError: the log was written by a version of handctl that did not record the set-up.
     """
-    return _read_attachment(log, SETUP_ATTACHMENT, RunSetup)
+    return _read_attachment(log, SETUP_ATTACHMENT_NAME, RunSetup)
 
 
 def rebuild_controller(log: RunLog, gains: Gains | None = None) -> Controller:

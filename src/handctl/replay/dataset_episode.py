@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 VERSION_PREFIX = "v3."
 """Beginning of the codebase version that a dataset must have."""
-MAX_CLIPPED_DEG = 3.0
+MAX_CLIP_DISTANCE_DEG = 3.0
 """Largest distance of an angle from its joint's range at which the angle is moved to the nearer limit [deg].
 
 An angle farther outside is refused.
@@ -90,7 +90,7 @@ def find_episode(
             )
         units = hand.display_units
         slowest = np.where(units.is_prismatic, units.scale, 1.0)
-        angles = _limit_rate(angles, np.radians(speed_deg_s) * slowest / rate)
+        angles = _limit_angle_steps(angles, np.radians(speed_deg_s) * slowest / rate)
     return _smooth_curve(angles, float(rate), hand, period, where)
 
 
@@ -231,22 +231,22 @@ def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Ar
     """
     low, high = hand.joint_limits
     units = hand.display_units
-    distance_beyond_range = units.to_displayed(
+    distance_beyond_range = units.to_display_units(
         np.maximum(low - angles_of_frames, angles_of_frames - high)
     )
     # The negated comparison also finds NaN.
-    is_beyond_limit = ~(distance_beyond_range <= MAX_CLIPPED_DEG)
+    is_beyond_limit = ~(distance_beyond_range <= MAX_CLIP_DISTANCE_DEG)
     if is_beyond_limit.any():
         frame, joint = (int(index) for index in np.argwhere(is_beyond_limit)[0])
         unit = units.names[joint]
-        angle = units.to_displayed(angles_of_frames[frame])[joint]
-        lower_limit, upper_limit = units.to_displayed(hand.joint_limits)[:, joint]
+        angle = units.to_display_units(angles_of_frames[frame])[joint]
+        lower_limit, upper_limit = units.to_display_units(hand.joint_limits)[:, joint]
         problem = f"{angle:.6g} {unit} for {hand.joints[joint]} in frame {frame}"
         raise ConfigError(problem, episode_name, f"{lower_limit:g} to {upper_limit:g} {unit}")
     return np.clip(angles_of_frames, low, high)
 
 
-def _limit_rate(angles: Array, max_step: Array) -> Array:
+def _limit_angle_steps(angles: Array, max_step: Array) -> Array:
     """Limit the change of joint angles per frame.
 
     The returned angles (frames, J) follow the given angles, but change by at most `max_step` (J,)
@@ -272,13 +272,13 @@ def _smooth_curve(
     curve = CubicSpline(times, angles, bc_type="clamped")
     at = np.arange(round(times[-1] / period) + 1) * period
     units = hand.display_units
-    rates = units.to_displayed(np.abs(curve(at, 1))) / units.per_degree
+    rates = units.to_display_units(np.abs(curve(at, 1))) / units.displayed_per_degree
     if rates.max() > FOLLOW_SPEED_DEG_S:
         tick, joint = np.unravel_index(int(rates.argmax()), rates.shape)
-        unit, per_degree = units.names[joint], units.per_degree[joint]
-        fastest = per_degree * rates.max()
+        unit, displayed_per_degree = units.names[joint], units.displayed_per_degree[joint]
+        fastest = displayed_per_degree * rates.max()
         problem = f"{hand.joints[joint]} with {fastest:.0f} {unit}/s after {at[tick]:.2f} s"
-        limit = f"{per_degree * FOLLOW_SPEED_DEG_S:.4g}"
+        limit = f"{displayed_per_degree * FOLLOW_SPEED_DEG_S:.4g}"
         raise ConfigError(problem, episode_name, f"at most {limit} {unit}/s, or a limit by --speed")
     return RecordedGoals(
         curve(at), curve(at, 1), curve(at, 2), np.zeros((len(at), len(hand.tendon)))

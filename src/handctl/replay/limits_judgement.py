@@ -18,7 +18,7 @@ from handctl.document import Document, load_document
 from handctl.errors import ConfigError
 from handctl.log.read.reader import RunLog
 from handctl.replay.controller_rebuild import rebuild_controller
-from handctl.replay.execute import gc_disabled
+from handctl.replay.log_execution import gc_disabled
 from handctl.replay.log_runner import TICKS_PER_PROGRESS_REPORT, refusal_error
 from handctl.safety.faults.table import FAULT_BY_ID
 from handctl.safety.safety_action import SafetyAction
@@ -76,17 +76,17 @@ class LimitsJudgement:
 
     Attributes:
         ticks: number of judged ticks.
-        stopped: number of ticks in which the new limits demand HOLD or a more severe reaction.
+        stopped_tick_count: number of ticks in which the new limits demand HOLD or a more severe reaction.
         ticks_stopped_by_old_limits: number of ticks in which the limits of the run demanded HOLD or a more
             severe reaction.
-        stops: the fault with which each stop begins, in order.
+        stopping_faults: the fault with which each stop begins, in order.
         stop_count_by_fault: number of stops for each fault, by the id of the fault.
     """
 
     ticks: int
-    stopped: int
+    stopped_tick_count: int
     ticks_stopped_by_old_limits: int
-    stops: tuple[StoppingFault, ...]
+    stopping_faults: tuple[StoppingFault, ...]
     stop_count_by_fault: dict[str, int]
 
 
@@ -97,7 +97,7 @@ def load_limits(path: Path, controller: Controller) -> SafetyLimits:
         ConfigError: the file cannot be read or names a tendon that the hand does not have.
     """
     new_limits = load_document(path, LimitsFile)
-    old_limits = controller.derived.limits
+    old_limits = controller.derived_constants.limits
     period = controller.model.period
     trip_limits = new_limits.tension_trip_N if isinstance(new_limits.tension_trip_N, dict) else {}
     for name in trip_limits.keys() - set(old_limits.tendons):
@@ -164,9 +164,9 @@ def _judge_ticks(
     The judgement of a tick starts from the logged state. Only the debounce counters and the latched
     faults follow from the new limits.
     """
-    judging_controller = replace(controller, other_limits=limits)
+    controller_with_new_limits = replace(controller, replacement_limits=limits)
     state = controller.initial_state()
-    judging_state = judging_controller.initial_state()
+    state_with_new_limits = controller_with_new_limits.initial_state()
     limit_stops: list[StoppingFault] = []
     ticks = stopped_ticks = ticks_stopped_by_old_limits = 0
     for logged_tick in log.ticks():
@@ -174,14 +174,14 @@ def _judge_ticks(
         # In every tick, the controller starts from the state that it had in the recorded run. Only
         # the debounce counters and latched faults that follow from the new limits are carried from
         # tick to tick.
-        judged_state = state.copy()
-        judged_state.view("fault_ticks")[...] = judging_state.view("fault_ticks")
-        judged_state.decide(
-            latched=judging_state.latched,
-            reported_faults=judging_state.decisions.reported_faults,
+        start_state = state.copy()
+        start_state.view("fault_ticks")[...] = state_with_new_limits.view("fault_ticks")
+        start_state.decide(
+            latched_faults=state_with_new_limits.latched_faults,
+            reported_faults=state_with_new_limits.decisions.reported_faults,
         )
         try:
-            judging_state, verdict = judging_controller.tick(judged_state, entry)
+            state_with_new_limits, verdict = controller_with_new_limits.tick(start_state, entry)
             state, tick_output = controller.tick(state, entry)
         except ValueError as error:
             raise refusal_error(error, entry.k) from None

@@ -19,9 +19,9 @@ def check_log(log: RunLog) -> list[str]:
         *_check_end(log),
         *_check_counters(log),
         *_check_clock(log),
-        *_check_frames(log),
+        *_check_frame_time_stamps(log),
         *_check_hashes(log),
-        *_check_chain(log),
+        *_check_hash_chain(log),
     ]
 
 
@@ -52,16 +52,16 @@ def _check_counters(log: RunLog) -> Iterator[str]:
 
 def _check_clock(log: RunLog) -> Iterator[str]:
     """Check the times and the lateness of the ticks, and yield a line for each defect."""
-    is_off_grid = log.t_ns != log.k * log.header.period_ns
-    if is_off_grid.any():
-        yield f"the time of tick {int(log.k[is_off_grid][0])} is not its number times the period"
+    is_time_wrong = log.t_ns != log.k * log.header.period_ns
+    if is_time_wrong.any():
+        yield f"the time of tick {int(log.k[is_time_wrong][0])} is not its number times the period"
     invalid_ticks = (log.late_ns < 0) | (log.late_ns >= log.header.period_ns)
     if invalid_ticks.any():
         lateness = f"the lateness of tick {int(log.k[invalid_ticks][0])} is {int(log.late_ns[invalid_ticks][0])} ns"
         yield f"{lateness}; expected 0 to less than a period, {log.header.period_ns} ns"
 
 
-def _check_frames(log: RunLog) -> Iterator[str]:
+def _check_frame_time_stamps(log: RunLog) -> Iterator[str]:
     """Yield a line for each CAN frame whose time stamp is later than the tick that read the frame.
 
     The time stamp of such a frame comes from another clock than the clock of the controller.
@@ -89,7 +89,7 @@ def _check_hashes(log: RunLog) -> Iterator[str]:
         yield f"{len(log) - len(hashes)} state hashes are duplicates"
 
 
-def _check_chain(log: RunLog) -> Iterator[str]:
+def _check_hash_chain(log: RunLog) -> Iterator[str]:
     """Check the hash chain of the log, and name the first tick with a wrong hash."""
     hash_before = first_hash_of_run(log.header)
     broken_chunks = list[int]()

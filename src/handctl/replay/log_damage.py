@@ -13,10 +13,10 @@ from handctl.log.read.logfile import ChunkLocation, LogErrorContext, LogFile
 from handctl.log.read.reader import VALUES_END_OFFSET, VALUES_START_OFFSET
 from handctl.log.read.record_scan import RecordScan
 from handctl.log.read.recover import scan_damaged
-from handctl.log.topics.hash_chain import CHAIN_TOPIC, HASH_SIZE, tick_hash
+from handctl.log.topics.hash_chain import HASH_CHAIN_TOPIC, HASH_SIZE, tick_hash
 from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
 
-NO_CHANNEL = -1
+MISSING_CHANNEL_ID = -1
 """Channel number of a topic that the log lacks.
 
 Logs of earlier versions, for example, lack the hash chain.
@@ -51,7 +51,7 @@ def describe_first_damage(path: Path) -> str:
         channels: tuple[int, ...] = ()
         previous_bytes = b""
         for chunk in scan.chunks:
-            content, defect = _intact_content(file, chunk)
+            content, defect_text = _intact_content(file, chunk)
             try:
                 with LogErrorContext(file.position_text(chunk.offset)):
                     channels = channels or _channel_ids(content)
@@ -66,12 +66,12 @@ def describe_first_damage(path: Path) -> str:
                     != tick.chain_hash
                 ):
                     return f"tick {tick.k} was changed after it was written" + (
-                        f": {defect}" if defect else ""
+                        f": {defect_text}" if defect_text else ""
                     )
                 previous_bytes = tick.k.to_bytes(8, "little") + tick.chain_hash
-            if defect:
+            if defect_text:
                 location = _tick_range_text(ticks)
-                return f"{defect}; its ticks are intact, the topics derived from them are damaged: {location}"
+                return f"{defect_text}; its ticks are intact, the topics derived from them are damaged: {location}"
         return ""
     finally:
         file.close()
@@ -82,18 +82,19 @@ def _intact_content(file: LogFile, chunk: ChunkLocation) -> tuple[bytes, str]:
     try:
         return file.chunk_content(chunk), ""
     except LogError as error:
-        defect = str(error)
+        defect_text = str(error)
     try:
-        return file.chunk_content(chunk, is_checked=False), defect
+        return file.chunk_content(chunk, is_checked=False), defect_text
     except LogError:
-        return b"", defect
+        return b"", defect_text
 
 
 def _channel_ids(content: bytes) -> tuple[int, ...]:
     """Return the channel numbers of the tick messages, the telemetry and the chain hashes in a chunk."""
     channels = {topic: number for number, _, topic, _, _ in schemas_and_channels(content).channels}
     return tuple(
-        channels.get(topic, NO_CHANNEL) for topic in (TICK_TOPIC, VALUES_TOPIC, CHAIN_TOPIC)
+        channels.get(topic, MISSING_CHANNEL_ID)
+        for topic in (TICK_TOPIC, VALUES_TOPIC, HASH_CHAIN_TOPIC)
     )
 
 
@@ -116,7 +117,7 @@ def _chunk_ticks(
             row.tobytes() for row in rows_of_channel.data()
         ]
     messages, values_of, digests = (rows_by_channel[channel] for channel in channels)
-    if channels[2] == NO_CHANNEL:
+    if channels[2] == MISSING_CHANNEL_ID:
         digests = [b""] * len(messages)
     for message, values, digest in zip(messages, values_of, digests, strict=True):
         # In the message, the tick number comes after the four bytes that CDR puts before all data.

@@ -79,15 +79,15 @@ class DifferenceTally:
         merged_tally._update_largest_difference(later_tally.largest_difference)
         return merged_tally
 
-    def add_tick(self, tick_differences: list[TickDifference], same_decisions: bool) -> None:
+    def add_tick(self, tick_differences: list[TickDifference], has_equal_decisions: bool) -> None:
         """Add the differences of one tick.
 
         Args:
             tick_differences: the differences between the logged and the computed tick.
-            same_decisions: True if the logged and the computed tick contain the same decisions.
+            has_equal_decisions: True if the logged and the computed tick contain the same decisions.
         """
         self.differing_ticks += 1
-        self.different_decisions += not same_decisions
+        self.different_decisions += not has_equal_decisions
         self.first_difference = self.first_difference or tick_differences[0]
         for difference in tick_differences:
             if difference.ulps is not None:
@@ -131,7 +131,7 @@ class LogRunner:
             log, rebuild_controller(log, gains), TelemetryColumns.from_header(log.header), snapshots
         )
 
-    def execute_part(
+    def execute_log_part(
         self,
         first_tick: int,
         tick_end: int,
@@ -205,7 +205,7 @@ class LogRunner:
         """Compare the controller's state after a tick with the snapshot in the log, and return the first difference."""
         try:
             snapshot_state = restore_state(
-                self.controller.derived.layout, self.snapshots[logged_tick.tick_in.k]
+                self.controller.derived_constants.layout, self.snapshots[logged_tick.tick_in.k]
             )
         except ValueError:
             return None  # if another version wrote the state, its fields are different

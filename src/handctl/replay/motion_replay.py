@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from handctl.core.tick_types import HandMode
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
-from handctl.log.read.timeline import check_order
+from handctl.log.read.timeline import check_tick_times
 from handctl.programs.playback import PlaybackProgram, RecordedGoals
 from handctl.replay.run_comparison import compare_runs
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 PREPARATION_PHASES = ("start", "tighten", "approach")
 """Names of the phases that precede the recorded motion."""
-MAX_GAP_S = 0.05
+MAX_TICK_GAP_S = 0.05
 """Longest gap without ticks in a recording over which the targets are interpolated [s]."""
 
 
@@ -32,14 +32,14 @@ def active_interval(log: RunLog) -> tuple[float, float]:
         LogError: the hand was never active, no tick has targets for all tendons, or the ticks are
             out of order.
     """
-    check_order(log.t_ns, log.header.period_ns)
-    preparing = np.zeros(len(log), bool)
+    check_tick_times(log.t_ns, log.header.period_ns)
+    is_preparing = np.zeros(len(log), bool)
     changes = log.phases
     for i, change in enumerate(changes):
         end = changes[i + 1].k if i + 1 < len(changes) else int(log.k[-1]) + 1
         if change.name in PREPARATION_PHASES:
-            preparing |= (log.k >= change.k) & (log.k < end)
-    active = (log.mode == int(HandMode.ACTIVE)) & ~preparing
+            is_preparing |= (log.k >= change.k) & (log.k < end)
+    active = (log.mode == int(HandMode.ACTIVE)) & ~is_preparing
     at = np.flatnonzero(active & ~np.isnan(log.field("tension_goal")).any(axis=1))
     if len(at) < 2:
         reason = (
@@ -62,12 +62,12 @@ def count_missing_ticks(log: RunLog) -> int:
     start, end = active_interval(log)
     times = log.times
     at = np.flatnonzero((times >= start) & (times < end))
-    for i in at[times[at + 1] - times[at] > MAX_GAP_S]:
+    for i in at[times[at + 1] - times[at] > MAX_TICK_GAP_S]:
         gap = f"no ticks between {times[i]:.3f} and {times[i + 1]:.3f} s"
         raise LogError(
             gap,
             "the log",
-            f"gaps of at most {MAX_GAP_S:g} s in the part of the log that is repeated",
+            f"gaps of at most {MAX_TICK_GAP_S:g} s in the part of the log that is repeated",
         )
     return int((log.k[at + 1] - log.k[at] - 1).sum())
 

@@ -93,7 +93,7 @@ def run_parallel(
 ) -> DifferenceTally:
     """Execute a whole log in several processes.
 
-    The function raises the errors of `LogRunner.execute_part`.
+    The function raises the errors of `LogRunner.execute_log_part`.
 
     Args:
         runner: log and controller to execute.
@@ -108,7 +108,7 @@ def run_parallel(
         if i
     ]
     try:
-        state, total = runner.execute_part(
+        state, total = runner.execute_log_part(
             log_parts[0].start,
             log_parts[0].stop,
             log_parts[0].state,
@@ -124,7 +124,7 @@ def run_parallel(
                 else None
             )
             if result is None:
-                _, remainder = runner.execute_part(
+                _, remainder = runner.execute_log_part(
                     worker.part.start, len(runner.log), state, None, counts.counter_of_process(0)
                 )
                 return total.merged_with_later_tally(remainder)
@@ -172,7 +172,8 @@ def _state_after_tick(runner: LogRunner, tick_index: int) -> ControllerState | N
     """
     try:
         state = restore_state(
-            runner.controller.derived.layout, runner.snapshots[int(runner.log.k[tick_index])]
+            runner.controller.derived_constants.layout,
+            runner.snapshots[int(runner.log.k[tick_index])],
         )
     except ValueError:
         return None
@@ -197,7 +198,7 @@ def _result_json(
     error.
     """
     try:
-        state, difference_tally = runner.execute_part(*log_part, None, add_executed_ticks)
+        state, difference_tally = runner.execute_log_part(*log_part, None, add_executed_ticks)
     except LogError:
         return ""
     return json.dumps({"state": snapshot_bytes(state).hex(), "tally": astuple(difference_tally)})
@@ -231,7 +232,7 @@ def _wait_for_result(
         ),
     )
     return restore_state(
-        runner.controller.derived.layout, bytes.fromhex(result["state"])
+        runner.controller.derived_constants.layout, bytes.fromhex(result["state"])
     ), difference_tally
 
 

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 from handctl.core.tick_types import HandMode
 from handctl.errors import IncomparableError
 from handctl.log.read.reader import RunLog
-from handctl.log.read.timeline import check_order
+from handctl.log.read.timeline import check_tick_times
 from handctl.replay.run_comparison import check_same_hand, compare_runs
 
 PASSIVE_PHASES = frozenset(mode.name.lower() for mode in HandMode if mode != HandMode.RELAX)
@@ -75,7 +75,7 @@ def compare_logs(a: RunLog, b: RunLog, location: str) -> dict[str, Any]:
                 f"other {names} than in the other log", location, "a log of the same hand"
             )
     for log in (a, b):
-        check_order(log.t_ns, log.header.period_ns)
+        check_tick_times(log.t_ns, log.header.period_ns)
     first_phases, second_phases = (
         {phase_span.name: phase_span for phase_span in phase_spans(log)} for log in (a, b)
     )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.errors import IncomparableError
-from handctl.log.read.log_hand import prismatic_joints
+from handctl.log.read.hand_in_log import prismatic_joints
 from handctl.log.read.reader import RunLog
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.controller.controller_state import ControllerDecisions, ControllerState
-from handctl.core.plain_values import plain_bytes
+from handctl.core.plain_data import serialized_bytes
 from handctl.core.tick_types import TELEMETRY_AXES, TELEMETRY_FIELDS, TickEvent, TickOut
 from handctl.drives.frame import Frame
 from handctl.drives.frame_records import frames_as_records
@@ -38,7 +38,7 @@ class TickDifference(NamedTuple):
 
 
 class TelemetryColumns(NamedTuple):
-    """Names for the columns of `Telemetry.packed`, the array with all telemetry of a tick.
+    """Names for the columns of `Telemetry.to_bytes`, the array with all telemetry of a tick.
 
     A name consists of the telemetry field, and of a joint, tendon, motor or digit.
     """
@@ -107,7 +107,7 @@ def differing_fields(
         "events", _events_text(logged_tick.events), _events_text(computed.events)
     )
     # logs of earlier versions do not have the last fields
-    packed = computed.telemetry.packed()[: len(logged_telemetry)]
+    packed = computed.telemetry.to_bytes()[: len(logged_telemetry)]
     if packed != logged_telemetry:
         for column, logged_value, computed_value in _changed_telemetry_numbers(
             logged_telemetry, packed
@@ -149,10 +149,12 @@ def state_difference(
     """
     k = logged_tick.tick_in.k
     t_s = logged_tick.tick_in.t_ns / 1e9
-    first_difference = logged_state.layout.difference(logged_state.block, computed_state.block)
+    first_difference = logged_state.layout.first_difference(
+        logged_state.block, computed_state.block
+    )
     if first_difference:
         field, element, logged_number, computed_number = first_difference
-        axis = logged_state.layout.axis_of(field)
+        axis = logged_state.layout.axis_name_of_field(field)
         names = header.axis_names(axis) if axis in ("joint", "tendon", "digit") else ()
         name = names[element % len(names)] if names else f"[{element}]"
         return TickDifference(
@@ -167,7 +169,7 @@ def state_difference(
     for field, old_part, new_part in zip(
         ControllerDecisions._fields, logged_state.decisions, computed_state.decisions, strict=True
     ):
-        if plain_bytes(old_part) != plain_bytes(new_part):
+        if serialized_bytes(old_part) != serialized_bytes(new_part):
             return TickDifference(k, t_s, f"state {field}", "", str(old_part), str(new_part))
     return None
 
@@ -178,7 +180,7 @@ def are_outputs_equal(logged_tick: TickRecord, logged_telemetry: bytes, computed
         logged_tick.state_hash == computed.state_hash
         and logged_tick.frames.records.tobytes()
         == frames_as_records(computed.frames).records.tobytes()
-        and logged_telemetry == computed.telemetry.packed()[: len(logged_telemetry)]
+        and logged_telemetry == computed.telemetry.to_bytes()[: len(logged_telemetry)]
         and (logged_tick.mode, logged_tick.action, logged_tick.phase, logged_tick.events)
         == (computed.mode, computed.action, computed.phase, computed.events)
     )

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from handctl.hand.description import Hand
-from handctl.hand.file.sections import Digit, Tendon
-from handctl.hand.moment_arms import moment_arms_at, polynomial_of_arm
+from handctl.hand.file.section_models import Digit, Tendon
+from handctl.hand.moment_arms import moment_arm_polynomial, moment_arms_at
 from handctl.output_files import save_figure
 from handctl.printing import printable_text
 
@@ -95,7 +95,7 @@ def text_graph(hand: Hand) -> str:
         )
         lines += ["", f"{digit.name}: {joints}"]
         for tendon in _digit_tendons(hand, digit):
-            motor = hand.motor_of(tendon.name)
+            motor = hand.motor_of_tendon(tendon.name)
             cell = " -[load cell]" if tendon.name in node.tendons else ""
             arms = "  ".join(
                 f"{joint.removeprefix(f'{digit.name}_')} {_moment_arm_text(hand, tendon, joint, '+')}"
@@ -132,7 +132,7 @@ def _moment_arm_text(hand: Hand, tendon: Tendon, joint: str, sign: str = "") -> 
     if not isinstance(arm, dict):
         return f"{1e3 * arm:{sign}g} mm"
     limits = hand.joint_limits[:, [hand.joints.index(joint)]]
-    arms_at_limits = moment_arms_at(polynomial_of_arm(arm)[None, None], limits, limits).ravel()
+    arms_at_limits = moment_arms_at(moment_arm_polynomial(arm)[None, None], limits, limits).ravel()
     return f"{1e3 * arms_at_limits[0]:{sign}.3g}..{1e3 * arms_at_limits[1]:.3g} mm"
 
 
@@ -233,7 +233,7 @@ def _draw_digit(
     for tendon in _digit_tendons(hand, digit):
         y -= 1.0
         _draw_tendon(axes, hand, tendon, columns, y)
-        motor = hand.motor_of(tendon.name)
+        motor = hand.motor_of_tendon(tendon.name)
         line_ends[motor.bus][0] = line_ends[motor.bus][0] or y
         line_ends[motor.bus][1] = y
     return y - 1.0
@@ -243,12 +243,14 @@ def _draw_tendon(
     axes: Any, hand: Hand, tendon: Tendon, column_x: dict[str, float], y: float
 ) -> None:
     """Draw the row of a tendon, from the bus of the motor to the last joint that the tendon crosses."""
-    motor = hand.motor_of(tendon.name)
+    motor = hand.motor_of_tendon(tendon.name)
     bus = hand.bus_names.index(motor.bus)
     colour = BUS_COLOURS[bus % len(BUS_COLOURS)]
-    mean_arms = hand.moment_arms[hand.tendon.index(tendon)]
+    mean_moment_arms = hand.moment_arms[hand.tendon.index(tendon)]
     arm_by_joint = {
-        joint: mean_arms[hand.joints.index(joint)] for joint in tendon.arms if joint in column_x
+        joint: mean_moment_arms[hand.joints.index(joint)]
+        for joint in tendon.arms
+        if joint in column_x
     }
     last_column = max(column_x[joint] for joint in arm_by_joint)
     axes.plot([_bus_x(bus), MOTOR_COLUMN_X], [y, y], color=colour, linewidth=1.2, zorder=1)

@@ -47,7 +47,7 @@ def judge_lift(
         truth is None
         or not truth.has_column(TABLE_DEPTH_COLUMN)
         or not len(t_ns)
-        or not truth.covers_any_time(t_ns)
+        or not truth.contains_any_time(t_ns)
     ):
         return nan_result
     is_inside = (truth.t_ns >= t_ns[0]) & (truth.t_ns <= t_ns[-1])
@@ -65,8 +65,10 @@ def _hold_times(log: RunLog, hold_phases: Collection[str]) -> Any:
     """Return the times [ns] of the ticks from the start of the first hold phase to the end of the last hold phase."""
     changes = log.phases
     end_ticks = [*[change.k for change in changes[1:]], int(log.k[-1]) + 1] if changes else []
-    changes_and_ends = zip(changes, end_ticks, strict=True)
-    hold_spans = [(change.k, end) for change, end in changes_and_ends if change.name in hold_phases]
+    phases_with_end_ticks = zip(changes, end_ticks, strict=True)
+    hold_spans = [
+        (change.k, end) for change, end in phases_with_end_ticks if change.name in hold_phases
+    ]
     if not hold_spans:
         return log.t_ns[:0]
     return log.t_ns[(log.k >= hold_spans[0][0]) & (log.k < hold_spans[-1][1])]

@@ -117,7 +117,9 @@ def _add_titles_and_phases(
         column[-1].set_xlabel("time [s]", fontsize=8)
     for row, label in zip(axes_grid, ROW_LABELS, strict=True):
         row[0].set_ylabel(label)
-    are_prismatic = [bool(hand.displayed_mean(name).is_prismatic[0]) for name in hand.digit_names]
+    are_prismatic = [
+        bool(hand.mean_position_units(name).is_prismatic[0]) for name in hand.digit_names
+    ]
     for d, axes in enumerate(axes_grid[0]):
         # Otherwise, the label of the first digit is the label of all digits.
         if d == 0 or len(set(are_prismatic)) > 1:
@@ -175,7 +177,7 @@ def _draw_angles(
     axes_row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
 ) -> None:
     """Draw the mean joint angle of each digit: estimate, command and true value."""
-    factors = np.array([hand.displayed_mean(name).factor[0] for name in hand.digit_names])
+    factors = np.array([hand.mean_position_units(name).factor[0] for name in hand.digit_names])
     goal, estimate = (factors * mean_angles(hand, log.field(name)) for name in ("q_goal", "q"))
     true_angles = None
     if truth is not None:
@@ -288,7 +290,7 @@ def _mark_phases(axes_grid: Any, log: RunLog) -> None:
         for axes in axes_grid.flat:
             axes.axvline(t_s, color=colour, linewidth=0.6)
         if position:
-            _write_mark(axes_grid[0], position, name, colour)
+            _write_mark_name(axes_grid[0], position, name, colour)
 
 
 def _mark_positions(
@@ -319,7 +321,7 @@ def _mark_positions(
     return positions
 
 
-def _write_mark(
+def _write_mark_name(
     axes_row: Sequence[Any], position: tuple[float, float], name: str, colour: str
 ) -> None:
     """Write the name of a mark at the given time [s] and height into each plot of a row."""

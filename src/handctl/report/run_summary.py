@@ -56,7 +56,7 @@ def summarise_run(
     Returns:
         the numbers and texts, by name.
     """
-    truth = truth if truth and truth.covers_any_time(log.t_ns + offset_ns) else None
+    truth = truth if truth and truth.contains_any_time(log.t_ns + offset_ns) else None
     lateness_us = log.late_ns / 1e3
     active = np.isin(log.mode, (int(HandMode.ACTIVE),))
     result: dict[str, Any] = {
@@ -206,10 +206,12 @@ def judge_tracking(
     touch_mask = _contact_mask(truth, hand, log, offset_ns)
     error = np.where(free_motion_mask & ~touch_mask, goal - true_angles, np.nan)
     error_by_digit = {
-        name: float(hand.displayed_mean(name).to_displayed(root_mean_square(error[:, d]))[0])
+        name: float(
+            hand.mean_position_units(name).to_display_units(root_mean_square(error[:, d]))[0]
+        )
         for d, name in enumerate(hand.digit_names)
     }
-    unit_scales = [hand.displayed_mean(name).scale[0] for name in hand.digit_names]
+    unit_scales = [hand.mean_position_units(name).scale[0] for name in hand.digit_names]
     digit_of_joint = np.repeat(
         np.arange(len(hand.digit)), [len(digit.joints) for digit in hand.digit]
     )
@@ -399,7 +401,7 @@ def judge_angles(
     for name, joints in hand.digit_joints.items():
         is_finite = ~np.isnan(error[:, joints]) & ~np.isnan(sigma[:, joints])
         is_within_two_sigma = np.abs(error[:, joints]) <= 2.0 * sigma[:, joints]
-        unit = hand.displayed_mean(name)
+        unit = hand.mean_position_units(name)
         scale = 1.0 if unit.is_prismatic[0] else hand.display_units.scale[joints]
         angles[name] = {
             "source": angle_source(hand, name),
@@ -424,7 +426,7 @@ def angle_source(hand: Hand, name: str) -> str:
     return "encoders" if set(digit.joint_names) <= set(hand.sensor_node.joints) else "assumed"
 
 
-ANGLE_SOURCE_TEXTS = {
+TEXT_BY_ANGLE_SOURCE = {
     "excursion": "measured by the tendons",
     "encoders": "measured by joint encoders",
     "assumed": "assumed, not measured",
@@ -443,7 +445,7 @@ def angle_rows(angle_summaries: dict[str, dict[str, Any]]) -> list[tuple[str, st
         digits = 1 if unit == "deg" else 2
         if angle["error_deg"] == angle["error_deg"]:  # a number that equals itself is not NaN
             error = f", {angle['error_deg']:.{digits}f} {unit} rms error"
-        source = ANGLE_SOURCE_TEXTS[angle["source"]]
+        source = TEXT_BY_ANGLE_SOURCE[angle["source"]]
         text = f"{source}: sigma {angle['sigma_deg']:.{digits}f} {unit}{error}"
         rows.append((f"{name} joint {'angles' if unit == 'deg' else 'positions'}", text))
     return rows

@@ -12,14 +12,14 @@ from handctl.drives.frame import EXTENDED_FLAG, FDF
 from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
 from handctl.hand.kinematics import link_rotations
-from handctl.hand.link_tree import HandLinkTree
+from handctl.hand.link_tree import LinkTree
 from handctl.log.attached_meshes import attached_meshes
 from handctl.log.read.reader import RunLog
 from handctl.report.run_figure import DIGIT_COLOURS, PASSIVE_PHASES, digit_colours
 
 Array = NDArray[np.float64]
 
-LOAD_WINDOW_S = 0.1
+BUS_LOAD_WINDOW_S = 0.1
 """Length of the time window over which the bus load is averaged [s]."""
 POSES_PER_ROW = 4
 """Number of hand pictures in one row."""
@@ -33,9 +33,9 @@ LIGHT_DIRECTION = np.array([0.4, 0.5, -0.77])
 """Unit vector in the palm frame that points from a mesh to the light."""
 MESH_DPI = 160
 """Resolution at which meshes are drawn in a picture [dots per inch]."""
-MIN_ARROW_N = 0.2
+MIN_ARROW_FORCE_N = 0.2
 """Smallest force drawn as an arrow [N]."""
-ARROW_M_PER_N = 0.004
+ARROW_LENGTH_M_PER_N = 0.004
 """Length of a force arrow for each newton of force [m/N]."""
 
 
@@ -50,7 +50,7 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
     figure, grid = _new_figure(
         min(len(moments), POSES_PER_ROW), 2.6, 2.9, -(-len(moments) // POSES_PER_ROW)
     )
-    tree = HandLinkTree.from_hand(hand)
+    tree = LinkTree.from_hand(hand)
     digits = tree.digits
     q = log.field("q")
     force = log.field("tip_force")
@@ -71,7 +71,7 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
         for d in sorted(range(len(digits)), key=lambda d: -float(digits[d].mount_position[2])):
             # The object pushes the fingertip against the direction in which the digit closes, which
             # is the y axis of the last link.
-            push = (
+            push_force = (
                 -max(float(force[index, d]), 0.0)
                 * turned_link_rotations[digits[d].joints][-1, :, 1]
             )
@@ -84,7 +84,11 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
                 if mesh:
                     _draw_mesh(axes, mesh.triangles @ rotation.T + position, colours[d])
             _draw_digit(
-                axes, paths[d], push, colours[d], [mesh is not None for mesh in link_mesh_list]
+                axes,
+                paths[d],
+                push_force,
+                colours[d],
+                [mesh is not None for mesh in link_mesh_list],
             )
         _write_force_values(axes, force[index], colours)
         axes.set_title(f"{name}, {log.times[index]:.2f} s", fontsize=11)
@@ -106,7 +110,7 @@ def _project_points(points_m: Array) -> Array:
 
 
 def _picture_limits(
-    tree: HandLinkTree, palm_points: Array
+    tree: LinkTree, palm_points: Array
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the limits of a picture that contains the palm and all digits at rest.
 
@@ -184,9 +188,11 @@ def _draw_digit(
     axes.plot(*path[:-1].T, "o", color="white", markersize=3)
     # An unknown force or angle is NaN, and this negated comparison is then true. In this case, no
     # arrow is drawn.
-    if not np.linalg.norm(push_force) >= MIN_ARROW_N:
+    if not np.linalg.norm(push_force) >= MIN_ARROW_FORCE_N:
         return
-    start, end = _project_points(np.array([joints[-1], joints[-1] + ARROW_M_PER_N * push_force]))
+    start, end = _project_points(
+        np.array([joints[-1], joints[-1] + ARROW_LENGTH_M_PER_N * push_force])
+    )
     style = {"arrowstyle": "-|>", "color": "#222222", "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", xy=end, xytext=start, arrowprops=style, zorder=10)
 
@@ -197,7 +203,7 @@ def _write_force_values(axes: Any, force: Array, colours: list[str]) -> None:
     If the values were written next to the arrows, the texts would overlap.
     """
     for d, value in enumerate(force.tolist()):
-        if value >= MIN_ARROW_N:
+        if value >= MIN_ARROW_FORCE_N:
             style = {
                 "fontsize": 9,
                 "color": colours[d],
@@ -269,7 +275,7 @@ def draw_bus_loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
 
     Returns:
         the picture, and the largest load of each bus (buses,) in any time window of
-        `LOAD_WINDOW_S`. If the run is shorter than the window, the whole run is one window.
+        `BUS_LOAD_WINDOW_S`. If the run is shorter than the window, the whole run is one window.
     """
     bus_loads = np.zeros((len(log), len(hand.bus)))
     for i, tick in enumerate(log.ticks()):
@@ -282,7 +288,7 @@ def draw_bus_loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
                 bus_loads[i, frame.bus] += frame_time_s(
                     size, fd, bus.bitrate, bus.data_bitrate, extended
                 )
-    window = max(1, min(round(LOAD_WINDOW_S * 1e9 / log.header.period_ns), len(log)))
+    window = max(1, min(round(BUS_LOAD_WINDOW_S * 1e9 / log.header.period_ns), len(log)))
     kernel = np.ones(window) / (window * log.header.period_ns * 1e-9)
     load = bus_loads
     if len(log):

@@ -39,7 +39,7 @@ class TruthRecord:
         """Return True if the record has a column with this name."""
         return name in self.columns
 
-    def covers_any_time(self, t_ns: NDArray[np.int64]) -> bool:
+    def contains_any_time(self, t_ns: NDArray[np.int64]) -> bool:
         """Return True if at least one of the given times lies within the record."""
         return bool(((t_ns >= self.t_ns[0]) & (t_ns <= self.t_ns[-1])).any())
 
@@ -147,7 +147,7 @@ def copy_truth(source_path: Path, target_path: Path, start_ns: int, end_ns: int)
     return end_row - first_row
 
 
-def truth_path_of(log_path: Path) -> Path:
+def truth_file_path(log_path: Path) -> Path:
     """Return the path of the truth file that a lockstep run writes next to its log."""
     return log_path.with_suffix(".truth")
 
@@ -167,11 +167,11 @@ def find_truth(given_file: Path | None, log_path: Path, log: RunLog) -> TruthRec
     Raises:
         LogError: the named file belongs to another run, or a truth file cannot be read.
     """
-    file_next_to_log = truth_path_of(log_path)
+    file_next_to_log = truth_file_path(log_path)
     if given_file is None and not (log.header.deterministic and file_next_to_log.is_file()):
         return None
     truth = read_truth(given_file or file_next_to_log)
-    if truth.covers_any_time(log.t_ns + log.header.truth_offset_ns):
+    if truth.contains_any_time(log.t_ns + log.header.truth_offset_ns):
         return truth
     if given_file is None:
         return None

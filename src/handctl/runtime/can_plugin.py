@@ -17,7 +17,7 @@ import can
 from handctl.drives.frame import ERROR_FLAG, FDF, Frame
 from handctl.errors import BusError
 from handctl.runtime.buses.local_bus import LocalBus
-from handctl.runtime.buses.pythoncan import frame_of_message, message_of_frame
+from handctl.runtime.buses.pythoncan import frame_from_message, message_from_frame
 from handctl.runtime.socket_paths import run_dir
 
 SEND_RETRY_PERIOD_S = 1e-3
@@ -76,15 +76,15 @@ class LocalCanBus(can.BusABC):
         if not self._waiting:
             return None, False
         frame = self._waiting.popleft()
-        return message_of_frame(frame, frame.t_ns / 1e9), False
+        return message_from_frame(frame, frame.t_ns / 1e9), False
 
     def _read(self) -> None:
         frame = self._link.receive_one()
         if frame is not None and (self._fd or not frame.flags & FDF):
             self._waiting.append(frame)
-        self._raise_if_lost()
+        self._raise_if_hub_lost()
 
-    def _raise_if_lost(self) -> None:
+    def _raise_if_hub_lost(self) -> None:
         if any(kind == "enodev" for kind, _, _ in self._link.take_events()):
             raise can.CanOperationError("the hub of the local bus is gone")
 
@@ -102,10 +102,10 @@ class LocalCanBus(can.BusABC):
         """
         if msg.is_fd and not self._fd:
             raise can.CanOperationError("a CAN FD message on a bus that was opened without fd")
-        frame = frame_of_message(msg, 0, time.time_ns())
+        frame = frame_from_message(msg, 0, time.time_ns())
         end = time.monotonic() + (math.inf if timeout is None else timeout)
         while not self._link.send((frame._replace(can_id=frame.can_id & ~ERROR_FLAG),)):
-            self._raise_if_lost()
+            self._raise_if_hub_lost()
             remaining_s = end - time.monotonic()
             if remaining_s <= 0:
                 raise can.CanOperationError("the local bus accepts no more frames")

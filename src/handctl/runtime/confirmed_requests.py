@@ -35,7 +35,7 @@ DISABLE_TIMEOUT_S = 10.0
 """Longest time from a stop until all drives have confirmed that they are off, in the run's time [s]."""
 CONTROLLER_SILENT_TEXT = "the controller is silent"
 MAILBOX_FULL_TEXT = "its mailbox is full"
-_request_numbers = itertools.count(1)
+_request_counter = itertools.count(1)
 """Numbers of this process's requests. These numbers make the names of requests unique."""
 
 StatusLine = dict[str, Any]
@@ -97,7 +97,7 @@ def send_with_confirmation(
     Raises:
         UnconfirmedError: the controller has not confirmed the request.
     """
-    name = f"{os.getpid()}-{next(_request_numbers)}"
+    name = f"{os.getpid()}-{next(_request_counter)}"
     data = json.dumps({**request, "by": name}).encode()
     end = time.monotonic() + CONFIRMATION_TIMEOUT_S
     is_sent = False

@@ -23,7 +23,7 @@ from typing import Generic, Protocol, TypeVar
 
 from handctl.core.tick_types import HandMode, IoEvent, TickIn, TickOut, TickRequest
 from handctl.drives.frame import Frame
-from handctl.drives.frame_records import Frames, frames_as_records, join_frames
+from handctl.drives.frame_records import Frames, concatenate_frames, frames_as_records
 from handctl.errors import REMOVE_POWER, PowerError
 from handctl.runtime.clocks.real_clock import TickClock
 from handctl.runtime.mailbox import CUT_REQUEST, STOP_REQUEST
@@ -183,7 +183,7 @@ class ControlLoop(Generic[S]):
         take_host_events: function that returns the events of the recorder and the host since the
             last call of the function.
         record_tick: function that passes each tick to the recorder.
-        keep_snapshot: function that passes the state after a tick to the recorder. This function
+        record_snapshot: function that passes the state after a tick to the recorder. This function
             skips most ticks.
         show_tick: function that shows a tick to the operator and to watching programs. This
             function skips most ticks.
@@ -208,7 +208,7 @@ class ControlLoop(Generic[S]):
     take_host_events: Callable[[], list[IoEvent]]
     record_tick: Callable[[TickIn, TickOut], None]
     show_tick: Callable[[TickIn, TickOut], None]
-    keep_snapshot: Callable[[TickIn, S], None] = _skip_snapshot
+    record_snapshot: Callable[[TickIn, S], None] = _skip_snapshot
     publish_tick: Callable[[TickIn, TickOut, S, int], None] = _skip_publication
     disable_drives: (
         Callable[[S, int, list[Frame]], tuple[S, tuple[Frame, ...], tuple[str, ...]]] | None
@@ -359,7 +359,7 @@ class ControlLoop(Generic[S]):
             last_state[0], tick_output = tick.conclude()
             self.publish_tick(entry, tick_output, last_state[0], sent_ns)
             self.record_tick(entry, tick_output)
-            self.keep_snapshot(entry, last_state[0])
+            self.record_snapshot(entry, last_state[0])
             self._count_tick(entry, skipped_ticks, late_ns)
             self.show_tick(entry, tick_output)
             mode = tick_output.mode
@@ -373,7 +373,7 @@ class ControlLoop(Generic[S]):
         for bus in self.buses:
             frame_batches.append(bus.drain())
             events += [IoEvent(*event) for event in bus.take_events()]
-        frames = join_frames(frame_batches)
+        frames = concatenate_frames(frame_batches)
         return TickIn(k, k * self.period_ns, lateness_ns, frames, tuple(events))
 
     def _send(self, frames: Sequence[Frame]) -> None:

@@ -48,7 +48,7 @@ MAX_REQUESTS_PER_TICK = 16
 
 The limit keeps a flood of requests from delaying a tick.
 """
-RUN_FOLDER_ADVICE_TEXT = "HANDCTL_RUN_DIR with a short path to a writable folder"
+RUN_FOLDER_ADVICE = "HANDCTL_RUN_DIR with a short path to a writable folder"
 
 
 class Mailbox:
@@ -155,7 +155,7 @@ def _lock_error(name: str, error: OSError) -> BusError:
             "another controller runs here", f"bus {name}", "one controller per bus: handctl stop"
         )
     return BusError(
-        f"cannot receive requests: {error}", str(mailbox_path(name).parent), RUN_FOLDER_ADVICE_TEXT
+        f"cannot receive requests: {error}", str(mailbox_path(name).parent), RUN_FOLDER_ADVICE
     )
 
 
@@ -238,7 +238,7 @@ class StatusWatcher:
         except OSError as error:
             self.socket.close()
             raise BusError(
-                f"cannot receive replies: {error}", str(self.path.parent), RUN_FOLDER_ADVICE_TEXT
+                f"cannot receive replies: {error}", str(self.path.parent), RUN_FOLDER_ADVICE
             ) from None
 
     def request_status_line(self, timeout_s: float) -> dict[str, Any] | None:

@@ -33,7 +33,7 @@ from handctl.core.tick_types import (
 )
 from handctl.errors import BusError
 from handctl.programs.stream_plans import StreamStatus
-from handctl.runtime.mailbox import RUN_FOLDER_ADVICE_TEXT
+from handctl.runtime.mailbox import RUN_FOLDER_ADVICE
 from handctl.runtime.socket_paths import observations_path
 
 OBSERVATION_FILE_MAGIC = b"HCOBS001"
@@ -49,7 +49,7 @@ A ring of this size lasts for about one second of a run at 500 Hz.
 """
 PAGE_BYTES = 4096
 """Alignment of the ring in the file [bytes]."""
-COPY_ATTEMPTS = 100
+MAX_COPY_ATTEMPTS = 100
 """Number of attempts to copy a record that the controller is overwriting."""
 PUBLISHED_NAME_BY_FIELD = {
     "q": "q_rad", "dq": "dq_rad_s", "q_goal": "q_goal_rad", "dq_goal": "dq_goal_rad_s",
@@ -88,7 +88,7 @@ def observation_dtype(axes: Mapping[str, int]) -> np.dtype[np.void]:
     return np.dtype([*LEADING_FIELDS, *numbers])
 
 
-def _create_map(path: Path, byte_count: int) -> mmap.mmap:
+def _create_mapped_file(path: Path, byte_count: int) -> mmap.mmap:
     """Create a file of a given size [bytes], and return the mapping of the file into memory.
 
     After an error, the file does not exist.
@@ -131,10 +131,10 @@ class ObservationWriter:
         text = json.dumps({"axes": dict(axes), **description}).encode()
         self._ring_at = -(-(HEADER_STRUCT.size + len(text)) // PAGE_BYTES) * PAGE_BYTES
         try:
-            self._map = _create_map(self.path, self._ring_at + RING_RECORDS * self._size)
+            self._map = _create_mapped_file(self.path, self._ring_at + RING_RECORDS * self._size)
         except OSError as error:
             raise BusError(
-                f"cannot write observations: {error}", str(self.path.parent), RUN_FOLDER_ADVICE_TEXT
+                f"cannot write observations: {error}", str(self.path.parent), RUN_FOLDER_ADVICE
             ) from None
         # All telemetry fields consist of 8-byte numbers without gaps. They are written together, as
         # one vector at the end of the record.
@@ -238,7 +238,7 @@ class ObservationReader:
 
     def latest_record(self) -> NDArray[np.void] | None:
         """Return the latest record as an array of shape (), or None before the first record."""
-        for _ in range(COPY_ATTEMPTS):
+        for _ in range(MAX_COPY_ATTEMPTS):
             written_count = self.written_count
             if written_count == 0:
                 return None
@@ -254,7 +254,7 @@ class ObservationReader:
         If this record has not been written yet, return None. If this record has already been
         overwritten, return the oldest usable record in the ring.
         """
-        for _ in range(COPY_ATTEMPTS):
+        for _ in range(MAX_COPY_ATTEMPTS):
             written_count = self.written_count
             # The controller may overwrite the oldest record at any time. Therefore the reader does
             # not use the oldest record.
@@ -275,8 +275,8 @@ class ObservationReader:
         start = self._ring_at + self._size * (record_index % self._records)
         data = self._map[start : start + self._size]
         bytes_after = self._map[start : start + 8]
-        complete_mark = (2 * record_index + 2).to_bytes(8, "little")
-        if data[:8] != complete_mark or bytes_after != complete_mark:
+        complete_counter = (2 * record_index + 2).to_bytes(8, "little")
+        if data[:8] != complete_counter or bytes_after != complete_counter:
             return None
         return np.frombuffer(data, self.kind, 1, 8).reshape(())
 

@@ -25,7 +25,7 @@ WRITABLE_BY_OTHERS_MODE = stat.S_IWGRP | stat.S_IWOTH
 """Permission bits that allow the group or other users to write."""
 GROUP_AND_OTHERS_PERMISSIONS = stat.S_IRWXG | stat.S_IRWXO
 """All permission bits of the group and of other users."""
-PRIVATE_MODE = 0o700
+PRIVATE_FOLDER_MODE = 0o700
 """Permission bits of folders created by handctl."""
 FOLDER_OPEN_FLAGS = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEXEC
 """Flags to open a parent folder.
@@ -111,7 +111,7 @@ def _stat_or_make_folder(folder_name: str, parent_fd: int) -> os.stat_result:
     # Another process may create this folder at the same time. In this case, the folder is checked
     # like any other folder.
     with suppress(FileExistsError):
-        os.mkdir(folder_name, PRIVATE_MODE, dir_fd=parent_fd)
+        os.mkdir(folder_name, PRIVATE_FOLDER_MODE, dir_fd=parent_fd)
     return os.stat(folder_name, dir_fd=parent_fd, follow_symlinks=False)
 
 
@@ -132,7 +132,7 @@ def _refuse_shared_folder(folder_path: Path, folder_fd: int) -> None:
             PRIVATE_FOLDER_TEXT,
         )
     if state.st_mode & GROUP_AND_OTHERS_PERMISSIONS:
-        os.fchmod(folder_fd, PRIVATE_MODE)
+        os.fchmod(folder_fd, PRIVATE_FOLDER_MODE)
 
 
 def _refuse_unsafe_folder(folder_path: Path, folder_fd: int) -> None:

@@ -43,7 +43,7 @@ def receive_datagram(link: socket.socket, max_bytes: int) -> tuple[bytes, str, b
         data, sender = link.recvfrom(max_bytes)
         return data, sender if isinstance(sender, str) else "", True
     data, ancillary, _, sender = link.recvmsg(max_bytes, CONTROL_BUFFER_BYTES)
-    users = [
+    sender_user_ids = [
         CREDENTIALS_STRUCT.unpack(raw_bytes)[1]
         for level, kind, raw_bytes in ancillary
         if (level, kind) == (socket.SOL_SOCKET, SCM_CREDENTIALS)
@@ -52,7 +52,7 @@ def receive_datagram(link: socket.socket, max_bytes: int) -> tuple[bytes, str, b
     return (
         data,
         sender if isinstance(sender, str) else "",
-        bool(users) and all(map(is_trusted_user, users)),
+        bool(sender_user_ids) and all(map(is_trusted_user, sender_user_ids)),
     )
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from handctl.core.tick_types import StreamTarget
 from handctl.errors import BusError
 from handctl.programs.requests import MAX_VALUES_PER_TARGET
-from handctl.runtime.mailbox import RUN_FOLDER_ADVICE_TEXT
+from handctl.runtime.mailbox import RUN_FOLDER_ADVICE
 from handctl.runtime.socket_paths import targets_path
 from handctl.runtime.socket_peers import receive_datagram, request_sender_credentials
 
@@ -47,7 +47,7 @@ def stream_name(process_id: int, stream_number: int) -> str:
     return f"{process_id}-{stream_number}"
 
 
-class TargetBox:
+class TargetReceiver:
     """Receiver of the targets that clients stream, owned by the controller.
 
     Attributes:
@@ -78,7 +78,7 @@ class TargetBox:
         except OSError as error:
             self.socket.close()
             raise BusError(
-                f"cannot receive targets: {error}", str(self.path.parent), RUN_FOLDER_ADVICE_TEXT
+                f"cannot receive targets: {error}", str(self.path.parent), RUN_FOLDER_ADVICE
             ) from None
         self.socket.setblocking(False)
 

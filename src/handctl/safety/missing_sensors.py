@@ -1,5 +1,6 @@
 """Faults that cannot be detected without optional sensors, for ``handctl config check``."""
 
+from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.hand.description import Hand
 from handctl.hand.file.error_text import shortened_list
 from handctl.safety.faults.table import FAULT_TABLE
@@ -11,6 +12,11 @@ These faults compare a load cell with the motor, or concern the load cell itself
 cell, the faults T01, T02, T03, T08 and N06 use the estimated tension. The limits of these five
 faults are then stricter by two standard deviations of the estimate. The fault N16 then uses the torque that the
 drive reports.
+"""
+FAULTS_NEEDING_TORQUE_IN_REPLY = ("N16",)
+"""Faults that are not detected without load cell if the drive sends its torque in a separate frame.
+
+Such a drive sends no torque after a cut.
 """
 FAULTS_NEEDING_ENCODERS = tuple(fault.id for fault in FAULT_TABLE if fault.needs_joint_encoders)
 """Faults that are not detected for a tendon whose joints have no encoders."""
@@ -30,6 +36,15 @@ def sensing_warnings(hand: Hand) -> tuple[str, ...]:
         lines.append(
             f"{shortened_list(tendons_without_cell)}: {text}; not judged: {', '.join(FAULTS_NEEDING_LOAD_CELL)}"
         )
+        if without_torque := [
+            name
+            for name in tendons_without_cell
+            if PROTOCOL_TRAITS[hand.motor_of_tendon(name).protocol].torque_option
+        ]:
+            text = "no load cell, and its drive sends no torque after a cut"
+            lines.append(
+                f"{shortened_list(without_torque)}: {text}; not judged: {', '.join(FAULTS_NEEDING_TORQUE_IN_REPLY)}"
+            )
         if unread := [
             name
             for name in tendons_without_cell

@@ -30,7 +30,7 @@ class SafetyAction(enum.IntEnum):
 class RelaxMethod(enum.Enum):
     """Method by which the reaction RELAX removes the torque.
 
-    None of the methods raises a commanded torque (``controller.relaxing``).
+    None of the methods raises a commanded torque (``controller.relaxation``).
     """
 
     TENSION_LOOP = "RELAX"

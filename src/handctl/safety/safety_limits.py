@@ -28,14 +28,14 @@ HARD_TEMPERATURE_LIMIT_DEGC = 85.0
 """Drive temperatures at which the tension limit begins to fall, and at which it reaches the floor [degC]."""
 
 
-def tick_count_for_time(seconds: float, period: float, minimum: int) -> int:
+def tick_count_for_time(seconds: float, period: float, min_ticks: int) -> int:
     """Convert a time [s] to a number of ticks, rounded up.
 
-    The result is at least ``minimum``.
+    The result is at least ``min_ticks``.
     """
     # The function rounds up, because a time limit in ticks must never be shorter than the time that
     # was given.
-    return max(minimum, math.ceil(seconds / period))
+    return max(min_ticks, math.ceil(seconds / period))
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +63,8 @@ class SafetyLimits:
             limit [degC].
         temperature_hard: drive temperature at which the tension limit reaches the tension floor
             [degC].
-        frames: number of frames in a tick above which the bus counts as flooded.
-        noise: mean squared jerk of a motor's measured position above which the measurement counts
+        max_frames_per_tick: number of frames in a tick above which the bus counts as flooded.
+        max_position_noise: mean squared jerk of a motor's measured position above which the measurement counts
             as noisy [rad^2].
     """
 
@@ -80,10 +80,10 @@ class SafetyLimits:
     stalled_ticks: int = MIN_STALLED_TICKS
     temperature_soft: float = SOFT_TEMPERATURE_LIMIT_DEGC
     temperature_hard: float = HARD_TEMPERATURE_LIMIT_DEGC
-    frames: int = MIN_FLOOD_FRAMES
-    noise: float = math.inf
+    max_frames_per_tick: int = MIN_FLOOD_FRAMES
+    max_position_noise: float = math.inf
 
     @property
-    def nodes(self) -> tuple[str, ...]:
+    def node_names(self) -> tuple[str, ...]:
         """Return the names of all nodes: the motors, followed by one name for the load cells."""
         return (*self.motors, LOAD_CELLS)

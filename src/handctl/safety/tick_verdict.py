@@ -38,14 +38,14 @@ class LatchedFault(NamedTuple):
     """Fault that stays active until an operator clears it."""
 
     id: str
-    instance: str
+    part_name: str
 
 
-class CountedFault(NamedTuple):
+class ReportedFault(NamedTuple):
     """Fault that is reported in this tick, with the number of consecutive ticks with such a report."""
 
     id: str
-    instance: str
+    part_name: str
     ticks: int
 
 
@@ -53,7 +53,7 @@ class FaultFinding(NamedTuple):
     """Fault that became active in this tick."""
 
     fault: Fault
-    instance: str
+    part_name: str
     value: float
 
 
@@ -63,14 +63,14 @@ class TickVerdict(NamedTuple):
     Attributes:
         action: most severe of the reactions to the faults that are present.
         findings: faults that became active in this tick.
-        latched: all faults that are latched at the end of the tick.
+        latched_faults: all faults that are latched at the end of the tick.
         reported_faults: faults that are reported in this tick.
     """
 
     action: SafetyAction
     findings: tuple[FaultFinding, ...]
-    latched: tuple[LatchedFault, ...]
-    reported_faults: tuple[CountedFault, ...]
+    latched_faults: tuple[LatchedFault, ...]
+    reported_faults: tuple[ReportedFault, ...]
 
 
 _ACTION_BY_NUMBER = {int(action): action for action in SafetyAction}
@@ -78,7 +78,7 @@ _ACTION_BY_NUMBER = {int(action): action for action in SafetyAction}
 
 def judge_tick(
     latched_faults: tuple[LatchedFault, ...],
-    reported_faults: tuple[CountedFault, ...],
+    reported_faults: tuple[ReportedFault, ...],
     detected_faults: Sequence[FaultFinding],
     demanded_action: int,
     event_reports: Iterable[EventReport],
@@ -98,13 +98,13 @@ def judge_tick(
     present_reports = []
     # A reported fault without a report in this tick is dropped. If the fault is reported again
     # later, the count starts again at 1.
-    ticks_by_report = {(report.id, report.instance): report.ticks for report in reported_faults}
+    ticks_by_report = {(report.id, report.part_name): report.ticks for report in reported_faults}
     for fault, location, value in locate_reports(event_reports):
         ticks = ticks_by_report.get((fault.id, location), 0) + 1
-        present_reports.append(CountedFault(fault.id, location, ticks))
-        if ticks >= fault.debounce:
+        present_reports.append(ReportedFault(fault.id, location, ticks))
+        if ticks >= fault.debounce_ticks:
             action = max(action, fault.action)
-        if ticks == fault.debounce:
+        if ticks == fault.debounce_ticks:
             findings.append(FaultFinding(fault, location, value))
     # A detector may find a latched fault again, but the log gets no second entry.
     new_findings = [
@@ -112,13 +112,13 @@ def judge_tick(
     ]
     latched_faults += tuple(
         dict.fromkeys(
-            _latched_fault_of(finding) for finding in new_findings if finding.fault.latched
+            _latched_fault_of(finding) for finding in new_findings if finding.fault.is_latched
         )
     )
     action = max(
         [action, *(FAULT_BY_ID[latched_fault.id].action for latched_fault in latched_faults)]
     )
-    new_findings.sort(key=lambda finding: _CATALOGUE_POSITION[finding.fault.id])
+    new_findings.sort(key=lambda finding: _POSITION_BY_FAULT_ID[finding.fault.id])
     return TickVerdict(
         _ACTION_BY_NUMBER[action], tuple(new_findings), latched_faults, tuple(present_reports)
     )
@@ -126,7 +126,7 @@ def judge_tick(
 
 def _latched_fault_of(finding: FaultFinding) -> LatchedFault:
     """Return the latched fault of a finding: the fault's identifier and its place."""
-    return LatchedFault(finding.fault.id, finding.instance)
+    return LatchedFault(finding.fault.id, finding.part_name)
 
 
 def newly_active_faults(
@@ -149,18 +149,18 @@ def newly_active_faults(
     for row, i in zip(rows.tolist(), instances.tolist(), strict=True):
         fault, kind = DETECTOR_ROWS[row]
         findings.append(
-            FaultFinding(fault, _instance_name(limits, fault, kind, i), float(evidence[row, i]))
+            FaultFinding(fault, _faulty_part_name(limits, fault, kind, i), float(evidence[row, i]))
         )
     return findings
 
 
-def _instance_name(limits: SafetyLimits, fault: Fault, fault_place: str, i: int) -> str:
+def _faulty_part_name(limits: SafetyLimits, fault: Fault, fault_place: str, i: int) -> str:
     """Return the name of the motor, tendon, joint, or node with a fault."""
     names = {
         FAULT_PLACE_TENDON: limits.tendons,
         FAULT_PLACE_MOTOR: limits.motors,
         FAULT_PLACE_JOINT: limits.joints,
-        FAULT_PLACE_NODE: limits.nodes,
+        FAULT_PLACE_NODE: limits.node_names,
     }
     return names[fault_place][i] if fault_place in names else fault.name
 
@@ -179,12 +179,12 @@ def locate_reports(event_reports: Iterable[EventReport]) -> list[tuple[Fault, st
         for fault in FAULTS_BY_EVENT_KIND.get(key, ()):
             name = location or kind
             faults[fault.id, name] = (fault, name, value)
-    return sorted(faults.values(), key=lambda row: _CATALOGUE_POSITION[row[0].id])
+    return sorted(faults.values(), key=lambda row: _POSITION_BY_FAULT_ID[row[0].id])
 
 
 # Position of each fault in the fault table. Faults that occur at the same time are sorted by this
 # position.
-_CATALOGUE_POSITION = {id_: position for position, id_ in enumerate(FAULT_BY_ID)}
+_POSITION_BY_FAULT_ID = {id_: position for position, id_ in enumerate(FAULT_BY_ID)}
 
 
 def filter_error_frames(

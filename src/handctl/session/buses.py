@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 
 from handctl.errors import ConfigError
-from handctl.hand.file.quantities import NAME_PATTERN
+from handctl.hand.file.quantity_types import NAME_PATTERN
 from handctl.runtime.buses.bus_opening import check_bus_spec, real_buses
-from handctl.session.defaults import DEFAULT_HAND
+from handctl.session.default_hand import DEFAULT_HAND
 
 
-def named_buses(bus_arguments: Sequence[str]) -> dict[str, str]:
+def parse_bus_arguments(bus_arguments: Sequence[str]) -> dict[str, str]:
     """Return the specification of each bus by its name.
 
     The specifications come from the words after ``--bus``. A word has the form NAME=SPEC, or is

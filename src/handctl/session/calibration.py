@@ -20,7 +20,7 @@ from handctl.runtime.buses.bus_opening import real_buses
 from handctl.session.notices import NoticeCallback, ignore_notice
 from handctl.session.run import RunFunction, RunOutcome, make_controller
 from handctl.session.run_plan import RunPlan
-from handctl.session.time_scale_advice import pace_advice
+from handctl.session.time_scale_advice import late_run_advice
 
 MAX_CALIBRATION_AGE_S = 24 * 3600.0
 """Largest age of a calibration with which a hand may be armed [s].
@@ -45,14 +45,14 @@ def load_calibration(path: Path, hand: Hand) -> Calibration:
 
 
 def find_calibration(
-    path: Path, hand: Hand, is_file_named: bool, buses: Sequence[str] = ()
+    path: Path, hand: Hand, is_file_given: bool, buses: Sequence[str] = ()
 ) -> tuple[Calibration | None, str]:
     """Return the calibration from a file if it may be used to arm the hand.
 
     Args:
         path: path of the calibration file, which may not exist yet.
         hand: description of the hand that will be armed.
-        is_file_named: True if the operator has named the file. An invalid file is then an error.
+        is_file_given: True if the operator has named the file. An invalid file is then an error.
         buses: buses of the hand that will be armed.
 
     Returns:
@@ -74,7 +74,7 @@ def find_calibration(
                 f"a calibration of the hand on {hardware_buses[0]}: handctl commission",
             )
     except ConfigError as error:
-        if is_file_named:
+        if is_file_given:
             raise
         return None, str(error)
     age_s = time.time() - datetime.datetime.fromisoformat(calibration.made).timestamp()
@@ -107,7 +107,7 @@ def run_commissioning(
     if reason:
         plan.show_notice(f"commissioning {plan.hand.name} first: {reason}")
     outcome = runner(plan, controller, log)
-    outcome.raise_if_not_finished(f"commissioning {plan.hand.name}", pace_advice(plan, outcome))
+    outcome.raise_if_not_finished(f"commissioning {plan.hand.name}", late_run_advice(plan, outcome))
     is_lockstep = outcome.priority is None  # with a fixed date, two lockstep runs give equal files
     present_date = LOCKSTEP_CALIBRATION_DATE if is_lockstep else datetime.datetime.now(datetime.UTC)
     calibration = calibration_of_result(

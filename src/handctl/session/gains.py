@@ -20,12 +20,12 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.session.notices import NoticeCallback, ignore_notice
 
-PACKAGED_ORIGIN = "packaged"
-COMMAND_LINE_ORIGIN = "command line"
+PACKAGED_GAINS_SOURCE = "packaged"
+COMMAND_LINE_SOURCE = "command line"
 
 
 @dataclass(frozen=True, slots=True)
-class LayeredGains:
+class GainsWithSources:
     """Gains with the source of each value.
 
     Attributes:
@@ -42,12 +42,12 @@ class LayeredGains:
     origins: dict[str, str]
 
 
-def layered_gains(
+def gains_with_sources(
     hand: Hand,
     gains_file: Path | None,
     assignment_words: Sequence[str],
     show_notice: NoticeCallback = ignore_notice,
-) -> LayeredGains:
+) -> GainsWithSources:
     """Return the gains that a run uses, and the source of each gain.
 
     Args:
@@ -67,9 +67,9 @@ def layered_gains(
     values = gain_assignments(assignment_words, "--gain")
     gains = gains_with_values(base, values, "--gain") if values else base
     origins = {
-        key: _origin_of(base, key, gains_file) for key in values_by_key(base)
-    } | dict.fromkeys(values, COMMAND_LINE_ORIGIN)
-    return LayeredGains(
+        key: _source_of_gain(base, key, gains_file) for key in values_by_key(base)
+    } | dict.fromkeys(values, COMMAND_LINE_SOURCE)
+    return GainsWithSources(
         gains, gains_file, loaded_gains.provenance if loaded_gains else GainsProvenance(), origins
     )
 
@@ -99,13 +99,13 @@ def read_gains_for_hand(
     return file
 
 
-def _origin_of(gains: Gains, key: str, gains_file: Path | None) -> str:
+def _source_of_gain(gains: Gains, key: str, gains_file: Path | None) -> str:
     """Return the source of a gain that the command line does not set: the gains file, or the packaged gains."""
     section, _, name = key.partition(".")
     is_key_in_file = tendon_key(key) is not None or (
         section in gains.model_fields_set and name in getattr(gains, section).model_fields_set
     )
-    return str(gains_file) if gains_file and is_key_in_file else PACKAGED_ORIGIN
+    return str(gains_file) if gains_file and is_key_in_file else PACKAGED_GAINS_SOURCE
 
 
 def gain_assignments(assignment_words: Sequence[str], location: str) -> dict[str, float]:

@@ -36,13 +36,13 @@ from handctl.runtime.clocks.realtime_priority import (
 )
 from handctl.runtime.clocks.shared_clock import ClockFile, SharedClock
 from handctl.runtime.clocks.suspend_watch import SuspendWatch
-from handctl.runtime.hold_limit import HoldLimit
+from handctl.runtime.hold_timeout import HoldTimeout
 from handctl.runtime.loop import ControlLoop, LoopBus, LoopStats, StopSignals
 from handctl.runtime.mailbox import CLEAR_REQUEST, Mailbox, bus_lock
 from handctl.runtime.observations import ObservationWriter
 from handctl.runtime.socket_paths import clock_path, faults_path, is_socket_served
 from handctl.runtime.status_line import status_of_tick
-from handctl.runtime.target_socket import TargetBox
+from handctl.runtime.target_socket import TargetReceiver
 from handctl.safety.faults.table import FAULT_BY_ID
 from handctl.session.exit_codes import ExitCode
 from handctl.session.run_header import run_header
@@ -77,13 +77,14 @@ class RunOutcome:
     def was_too_slow(self) -> bool:
         """Return True if a fault occurred because the host or the simulator was too slow."""
         return any(
-            FAULT_BY_ID[latched_fault.id].caused_by_lateness for latched_fault in self.state.latched
+            FAULT_BY_ID[latched_fault.id].caused_by_lateness
+            for latched_fault in self.state.latched_faults
         )
 
     @property
     def exit_code(self) -> ExitCode:
         """Return the exit code of a command that executes only this run."""
-        if self.state.unconfirmed:
+        if self.state.unconfirmed_motors:
             return ExitCode.REMOVE_POWER
         return ExitCode.FAILED if self.state.failure else ExitCode.DONE
 
@@ -98,7 +99,7 @@ class RunOutcome:
             PowerError: a drive did not confirm that it is disabled.
             DriveError: the run ended early for another reason.
         """
-        if self.state.unconfirmed:
+        if self.state.unconfirmed_motors:
             raise PowerError(self.state.failure, location)
         if self.state.failure or not self.state.progress.finished:
             raise DriveError(self.state.failure or "stopped before the end", location, remedy)
@@ -166,10 +167,10 @@ def run_live(
     for text in run_setup.caution_lines(controller.drives):
         plan.show_notice(f"handctl: caution: {text}")
     with ExitStack() as stack:
-        clock = _open_clock(plan, stack)
+        clock = _real_time_clock(plan, stack)
         mailbox = Mailbox(plan.buses[0])
         stack.callback(mailbox.close)
-        targets = TargetBox(plan.buses[0], clock.run_time_of)
+        targets = TargetReceiver(plan.buses[0], clock.convert_to_run_time)
         stack.callback(targets.close)
         observations = ObservationWriter(
             plan.buses[0], _axis_lengths(plan.hand), _describe_run(plan)
@@ -179,7 +180,9 @@ def run_live(
             stack.enter_context(bus_lock(spec))
         buses: list[LoopBus] = []
         for index, (spec, bus) in enumerate(zip(plan.buses, plan.hand.bus, strict=True)):
-            opened_bus = open_bus(spec, index, bus.bitrate, bus.data_bitrate, clock.run_time_of)
+            opened_bus = open_bus(
+                spec, index, bus.bitrate, bus.data_bitrate, clock.convert_to_run_time
+            )
             stack.callback(opened_bus.close)
             buses.append(opened_bus)
         priority = prepare_priority()
@@ -235,7 +238,7 @@ def run_lockstep(
         recorder, display = _start_recording(
             plan, log, replace(header, metadata=header.metadata | start_offset), cleanup_stack
         )
-        limit = HoldLimit()
+        limit = HoldTimeout()
         request_source = _merge_requests(observer, limit.poll_requests)
         show_tick = _merge_observers(
             limit, _merge_observers(observer, display.show_tick if display else _ignore_tick)
@@ -273,7 +276,7 @@ def _start_recording(
     return recorder, display
 
 
-def _open_clock(plan: RunPlan, stack: ExitStack) -> RealClock:
+def _real_time_clock(plan: RunPlan, stack: ExitStack) -> RealClock:
     """Return the clock of a run in real time.
 
     If the simulator on the bus offers a shared clock, the result is the shared clock. Otherwise the
@@ -330,13 +333,13 @@ def snapshot_recorder(recorder: Recorder) -> Callable[[TickIn, ControllerState],
     """
     due_ns = SNAPSHOT_PERIOD_NS
 
-    def keep_snapshot(entry: TickIn, state: ControllerState) -> None:
+    def record_snapshot(entry: TickIn, state: ControllerState) -> None:
         nonlocal due_ns
         if entry.t_ns >= due_ns:
             due_ns = entry.t_ns + SNAPSHOT_PERIOD_NS
             recorder.send_record(pack_snapshot(entry, snapshot_bytes(state)))
 
-    return keep_snapshot
+    return record_snapshot
 
 
 def _build_loop(
@@ -364,7 +367,7 @@ def _build_loop(
         take_host_events=lambda: [*recorder.take_events(), *take_suspend_events()],
         record_tick=record_tick,
         show_tick=show_tick,
-        keep_snapshot=snapshot_recorder(recorder),
+        record_snapshot=snapshot_recorder(recorder),
         disable_drives=partial(shutdown_step, controller),
         tick_priority=realtime_priority if isinstance(clock, RealClock) else nullcontext,
     )
@@ -400,11 +403,11 @@ def _request_source(
     Streamed targets are not included. If the plan requires it, the first request clears the latched
     errors of the drives.
     """
-    orders = [CLEAR_REQUEST] if plan.clear_faults else []
+    pending_requests = [CLEAR_REQUEST] if plan.clear_faults else []
 
     def take_requests() -> tuple[TickRequest, ...]:
-        first_orders = (orders.pop(),) if orders else ()
-        return first_orders + signals.take_request() + mailbox.read_requests()
+        clear_request = (pending_requests.pop(),) if pending_requests else ()
+        return clear_request + signals.take_request() + mailbox.read_requests()
 
     return take_requests
 
@@ -455,7 +458,7 @@ def _publish_tick(
 ) -> None:
     """Write the observation of a tick, and store the values that status lines show."""
     observations.write_record(entry, tick_output, stream_status(state), sent_ns)
-    published_state.commander = state.decisions.commander
+    published_state.commander = state.decisions.commanding_client
 
 
 def _status_callback(
@@ -509,5 +512,5 @@ def _run_to_end(
             if display:
                 display.close()
         finally:
-            summary = recorder.close(reason, loop.clock.clock_facts())
+            summary = recorder.close(reason, loop.clock.clock_statistics())
     return RunOutcome(state, loop.stats, summary, priority, offset_ns())

@@ -32,7 +32,9 @@ def run_header(
     attachments = {
         "hand.toml": hand.to_toml().encode(),
         "hand.urdf": urdf_text(hand).encode(),
-        run_setup.SETUP_ATTACHMENT: run_setup.RunSetup.from_controller(controller, plan.rate_hz)
+        run_setup.SETUP_ATTACHMENT_NAME: run_setup.RunSetup.from_controller(
+            controller, plan.rate_hz
+        )
         .model_dump_json(by_alias=True, indent=2)
         .encode(),
         "gains.json": plan.gains.model_dump_json(by_alias=True, indent=2).encode(),

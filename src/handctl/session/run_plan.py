@@ -20,12 +20,12 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.error_text import lines_by_text
 from handctl.hand.hand_loading import hand_path, load_hand
-from handctl.hand.readiness import reasons_not_ready
+from handctl.hand.readiness_checks import reasons_not_ready
 from handctl.log.attached_meshes import mesh_attachments
 from handctl.runtime.buses.bus_opening import check_bus_spec, real_buses
 from handctl.runtime.simulator_requests import simulated_time_scale
 from handctl.session.buses import refuse_default_hand
-from handctl.session.gains import layered_gains
+from handctl.session.gains import gains_with_sources
 from handctl.session.notices import NoticeCallback, ProgressFunction, ignore_notice, ignore_progress
 
 MIN_TICKS_PER_WATCHDOG_TIME = 2
@@ -90,8 +90,8 @@ class RunPlan:
 
 
 @dataclass(frozen=True)
-class RunChoice:
-    """Settings that the operator has chosen for a run, before these settings are checked.
+class RunOptions:
+    """Options that the operator has chosen for a run, before these options are checked.
 
     Attributes:
         hand: name of a packaged hand, or path of a hand file.
@@ -121,33 +121,33 @@ class RunChoice:
 
 
 def make_plan(
-    choice: RunChoice,
+    options: RunOptions,
     display: "Callable[[RunPlan], OperatorDisplay] | None" = None,
     show_notice: NoticeCallback = ignore_notice,
 ) -> RunPlan:
     """Check the hand, gains, buses and control rate, and return the plan of the run.
 
     Args:
-        choice: choices of the operator.
+        options: options that the operator has chosen.
         display: function that starts the display of a run, or None for a run without a display.
         show_notice: function that shows a notice to the operator.
 
     Raises:
         ConfigError: a setting of the operator is wrong. The error message has a single line.
     """
-    hand = load_hand(choice.hand)
-    check_hand_ready(hand, str(choice.hand))
-    layers = layered_gains(hand, choice.gains_file, choice.gain_arguments, show_notice)
-    buses = () if choice.bus_arguments is None else bus_specs(hand, choice.bus_arguments)
-    if not choice.is_hand_named:
+    hand = load_hand(options.hand)
+    check_hand_ready(hand, str(options.hand))
+    layers = gains_with_sources(hand, options.gains_file, options.gain_arguments, show_notice)
+    buses = () if options.bus_arguments is None else bus_specs(hand, options.bus_arguments)
+    if not options.is_hand_named:
         refuse_default_hand(buses, "--hand")
     loads = bus_loads(hand)
-    rate = control_rate(choice.rate_hz, hand, loads)
-    load = tuple(bus_load.load_at(rate) for bus_load in loads)
-    time_scale = chosen_time_scale(choice.time_scale, buses)
-    _check_log(choice.log_path)
+    rate = control_rate(options.rate_hz, hand, loads)
+    load = tuple(bus_load.load_at_rate(rate) for bus_load in loads)
+    time_scale = chosen_time_scale(options.time_scale, buses)
+    _check_log(options.log_path)
     attachments = {"gains.toml": layers.file.read_bytes()} if layers.file else {}
-    meshes, omitted_meshes = mesh_attachments(hand, hand_path(choice.hand).parent)
+    meshes, omitted_meshes = mesh_attachments(hand, hand_path(options.hand).parent)
     for line in omitted_meshes:
         show_notice(f"handctl: caution: {line}")
     attachments |= meshes
@@ -159,7 +159,7 @@ def make_plan(
         buses,
         attachments,
         time_scale,
-        choice.clear_faults,
+        options.clear_faults,
         display,
         show_notice,
     )
@@ -233,8 +233,8 @@ def control_rate(requested_hz: float | None, hand: Hand, load_of_bus: Sequence[B
         ConfigError: at this control rate, a single lost tick would trigger the watchdog of a drive,
             or a bus would be overloaded.
     """
-    best = highest_rate_of_buses(load_of_bus)
-    rate = best if requested_hz is None else requested_hz
+    highest_rate_hz = highest_control_rate(load_of_bus)
+    rate = highest_rate_hz if requested_hz is None else requested_hz
     min_rate_hz = MIN_TICKS_PER_WATCHDOG_TIME * 1e3 / min(motor.watchdog_ms for motor in hand.motor)
     if not min_rate_hz <= rate < math.inf:
         problem_text = f"{rate:g}" if requested_hz is not None else f"the buses carry {rate:g}"
@@ -242,11 +242,11 @@ def control_rate(requested_hz: float | None, hand: Hand, load_of_bus: Sequence[B
             problem_text, "--rate", f"at least {min_rate_hz:g}, for the drives' watchdogs"
         )
     for name, load in zip(hand.bus_names, load_of_bus, strict=True):
-        if load.load_at(rate) > MAX_BUS_LOAD:
+        if load.load_at_rate(rate) > MAX_BUS_LOAD:
             problem_text = (
-                f"bus {name} would be {100 * load.load_at(rate):.0f} % full at {rate:g} Hz"
+                f"bus {name} would be {100 * load.load_at_rate(rate):.0f} % full at {rate:g} Hz"
             )
-            raise ConfigError(problem_text, "--rate", f"at most {best:g}")
+            raise ConfigError(problem_text, "--rate", f"at most {highest_rate_hz:g}")
     return rate
 
 
@@ -262,10 +262,11 @@ def _check_log(log: Path | None) -> None:
         raise ConfigError(f"{log} exists already", "--log", "a new file ending in .mcap")
 
 
-def highest_rate_of_buses(load_of_bus: Sequence[BusLoad]) -> float:
+def highest_control_rate(load_of_bus: Sequence[BusLoad]) -> float:
     """Return the highest of the usual control rates at which no bus is overloaded [Hz]."""
     return highest_rate(
-        (load.tick_s for load in load_of_bus), (load.periodic_load_fraction for load in load_of_bus)
+        (load.frame_time_per_tick_s for load in load_of_bus),
+        (load.periodic_load_fraction for load in load_of_bus),
     )
 
 
@@ -274,7 +275,7 @@ def default_control_rate(hand: Hand) -> float:
 
     The default is the highest of the usual rates that the buses of the hand allow.
     """
-    return highest_rate_of_buses(bus_loads(hand))
+    return highest_control_rate(bus_loads(hand))
 
 
 def protocol_hint_lines(hand: Hand) -> tuple[str, ...]:

@@ -11,11 +11,11 @@ from handctl.session.run_plan import RunPlan
 
 MAX_CORE_LOAD = 0.7
 """Largest load of a processor core at which the machine counts as fast enough, as a fraction of full load."""
-FRACTION_OF_FAILED_TIME_SCALE = 0.7
+ADVISED_TIME_SCALE_FRACTION = 0.7
 """Largest time scale that is advised, as a fraction of the time scale that was too fast."""
 
 
-def pace_advice(plan: RunPlan, outcome: RunOutcome) -> str:
+def late_run_advice(plan: RunPlan, outcome: RunOutcome) -> str:
     """Return advice for a simulated run that failed because ticks or answers were late.
 
     For any other run, the result is an empty text.
@@ -37,18 +37,18 @@ def slower_time_scale(plan: RunPlan, outcome: RunOutcome) -> float:
         plan: plan of the run.
         outcome: outcome of the run. The simulator must still be running.
     """
-    run_s = outcome.state.k * plan.period_ns / 1e9
-    controller_load = outcome.loop_stats.cpu_s / run_s if outcome.state.k > 0 else 0.0
-    measured_figures: dict[str, float | None] = {}
+    run_duration_s = outcome.state.k * plan.period_ns / 1e9
+    controller_load = outcome.loop_stats.cpu_s / run_duration_s if outcome.state.k > 0 else 0.0
+    simulator_pace: dict[str, float | None] = {}
     with suppress(HandctlError):
-        measured_figures = ask_simulator(find_simulator(plan.buses[0]), {"pace": True}).get(
+        simulator_pace = ask_simulator(find_simulator(plan.buses[0]), {"pace": True}).get(
             "pace", {}
         )
-    max_time_scale = measured_figures.get("plant_s_per_cpu_s") or math.inf
+    max_time_scale = simulator_pace.get("plant_s_per_cpu_s") or math.inf
     core_loads = (controller_load, 1.0 / max_time_scale)
     load = sum(core_loads) if usable_cores() == 1 else max(core_loads)
-    scale_below_failed = FRACTION_OF_FAILED_TIME_SCALE * plan.time_scale
-    simulator_advice = measured_figures.get("advice") or math.inf
+    scale_below_failed = ADVISED_TIME_SCALE_FRACTION * plan.time_scale
+    simulator_advice = simulator_pace.get("advice") or math.inf
     max_scale_for_load = MAX_CORE_LOAD / load if load > 0.0 else math.inf
     return round_down_to_one_digit(
         max(0.001, min(scale_below_failed, simulator_advice, max_scale_for_load))

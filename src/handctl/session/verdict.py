@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 
 from handctl.controller.run_setup import make_sensors
-from handctl.core.state_block import STALE_FRAMES
+from handctl.core.state_block import STALE_FRAME_COUNT
 from handctl.log.read.reader import RunLog
 from handctl.programs.task import HoldPhase, Task
 from handctl.report.frame_counts import frame_counts
 from handctl.report.lift_judgement import judge_lift, lift_failure
 from handctl.report.run_figure import draw_run
 from handctl.report.run_summary import summarise_run
-from handctl.report.truth_record import TruthRecord, copy_truth, read_truth, truth_path_of
+from handctl.report.truth_record import TruthRecord, copy_truth, read_truth, truth_file_path
 from handctl.session.notices import NoticeCallback
 from handctl.session.run import RunOutcome
 from handctl.session.run_plan import RunPlan
 
-TRUTH_MARGIN_NS = 1_000_000_000
+TRUE_VALUES_MARGIN_NS = 1_000_000_000
 """Time before and after a run for which the true values are kept [ns]."""
 
 
@@ -66,7 +66,7 @@ def judge_run(
         "time_scale": plan.time_scale,
         "frames_tx": stats.frames_tx,
         "frames_rx": stats.frames_rx,
-        "frames_late": outcome.state.run_integer(STALE_FRAMES),
+        "frames_late": outcome.state.run_table_integer(STALE_FRAME_COUNT),
         "frames_lost": lost_frames(plan, outcome),
         "silent_ticks": silent_ticks,
         "bus_load": max(plan.bus_loads),
@@ -99,10 +99,10 @@ def _copy_truth(
         times_ns: first and last time of the run on the simulator's clock [ns].
         show_notice: function that shows a notice to the operator.
     """
-    truth_path = truth_path_of(log)
+    truth_path = truth_file_path(log)
     if truth == truth_path:
         return truth_path
-    start_ns, end_ns = times_ns[0] - TRUTH_MARGIN_NS, times_ns[1] + TRUTH_MARGIN_NS
+    start_ns, end_ns = times_ns[0] - TRUE_VALUES_MARGIN_NS, times_ns[1] + TRUE_VALUES_MARGIN_NS
     try:
         if not copy_truth(truth, truth_path, start_ns, end_ns):
             return None

@@ -99,16 +99,16 @@ class GainsStore:
         except ConfigError:
             # The new name is the first name among NAME.damaged.toml, NAME.damaged1.toml, and so on,
             # that is not in use.
-            numbers = (
+            candidate_paths = (
                 Path(f"{self.path.with_suffix('')}.damaged{n or ''}.toml")
                 for n in itertools.count()
             )
-            aside_number = next(path for path in numbers if not path.exists())
+            unused_path = next(path for path in candidate_paths if not path.exists())
             try:
-                return self.path.rename(aside_number)
+                return self.path.rename(unused_path)
             except OSError as error:
                 raise ConfigError(
-                    f"cannot be moved: {error.strerror}", str(self.path), f"{aside_number}"
+                    f"cannot be moved: {error.strerror}", str(self.path), f"{unused_path}"
                 ) from None
         return None
 

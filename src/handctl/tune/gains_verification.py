@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import t as student
 
-from handctl.core.gains.gain_bounds import LIVE_SECTIONS, changed_gain_values, values_by_key
+from handctl.core.gains.gain_bounds import LIVE_GAIN_SECTIONS, changed_gain_values, values_by_key
 from handctl.core.gains.gains import Gains
 from handctl.core.tick_types import HandMode, PackedTelemetry, Telemetry, TickIn, TickOut
 from handctl.hand.description import Hand
@@ -220,7 +220,7 @@ class VerifyObserver:
     def _blocked_digit(self, tick_output: TickOut, digit_names: tuple[str, ...]) -> BlockedDigit:
         """Return the description of a blocked digit. The names come from `_blocked_names`."""
         digit, *other_digits = digit_names
-        units = self.hand.displayed_mean(digit)
+        units = self.hand.mean_position_units(digit)
         column = self.hand.digit_names.index(digit)
         mean = float(mean_angles(self.hand, tick_output.telemetry.q[None])[0, column])
         amplitude = PROPOSED_AMPLITUDE_FRACTION * move_amplitude(mean / float(units.scale[0]))
@@ -246,7 +246,7 @@ class VerifyObserver:
         values = {
             key: value
             for key, value in value_by_key.items()
-            if key.partition(".")[0] in LIVE_SECTIONS
+            if key.partition(".")[0] in LIVE_GAIN_SECTIONS
         }
         self._requests.append(json.dumps({"do": "gains", "set": values}))
 
@@ -291,7 +291,7 @@ class VerifyObserver:
         )
         return f"tracking error {largest_error:.1f} {units.names[joint]}, limit {limit:.1f}"
 
-    def _violated_limit(self, tick_output: TickOut, torque_rate_N: float) -> str:
+    def _violated_limit(self, tick_output: TickOut, torque_rate_Nm_per_s: float) -> str:
         """Return a text about the limit that a tick violates.
 
         If the tick violates no limit, the text is empty.
@@ -310,8 +310,8 @@ class VerifyObserver:
                 return f"tension of {tendon.name} {tension:.0f} N, limit {bound:.0f}"
         limit = max(limits.ringing_factor * self._max_torque_rate, limits.ringing_floor_Nm_per_s)
         return (
-            f"motor torques oscillate by {torque_rate_N:.1f} N m/s, limit {limit:.1f}"
-            if torque_rate_N > limit
+            f"motor torques oscillate by {torque_rate_Nm_per_s:.1f} N m/s, limit {limit:.1f}"
+            if torque_rate_Nm_per_s > limit
             else ""
         )
 
@@ -323,7 +323,7 @@ COMPARED_MEASURES = {
     "peak_tension_N": ("peak tension", "N"),
 }
 """Name and unit of each compared measure, by its field in `GainScore`."""
-ASSUMED_SPREAD_FRACTION = 0.1
+DEFAULT_RELATIVE_SPREAD = 0.1
 """If there is only one run, this spread of a measure is assumed, as a fraction of the old value."""
 MAX_EQUAL_DIFFERENCE_FRACTION = 0.02
 """Largest difference between old and new value that is judged as "same", as a fraction of the old value."""
@@ -372,7 +372,7 @@ def compare_rounds(round_scores: list[list[GainScore]]) -> list[MeasureCompariso
         mean = float(old_scores.mean())
         change = float((new_scores - old_scores).mean())
         spread = (
-            ASSUMED_SPREAD_FRACTION * mean
+            DEFAULT_RELATIVE_SPREAD * mean
             if n == 1
             else float(student.ppf(0.975, n - 1) * (new_scores - old_scores).std(ddof=1) / n**0.5)
         )
@@ -404,14 +404,14 @@ def scores_by_round(
     phase = phase_of_each_tick(log.phases, log.k)
     angle = np.where(log.field("contact") > 0.0, np.nan, digit_angles(hand, log.field("q_goal")))
     if truth is None:
-        measured_truth = GroundTruth(digit_angles(hand, log.field("q")), log.field("tension"))
+        ground_truth = GroundTruth(digit_angles(hand, log.field("q")), log.field("tension"))
     else:
-        measured_truth = GroundTruth.from_record(truth, hand, log.t_ns + offset_ns)
+        ground_truth = GroundTruth.from_record(truth, hand, log.t_ns + offset_ns)
     results = []
     for start, end in zip(start_indices, [*start_indices[1:], int(log.k[-1]) + 1], strict=True):
         is_in_round = (log.k >= start) & (log.k < end) & (log.mode == int(HandMode.ACTIVE))
         truth_of_round = GroundTruth(
-            measured_truth.angle[is_in_round], measured_truth.tension[is_in_round]
+            ground_truth.angle[is_in_round], ground_truth.tension[is_in_round]
         )
         tension = log.field("tension_goal")[is_in_round]
         torque = log.field("motor_torque_goal")[is_in_round]

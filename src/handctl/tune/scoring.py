@@ -24,7 +24,11 @@ from handctl.programs.gains_exercise import ExerciseProgram
 from handctl.programs.program import Program
 from handctl.report.run_summary import mean_angles, root_mean_square
 from handctl.report.truth_record import TruthRecord, read_truth
-from handctl.session.simulate import SimulatorSettings, homed_controller, simulate_controller
+from handctl.session.lockstep_simulation import (
+    SimulatorSettings,
+    homed_controller,
+    simulate_controller,
+)
 from handctl.tune.loops.gain_design import linear_factors, worst_margins
 
 Array = NDArray[np.float64]
@@ -244,7 +248,7 @@ def digit_angles(hand: Hand, q: Array) -> Array:
         hand: description of the hand.
         q: (ticks, J) joint angles [rad, or m of prismatic joints].
     """
-    unit_scales = [hand.displayed_mean(name).scale[0] for name in hand.digit_names]
+    unit_scales = [hand.mean_position_units(name).scale[0] for name in hand.digit_names]
     angles: Array = mean_angles(hand, q) / np.array(unit_scales)
     return angles
 

@@ -23,7 +23,7 @@ from handctl.tune.loops.margins import (
     frequency_grid,
     step_response,
 )
-from handctl.tune.search.search import SearchResult
+from handctl.tune.search.gain_search import SearchResult
 
 OLD_GAINS_COLOR = "#d9822b"
 NEW_GAINS_COLOR = "#3b6fb6"
@@ -92,8 +92,8 @@ def _style_axes(axes_row: Any, kind: LoopKind) -> None:
     phase.axhline(-180.0, color=GREY_COLOR, linewidth=0.8)
     phase.axhline(-180.0 + MIN_PHASE_MARGIN_DEG, color=GREY_COLOR, linewidth=0.8, linestyle=":")
     phase.set(title="phase [deg]", xlabel="frequency [Hz]")
-    turn = np.linspace(0.0, 2.0 * np.pi, 200)
-    plane.plot(np.cos(turn), np.sin(turn), color=GREY_COLOR, linewidth=0.8)
+    circle_angles = np.linspace(0.0, 2.0 * np.pi, 200)
+    plane.plot(np.cos(circle_angles), np.sin(circle_angles), color=GREY_COLOR, linewidth=0.8)
     plane.plot([-1.0], [0.0], "+", color="black")
     # On the negative real axis, the gain margin is the distance of -1 from the origin, divided by
     # the distance of the curve.
@@ -136,10 +136,10 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
     )
     if feasible_trials:
         figure.colorbar(trial_points, ax=left_axes, label="effort [N m/s]")
-    front_trials = [trial for trial in feasible_trials if trial.number in result.pareto_front]
+    pareto_trials = [trial for trial in feasible_trials if trial.number in result.pareto_front]
     left_axes.plot(
-        [trial.score.tracking_deg for trial in front_trials],
-        [trial.score.tension_N for trial in front_trials],
+        [trial.score.tracking_deg for trial in pareto_trials],
+        [trial.score.tension_N for trial in pareto_trials],
         "o",
         mfc="none",
         mec=OLD_GAINS_COLOR,

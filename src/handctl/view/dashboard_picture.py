@@ -48,14 +48,14 @@ def draw_recording(recording_path: Path, picture_time_s: float, picture_path: Pa
         wait_until_loaded(client, RUN_TIME_TIMELINE, int(picture_time_s * 1e9))
         client.set_time(RUN_TIME_TIMELINE, duration=picture_time_s, play_state="paused")
         time.sleep(max(SCREENSHOT_PAUSE_S, clear - time.monotonic()))
-        png = settled_screenshot(client)
+        png = take_stable_screenshot(client)
         reports = problem_reports_of_view(client)
     with atomic_path(picture_path) as temporary_path:
         temporary_path.write_bytes(png)
     return reports
 
 
-def settled_screenshot(client: "ViewerClient") -> bytes:
+def take_stable_screenshot(client: "ViewerClient") -> bytes:
     """Take screenshots of the viewer until they no longer change, and return the last one.
 
     On a busy machine, the viewer draws the views of the dashboard one after the other.

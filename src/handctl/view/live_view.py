@@ -55,7 +55,7 @@ def main() -> int:
 
         if "--headless" not in arguments:
             check_screen_exists()
-        from handctl.view.follow import follow_log
+        from handctl.view.log_follower import follow_log
 
         follow_log(log, arguments, stop)
     except HandctlError as error:

@@ -28,7 +28,7 @@ class LogTail:
     @property
     def has_log_ended(self) -> bool:
         """Return True if the end mark of the log has been read."""
-        return self._scan.complete
+        return self._scan.is_complete
 
     def write_new_chunks(self, path: Path) -> int | None:
         """Write the chunks that have been added since the last call into a log file.
@@ -46,7 +46,7 @@ class LogTail:
             LogError: the log is damaged.
         """
         scan = self._scan
-        if scan.complete:
+        if scan.is_complete:
             return None
         file = LogFile(self._path)
         try:
@@ -56,7 +56,7 @@ class LogTail:
             # exists.
             end_offsets = [
                 *(chunk.offset for chunk in scan.chunks[1:]),
-                *([scan.end] if scan.complete else []),
+                *([scan.end] if scan.is_complete else []),
             ]
             new_chunks = scan.chunks[self._sent_chunks : len(end_offsets)]
             if not new_chunks:

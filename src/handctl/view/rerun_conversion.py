@@ -22,10 +22,10 @@ from handctl.view.scene.blueprint import dashboard_layout
 from handctl.view.scene.chunk_arrays import LOG_TIME_TIMELINE, times_since_start
 from handctl.view.scene.entity_styles import style_chunks
 from handctl.view.scene.geometry import mesh_chunks
+from handctl.view.scene.object_and_table import object_and_table_chunks
 from handctl.view.scene.run_info import RunInfo
 from handctl.view.scene.topic_converters import TopicConverters
-from handctl.view.scene.true_shapes import true_shape_chunks
-from handctl.view.time_slices import SLICE_NS, time_slices
+from handctl.view.time_slices import SLICE_DURATION_NS, time_slices
 
 DISK_SPACE_FACTOR = 2
 """Free disk space that must exist before a recording is written, as a multiple of the log's size.
@@ -47,13 +47,18 @@ def rerun_errors(name: str) -> Iterator[None]:
         ) from error
 
 
-def chunks_of_run(path: Path, run: RunInfo, first_slice_ns: int = SLICE_NS) -> Iterator[Chunk]:
+def chunks_of_run(
+    path: Path, run: RunInfo, first_slice_duration_ns: int = SLICE_DURATION_NS
+) -> Iterator[Chunk]:
     """Return all chunks of a log one after another, see `chunks_of_run_by_part`."""
-    return chain.from_iterable(chunks_of_run_by_part(path, run, first_slice_ns))
+    return chain.from_iterable(chunks_of_run_by_part(path, run, first_slice_duration_ns))
 
 
 def chunks_of_run_by_part(
-    path: Path, run: RunInfo, first_slice_ns: int = SLICE_NS, scan: RecordScan | None = None
+    path: Path,
+    run: RunInfo,
+    first_slice_duration_ns: int = SLICE_DURATION_NS,
+    scan: RecordScan | None = None,
 ) -> Iterator[list[Chunk]]:
     """Yield all chunks of a log in parts.
 
@@ -63,17 +68,19 @@ def chunks_of_run_by_part(
     Args:
         path: path of the log. The log may be incomplete.
         run: data about the run and the hand of the log.
-        first_slice_ns: duration of the first part of the run [ns].
+        first_slice_duration_ns: duration of the first part of the run [ns].
         scan: list of the log's records, if the records have been scanned already.
 
     Raises:
         LogError: the log is damaged.
     """
-    yield [*style_chunks(run), *mesh_chunks(run), *true_shape_chunks(run)]
+    yield [*style_chunks(run), *mesh_chunks(run), *object_and_table_chunks(run)]
     with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
         converters = TopicConverters(run)
         complete_log, scan = ensure_complete_log(path, Path(folder), scan or scan_path(path))
-        for partial_log, since_ns in time_slices(complete_log, scan, Path(folder), first_slice_ns):
+        for partial_log, since_ns in time_slices(
+            complete_log, scan, Path(folder), first_slice_duration_ns
+        ):
             yield list(chunks_of_log(partial_log, converters, run.name, since_ns))
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from handctl.log.read.logfile import ChunkLocation, LogFile
 from handctl.log.read.record_scan import RecordScan
 
-SLICE_NS = 20_000_000_000
+SLICE_DURATION_NS = 20_000_000_000
 """Duration of the part of the run in each small log after the first one [ns].
 
 A part of this length has few chunks. The small number of chunks limits the use of memory.
@@ -17,7 +17,7 @@ A part of this length has few chunks. The small number of chunks limits the use 
 
 
 def time_slices(
-    path: Path, scan: RecordScan, folder: Path, first_slice_ns: int
+    path: Path, scan: RecordScan, folder: Path, first_slice_duration_ns: int
 ) -> Iterator[tuple[Path, int]]:
     """Divide a complete log into parts, and yield the parts in the order of time.
 
@@ -27,7 +27,7 @@ def time_slices(
         path: path of a complete log.
         scan: list of the records of the log.
         folder: folder for the parts.
-        first_slice_ns: duration of the first part of the run [ns].
+        first_slice_duration_ns: duration of the first part of the run [ns].
 
     Yields:
         the path of the part, and the first new log time [ns]. Each part starts with the definitions
@@ -42,7 +42,9 @@ def time_slices(
         remaining_chunks = scan.chunks[1:]
         start_offsets = [chunk.offset for chunk in remaining_chunks] + [scan.end]
         partial_log = folder / "part.mcap"
-        for group in _group_chunks(first_chunk.first_ns, remaining_chunks, first_slice_ns) or [[]]:
+        for group in _group_chunks(
+            first_chunk.first_ns, remaining_chunks, first_slice_duration_ns
+        ) or [[]]:
             first_chunk_index = remaining_chunks.index(group[0]) if group else 0
             for chunk in group:
                 # Checks the checksum, because Rerun would show damaged data.
@@ -70,7 +72,7 @@ def time_slices(
 
 
 def _group_chunks(
-    start_ns: int, chunks: list[ChunkLocation], first_slice_ns: int
+    start_ns: int, chunks: list[ChunkLocation], first_slice_duration_ns: int
 ) -> list[list[ChunkLocation]]:
     """Divide chunks into groups, one for each part of the run.
 
@@ -79,6 +81,6 @@ def _group_chunks(
     groups: dict[int, list[ChunkLocation]] = {}
     for chunk in chunks:
         groups.setdefault(
-            max(-1, (chunk.first_ns - start_ns - first_slice_ns) // SLICE_NS), []
+            max(-1, (chunk.first_ns - start_ns - first_slice_duration_ns) // SLICE_DURATION_NS), []
         ).append(chunk)
     return list(groups.values())

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.runtime.processes import time_scale_options
+from tests.runtime.processes import make_time_scale_options
 
 TIME_SCALE = 0.15
 """Time scale of simulated hand, watchdogs and deadlines.
@@ -56,7 +56,7 @@ def run_simulator(
         "jamia",
         "--bus",
         "socketcan:vcan0",
-        *time_scale_options(time_scale),
+        *make_time_scale_options(time_scale),
         "--seed",
         "1",
         *options,

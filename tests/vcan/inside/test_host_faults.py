@@ -101,7 +101,7 @@ def run_tendon_pull(work_folder: Path, observer: FaultObserver) -> tuple[RunOutc
     """
     path = hand_file(work_folder, ["mit"])
     hand = load_hand(str(path))
-    load = tuple(bus_load.load_at(RATE_HZ) for bus_load in bus_loads(hand))
+    load = tuple(bus_load.load_at_rate(RATE_HZ) for bus_load in bus_loads(hand))
     plan = RunPlan(hand, Gains(), RATE_HZ, load, ("socketcan:vcan0",), time_scale=TIME_SCALE)
     program = JogProgram(
         HoldTensionRequest(do="hold", tension_N=dict.fromkeys(DIGIT_NAMES, PULL_N)),

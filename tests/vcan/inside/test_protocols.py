@@ -107,7 +107,7 @@ class HandDrives:
         self.clock = RealClock(PERIOD_NS, time_scale)
         hand = load_hand(str(hand_path))
         self.buses = [
-            open_bus(spec, i, bus.bitrate, bus.data_bitrate, self.clock.run_time_of)
+            open_bus(spec, i, bus.bitrate, bus.data_bitrate, self.clock.convert_to_run_time)
             for i, (spec, bus) in enumerate(zip(bus_texts, hand.bus, strict=True))
         ]
         self.drives, self.sensors = make_drives(hand), make_sensors(hand)
@@ -177,7 +177,7 @@ def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
     path = move_to_second_bus(hand_file(tmp_path, ["cia402", "cia402", "odrive"]))
     outcome, truth = run_tendon_pull(path, ["socketcan:vcan0", "socketcan:vcan1"], tmp_path)
     assert outcome.state.failure == ""
-    assert outcome.state.unconfirmed == ()
+    assert outcome.state.unconfirmed_motors == ()
     assert outcome.exit_code == ExitCode.DONE
     assert outcome.loop_stats.refused_frames == truth.header["lost_frames"] == 0
     for digit in DIGIT_NAMES:
@@ -194,7 +194,7 @@ def run_tendon_pull(
     Return the outcome of the run, and the true values from the simulator.
     """
     hand, time_scale = load_hand(str(hand_path)), 0.1
-    load = tuple(bus_load.load_at(RATE_HZ) for bus_load in bus_loads(hand))
+    load = tuple(bus_load.load_at_rate(RATE_HZ) for bus_load in bus_loads(hand))
     plan = RunPlan(hand, Gains(), RATE_HZ, load, tuple(bus_options), time_scale=time_scale)
     program = JogProgram(
         HoldTensionRequest(do="hold", tension_N=dict.fromkeys(DIGIT_NAMES, PULL_N)), PULL_S

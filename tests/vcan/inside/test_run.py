@@ -15,7 +15,11 @@ from pathlib import Path
 import pytest
 
 from handctl.hand.hand_loading import load_hand
-from tests.runtime.processes import HOMED_OPTIONS, time_scale_options, write_homed_calibration
+from tests.runtime.processes import (
+    HOMED_HAND_OPTIONS,
+    make_time_scale_options,
+    write_homed_calibration,
+)
 from tests.vcan.inside.conftest import STALL_FAULTS, TIME_SCALE, run_simulator
 
 HANDCTL_COMMAND = Path(sys.executable).with_name("handctl")
@@ -43,10 +47,10 @@ def run_handctl(work_folder: Path, time_scale: float) -> subprocess.CompletedPro
         "socketcan:vcan0",
         "--task",
         str(SHORT_TASK_FILE),
-        *time_scale_options(time_scale),
+        *make_time_scale_options(time_scale),
     ]
     files = ["--json", "--log", str(work_folder / "run.mcap"), "--calibration", str(calibration)]
-    options = ["--scene", "cylinder", *(() if NIGHTLY else HOMED_OPTIONS)]
+    options = ["--scene", "cylinder", *(() if NIGHTLY else HOMED_HAND_OPTIONS)]
     with run_simulator(*options, stderr_file=work_folder / "simulator", time_scale=time_scale):
         return subprocess.run(
             [HANDCTL_COMMAND, *words, *files],

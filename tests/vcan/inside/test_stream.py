@@ -12,7 +12,7 @@ import pytest
 from benchmarks import streaming
 from handctl import DriveError, UnconfirmedError
 from handctl.hand.hand_loading import load_hand
-from tests.runtime.processes import HOMED_OPTIONS, write_homed_calibration
+from tests.runtime.processes import HOMED_HAND_OPTIONS, write_homed_calibration
 from tests.vcan.inside.conftest import SIMULATOR_CODE, STALL_FAULTS, TIME_SCALE
 
 TIME_SCALE_BY_ATTEMPT = (TIME_SCALE, 0.7 * TIME_SCALE, 0.4 * TIME_SCALE)
@@ -60,7 +60,7 @@ def measure_tracking(time_scale: float, calibration_file: Path) -> dict[str, Any
     """
     try:
         return streaming.measure_tracking(
-            "socketcan:vcan0", time_scale, (calibration_file, HOMED_OPTIONS)
+            "socketcan:vcan0", time_scale, (calibration_file, HOMED_HAND_OPTIONS)
         )
     except UnconfirmedError as error:  # the controller ended before it received a request
         raise GuestStoppedError from error

@@ -20,7 +20,7 @@ from handctl.cli.parsing.completion import hand_names
 from handctl.cli.parsing.parser import SIMULATED_HAND, CommandExample, VerbParser, add_sub_verb
 from handctl.drives.motor_description import PROTOCOL_TRAITS, motor_types_text
 
-EXAMPLES = {
+COMMAND_EXAMPLES = {
     "config": CommandExample("handctl config show --hand jamia"),
     "config show": CommandExample("handctl config show --hand jamia"),
     "config check": CommandExample(
@@ -55,39 +55,45 @@ EXAMPLES = {
 
 def config(parser: VerbParser) -> None:
     """Declare the arguments of ``config``."""
-    kinds = parser.add_subparsers(
+    subparsers = parser.add_subparsers(
         dest="what", required=True, metavar="init|show|check|list|schema|convert|export"
     )
 
-    def add_kind(name: str, text: str) -> VerbParser:
-        subparser = add_sub_verb(kinds, name, text, EXAMPLES[f"config {name}"])
+    def add_config_verb(name: str, text: str) -> VerbParser:
+        subparser = add_sub_verb(subparsers, name, text, COMMAND_EXAMPLES[f"config {name}"])
         add_json_option(subparser)
         if name not in ("init", "list", "schema", "convert"):
             add_hand_option(subparser)
         return subparser
 
-    _declare_init(
-        add_kind("init", "write a new hand file from a few answers, or from a robot description")
+    _add_init_options(
+        add_config_verb(
+            "init", "write a new hand file from a few answers, or from a robot description"
+        )
     )
-    show_parser = add_kind("show", "show a hand, and the source of each value")
+    show_parser = add_config_verb("show", "show a hand, and the source of each value")
     text = "draw digits, tendons, spools, sensors and buses instead: as text, or as a picture with --output"
     show_parser.add_argument("--graph", action="store_true", help=text)
     add_output_option(show_parser, "picture of --graph: a new .svg, .png or .pdf")
-    _declare_files(show_parser)
-    check = add_kind("check", "check a hand with its files")
-    _declare_files(check)
+    _add_file_arguments(show_parser)
+    check_parser = add_config_verb("check", "check a hand with its files")
+    _add_file_arguments(check_parser)
     text = "scene to check with the simulated hand, as in demo: cylinder:40, or a scene file"
-    check.add_argument("--scene", metavar="NAME|FILE", help=text)
-    add_kind("list", "list the packaged hands and tasks")
-    schema = add_kind("schema", "print the JSON Schema of hand files, for completion in an editor")
-    add_output_option(schema, "a new file (default: standard output)")
-    convert = add_kind(
+    check_parser.add_argument("--scene", metavar="NAME|FILE", help=text)
+    add_config_verb("list", "list the packaged hands and tasks")
+    schema_parser = add_config_verb(
+        "schema", "print the JSON Schema of hand files, for completion in an editor"
+    )
+    add_output_option(schema_parser, "a new file (default: standard output)")
+    convert_parser = add_config_verb(
         "convert", "write a hand file of schema 1 as schema 2: repeated values once, comments kept"
     )
-    convert.add_argument("old", type=Path, metavar="OLD", help="hand file of schema 1")
-    add_output_option(convert, "a new file", required=True)
-    export = add_kind("export", "write the buses or the links of a hand for other tools")
-    format_group = export.add_mutually_exclusive_group()
+    convert_parser.add_argument("old", type=Path, metavar="OLD", help="hand file of schema 1")
+    add_output_option(convert_parser, "a new file", required=True)
+    export_parser = add_config_verb(
+        "export", "write the buses or the links of a hand for other tools"
+    )
+    format_group = export_parser.add_mutually_exclusive_group()
     format_group.add_argument(
         "--dbc", action="store_true", help="the frames of each bus, as a CAN database"
     )
@@ -97,10 +103,10 @@ def config(parser: VerbParser) -> None:
     format_group.add_argument(
         "--mjcf", action="store_true", help="links, joints, springs and tendons, for MuJoCo"
     )
-    add_output_option(export, "a new file (default: HAND.dbc, HAND.urdf, HAND.xml)")
+    add_output_option(export_parser, "a new file (default: HAND.dbc, HAND.urdf, HAND.xml)")
 
 
-def _declare_init(parser: argparse.ArgumentParser) -> None:
+def _add_init_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options of ``config init``.
 
     Each option answers one of the questions about the new hand.
@@ -117,29 +123,29 @@ def _declare_init(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help=text.format("a model of MuJoCo, and its moment arms"),
     )
-    add = parser.add_argument
-    add(
+    add_argument = parser.add_argument
+    add_argument(
         "--yes",
         action="store_true",
         help="do not ask: options that are not given have their default, or 'TODO'",
     )
-    add("--name", help="name of the hand (default: mine)")
-    add("--fingers", type=int, metavar="N", help="digits on one side (default: 2)")
-    add(
+    add_argument("--name", help="name of the hand (default: mine)")
+    add_argument("--fingers", type=int, metavar="N", help="digits on one side (default: 2)")
+    add_argument(
         "--opposed",
         type=int,
         metavar="N",
         help="digits, such as a thumb, that close against the fingers (default: 1; "
         "the smallest hand that grasps: --fingers 1 --opposed 1)",
     )
-    add(
+    add_argument(
         "--links",
         type=_parse_lengths,
         dest="links_mm",
         metavar="MM,MM",
         help="length of each link (default: 40,30)",
     )
-    add(
+    add_argument(
         "--width",
         type=float,
         dest="width_mm",
@@ -147,29 +153,29 @@ def _declare_init(parser: argparse.ArgumentParser) -> None:
         help="width of the links (default: 12)",
     )
     text = "distance between the two sides (default: computed from the links)"
-    add("--palm", type=float, dest="palm_mm", metavar="MM", help=text)
-    add(
+    add_argument("--palm", type=float, dest="palm_mm", metavar="MM", help=text)
+    add_argument(
         "--tendons",
         choices=("one", "each"),
         help="one tendon per digit, or one for each joint (default: one)",
     )
     text = "moment arm at the joints (default: computed from the links)"
-    add("--pulley", type=float, dest="pulley_mm", metavar="MM", help=text)
-    add(
+    add_argument("--pulley", type=float, dest="pulley_mm", metavar="MM", help=text)
+    add_argument(
         "--spool",
         type=float,
         dest="spool_mm",
         metavar="MM",
         help="radius of the spools (default: 8)",
     )
-    add(
+    add_argument(
         "--tension",
         type=float,
         dest="tension_N",
         metavar="N",
         help="largest commanded tension (default: 80)",
     )
-    add(
+    add_argument(
         "--strength",
         type=float,
         dest="strength_N",
@@ -177,22 +183,24 @@ def _declare_init(parser: argparse.ArgumentParser) -> None:
         help="breaking force of the tendons (default: 600)",
     )
     text = "protocol of the drives (default: mit)"
-    add("--protocol", choices=tuple(PROTOCOL_TRAITS), help=text)
+    add_argument("--protocol", choices=tuple(PROTOCOL_TRAITS), help=text)
     add_motor_type_option(parser)
     import_default_text = "with --urdf or --mjcf 'TODO'"
-    add(
+    add_argument(
         "--cells",
         choices=("all", "none"),
         help=f"tendons that have a load cell (default: all, {import_default_text})",
     )
-    add(
+    add_argument(
         "--encoders",
         choices=("all", "none"),
         help=f"joints that have an encoder (default: none, {import_default_text})",
     )
     text = "joints that have a return spring; without springs, a further tendon opens each digit"
-    add("--springs", choices=("all", "none"), help=f"{text} (default: all, {import_default_text})")
-    add(
+    add_argument(
+        "--springs", choices=("all", "none"), help=f"{text} (default: all, {import_default_text})"
+    )
+    add_argument(
         "--first-node",
         type=int,
         metavar="N",
@@ -205,7 +213,7 @@ def _parse_lengths(text: str) -> tuple[float, ...]:
     return tuple(float(length_text) for length_text in text.split(","))
 
 
-def _declare_files(parser: argparse.ArgumentParser) -> None:
+def _add_file_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options that name the files of a hand."""
     parser.add_argument(
         "--task", type=Path, metavar="FILE", help="task file to check with the hand"
@@ -220,20 +228,20 @@ def bus(parser: VerbParser) -> None:
 
     The subcommand ``watch`` polls the drives, but never enables a drive.
     """
-    kinds = parser.add_subparsers(dest="what", required=True, metavar="plan|doctor|up|watch")
+    subparsers = parser.add_subparsers(dest="what", required=True, metavar="plan|doctor|up|watch")
     text = "compute the worst-case load of each bus of a hand, stuff bits included"
-    plan = add_sub_verb(kinds, "plan", text, EXAMPLES["bus plan"])
+    plan_parser = add_sub_verb(subparsers, "plan", text, COMMAND_EXAMPLES["bus plan"])
     text = "check buses from the interface to the drives, and name the command that repairs each finding"
-    doctor = add_sub_verb(kinds, "doctor", text, EXAMPLES["bus doctor"])
+    doctor_parser = add_sub_verb(subparsers, "doctor", text, COMMAND_EXAMPLES["bus doctor"])
     text = "print the commands that set up the interfaces of a hand, or run them (--yes, as root)"
-    up = add_sub_verb(kinds, "up", text, EXAMPLES["bus up"])
+    up_parser = add_sub_verb(subparsers, "up", text, COMMAND_EXAMPLES["bus up"])
     text = "show angle, velocity, temperature and tension of every drive and load cell live, without torque"
-    watch = add_sub_verb(kinds, "watch", text, EXAMPLES["bus watch"])
+    watch_parser = add_sub_verb(subparsers, "watch", text, COMMAND_EXAMPLES["bus watch"])
     defaults = (
-        (plan, "jamia"),
-        (doctor, "none"),
-        (up, "none"),
-        (watch, "jamia on a simulated bus"),
+        (plan_parser, "jamia"),
+        (doctor_parser, "none"),
+        (up_parser, "none"),
+        (watch_parser, "jamia on a simulated bus"),
     )
     for subcommand, default in defaults:
         bus_argument = subcommand.add_argument(
@@ -243,18 +251,20 @@ def bus(parser: VerbParser) -> None:
         add_bus_option(subcommand, required=False)
         add_json_option(subcommand)
     text = "control rate (default: the highest at which no bus is overloaded)"
-    plan.add_argument("--rate", type=float, metavar="HZ", help=text)
-    plan.add_argument("--table", action="store_true", help="compare the protocols, without a hand")
-    for subcommand in (doctor, up):
+    plan_parser.add_argument("--rate", type=float, metavar="HZ", help=text)
+    plan_parser.add_argument(
+        "--table", action="store_true", help="compare the protocols, without a hand"
+    )
+    for subcommand in (doctor_parser, up_parser):
         add_bitrate_options(
             subcommand,
             "without a hand: bit rate of the bus",
             "without a hand: bit rate of CAN FD's data phase",
         )
-    up.add_argument("--yes", action="store_true", help="run the commands now; needs root")
+    up_parser.add_argument("--yes", action="store_true", help="run the commands now; needs root")
     text = "end after this time (default: Ctrl-C)"
-    watch.add_argument("--for", dest="duration", type=float, metavar="S", help=text)
-    add_time_scale_option(watch)
+    watch_parser.add_argument("--for", dest="duration", type=float, metavar="S", help=text)
+    add_time_scale_option(watch_parser)
 
 
 def scan(parser: argparse.ArgumentParser) -> None:
@@ -273,24 +283,26 @@ def scan(parser: argparse.ArgumentParser) -> None:
 
 def conformance(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``conformance``."""
-    add = parser.add_argument
-    add("--protocol", required=True, choices=sorted(PROTOCOL_TRAITS), help="protocol of the drive")
-    add(
+    add_argument = parser.add_argument
+    add_argument(
+        "--protocol", required=True, choices=sorted(PROTOCOL_TRAITS), help="protocol of the drive"
+    )
+    add_argument(
         "--node",
         required=True,
         type=lambda word: int(word, 0),
         metavar="N",
         help="number of the drive on the bus",
     )
-    add(
+    add_argument(
         "--bus",
         required=True,
         metavar="SPEC",
         help="local:NAME, socketcan:can0 or any python-can interface:channel",
     )
-    add("--torque-limit-Nm", required=True, type=float, metavar="X", dest="limit",
+    add_argument("--torque-limit-Nm", required=True, type=float, metavar="X", dest="limit",
         help="largest commanded torque at the drive's shaft; it is also the limit that the drive gets")  # fmt: skip
-    add(
+    add_argument(
         "--yes",
         action="store_true",
         help="confirm that the shaft may turn: hands and cables are away from it",
@@ -299,7 +311,7 @@ def conformance(parser: argparse.ArgumentParser) -> None:
         "option of the drive, as in [motor.options] of a hand file; may be repeated; "
         f"required: motor_type=TYPE ({motor_types_text()})"
     )
-    add("--option", action="append", default=[], metavar="KEY=VALUE", help=text)
+    add_argument("--option", action="append", default=[], metavar="KEY=VALUE", help=text)
     add_bitrate_options(parser, "bit rate of the bus", "bit rate of CAN FD's data phase")
     add_json_option(parser)
     parser.add_argument(

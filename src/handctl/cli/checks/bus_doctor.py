@@ -7,11 +7,11 @@ from typing import Any
 from handctl.cli.checks.scan import undiscoverable_protocols_text
 from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import is_quiet, print_note
-from handctl.drives.discovery import TWO_DRIVES_WARNING, DiscoveredNode
+from handctl.drives.discovery import DUPLICATE_NODE_WARNING, DiscoveredNode
 from handctl.drives.protocol_registry import DISCOVERY_BY_PROTOCOL
 from handctl.errors import BusError, ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.file.sections import Bus as BusSection
+from handctl.hand.file.section_models import Bus as BusSection
 from handctl.hand.hand_loading import load_hand
 from handctl.runtime.buses.adapter import UsbAdapter, read_adapter
 from handctl.runtime.buses.bus_opening import open_bus
@@ -27,7 +27,7 @@ from handctl.runtime.diagnostics.link_findings import (
     missing_interface_finding,
 )
 from handctl.runtime.diagnostics.round_trip import RoundTrip, measure_round_trips
-from handctl.session.buses import named_buses
+from handctl.session.buses import parse_bus_arguments
 from handctl.session.exit_codes import ExitCode
 
 NO_USB_ADAPTER = UsbAdapter()
@@ -70,7 +70,8 @@ def _expected_buses(
         return tuple(zip(bus_specs(hand, args.bus), hand.bus, strict=True))
     rates = {"bitrate": args.bitrate, "data_bitrate": args.data_bitrate}
     return tuple(
-        (spec, BusSection(name=name, **rates)) for name, spec in named_buses(args.bus).items()
+        (spec, BusSection(name=name, **rates))
+        for name, spec in parse_bus_arguments(args.bus).items()
     )
 
 
@@ -84,7 +85,7 @@ def _examine_bus(spec: str, expected: BusSection, hand: Hand | None) -> dict[str
     rows = _check_interface(channel, expected) if kind == "socketcan" else []
     round_trips: list[tuple[DiscoveredNode, RoundTrip]] = []
     if not any(finding.is_bus_unusable for finding in rows):
-        node_findings, round_trips = _check_nodes(spec, expected, hand)
+        node_findings, round_trips = _check_node_round_trips(spec, expected, hand)
         rows += node_findings
     return {
         "bus": spec,
@@ -120,7 +121,7 @@ def _check_interface(channel: str, expected: BusSection) -> list[LinkFinding]:
     return rows + adapter_findings(channel, adapter, link.kind, other_channels)
 
 
-def _check_nodes(
+def _check_node_round_trips(
     spec: str, expected: BusSection, hand: Hand | None
 ) -> tuple[list[LinkFinding], list[tuple[DiscoveredNode, RoundTrip]]]:
     """Open a bus, scan for nodes, and measure the time from a request to its reply for each node.
@@ -142,7 +143,9 @@ def _check_nodes(
         *map(_answers_text, round_trips),
     ]
     rows += [
-        LinkFinding(f"{node.protocol} {node.node_id}: two drives answer", False, TWO_DRIVES_WARNING)
+        LinkFinding(
+            f"{node.protocol} {node.node_id}: two drives answer", False, DUPLICATE_NODE_WARNING
+        )
         for node in _duplicate_nodes(result, round_trips)
     ]
     if result.foreign_frames:
@@ -185,8 +188,8 @@ def _event_findings(result: BusScan) -> list[LinkFinding]:
     ]
 
 
-def _answers_text(node_and_trip: tuple[DiscoveredNode, RoundTrip]) -> LinkFinding:
-    node, trip = node_and_trip
+def _answers_text(node_and_round_trip: tuple[DiscoveredNode, RoundTrip]) -> LinkFinding:
+    node, trip = node_and_round_trip
     name = f"{node.protocol} {node.node_id}"
     if not trip.answers:
         return LinkFinding(
@@ -233,7 +236,7 @@ def _trip_fields(trip: RoundTrip) -> dict[str, Any]:
         "shortest": trip.shortest_s,
         "median": trip.median_s,
         "longest": trip.longest_s,
-        "twice": trip.double_answer_count,
+        "twice": trip.duplicate_answer_count,
     }
 
 

@@ -14,9 +14,9 @@ from handctl.drives.frame_time import MAX_BUS_LOAD
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
-from handctl.report.load_table import BUS_LOAD_ROWS, TABLE_RATES_HZ
+from handctl.report.bus_load_table import BUS_LOAD_RATES_HZ, BUS_LOAD_ROWS
 from handctl.session.exit_codes import ExitCode
-from handctl.session.run_plan import bus_specs, highest_rate_of_buses
+from handctl.session.run_plan import bus_specs, highest_control_rate
 
 
 def run(args: argparse.Namespace) -> int:
@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
         return ExitCode.DONE
     hand = load_hand("jamia" if args.hand is None else args.hand)
     loads = bus_loads(hand)
-    rate = highest_rate_of_buses(loads) if args.rate is None else args.rate
+    rate = highest_control_rate(loads) if args.rate is None else args.rate
     if not 1 <= rate <= 10_000:
         raise ConfigError(f"{rate:g}", "--rate", "1 to 10000 Hz")
     wrong_bit_rates = bit_rate_errors(hand, bus_specs(hand, args.bus)) if args.bus else []
@@ -53,7 +53,7 @@ def bus_plan_report(hand: Hand, loads: tuple[BusLoad, ...], rate_hz: float) -> d
         loads: worst-case load of each bus, in the order of the hand file.
         rate_hz: control rate [Hz].
     """
-    is_within_load = all(load.load_at(rate_hz) <= MAX_BUS_LOAD for load in loads)
+    is_within_load = all(load.load_at_rate(rate_hz) <= MAX_BUS_LOAD for load in loads)
     buses = [_bus_fields(load, rate_hz) for load in loads]
     return {"hand": hand.name, "rate_hz": rate_hz, "most": MAX_BUS_LOAD, "fits": is_within_load, "buses": buses,
             "split": [] if is_within_load else split_motors_over_buses(hand, rate_hz)}  # fmt: skip
@@ -79,16 +79,16 @@ def _bus_fields(load: BusLoad, rate_hz: float) -> dict[str, Any]:
     return {
         "name": load.name,
         "motors": load.motors,
-        "tick_us": load.tick_s * 1e6,
+        "tick_us": load.frame_time_per_tick_s * 1e6,
         "by_time": load.periodic_load_fraction,
-        "load": load.load_at(rate_hz),
+        "load": load.load_at_rate(rate_hz),
         "max_hz": max_rate if math.isfinite(max_rate) else None,
         "frames": [_row_fields(row) for row in load.rows],
     }
 
 
 def _row_fields(row: BusLoadRow) -> dict[str, Any]:
-    return {"what": row.what, "bytes": row.size, "fd": row.fd, "per_tick": row.frames_per_tick,
+    return {"what": row.sender, "bytes": row.size, "fd": row.fd, "per_tick": row.frames_per_tick,
             "per_second": row.frames_per_second, "frame_us": row.frame_s * 1e6}  # fmt: skip
 
 
@@ -113,10 +113,10 @@ def _print_loads(bus_plan: dict[str, Any], with_details: bool) -> None:
     for line in bus_plan["wrong_bit_rates"]:
         print(line)
     if not bus_plan["fits"]:
-        _print_split(bus_plan["split"])
+        _print_bus_split(bus_plan["split"])
 
 
-def _print_split(buses: list[list[str]]) -> None:
+def _print_bus_split(buses: list[list[str]]) -> None:
     if not buses:
         print("does not fit, even with one motor per bus")
         return
@@ -126,7 +126,7 @@ def _print_split(buses: list[list[str]]) -> None:
 
 
 def _print_table() -> None:
-    rates = " / ".join(f"{rate:g}" for rate in TABLE_RATES_HZ)
+    rates = " / ".join(f"{rate:g}" for rate in BUS_LOAD_RATES_HZ)
     print(
         "worst case with stuff bits, frames of the tensions included, SYNC only where the protocol needs it"
     )
@@ -134,7 +134,9 @@ def _print_table() -> None:
         f"{'protocol':<34}{'bus':<11}motors  us a tick   % at {rates} Hz   Hz at {MAX_BUS_LOAD:.0%}"
     )
     for row in BUS_LOAD_ROWS:
-        loads = " / ".join(f"{100 * rate * row.tick_s:.0f}" for rate in TABLE_RATES_HZ)
+        loads = " / ".join(
+            f"{100 * rate * row.frame_time_per_tick_s:.0f}" for rate in BUS_LOAD_RATES_HZ
+        )
         kind = "FD 1/5" if row.fd else "classical"
-        print(f"{row.protocol:<34}{kind:<11}{row.motors:>6}{row.tick_s * 1e6:>11.0f}   {loads:<22}"
-              f"{MAX_BUS_LOAD / row.tick_s:>6.0f}")  # fmt: skip
+        print(f"{row.protocol:<34}{kind:<11}{row.motors:>6}{row.frame_time_per_tick_s * 1e6:>11.0f}   {loads:<22}"
+              f"{MAX_BUS_LOAD / row.frame_time_per_tick_s:>6.0f}")  # fmt: skip

@@ -7,14 +7,14 @@ import subprocess
 
 from handctl.cli.console.options import print_json
 from handctl.errors import BusError, ConfigError
-from handctl.hand.file.sections import Bus as BusSection
+from handctl.hand.file.section_models import Bus as BusSection
 from handctl.hand.hand_loading import load_hand
 from handctl.runtime.buses.interface_setup import (
     CommandWords,
     interface_names,
     interface_setup_commands,
 )
-from handctl.session.buses import named_buses
+from handctl.session.buses import parse_bus_arguments
 from handctl.session.exit_codes import ExitCode
 
 COMMAND_TIMEOUT_S = 10.0
@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
         command for spec, section in _bus_rates(args) for command in _commands_of_bus(spec, section)
     ]
     if args.yes:
-        _check_root(commands)
+        _check_root_user(commands)
         for command in commands:
             _run_command(command)
     lines = [("" if args.yes else "sudo ") + shlex.join(command) for command in commands]
@@ -51,7 +51,7 @@ def _bus_rates(args: argparse.Namespace) -> tuple[tuple[str, BusSection], ...]:
         hand = load_hand(args.hand)
         return tuple(zip(bus_specs(hand, args.bus), hand.bus, strict=True))
     rates = {"bitrate": args.bitrate, "data_bitrate": args.data_bitrate}
-    bus_specs_by_name = named_buses(args.bus)
+    bus_specs_by_name = parse_bus_arguments(args.bus)
     return tuple((spec, BusSection(name=name, **rates)) for name, spec in bus_specs_by_name.items())
 
 
@@ -76,7 +76,7 @@ def _commands_of_bus(spec: str, section: BusSection) -> tuple[CommandWords, ...]
     return interface_setup_commands(channel, section.bitrate, section.data_bitrate, exists)
 
 
-def _check_root(commands: list[CommandWords]) -> None:
+def _check_root_user(commands: list[CommandWords]) -> None:
     """Raise an error if --yes is given but the user may not set up an interface.
 
     Raises:

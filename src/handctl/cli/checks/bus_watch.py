@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from typing import Any
 
 from handctl.cli.console.options import print_json_line
-from handctl.cli.console.screen import rich_console
+from handctl.cli.console.rich_console import rich_console
 from handctl.cli.console.verbosity import print_note
 from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.drives.contract import Drive, DriveState
@@ -21,7 +21,7 @@ from handctl.runtime.clocks.real_clock import RealClock
 from handctl.runtime.diagnostics.bus_watch import STALE_AFTER_S, BusWatch, is_saturated
 from handctl.runtime.mailbox import bus_lock, is_running
 from handctl.session.buses import refuse_default_hand
-from handctl.session.defaults import DEFAULT_HAND
+from handctl.session.default_hand import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
 from handctl.session.run_plan import bus_specs, chosen_time_scale, default_control_rate
 from handctl.signal_handlers import TerminationFlag, installed_handler
@@ -33,9 +33,9 @@ A high bus load may lower the rate further.
 """
 REFRESH_PERIOD_S = 0.1
 """Time between two lines of JSON, or between two tables in a terminal [s]."""
-LINE_PERIOD_S = 1.0
+TABLE_PRINT_PERIOD_S = 1.0
 """Time between two tables that go to a pipe or file [s]."""
-MAX_WATCH_S = 86400.0
+MAX_WATCH_DURATION_S = 86400.0
 
 
 def run(args: argparse.Namespace) -> int:
@@ -57,7 +57,9 @@ def run(args: argparse.Namespace) -> int:
             stack.enter_context(bus_lock(spec))
         opened_buses = []
         for index, (spec, section) in enumerate(zip(specs, hand.bus, strict=True)):
-            bus = open_bus(spec, index, section.bitrate, section.data_bitrate, clock.run_time_of)
+            bus = open_bus(
+                spec, index, section.bitrate, section.data_bitrate, clock.convert_to_run_time
+            )
             stack.callback(bus.close)
             opened_buses.append(bus)
         watch = BusWatch(drives, make_sensors(hand), opened_buses, clock, clock.period_ns)
@@ -85,8 +87,10 @@ def _checked_arguments(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand,
     """
     if not args.bus:
         raise ConfigError("missing", "--bus", "the bus of the hand, such as --bus socketcan:can0")
-    if args.duration is not None and not 0.0 < args.duration <= MAX_WATCH_S:
-        raise ConfigError(f"{args.duration:g}", "--for", f"more than 0, at most {MAX_WATCH_S:g}")
+    if args.duration is not None and not 0.0 < args.duration <= MAX_WATCH_DURATION_S:
+        raise ConfigError(
+            f"{args.duration:g}", "--for", f"more than 0, at most {MAX_WATCH_DURATION_S:g}"
+        )
     if args.hand is None:
         refuse_default_hand([text.rpartition("=")[2] for text in args.bus], "--hand")
     hand = load_hand(args.hand or DEFAULT_HAND)
@@ -104,7 +108,7 @@ def _show_readings(
     start_time_s = time.monotonic()
     end = start_time_s + (math.inf if args.duration is None else args.duration)
     redraws_in_place = sys.stdout.isatty() and not args.json
-    print_period_s = REFRESH_PERIOD_S if args.json or redraws_in_place else LINE_PERIOD_S
+    print_period_s = REFRESH_PERIOD_S if args.json or redraws_in_place else TABLE_PRINT_PERIOD_S
     next_print_time = start_time_s + print_period_s
     with ExitStack() as stack:
         live_display = None
@@ -117,7 +121,7 @@ def _show_readings(
             if now < next_print_time:
                 continue
             next_print_time = max(next_print_time + print_period_s, now)
-            readings = readings_of(hand, watch)
+            readings = bus_readings(hand, watch)
             if live_display is not None:
                 live_display.update(_readings_table(readings), refresh=True)
             elif args.json:
@@ -127,7 +131,7 @@ def _show_readings(
                 sys.stdout.flush()
 
 
-def readings_of(hand: Hand, watch: BusWatch) -> dict[str, Any]:
+def bus_readings(hand: Hand, watch: BusWatch) -> dict[str, Any]:
     """Return the present readings of all drives and load cells of a hand.
 
     A reading that is older than ``STALE_AFTER_S`` becomes NaN.
@@ -172,7 +176,7 @@ def _drive_fields(
 
     Values are positive for a motion that winds up the tendon.
     """
-    motor = hand.motor_of(tendon)
+    motor = hand.motor_of_tendon(tendon)
     values = (state.position, state.velocity, state.torque, state.temperature)
     shown_values = values if age_s <= STALE_AFTER_S else (math.nan,) * len(values)
     names = ("angle_rad", "velocity_rad_s", "torque_N_m", "temperature_degC")

@@ -8,7 +8,7 @@ from typing import Any
 
 from handctl.cli.checks.rate_margin import force_warnings, rate_warnings
 from handctl.cli.console.options import print_escaped, print_json
-from handctl.cli.console.plan import find_calibration, layered_gains
+from handctl.cli.console.plan import find_calibration, gains_with_sources
 from handctl.cli.console.verbosity import is_verbose
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.run_setup import (
@@ -19,7 +19,7 @@ from handctl.controller.run_setup import (
 )
 from handctl.core.gains.gain_bounds import values_by_key
 from handctl.core.identified_parameters import PARAMETER_UNITS
-from handctl.drives.dbc_export import dbc_of_bus
+from handctl.drives.dbc_export import export_bus_dbc
 from handctl.drives.protocol_registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
@@ -30,24 +30,24 @@ from handctl.hand.file.error_text import (
     with_paths_in_hand_file,
 )
 from handctl.hand.file.json_schema import hand_schema_text
-from handctl.hand.file.templates import RESOLVED_SCHEMA
+from handctl.hand.file.templates import SCHEMA_WITHOUT_TEMPLATES
 from handctl.hand.formats.link_meshes import exported_meshes, mesh_mistakes
 from handctl.hand.formats.mjcf import mjcf_text
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.hand_loading import (
     hand_from_content,
     hand_path,
-    inspect_content,
+    inspect_hand_content,
     load_hand,
     packaged_hands,
     parse_toml,
     read_toml,
 )
-from handctl.hand.readiness import arm_table_fit_lines
+from handctl.hand.readiness_checks import moment_arm_fit_lines
 from handctl.hand.tendon_strength import strength_warnings
 from handctl.output_files import (
     FIGURE_SUFFIXES,
-    check_output,
+    check_output_path,
     path_with_suffix,
     write_text_atomically,
 )
@@ -56,20 +56,20 @@ from handctl.programs.default_task import grasp_warnings
 from handctl.programs.task import load_task
 from handctl.safety.missing_sensors import sensing_warnings
 from handctl.session.exit_codes import ExitCode
-from handctl.session.gains import LayeredGains
+from handctl.session.gains import GainsWithSources
 from handctl.session.run_plan import (
     check_gain_margins,
     control_rate,
-    highest_rate_of_buses,
+    highest_control_rate,
     protocol_hint_lines,
 )
-from handctl.session.tasks import PACKAGED_TASKS_FOLDER, load_task_for_hand, task_path
+from handctl.session.task_loading import PACKAGED_TASKS_FOLDER, load_task_for_hand, task_path
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the selected subcommand of ``config``, and return the exit code."""
     if args.what == "list":
-        return _list_packaged(args.json)
+        return _print_packaged_files(args.json)
     if args.what == "init":
         from handctl.cli.checks.config_init import run as init
 
@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
 def _all_errors(args: argparse.Namespace) -> list[str]:
     """Return one line for each error in a hand file and in the other files of the hand."""
     path = hand_path(args.hand)
-    hand, mistakes, origins = inspect_content(read_toml(path))
+    hand, mistakes, origins = inspect_hand_content(read_toml(path))
     if hand is not None:
         mistakes += group_mistakes(
             with_paths_in_hand_file(mesh_mistakes(hand, path.parent), origins)
@@ -140,14 +140,14 @@ def _file_checks(args: argparse.Namespace, hand: Hand) -> list[Callable[[], obje
     def check_design() -> None:
         """Check that a valid controller can be designed with the gains at the control rate."""
         check_gain_margins(
-            hand, layered_gains(args, hand).gains, control_rate(None, hand, bus_loads(hand))
+            hand, gains_with_sources(args, hand).gains, control_rate(None, hand, bus_loads(hand))
         )
 
     def check_scene() -> None:
         """Check that the hand can be simulated in the scene, if the user has named a scene."""
         if args.scene:
             # Only this check needs the module of the simulated hand, so the import is here.
-            from handctl.session.simulate import SimulatorSettings
+            from handctl.session.lockstep_simulation import SimulatorSettings
 
             SimulatorSettings(hand, args.scene).check_hand_constructible()
 
@@ -155,7 +155,7 @@ def _file_checks(args: argparse.Namespace, hand: Hand) -> list[Callable[[], obje
     return [
         *drives,
         lambda: make_drives(hand),
-        lambda: layered_gains(args, hand),
+        lambda: gains_with_sources(args, hand),
         check_design,
         check_task,
         check_calibration,
@@ -185,7 +185,7 @@ def _show_graph(args: argparse.Namespace, hand: Hand) -> int:
         raise ConfigError(
             str(args.output), "--output", "a file ending in " + ", ".join(sorted(FIGURE_SUFFIXES))
         )
-    check_output(args.output, "--output", Path(args.hand))
+    check_output_path(args.output, "--output", Path(args.hand))
     draw_hand(args.output, hand)
     if args.json:
         print_json({"output": str(args.output)})
@@ -198,15 +198,15 @@ def _show_graph(args: argparse.Namespace, hand: Hand) -> int:
 
 def _show_or_check_hand(args: argparse.Namespace, hand: Hand) -> int:
     """Show a hand with its derived values and files, or check the hand."""
-    layers = layered_gains(args, hand)
+    layers = gains_with_sources(args, hand)
     if args.task:
         load_task_for_hand(args.task, hand)
     if args.calibration and not args.calibration.exists():
         raise ConfigError("no such file", str(args.calibration), "a calibration to check")
     calibration = _calibration_fields(args, hand)
     loads = bus_loads(hand)
-    rate = highest_rate_of_buses(loads)
-    load = {bus_load.name: bus_load.load_at(rate) for bus_load in loads}
+    rate = highest_control_rate(loads)
+    load = {bus_load.name: bus_load.load_at_rate(rate) for bus_load in loads}
     source = str(hand_path(args.hand).name)
     warnings = _hand_warnings(hand)
     if args.what == "check":
@@ -221,7 +221,7 @@ def _show_or_check_hand(args: argparse.Namespace, hand: Hand) -> int:
                 "bus_load": load,
                 "caveats": list(unverified_protections(make_drives(hand))),
                 "warnings": warnings,
-                "moment_arm_tables": list(arm_table_fit_lines(hand)),
+                "moment_arm_tables": list(moment_arm_fit_lines(hand)),
                 "hand": hand.content,
                 "gains": layers.gains.model_dump(by_alias=True),
                 "gains_file": str(layers.file) if layers.file else "packaged",
@@ -241,7 +241,7 @@ def _show_or_check_hand(args: argparse.Namespace, hand: Hand) -> int:
         print(f"# hint: {text}")
     for text in warnings:
         print(f"# warning: {text}")
-    for text in arm_table_fit_lines(hand):
+    for text in moment_arm_fit_lines(hand):
         print(f"# {text}")
     bus_loads_text = ", ".join(
         f"bus {name} {100 * fraction:.0f} %" for name, fraction in load.items()
@@ -262,7 +262,7 @@ def _hand_warnings(hand: Hand) -> list[str]:
     ]
 
 
-def _gains_with_sources(layers: LayeredGains) -> list[str]:
+def _gains_with_sources(layers: GainsWithSources) -> list[str]:
     """Return TOML comments with the value and the origin of every gain.
 
     A hand file contains no gains, because they belong in a separate file.
@@ -344,7 +344,9 @@ def _export_buses(args: argparse.Namespace, hand: Hand) -> int:
     for bus, name in enumerate(buses):
         path = output if len(buses) == 1 else path_with_suffix(output, f".{name}{output.suffix}")
         write_text_atomically(
-            path, dbc_of_bus(bus, drives, sensors, hand.tendon_names, hand.joints), must_be_new=True
+            path,
+            export_bus_dbc(bus, drives, sensors, hand.tendon_names, hand.joints),
+            must_be_new=True,
         )
         written_paths.append({"bus": name, "output": str(path)})
     if args.json:
@@ -377,9 +379,11 @@ def _convert_file(args: argparse.Namespace) -> int:
 
     hand = load_hand(args.old)
     text = hand_path(args.old).read_text("utf-8")
-    if parse_toml(text, str(args.old))["schema"] != RESOLVED_SCHEMA:
+    if parse_toml(text, str(args.old))["schema"] != SCHEMA_WITHOUT_TEMPLATES:
         raise ConfigError(
-            "schema 2 already", f"{args.old}: schema", f"a file of schema {RESOLVED_SCHEMA}"
+            "schema 2 already",
+            f"{args.old}: schema",
+            f"a file of schema {SCHEMA_WITHOUT_TEMPLATES}",
         )
     new_text = convert_to_schema_2(text, str(args.old))
     repeated_hand = hand_from_content(parse_toml(new_text, str(args.output)), str(args.output))
@@ -400,7 +404,7 @@ def _convert_file(args: argparse.Namespace) -> int:
     return 0
 
 
-def _list_packaged(as_json: bool) -> int:
+def _print_packaged_files(as_json: bool) -> int:
     """Print the packaged hands and tasks."""
     tasks = sorted(path.name for path in PACKAGED_TASKS_FOLDER.glob("*.toml"))
     if as_json:

@@ -12,13 +12,13 @@ import numpy as np
 from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.questions import (
     DRIVE_AND_SENSOR_QUESTIONS,
-    SPRING_FIELD,
+    SPRING_ANSWER_FIELD,
     TENDON_QUESTIONS,
     HandQuestion,
     ask_motor_type,
     ask_question,
     check_terminal,
-    write_with_schema,
+    write_new_hand_file,
 )
 from handctl.drives.motor_description import (
     PROTOCOL_TRAITS,
@@ -27,18 +27,18 @@ from handctl.drives.motor_description import (
 )
 from handctl.errors import ConfigError
 from handctl.hand.file.error_text import FileMistake
-from handctl.hand.file.imported_file import (
+from handctl.hand.file.imported_hand_file import (
     IMPORT_ANSWER_NAMES,
-    DescribedHand,
     ImportAnswers,
+    ImportedHand,
     imported_hand_text,
     usable_tendons,
 )
-from handctl.hand.file.new_file import check_name, check_springs, options_line
-from handctl.hand.file.quantities import NAME_PATTERN, UNMEASURED_PLACEHOLDER
+from handctl.hand.file.new_hand_file import check_name, check_springs, options_line
+from handctl.hand.file.quantity_types import NAME_PATTERN, UNMEASURED_PLACEHOLDER
 from handctl.hand.formats.link_meshes import read_triangles, relative_path
-from handctl.hand.formats.model_tree import ModelLink, ModelMesh, digits_of_links
-from handctl.hand.hand_loading import inspect_content, parse_toml
+from handctl.hand.formats.model_tree import ModelLink, ModelMesh, digits_from_links
+from handctl.hand.hand_loading import inspect_hand_content, parse_toml
 from handctl.session.model_file import read_model_file
 
 OPTIONS_WITHOUT_DESCRIPTION = ("fingers", "opposed", "links_mm", "width_mm", "palm_mm")
@@ -63,38 +63,38 @@ def run(args: argparse.Namespace) -> int:
         if getattr(args, option) is not None:
             name = option.removesuffix("_mm")
             raise ConfigError(f"given, and so is --{kind}", f"--{name}", "one of them")
-    described_hand, notes = read_hand_description(args.urdf or args.mjcf, kind, args.output.parent)
-    tendons, unread = usable_tendons(described_hand)
-    tendon_answers = ImportAnswers(**{name: getattr(args, name) for name in IMPORT_ANSWER_NAMES})
+    imported_hand, notes = read_hand_description(args.urdf or args.mjcf, kind, args.output.parent)
+    tendons, unread = usable_tendons(imported_hand)
+    import_answers = ImportAnswers(**{name: getattr(args, name) for name in IMPORT_ANSWER_NAMES})
     if not args.yes:
-        tendon_answers = _ask_questions(
-            tendon_answers, {"tendons", "pulley_mm"} if tendons else set()
+        import_answers = _ask_questions(
+            import_answers, {"tendons", "pulley_mm"} if tendons else set()
         )
-    _check_answers(tendon_answers)
+    _check_tendon_answers(import_answers)
     if not tendons:
-        check_springs(tendon_answers.tendons, tendon_answers.springs)
-    check_protocol_given(tendon_answers.protocol, tendon_answers.motor_type)
-    protocol_traits = PROTOCOL_TRAITS[tendon_answers.protocol] if tendon_answers.protocol else None
+        check_springs(import_answers.tendons, import_answers.springs)
+    check_protocol_given(import_answers.protocol, import_answers.motor_type)
+    protocol_traits = PROTOCOL_TRAITS[import_answers.protocol] if import_answers.protocol else None
     options = ""
-    if tendon_answers.protocol:
-        drive_options = options_with_motor_type(tendon_answers.protocol, tendon_answers.motor_type)
+    if import_answers.protocol:
+        drive_options = options_with_motor_type(import_answers.protocol, import_answers.motor_type)
         options = options_line(
-            tendon_answers.protocol, drive_options, tendon_answers.cells != "none"
+            import_answers.protocol, drive_options, import_answers.cells != "none"
         )
     text = imported_hand_text(
-        described_hand,
-        tendon_answers,
+        imported_hand,
+        import_answers,
         options,
         protocol_traits is not None and protocol_traits.can_fd,
     )
-    mistakes = inspect_content(parse_toml(text, str(args.output))).mistakes
+    mistakes = inspect_hand_content(parse_toml(text, str(args.output))).mistakes
     missing_values = [mistake for mistake in mistakes if UNMEASURED_PLACEHOLDER in mistake.what]
-    schema = write_with_schema(args.output, text)
+    schema = write_new_hand_file(args.output, text)
     warnings = [*notes, *unread, *_unexpected_mistakes(mistakes, missing_values, args.output)]
-    joints = sum(len(digit.joints) for digit in described_hand.digits)
+    joints = sum(len(digit.joints) for digit in imported_hand.digits)
     if args.json:
         importable_values = {
-            "digits": len(described_hand.digits),
+            "digits": len(imported_hand.digits),
             "joints": joints,
             "missing": [missing_value.where for missing_value in missing_values],
         }
@@ -108,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
         )
         return 0
     print_escaped(
-        f"{args.output}: {len(described_hand.digits)} digits, {joints} joints; "
+        f"{args.output}: {len(imported_hand.digits)} digits, {joints} joints; "
         f"{len(missing_values)} values are still {UNMEASURED_PLACEHOLDER}"
     )
     for warning in warnings:
@@ -119,7 +119,7 @@ def run(args: argparse.Namespace) -> int:
 
 def read_hand_description(
     path: Path, kind: str, output_path: Path
-) -> tuple[DescribedHand, list[str]]:
+) -> tuple[ImportedHand, list[str]]:
     """Read a robot description, and return the hand that this description contains.
 
     Args:
@@ -143,11 +143,11 @@ def read_hand_description(
         )
         for link in model["links"]
     ]
-    digits, palm, origin = digits_of_links(links, str(path))
+    digits, palm, origin = digits_from_links(links, str(path))
     palm_mesh = _mesh_of_link("the palm", model["palm_meshes"], output_path, notes)
     gravity = model["gravity"]
     name = re.sub(r"\W+", "_", model["name"])
-    described_hand = DescribedHand(
+    imported_hand = ImportedHand(
         source=path.name,
         name=name if NAME_PATTERN.fullmatch(name) and name != UNMEASURED_PLACEHOLDER else "mine",
         gravity=None if gravity is None else (palm.T @ np.array(gravity)).tolist(),
@@ -156,7 +156,7 @@ def read_hand_description(
         tendons=model["tendons"],
         palm_mesh=palm_mesh and palm_mesh.seen_from_frame(palm, origin),
     )
-    return described_hand, notes
+    return imported_hand, notes
 
 
 def _mesh_of_link(
@@ -184,27 +184,27 @@ def _mesh_of_link(
     return replace(chosen_mesh, file=relative_path(Path(chosen_mesh.file), output_path))
 
 
-def _ask_questions(tendon_answers: ImportAnswers, known_keys: set[str]) -> ImportAnswers:
+def _ask_questions(import_answers: ImportAnswers, known_keys: set[str]) -> ImportAnswers:
     """Ask the questions that neither the options nor the description answer."""
     check_terminal()
     for question in IMPORT_QUESTIONS:
-        if question.answer_field == SPRING_FIELD and tendon_answers.tendons == "one":
+        if question.answer_field == SPRING_ANSWER_FIELD and import_answers.tendons == "one":
             continue  # if only one tendon closes a digit, springs must open it
         if (
-            getattr(tendon_answers, question.answer_field) is None
+            getattr(import_answers, question.answer_field) is None
             and question.answer_field not in known_keys
         ):
-            tendon_answers = replace(
-                tendon_answers,
+            import_answers = replace(
+                import_answers,
                 **{question.answer_field: ask_question(question, UNMEASURED_PLACEHOLDER, None)},
             )
     return replace(
-        tendon_answers,
-        motor_type=ask_motor_type(tendon_answers.protocol, tendon_answers.motor_type),
+        import_answers,
+        motor_type=ask_motor_type(import_answers.protocol, import_answers.motor_type),
     )
 
 
-def _check_answers(tendon_answers: ImportAnswers) -> None:
+def _check_tendon_answers(import_answers: ImportAnswers) -> None:
     """Raise an error if a hand file cannot be written with these answers.
 
     All other mistakes are found when the new hand file is checked.
@@ -212,11 +212,11 @@ def _check_answers(tendon_answers: ImportAnswers) -> None:
     Raises:
         ConfigError: a name or a node number is wrong.
     """
-    if tendon_answers.name is not None:
-        check_name(tendon_answers.name)
-    if tendon_answers.first_node is not None and tendon_answers.first_node not in NODE_NUMBERS:
+    if import_answers.name is not None:
+        check_name(import_answers.name)
+    if import_answers.first_node is not None and import_answers.first_node not in NODE_NUMBERS:
         raise ConfigError(
-            f"{tendon_answers.first_node}",
+            f"{import_answers.first_node}",
             "--first-node",
             f"{NODE_NUMBERS[0]} to {NODE_NUMBERS[-1]}",
         )

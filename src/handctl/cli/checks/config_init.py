@@ -7,24 +7,24 @@ from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.questions import (
     DRIVE_AND_SENSOR_QUESTIONS,
     SCHEMA_FILE,
-    SPRING_FIELD,
+    SPRING_ANSWER_FIELD,
     TENDON_QUESTIONS,
     HandQuestion,
     ask_motor_type,
     ask_question,
     check_terminal,
-    write_with_schema,
+    write_new_hand_file,
 )
 from handctl.drives.motor_description import PROTOCOL_TRAITS, options_with_motor_type
 from handctl.errors import ConfigError
-from handctl.hand.file.new_file import (
+from handctl.hand.file.new_hand_file import (
     NewHandAnswers,
-    check_answers,
+    check_new_hand_answers,
     new_hand_text,
     opposition_warnings,
     palm_warnings,
 )
-from handctl.hand.hand_loading import inspect_content, parse_toml
+from handctl.hand.hand_loading import inspect_hand_content, parse_toml
 from handctl.programs.default_task import grasp_warnings
 
 
@@ -56,7 +56,7 @@ If an option already answers a question, the question is skipped.
 """
 OPTIONS_WITH_DESCRIPTION = ("first_node",)
 """Options that are valid only for a hand imported from a robot description."""
-SCALED_DEFAULT_BY_KEY = {"palm_mm": "palm", "pulley_mm": "pulley"}
+SCALED_DEFAULT_BY_KEY = {"palm_mm": "palm", "pulley_mm": "joint_moment_arm_mm"}
 """Attribute of the answers that computes the default of each of these fields.
 
 The default is proportional to other answers.
@@ -83,19 +83,19 @@ def run(args: argparse.Namespace) -> int:
     )
     if not args.yes:
         hand_answers = _ask_questions(args, hand_answers)
-    check_answers(hand_answers)
+    check_new_hand_answers(hand_answers)
     options = options_with_motor_type(hand_answers.protocol, hand_answers.motor_type)
     can_fd = PROTOCOL_TRAITS[hand_answers.protocol].can_fd
     text = f"#:schema {SCHEMA_FILE}\n" + new_hand_text(hand_answers, options, can_fd)
-    inspected = inspect_content(parse_toml(text, str(args.output)))
-    if inspected.mistakes or inspected.hand is None:
-        raise inspected.mistakes[0].error("the answers")
+    inspected_hand = inspect_hand_content(parse_toml(text, str(args.output)))
+    if inspected_hand.mistakes or inspected_hand.hand is None:
+        raise inspected_hand.mistakes[0].error("the answers")
     warnings = [
         *opposition_warnings(hand_answers),
         *palm_warnings(hand_answers),
-        *grasp_warnings(inspected.hand),
+        *grasp_warnings(inspected_hand.hand),
     ]
-    schema = write_with_schema(args.output, text)
+    schema = write_new_hand_file(args.output, text)
     assumed_count = sum("ASSUMED" in line for line in text.splitlines()) - 1
     if args.json:
         print_json(
@@ -128,7 +128,7 @@ def _ask_questions(args: argparse.Namespace, hand_answers: NewHandAnswers) -> Ne
     for question in HAND_QUESTIONS:
         if getattr(args, question.answer_field) is not None:
             continue
-        if question.answer_field == SPRING_FIELD and hand_answers.tendons == "one":
+        if question.answer_field == SPRING_ANSWER_FIELD and hand_answers.tendons == "one":
             continue  # if only one tendon closes a digit, springs must open it
         default = getattr(
             hand_answers, SCALED_DEFAULT_BY_KEY.get(question.answer_field, question.answer_field)

@@ -23,7 +23,7 @@ from handctl.cli.console.options import print_json
 from handctl.drives.contract import Drive
 from handctl.drives.discovery import DiscoveredNode
 from handctl.errors import ConfigError, PowerError
-from handctl.hand.file.quantities import MAX_TORQUE_N_M, MIN_TORQUE_LIMIT_N_M
+from handctl.hand.file.quantity_types import MAX_TORQUE_N_M, MIN_TORQUE_LIMIT_N_M
 from handctl.runtime.buses.bus_opening import check_bus_spec
 from handctl.runtime.diagnostics.conformance import (
     CHECKED_REQUIREMENTS,
@@ -36,7 +36,7 @@ from handctl.runtime.diagnostics.conformance import (
 from handctl.runtime.mailbox import bus_lock
 from handctl.session.exit_codes import ExitCode
 
-VERDICT_WORDS = {
+TEXT_BY_VERDICT = {
     CheckVerdict.PASSED: "passed     ",
     CheckVerdict.FAILED: "FAILED     ",
     CheckVerdict.NOT_CHECKED: "not checked",
@@ -108,7 +108,8 @@ def _run_checks(
                 results.append(check)
                 if not args.json:
                     print(
-                        f"{VERDICT_WORDS[check.verdict]}  {check.name}: {check.reason}", flush=True
+                        f"{TEXT_BY_VERDICT[check.verdict]}  {check.name}: {check.reason}",
+                        flush=True,
                     )
         finally:
             if len(results) < len(CHECKED_REQUIREMENTS):

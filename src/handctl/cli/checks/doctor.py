@@ -13,7 +13,7 @@ from pathlib import Path
 from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import is_quiet, is_verbose, print_detail
 from handctl.errors import BusError
-from handctl.extras import extras_installed
+from handctl.extras import installed_by_extra
 from handctl.runtime.clocks.realtime_priority import (
     GrantedPriority,
     realtime_priority,
@@ -41,13 +41,13 @@ def run(args: argparse.Namespace) -> int:
     """
     findings = [
         _check_priority(),
-        _check_memory(),
+        _check_locked_memory(),
         _check_wakeups(),
         _check_socketcan(),
         _check_interfaces(),
         _check_vulkan(),
-        _extras_finding(),
-        _check_space(),
+        _optional_package_finding(),
+        _check_disk_space(),
     ]
     if args.json:
         rows = [
@@ -86,12 +86,12 @@ def _version_fields() -> dict[str, object]:
         "version": version("handctl"),
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "extras": extras_installed(),
+        "extras": installed_by_extra(),
     }
 
 
-def _extras_finding() -> DoctorFinding:
-    missing_names = [extra for extra, installed in extras_installed().items() if not installed]
+def _optional_package_finding() -> DoctorFinding:
+    missing_names = [extra for extra, installed in installed_by_extra().items() if not installed]
     return (
         f"optional packages; not installed: {', '.join(missing_names) or 'none'}",
         True,
@@ -115,8 +115,8 @@ def _check_priority() -> DoctorFinding:
     )
 
 
-def _check_memory() -> DoctorFinding:
-    is_memory_locked = _granted_priority().memory_locked
+def _check_locked_memory() -> DoctorFinding:
+    is_memory_locked = _granted_priority().is_memory_locked
     return (
         "locked memory",
         is_memory_locked,
@@ -126,7 +126,7 @@ def _check_memory() -> DoctorFinding:
 
 def _check_wakeups() -> DoctorFinding:
     """Measure how late the system wakes a process, and check whether a hypervisor has taken processor time away."""
-    start_time_s, ticks = time.monotonic(), _processor_ticks()
+    start_time_s, ticks = time.monotonic(), _cpu_and_steal_ticks()
     max_lateness_s = 0.0
     with realtime_priority():
         while (sleep := time.monotonic()) < start_time_s + WAKEUP_TEST_S:
@@ -134,20 +134,20 @@ def _check_wakeups() -> DoctorFinding:
             max_lateness_s = max(max_lateness_s, time.monotonic() - sleep - WAKEUP_SLEEP_S)
     total, stolen = (
         ticks_after - ticks_before
-        for ticks_before, ticks_after in zip(ticks, _processor_ticks(), strict=True)
+        for ticks_before, ticks_after in zip(ticks, _cpu_and_steal_ticks(), strict=True)
     )
-    stolen_text = (
+    steal_text = (
         f", a hypervisor took {100 * stolen / total:.1f} % of the processor" if stolen else ""
     )
     return (
-        f"wake-ups at most {1e3 * max_lateness_s:.1f} ms late in {WAKEUP_TEST_S:g} s{stolen_text}",
+        f"wake-ups at most {1e3 * max_lateness_s:.1f} ms late in {WAKEUP_TEST_S:g} s{steal_text}",
         max_lateness_s < MAX_WAKEUP_LATENESS_S,
         "end other programs, or use a computer that is no virtual machine; slow a simulated hand: "
         "handctl sim --time-scale 0.3",
     )
 
 
-def _processor_ticks() -> tuple[int, int]:
+def _cpu_and_steal_ticks() -> tuple[int, int]:
     """Return two processor times since the start of the system, each summed over all cores.
 
     The first value is the total time. The second value is the part that a hypervisor gave to other
@@ -175,10 +175,10 @@ def _check_socketcan() -> DoctorFinding:
 
 
 def _check_interfaces() -> DoctorFinding:
-    net = Path("/sys/class/net")
+    network_folder = Path("/sys/class/net")
     names = [
         path.name
-        for path in net.glob("*")
+        for path in network_folder.glob("*")
         if (path / "type").exists() and (path / "type").read_text().strip() == "280"
     ]
     remedy = "plug one in, or: ip link add vcan0 type vcan && ip link set vcan0 up"
@@ -196,7 +196,7 @@ def _check_vulkan() -> DoctorFinding:
     )
 
 
-def _check_space() -> DoctorFinding:
+def _check_disk_space() -> DoctorFinding:
     try:
         folder = run_dir()
     except BusError as error:

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 
 from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
-from handctl.hand.file.quantities import MAX_TORQUE_N_M
-from handctl.hand.file.sections import CIA404_PROTOCOL
+from handctl.hand.file.quantity_types import MAX_TORQUE_N_M
+from handctl.hand.file.section_models import CIA404_PROTOCOL
 
 SnippetEntry = tuple[str, object, str]
 """Key, value and comment of one line of the hand file."""

@@ -7,12 +7,12 @@ from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.description import Hand
 
-MIN_RATE_WITHOUT_CHECK_HZ = 250.0
+MIN_UNCHECKED_RATE_HZ = 250.0
 """Control rate at and above which the loops of a hand are not checked [Hz].
 
 All packaged hands and the hands of ``config init`` run at this rate.
 """
-MIN_RATE_WITHOUT_CHECK_OR_CELLS_HZ = 500.0
+MIN_UNCHECKED_RATE_WITHOUT_CELLS_HZ = 500.0
 """The same rate for a hand with tendons that have neither load cells nor springs to act against [Hz].
 
 Such tendons hold each other, and the filter without load cells has a larger phase lag. At 250 Hz, their tensions
@@ -36,7 +36,7 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
         gains: gains of a run.
         rate_hz: control rate of the run [Hz].
     """
-    min_unchecked_rate = _min_rate_without_check(hand)
+    min_unchecked_rate = _min_unchecked_rate(hand)
     if rate_hz >= min_unchecked_rate:
         return []
     # The compiled core computes the control loops, and is imported only here. The other checks of a
@@ -52,7 +52,7 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
         if buses
         else "a faster bus"
     )
-    faults = "N14b or T03" if min_unchecked_rate == MIN_RATE_WITHOUT_CHECK_HZ else "T01"
+    faults = "N14b or T03" if min_unchecked_rate == MIN_UNCHECKED_RATE_HZ else "T01"
     return [
         f"{name}: at {rate_hz:g} Hz, which the buses allow, its motion loop has a gain margin of "
         f"{margin_db:.1f} dB instead of {MIN_GAIN_MARGIN_DB:g} dB, and a run may oscillate and "
@@ -73,7 +73,7 @@ def force_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
         rate_hz: control rate of a run [Hz].
     """
     # At a lower rate, ``rate_warnings`` checks the loops of all tendons.
-    if rate_hz < _min_rate_without_check(hand) or not _has_springs_without_cells(hand):
+    if rate_hz < _min_unchecked_rate(hand) or not _has_springs_without_cells(hand):
         return []
     from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB
 
@@ -81,9 +81,9 @@ def force_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     if margin_db >= MIN_GAIN_MARGIN_DB:
         return []
     force = gains.force_weights_of_tendon(name)[0]
-    is_own_force = force != gains.motion.force_N
-    key = f"tendon.{name}.motion_force_N" if is_own_force else "motion.force_N"
-    largest_force = None if is_own_force else _largest_force_with_margin(hand, gains, rate_hz)
+    is_tendon_force = force != gains.motion.force_N
+    key = f"tendon.{name}.motion_force_N" if is_tendon_force else "motion.force_N"
+    largest_force = None if is_tendon_force else _largest_force_with_margin(hand, gains, rate_hz)
     expected = "gains from tune design" if largest_force is None else f"at most {largest_force:g} N"
     return [
         f"{key}: {force:g} N leave the motion loop of {name}, which has no load cell, a gain margin of "
@@ -140,7 +140,7 @@ def _has_springs_without_cells(hand: Hand) -> bool:
     )
 
 
-def _min_rate_without_check(hand: Hand) -> float:
+def _min_unchecked_rate(hand: Hand) -> float:
     """Return the lowest control rate at which the loops of a hand need not be checked [Hz]."""
     for digit in hand.digit:
         tendons = hand.digit_tendons[digit.name]
@@ -149,5 +149,5 @@ def _min_rate_without_check(hand: Hand) -> float:
         if tendons.stop - tendons.start > coordinates and _has_tendon_without_cell(
             hand, digit.name
         ):
-            return MIN_RATE_WITHOUT_CHECK_OR_CELLS_HZ
-    return MIN_RATE_WITHOUT_CHECK_HZ
+            return MIN_UNCHECKED_RATE_WITHOUT_CELLS_HZ
+    return MIN_UNCHECKED_RATE_HZ

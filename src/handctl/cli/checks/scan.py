@@ -12,10 +12,10 @@ from handctl.drives.cia402 import codec as cia402_codec
 from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.frame import REMOTE_FLAG, Frame
 from handctl.drives.protocol_registry import PROTOCOLS_WITHOUT_DISCOVERY
-from handctl.hand.file.sections import CIA404_PROTOCOL
+from handctl.hand.file.section_models import CIA404_PROTOCOL
 from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.diagnostics.bus_scan import BusScan, requests_without_answers, scan_bus
-from handctl.session.buses import named_buses
+from handctl.session.buses import parse_bus_arguments
 from handctl.session.exit_codes import ExitCode
 
 MAX_FOREIGN_FRAMES = 8
@@ -25,19 +25,19 @@ MILLI_FACTOR = 1e-3
 
 def run(args: argparse.Namespace) -> int:
     """Scan each bus on the command line for nodes. If no node was found, return 1."""
-    buses = named_buses(args.bus)
+    buses = parse_bus_arguments(args.bus)
     if args.dry_run:
-        return _print_requests(args.json)
+        return _print_scan_requests(args.json)
     scans: dict[str, BusScan] = {}
     for name, spec in buses.items():
         opened_bus = open_bus(spec, 0, args.bitrate)
         try:
-            scans[name] = scan_bus(opened_bus, args.force, partial(_print_note_of_bus, spec))
+            scans[name] = scan_bus(opened_bus, args.force, partial(_print_bus_note, spec))
         finally:
             opened_bus.close()
         if not scans[name].foreign_frames:
             scans[name] = scans[name]._replace(
-                found_nodes=add_identities(scans[name].found_nodes, spec, args.bitrate)
+                found_nodes=add_node_identities(scans[name].found_nodes, spec, args.bitrate)
             )
     snippet = hand_file_snippet(
         {name: result.found_nodes for name, result in scans.items()},
@@ -60,12 +60,12 @@ def run(args: argparse.Namespace) -> int:
     )
 
 
-def _print_note_of_bus(spec: str, text: str) -> None:
+def _print_bus_note(spec: str, text: str) -> None:
     """Print the name of a bus and a note about the bus."""
     print_note(f"{spec}: {text}")
 
 
-def add_identities(
+def add_node_identities(
     nodes: tuple[DiscoveredNode, ...], spec: str, bitrate: int
 ) -> tuple[DiscoveredNode, ...]:
     """Return the nodes that a scan has found, with additional data about CANopen nodes.
@@ -80,13 +80,13 @@ def add_identities(
     print_note(f"{spec}: reading the identity of CANopen nodes {', '.join(map(str, canopen_ids))}")
     identities = identify_nodes(spec, bitrate, canopen_ids)
     return tuple(
-        _add_identity(drive, identities[drive.node_id].numbers, identities[drive.node_id].texts)
+        _add_node_identity(drive, identities[drive.node_id].numbers, identities[drive.node_id].texts)
         if drive.protocol == "cia402" else drive
         for drive in nodes
     )  # fmt: skip
 
 
-def _add_identity(
+def _add_node_identity(
     drive: DiscoveredNode, identity_numbers: dict[str, int], identity_texts: dict[str, str]
 ) -> DiscoveredNode:
     power = (
@@ -148,9 +148,7 @@ def _frame_text(frame: Frame) -> str:
     )
 
 
-def _print_scans(
-    buses: dict[str, str], scan_of_bus: dict[str, BusScan], hand_file_piece: str
-) -> None:
+def _print_scans(buses: dict[str, str], scan_of_bus: dict[str, BusScan], snippet: str) -> None:
     for name, result in scan_of_bus.items():
         print(
             f"{name} ({buses[name]}): {len(result.found_nodes)} nodes, {result.frame_count} frames received"
@@ -171,7 +169,7 @@ def _print_scans(
             _print_drive(drive)
     print(undiscoverable_protocols_text())
     if any(result.found_nodes for result in scan_of_bus.values()):
-        print(f"\n{hand_file_piece}", end="")
+        print(f"\n{snippet}", end="")
 
 
 def undiscoverable_protocols_text() -> str:
@@ -197,7 +195,7 @@ def _print_drive(drive: DiscoveredNode) -> None:
         print(f"                {line}")
 
 
-def _print_requests(as_json: bool) -> int:
+def _print_scan_requests(as_json: bool) -> int:
     questions = [_frame_text(frame) for frame in requests_without_answers()]
     if as_json:
         print_json({"questions": questions})

@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from handctl.cli.checks.scan import add_identities
+from handctl.cli.checks.scan import add_node_identities
 from handctl.cli.console.verbosity import print_note
 from handctl.drives.contract import Drive
 from handctl.drives.discovery import SCAN_LISTEN_S, DiscoveredNode
@@ -20,10 +20,10 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.drives.protocol_registry import PROTOCOL_ENTRIES, make_drive
-from handctl.drives.robstride.mit_mode import FACTORY_HOST
+from handctl.drives.robstride.mit_mode import FACTORY_HOST_ID
 from handctl.errors import BusError, ConfigError, DriveError
 from handctl.hand.file.error_text import toml_spelling
-from handctl.hand.file.sections import Motor
+from handctl.hand.file.section_models import Motor
 from handctl.hand.hand_loading import parse_toml
 from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.buses.contract import Bus
@@ -42,7 +42,7 @@ This time is longer than the delays of a desktop computer without real-time prio
 BENCH_OPTIONS: dict[str, dict[str, Any]] = {
     "odrive": {"torque_feedback": True},
     "cia402": {"sync": True},
-    "robstride_mit": {"host_id": FACTORY_HOST},
+    "robstride_mit": {"host_id": FACTORY_HOST_ID},
 }
 """Options for a single drive on a bench, by protocol.
 
@@ -51,9 +51,9 @@ new RobStride motor has the factory setting of the host number.
 """
 TEXT_VALUED_OPTIONS = ("firmware", "motor_type")
 """Options whose value is always text, even if it looks like a number, as in firmware=0.5."""
-UNQUOTED_TEXT = re.compile(r"[A-Za-z0-9][\w.-]*")
+UNQUOTED_VALUE_PATTERN = re.compile(r"[A-Za-z0-9][\w.-]*")
 """Pattern of an option's value that needs no quotes."""
-ASSUMED_OPTIONS = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
+DEFAULT_DRIVE_OPTIONS = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
 """Defaults of options whose values a CiA 402 drive may not report.
 
 If the rated torque is wrong, handctl notices this when it reads back the settings, and refuses the
@@ -71,11 +71,11 @@ def parse_options(option_words: list[str]) -> dict[str, Any]:
     """
     options: dict[str, Any] = {}
     for word in option_words:
-        options |= _option_from_word(word)
+        options |= _parse_option(word)
     return options
 
 
-def _option_from_word(word: str) -> dict[str, Any]:
+def _parse_option(word: str) -> dict[str, Any]:
     key, _, value = word.partition("=")
     quoted = f'{key}="{value}"'
     if key.strip() in TEXT_VALUED_OPTIONS and value[:1] not in ('"', "'"):
@@ -84,7 +84,7 @@ def _option_from_word(word: str) -> dict[str, Any]:
         return parse_toml(word, "--option")
     except ConfigError as error:
         if (
-            UNQUOTED_TEXT.fullmatch(value) and not value.isdecimal()
+            UNQUOTED_VALUE_PATTERN.fullmatch(value) and not value.isdecimal()
         ):  # TOML refuses a number that has too many digits
             return parse_toml(quoted, "--option")
         expected = "KEY=VALUE, as in gear_ratio=6.0 or motor_type=ak80-9"
@@ -117,7 +117,7 @@ def describe_drive(
     """
     reported_options: dict[str, Any] = dict(node.options) if node else {}
     if args.protocol == "cia402":
-        reported_options = ASSUMED_OPTIONS | reported_options
+        reported_options = DEFAULT_DRIVE_OPTIONS | reported_options
     reported_options = _bench_options(args.protocol, reported_options | options) | reported_options
     _check_motor_type(args.protocol, reported_options | options)
     settings = {
@@ -190,7 +190,7 @@ def find_drive(args: argparse.Namespace) -> DiscoveredNode:
         bus.close()
     if result.foreign_frames:
         raise BusError("another host controls this bus", args.bus, "no other host: stop it")
-    for node in add_identities(result.found_nodes, args.bus, args.bitrate):
+    for node in add_node_identities(result.found_nodes, args.bus, args.bitrate):
         if (node.protocol, node.node_id) == (args.protocol, args.node):
             if node.twins:
                 raise DriveError(
@@ -244,7 +244,7 @@ def open_drive_rig(args: argparse.Namespace, drive: Drive) -> Iterator[tuple[Dri
         drive: drive on the bus.
     """
     clock = RealClock(PERIOD_NS)
-    bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate, clock.run_time_of)
+    bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate, clock.convert_to_run_time)
     clock.busy_wait = request_priority().is_realtime
     try:
         yield DriveRig(drive, bus, clock), bus

@@ -3,7 +3,7 @@
 import argparse
 import shlex
 
-from handctl.session.buses import named_buses
+from handctl.session.buses import parse_bus_arguments
 
 
 def controller_bus(args: argparse.Namespace) -> str:
@@ -11,12 +11,12 @@ def controller_bus(args: argparse.Namespace) -> str:
 
     This is the first ``--bus`` without its prefix ``NAME=``.
     """
-    return next(iter(named_buses(args.bus).values()))
+    return next(iter(parse_bus_arguments(args.bus).values()))
 
 
 def simulator_command(args: argparse.Namespace) -> str:
     """Return the command that starts a simulator for the hand or the drive on the buses of a command line."""
-    bus_names = named_buses([args.bus] if isinstance(args.bus, str) else args.bus)
+    bus_names = parse_bus_arguments([args.bus] if isinstance(args.bus, str) else args.bus)
     buses = (
         [f"{name}={spec}" for name, spec in bus_names.items()]
         if len(bus_names) > 1

@@ -15,7 +15,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
-from handctl.cli.console.screen import rich_console
+from handctl.cli.console.rich_console import rich_console
 from handctl.core.tick_types import GAIN_EVENT, HandMode, TickEvent, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.printing import escaped_streams
@@ -163,7 +163,7 @@ class DisplayProcess:
             self.child.kill()
 
 
-def short_names(names: Sequence[str]) -> list[str]:
+def short_tendon_names(names: Sequence[str]) -> list[str]:
     """Return the names of tendons, without the ending ``_tendon``."""
     return [name.removesuffix("_tendon") or name for name in names]
 
@@ -186,7 +186,7 @@ def _tension_lines(tendon_names: Sequence[str], status_fields: dict[str, Any]) -
     For a hand with many tendons, the text has several lines.
     """
     start = f"{status_fields['t']:8.3f} s  {status_fields['mode']:<9} {status_fields['phase']:<10} tension [N]  "
-    pairs = zip(short_names(tendon_names), status_fields["tension"], strict=True)
+    pairs = zip(short_tendon_names(tendon_names), status_fields["tension"], strict=True)
     # A no-break space keeps a tendon's name and its tension on the same line.
     text = "  ".join(f"{name}{NO_BREAK_SPACE}{f:.1f}" for name, f in pairs)
     rows = textwrap.fill(

@@ -65,10 +65,10 @@ def _file_text(file_kind: str, path: Path, creation_date: str) -> str:
     The age is counted from the date in the file. If the file contains no date, it is counted from
     the last modification of the file.
     """
-    modified_s = path.stat().st_mtime
+    modification_time_s = path.stat().st_mtime
     with suppress(ValueError):
-        modified_s = datetime.datetime.fromisoformat(creation_date).timestamp()
-    return f"{file_kind} {os.path.abspath(path)}, {age_text(time.time() - modified_s)} old"
+        modification_time_s = datetime.datetime.fromisoformat(creation_date).timestamp()
+    return f"{file_kind} {os.path.abspath(path)}, {age_text(time.time() - modification_time_s)} old"
 
 
 def age_text(seconds: float) -> str:

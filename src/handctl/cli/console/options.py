@@ -9,13 +9,13 @@ from typing import Any
 from handctl.cli.parsing.completion import hand_names
 from handctl.drives.motor_description import PROTOCOL_TRAITS, motor_types_text
 from handctl.errors import ConfigError
-from handctl.hand.file.quantities import MAX_BITRATE_BIT_S, MIN_BITRATE_BIT_S
+from handctl.hand.file.quantity_types import MAX_BITRATE_BIT_S, MIN_BITRATE_BIT_S
 from handctl.printing import escape_surrogates, one_line_message
-from handctl.session.defaults import DEFAULT_HAND
+from handctl.session.default_hand import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
 
 
-class _StoreNamedHand(argparse.Action):
+class _StoreHandAction(argparse.Action):
     """Argparse action for the option ``--hand``, which also stores that the operator has named a hand."""
 
     def __call__(
@@ -29,7 +29,7 @@ def add_hand_option(parser: argparse.ArgumentParser) -> None:
     """Declare --hand: name of a packaged hand, or path of a hand file."""
     text = f"packaged hand or file (default: {DEFAULT_HAND}; needed on a real bus)"
     hand_argument = parser.add_argument(
-        "--hand", action=_StoreNamedHand, default=DEFAULT_HAND, metavar="NAME|FILE", help=text
+        "--hand", action=_StoreHandAction, default=DEFAULT_HAND, metavar="NAME|FILE", help=text
     )
     hand_argument.completer = hand_names  # type: ignore[attr-defined]  # an attribute that argcomplete reads
     parser.set_defaults(is_hand_named=False)
@@ -45,7 +45,7 @@ def check_seed(seed: int) -> None:
         raise ConfigError(f"{seed}", "--seed", "0 or more")
 
 
-def checked_count(count: int, option: str, maximum: int) -> int:
+def check_count(count: int, option: str, maximum: int) -> int:
     """Check a count from the command line, and return the count.
 
     Raises:
@@ -87,17 +87,21 @@ def add_bus_option(parser: argparse.ArgumentParser, required: bool = True) -> No
     )
 
 
-def add_bitrate_options(parser: argparse.ArgumentParser, nominal_help: str, data_help: str) -> None:
+def add_bitrate_options(
+    parser: argparse.ArgumentParser, bitrate_help: str, data_bitrate_help: str
+) -> None:
     """Declare --bitrate and --data-bitrate, with their help texts."""
-    add = parser.add_argument
-    add(
+    add_argument = parser.add_argument
+    add_argument(
         "--bitrate",
         type=_bit_rate_from_text,
         default=1_000_000,
         metavar="BIT/S",
-        help=f"{nominal_help} (1000000)",
+        help=f"{bitrate_help} (1000000)",
     )
-    add("--data-bitrate", type=_bit_rate_from_text, metavar="BIT/S", help=data_help)
+    add_argument(
+        "--data-bitrate", type=_bit_rate_from_text, metavar="BIT/S", help=data_bitrate_help
+    )
 
 
 def _bit_rate_from_text(rate_text: str) -> int:
@@ -130,10 +134,10 @@ def add_dry_run_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_run_options(parser: argparse.ArgumentParser, bus_required: bool = True) -> None:
+def add_run_options(parser: argparse.ArgumentParser, is_bus_required: bool = True) -> None:
     """Declare the options of all commands that run a controller."""
     add_hand_option(parser)
-    add_bus_option(parser, bus_required)
+    add_bus_option(parser, is_bus_required)
     add_json_option(parser)
     add_dry_run_option(parser)
     add_clear_option(parser)
@@ -192,7 +196,7 @@ def add_perturb_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def perturb_option_words(args: argparse.Namespace) -> list[str]:
+def perturb_arguments(args: argparse.Namespace) -> list[str]:
     """Return the command-line words that give the simulator the factors of --perturb."""
     return ["--perturb", *args.perturb] if args.perturb else []
 
@@ -259,7 +263,7 @@ def add_wire_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--wire", nargs="*", metavar="KEY=VALUE", help=text)
 
 
-def wire_option_words(args: argparse.Namespace) -> list[str]:
+def wire_arguments(args: argparse.Namespace) -> list[str]:
     """Return the command-line words that give the simulator the values of --wire."""
     return [] if args.wire is None else ["--wire", *args.wire]
 

@@ -17,9 +17,9 @@ from handctl.cli.console.verbosity import (
 from handctl.core.calibration import Calibration
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.output_files import check_output
+from handctl.output_files import check_output_path
 from handctl.session import calibration, gains, run_plan
-from handctl.session.simulate import SimulatorSettings
+from handctl.session.lockstep_simulation import SimulatorSettings
 
 
 def make_plan(args: argparse.Namespace, lockstep: bool = False) -> run_plan.RunPlan:
@@ -28,7 +28,7 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> run_plan.RunP
     Raises:
         ConfigError: an argument or a file is wrong.
     """
-    choice = run_plan.RunChoice(
+    options = run_plan.RunOptions(
         hand=args.hand,
         is_hand_named=args.is_hand_named,
         bus_arguments=None if lockstep else args.bus,
@@ -40,7 +40,7 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> run_plan.RunP
         clear_faults=args.clear,
     )
     display = None if args.json or is_quiet() else _display_starter
-    plan = replace(run_plan.make_plan(choice, display, print_notice), show_progress=progress_bar)
+    plan = replace(run_plan.make_plan(options, display, print_notice), show_progress=progress_bar)
     if is_verbose():
         _print_plan(args, plan)
     return plan
@@ -61,8 +61,8 @@ def _print_plan(args: argparse.Namespace, plan: run_plan.RunPlan) -> None:
     )
     for text in run_plan.protocol_hint_lines(hand):
         print_detail(f"hint: {text}")
-    for key, origin in layered_gains(args, hand).origins.items():
-        if origin != gains.PACKAGED_ORIGIN:
+    for key, origin in gains_with_sources(args, hand).origins.items():
+        if origin != gains.PACKAGED_GAINS_SOURCE:
             print_detail(f"gain {key} is from {origin}")
 
 
@@ -87,7 +87,7 @@ def _display_starter(plan: run_plan.RunPlan) -> run_plan.OperatorDisplay:
     return DisplayProcess.start_display(plan.hand, plan.rate_hz, max(plan.bus_loads, default=0.0))
 
 
-def layered_gains(args: argparse.Namespace, hand: Hand) -> gains.LayeredGains:
+def gains_with_sources(args: argparse.Namespace, hand: Hand) -> gains.GainsWithSources:
     """Return the gains that a run with the given arguments uses.
 
     Args:
@@ -97,7 +97,9 @@ def layered_gains(args: argparse.Namespace, hand: Hand) -> gains.LayeredGains:
     Raises:
         ConfigError: a file or a value cannot be used, or the gains are for another hand.
     """
-    return gains.layered_gains(hand, args.gains, getattr(args, "gain", None) or (), print_notice)
+    return gains.gains_with_sources(
+        hand, args.gains, getattr(args, "gain", None) or (), print_notice
+    )
 
 
 def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
@@ -108,7 +110,7 @@ def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
             motion.
     """
     path: Path = args.calibration or Path(f"{hand.name}.calibration.toml")
-    check_output(
+    check_output_path(
         path,
         "--calibration",
         Path(args.hand),

@@ -56,13 +56,13 @@ TENDON_QUESTIONS = (
 """Questions about the tendons of every new hand, in order."""
 read_all_or_none = reader_of_choice(("all", "none"))
 """Function that reads the answer ``all`` or ``none`` to a question about all tendons or all joints."""
-SPRING_FIELD = "springs"
+SPRING_ANSWER_FIELD = "springs"
 """Field of the question about springs, which is left out for digits that need springs."""
 DRIVE_AND_SENSOR_QUESTIONS = (
     HandQuestion("cells", "Load cells at the tendons (all, none)", read_all_or_none, "all or none"),
     HandQuestion("encoders", "Encoders at the joints (all, none)", read_all_or_none, "all or none"),
     HandQuestion(
-        SPRING_FIELD,
+        SPRING_ANSWER_FIELD,
         "Return springs at the joints; without them, a tendon more opens each digit (all, none)",
         read_all_or_none,
         "all or none",
@@ -77,7 +77,7 @@ DRIVE_AND_SENSOR_QUESTIONS = (
 """Questions about the sensors, springs and drives of every new hand, in order."""
 
 
-def write_with_schema(output_path: Path, text: str) -> Path:
+def write_new_hand_file(output_path: Path, text: str) -> Path:
     """Write a new hand file.
 
     If the folder contains no JSON Schema of hand files yet, write the schema there too. Return the

@@ -27,7 +27,7 @@ _printed_cautions: ContextVar[set[str] | None] = ContextVar("printed_cautions", 
 
 
 @contextmanager
-def use_verbosity(args: argparse.Namespace) -> Iterator[None]:
+def apply_verbosity(args: argparse.Namespace) -> Iterator[None]:
     """Apply ``--quiet`` and ``--verbose`` of a command line while the command runs.
 
     At the beginning of a command, every caution counts as not yet printed, see

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from handctl.cli.console.screen import rich_console
+from handctl.cli.console.rich_console import rich_console
 from handctl.report.run_summary import angle_rows, tracking_text
 from handctl.session.run_plan import RunPlan
 
@@ -47,7 +47,7 @@ def print_summary(run_result: dict[str, Any], plan: RunPlan) -> None:
         ("frames sent / received", f"{run_result['frames_tx']} / {run_result['frames_rx']}"),
         (
             "frames late / lost",
-            f"{run_result['frames_late']} / {run_result['frames_lost']}{_pauses_text(run_result['silent_ticks'])}",
+            f"{run_result['frames_late']} / {run_result['frames_lost']}{_no_reply_text(run_result['silent_ticks'])}",
         ),
         ("log", f"{run_result['log']} ({run_result['log_bytes'] / 1e6:.1f} MB)"),
         ("priority", run_result["priority"]),
@@ -62,7 +62,7 @@ def print_summary(run_result: dict[str, Any], plan: RunPlan) -> None:
     console.print(f"view the run: handctl view {run_result['log']}", soft_wrap=True)
 
 
-def _pauses_text(silent_ticks: int) -> str:
+def _no_reply_text(silent_ticks: int) -> str:
     """Return a text that says in how many ticks no node answered.
 
     Such ticks explain why frames were late.

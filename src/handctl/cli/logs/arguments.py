@@ -23,7 +23,7 @@ def _example_with_log(command: str) -> CommandExample:
     return CommandExample(f"[ -e run.mcap ] || handctl demo --lockstep --log run.mcap; {command}")
 
 
-EXAMPLES = {
+COMMAND_EXAMPLES = {
     "view": _example_with_log("handctl view run.mcap --save run.rrd"),
     "replay": _example_with_log("handctl replay execute run.mcap"),
     "replay execute": _example_with_log("handctl replay execute run.mcap"),
@@ -80,31 +80,37 @@ def view(parser: argparse.ArgumentParser) -> None:
 
 def replay(parser: VerbParser) -> None:
     """Declare the arguments of ``replay``."""
-    kinds = parser.add_subparsers(dest="kind", required=True, metavar="KIND")
-    _declare_execute(
-        _add_kind(
-            kinds,
+    subparsers = parser.add_subparsers(dest="kind", required=True, metavar="KIND")
+    _add_execute_options(
+        _add_replay_verb(
+            subparsers,
             "execute",
             "run the controller on the inputs of the log, and compare all output bytes; no bus",
         )
     )
-    _declare_drive(
-        _add_kind(
-            kinds, "drive", "repeat the recorded run on the hand, and print how the two runs differ"
+    _add_drive_options(
+        _add_replay_verb(
+            subparsers,
+            "drive",
+            "repeat the recorded run on the hand, and print how the two runs differ",
         )
     )
-    _declare_safety(
-        _add_kind(kinds, "safety", "apply other safety limits to the recorded run; no bus")
+    _add_safety_options(
+        _add_replay_verb(
+            subparsers, "safety", "apply other safety limits to the recorded run; no bus"
+        )
     )
 
 
-def _add_kind(kinds: "argparse._SubParsersAction[VerbParser]", name: str, text: str) -> VerbParser:
-    parser = add_sub_verb(kinds, name, text, EXAMPLES[f"replay {name}"])
+def _add_replay_verb(
+    subparsers: "argparse._SubParsersAction[VerbParser]", name: str, text: str
+) -> VerbParser:
+    parser = add_sub_verb(subparsers, name, text, COMMAND_EXAMPLES[f"replay {name}"])
     parser.add_argument("recorded", type=Path, metavar="LOG", help="log of the recorded run")
     return parser
 
 
-def _declare_execute(parser: argparse.ArgumentParser) -> None:
+def _add_execute_options(parser: argparse.ArgumentParser) -> None:
     add_json_option(parser)
     text = "compute the commands that these gains give with the inputs of the log"
     parser.add_argument("--gains", type=Path, metavar="FILE", help=text)
@@ -119,13 +125,13 @@ def _declare_execute(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _declare_drive(parser: argparse.ArgumentParser) -> None:
+def _add_drive_options(parser: argparse.ArgumentParser) -> None:
     add_run_options(parser)
     text = "follow the recorded tensions, and do not correct the angles"
     parser.add_argument("--raw", action="store_true", help=text)
 
 
-def _declare_safety(parser: argparse.ArgumentParser) -> None:
+def _add_safety_options(parser: argparse.ArgumentParser) -> None:
     add_json_option(parser)
     text = "TOML file with safety limits, e.g. tension_trip_N = 60"
     parser.add_argument("--limits", type=Path, required=True, metavar="FILE", help=text)
@@ -133,26 +139,26 @@ def _declare_safety(parser: argparse.ArgumentParser) -> None:
 
 def log(parser: VerbParser) -> None:
     """Declare the arguments of ``log``."""
-    kinds = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
+    subparsers = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
 
-    def add_kind(name: str, text: str) -> VerbParser:
-        subparser = add_sub_verb(kinds, name, text, EXAMPLES[f"log {name}"])
+    def add_log_verb(name: str, text: str) -> VerbParser:
+        subparser = add_sub_verb(subparsers, name, text, COMMAND_EXAMPLES[f"log {name}"])
         add_json_option(subparser)
         subparser.add_argument("log", type=Path, help="the log")
         return subparser
 
-    add_kind(
+    add_log_verb(
         "info",
         "print events with times, the end of the run, phases, hand, versions and gaps; with -v also the gains",
     )
-    add_kind("check", "check counters, gaps, clock, hashes, and every byte")
-    diff_parser = add_kind(
+    add_log_verb("check", "check counters, gaps, clock, hashes, and every byte")
+    diff_parser = add_log_verb(
         "diff", "compare the log with another run of the same hand, phase by phase"
     )
     diff_parser.add_argument("other", type=Path, help="the other log")
-    rescue = add_kind("recover", "write a complete log from a damaged log")
-    add_output_option(rescue, "the complete log (default: LOG.recovered.mcap)")
-    export_parser = add_kind("export", "write the log in a format that other tools read")
+    recover_parser = add_log_verb("recover", "write a complete log from a damaged log")
+    add_output_option(recover_parser, "the complete log (default: LOG.recovered.mcap)")
+    export_parser = add_log_verb("export", "write the log in a format that other tools read")
     export_parser.add_argument(
         "more", type=Path, nargs="*", metavar="LOG", help="further logs of the hand, with --lerobot"
     )

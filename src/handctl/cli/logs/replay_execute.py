@@ -6,10 +6,10 @@ This module and all modules that it imports use no bus.
 import argparse
 from typing import Any
 
-from handctl.cli.console.options import checked_count, print_escaped, print_json, warn_if_lossy
+from handctl.cli.console.options import check_count, print_escaped, print_json, warn_if_lossy
 from handctl.cli.console.progress import progress_bar
 from handctl.errors import ConfigError, LogError
-from handctl.output_files import check_output, path_with_suffix
+from handctl.output_files import check_output_path, path_with_suffix
 from handctl.processes import usable_cores
 from handctl.session.exit_codes import ExitCode
 
@@ -47,9 +47,9 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
     from importlib.metadata import version
 
     from handctl.log.code_identity import code_identity
-    from handctl.replay.execute import execute_log, is_within_tolerance
+    from handctl.replay.log_execution import execute_log, is_within_tolerance
 
-    workers = usable_cores() if args.jobs is None else checked_count(args.jobs, "--jobs", 64)
+    workers = usable_cores() if args.jobs is None else check_count(args.jobs, "--jobs", 64)
     with progress_bar("executing", len(log), args.json) as update_progress:
         execution = execute_log(log, progress=update_progress, worker_count=workers)
     has_passed = (
@@ -145,12 +145,16 @@ def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:
     Always return True.
     """
     from handctl.core.gains.gains import load_gains
-    from handctl.replay.counterfactual import CommandCollector, command_change, draw_commands
-    from handctl.replay.execute import execute_log
+    from handctl.replay.commands_with_other_gains import (
+        CommandCollector,
+        command_differences,
+        draw_commands,
+    )
+    from handctl.replay.log_execution import execute_log
 
     commands = CommandCollector()
     picture = args.picture or path_with_suffix(args.recorded, ".gains.png")
-    check_output(picture, "--picture", args.recorded, args.gains)
+    check_output_path(picture, "--picture", args.recorded, args.gains)
     gains = load_gains(args.gains)
     with progress_bar("executing", len(log), args.json) as update_progress:
         execution = execute_log(log, gains, commands.add_tick, update_progress)
@@ -164,7 +168,7 @@ def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:
         comparable_ticks,
         f"{log.header.metadata.get('hand', '?')}: {args.recorded.name} with {args.gains.name}",
     )
-    change = command_change(log, commands, comparable_ticks)
+    change = command_differences(log, commands, comparable_ticks)
     faults = commands.texts_of_faults_in_tick(comparable_ticks)
     if args.json:
         first_difference = (

@@ -26,10 +26,10 @@ def run(args: argparse.Namespace) -> int:
             judgement = judge_by_limits(log, args.limits, update_progress)
         code = warn_if_lossy(args.recorded, log.warning)
     if args.json:
-        stop_rows = [_stop_fields(stop) for stop in judgement.stops]
+        stops_as_json = [_stop_fields(stop) for stop in judgement.stopping_faults]
         counts = {
             "ticks": judgement.ticks,
-            "stopped": judgement.stopped,
+            "stopped": judgement.stopped_tick_count,
             "stopped_logged": judgement.ticks_stopped_by_old_limits,
         }
         print_json(
@@ -37,15 +37,15 @@ def run(args: argparse.Namespace) -> int:
                 "log": str(args.recorded),
                 **counts,
                 "by_fault": judgement.stop_count_by_fault,
-                "stops": stop_rows,
+                "stops": stops_as_json,
             }
         )
         return code
     print_escaped(
-        f"{judgement.ticks} ticks; these limits demand a stop in {judgement.stopped} of them, "
+        f"{judgement.ticks} ticks; these limits demand a stop in {judgement.stopped_tick_count} of them, "
         f"the limits of the run in {judgement.ticks_stopped_by_old_limits}"
     )
-    for stop in judgement.stops:
+    for stop in judgement.stopping_faults:
         comparison_text = "as in the run" if stop.occurs_in_logged_run else "new"
         tick_and_time = f"tick {stop.k} ({stop.t_s:.3f} s)"
         print_escaped(

@@ -10,7 +10,7 @@ from typing import Any
 from handctl.cli.console.options import print_escaped, print_json, warn_if_lossy
 from handctl.cli.console.progress import progress_bar
 from handctl.errors import ConfigError
-from handctl.output_files import atomic_path, check_output
+from handctl.output_files import atomic_path, check_output_path
 from handctl.session.exit_codes import ExitCode
 
 
@@ -21,7 +21,7 @@ def run(args: argparse.Namespace) -> int:
     )  # hide the log lines of Rerun itself, because handctl reports the errors
     _check_options(args)
     if args.follow:
-        from handctl.view.follow import follow_log
+        from handctl.view.log_follower import follow_log
 
         follow_log(args.log)
         return ExitCode.DONE
@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
             RunInfo.from_header(log.header, args.log.stem),
             truth=find_truth(args.truth, args.log, log),
         )
-        picture_time_s = _picture_moment_s(args, log) if args.picture else 0.0
+        picture_time_s = _picture_time_s(args, log) if args.picture else 0.0
         warning = log.warning
         scan = log.scan
     code = warn_if_lossy(args.log, warning)
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     return code
 
 
-def _picture_moment_s(args: argparse.Namespace, log: Any) -> float:
+def _picture_time_s(args: argparse.Namespace, log: Any) -> float:
     """Return the time [s] within the run for which the picture is drawn.
 
     Raises:
@@ -89,7 +89,7 @@ def _check_options(args: argparse.Namespace) -> None:
                 str(path), option, f"a file name ending in {suffix} in a folder that exists"
             )
         if path:
-            check_output(path, option, args.log)
+            check_output_path(path, option, args.log)
     if args.picture:
         software_vulkan()
     elif not args.save:
@@ -134,7 +134,7 @@ def _draw_picture(
 
 def _show_in_viewer(log: Path, run_info: Any, record_scan: Any) -> None:
     """Open the viewer, send the log to it, and wait until the user closes the viewer."""
-    from handctl.view.browse import browse_log
+    from handctl.view.log_browser import browse_log
 
     with browse_log(log, run_info, [], {}, record_scan) as viewer_process:
         try:

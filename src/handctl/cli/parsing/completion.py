@@ -18,7 +18,7 @@ The path is repeated here, because an import of ``hand.hand_loading`` would dela
 """
 
 
-def is_completing() -> bool:
+def is_shell_completion() -> bool:
     """Return True if a shell has called this program to get completions."""
     return "_ARGCOMPLETE" in os.environ
 

@@ -11,7 +11,7 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple, NoReturn
 
-from handctl.cli.parsing.renamed_options import new_spelling
+from handctl.cli.parsing.renamed_options import new_option_name
 from handctl.errors import ConfigError
 from handctl.printing import MAX_WORD_CHARACTERS, printable_text, similar_name
 
@@ -81,10 +81,10 @@ class VerbParser(argparse.ArgumentParser):
         # parser of a subcommand would reset an option that the user has written before the
         # subcommand.
         verbosity_group = self.add_mutually_exclusive_group()
-        add = verbosity_group.add_argument
+        add_argument = verbosity_group.add_argument
         text = "print more detail on standard error"
-        add("-v", "--verbose", action="store_true", default=argparse.SUPPRESS, help=text)
-        add(
+        add_argument("-v", "--verbose", action="store_true", default=argparse.SUPPRESS, help=text)
+        add_argument(
             "-q",
             "--quiet",
             action="store_true",
@@ -110,7 +110,7 @@ class VerbParser(argparse.ArgumentParser):
             ConfigError: an option is unknown or was renamed.
         """
         for word in _option_names(args or ()):
-            if new_word := new_spelling(self._verb_names(), word):
+            if new_word := new_option_name(self._verb_names(), word):
                 raise ConfigError(f"{word} has been renamed", self._verb_names(), new_word)
             # This check comes before all others. Otherwise, when the user misspells the name of an
             # argument, argparse would report that the argument is missing.
@@ -118,13 +118,13 @@ class VerbParser(argparse.ArgumentParser):
                 self._has_sub_verbs
                 or any(option.startswith(word) for option in self._option_string_actions)
             ):
-                self._report_unknown_word(word)
+                self._raise_unknown_argument(word)
         parsed, unparsed_words = super().parse_known_args(args, namespace)
         if unparsed_words:
-            self._report_unknown_word(unparsed_words[0])
+            self._raise_unknown_argument(unparsed_words[0])
         return parsed, unparsed_words
 
-    def _report_unknown_word(self, word: str) -> NoReturn:
+    def _raise_unknown_argument(self, word: str) -> NoReturn:
         """Raise an error for a word of the command line that belongs to no argument."""
         option = word.partition("=")[0]
         kind = "option" if word.startswith("-") else "argument"
@@ -204,7 +204,7 @@ def add_sub_verb(
     )
 
 
-def check_words(words: Sequence[str]) -> None:
+def check_command_line(words: Sequence[str]) -> None:
     """Raise an error if a command line contains words that no command can use.
 
     Raises:

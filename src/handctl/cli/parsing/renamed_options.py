@@ -20,7 +20,7 @@ RENAMED_OPTIONS = {
 """New spelling of each renamed option, by command and subcommand."""
 
 
-def new_spelling(verb: str, option: str) -> str:
+def new_option_name(verb: str, option: str) -> str:
     """Return the new name of an option.
 
     Args:

@@ -22,7 +22,7 @@ from handctl.cli.parsing.parser import RUN_COMMAND_EXAMPLE, SIMULATED_HAND, Comm
 from handctl.drives.drive_modes import DriveMode
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 
-EXAMPLES = {
+COMMAND_EXAMPLES = {
     "demo": CommandExample("handctl demo --lockstep"),
     "run": CommandExample("handctl run --hand jamia --bus local:demo --task grasp.toml --dry-run"),
     "stop": CommandExample("handctl stop --bus local:demo", (SIMULATED_HAND, RUN_COMMAND_EXAMPLE)),
@@ -130,33 +130,33 @@ def jog(parser: argparse.ArgumentParser) -> None:
     goal.add_argument("--mode", choices=[mode.value for mode in DriveMode], help=text)
     text = "duration of the motion (default: 2)"
     parser.add_argument("--for", dest="duration", type=float, default=2.0, metavar="S", help=text)
-    _drive_options(parser.add_argument_group("with --mode", DRIVE_EXAMPLE))
+    _add_drive_options(parser.add_argument_group("with --mode", DRIVE_EXAMPLE))
     add_bitrate_options(
         parser, "with --mode: bit rate of the bus", "bit rate of CAN FD's data phase"
     )
 
 
-def _drive_options(group: argparse._ArgumentGroup) -> None:
+def _add_drive_options(group: argparse._ArgumentGroup) -> None:
     """Declare the options of ``jog`` for one drive on a bench."""
-    add = group.add_argument
-    add("--protocol", choices=sorted(PROTOCOL_TRAITS), help="protocol of the drive")
-    add(
+    add_argument = group.add_argument
+    add_argument("--protocol", choices=sorted(PROTOCOL_TRAITS), help="protocol of the drive")
+    add_argument(
         "--node", type=lambda word: int(word, 0), metavar="N", help="number of the drive on the bus"
     )
     text = "torque [N m], velocity [rad/s], or position relative to the present position [rad]"
-    add("--setpoint", type=float, metavar="X", help=text)
+    add_argument("--setpoint", type=float, metavar="X", help=text)
     text = "largest commanded torque [N m]; it is also the limit that the drive gets"
-    add("--torque-limit-Nm", type=float, metavar="X", dest="limit", help=text)
+    add_argument("--torque-limit-Nm", type=float, metavar="X", dest="limit", help=text)
     text = (
         "largest speed [rad/s]; also the limit of the drive if the drive has the mode (default: 5)"
     )
-    add("--speed-limit", type=float, default=5.0, metavar="X", help=text)
+    add_argument("--speed-limit", type=float, default=5.0, metavar="X", help=text)
     text = "largest acceleration [rad/s2] of the ramps (default: 10)"
-    add("--acceleration-limit", type=float, default=10.0, metavar="X", help=text)
+    add_argument("--acceleration-limit", type=float, default=10.0, metavar="X", help=text)
     text = "largest distance from the start [rad]; beyond it the drive is stopped (default: 20)"
-    add("--travel", type=float, default=20.0, metavar="X", help=text)
+    add_argument("--travel", type=float, default=20.0, metavar="X", help=text)
     text = "option of the drive, as in [motor.options] of a hand file; may be repeated"
-    add("--option", action="append", default=[], metavar="KEY=VALUE", help=text)
+    add_argument("--option", action="append", default=[], metavar="KEY=VALUE", help=text)
 
 
 def sim(parser: argparse.ArgumentParser) -> None:

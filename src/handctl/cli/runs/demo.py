@@ -16,12 +16,12 @@ from typing import Any
 
 from handctl.cli.console.dry_run import report_dry_run
 from handctl.cli.console.options import (
-    perturb_option_words,
-    wire_option_words,
+    perturb_arguments,
+    wire_arguments,
 )
 from handctl.cli.console.plan import make_plan
 from handctl.cli.console.verbosity import print_note
-from handctl.cli.runs.other_protocol import hand_in_protocol
+from handctl.cli.runs.protocol_hand_file import use_protocol_hand_file
 from handctl.cli.runs.run import print_run_result
 from handctl.errors import BusError, ConfigError, DriveError
 from handctl.hand.hand_loading import load_hand
@@ -35,6 +35,7 @@ from handctl.session.calibration import (
 )
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import gain_assignments
+from handctl.session.lockstep_simulation import SimulatorSettings
 from handctl.session.run import (
     RunFunction,
     RunOutcome,
@@ -44,8 +45,7 @@ from handctl.session.run import (
     run_lockstep,
 )
 from handctl.session.run_plan import RunPlan, commissioning_log_path, default_log_path
-from handctl.session.simulate import SimulatorSettings
-from handctl.session.tasks import load_task_for_hand, scene_for_hand
+from handctl.session.task_loading import load_task_for_hand, scene_for_hand
 
 SIMULATOR_PACKAGE = "firmware_sim"
 START_TIMEOUT_S = 20.0
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     Return the exit code.
     """
     refuse_view_without_screen(args.view and not args.lockstep)
-    with hand_in_protocol(args):
+    with use_protocol_hand_file(args):
         return _run_demo(args)
 
 
@@ -211,12 +211,12 @@ def running_simulator(args: argparse.Namespace, plan: RunPlan) -> Iterator[None]
         BusError: the simulator does not start.
     """
     command = [sys.executable, "-m", SIMULATOR_PACKAGE, "--hand", str(args.hand)]
-    command += ["--scene", str(args.scene), "--seed", str(args.seed), *wire_option_words(args)]
+    command += ["--scene", str(args.scene), "--seed", str(args.seed), *wire_arguments(args)]
     command += [
         "--time-scale",
         str(plan.time_scale),
         *["--strict-clock"] * args.strict_clock,
-        *perturb_option_words(args),
+        *perturb_arguments(args),
     ]
     for name, spec in zip(plan.hand.bus_names, plan.buses, strict=True):
         command += ["--bus", f"{name}={spec}"]

@@ -21,13 +21,13 @@ from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.drive_modes import COMMAND_UNITS, DriveMode, MotionLimits
 from handctl.drives.protocol_registry import make_mode_drive
 from handctl.errors import ConfigError, PowerError
-from handctl.hand.file.quantities import (
+from handctl.hand.file.quantity_types import (
     MAX_POSITION_RANGE_RAD,
     MAX_SPEED_RANGE_RAD_S,
     MAX_TORQUE_N_M,
     MIN_TORQUE_LIMIT_N_M,
 )
-from handctl.hand.file.sections import Motor
+from handctl.hand.file.section_models import Motor
 from handctl.runtime.buses.bus_opening import check_bus_spec
 from handctl.runtime.diagnostics.conformance import release_drive
 from handctl.runtime.diagnostics.drive_jog import JogGoal, JogResult, jog_drive

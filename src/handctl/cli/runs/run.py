@@ -20,15 +20,15 @@ from handctl.runtime.socket_paths import truth_path
 from handctl.session.calibration import ensure_calibration
 from handctl.session.run import RunOutcome, make_controller, refuse_view_without_screen, run_live
 from handctl.session.run_plan import RunPlan, commissioning_log_path, default_log_path
-from handctl.session.tasks import load_task_for_hand, load_trajectory_for_hand
-from handctl.session.time_scale_advice import pace_advice
+from handctl.session.task_loading import load_task_for_hand, load_trajectory_for_hand
+from handctl.session.time_scale_advice import late_run_advice
 
 
 def run(args: argparse.Namespace) -> int:
     """Run a task on a hand, and return the exit code."""
     refuse_view_without_screen(args.view)
     plan = make_plan(args)
-    program, attached = _program_of_task(args, plan)
+    program, attached = _program_and_attachments(args, plan)
     path, calibration, reason = find_calibration(args, plan.hand, plan.buses)
     if args.dry_run:
         load = f"bus load {100 * max(plan.bus_loads):.0f} %"
@@ -56,7 +56,9 @@ def run(args: argparse.Namespace) -> int:
     return print_run_result(result, outcome, plan, args.json)
 
 
-def _program_of_task(args: argparse.Namespace, plan: RunPlan) -> tuple[Program, dict[str, bytes]]:
+def _program_and_attachments(
+    args: argparse.Namespace, plan: RunPlan
+) -> tuple[Program, dict[str, bytes]]:
     """Return the program of the task or dataset, and the files to attach to the log.
 
     If neither a task nor a dataset is given, the program waits for requests.
@@ -95,7 +97,7 @@ def print_run_result(
         print_summary(run_result, plan)
     if outcome.state.failure:
         print(
-            f"handctl: {DriveError(outcome.state.failure, right=pace_advice(plan, outcome))}",
+            f"handctl: {DriveError(outcome.state.failure, right=late_run_advice(plan, outcome))}",
             file=sys.stderr,
         )
     return outcome.exit_code

@@ -6,25 +6,29 @@ import subprocess
 import sys
 
 from handctl.cli.console.options import (
-    perturb_option_words,
+    perturb_arguments,
     print_json,
-    wire_option_words,
+    wire_arguments,
 )
-from handctl.cli.runs.other_protocol import hand_in_protocol, path_in_protocol, write_in_protocol
+from handctl.cli.runs.protocol_hand_file import (
+    protocol_hand_path,
+    use_protocol_hand_file,
+    write_protocol_hand,
+)
 from handctl.drives.motor_description import check_protocol_given
 from handctl.hand.hand_loading import load_hand
 from handctl.session.gains import gain_assignments
-from handctl.session.tasks import scene_for_hand
+from handctl.session.task_loading import scene_for_hand
 
 
 def run(args: argparse.Namespace) -> int:
     """Replace this process by the process of the simulator."""
     args.scene = scene_for_hand(args.scene, load_hand(args.hand))
     if args.dry_run:
-        return _check_and_print(args)
+        return _print_simulator_command(args)
     check_protocol_given(args.protocol, args.motor_type)
     if args.protocol:
-        args.hand = str(write_in_protocol(args))
+        args.hand = str(write_protocol_hand(args))
     return os.execv(sys.executable, _simulator_command(args, args.hand))
 
 
@@ -37,15 +41,17 @@ def _simulator_command(args: argparse.Namespace, hand: str) -> list[str]:
         command += ["--bus", bus]
     gain_assignments(args.perturb, "--perturb")
     command += [word for serial in args.serial for word in ("--serial", serial)]
-    return command + wire_option_words(args) + perturb_option_words(args) + ["--json"] * args.json
+    return command + wire_arguments(args) + perturb_arguments(args) + ["--json"] * args.json
 
 
-def _check_and_print(args: argparse.Namespace) -> int:
+def _print_simulator_command(args: argparse.Namespace) -> int:
     """Check the arguments, print the command that starts the simulator, and return the exit code."""
     from handctl.session.run_plan import bus_specs
 
-    command = _simulator_command(args, str(path_in_protocol(args)) if args.protocol else args.hand)
-    with hand_in_protocol(args):
+    command = _simulator_command(
+        args, str(protocol_hand_path(args)) if args.protocol else args.hand
+    )
+    with use_protocol_hand_file(args):
         bus_specs(load_hand(args.hand), args.bus)
         process_result = subprocess.run(
             [*_simulator_command(args, args.hand), "--dry-run"],

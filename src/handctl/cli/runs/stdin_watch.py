@@ -11,7 +11,7 @@ from handctl.core.tick_types import TickIn, TickOut
 from handctl.runtime.mailbox import STOP_REQUEST
 
 STDIN_FD = 0
-READ_BYTES = 4096
+MAX_READ_BYTES = 4096
 """Largest number of bytes that one read of standard input discards."""
 
 
@@ -30,7 +30,7 @@ class StdinWatch:
         if (
             self.input_ended
             or not select.select([STDIN_FD], [], [], 0)[0]
-            or os.read(STDIN_FD, READ_BYTES)
+            or os.read(STDIN_FD, MAX_READ_BYTES)
         ):
             return ()
         self.input_ended = True

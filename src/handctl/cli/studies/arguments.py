@@ -15,7 +15,7 @@ from handctl.cli.console.options import (
 from handctl.cli.parsing.parser import SIMULATED_HAND, CommandExample, VerbParser, add_sub_verb
 from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 
-EXAMPLES = {
+COMMAND_EXAMPLES = {
     "fault": CommandExample("handctl fault campaign --row N04 --calm 0"),
     "fault inject": CommandExample(
         "handctl fault inject 'drop node=3 p=0.05 at=3s for=2s' --bus local:demo", (SIMULATED_HAND,)
@@ -34,27 +34,29 @@ handctl fault kinds lists all faults that a running simulator can inject"""
 
 def fault(parser: VerbParser) -> None:
     """Declare the arguments of ``fault``."""
-    actions = parser.add_subparsers(
+    subparsers = parser.add_subparsers(
         dest="action", required=True, metavar="inject|list|kinds|campaign|sequences"
     )
 
     def add_action(name: str, text: str) -> VerbParser:
-        return add_sub_verb(actions, name, text, EXAMPLES[f"fault {name}"])
+        return add_sub_verb(subparsers, name, text, COMMAND_EXAMPLES[f"fault {name}"])
 
-    inject = add_action("inject", "start a fault in a running simulator")
-    inject.description = FAULT_SYNTAX_HELP
+    inject_parser = add_action("inject", "start a fault in a running simulator")
+    inject_parser.description = FAULT_SYNTAX_HELP
     text = 'fault and its parameters, as in "drop node=3 p=0.05 at=3s for=2s"'
-    inject.add_argument("text", metavar="FAULT", help=text)
+    inject_parser.add_argument("text", metavar="FAULT", help=text)
     list_parser = add_action(
         "list", "list the faults of a running simulator, and how often each took effect"
     )
-    kinds = add_action("kinds", "list the faults that a running simulator can inject")
-    for sub in (inject, list_parser, kinds):
+    kinds_parser = add_action("kinds", "list the faults that a running simulator can inject")
+    for subparser in (inject_parser, list_parser, kinds_parser):
         text = "bus of the simulator (default: that of the only running simulator)"
-        sub.add_argument("--bus", metavar="SPEC", help=text)
-        add_json_option(sub)
-    _declare_campaign(add_action("campaign", "inject every fault of the fault matrix in lockstep"))
-    _declare_sequences(
+        subparser.add_argument("--bus", metavar="SPEC", help=text)
+        add_json_option(subparser)
+    _add_campaign_options(
+        add_action("campaign", "inject every fault of the fault matrix in lockstep")
+    )
+    _add_sequence_options(
         add_action(
             "sequences", "inject random sequences of faults in lockstep, and check the safety rules"
         )
@@ -87,7 +89,7 @@ def paper(parser: argparse.ArgumentParser) -> None:
     add_jobs_option(parser, 2, "number of experiments at a time")
 
 
-def _declare_campaign(parser: argparse.ArgumentParser) -> None:
+def _add_campaign_options(parser: argparse.ArgumentParser) -> None:
     add_hand_option(parser)
     add_json_option(parser)
     text = "protocol of the drives (default: mit)"
@@ -116,7 +118,7 @@ def _declare_campaign(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _declare_sequences(parser: argparse.ArgumentParser) -> None:
+def _add_sequence_options(parser: argparse.ArgumentParser) -> None:
     add_hand_option(parser)
     add_json_option(parser)
     parser.add_argument(

@@ -16,7 +16,7 @@ def run(args: argparse.Namespace) -> int:
 
         return fault_campaign.run(args) if args.action == "campaign" else fault_sequences.run(args)
     if args.action == "kinds":
-        return _print_kinds(args)
+        return _print_fault_kinds(args)
     return _send_request(args, {"inject": args.text} if args.action == "inject" else {"list": True})
 
 
@@ -36,7 +36,7 @@ def _send_request(args: argparse.Namespace, request: dict[str, object]) -> int:
     return 0
 
 
-def _print_kinds(args: argparse.Namespace) -> int:
+def _print_fault_kinds(args: argparse.Namespace) -> int:
     """Print each kind of fault, with the components of the hand that a fault of this kind can affect."""
     kinds = ask_simulator(find_simulator(args.bus), {"kinds": True})["kinds"]
     if args.json:

@@ -19,9 +19,9 @@ from handctl.log.tick_record import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.output_files import write_text_atomically
 from handctl.session.exit_codes import ExitCode
+from handctl.session.lockstep_simulation import SimulatedRun
 from handctl.session.run_header import run_header
 from handctl.session.run_plan import RunPlan, default_control_rate
-from handctl.session.simulate import SimulatedRun
 
 QUICK_FAULT_FREE_S = 4.0
 """Simulated time without faults for each protocol, in a campaign with ``--quick`` [s]."""

@@ -17,7 +17,7 @@ from handctl.errors import ConfigError
 from handctl.session.exit_codes import ExitCode
 from handctl.session.run_plan import default_control_rate
 
-MAX_SEQUENCES = 1_000_000
+MAX_SEQUENCE_COUNT = 1_000_000
 
 
 def run(args: argparse.Namespace) -> int:
@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     """
     for name, value, maximum in (
         ("--jobs", args.jobs, MAX_JOBS),
-        ("--count", args.count, MAX_SEQUENCES),
+        ("--count", args.count, MAX_SEQUENCE_COUNT),
     ):
         if not 1 <= value <= maximum:
             raise ConfigError(f"{value}", name, f"1 to {maximum}")
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         "first_seed": args.seed,
         "sequences": len(results),
         "broken": len(broken_results),
-        "felt": sum(result.effects for result in results),
+        "felt": sum(result.effect_count for result in results),
         "worst_tension_N": max(result.tension for result in results),
     }
     if args.json:

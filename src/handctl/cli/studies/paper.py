@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.console.progress import progress_bar
-from handctl.cli.console.screen import rich_console
+from handctl.cli.console.rich_console import rich_console
 from handctl.errors import ConfigError
 from handctl.hand.formats.mjcf import mjcf_text
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.hand_loading import load_hand
-from handctl.output_files import check_output, write_text_atomically
+from handctl.output_files import check_output_path, write_text_atomically
 from handctl.paper.bench.experiments import (
     ExperimentJob,
     job_count,
@@ -22,9 +22,9 @@ from handctl.paper.bench.experiments import (
     rounded_results,
     run_experiments,
 )
-from handctl.paper.bench.pool import worker_pool
+from handctl.paper.bench.worker_pool import worker_pool
 from handctl.paper.errata_item import ErrataVerdict
-from handctl.paper.figures.gallery import draw_all_figures
+from handctl.paper.figures.all_figures import draw_all_figures
 from handctl.paper.page import items_as_json, page_as_html, page_as_markdown, value_text
 from handctl.paper.sections import PageSection, count_by_verdict, page_sections
 from handctl.session.exit_codes import ExitCode
@@ -73,7 +73,7 @@ def _load_or_measure_results(path: Path | None, worker_count: int) -> dict[str, 
         return _measure_all_results(worker_count)
     if path.exists():
         return load_results(path)
-    check_output(path, "--results")
+    check_output_path(path, "--results")
     write_text_atomically(
         path, json.dumps(rounded_results(_measure_all_results(worker_count))) + "\n"
     )
@@ -86,7 +86,7 @@ def _check_writable(report_file: Path | None, *folders: Path | None) -> None:
     This check comes before the experiments, which take a long time.
     """
     if report_file:
-        check_output(report_file, "--output")
+        check_output_path(report_file, "--output")
     for folder in filter(None, folders):
         if folder.exists() and not folder.is_dir():
             raise ConfigError("not a folder", str(folder), "a folder, or a name for a new one")

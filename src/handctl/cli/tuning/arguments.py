@@ -31,7 +31,7 @@ from handctl.cli.parsing.parser import (
 WRITE_GAINS_COMMAND = "printf 'schema = 1\\n[motion]\\nforce_N = 12.0\\n' > new.toml;"
 """Shell command that writes a small gains file."""
 
-EXAMPLES = {
+COMMAND_EXAMPLES = {
     "identify": CommandExample(
         "handctl identify --hand jamia --lockstep --digits thumb --calibration identified.calibration.toml"
     ),
@@ -63,7 +63,7 @@ EXAMPLES = {
 
 def identify(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``identify``."""
-    add_run_options(parser, bus_required=False)
+    add_run_options(parser, is_bus_required=False)
     text = "digits to identify (default: all, one after the other)"
     parser.add_argument("--digits", nargs="+", action="extend", metavar="DIGIT", help=text)
     parser.add_argument(
@@ -86,23 +86,25 @@ def identify(parser: argparse.ArgumentParser) -> None:
 
 def gains(parser: VerbParser) -> None:
     """Declare the arguments of ``gains``."""
-    kinds = parser.add_subparsers(
+    subparsers = parser.add_subparsers(
         dest="what", required=True, metavar="show|diff|apply|rollback|log|set"
     )
 
-    def add_kind(name: str, text: str) -> VerbParser:
-        subparser = add_sub_verb(kinds, name, text, EXAMPLES[f"gains {name}"])
+    def add_gains_verb(name: str, text: str) -> VerbParser:
+        subparser = add_sub_verb(subparsers, name, text, COMMAND_EXAMPLES[f"gains {name}"])
         add_json_option(subparser)
         # The subcommand "set" needs no --hand, because the running controller knows its hand.
         if name != "set":
             add_hand_option(subparser)
         return subparser
 
-    add_gains_options(add_kind("show", "show every gain: value, source, meaning, unit and bounds"))
-    diff_parser = add_kind("diff", "compare two sets of gains")
+    add_gains_options(
+        add_gains_verb("show", "show every gain: value, source, meaning, unit and bounds")
+    )
+    diff_parser = add_gains_verb("diff", "compare two sets of gains")
     text = "one or two of: a file, a log, a number of the history, present, packaged (default: packaged present)"
     diff_parser.add_argument("sides", nargs="*", default=[], metavar="GAINS", help=text)
-    apply_parser = add_kind("apply", "use the gains of a file in all later runs")
+    apply_parser = add_gains_verb("apply", "use the gains of a file in all later runs")
     apply_parser.add_argument("file", type=Path, metavar="FILE", help="gains file")
     for option, name, option_help in (
         ("--calibration", "fit", "calibration with the identified parameters, for the history"),
@@ -114,12 +116,14 @@ def gains(parser: VerbParser) -> None:
     apply_parser.add_argument(
         "--from-log", dest="log", action="append", type=Path, default=[], metavar="LOG", help=text
     )
-    rollback_parser = add_kind("rollback", "use earlier gains again")
+    rollback_parser = add_gains_verb("rollback", "use earlier gains again")
     rollback_parser.add_argument(
         "--to", type=int, metavar="N", help="number in the history, 0 for the packaged gains"
     )
-    add_kind("log", "list all gains that were applied")
-    set_parser = add_kind("set", "change gains of a running controller, without a step in torque")
+    add_gains_verb("log", "list all gains that were applied")
+    set_parser = add_gains_verb(
+        "set", "change gains of a running controller, without a step in torque"
+    )
     set_parser.add_argument(
         "values", nargs="+", metavar="KEY=VALUE", help="gains and their new values"
     )
@@ -128,23 +132,27 @@ def gains(parser: VerbParser) -> None:
 
 def tune(parser: VerbParser) -> None:
     """Declare the arguments of ``tune``."""
-    kinds = parser.add_subparsers(dest="kind", required=True, metavar="design|search|verify")
-    _declare_design(
-        _add_kind(
-            kinds,
+    subparsers = parser.add_subparsers(dest="kind", required=True, metavar="design|search|verify")
+    _add_design_options(
+        _add_tune_verb(
+            subparsers,
             "design",
             "design gains with margins on every plant of an ensemble, from linear models",
         )
     )
-    _declare_search(
-        _add_kind(kinds, "search", "search the best gains on an ensemble of simulated plants")
+    _add_search_options(
+        _add_tune_verb(
+            subparsers, "search", "search the best gains on an ensemble of simulated plants"
+        )
     )
     text = "try new gains on the hand at rising amplitude, and return to the old ones at a limit"
-    _declare_verify(_add_kind(kinds, "verify", text))
+    _add_verify_options(_add_tune_verb(subparsers, "verify", text))
 
 
-def _add_kind(kinds: "argparse._SubParsersAction[VerbParser]", name: str, text: str) -> VerbParser:
-    parser = add_sub_verb(kinds, name, text, EXAMPLES[f"tune {name}"])
+def _add_tune_verb(
+    subparsers: "argparse._SubParsersAction[VerbParser]", name: str, text: str
+) -> VerbParser:
+    parser = add_sub_verb(subparsers, name, text, COMMAND_EXAMPLES[f"tune {name}"])
     add_hand_option(parser)
     add_json_option(parser)
     add_gains_options(parser)
@@ -159,7 +167,7 @@ def _add_kind(kinds: "argparse._SubParsersAction[VerbParser]", name: str, text: 
     return parser
 
 
-def _declare_plants(parser: argparse.ArgumentParser, default: int) -> None:
+def _add_plant_options(parser: argparse.ArgumentParser, default: int) -> None:
     text = f"number of simulated plants, the first with the values of the hand (default: {default})"
     parser.add_argument("--plants", type=int, default=default, metavar="N", help=text)
     text = "tune the hand as it was identified (default: as in its file)"
@@ -168,8 +176,8 @@ def _declare_plants(parser: argparse.ArgumentParser, default: int) -> None:
     add_output_option(parser, "gains file to write (default: HAND.design.toml or HAND.search.toml)")
 
 
-def _declare_design(parser: argparse.ArgumentParser) -> None:
-    _declare_plants(parser, 8)
+def _add_design_options(parser: argparse.ArgumentParser) -> None:
+    _add_plant_options(parser, 8)
     text = "place the poles at these frequencies, and do not search"
     parser.add_argument("--poles-Hz", dest="poles", metavar="MOTION,TENSION", help=text)
     text = "damping ratio of the poles of --poles-Hz (default: 1)"
@@ -182,8 +190,8 @@ def _declare_design(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _declare_search(parser: argparse.ArgumentParser) -> None:
-    _declare_plants(parser, 3)
+def _add_search_options(parser: argparse.ArgumentParser) -> None:
+    _add_plant_options(parser, 3)
     text = "total number of trials, including the trials of a resumed study (default: 64)"
     parser.add_argument("--trials", type=int, default=64, metavar="N", help=text)
     text = "journal of the search, which is resumed if it exists (default: HAND.study)"
@@ -199,7 +207,7 @@ def _declare_search(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _declare_verify(parser: argparse.ArgumentParser) -> None:
+def _add_verify_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("candidate", type=Path, metavar="NEW.toml", help="gains to verify")
     add_bus_option(parser, required=False)
     add_dry_run_option(parser)

@@ -7,7 +7,7 @@ from typing import Any
 
 from handctl.cli.console.buses import controller_bus
 from handctl.cli.console.options import print_escaped, print_json
-from handctl.cli.console.plan import layered_gains, print_notice
+from handctl.cli.console.plan import gains_with_sources, print_notice
 from handctl.cli.console.verbosity import is_quiet
 from handctl.core.gains.gain_bounds import (
     GainBounds,
@@ -20,7 +20,7 @@ from handctl.core.gains.gains import Gains, GainsProvenance, load_gains_file, pa
 from handctl.errors import ConfigError, UnconfirmedError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
-from handctl.programs.requests import REFUSED_PREFIX
+from handctl.programs.requests import REFUSAL_EVENT_PREFIX
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import gain_assignments, read_gains_for_hand
 from handctl.session.run_plan import check_gain_margins
@@ -34,19 +34,19 @@ def run(args: argparse.Namespace) -> int:
     """Run the selected subcommand of ``gains``, and return the exit code."""
     if args.what == "set":
         return _change_live_gains(args)
-    does = {
+    function_by_subcommand = {
         "show": _show_gains,
         "diff": _print_diff,
         "apply": _apply_file,
         "rollback": _roll_back,
         "log": _print_history,
     }
-    return does[args.what](args, load_hand(args.hand))
+    return function_by_subcommand[args.what](args, load_hand(args.hand))
 
 
 def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
     """Print the value, the source, the meaning and the bounds of every gain."""
-    layers = layered_gains(args, hand)
+    layers = gains_with_sources(args, hand)
     values = values_by_key(layers.gains)
     gain_bounds = {key: checked_gain_bounds(key, value, "gains") for key, value in values.items()}
     provenance = layers.provenance
@@ -56,7 +56,7 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
                 "value": value,
                 "origin": layers.origins[key],
                 "bounds": str(gain_bounds[key]),
-                "live": gain_bounds[key].is_live_changeable,
+                "live": gain_bounds[key].is_changeable_live,
                 "meaning": gain_meaning(gain_bounds[key]),
             }
             for key, value in values.items()
@@ -69,7 +69,7 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
     for key, value in values.items():
         when = (
             "changes at any time"
-            if gain_bounds[key].is_live_changeable
+            if gain_bounds[key].is_changeable_live
             else "changes before arming"
         )
         print_escaped(f"{key:<38} {value:<10g} {layers.origins[key]}")
@@ -120,36 +120,36 @@ def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
     return ExitCode.DONE
 
 
-def _gains_to_compare(gains_word: str, hand: Hand) -> Gains:
-    """Return the set of gains with the name ``gains_word``.
+def _gains_to_compare(gains_name: str, hand: Hand) -> Gains:
+    """Return the set of gains with the name ``gains_name``.
 
-    This word is "packaged", "present", a number in the history, a log, or a gains file.
+    This name is "packaged", "present", a number in the history, a log, or a gains file.
 
     Raises:
         ConfigError: the history contains no entry with this number.
     """
     store = GainsStore(hand.name)
-    if gains_word == "packaged":
+    if gains_name == "packaged":
         return packaged_gains(hand.name)
-    if gains_word == "present":
+    if gains_name == "present":
         present = store.present_gains()
         return present.gains if present else packaged_gains(hand.name)
-    if gains_word.isdecimal():
+    if gains_name.isdecimal():
         entries = {str(entry.number): entry.file.gains for entry in store.history_entries()}
-        if gains_word.lstrip("0") not in entries:
+        if gains_name.lstrip("0") not in entries:
             raise ConfigError(
-                f"no gains number {gains_word}",
+                f"no gains number {gains_name}",
                 str(store.history_folder),
                 "one that handctl gains log lists",
             )
-        return entries[gains_word.lstrip("0")]
-    if gains_word.endswith(".mcap"):
+        return entries[gains_name.lstrip("0")]
+    if gains_name.endswith(".mcap"):
         from handctl.log.read.reader import RunLog
         from handctl.replay.controller_rebuild import logged_gains
 
-        with RunLog(Path(gains_word)) as log:
+        with RunLog(Path(gains_name)) as log:
             return logged_gains(log)
-    return load_gains_file(Path(gains_word)).gains
+    return load_gains_file(Path(gains_name)).gains
 
 
 def _apply_file(args: argparse.Namespace, hand: Hand) -> int:
@@ -166,8 +166,8 @@ def _apply_file(args: argparse.Namespace, hand: Hand) -> int:
         update={key: value for key, value in options.items() if value}
     )
     store = GainsStore(hand.name, hand.identity)
-    _rename_unusable(store)
-    return _report_done(args, store, store.apply_gains(file.gains, provenance).provenance)
+    _rename_unusable_gains(store)
+    return _report_stored_gains(args, store, store.apply_gains(file.gains, provenance).provenance)
 
 
 def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
@@ -179,24 +179,26 @@ def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
     store = GainsStore(hand.name, hand.identity)
     entries = store.history_entries()
     newest = entries[-1].number if entries else 0
-    to = newest if _rename_unusable(store) and args.to is None else args.to
-    return _report_done(args, store, store.roll_back(to).provenance)
+    to = newest if _rename_unusable_gains(store) and args.to is None else args.to
+    return _report_stored_gains(args, store, store.roll_back(to).provenance)
 
 
-def _rename_unusable(store: GainsStore) -> bool:
+def _rename_unusable_gains(store: GainsStore) -> bool:
     """Rename the file of the present gains if it is unusable, and report its new name.
 
     Return True if a file was renamed.
     """
-    aside = store.rename_damaged_file()
-    if aside:
+    renamed_path = store.rename_damaged_file()
+    if renamed_path:
         print_escaped(
-            f"handctl: {store.path} cannot be used, and was renamed to {aside}", error=True
+            f"handctl: {store.path} cannot be used, and was renamed to {renamed_path}", error=True
         )
-    return bool(aside)
+    return bool(renamed_path)
 
 
-def _report_done(args: argparse.Namespace, store: GainsStore, provenance: GainsProvenance) -> int:
+def _report_stored_gains(
+    args: argparse.Namespace, store: GainsStore, provenance: GainsProvenance
+) -> int:
     if args.json:
         print_json({"file": str(store.path), "provenance": provenance.model_dump()})
     else:
@@ -225,8 +227,8 @@ def _print_history(args: argparse.Namespace, hand: Hand) -> int:
         )
         return ExitCode.DONE
     for entry in entries:
-        mark = "*" if entry.number == _number_text(present) else " "
-        print_escaped(f"{mark} {entry.number:>4}  {_entry_line(entry, entries)}")
+        present_mark = "*" if entry.number == _number_text(present) else " "
+        print_escaped(f"{present_mark} {entry.number:>4}  {_history_line(entry, entries)}")
     print(
         f"{len(entries)} applied; present: {_number_text(present) or 'packaged' if present is None else store.path}"
     )
@@ -237,16 +239,20 @@ def _number_text(present_value: Any) -> int:
     return present_value.provenance.number if present_value else 0
 
 
-def _entry_line(entry: StoredGains, stored_gains: list[StoredGains]) -> str:
+def _history_line(entry: StoredGains, stored_gains: list[StoredGains]) -> str:
     """Return an entry of the history as one line: time, sources, and the first three changed gains."""
-    by_number = {stored_entry.number: stored_entry.file.gains for stored_entry in stored_gains}
-    replaced_gains = by_number.get(
+    gains_by_number = {
+        stored_entry.number: stored_entry.file.gains for stored_entry in stored_gains
+    }
+    replaced_gains = gains_by_number.get(
         entry.file.provenance.replaces, packaged_gains(entry.file.provenance.hand)
     )
     changed = list(changed_gain_values(replaced_gains, entry.file.gains))
-    few = ", ".join(changed[:3]) + (" .." if len(changed) > 3 else "")
-    made_and_sources = _provenance_text(entry.file.provenance).partition(", made ")[2]
-    return made_and_sources + (f"; changes {few}" if few else "; changes nothing")
+    first_changes = ", ".join(changed[:3]) + (" .." if len(changed) > 3 else "")
+    time_and_sources = _provenance_text(entry.file.provenance).partition(", made ")[2]
+    return time_and_sources + (
+        f"; changes {first_changes}" if first_changes else "; changes nothing"
+    )
 
 
 def _change_live_gains(args: argparse.Namespace) -> int:
@@ -270,21 +276,21 @@ def _change_live_gains(args: argparse.Namespace) -> int:
             line, texts = send_with_confirmation(watcher, {"do": "gains", "set": values})
         for text in texts:
             _raise_refusal(text)
-        applied = _wait_for_answers(watcher, values, line)
+        confirmed_values = _wait_for_answers(watcher, values, line)
     finally:
         watcher.close()
     if args.json:
-        print_json({"bus": bus, "set": applied})
+        print_json({"bus": bus, "set": confirmed_values})
     else:
         print(
-            "\n".join(f"{key} = {text}" for key, text in applied.items())
+            "\n".join(f"{key} = {text}" for key, text in confirmed_values.items())
             or "no change: these gains are in use"
         )
     return ExitCode.DONE
 
 
 def _wait_for_answers(
-    watcher: Any, requested_values: dict[str, float], taken_values: dict[str, Any]
+    watcher: Any, requested_values: dict[str, float], first_status_line: dict[str, Any]
 ) -> dict[str, str]:
     """Wait until the controller has answered a request to change gains.
 
@@ -295,7 +301,7 @@ def _wait_for_answers(
         UnconfirmedError: the controller does not confirm the gains in time.
     """
     texts: dict[str, str] = {}
-    for line in itertools.chain((taken_values,), watcher.status_lines(GAIN_CHANGE_TIMEOUT_S)):
+    for line in itertools.chain((first_status_line,), watcher.status_lines(GAIN_CHANGE_TIMEOUT_S)):
         for event in line["events"]:
             if event["name"] == "gain" and event["where"] in requested_values:
                 texts[event["where"]] = event["text"]
@@ -311,5 +317,5 @@ def _raise_refusal(text: str) -> None:
     Raises:
         ConfigError: the controller refused the request.
     """
-    if text.startswith(REFUSED_PREFIX):
-        raise ConfigError(text.removeprefix(REFUSED_PREFIX), "the controller")
+    if text.startswith(REFUSAL_EVENT_PREFIX):
+        raise ConfigError(text.removeprefix(REFUSAL_EVENT_PREFIX), "the controller")

@@ -20,7 +20,7 @@ from handctl.cli.console.plan import (
     refuse_bus_options,
 )
 from handctl.cli.console.verbosity import is_verbose, print_note
-from handctl.cli.tuning.tune_files import hand_option_words
+from handctl.cli.tuning.tune_files import hand_arguments
 from handctl.core.calibration import Calibration
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
@@ -30,7 +30,7 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.excitation import ExciteProgram
 from handctl.replay.controller_rebuild import logged_hand
 from handctl.runtime.buses.bus_opening import real_buses
-from handctl.runtime.hold_limit import HoldLimit
+from handctl.runtime.hold_timeout import HoldTimeout
 from handctl.session.calibration import (
     ensure_calibration,
     load_calibration,
@@ -40,9 +40,9 @@ from handctl.session.calibration import (
 )
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import gain_assignments
+from handctl.session.lockstep_simulation import SimulatorSettings
 from handctl.session.run import RunFunction, RunOutcome, make_controller, run_live, run_lockstep
 from handctl.session.run_plan import RunPlan, commissioning_log_path, default_log_path
-from handctl.session.simulate import SimulatorSettings
 from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.identification_figure import draw_identification
 from handctl.tune.identify.identify import (
@@ -53,7 +53,7 @@ from handctl.tune.identify.identify import (
     utc_now_text,
 )
 
-BLOCKED_HINT = (
+BLOCKED_DIGIT_HINT = (
     "expected a digit that touches nothing: remove the object "
     "that it touches, or correct the springs in the hand file"
 )
@@ -104,9 +104,9 @@ def run(args: argparse.Namespace) -> int:
             plan, path, reason, run_live, commissioning_log_path(log)
         )
         controller = make_controller(plan, program, calibration, arm_at_once=True)
-        hold_limit = HoldLimit()
-        outcome = run_live(plan, controller, log, observer=hold_limit)
-        hold_limit.raise_if_stopped(f"identifying {plan.hand.name}, log {log}")
+        hold_timeout = HoldTimeout()
+        outcome = run_live(plan, controller, log, observer=hold_timeout)
+        hold_timeout.raise_if_stopped(f"identifying {plan.hand.name}, log {log}")
     outcome.raise_if_not_finished(f"identifying {plan.hand.name}, log {log}")
     with RunLog(log) as record:
         results = identify_tendons(record, plan.hand, print_note)
@@ -242,14 +242,14 @@ def _report_results(
     )
     all_results = [tendon for tendons in results_of_log.values() for tendon in tendons.values()]
     blocked_events = {
-        tendon_result.data.digit: tendon_result.blocked_event
+        tendon_result.data.digit: tendon_result.blocked_event_text
         for tendon_result in all_results
-        if tendon_result.blocked_event
+        if tendon_result.blocked_event_text
     }
     blocked_results = {
         result.data.digit: result.contact_text
         for result in all_results
-        if result.contact_text and not result.blocked_event
+        if result.contact_text and not result.blocked_event_text
     }
     incoherent_names = [result.data.tendon for result in all_results if result.is_incoherent]
     any_identified = False
@@ -261,7 +261,7 @@ def _report_results(
             new_entry is not None for new_entry in new_entries.values()
         )
         identified |= {
-            name: new_entry.merged_with_older(identified.get(name))
+            name: new_entry.merge_older_parameters(identified.get(name))
             for name, new_entry in new_entries.items()
             if new_entry is not None
         }
@@ -275,7 +275,7 @@ def _report_results(
     pictures = _draw_pictures(
         hand, results_of_log, print_note
     )  # the calibration is written first, so that it is not lost if the drawing fails
-    _print_refusals(blocked_events, blocked_results, incoherent_names)
+    _print_rejected_parameters(blocked_events, blocked_results, incoherent_names)
     exit_code = ExitCode.FAILED if blocked_events or blocked_results else ExitCode.DONE
     if args.json:
         print_json(
@@ -302,7 +302,7 @@ def _report_results(
     return exit_code
 
 
-def _print_refusals(
+def _print_rejected_parameters(
     blocked_digits: dict[str, str], reason_of_tendon: dict[str, str], incoherent_tendons: list[str]
 ) -> None:
     """Print the parameters that are not kept, and the reason for each.
@@ -319,7 +319,7 @@ def _print_refusals(
         )
     for digit, reason in reason_of_tendon.items():
         print_escaped(
-            f"handctl: springs and friction of {digit} are not kept: {reason}; {BLOCKED_HINT}",
+            f"handctl: springs and friction of {digit} are not kept: {reason}; {BLOCKED_DIGIT_HINT}",
             error=True,
         )
     if incoherent_tendons:
@@ -336,7 +336,7 @@ def _search_command(args: argparse.Namespace, path: Path) -> str:
     The options of this command line select the same hand.
     """
     words = ["handctl", "tune", "search", "--hand", str(args.hand), "--calibration", str(path)]
-    return shlex.join(words + hand_option_words(args))
+    return shlex.join(words + hand_arguments(args))
 
 
 def _draw_pictures(

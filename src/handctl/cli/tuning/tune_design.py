@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.console.options import print_escaped, print_json
-from handctl.cli.console.plan import layered_gains
-from handctl.cli.console.screen import rich_console
+from handctl.cli.console.plan import gains_with_sources
+from handctl.cli.console.rich_console import rich_console
 from handctl.cli.console.verbosity import is_quiet
 from handctl.cli.tuning.tune_files import (
     ensemble_of_tuned_hand,
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
             f"{args.damping:g}", "--damping", "only with --poles-Hz, whose poles it damps"
         )
     hand, identified_hand, spread = load_tuned_hand(args.hand, args.fit)
-    gains = layered_gains(args, hand).gains
+    gains = gains_with_sources(args, hand).gains
     rate = control_rate(args.rate, hand, bus_loads(hand))
     output_path, picture = output_files(args, hand.name, "design")
     factors = ensemble_of_tuned_hand(args, spread, 1024)
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
         result = (
             result
             if rest_test(model)
-            else result.with_unproven_old_gains(rest_test.reason.removeprefix(": "))
+            else result.with_zero_old_margins(rest_test.reason.removeprefix(": "))
         )
     model_after = HandModel.from_hand(identified_hand, result.gains, rate)
     note = f"tune design at {rate:g} Hz on {len(plants)} plants, seed {args.seed}"
@@ -137,7 +137,7 @@ def _result_fields(
             f"{name}/{kind}": asdict(margins)
             for (name, kind), margins in gain_design.margins_after.items()
         },
-        "not_at_rest_before": gain_design.old_gains_unrest_reason,
+        "not_at_rest_before": gain_design.old_gains_failure,
         "worst_before": asdict(gain_design.worst_margins_before),
         "worst_after": asdict(gain_design.worst_margins_after),
         "enough": gain_design.worst_margins_after.are_sufficient,
@@ -152,7 +152,7 @@ def _print_design(gain_design: Any, rate_hz: float, plant_count: int) -> None:
     table = Table(title=title, box=box.SIMPLE, pad_edge=False)
     for heading in ("tendon", "loop", "gain dB", "phase deg", "disk", "delay ms", "cross Hz"):
         table.add_column(heading, no_wrap=True)
-    unproven_text = "not at rest" if gain_design.old_gains_unrest_reason else "unstable"
+    unproven_text = "not at rest" if gain_design.old_gains_failure else "unstable"
     alike: dict[tuple[str, ...], list[str]] = {}
     for (name, kind), margins_after in gain_design.margins_after.items():
         alike.setdefault(
@@ -176,8 +176,8 @@ def _print_design(gain_design: Any, rate_hz: float, plant_count: int) -> None:
         ),
     )
     rich_console(min_width=TABLE_WIDTH).print(table)
-    if gain_design.old_gains_unrest_reason:
-        reason = gain_design.old_gains_unrest_reason
+    if gain_design.old_gains_failure:
+        reason = gain_design.old_gains_failure
         print_escaped(f"before: in simulation the hand does not come to rest: {reason}")
 
 

@@ -5,14 +5,14 @@ import shlex
 from pathlib import Path
 from typing import NamedTuple
 
-from handctl.cli.console.options import checked_count, perturb_option_words
+from handctl.cli.console.options import check_count, perturb_arguments
 from handctl.cli.console.plan import check_perturb
 from handctl.core.gains.gains import Gains, GainsProvenance, gains_text
 from handctl.core.identified_parameters import identified_hand
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
-from handctl.output_files import check_output, path_with_suffix, write_text_atomically
+from handctl.output_files import check_output_path, path_with_suffix, write_text_atomically
 from handctl.session.calibration import identified_parameters_in_file
 from handctl.tune.search.ensemble import factor_half_widths, sample_ensemble
 
@@ -29,9 +29,9 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
         Path(f"{hand}.{suffix}") for suffix in ("calibration.toml", "gains.toml", "study")
     ]
     read = (*hand_files, Path(args.hand), args.gains, args.fit, getattr(args, "study", None))
-    check_output(output_path, "--output", *read)
+    check_output_path(output_path, "--output", *read)
     picture: Path = args.picture or path_with_suffix(output_path, ".png")
-    check_output(picture, "--picture", *read)
+    check_output_path(picture, "--picture", *read)
     if picture.resolve() == output_path.resolve():
         raise ConfigError(
             "is the name of the picture, too",
@@ -42,7 +42,7 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
 
 
 def ensemble_of_tuned_hand(
-    args: argparse.Namespace, spread_of_factor: dict[str, float], maximum: int
+    args: argparse.Namespace, half_width_by_factor: dict[str, float], maximum: int
 ) -> tuple[dict[str, float], ...]:
     """Return the factors by which each simulated plant multiplies the parameters of the hand to tune.
 
@@ -56,7 +56,7 @@ def ensemble_of_tuned_hand(
     """
     perturb = check_perturb(args, is_simulated=True)
     plants = sample_ensemble(
-        checked_count(args.plants, "--plants", maximum), args.seed, spread_of_factor
+        check_count(args.plants, "--plants", maximum), args.seed, half_width_by_factor
     )
     if args.fit:
         return plants
@@ -73,15 +73,15 @@ def verify_command(args: argparse.Namespace, gains_path: Path) -> str:
     """
     words = ["handctl", "tune", "verify", str(gains_path), "--lockstep", "--hand", str(args.hand)]
     words += ["--calibration", str(args.fit)] if args.fit else []
-    return shlex.join(words + hand_option_words(args))
+    return shlex.join(words + hand_arguments(args))
 
 
-def hand_option_words(args: argparse.Namespace) -> list[str]:
+def hand_arguments(args: argparse.Namespace) -> list[str]:
     """Return the options that give a later command the same gains, control rate and simulated plant."""
     words = ["--gains", str(args.gains)] if args.gains else []
     words += [word for gain in args.gain or () for word in ("--gain", gain)]
     words += ["--rate", f"{args.rate:g}"] if args.rate else []
-    return words + perturb_option_words(args)
+    return words + perturb_arguments(args)
 
 
 def write_gains(
@@ -103,13 +103,13 @@ class TunedHand(NamedTuple):
         identified_hand: hand with identified parameters in place of the parameters in the file.
             This hand is the model of the controller, as in a run with the same calibration. This
             hand is also the centre of the ensemble of simulated plants.
-        factor_spread: half width of the ensemble for each parameter, from the identification, see
+        half_width_by_factor: half width of the ensemble for each parameter, from the identification, see
             ``sample_ensemble``.
     """
 
     hand: Hand
     identified_hand: Hand
-    factor_spread: dict[str, float]
+    half_width_by_factor: dict[str, float]
 
 
 def load_tuned_hand(name: str, fit: Path | None) -> TunedHand:

@@ -9,9 +9,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.console.options import checked_count, print_json
-from handctl.cli.console.plan import layered_gains
-from handctl.cli.console.screen import rich_console
+from handctl.cli.console.options import check_count, print_json
+from handctl.cli.console.plan import gains_with_sources
+from handctl.cli.console.rich_console import rich_console
 from handctl.cli.console.verbosity import is_quiet
 from handctl.cli.tuning.tune_files import (
     ensemble_of_tuned_hand,
@@ -34,17 +34,17 @@ def run(args: argparse.Namespace) -> int:
 
     The command fails if no trial has large enough stability margins.
     """
-    from handctl.tune.search.search import SearchPlan, run_search
+    from handctl.tune.search.gain_search import SearchPlan, run_search
     from handctl.tune.search.workers import make_workers
     from handctl.tune.tuning_figures import draw_search
 
     hand, identified_hand, spread = load_tuned_hand(args.hand, args.fit)
-    gains = layered_gains(args, hand).gains
+    gains = gains_with_sources(args, hand).gains
     rate = control_rate(args.rate, hand, bus_loads(hand))
     output_path, picture = output_files(args, hand.name, "search")
     plants = ensemble_of_tuned_hand(args, spread, 256)
-    trials = checked_count(args.trials, "--trials", 100_000)
-    worker_count = checked_count(args.jobs, "--jobs", 64)
+    trials = check_count(args.trials, "--trials", 100_000)
+    worker_count = check_count(args.jobs, "--jobs", 64)
     storage = args.study or Path(f"{hand.name}.study")
     with _SearchProgress(trials, args.json or is_quiet()) as progress:
         plan = SearchPlan(

@@ -12,9 +12,9 @@ from typing import Any
 
 from handctl.cli.console.dry_run import report_dry_run
 from handctl.cli.console.motion_confirmation import announce_motion
-from handctl.cli.console.options import checked_count, print_escaped, print_json
+from handctl.cli.console.options import check_count, print_escaped, print_json
 from handctl.cli.console.plan import check_perturb, find_calibration, make_plan, refuse_bus_options
-from handctl.cli.console.screen import rich_console
+from handctl.cli.console.rich_console import rich_console
 from handctl.cli.console.verbosity import print_note
 from handctl.errors import ConfigError
 from handctl.session.calibration import (
@@ -24,6 +24,7 @@ from handctl.session.calibration import (
 )
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import gain_assignments, read_gains_for_hand
+from handctl.session.lockstep_simulation import SimulatorSettings
 from handctl.session.run import RunOutcome, make_controller, run_live, run_lockstep
 from handctl.session.run_plan import (
     RunPlan,
@@ -31,7 +32,6 @@ from handctl.session.run_plan import (
     commissioning_log_path,
     default_log_path,
 )
-from handctl.session.simulate import SimulatorSettings
 
 
 def run(args: argparse.Namespace) -> int:
@@ -67,11 +67,11 @@ def run(args: argparse.Namespace) -> int:
         line = f"{plan.hand.name}: would verify {args.candidate} in {len(amplitudes)} rounds"
         return report_dry_run(args, plan, line, gains=args.candidate, amplitudes=amplitudes)
     log = args.log or default_log_path(plan.hand, "verify")
-    plan = _with_gains(plan, gains_with_new_filter, args.candidate)
+    plan = _plan_with_gains(plan, gains_with_new_filter, args.candidate)
     first_seed = args.seed
     runs = []
     for seed in range(
-        first_seed, first_seed + (checked_count(args.seeds, "--seeds", 100) if args.lockstep else 1)
+        first_seed, first_seed + (check_count(args.seeds, "--seeds", 100) if args.lockstep else 1)
     ):
         args.seed = seed
         run_log = log if seed == first_seed else log.with_stem(f"{log.stem}-seed{seed}")
@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     return _report_verification(args, runs, outcome)
 
 
-def _with_gains(plan: RunPlan, gains: Any, candidate_path: Path) -> RunPlan:
+def _plan_with_gains(plan: RunPlan, gains: Any, candidate_path: Path) -> RunPlan:
     from dataclasses import replace
 
     return replace(
@@ -216,11 +216,11 @@ def _report_verification(
 
 def _print_columns(result: dict[str, Any]) -> None:
     runs = result["runs"]
-    how = f"spread of {runs} seeds" if runs > 1 else "one run, spread assumed"
+    spread_source = f"spread of {runs} seeds" if runs > 1 else "one run, spread assumed"
     for measure in result["columns"]:
         change = (
             f"{measure['old']:.2f} -> {measure['new']:.2f} {measure['unit']}, "
-            f"difference +-{measure['spread']:.2f} ({how})"
+            f"difference +-{measure['spread']:.2f} ({spread_source})"
         )
         print(f"{measure['name']}: {measure['verdict']}, {change}")
 
@@ -258,7 +258,7 @@ def _print_rounds(
     console.print(table)
     returned_gains = result["returned"]
     if returned_gains:
-        console.print(gains_return_text(returned_gains))
+        console.print(rollback_text(returned_gains))
     if result.get("columns"):
         _print_columns(result)
     console.print(f"log: {result['log']}\npicture: {result['picture']}", soft_wrap=True)
@@ -271,16 +271,16 @@ def _print_rounds(
         print_escaped(f"not verified: {result['why_not']}")
 
 
-def gains_return_text(gains_return: dict[str, Any]) -> str:
+def rollback_text(rollback: dict[str, Any]) -> str:
     """Return the line of the report that says when and why the hand returned to the old gains."""
     return (
-        f"returned to the old gains at {gains_return['t_s']:.3f} s (tick {gains_return['k']}), "
-        f"amplitude {gains_return['amplitude']:g}: {gains_return['why']}"
+        f"returned to the old gains at {rollback['t_s']:.3f} s (tick {rollback['k']}), "
+        f"amplitude {rollback['amplitude']:g}: {rollback['why']}"
     )
 
 
 def _gains_label(
-    round_number: int, gains_return: dict[str, Any] | None, amplitudes: tuple[float, ...]
+    round_number: int, rollback: dict[str, Any] | None, amplitudes: tuple[float, ...]
 ) -> str:
     """Return the label of the gains in a test round.
 
@@ -290,9 +290,7 @@ def _gains_label(
 
     if round_number < ROUNDS_WITH_OLD_GAINS:
         return "old"
-    if gains_return is None:
+    if rollback is None:
         return "new"
-    end = ROUNDS_WITH_OLD_GAINS + amplitudes[ROUNDS_WITH_OLD_GAINS:].index(
-        gains_return["amplitude"]
-    )
+    end = ROUNDS_WITH_OLD_GAINS + amplitudes[ROUNDS_WITH_OLD_GAINS:].index(rollback["amplitude"])
     return "new" if round_number < end else "new, then old" if round_number == end else "old again"

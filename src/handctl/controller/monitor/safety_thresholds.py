@@ -10,7 +10,7 @@ from handctl.core.tick_types import Vector
 from handctl.drives.contract import Drive
 from handctl.drives.sensors.contract import SensorInterface
 from handctl.drives.signals import SignalCoding, SignalQuantity
-from handctl.safety.faults.node import NOISE_FACTOR
+from handctl.safety.faults.node import POSITION_NOISE_FACTOR
 from handctl.safety.safety_limits import (
     MAX_SILENCE_S,
     MAX_STALL_S,
@@ -30,7 +30,7 @@ Source: spool speed of the packaged hands, divided by their smallest moment arm.
 """
 ROUNDING_NOISE_COUNTS = 6.0
 """Mean squared jerk of a motor position that rounding of the encoder causes [squared encoder counts]."""
-HEALTHY_ACCELERATION_FRACTION = 0.1
+TYPICAL_ACCELERATION_FRACTION = 0.1
 """RMS acceleration of a healthy motor over 100 ms, as a fraction of the bare rotor's acceleration at full torque.
 
 A motor also accelerates a digit, and never has its full torque for long. In the golden logs of
@@ -49,15 +49,15 @@ def safety_limits(
         joints=hand.joints,
         tension_trip=tuple(
             tendon.tension_trip_N - margin
-            for tendon, margin in zip(hand.tendon, model.blind_margin.tolist(), strict=True)
+            for tendon, margin in zip(hand.tendon, model.margin_without_cell.tolist(), strict=True)
         ),
         drive_limit=tuple(tendon.drive_limit_N for tendon in hand.tendon),
         tension_rail=sensors.tension_rail,
         tension_low=sensors.tension_low,
         silent_ticks=tick_count_for_time(MAX_SILENCE_S, model.period, MIN_SILENT_TICKS),
         stalled_ticks=tick_count_for_time(MAX_STALL_S, model.period, MIN_STALLED_TICKS),
-        noise=_noise_limit(model),
-        frames=max_frames_per_tick(drives, sensors),
+        max_position_noise=_noise_limit(model),
+        max_frames_per_tick=max_frames_per_tick(drives, sensors),
     )
 
 
@@ -84,7 +84,9 @@ def compiled_constants(
     motor_period = np.array([max(period, drive.feedback_period_s) for drive in drives])
     joint_period = hand.sensor_node.joint_decimation * period
     silent_ticks = tick_count_for_time(MAX_SILENCE_S, joint_period, MIN_SILENT_TICKS) * joint_period
-    rates = np.array([hand.motor_of(name).velocity_range_rad_s for name in hand.tendon_names])
+    rates = np.array(
+        [hand.motor_of_tendon(name).velocity_range_rad_s for name in hand.tendon_names]
+    )
     return HandConstants(model, {
         "tare": tare_tensions,
         "zero": motor_zeros,
@@ -95,9 +97,9 @@ def compiled_constants(
         "joint_period": joint_period,
         "tension_trip": limits.tension_trip,
         "drive_limit": limits.drive_limit,
-        "torque_step": [torque_resolution(drive) for drive in drives] / model.space.spool,
+        "torque_step": [torque_resolution(drive) for drive in drives] / model.tendon_constants.spool_radius,
         **servo_resolutions(model, drives),
-        "noise_limit": limits.noise,
+        "noise_limit": limits.max_position_noise,
         "temperature_soft": limits.temperature_soft,
         "temperature_hard": limits.temperature_hard,
         "tension_rail": limits.tension_rail,
@@ -112,7 +114,7 @@ def compiled_constants(
         "silent_ticks": limits.silent_ticks,
         "one_silent_ticks": limits.silent_ticks_of_single_motor,
         "stalled_ticks": limits.stalled_ticks,
-        "frames_limit": limits.frames,
+        "frames_limit": limits.max_frames_per_tick,
         "tension_groups": sensors.tension_frames,
     })  # fmt: skip
 
@@ -149,7 +151,9 @@ def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, 
             if signal.quantity in inputs:
                 # A floating-point number has finer steps than the encoder that measures the
                 # position.
-                encoder = model.space.encoder_step[n] / model.space.spool[n]
+                encoder = (
+                    model.tendon_constants.encoder_step[n] / model.tendon_constants.spool_radius[n]
+                )
                 step = (
                     max(signal.step, encoder)
                     if signal.quantity == SignalQuantity.POSITION
@@ -159,10 +163,10 @@ def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, 
     return {
         "servo_kp_max": largest[0],
         "servo_kd_max": largest[1],
-        "servo_moves": [drive.cyclic_messages.moves_commanded_position for drive in drives],
+        "servo_moves": [drive.cyclic_messages.integrates_velocity for drive in drives],
         "servo_kp_step": steps[0],
         "servo_kd_step": steps[1],
-        "servo_rounding": torque / model.space.spool,
+        "servo_rounding": torque / model.tendon_constants.spool_radius,
     }
 
 
@@ -203,13 +207,19 @@ def _noise_limit(model: HandModel) -> float:
     position step from one tick to the next. It equals the acceleration times the period squared.
     The limit includes the jerk of a real motion and the rounding of the encoder.
     """
-    space = model.space
+    tendons = model.tendon_constants
     period = model.period
     # Acceleration of a rotor without load at full torque [rad/s^2]. The torque divided by the spool
     # radius is a force. This force divided by the mass is an acceleration along the tendon. This
     # acceleration divided by the spool radius is the angular acceleration of the rotor.
-    acceleration = float((model.torque_limit / space.spool / space.motor_mass / space.spool).max())
-    rounding_noise = ROUNDING_NOISE_COUNTS * float((space.encoder_step / space.spool).max()) ** 2
-    return NOISE_FACTOR * (
-        (HEALTHY_ACCELERATION_FRACTION * acceleration * period**2) ** 2 + rounding_noise
+    acceleration = float(
+        (
+            model.torque_limit / tendons.spool_radius / tendons.motor_mass / tendons.spool_radius
+        ).max()
+    )
+    rounding_noise = (
+        ROUNDING_NOISE_COUNTS * float((tendons.encoder_step / tendons.spool_radius).max()) ** 2
+    )
+    return POSITION_NOISE_FACTOR * (
+        (TYPICAL_ACCELERATION_FRACTION * acceleration * period**2) ** 2 + rounding_noise
     )

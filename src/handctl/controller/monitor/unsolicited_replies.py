@@ -73,19 +73,25 @@ def _detect_duplicate_answers(
     """Detect duplicate answers of the load cells, and count late answers.
 
     Duplicate answers are written to ``DUPLICATE_REPLIES``. Late answers are counted in
-    ``STALE_FRAMES``.
+    ``STALE_FRAME_COUNT``.
     """
     duplicates = state.view("twice")
-    is_excused = not sensors.has_counter and (
-        state.run_integer(s.MISSED_TICKS) > 0 or _has_lost_answers(last_state)
+    is_extra_reply_allowed = not sensors.has_counter and (
+        state.run_table_integer(s.MISSED_TICKS) > 0 or _has_lost_answers(last_state)
     )
-    group_answered = last_state.view("group_answered").tolist()
+    was_group_answered = last_state.view("group_answered").tolist()
     for group, count in enumerate(state.view("group_answered").tolist()):
-        if count > 1 and (is_excused or not (sensors.has_counter or group_answered[group])):
-            state.set_run_integer(s.STALE_FRAMES, state.run_integer(s.STALE_FRAMES) + count - 1)
-            state.set_run_integer(s.STALE_FRAME_NOW, max(state.run_integer(s.STALE_FRAME_NOW), 1))
+        if count > 1 and (
+            is_extra_reply_allowed or not (sensors.has_counter or was_group_answered[group])
+        ):
+            state.set_run_table_integer(
+                s.STALE_FRAME_COUNT, state.run_table_integer(s.STALE_FRAME_COUNT) + count - 1
+            )
+            state.set_run_table_integer(
+                s.STALE_FRAME_STATE, max(state.run_table_integer(s.STALE_FRAME_STATE), 1)
+            )
         elif count > 1:
-            counter = last_state.run_integer(s.SYNC_COUNTER)
+            counter = last_state.run_table_integer(s.SYNC_COUNTER)
             can_id = sensors.ids[group]
             fresh_payloads = [
                 frame.data

@@ -50,15 +50,15 @@ from handctl.core.control_law.servo_commands import (
     write_servo_command,
 )
 from handctl.core.estimation.blocked_digits import MAX_BLOCKED_EXTRA_TENSION_N
-from handctl.core.estimation.filter_stack import SLACK_REGIME
+from handctl.core.estimation.filter_types import SLACK_REGIME
+from handctl.core.estimation.slack_detection import MAX_SLACK_TENSION_N
 from handctl.core.estimation.spool_pair import net_tension_at_spool
-from handctl.core.estimation.statics import part_explained_by_motion, winding_efficiency
-from handctl.core.estimation.take_up import MAX_SLACK_TENSION_N
+from handctl.core.estimation.statics import project_onto_digit_motion, winding_efficiency
 from handctl.core.estimation.varying_moment_arms import (
-    arm_slope,
     carrier_excursion,
     joint_excursion,
     moment_arm,
+    moment_arm_slope,
     motor_speed,
 )
 from handctl.core.state_block import StateTables
@@ -91,7 +91,7 @@ HOLD_MARGIN_N = 1.0
 
 The margin is about the error of the estimated tension.
 """
-ROUNDING_FACTOR = 1.0 - 1e-12
+ENVELOPE_ROUNDING_FACTOR = 1.0 - 1e-12
 """Factor on the envelope of a relaxing hand, so that rounding errors cannot raise a constant envelope."""
 SLACK_TAKE_UP_TENSION_N = SNAP_MIN_COMMAND_N
 """Tension with which a stream of tensions takes up a slack tendon if its setpoint is lower [N].
@@ -99,7 +99,7 @@ SLACK_TAKE_UP_TENSION_N = SNAP_MIN_COMMAND_N
 With 8 N, a spool of ``n_plus_1`` winds at 17 mm/s instead of 9 mm/s. A higher tension would make the
 spool so fast that it counts as the spool of a torn tendon.
 """
-INTEGRATION_SPEED_M_S = 0.005
+MAX_INTEGRATION_SPEED_M_S = 0.005
 INTEGRAL_DECAY_S = 0.02
 """Tendon speed above which a stream does not integrate the tension error [m/s], and time constant of the decay [s]."""
 SLACK_TAKE_UP_SPEED_M_S = 0.02
@@ -120,11 +120,11 @@ def command_zero_torque(x: StateTables, c: ConstantTables) -> None:
     """
     begin_servo_commands(x, c)
     for n in range(x.tendon.shape[1]):
-        x.tendon[s.SETPOINT, n] = x.tendon[s.TENSION, n]
-        x.tendon[s.TENSION_INTEGRAL, n] = x.tendon[s.FILTER_FORCE, n] = x.tendon[
+        x.tendon[s.TENSION_SETPOINT, n] = x.tendon[s.TENSION, n]
+        x.tendon[s.TENSION_INTEGRAL, n] = x.tendon[s.FILTER_INPUT_FORCE, n] = x.tendon[
             s.PLANNED_TENSION, n
         ] = x.tendon[s.PLANNED_TENSION_RATE, n] = 0.0
-        x.tendon[s.TRIM_FORCE, n] = x.tendon[s.TORQUE, n] = 0.0
+        x.tendon[s.TRIM_FORCE, n] = x.tendon[s.COMMANDED_TORQUE, n] = 0.0
         x.tendon[s.TENSION_GOAL, n] = x.tendon[s.FRICTION_STATE, n] = math.nan
         x.tendon[s.FRICTION_SLIDER, n] = math.nan
     for j in range(x.joint.shape[1]):
@@ -175,7 +175,7 @@ def temporary_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
         planned_tension = x.tendon[s.PLANNED_TENSION, n]
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             planned_tension = abs(planned_tension)
-        if x.digit_int[s.BLOCKED, c.tendon_int[h.DIGIT_OF_TENDON, n]] and planned_tension > 0.0:
+        if x.digit_int[s.IS_BLOCKED, c.tendon_int[h.DIGIT_OF_TENDON, n]] and planned_tension > 0.0:
             limit[n] = min(limit[n], planned_tension + MAX_BLOCKED_EXTRA_TENSION_N)
         if x.run_int[s.SAFETY_HOLD_ACTIVE]:
             limit[n] = min(limit[n], x.tendon[s.HOLD_TENSION_LIMIT, n])
@@ -189,7 +189,7 @@ def _derated_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     A drive that reports no temperature counts as cool.
     """
     soft_limit = c.run[h.DERATING_START_TEMPERATURE]
-    hard_limit = c.run[h.TEMPERATURE_AT_FLOOR]
+    hard_limit = c.run[h.DERATING_END_TEMPERATURE]
     temperature = x.tendon[s.TEMPERATURE, n]
     if math.isnan(temperature):
         temperature = soft_limit
@@ -246,7 +246,7 @@ def write_motor_torques(
             load[n] = x.tendon[s.REQUIRED_TENSION, n]
         if kind == TENSION:
             force, setpoint, integral = _tension_force(x, c, n, limit[n])
-            force += _feedforward_for_carrying_digits(c, n, carried_rate, carried_acceleration)
+            force += _carrier_feedforward_force(c, n, carried_rate, carried_acceleration)
             load[n] = x.tendon[s.TENSION_GOAL, n] = setpoint
         if kind != LIMP:
             force += x.tendon[s.TRIM_FORCE, n]
@@ -257,12 +257,12 @@ def write_motor_torques(
                 x, c, n, command_force, _relaxation_envelope(x, c, n, relax_rate, ticks), open_loop
             )
         _write_force_for_tension_filter(x, c, n, command_force, carried_acceleration)
-        x.tendon[s.TORQUE, n] = command_force * c.tendon[h.SPOOL_RADIUS, n]
+        x.tendon[s.COMMANDED_TORQUE, n] = command_force * c.tendon[h.SPOOL_RADIUS, n]
         if is_drive_controlled:
             write_servo_command(x, c, n, own_rate, force - motion_terms[1, n], command_force)
         elif n < x.servo.shape[1]:
             command_torque_only(x, n)
-        x.tendon[s.SETPOINT, n] = setpoint
+        x.tendon[s.TENSION_SETPOINT, n] = setpoint
         x.tendon[s.TENSION_INTEGRAL, n] = integral
         if kind == MOTION:
             predict_tension_of_moving_tendon(x, c, n, rate, winding_direction[n])
@@ -284,9 +284,9 @@ def _limited_force(c: ConstantTables, n: int, force: float, limit: float) -> flo
         force: motor force [N].
         limit: present tension limit [N].
     """
-    force = min(max(force, c.tendon[h.FORCE_MIN, n]), c.tendon[h.FORCE_MAX, n])
+    force = min(max(force, c.tendon[h.MIN_MOTOR_FORCE, n]), c.tendon[h.MAX_MOTOR_FORCE, n])
     # The largest motor force is the tension limit plus the friction that the motor has to overcome.
-    bound = limit + c.tendon[h.MOTOR_COULOMB, n]
+    bound = limit + c.tendon[h.MOTOR_COULOMB_FRICTION, n]
     force = min(force, bound)
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
         force = max(force, -bound)
@@ -307,12 +307,12 @@ def _write_force_for_tension_filter(
         carrier_acceleration: acceleration of the tendon caused by the trajectories of digits that carry its
             digit [m/s2].
     """
-    x.tendon[s.FILTER_FORCE, n] = force - _motor_friction(x, c, n, force)
+    x.tendon[s.FILTER_INPUT_FORCE, n] = force - _motor_friction(x, c, n, force)
     if c.run_int[h.HAS_CARRIER_ARMS]:
         # In the filter, the spool travel does not include the motion of carrying digits. So the
         # force for that motion is subtracted.
-        x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_MASS, n] * carrier_acceleration
-        x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_DAMPING, n] * carrier_excursion(
+        x.tendon[s.FILTER_INPUT_FORCE, n] -= c.tendon[h.MOTOR_MASS, n] * carrier_acceleration
+        x.tendon[s.FILTER_INPUT_FORCE, n] -= c.tendon[h.MOTOR_DAMPING, n] * carrier_excursion(
             c, n, x.joint[s.DQ]
         )
 
@@ -336,16 +336,16 @@ def _write_joint_torques(
     for n in range(len(load)):
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-            x.joint[s.JOINT_TORQUE, j] += load[n] * c.tendon_joint[h.MOMENT_ARMS, n, j]
+            x.joint[s.JOINT_TORQUE, j] += load[n] * c.tendon_joint_table[h.MOMENT_ARMS, n, j]
             if (
                 x.tendon_int[s.GOAL_KIND, n] == MOTION
-                and c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0
+                and c.tendon_joint_table[h.MOMENT_ARMS, n, j] != 0.0
             ):
                 x.joint[s.Q_GOAL, j] = trajectory[0, j]
                 x.joint[s.DQ_GOAL, j] = trajectory[1, j]
         if c.run_int[h.HAS_CARRIER_ARMS]:
             for j in range(joints):
-                x.joint[s.JOINT_TORQUE, j] += load[n] * c.tendon_joint[h.CARRIER_ARMS, n, j]
+                x.joint[s.JOINT_TORQUE, j] += load[n] * c.tendon_joint_table[h.CARRIER_ARMS, n, j]
 
 
 @kernel_helper
@@ -404,18 +404,18 @@ def _motion_force_terms(
             # If a part of the excursions cannot come from any motion of the digit, it is an error
             # of the tendon lengths. The feedback ignores this part.
             measured_excursion = (
-                part_explained_by_motion(c, n, x.tendon[s.EXCURSION])
+                project_onto_digit_motion(c, n, x.tendon[s.EXCURSION])
                 + c.tendon[h.EXCURSION_MODEL_OFFSET, n]
             )
         feedback = (
             x.tendon[s.STIFFNESS_FRACTION, n]
-            * c.tendon[h.ERROR_GAIN, n]
+            * c.tendon[h.EXCURSION_GAIN, n]
             * (excursion - measured_excursion)
         )
         feedback += (
             x.tendon[s.DAMPING_FRACTION, n]
             * c.tendon[h.SPEED_GAIN, n]
-            * (rate - x.tendon[s.SPEED, n])
+            * (rate - x.tendon[s.SPOOL_SPEED, n])
         )
         friction_fraction = c.run[h.FRICTION_FRACTION]
         # Tension behind the pulleys, divided by the tension before them. It is the efficiency while
@@ -423,18 +423,21 @@ def _motion_force_terms(
         winding_direction = math.tanh(
             (rate + _tendon_motion_by_carriers(c, n, trajectory)[0]) / CAPSTAN_FRICTION_SPEED_M_S
         )
-        passed_ratio = (1.0 - friction_fraction) + friction_fraction * math.pow(
+        transmitted_ratio = (1.0 - friction_fraction) + friction_fraction * math.pow(
             efficiency[n], winding_direction
         )
         ceiling = min(c.tendon[h.TENSION_CEILING, n], limit[n])
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             required = net_tension_at_spool(
-                x.tendon[s.REQUIRED_TENSION, n], c.tendon[h.PRETENSION, n], passed_ratio
+                x.tendon[s.REQUIRED_TENSION, n], c.tendon[h.PRETENSION, n], transmitted_ratio
             )
             motion_terms[0, n] = min(max(required, -ceiling), ceiling)
         else:
             motion_terms[0, n] = min(
-                max(x.tendon[s.REQUIRED_TENSION, n] / passed_ratio, c.tendon[h.TENSION_FLOOR, n]),
+                max(
+                    x.tendon[s.REQUIRED_TENSION, n] / transmitted_ratio,
+                    c.tendon[h.TENSION_FLOOR, n],
+                ),
                 ceiling,
             )
         motion_terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * feedback
@@ -504,7 +507,7 @@ def _take_up_slack(
     for n in range(x.tendon.shape[1]):
         if _would_pay_out_slack_tendon(x, c, n, motion_terms[1, n]):
             motion_terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * c.tendon[h.SPEED_GAIN, n]
-            motion_terms[1, n] *= SLACK_TAKE_UP_SPEED_M_S - x.tendon[s.SPEED, n]
+            motion_terms[1, n] *= SLACK_TAKE_UP_SPEED_M_S - x.tendon[s.SPOOL_SPEED, n]
         if c.tendon_int[h.IS_SPOOL_PAIR, n] or not follows_streamed_angles(x, c, n):
             continue
         floor = c.tendon[h.TENSION_FLOOR, n]
@@ -512,7 +515,7 @@ def _take_up_slack(
             _, rate, _ = _tendon_motion_on_trajectory(c, n, trajectory)
             motion_terms[0, n] = floor
             motion_terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * c.tendon[h.SPEED_GAIN, n]
-            motion_terms[1, n] *= _slack_take_up_speed(rate) - x.tendon[s.SPEED, n]
+            motion_terms[1, n] *= _slack_take_up_speed(rate) - x.tendon[s.SPOOL_SPEED, n]
             null_space_terms[0, n] = null_space_terms[1, n] = 0.0
         elif motion_terms[1, n] < 0.0:
             motion_terms[1, n] *= min(max(2.0 * x.tendon[s.TENSION, n] / floor - 1.0, 0.0), 1.0)
@@ -520,11 +523,12 @@ def _take_up_slack(
 
 @kernel_helper
 def _would_pay_out_slack_tendon(x: StateTables, c: ConstantTables, n: int, feedback: float) -> bool:
-    """Return True if the position feedback would pay out a slack tendon that has no load cell.
+    """Return True if the position feedback would pay out a slack tendon.
 
-    Motions along streamed angles are excluded. The excursion of a slack tendon without load cell is
-    not measured. The estimated excursion may be too large, and no measurement corrects it. The
-    motor would then pay out more and more of the tendon.
+    Motions along streamed angles are excluded. The excursion of a slack tendon is not measured. The
+    estimated excursion may be too large, and no measurement corrects it. The motor would then pay
+    out more and more of the tendon. In a digit with surplus tendons, the excursion follows from the
+    other tendons.
 
     Args:
         x: state tables.
@@ -536,7 +540,6 @@ def _would_pay_out_slack_tendon(x: StateTables, c: ConstantTables, n: int, feedb
         feedback < 0.0
         and x.tendon_int[s.GOAL_KIND, n] == MOTION
         and x.tendon_int[s.REGIME, n] == SLACK_REGIME
-        and c.tendon_int[h.CELL_GROUP, n] < 0
         and not c.tendon_int[h.IS_REDUNDANT_DIGIT, n]
         and not c.tendon_int[h.IS_SPOOL_PAIR, n]
         and not follows_streamed_angles(x, c, n)
@@ -560,7 +563,7 @@ def _tendon_motion_on_trajectory(
         acceleration += arm * trajectory[2, j]
         if has_varying_arm:
             acceleration += (
-                arm_slope(c, n, j, trajectory[0, j]) * trajectory[1, j] * trajectory[1, j]
+                moment_arm_slope(c, n, j, trajectory[0, j]) * trajectory[1, j] * trajectory[1, j]
             )
     return excursion, rate, acceleration
 
@@ -579,7 +582,7 @@ def _tendon_motion_by_carriers(
 
 
 @kernel_helper
-def _feedforward_for_carrying_digits(
+def _carrier_feedforward_force(
     c: ConstantTables, n: int, rate: float, acceleration: float
 ) -> float:
     """Return the feedforward motor force for the motion of carrying digits [N].
@@ -594,7 +597,7 @@ def _feedforward_for_carrying_digits(
     """
     if not c.run_int[h.HAS_CARRIER_ARMS]:
         return 0.0
-    friction = c.tendon[h.MOTOR_COULOMB, n] * math.tanh(rate / MOTOR_FRICTION_SPEED_M_S)
+    friction = c.tendon[h.MOTOR_COULOMB_FRICTION, n] * math.tanh(rate / MOTOR_FRICTION_SPEED_M_S)
     return (
         friction
         + c.tendon[h.MOTOR_DAMPING, n] * rate
@@ -630,18 +633,20 @@ def _motion_force(
         rate = _slack_take_up_speed(rate)
     # If the drive closes the position loop, the position in its command includes the planned
     # stretch of the tendon. The position loop of the drive then also controls the tension.
-    inner_gain = 0.0 if _is_position_controlled_by_drive(x, c, n) else c.run[h.TENSION_FEEDBACK]
+    tension_feedback_gain = (
+        0.0 if _is_position_controlled_by_drive(x, c, n) else c.run[h.TENSION_FEEDBACK]
+    )
     return (
         tension
         + feedback
         + c.tendon[h.FEEDFORWARD_MASS, n] * acceleration
         - x.tendon[s.STIFFNESS_FRACTION, n]
         * c.run[h.DISTURBANCE_REJECTION]
-        * x.tendon[s.DISTURBANCE, n]
-        + inner_gain * (tension - x.tendon[s.TENSION, n])
+        * x.tendon[s.MOTOR_DISTURBANCE, n]
+        + tension_feedback_gain * (tension - x.tendon[s.TENSION, n])
         + friction_fraction * c.tendon[h.MOTOR_DAMPING, n] * speed
         + friction_fraction
-        * c.tendon[h.MOTOR_COULOMB, n]
+        * c.tendon[h.MOTOR_COULOMB_FRICTION, n]
         * math.tanh(rate / MOTOR_FRICTION_SPEED_M_S)
     )
 
@@ -661,22 +666,22 @@ def _tension_force(
     target = min(x.tendon[s.TENSION_TARGET, n], limit)
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
         target = max(target, -limit)
-    step = x.tendon[s.SETPOINT_STEP, n]
-    last_setpoint = x.tendon[s.SETPOINT, n]
+    step = x.tendon[s.TENSION_SETPOINT_STEP, n]
+    last_setpoint = x.tendon[s.TENSION_SETPOINT, n]
     setpoint = last_setpoint + min(max(target - last_setpoint, -step), step)
     error = setpoint - x.tendon[s.TENSION, n]
-    slack = x.tendon_int[s.REGIME, n] == SLACK_REGIME
-    integral = 0.0 if slack else _tension_integral(x, c, n, error)
+    is_slack = x.tendon_int[s.REGIME, n] == SLACK_REGIME
+    integral = 0.0 if is_slack else _tension_integral(x, c, n, error)
     force = (
         setpoint
         + c.tendon[h.TENSION_GAIN, n] * error
-        - c.tendon[h.TENSION_SPEED_GAIN, n] * x.tendon[s.SPEED, n]
+        - c.tendon[h.TENSION_SPEED_GAIN, n] * x.tendon[s.SPOOL_SPEED, n]
         + integral
-        - c.run[h.DISTURBANCE_REJECTION] * x.tendon[s.DISTURBANCE, n]
+        - c.run[h.DISTURBANCE_REJECTION] * x.tendon[s.MOTOR_DISTURBANCE, n]
     )
-    if slack and setpoint > 0.0:
+    if is_slack and setpoint > 0.0:
         # The small tension error of a slack tendon cannot overcome the friction of a motor at rest.
-        force += c.tendon[h.MOTOR_COULOMB, n]
+        force += c.tendon[h.MOTOR_COULOMB_FRICTION, n]
         if is_target_stream_running(x):
             # Streamed tensions move a digit fast, so its other tendons must be taken up fast.
             tension_increase = max(SLACK_TAKE_UP_TENSION_N - setpoint, 0.0)
@@ -703,8 +708,8 @@ def _tension_integral(x: StateTables, c: ConstantTables, n: int, error: float) -
         error: tension error [N].
     """
     integral = x.tendon[s.TENSION_INTEGRAL, n]
-    if is_target_stream_running(x) and abs(x.tendon[s.SPEED, n]) > INTEGRATION_SPEED_M_S:
-        return integral * max(1.0 - c.run[h.PERIOD] / INTEGRAL_DECAY_S, 0.0)
+    if is_target_stream_running(x) and abs(x.tendon[s.SPOOL_SPEED, n]) > MAX_INTEGRATION_SPEED_M_S:
+        return integral * max(1.0 - c.run[h.CONTROL_PERIOD] / INTEGRAL_DECAY_S, 0.0)
     integral += c.run[h.INTEGRAL_GAIN] * error
     return min(max(integral, -INTEGRAL_LIMIT_N), INTEGRAL_LIMIT_N)
 
@@ -718,11 +723,11 @@ def _feedforward_force(x: StateTables, c: ConstantTables, n: int) -> float:
     speed = 0.0
     acceleration = 0.0
     for k in range(x.coordinate.shape[1]):
-        speed += c.tendon_coordinate[h.REDUCED_ARMS, n, k] * x.coordinate[s.TRAJECTORY + 1, k]
+        speed += c.tendon_coordinate_table[h.REDUCED_ARMS, n, k] * x.coordinate[s.TRAJECTORY + 1, k]
         acceleration += (
-            c.tendon_coordinate[h.REDUCED_ARMS, n, k] * x.coordinate[s.TRAJECTORY + 2, k]
+            c.tendon_coordinate_table[h.REDUCED_ARMS, n, k] * x.coordinate[s.TRAJECTORY + 2, k]
         )
-    friction = c.tendon[h.MOTOR_COULOMB, n] * math.tanh(speed / MOTOR_FRICTION_SPEED_M_S)
+    friction = c.tendon[h.MOTOR_COULOMB_FRICTION, n] * math.tanh(speed / MOTOR_FRICTION_SPEED_M_S)
     feedforward = friction + c.tendon[h.MOTOR_MASS, n] * acceleration
     return feedforward + (c.tendon[h.TENSION_SPEED_GAIN, n] + c.tendon[h.MOTOR_DAMPING, n]) * speed
 
@@ -731,13 +736,16 @@ def _feedforward_force(x: StateTables, c: ConstantTables, n: int) -> float:
 def _relaxation_envelope(
     x: StateTables, c: ConstantTables, n: int, rate: float, ticks: int
 ) -> float:
-    """Return the largest motor force while the hand relaxes [N], see ``controller.relaxing``."""
+    """Return the largest motor force while the hand relaxes [N], see ``controller.relaxation``."""
     last_force = x.tendon[s.COMMANDED_FORCE, n]
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
         last_force = abs(last_force)
     last_force = 0.0 if math.isnan(last_force) else max(last_force, 0.0)
-    lowered_limit = max(last_force - rate * c.run[h.PERIOD] * ticks, 0.0)
-    return max(min(last_force, c.tendon[h.RELAXED_TENSION, n]), lowered_limit) * ROUNDING_FACTOR
+    lowered_limit = max(last_force - rate * c.run[h.CONTROL_PERIOD] * ticks, 0.0)
+    return (
+        max(min(last_force, c.tendon[h.RELAXED_TENSION, n]), lowered_limit)
+        * ENVELOPE_ROUNDING_FACTOR
+    )
 
 
 @kernel_helper
@@ -747,11 +755,11 @@ def _motor_friction(x: StateTables, c: ConstantTables, n: int, command_force: fl
     The friction is computed by the implicit midpoint rule. So friction can stop a motor within a
     period, but cannot reverse its motion.
     """
-    frictionless_speed = motor_speed(x, c, n) + c.tendon[h.HALF_PERIOD_SPEED, n] * (
+    speed_without_friction = motor_speed(x, c, n) + c.tendon[h.HALF_PERIOD_SPEED, n] * (
         command_force - x.tendon[s.TENSION, n]
     )
-    return c.tendon[h.MOTOR_COULOMB, n] * math.tanh(
-        frictionless_speed / c.tendon[h.FRICTION_STOP_SPEED, n]
+    return c.tendon[h.MOTOR_COULOMB_FRICTION, n] * math.tanh(
+        speed_without_friction / c.tendon[h.FRICTION_STOP_SPEED, n]
     )
 
 

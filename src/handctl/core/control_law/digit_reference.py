@@ -122,7 +122,7 @@ def joint_trajectories(x: StateTables, c: ConstantTables) -> Matrix:
     trajectory = np.zeros((3, joints))
     for j in range(joints):
         for k in range(x.coordinate.shape[1]):
-            coupling = c.joint_coordinate[h.COUPLING, j, k]
+            coupling = c.joint_coordinate_table[h.JOINT_COUPLING, j, k]
             if coupling != 0.0:
                 for order in range(3):
                     trajectory[order, j] += coupling * x.coordinate[s.TRAJECTORY + order, k]
@@ -147,7 +147,7 @@ def follows_streamed_angles(x: StateTables, c: ConstantTables, n: int) -> bool:
 @kernel_helper
 def is_target_stream_running(x: StateTables) -> bool:
     """Return True if a stream of targets is running, for any digit or tendon of the hand."""
-    return bool(x.run_int[s.STREAMING] == s.RUNNING_STREAM)
+    return bool(x.run_int[s.STREAM_STATE] == s.RUNNING_STREAM)
 
 
 @kernel_helper
@@ -226,7 +226,8 @@ def write_required_tensions(x: StateTables, c: ConstantTables) -> int:
                 continue
             for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
                 x.tendon[s.REQUIRED_TENSION, n] += (
-                    c.tendon_joint[h.TORQUE_TO_TENSION, n, j] * x.joint[s.REQUIRED_JOINT_TORQUE, j]
+                    c.tendon_joint_table[h.TORQUE_TO_TENSION, n, j]
+                    * x.joint[s.REQUIRED_JOINT_TORQUE, j]
                 )
             low = c.tendon[h.TENSION_FLOOR, n]
             high = c.tendon[h.TENSION_CEILING, n]

@@ -45,7 +45,7 @@ def predict_tension_of_moving_tendon(
     """Predict the tension of a moving tendon at the next tick, and the rate of change of this tension.
 
     Args:
-        x: state tables, with ``PLANNED_TENSION`` of the last tick and ``FILTER_FORCE`` of the
+        x: state tables, with ``PLANNED_TENSION`` of the last tick and ``FILTER_INPUT_FORCE`` of the
             present tick.
         c: constants of the hand.
         n: index of the tendon.
@@ -54,12 +54,14 @@ def predict_tension_of_moving_tendon(
             is wound.
     """
     last_tension = x.tendon[s.PLANNED_TENSION, n]
-    period = c.run[h.PERIOD]
+    period = c.run[h.CONTROL_PERIOD]
     tension = x.tendon[s.TENSION, n]
     load = x.tendon[s.REQUIRED_TENSION, n]
-    accelerating_force = x.tendon[s.FILTER_FORCE, n] + x.tendon[s.DISTURBANCE, n] - tension
+    accelerating_force = (
+        x.tendon[s.FILTER_INPUT_FORCE, n] + x.tendon[s.MOTOR_DISTURBANCE, n] - tension
+    )
     mean_speed = (
-        x.tendon[s.SPEED, n] + 0.5 * period / c.tendon[h.MOTOR_MASS, n] * accelerating_force
+        x.tendon[s.SPOOL_SPEED, n] + 0.5 * period / c.tendon[h.MOTOR_MASS, n] * accelerating_force
     )
     next_load = max(
         load + period * c.tendon[h.LOAD_STIFFNESS, n] * rate, c.tendon[h.TENSION_FLOOR, n]
@@ -98,7 +100,7 @@ def update_friction_state(x: StateTables, c: ConstantTables, n: int, efficiency:
             is wound.
     """
     stiffness = c.tendon[h.TENDON_STIFFNESS, n]
-    travel = x.tendon[s.TRAVEL, n]
+    travel = x.tendon[s.SPOOL_TRAVEL, n]
     slider_travel = x.tendon[s.FRICTION_SLIDER, n]
     if math.isnan(slider_travel):
         x.tendon[s.FRICTION_STATE, n] = math.nan
@@ -161,14 +163,14 @@ def _tension_with_friction(
         sliding_speed: speed at which the viscous slider would have full friction [m/s].
     """
     stiffness = c.tendon[h.TENDON_STIFFNESS, n]
-    crept_length = sliding_speed * c.run[h.PERIOD]
+    creep_length = sliding_speed * c.run[h.CONTROL_PERIOD]
     if not c.tendon_int[h.IS_SPOOL_PAIR, n]:
         return tension_after_period(
-            present_tension, load, efficiency, wound_length, stiffness, crept_length
+            present_tension, load, efficiency, wound_length, stiffness, creep_length
         )
     # Whenever a pair moves, one of its tendons is wound and the other is paid out.
     lower, upper = _friction_band_of_pair(c, n, load, efficiency)
-    creep_ratio = stiffness * crept_length / (0.5 * (upper - lower) + MIN_FRICTION_N)
+    creep_ratio = stiffness * creep_length / (0.5 * (upper - lower) + MIN_FRICTION_N)
     elastic_tension = (present_tension + stiffness * wound_length + creep_ratio * load) / (
         1.0 + creep_ratio
     )
@@ -182,7 +184,7 @@ def tension_after_period(
     efficiency: float,
     wound_length: float,
     stiffness: float,
-    crept_length: float,
+    creep_length: float,
 ) -> float:
     """Predict the tension of a tendon at the next tick [N].
 
@@ -193,9 +195,9 @@ def tension_after_period(
             is wound.
         wound_length: tendon length that the spool winds in the period [m].
         stiffness: stiffness of the tendon [N/m].
-        crept_length: largest length by which the tendon can creep in the period [m].
+        creep_length: largest length by which the tendon can creep in the period [m].
     """
-    creep_ratio = stiffness * crept_length / (load * (1.0 - efficiency) + MIN_FRICTION_N)
+    creep_ratio = stiffness * creep_length / (load * (1.0 - efficiency) + MIN_FRICTION_N)
     # The motion of the viscous slider is computed by an implicit Euler step, which is stable for
     # any period.
     elastic_tension = (present_tension + stiffness * wound_length + creep_ratio * load) / (

@@ -38,12 +38,12 @@ def write_goals(
         if goal.kind == GoalKind.TENSION and goal.trajectory is not None:
             # While the other tendons of a digit pull, a spool pair that moves the digit sideways
             # holds its position.
-            kinds[tendons][model.redundancy.side[tendons] == 0.0] = int(GoalKind.MOTION)
+            kinds[tendons][model.redundancy.closing_sign[tendons] == 0.0] = int(GoalKind.MOTION)
         if goal.kind == GoalKind.TENSION and goal.tension is not None:
             tendon[s.TENSION_TARGET, tendons] = np.clip(
                 goal.tension, np.minimum(model.floor[tendons], 0.0), model.ceiling[tendons]
             )
-            tendon[s.SETPOINT_STEP, tendons] = goal.rate * model.period
+            tendon[s.TENSION_SETPOINT_STEP, tendons] = goal.rate * model.period
             tendon[s.FORCE_LIMIT, tendons] = goal.force_limit
         trajectory_kinds[d] = NO_TRAJECTORY if goal.trajectory is None else SAMPLED
         if isinstance(goal.trajectory, StreamedTrajectory):
@@ -78,14 +78,14 @@ def sample_trajectories(
     model: HandModel, layout: BlockLayout, block: BlockArray, goals: tuple[DigitGoal, ...], t: float
 ) -> None:
     """Write the motion at time t [s] for trajectories that compiled code cannot evaluate."""
-    for trajectory, start_time, coordinate_slice in goals_sampled_by_python(model, goals):
+    for trajectory, start_time, coordinate_slice in program_sampled_goals(model, goals):
         layout.table(block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3, coordinate_slice] = (
             trajectory.motion_at(t - start_time)
         )
 
 
 @functools.lru_cache(maxsize=16)
-def goals_sampled_by_python(
+def program_sampled_goals(
     model: HandModel, goals: tuple[DigitGoal, ...]
 ) -> tuple[tuple[Trajectory, float, slice], ...]:
     """Return the trajectories that Python code must evaluate, each with start time [s] and coordinates."""

@@ -17,7 +17,7 @@ from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.control_law.digit_reference import MOTION
-from handctl.core.estimation.statics import part_explained_by_motion
+from handctl.core.estimation.statics import project_onto_digit_motion
 from handctl.core.state_block import StateTables
 
 Vector = NDArray[np.float64]
@@ -67,9 +67,9 @@ def raise_goals_to_tension_floor(
         for n in range(first_tendon, end):
             # Only the part of the feedback that moves the digit may raise tension goals. The other
             # part of the feedback, in the null space, damps the motion of the motors.
-            feedback[n] = part_explained_by_motion(c, n, motion_terms[1])
+            feedback[n] = project_onto_digit_motion(c, n, motion_terms[1])
         bound = _max_balance_factor(c, first_tendon, end, limit, motion_terms)
-        fraction = _fraction_of_feedback(c, first_tendon, end, bound, motion_terms, feedback)
+        fraction = _max_feedback_fraction(c, first_tendon, end, bound, motion_terms, feedback)
         balance_factor = 0.0
         for n in range(first_tendon, end):
             motion_terms[1, n] -= (1.0 - fraction) * feedback[n]
@@ -84,9 +84,9 @@ def raise_goals_to_tension_floor(
             total[n] = x.tendon[s.TENSION_INTEGRAL, n] + c.run[h.INTEGRAL_GAIN] * error[n]
         for n in range(first_tendon, end):
             null_space_terms[0, n] = c.tendon[h.TENSION_GAIN, n] * (
-                error[n] - part_explained_by_motion(c, n, error)
+                error[n] - project_onto_digit_motion(c, n, error)
             )
-            integral = total[n] - part_explained_by_motion(c, n, total)
+            integral = total[n] - project_onto_digit_motion(c, n, total)
             null_space_terms[1, n] = min(max(integral, -INTEGRAL_LIMIT_N), INTEGRAL_LIMIT_N)
 
 
@@ -107,7 +107,7 @@ def _max_balance_factor(
 
 
 @kernel_helper
-def _fraction_of_feedback(
+def _max_feedback_fraction(
     c: ConstantTables,
     first_tendon: int,
     end: int,

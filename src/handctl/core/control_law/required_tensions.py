@@ -36,19 +36,19 @@ def write_tension_goals(
         block: state block, modified in place.
         action: reaction of the safety monitor, as a number of ``safety.safety_action.SafetyAction``.
     """
-    constant_arrays = constants.block, constants.layout.places
-    unsolved_digits = tick_stages.evaluate_goals(block, layout.places, *constant_arrays, action)
+    kernel_constants = constants.block, constants.layout.offsets
+    unsolved_digits = tick_stages.evaluate_goals(block, layout.offsets, *kernel_constants, action)
     required = layout.view(block, "joint_required")
     # an experiment has replaced the function that computes the inverse dynamics
     if model.inverse_dynamics is not required_torque:
-        trajectory = tick_stages.joint_motion(block, layout.places, *constant_arrays)
+        trajectory = tick_stages.joint_motion(block, layout.offsets, *kernel_constants)
         for digit in model.digits:
             required[digit.joints] = model.inverse_dynamics(
                 digit, *(row[digit.joints].tolist() for row in trajectory)
             )
-        unsolved_digits = tick_stages.write_loads(block, layout.places, *constant_arrays)
+        unsolved_digits = tick_stages.write_loads(block, layout.offsets, *kernel_constants)
     if unsolved_digits:
-        trajectory = tick_stages.joint_motion(block, layout.places, *constant_arrays)
+        trajectory = tick_stages.joint_motion(block, layout.offsets, *kernel_constants)
         allocate_bounded_tensions(model, layout, constants, block, unsolved_digits, trajectory)
 
 

@@ -41,12 +41,12 @@ from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.control_law.digit_reference import MOTION
-from handctl.core.estimation.filter_stack import SLACK_REGIME
+from handctl.core.estimation.filter_types import SLACK_REGIME
 from handctl.core.estimation.varying_moment_arms import carrier_excursion
 from handctl.core.state_block import StateTables
 from handctl.core.tick_types import ACTIVE_MODE
 
-MAX_PHASE_RAD = 0.3
+MAX_LOOP_PHASE_RAD = 0.3
 """Largest product of the natural frequency of a drive's position loop and the control period [rad].
 
 The tension filter assumes that the motor force is constant within a period. In simulation, stiffer
@@ -55,7 +55,7 @@ loops oscillated. Examples are loops with 0.5 rad on the hand ``jamia`` at 100 H
 """
 SERVO_COMMAND_ROW_COUNT = 6
 """Number of rows of a command: position, velocity, kp, kd, torque, limit."""
-LIMIT_MARGIN_N = 10.0
+TORQUE_LIMIT_MARGIN_N = 10.0
 """Force [N] by which the torque limit in a command exceeds the predicted motor force.
 
 In free motions, the force changes by less than 1 N within a period.
@@ -69,7 +69,7 @@ def begin_servo_commands(x: StateTables, c: ConstantTables) -> None:
     Some drives change the commanded position continuously, at the commanded velocity. For these
     drives, the stored position is the present commanded position in the drive.
     """
-    elapsed = c.run[h.PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
+    elapsed = c.run[h.CONTROL_PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
     for n in range(x.servo.shape[1]):
         for row in range(SERVO_COMMAND_ROW_COUNT):
             x.servo[s.LAST_SERVO_COMMAND + row, n] = x.servo[s.SERVO_POSITION + row, n]
@@ -85,7 +85,7 @@ def command_torque_only(x: StateTables, n: int) -> None:
     The table of the commands is empty if no drive of the hand closes a position loop.
     """
     x.servo[s.SERVO_KP, n] = x.servo[s.SERVO_KD, n] = 0.0
-    x.servo[s.SERVO_TORQUE, n] = x.tendon[s.TORQUE, n]
+    x.servo[s.SERVO_TORQUE, n] = x.tendon[s.COMMANDED_TORQUE, n]
 
 
 @kernel_helper
@@ -93,11 +93,11 @@ def is_loop_closed_by_drive(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if the drive of a tendon controls the position itself in the present tick."""
     if not c.tendon_int[h.DRIVE_CLOSES_LOOP, n] or x.tendon_int[s.GOAL_KIND, n] != MOTION:
         return False
-    if x.run_int[s.MODE] != ACTIVE_MODE or x.run_int[s.SAFETY_HOLD_ACTIVE]:
+    if x.run_int[s.HAND_MODE] != ACTIVE_MODE or x.run_int[s.SAFETY_HOLD_ACTIVE]:
         return False
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     if (
-        x.digit_int[s.BLOCKED, d]
+        x.digit_int[s.IS_BLOCKED, d]
         or x.digit_int[s.PLANNED_CONTACT, d]
         or math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
     ):
@@ -142,11 +142,11 @@ def servo_speed_force(x: StateTables, c: ConstantTables, n: int, rate: float) ->
         n: index of the tendon.
         rate: rate of the digit's excursion on the trajectory [m/s].
     """
-    gain = servo_damping(x, c, n) + 0.5 * c.run[h.PERIOD] * servo_stiffness(x, c, n)
+    gain = servo_damping(x, c, n) + 0.5 * c.run[h.CONTROL_PERIOD] * servo_stiffness(x, c, n)
     return (
         gain
         / (c.tendon[h.SPOOL_RADIUS, n] * c.tendon[h.SPOOL_RADIUS, n])
-        * (rate - x.tendon[s.SPEED, n])
+        * (rate - x.tendon[s.SPOOL_SPEED, n])
     )
 
 
@@ -191,11 +191,13 @@ def write_servo_command(
     """
     spool = c.tendon[h.SPOOL_RADIUS, n]
     kp = servo_stiffness(x, c, n)
-    feedforward_force = min(max(feedforward, c.tendon[h.FORCE_MIN, n]), c.tendon[h.FORCE_MAX, n])
+    feedforward_force = min(
+        max(feedforward, c.tendon[h.MIN_MOTOR_FORCE, n]), c.tendon[h.MAX_MOTOR_FORCE, n]
+    )
     position_lead = (
         (force - feedforward_force - servo_speed_force(x, c, n, rate)) * spool * spool / kp
     )
-    travel = x.tendon[s.TRAVEL, n]
+    travel = x.tendon[s.SPOOL_TRAVEL, n]
     speed = rate
     if c.run_int[h.HAS_CARRIER_ARMS]:
         # The commanded position and speed include the estimated motion of carrying digits, so that
@@ -203,7 +205,7 @@ def write_servo_command(
         travel += carrier_excursion(c, n, x.joint[s.Q])
         speed += carrier_excursion(c, n, x.joint[s.DQ])
     motion_in_half_period = (
-        0.0 if c.tendon_int[h.DRIVE_MOVES_TARGET, n] else 0.5 * c.run[h.PERIOD] * speed
+        0.0 if c.tendon_int[h.DRIVE_MOVES_TARGET, n] else 0.5 * c.run[h.CONTROL_PERIOD] * speed
     )
     travel += position_lead + motion_in_half_period
     x.servo[s.SERVO_POSITION, n] = travel / spool + c.tendon[h.MOTOR_ZERO, n]
@@ -212,8 +214,8 @@ def write_servo_command(
     x.servo[s.SERVO_KD, n] = servo_damping(x, c, n)
     x.servo[s.SERVO_TORQUE, n] = feedforward_force * spool
     if c.tendon_int[h.DRIVE_MOVES_TARGET, n]:
-        x.servo[s.SERVO_LIMIT, n] = (
-            min(abs(force) + LIMIT_MARGIN_N, c.tendon[h.FORCE_MAX, n]) * spool
+        x.servo[s.SERVO_TORQUE_LIMIT, n] = (
+            min(abs(force) + TORQUE_LIMIT_MARGIN_N, c.tendon[h.MAX_MOTOR_FORCE, n]) * spool
         )
 
 
@@ -233,7 +235,7 @@ def predict_reported_forces(x: StateTables, c: ConstantTables) -> None:
             torque += x.servo[s.LAST_SERVO_COMMAND + 3, n] * (
                 x.servo[s.LAST_SERVO_COMMAND + 1, n] - x.tendon[s.VELOCITY, n]
             )
-        limit = c.tendon[h.FORCE_MAX, n]
+        limit = c.tendon[h.MAX_MOTOR_FORCE, n]
         if kp > 0.0 and c.tendon_int[h.DRIVE_MOVES_TARGET, n]:
             limit = x.servo[s.LAST_SERVO_COMMAND + 5, n] / c.tendon[h.SPOOL_RADIUS, n]
         is_known = math.isfinite(x.tendon[s.COMMANDED_FORCE, n]) and math.isfinite(

@@ -18,7 +18,7 @@ import math
 from handctl.compiled import kernel, kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
-from handctl.core.block_schema import BlockArray, TablePlaces
+from handctl.core.block_schema import BlockArray, TableOffsets
 from handctl.core.constants import ConstantTables
 from handctl.core.state_block import StateTables, state_tables
 from handctl.core.tick_types import Vector
@@ -29,13 +29,13 @@ MAX_LEAD_RAD = math.radians(8.0)
 If an object holds the digit, the reference waits at this distance, so that the digit does not jump
 when the object releases it.
 """
-MIN_STIFFNESS = 0.05
+MIN_STIFFNESS_FRACTION = 0.05
 """Smallest divisor of ``MAX_LEAD_RAD``.
 
 Otherwise, the divisor is the stiffness fraction of the digit. A softer digit may be pushed away
 further.
 """
-LIMIT_TOLERANCE = 1e-9
+RATE_LIMIT_TOLERANCE = 1e-9
 """Relative tolerance of the limits, for rounding errors."""
 CLIP_TOLERANCE = 1e-9
 """Difference between requested and used value above which the request counts as clipped [rad, N]."""
@@ -44,7 +44,7 @@ CLIP_TOLERANCE = 1e-9
 @kernel("block", "layout", "vector", "vector", "real", "real", "real", "real", "count")
 def begin_segments(
     block: BlockArray,
-    at: TablePlaces,
+    at: TableOffsets,
     target_coordinates: Vector,
     holdable_coordinates: Vector,
     since: float,
@@ -59,7 +59,7 @@ def begin_segments(
 
     Args:
         block: state block, modified in place.
-        at: ``BlockLayout.places`` of the state block.
+        at: ``BlockLayout.offsets`` of the state block.
         target_coordinates: (C,) requested coordinates [rad].
         holdable_coordinates: (C,) coordinates nearest to the present ones that the hand can hold with
             taut tendons [rad].
@@ -158,40 +158,44 @@ def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None
         d: index of the digit.
         k: index of the coordinate.
     """
-    period = c.run[h.PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
+    period = c.run[h.CONTROL_PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
     position = x.coordinate[s.TRAJECTORY, k]
     rate = x.coordinate[s.TRAJECTORY + 1, k]
     scale = coordinate_scale(c, d, k)
     gain = c.run[h.STREAM_ACCELERATION] * period * scale
     slowest, fastest = _allowed_rates(x, c, d, k, period, scale, gain)
-    now = x.run_int[s.T_NS] / 1e9
-    aim, aim_rate = position_on_segment(x, k, now)
+    now = x.run_int[s.TICK_TIME_NS] / 1e9
+    candidate_position, candidate_rate = position_on_segment(x, k, now)
     remaining = max(x.run[s.STREAM_SEGMENT_START] + x.run[s.STREAM_DURATION] - now, 0.0)
     target_rate = x.coordinate[s.STREAM_TARGET_RATE, k] if remaining > 0.0 else 0.0
     # This position moves at the rate of the targets, and reaches the latest target at the end of
     # the segment.
     moving_target = x.coordinate[s.STREAM_TARGET, k] - target_rate * remaining
-    mean = (aim - position) / period
-    allowed = gain * (1.0 + LIMIT_TOLERANCE)
-    free = abs(mean - rate) <= allowed and abs(aim_rate - rate) <= allowed
-    free &= (
-        slowest - gain * LIMIT_TOLERANCE <= min(mean, aim_rate)
-        and max(mean, aim_rate) <= fastest + gain * LIMIT_TOLERANCE
+    mean = (candidate_position - position) / period
+    max_rate_change = gain * (1.0 + RATE_LIMIT_TOLERANCE)
+    is_within_limits = (
+        abs(mean - rate) <= max_rate_change and abs(candidate_rate - rate) <= max_rate_change
     )
-    free &= (
-        abs(aim_rate - target_rate)
-        <= max_stoppable_speed(abs(moving_target - aim), gain, period) + allowed
+    is_within_limits &= (
+        slowest - gain * RATE_LIMIT_TOLERANCE <= min(mean, candidate_rate)
+        and max(mean, candidate_rate) <= fastest + gain * RATE_LIMIT_TOLERANCE
     )
-    new_rate = aim_rate
-    if not free:
+    is_within_limits &= (
+        abs(candidate_rate - target_rate)
+        <= max_stoppable_speed(abs(moving_target - candidate_position), gain, period)
+        + max_rate_change
+    )
+    new_rate = candidate_rate
+    if not is_within_limits:
         x.run_int[s.LIMITED_COORDINATE_COUNT] += 1
-        apart = moving_target - position - target_rate * period
+        distance_to_target = moving_target - position - target_rate * period
         required_rate = min(
-            max(target_rate + _stoppable_speed_towards(apart, gain, period), slowest), fastest
+            max(target_rate + _stoppable_speed_towards(distance_to_target, gain, period), slowest),
+            fastest,
         )
         new_rate = rate + min(max(required_rate - rate, -gain), gain)
-        aim = position + new_rate * period
-    x.coordinate[s.TRAJECTORY, k] = aim
+        candidate_position = position + new_rate * period
+    x.coordinate[s.TRAJECTORY, k] = candidate_position
     x.coordinate[s.TRAJECTORY + 1, k] = new_rate
     x.coordinate[s.TRAJECTORY + 2, k] = (new_rate - rate) / period
 
@@ -203,7 +207,7 @@ def coordinate_scale(c: ConstantTables, d: int, k: int) -> float:
     The value is 1 for hinges, and less than 1 for prismatic joints.
     """
     for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-        if c.joint_coordinate[h.COUPLING, j, k] != 0.0:
+        if c.joint_coordinate_table[h.JOINT_COUPLING, j, k] != 0.0:
             return c.joint[h.JOINT_SCALE, j]
     return 1.0
 
@@ -227,17 +231,19 @@ def _allowed_rates(
         gain: largest change of the rate within the period [rad/s].
     """
     position = x.coordinate[s.TRAJECTORY, k]
-    top = c.run[h.STREAM_SPEED] * scale
+    max_rate = c.run[h.STREAM_SPEED] * scale
     slowest = max(
-        -top, -max_stoppable_speed(position - x.coordinate[s.STREAM_RANGE, k], gain, period)
+        -max_rate, -max_stoppable_speed(position - x.coordinate[s.STREAM_RANGE, k], gain, period)
     )
     fastest = min(
-        top, max_stoppable_speed(x.coordinate[s.STREAM_RANGE + 1, k] - position, gain, period)
+        max_rate, max_stoppable_speed(x.coordinate[s.STREAM_RANGE + 1, k] - position, gain, period)
     )
     max_lead = (
         scale
         * MAX_LEAD_RAD
-        / max(x.tendon[s.STIFFNESS_FRACTION, c.digit_int[h.FIRST_TENDON, d]], MIN_STIFFNESS)
+        / max(
+            x.tendon[s.STIFFNESS_FRACTION, c.digit_int[h.FIRST_TENDON, d]], MIN_STIFFNESS_FRACTION
+        )
     )
     digit, digit_rate = _estimated_coordinate(x, c, d, k)
     fastest_backward = _stoppable_speed_towards(digit - max_lead - position, gain, period) + min(
@@ -255,7 +261,7 @@ def _estimated_coordinate(x: StateTables, c: ConstantTables, d: int, k: int) -> 
     """Return position [rad] and rate [rad/s] of a coordinate, computed from the estimated joint angles."""
     position = rate = total = 0.0
     for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-        coupling = c.joint_coordinate[h.COUPLING, j, k]
+        coupling = c.joint_coordinate_table[h.JOINT_COUPLING, j, k]
         position += coupling * x.joint[s.Q, j]
         rate += coupling * x.joint[s.DQ, j]
         total += coupling * coupling

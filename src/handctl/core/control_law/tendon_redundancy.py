@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from handctl.core.control_law.tension_allocation import tensions_for_torque
 from handctl.core.tick_types import Vector
 from handctl.hand.digit import DigitModel
-from handctl.hand.moment_arms import excursions_at
+from handctl.hand.moment_arms import joint_excursions
 
 BoolArray = NDArray[np.bool_]
 MAX_BALANCE_TORQUE_FRACTION = 1e-3
@@ -27,21 +27,21 @@ class TendonRedundancy:
     """Directions, balance tensions and excursion ranges of the N tendons of a hand, with shape (N,).
 
     Attributes:
-        side: 1 for a tendon that is wound while its digit closes, -1 for a tendon that is paid out,
+        closing_sign: 1 for a tendon that is wound while its digit closes, -1 for a tendon that is paid out,
             0 for a spool pair that moves its digit sideways.
-        is_sprung: True if springs move the digit of the tendon back to its lower joint limits.
+        has_return_springs: True if springs move the digit of the tendon back to its lower joint limits.
         has_surplus: True for a tendon of a digit with more tendons than coordinates.
-        balance: smallest tensions that make no joint torque, and are all above the tension floor
+        balance_tension: smallest tensions that make no joint torque, and are all above the tension floor
             [N]. The balance tensions are 0 for a digit without surplus tendons.
         excursion_at_lower_limits: excursion at the lower joint limits [m].
         excursion_range: (2, N) smallest and largest excursion of each tendon within the joint
             limits [m].
     """
 
-    side: Vector
-    is_sprung: BoolArray
+    closing_sign: Vector
+    has_return_springs: BoolArray
     has_surplus: BoolArray
-    balance: Vector
+    balance_tension: Vector
     excursion_at_lower_limits: Vector
     excursion_range: Vector
 
@@ -66,19 +66,21 @@ def redundancy_of_hand(
         for digit, has_surplus, count in zip(digits, has_surplus_by_digit, counts, strict=True)
     ]
     return TendonRedundancy(
-        side=np.concatenate([tendon_directions(digit, is_pair[digit.tendons]) for digit in digits]),
-        is_sprung=np.repeat([is_opened_by_springs(digit) for digit in digits], counts),
+        closing_sign=np.concatenate(
+            [tendon_directions(digit, is_pair[digit.tendons]) for digit in digits]
+        ),
+        has_return_springs=np.repeat([is_opened_by_springs(digit) for digit in digits], counts),
         has_surplus=np.repeat(has_surplus_by_digit, counts),
-        balance=np.concatenate(balance),
+        balance_tension=np.concatenate(balance),
         excursion_at_lower_limits=np.concatenate(
-            [digit.excursion_at(digit.joint_min) for digit in digits]
+            [digit.excursion_at_angles(digit.joint_min) for digit in digits]
         ),
         excursion_range=np.concatenate([_excursion_range(digit) for digit in digits], axis=1),
     )
 
 
 def tendon_directions(digit: DigitModel, is_pair: BoolArray) -> Vector:
-    """Return the direction of each tendon of a digit (n_t,), see ``TendonRedundancy.side``."""
+    """Return the direction of each tendon of a digit (n_t,), see ``TendonRedundancy.closing_sign``."""
     arms = digit.reduced_moment_arms
     side = np.where(arms.sum(axis=1) < 0.0, -1.0, 1.0)
     if not is_pair.any():
@@ -89,7 +91,7 @@ def tendon_directions(digit: DigitModel, is_pair: BoolArray) -> Vector:
 def _excursion_range(digit: DigitModel) -> Vector:
     """Return the smallest and largest excursion of each tendon of a digit within the joint limits (2, n_t) [m]."""
     if digit.has_varying_arm:
-        end_excursions = excursions_at(
+        end_excursions = joint_excursions(
             digit.arm_polynomials, digit.joint_limits, digit.joint_limits
         )
     else:

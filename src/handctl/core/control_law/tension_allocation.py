@@ -63,21 +63,21 @@ class _AllocationProblem(NamedTuple):
         arms: (n_t, n_c) moment arms divided by their mean.
         mean: mean of the moment arms [m].
         weight: (n_t, n_t) matrix of the quadratic form.
-        no_constraints: (0, n_t) matrix without rows, because the program has no linear constraints.
+        empty_constraints: (0, n_t) matrix without rows, because the program has no linear constraints.
     """
 
     arms: Vector
     mean: float
     weight: Vector
-    no_constraints: Vector
+    empty_constraints: Vector
 
 
 _cached_problems: dict[int, tuple[Vector, _AllocationProblem]] = {}
-MAX_CACHED_PROBLEMS = 64
+MAX_CACHED_ALLOCATIONS = 64
 """Largest number of quadratic programs in the cache."""
 
 
-def _cached_problem(moment_arms: Vector) -> _AllocationProblem:
+def _cached_allocation_problem(moment_arms: Vector) -> _AllocationProblem:
     """Return the quadratic program for given moment arms.
 
     If the array of moment arms is read-only, the program is cached for later calls with the same
@@ -86,7 +86,7 @@ def _cached_problem(moment_arms: Vector) -> _AllocationProblem:
     result = _cached_problems.get(id(moment_arms))
     if result is not None and result[0] is moment_arms:
         return result[1]
-    if len(_cached_problems) >= MAX_CACHED_PROBLEMS:
+    if len(_cached_problems) >= MAX_CACHED_ALLOCATIONS:
         _cached_problems.clear()
     n = len(moment_arms)
     mean = float(np.abs(moment_arms).mean())
@@ -112,14 +112,14 @@ def solve_bounded_tensions(
             bounds that these tensions violate are the first active set of the solver. This halves
             the number of steps of the solver.
     """
-    arms, mean, weight, no_constraints = _cached_problem(moment_arms)
+    arms, mean, weight, empty_constraints = _cached_allocation_problem(moment_arms)
     gradient_at_zero = -(arms.dot(torque / mean) + REGULARISATION_WEIGHT * floor)
     start = np.minimum(np.maximum(preferred_tension, floor), ceiling)
     # The bounds and the weights are copied, because daqp may change the arrays in its arguments.
     result = solve(
         weight.copy(),
         gradient_at_zero,
-        no_constraints,
+        empty_constraints,
         ceiling.copy(),
         floor.copy(),
         primal_start=start,

@@ -125,7 +125,7 @@ class CurveTrajectory:
     coordinates: int
 
     @staticmethod
-    def through_points(
+    def curve_through_points(
         times: tuple[float, ...], angles: tuple[float, ...] | Vector, coordinates: int
     ) -> "CurveTrajectory":
         """Return the curve through the angles (k,) or (k, n) [rad] at the given times [s]."""

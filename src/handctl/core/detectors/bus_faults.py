@@ -14,20 +14,20 @@ from handctl.core.detectors.frame_losses import (
 )
 from handctl.core.state_block import StateTables
 from handctl.safety.faults.bus import (
-    B01,
-    B02,
-    B03A,
-    B03B,
-    B04,
-    B05,
-    B06,
-    B07,
-    B08,
-    B09,
-    B10,
-    B11A,
-    B11B,
-    B17,
+    FAULT_B01,
+    FAULT_B02,
+    FAULT_B03A,
+    FAULT_B03B,
+    FAULT_B04,
+    FAULT_B05,
+    FAULT_B06,
+    FAULT_B07,
+    FAULT_B08,
+    FAULT_B09,
+    FAULT_B10,
+    FAULT_B11A,
+    FAULT_B11B,
+    FAULT_B17,
     LOST_FRAMES_FOR_HOLD,
     LOST_FRAMES_FOR_RELAX,
     MALFORMED_FRAMES_LIMIT,
@@ -47,19 +47,19 @@ def detect_bus_faults(
 ) -> None:
     """Run the detectors of bus faults, and write their results into the evidence table."""
     if x.run[s.UNKNOWN_FRAME_RATE] > MAX_UNKNOWN_FRAMES_PER_S:
-        evidence[B10, 0] = x.run[s.UNKNOWN_FRAME_RATE]
+        evidence[FAULT_B10, 0] = x.run[s.UNKNOWN_FRAME_RATE]
     if not is_armed:
         return
     _detect_overdue_feedback(x, c, evidence)
     _detect_lost_replies(x, evidence)
     _detect_bad_frames(x, evidence)
-    if x.run_int[s.STALE_FRAME_NOW] == 1:
-        evidence[B04, 0] = 0.0
-    if x.run_int[s.STALE_FRAME_NOW] == 2:
-        evidence[B07, 0] = 1.0
-    frames = x.run_int[s.RECEIVED_FRAMES]
+    if x.run_int[s.STALE_FRAME_STATE] == 1:
+        evidence[FAULT_B04, 0] = 0.0
+    if x.run_int[s.STALE_FRAME_STATE] == 2:
+        evidence[FAULT_B07, 0] = 1.0
+    frames = x.run_int[s.RECEIVED_FRAME_COUNT]
     if frames > c.run_int[h.MAX_FRAMES_PER_TICK] * (1 + x.run_int[s.MISSED_TICKS]):
-        evidence[B11A, 0] = evidence[B11B, 0] = frames
+        evidence[FAULT_B11A, 0] = evidence[FAULT_B11B, 0] = frames
 
 
 @kernel_helper
@@ -69,17 +69,17 @@ def _detect_overdue_feedback(x: StateTables, c: ConstantTables, evidence: Eviden
     In a tick that the host has missed, no feedback was requested. Missed ticks therefore do not
     cause the fault B01.
     """
-    lowest_age = motor_ticks_overdue(x, c, 0, x.run_int[s.T_NS])
+    lowest_age = motor_ticks_overdue(x, c, 0, x.run_int[s.TICK_TIME_NS])
     for n in range(x.tendon.shape[1]):
-        lowest_age = min(lowest_age, motor_ticks_overdue(x, c, n, x.run_int[s.T_NS]))
+        lowest_age = min(lowest_age, motor_ticks_overdue(x, c, n, x.run_int[s.TICK_TIME_NS]))
     for n in range(x.tendon.shape[1]):
-        age = motor_ticks_overdue(x, c, n, x.run_int[s.T_NS])
+        age = motor_ticks_overdue(x, c, n, x.run_int[s.TICK_TIME_NS])
         if age > x.run_int[s.MISSED_TICKS]:
-            evidence[B01, n] = age
+            evidence[FAULT_B01, n] = age
         if age >= c.run_int[h.SILENT_TICKS]:
-            evidence[B02, n] = age
+            evidence[FAULT_B02, n] = age
         if age >= c.run_int[h.SILENT_TICKS_OF_SINGLE_MOTOR] and lowest_age == 0:
-            evidence[B17, n] = age
+            evidence[FAULT_B17, n] = age
 
 
 @kernel_helper
@@ -88,9 +88,9 @@ def _detect_lost_replies(x: StateTables, evidence: EvidenceTable) -> None:
     for node in range(x.node_int.shape[1]):
         number = count_lost_replies(x, node)
         if number > LOST_FRAMES_FOR_HOLD:
-            evidence[B03A, node] = number
+            evidence[FAULT_B03A, node] = number
         if number > LOST_FRAMES_FOR_RELAX:
-            evidence[B03B, node] = number
+            evidence[FAULT_B03B, node] = number
 
 
 @kernel_helper
@@ -99,10 +99,10 @@ def _detect_bad_frames(x: StateTables, evidence: EvidenceTable) -> None:
     for node in range(x.node_int.shape[1]):
         if x.node_int[s.MALFORMED_FRAME_TICKS, node] & 1:
             number = count_set_bits(x.node_int[s.MALFORMED_FRAME_TICKS, node])
-            evidence[B09, node] = number
+            evidence[FAULT_B09, node] = number
             if number >= MALFORMED_FRAMES_LIMIT:
-                evidence[B08, node] = number
+                evidence[FAULT_B08, node] = number
         if x.node_int[s.DUPLICATE_REPLIES, node] == 1:
-            evidence[B05, node] = 0.0
+            evidence[FAULT_B05, node] = 0.0
         if x.node_int[s.DUPLICATE_REPLIES, node] == 2:
-            evidence[B06, node] = 1.0
+            evidence[FAULT_B06, node] = 1.0

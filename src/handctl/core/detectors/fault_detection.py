@@ -32,7 +32,7 @@ from handctl.core.state_block import StateTables, reset_monitor
 from handctl.core.tick_types import ARMING_MODE, CUT_MODE, DISARM_MODE, RELAX_MODE
 from handctl.safety.faults.table import ACTION_NUMBERS, DEBOUNCE_TICKS
 
-FAULT_ROWS = len(ACTION_NUMBERS)
+FAULT_ROW_COUNT = len(ACTION_NUMBERS)
 
 
 @kernel_helper
@@ -50,16 +50,16 @@ def find_and_debounce_faults(
         The most severe action of all active faults, and the evidence of each fault (faults,
         instances). The evidence of an absent fault is NaN.
     """
-    mode = x.run_int[s.MODE]
+    mode = x.run_int[s.HAND_MODE]
     # Motors may make torque in the states from ARMING to RELAX, but not in DISARM and CUT.
     is_armed = ARMING_MODE <= mode <= RELAX_MODE
     is_torque_cut = mode == CUT_MODE or mode == DISARM_MODE
-    evidence = np.full((FAULT_ROWS, x.instance_int.shape[1]), math.nan)
+    evidence = np.full((FAULT_ROW_COUNT, x.instance_int.shape[1]), math.nan)
     frame_losses.update_loss_counts(
         x,
         c,
-        x.run_int[s.T_NS],
-        x.run_int[s.UNKNOWN_FRAMES],
+        x.run_int[s.TICK_TIME_NS],
+        x.run_int[s.UNKNOWN_FRAME_COUNT],
         is_armed and x.run_int[s.MISSED_TICKS] == 0,
     )
     bus_faults.detect_bus_faults(x, c, is_armed, evidence)
@@ -71,7 +71,7 @@ def find_and_debounce_faults(
         node_faults.detect_node_faults_under_torque(x, c, evidence)
         tendon_faults.detect_tendon_faults_under_torque(x, c, evidence)
     elif is_torque_cut:
-        slack_history.update_history_after_cut(x, c, x.run_int[s.CELLS_TARED] == 1)
+        slack_history.update_history_after_cut(x, c, x.run_int[s.ARE_CELLS_TARED] == 1)
         node_faults.detect_tension_after_cut(x, c, evidence)
     else:
         reset_monitor(x, initial)
@@ -82,15 +82,15 @@ def find_and_debounce_faults(
 def update_fault_memory(x: StateTables, c: ConstantTables) -> None:
     """Update the stored values of the detectors that run while the motors may make torque."""
     missed_ticks = x.run_int[s.MISSED_TICKS]
-    tared = x.run_int[s.CELLS_TARED] == 1
-    tendon_slip.update_slip(x, c, tared)
+    are_cells_tared = x.run_int[s.ARE_CELLS_TARED] == 1
+    tendon_slip.update_tendon_slip(x, c, are_cells_tared)
     servo_commands.predict_reported_forces(x, c)
-    residuals.update_residuals(x, c, missed_ticks, tared)
+    residuals.update_residuals(x, c, missed_ticks, are_cells_tared)
     slack_history.update_slack_history(x, c)
-    stuck_sensors.update_stuck_counts(x, c, tared)
+    stuck_sensors.update_stuck_counts(x, c, are_cells_tared)
     torque_correlation.update_correlation(x, c, missed_ticks)
-    replayed_readings.update_repetitions(x, tared)
-    tension_swings.update_swing(x, c, tared)
+    replayed_readings.count_repeated_readings(x, are_cells_tared)
+    tension_swings.update_tension_swing(x, c, are_cells_tared)
 
 
 @kernel_helper

@@ -11,7 +11,7 @@ from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.state_block import StateTables
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS, MALFORMED_WINDOW_TICKS
-from handctl.safety.faults.node import HALF_RATE_MISSING_REPLIES
+from handctl.safety.faults.node import HALF_RATE_LOSS_COUNT
 
 TICKS_OVERDUE_BEFORE_FIRST_READING = 1_000_000
 """Age that is used for a node from which no reading was received so far [ticks]."""
@@ -46,9 +46,9 @@ def motor_ticks_overdue(x: StateTables, c: ConstantTables, n: int, now_ns: int) 
     """Return the number of ticks by which the feedback of motor n is overdue."""
     return ticks_overdue(
         now_ns,
-        x.tendon_int[s.FEEDBACK_NS, n],
+        x.tendon_int[s.FEEDBACK_RECEIVED_NS, n],
         c.tendon_int[h.CYCLIC_FEEDBACK_PERIOD_NS, n],
-        c.run_int[h.PERIOD_NS],
+        c.run_int[h.CONTROL_PERIOD_NS],
     )
 
 
@@ -61,12 +61,12 @@ def cell_ticks_overdue(x: StateTables, c: ConstantTables, n: int, now_ns: int) -
     """
     group = c.tendon_int[h.CELL_GROUP, n]
     last_reading_ns = -1
-    for g in range(c.run_int[h.TENSION_GROUPS]):
+    for g in range(c.run_int[h.TENSION_GROUP_COUNT]):
         if g == group or group < 0:
-            last_reading_ns = max(last_reading_ns, x.group_int[s.GROUP_NS, g])
-    if c.run_int[h.TENSION_GROUPS] == 0:
+            last_reading_ns = max(last_reading_ns, x.group_int[s.GROUP_RECEIVED_NS, g])
+    if c.run_int[h.TENSION_GROUP_COUNT] == 0:
         return 0
-    return ticks_overdue(now_ns, last_reading_ns, 0, c.run_int[h.PERIOD_NS])
+    return ticks_overdue(now_ns, last_reading_ns, 0, c.run_int[h.CONTROL_PERIOD_NS])
 
 
 @kernel_helper
@@ -96,22 +96,24 @@ def update_loss_counts(
             for n in range(tendons):
                 is_late |= cell_ticks_overdue(x, c, n, now_ns) > 0
         recent_bits = x.node_int[s.LOST_REPLY_BITS, node]
-        earlier_bits = x.node_int[s.LOST_REPLY_BITS + 1, node]
+        older_bits = x.node_int[s.LOST_REPLY_BITS + 1, node]
         # The two integers form a shift register: the oldest bit of the first integer moves into the
         # second one.
         x.node_int[s.LOST_REPLY_BITS + 1, node] = (
-            earlier_bits << 1 | recent_bits >> (BITS_PER_WORD - 1)
+            older_bits << 1 | recent_bits >> (BITS_PER_WORD - 1)
         ) & WORD_MASK
         x.node_int[s.LOST_REPLY_BITS, node] = (
             recent_bits << 1 | (is_late and count_missing_replies)
         ) & WORD_MASK
-        is_malformed = x.node_int[s.MALFORMED_FRAME_NOW, node] != 0
+        is_malformed = x.node_int[s.HAS_MALFORMED_FRAME, node] != 0
         x.node_int[s.MALFORMED_FRAME_TICKS, node] = (
             x.node_int[s.MALFORMED_FRAME_TICKS, node] << 1 | is_malformed
         ) & MALFORMED_WINDOW_MASK
     # The count of unknown frames decays with a time constant of 1 s. A small count of unknown
     # frames is set to 0, so that the stored value becomes constant.
-    decayed_rate = x.run[s.UNKNOWN_FRAME_RATE] * (1.0 - c.run[h.PERIOD]) + unknown_frame_count
+    decayed_rate = (
+        x.run[s.UNKNOWN_FRAME_RATE] * (1.0 - c.run[h.CONTROL_PERIOD]) + unknown_frame_count
+    )
     x.run[s.UNKNOWN_FRAME_RATE] = decayed_rate if decayed_rate > 1e-3 else 0.0
 
 
@@ -145,6 +147,6 @@ def misses_every_second_reply(x: StateTables, node: int) -> bool:
     # The integer is combined by AND with itself, shifted by one bit. The result has a bit of 1 for
     # each pair of consecutive missing replies.
     return (
-        count_set_bits(recent_losses) >= HALF_RATE_MISSING_REPLIES
+        count_set_bits(recent_losses) >= HALF_RATE_LOSS_COUNT
         and count_set_bits(recent_losses & recent_losses >> 1) <= 1
     )

@@ -8,13 +8,13 @@ from handctl.core.control_law.digit_reference import is_target_stream_running
 from handctl.core.detectors.bus_faults import EvidenceTable
 from handctl.core.state_block import StateTables
 from handctl.safety.faults.host import (
-    H01,
-    H02,
-    H03,
-    I07A,
-    I07B,
-    I11A,
-    I11B,
+    FAULT_H01,
+    FAULT_H02,
+    FAULT_H03,
+    FAULT_I07A,
+    FAULT_I07B,
+    FAULT_I11A,
+    FAULT_I11B,
     LATE_TICK_FRACTION,
     REFUSED_REQUESTS_LIMIT,
 )
@@ -26,21 +26,21 @@ def detect_host_faults(
 ) -> None:
     """Run the detectors of host faults, and write their results into the evidence table."""
     # Delay of the start of the tick, as a fraction of the control period.
-    lateness_in_periods = x.run_int[s.TICK_DELAY_NS] / c.run_int[h.PERIOD_NS]
+    lateness_in_periods = x.run_int[s.TICK_DELAY_NS] / c.run_int[h.CONTROL_PERIOD_NS]
     missed_ticks = x.run_int[s.MISSED_TICKS]
     if lateness_in_periods > LATE_TICK_FRACTION:
-        evidence[H01, 0] = lateness_in_periods
+        evidence[FAULT_H01, 0] = lateness_in_periods
     if missed_ticks >= 1:
-        evidence[H02, 0] = missed_ticks
+        evidence[FAULT_H02, 0] = missed_ticks
     if is_armed and missed_ticks >= c.run_int[h.STALLED_TICKS]:
-        evidence[H03, 0] = missed_ticks
-    if is_armed and x.run_int[s.REFUSED_REQUESTS_NOW]:
-        evidence[I07A, 0] = x.run_int[s.REFUSED_REQUESTS_NOW]
+        evidence[FAULT_H03, 0] = missed_ticks
+    if is_armed and x.run_int[s.REFUSED_REQUESTS_IN_TICK]:
+        evidence[FAULT_I07A, 0] = x.run_int[s.REFUSED_REQUESTS_IN_TICK]
         if x.run_int[s.REFUSED_REQUESTS] >= REFUSED_REQUESTS_LIMIT:
-            evidence[I07B, 0] = x.run_int[s.REFUSED_REQUESTS]
+            evidence[FAULT_I07B, 0] = x.run_int[s.REFUSED_REQUESTS]
     if is_armed and is_target_stream_running(x):
-        silence_ns = x.run_int[s.T_NS] - x.run_int[s.STREAM_SENT_NS]
+        silence_ns = x.run_int[s.TICK_TIME_NS] - x.run_int[s.STREAM_SENT_NS]
         if silence_ns > c.run_int[h.STREAM_HOLD_NS]:
-            evidence[I11A, 0] = silence_ns / 1e9
+            evidence[FAULT_I11A, 0] = silence_ns / 1e9
         if silence_ns > c.run_int[h.STREAM_RELAX_NS]:
-            evidence[I11B, 0] = silence_ns / 1e9
+            evidence[FAULT_I11B, 0] = silence_ns / 1e9

@@ -13,28 +13,28 @@ from handctl.core.detectors.tendon_slip import DEG_PER_RAD
 from handctl.core.state_block import StateTables
 from handctl.drives.contract import DriveFaultCause, DrivePhase
 from handctl.safety.faults.node import (
-    N01,
-    N02,
-    N02B,
-    N04,
-    N05A,
-    N05B,
-    N06A,
-    N06B,
-    N07,
-    N08,
-    N09A,
-    N09B,
-    N10,
-    N11,
-    N11B,
-    N12,
-    N13,
-    N14,
-    N14B,
-    N15,
-    N16,
-    N17,
+    FAULT_N01,
+    FAULT_N02,
+    FAULT_N02B,
+    FAULT_N04,
+    FAULT_N05A,
+    FAULT_N05B,
+    FAULT_N06A,
+    FAULT_N06B,
+    FAULT_N07,
+    FAULT_N08,
+    FAULT_N09A,
+    FAULT_N09B,
+    FAULT_N10,
+    FAULT_N11,
+    FAULT_N11B,
+    FAULT_N12,
+    FAULT_N13,
+    FAULT_N14,
+    FAULT_N14B,
+    FAULT_N15,
+    FAULT_N16,
+    FAULT_N17,
     OSCILLATION_DURATION_S,
     PULL_AFTER_CUT_FRACTION,
     PULL_AFTER_CUT_N,
@@ -51,17 +51,17 @@ from handctl.safety.faults.node import (
     TORQUE_DIFFERENCE_LIMIT_N,
 )
 
-_ROW_BY_CAUSE = {
-    DriveFaultCause.OTHER: N11,
-    DriveFaultCause.DROPPED_OUT: N01,
-    DriveFaultCause.WATCHDOG: N08,
-    DriveFaultCause.VOLTAGE: N10,
-    DriveFaultCause.HOT: N11,
-    DriveFaultCause.SETTING_MISMATCH: N12,
-    DriveFaultCause.COMMUNICATION_LOST: N11,
-    DriveFaultCause.UNKNOWN: N11B,
+_FAULT_ROW_BY_CAUSE = {
+    DriveFaultCause.OTHER: FAULT_N11,
+    DriveFaultCause.DROPPED_OUT: FAULT_N01,
+    DriveFaultCause.WATCHDOG: FAULT_N08,
+    DriveFaultCause.VOLTAGE: FAULT_N10,
+    DriveFaultCause.OVERHEATED: FAULT_N11,
+    DriveFaultCause.SETTING_MISMATCH: FAULT_N12,
+    DriveFaultCause.COMMUNICATION_LOST: FAULT_N11,
+    DriveFaultCause.UNKNOWN: FAULT_N11B,
 }
-ROW_OF_CAUSE = tuple(_ROW_BY_CAUSE[cause] for cause in sorted(DriveFaultCause))
+FAULT_ROW_BY_CAUSE_INDEX = tuple(_FAULT_ROW_BY_CAUSE[cause] for cause in sorted(DriveFaultCause))
 """Fault for each value of ``drives.contract.DriveFaultCause``."""
 FAULT_PHASE = int(DrivePhase.FAULT)
 """Value of ``drives.contract.DrivePhase.FAULT``."""
@@ -74,9 +74,9 @@ def detect_node_faults(
     """Run the detectors that also work without torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
         if x.tendon[s.TEMPERATURE, n] > c.run[h.DERATING_START_TEMPERATURE]:
-            evidence[N09A, n] = x.tendon[s.TEMPERATURE, n]
-        if x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_AT_FLOOR]:
-            evidence[N09B, n] = x.tendon[s.TEMPERATURE, n]
+            evidence[FAULT_N09A, n] = x.tendon[s.TEMPERATURE, n]
+        if x.tendon[s.TEMPERATURE, n] > c.run[h.DERATING_END_TEMPERATURE]:
+            evidence[FAULT_N09B, n] = x.tendon[s.TEMPERATURE, n]
     _detect_rejected_positions(x, evidence)
     if not is_armed:
         return
@@ -84,9 +84,9 @@ def detect_node_faults(
     _detect_silent_sensors(x, c, evidence)
     for node in range(x.node_int.shape[1]):
         if misses_every_second_reply(x, node):
-            evidence[N15, node] = 0.5
+            evidence[FAULT_N15, node] = 0.5
         if x.node_int[s.DUPLICATE_REPLIES, node]:
-            evidence[N13, node] = x.node_int[s.DUPLICATE_REPLIES, node] - 1.0
+            evidence[FAULT_N13, node] = x.node_int[s.DUPLICATE_REPLIES, node] - 1.0
 
 
 @kernel_helper
@@ -96,8 +96,8 @@ def _detect_drive_errors(x: StateTables, evidence: EvidenceTable) -> None:
     Each cause of an error has its own row in the evidence table.
     """
     for n in range(x.tendon.shape[1]):
-        if x.tendon_int[s.PHASE, n] == FAULT_PHASE:
-            evidence[ROW_OF_CAUSE[x.tendon_int[s.FAULT_CAUSE, n]], n] = x.tendon_int[
+        if x.tendon_int[s.DRIVE_PHASE, n] == FAULT_PHASE:
+            evidence[FAULT_ROW_BY_CAUSE_INDEX[x.tendon_int[s.FAULT_CAUSE, n]], n] = x.tendon_int[
                 s.FAULT_CODE, n
             ]
 
@@ -105,19 +105,19 @@ def _detect_drive_errors(x: StateTables, evidence: EvidenceTable) -> None:
 @kernel_helper
 def _detect_silent_sensors(x: StateTables, c: ConstantTables, evidence: EvidenceTable) -> None:
     """Find load cells and joint encoders whose last reading is too old."""
-    now_ns = x.run_int[s.T_NS]
+    now_ns = x.run_int[s.TICK_TIME_NS]
     for n in range(x.tendon.shape[1]):
         age = cell_ticks_overdue(x, c, n, now_ns)
         if age >= c.run_int[h.SILENT_TICKS]:
-            evidence[N02, n] = age
+            evidence[FAULT_N02, n] = age
     last_group = -1
     for j in range(x.joint.shape[1]):
         group = c.joint_int[h.JOINT_GROUP, j]
         if group > last_group:  # a frame with several joints is tested once, for its first joint
             last_group = group
-            last_heard_ns = x.group_int[s.GROUP_NS, group]
-            if last_heard_ns < now_ns - c.run_int[h.JOINT_SILENCE_NS]:
-                evidence[N02B, j] = (now_ns - last_heard_ns) * 1e-9
+            last_frame_ns = x.group_int[s.GROUP_RECEIVED_NS, group]
+            if last_frame_ns < now_ns - c.run_int[h.JOINT_SILENCE_NS]:
+                evidence[FAULT_N02B, j] = (now_ns - last_frame_ns) * 1e-9
 
 
 @kernel_helper
@@ -127,17 +127,17 @@ def _detect_rejected_positions(x: StateTables, evidence: EvidenceTable) -> None:
     In the evidence table, the row for joints follows the row for motors.
     """
     for n in range(x.tendon.shape[1]):
-        if x.tendon[s.REJECTED_STEP, n] > 0.0:
-            evidence[N05A, n] = x.tendon[s.REJECTED_STEP, n]
-            if x.tendon[s.REJECTED_POSITIONS, n] > 1.0:
-                evidence[N05B, n] = x.tendon[s.REJECTED_STEP, n]
+        if x.tendon[s.REJECTED_MOTOR_STEP, n] > 0.0:
+            evidence[FAULT_N05A, n] = x.tendon[s.REJECTED_MOTOR_STEP, n]
+            if x.tendon[s.REJECTED_POSITION_COUNT, n] > 1.0:
+                evidence[FAULT_N05B, n] = x.tendon[s.REJECTED_MOTOR_STEP, n]
     for j in range(x.joint.shape[1]):
         if x.joint[s.REJECTED_JOINT_STEP, j] > 0.0:
             # A fault that can occur in motors and in joints has two rows of the evidence table. The
             # second row is for joints.
-            evidence[N05A + 1, j] = x.joint[s.REJECTED_JOINT_STEP, j]
-            if x.joint[s.REJECTED_JOINT_ANGLES, j] > 1.0:
-                evidence[N05B + 1, j] = x.joint[s.REJECTED_JOINT_STEP, j]
+            evidence[FAULT_N05A + 1, j] = x.joint[s.REJECTED_JOINT_STEP, j]
+            if x.joint[s.REJECTED_ANGLE_COUNT, j] > 1.0:
+                evidence[FAULT_N05B + 1, j] = x.joint[s.REJECTED_JOINT_STEP, j]
 
 
 @kernel_helper
@@ -148,12 +148,12 @@ def detect_node_faults_under_torque(
     for n in range(x.tendon.shape[1]):
         slip = abs(x.tendon[s.RESIDUAL + residuals.SLIP, n])
         if slip > SLIP_WARN_DEG:
-            evidence[N06A, n] = slip
+            evidence[FAULT_N06A, n] = slip
         if slip > SLIP_TRIP_DEG:
-            evidence[N06B, n] = slip
+            evidence[FAULT_N06B, n] = slip
         jerk = abs(x.tendon[s.RESIDUAL + residuals.JERK, n])
-        if jerk > c.run[h.NOISE_LIMIT]:
-            evidence[N07, n] = jerk
+        if jerk > c.run[h.POSITION_NOISE_LIMIT]:
+            evidence[FAULT_N07, n] = jerk
         command_difference = abs(x.tendon[s.RESIDUAL + residuals.COMMAND_DIFFERENCE, n])
         max_difference = min(
             TORQUE_DIFFERENCE_LIMIT_N,
@@ -163,11 +163,11 @@ def detect_node_faults_under_torque(
             command_difference > max_difference
             or torque_correlation.does_report_contradict_commands(x, c, n)
         ):
-            evidence[N14, n] = command_difference
+            evidence[FAULT_N14, n] = command_difference
         if x.tendon[s.SWING_DURATION, n] > OSCILLATION_DURATION_S:
-            evidence[N14B, n] = math.sqrt(x.tendon[s.MEAN_SQUARE_TENSION_SWING, n])
+            evidence[FAULT_N14B, n] = math.sqrt(x.tendon[s.MEAN_SQUARE_TENSION_SWING, n])
         if torque_correlation.is_torque_command_ignored(x, c, n):
-            evidence[N17, n] = torque_correlation.fraction_of_command_reported(x, n)
+            evidence[FAULT_N17, n] = torque_correlation.fraction_of_command_reported(x, n)
     _detect_stuck_encoders(x, c, evidence)
 
 
@@ -178,20 +178,25 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
     In the evidence table, the row for joints follows the row for motors.
     """
     for n in range(x.tendon.shape[1]):
-        if x.tendon_int[s.MOTOR_STUCK, n] * c.tendon[h.MOTOR_PERIOD, n] > STUCK_SENSOR_TIME_S:
-            goal = stuck_sensors.motion_since_reading(
+        if (
+            x.tendon_int[s.MOTOR_UNCHANGED_COUNT, n] * c.tendon[h.MOTOR_PERIOD, n]
+            > STUCK_SENSOR_TIME_S
+        ):
+            goal = stuck_sensors.change_since_reading(
                 x.tendon[s.FILTERED_GOAL, n], x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE, n]
             )
-            tension = stuck_sensors.motion_since_reading(
+            tension = stuck_sensors.change_since_reading(
                 stuck_sensors.reference_tension(x, c, n),
                 x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE + 1, n],
             )
-            if goal > STUCK_SENSOR_GOAL_CHANGE_M or tension > STUCK_SENSOR_TENSION_CHANGE_N:
-                evidence[N04, n] = max(goal * 1e3, tension)
+            if (
+                goal > STUCK_SENSOR_GOAL_CHANGE_M and _overcomes_friction(c, n, goal)
+            ) or tension > STUCK_SENSOR_TENSION_CHANGE_N:
+                evidence[FAULT_N04, n] = max(goal * 1e3, tension)
     for j in range(x.joint.shape[1]):
-        if x.joint_int[s.JOINT_STUCK, j] * c.run[h.JOINT_PERIOD] > STUCK_SENSOR_TIME_S:
+        if x.joint_int[s.JOINT_UNCHANGED_COUNT, j] * c.run[h.JOINT_PERIOD] > STUCK_SENSOR_TIME_S:
             turned_angle = (
-                stuck_sensors.motion_since_reading(
+                stuck_sensors.change_since_reading(
                     stuck_sensors.joint_angle_by_spools(x, c, j),
                     x.joint[s.ANGLE_AT_LAST_JOINT_CHANGE, j],
                 )
@@ -199,7 +204,20 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
                 * DEG_PER_RAD
             )
             if turned_angle > STUCK_SENSOR_JOINT_CHANGE_DEG:
-                evidence[N04 + 1, j] = turned_angle
+                evidence[FAULT_N04 + 1, j] = turned_angle
+
+
+@kernel_helper
+def _overcomes_friction(c: ConstantTables, n: int, goal_change: float) -> bool:
+    """Return True if a change of the goal [m] moves the motor against its friction.
+
+    Friction c may hold a motor at rest until the feedback force has changed by 2 c. With a soft
+    position loop, this is a long way of the goal. Position loops in drives are stiff.
+    """
+    loop_stiffness = c.tendon[h.FEEDBACK_MASS, n] * c.tendon[h.EXCURSION_GAIN, n]
+    if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] or loop_stiffness == 0.0:
+        return True
+    return bool(goal_change * loop_stiffness > 2.0 * c.tendon[h.MOTOR_COULOMB_FRICTION, n])
 
 
 @kernel_helper
@@ -209,7 +227,7 @@ def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Eviden
     The tension is visible in the load-cell reading or in the torque that the drive reports. If a
     spool has paid out its tendon, its motor no longer pulls. The tendon may still be taut.
     """
-    if x.run_int[s.TICKS_SINCE_CUT] * c.run[h.PERIOD] < PULL_AFTER_CUT_TIME_S:
+    if x.run_int[s.TICKS_SINCE_CUT] * c.run[h.CONTROL_PERIOD] < PULL_AFTER_CUT_TIME_S:
         return
     for n in range(x.tendon.shape[1]):
         tension = x.tendon[s.TENSION_AFTER_CUT, n]
@@ -218,9 +236,9 @@ def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Eviden
             and not _has_spool_paid_out(x, c, n)
             and tension > PULL_AFTER_CUT_FRACTION * x.tendon[s.TENSION_AT_CUT, n]
         ):
-            evidence[N16, n] = tension
+            evidence[FAULT_N16, n] = tension
         elif _reports_torque_after_cut(x, c, n):
-            evidence[N16, n] = abs(x.tendon[s.MEASURED_FORCE, n])
+            evidence[FAULT_N16, n] = abs(x.tendon[s.MEASURED_FORCE, n])
 
 
 @kernel_helper

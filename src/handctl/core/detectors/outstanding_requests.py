@@ -18,7 +18,7 @@ from handctl.core.state_block import StateTables
 from handctl.drives.contract import DrivePhase
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
 
-MAX_REQUESTS = 8
+MAX_OUTSTANDING_REQUESTS = 8
 """Largest number of outstanding requests of a motor.
 
 A motor with more outstanding requests is silent, and its older requests are dropped.
@@ -40,15 +40,15 @@ def close_answered_requests(x: StateTables, c: ConstantTables) -> bool:
     """
     has_excess_replies = False
     for n in range(x.tendon.shape[1]):
-        replies = x.tendon_int[s.FEEDBACK_COUNT_NOW, n]
-        open_request_count = x.tendon_int[s.OUTSTANDING_REQUESTS, n]
-        x.tendon_int[s.EXCESS_REPLIES, n] = 0
+        replies = x.tendon_int[s.FEEDBACK_COUNT_IN_TICK, n]
+        open_request_count = x.tendon_int[s.OUTSTANDING_REQUEST_COUNT, n]
+        x.tendon_int[s.EXCESS_REPLY_COUNT, n] = 0
         if replies > open_request_count and c.tendon_int[h.HAS_SINGLE_ANSWER, n]:
-            x.tendon_int[s.EXCESS_REPLIES, n] = 1 + open_request_count
+            x.tendon_int[s.EXCESS_REPLY_COUNT, n] = 1 + open_request_count
             has_excess_replies = True
-        x.tendon_int[s.OUTSTANDING_REQUESTS, n] = max(open_request_count - replies, 0)
+        x.tendon_int[s.OUTSTANDING_REQUEST_COUNT, n] = max(open_request_count - replies, 0)
     for g in range(x.group_int.shape[1]):
-        has_excess_replies |= x.group_int[s.GROUP_FRAME_COUNT_NOW, g] > 1
+        has_excess_replies |= x.group_int[s.GROUP_FRAME_COUNT_IN_TICK, g] > 1
     return has_excess_replies
 
 
@@ -60,15 +60,15 @@ def add_requests(x: StateTables, k: int) -> None:
     request of such a motor is open.
     """
     for n in range(x.tendon.shape[1]):
-        count = x.tendon_int[s.OUTSTANDING_REQUESTS, n]
-        if x.tendon_int[s.PHASE_BEFORE, n] < READY_PHASE:
+        count = x.tendon_int[s.OUTSTANDING_REQUEST_COUNT, n]
+        if x.tendon_int[s.LAST_DRIVE_PHASE, n] < READY_PHASE:
             count = 0
         remaining = 0
-        # At most MAX_REQUESTS - 1 old requests are kept, so that the new request has a place.
-        for i in range(max(count - MAX_REQUESTS + 1, 0), count):
+        # At most MAX_OUTSTANDING_REQUESTS - 1 old requests are kept, so that the new request has a place.
+        for i in range(max(count - MAX_OUTSTANDING_REQUESTS + 1, 0), count):
             request_tick = x.tendon_int[s.OUTSTANDING_REQUEST_TICKS + i, n]
             if i == count - 1 or k - request_tick < LOSS_WINDOW_TICKS:
                 x.tendon_int[s.OUTSTANDING_REQUEST_TICKS + remaining, n] = request_tick
                 remaining += 1
         x.tendon_int[s.OUTSTANDING_REQUEST_TICKS + remaining, n] = k
-        x.tendon_int[s.OUTSTANDING_REQUESTS, n] = remaining + 1
+        x.tendon_int[s.OUTSTANDING_REQUEST_COUNT, n] = remaining + 1

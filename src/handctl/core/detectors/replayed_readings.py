@@ -16,9 +16,9 @@ from handctl.core import state_block as s
 from handctl.core.state_block import StateTables
 from handctl.safety.faults.tendon import MIN_REPEATED_READINGS, REPEAT_WINDOW
 
-MAX_AGE_TICKS = 64
+MAX_READING_AGE_TICKS = 64
 """Number of earlier readings of a channel with which each reading is compared."""
-LIMIT_CYCLE_VALUES = 5
+MAX_LIMIT_CYCLE_READINGS = 5
 """Largest number of different readings in a limit cycle.
 
 The readings of a limit cycle are not independent of each other.
@@ -32,25 +32,29 @@ reaches the threshold. With noise of 1.5 counts, a run of 22 pairs is necessary.
 
 
 @kernel_helper
-def update_repetitions(x: StateTables, tared: bool) -> None:
-    """Compare the present load-cell readings with those of the last ``MAX_AGE_TICKS`` ticks."""
+def count_repeated_readings(x: StateTables, are_cells_tared: bool) -> None:
+    """Compare the present load-cell readings with those of the last ``MAX_READING_AGE_TICKS`` ticks."""
     count = x.tendon.shape[1]
     for n in range(count):
-        x.tendon[s.PRESENT_CELL_READING, n] = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
-        x.tendon_int[s.LONGEST_REPETITION, n] = 0
-    for age in range(MAX_AGE_TICKS):
+        x.tendon[s.PRESENT_CELL_READING, n] = (
+            x.tendon[s.MEASURED_TENSION, n] if are_cells_tared else math.nan
+        )
+        x.tendon_int[s.LONGEST_READING_REPETITION, n] = 0
+    for age in range(MAX_READING_AGE_TICKS):
         for n in range(count):
             is_equal_reading = (
                 x.tendon[s.PAST_CELL_READINGS + age, n] == x.tendon[s.PRESENT_CELL_READING, n]
             )
-            run = (
-                min(x.tendon_int[s.REPEATED_READINGS_BY_AGE + age, n] + 1, MAX_AGE_TICKS)
+            run_length = (
+                min(x.tendon_int[s.REPEATED_READINGS_BY_AGE + age, n] + 1, MAX_READING_AGE_TICKS)
                 if is_equal_reading
                 else 0
             )
-            x.tendon_int[s.REPEATED_READINGS_BY_AGE + age, n] = run
-            x.tendon_int[s.LONGEST_REPETITION, n] = max(x.tendon_int[s.LONGEST_REPETITION, n], run)
-    for age in range(MAX_AGE_TICKS - 1, 0, -1):
+            x.tendon_int[s.REPEATED_READINGS_BY_AGE + age, n] = run_length
+            x.tendon_int[s.LONGEST_READING_REPETITION, n] = max(
+                x.tendon_int[s.LONGEST_READING_REPETITION, n], run_length
+            )
+    for age in range(MAX_READING_AGE_TICKS - 1, 0, -1):
         for n in range(count):
             x.tendon[s.PAST_CELL_READINGS + age, n] = x.tendon[s.PAST_CELL_READINGS + age - 1, n]
     for n in range(count):
@@ -63,35 +67,36 @@ def age_of_repeated_readings(x: StateTables, n: int) -> int:
 
     Return 0 if the load cell does not repeat readings.
     """
-    longest_run = x.tendon_int[s.LONGEST_REPETITION, n]
+    longest_run = x.tendon_int[s.LONGEST_READING_REPETITION, n]
     # The probability of so many equal readings is compared as a logarithm, because the probability
     # itself is too small a number.
     if (
         longest_run < MIN_REPEATED_READINGS
-        or -longest_run * math.log(_chance_of_equal_readings(x, n)) < MIN_NEGATIVE_LOG_PROBABILITY
+        or -longest_run * math.log(_probability_of_equal_readings(x, n))
+        < MIN_NEGATIVE_LOG_PROBABILITY
     ):
         return 0
-    for age in range(MAX_AGE_TICKS):
+    for age in range(MAX_READING_AGE_TICKS):
         if x.tendon_int[s.REPEATED_READINGS_BY_AGE + age, n] == longest_run:
             return age + 1
     return 0
 
 
 @kernel_helper
-def _chance_of_equal_readings(x: StateTables, n: int) -> float:
+def _probability_of_equal_readings(x: StateTables, n: int) -> float:
     """Return the estimated probability that two readings of a load cell are equal by chance.
 
     The estimate uses all pairs of the last ``REPEAT_WINDOW`` readings.
     """
-    pairs = 0
-    different_count = 0
+    equal_pair_count = 0
+    distinct_value_count = 0
     for a in range(REPEAT_WINDOW):
-        is_first = True
+        is_new_value = True
         for b in range(a):
             if x.tendon[s.PAST_CELL_READINGS + a, n] == x.tendon[s.PAST_CELL_READINGS + b, n]:
-                pairs += 1
-                is_first = False
-        different_count += is_first
-    if different_count <= LIMIT_CYCLE_VALUES:
+                equal_pair_count += 1
+                is_new_value = False
+        distinct_value_count += is_new_value
+    if distinct_value_count <= MAX_LIMIT_CYCLE_READINGS:
         return 1.0
-    return min(1.0, (pairs + 1) / (REPEAT_WINDOW * (REPEAT_WINDOW - 1) // 2 + 1))
+    return min(1.0, (equal_pair_count + 1) / (REPEAT_WINDOW * (REPEAT_WINDOW - 1) // 2 + 1))

@@ -34,7 +34,7 @@ from handctl.core.state_block import StateTables
     QUICK_BALANCE,
 ) = range(9)
 """Rows of ``state_block.RESIDUAL``."""
-TIME_CONSTANTS_S = (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0, 0.02)
+RESIDUAL_TIME_CONSTANTS_S = (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0, 0.02)
 """Time constant of the low-pass filter of each row [s]."""
 TRUSTED_NOISE_FRACTION = 1.0 / 30.0
 """Fraction of the limit of fault N07 above which the noise of an encoder makes the acceleration useless.
@@ -48,7 +48,9 @@ FULL_FRICTION_SPEED_M_S = 5e-3
 
 
 @kernel_helper
-def update_residuals(x: StateTables, c: ConstantTables, missed_ticks: int, tared: bool) -> None:
+def update_residuals(
+    x: StateTables, c: ConstantTables, missed_ticks: int, are_cells_tared: bool
+) -> None:
     """Update the low-passed residuals of all tendons.
 
     Args:
@@ -56,44 +58,46 @@ def update_residuals(x: StateTables, c: ConstantTables, missed_ticks: int, tared
         c: constants of the hand.
         missed_ticks: ticks missed before the present tick. In the tick after a missed tick, positions and
             speeds are not used.
-        tared: True if the zeros of the load cells are known.
+        are_cells_tared: True if the zeros of the load cells are known.
     """
-    residual_sums = np.empty(len(TIME_CONSTANTS_S))
+    residual_sums = np.empty(len(RESIDUAL_TIME_CONSTANTS_S))
     has_started = x.run_int[s.RESIDUALS_STARTED] == 1
     x.run_int[s.RESIDUALS_STARTED] = 1
     for n in range(x.tendon.shape[1]):
         position = x.tendon[s.MEASURED_POSITION, n] if missed_ticks == 0 else math.nan
-        speed = x.tendon[s.SPEED, n] if missed_ticks == 0 else math.nan
+        speed = x.tendon[s.SPOOL_SPEED, n] if missed_ticks == 0 else math.nan
         # The reading of a saturated load cell is no tension. Fault T06 reports it.
-        is_cell_usable = tared and not is_cell_saturated(x, c, n)
+        is_cell_usable = are_cells_tared and not is_cell_saturated(x, c, n)
         tension = x.tendon[s.MEASURED_TENSION, n] if is_cell_usable else math.nan
         force = x.tendon[s.MEASURED_FORCE, n]
         commanded_force = x.tendon[s.COMMANDED_FORCE, n]
         motor_force = commanded_force if math.isnan(force) else force
-        judged_tension = monitored_tension(x, c, n, tared)
+        checked_tension = monitored_tension(x, c, n, are_cells_tared)
         if not has_started:
             # The two fast filters start at the present tension and at the present motor force.
             x.tendon[s.RESIDUAL + TENSION, n] = (
-                0.0 if math.isnan(judged_tension) else judged_tension
+                0.0 if math.isnan(checked_tension) else checked_tension
             )
             x.tendon[s.RESIDUAL + QUICK_FORCE, n] = 0.0 if math.isnan(motor_force) else motor_force
         position_change = position - x.tendon[s.LAST_POSITION, n]
         # The friction is computed as proportional to tanh(1000 v), with the speed v in m/s. Above
         # some millimetres per second, the computed friction has its full value. When the motor is
         # at rest, the computed friction therefore does not change its sign in every tick.
-        drag = c.tendon[h.MOTOR_DAMPING, n] * speed + c.tendon[h.MOTOR_COULOMB, n] * math.tanh(
-            speed * 1e3
+        friction_force = c.tendon[h.MOTOR_DAMPING, n] * speed + c.tendon[
+            h.MOTOR_COULOMB_FRICTION, n
+        ] * math.tanh(speed * 1e3)
+        inertia = c.tendon[h.MOTOR_MASS, n] / c.run[h.CONTROL_PERIOD]
+        balance = (
+            motor_force - tension - inertia * (speed - x.tendon[s.LAST_SPEED, n]) - friction_force
         )
-        inertia = c.tendon[h.MOTOR_MASS, n] / c.run[h.PERIOD]
-        balance = motor_force - tension - inertia * (speed - x.tendon[s.LAST_SPEED, n]) - drag
         residual_sums[BALANCE] = residual_sums[QUICK_BALANCE] = balance
         residual_sums[MOTOR_FORCE] = motor_force
         residual_sums[COMMAND_DIFFERENCE] = commanded_force - force
         if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
             residual_sums[COMMAND_DIFFERENCE] = x.servo[s.EXPECTED_SERVO_FORCE, n] - force
-        residual_sums[TENSION] = judged_tension
+        residual_sums[TENSION] = checked_tension
         residual_sums[QUICK_FORCE] = motor_force
-        residual_sums[SLIP] = x.tendon[s.SLIP, n]
+        residual_sums[SLIP] = x.tendon[s.TENDON_SLIP, n]
         residual_sums[JERK] = square(position_change - x.tendon[s.LAST_POSITION_STEP, n])
         # Friction has the sign of the speed. The excess friction is therefore the residual of the
         # force balance, multiplied by the sign of the speed.
@@ -102,12 +106,12 @@ def update_residuals(x: StateTables, c: ConstantTables, missed_ticks: int, tared
             if abs(speed) > FULL_FRICTION_SPEED_M_S
             else math.nan
         )
-        for row in range(len(TIME_CONSTANTS_S)):
+        for row in range(len(RESIDUAL_TIME_CONSTANTS_S)):
             low = x.tendon[s.RESIDUAL + row, n]
             if not math.isnan(residual_sums[row] - low):
-                x.tendon[s.RESIDUAL + row, n] = low + c.tendon[h.RESIDUAL_FRACTION + row, n] * (
-                    residual_sums[row] - low
-                )
+                x.tendon[s.RESIDUAL + row, n] = low + c.tendon[
+                    h.RESIDUAL_UPDATE_FRACTION + row, n
+                ] * (residual_sums[row] - low)
         x.tendon[s.LAST_SPEED, n] = speed
         x.tendon[s.LAST_POSITION, n] = position
         x.tendon[s.LAST_POSITION_STEP, n] = position_change
@@ -131,7 +135,7 @@ def excess_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     The excess is filtered with a time constant of 20 ms. While the encoder of the motor is noisy,
     the acceleration of the rotor is wrong, and the result is 0. Fault N07 reports the noise.
     """
-    if abs(x.tendon[s.RESIDUAL + JERK, n]) > TRUSTED_NOISE_FRACTION * c.run[h.NOISE_LIMIT]:
+    if abs(x.tendon[s.RESIDUAL + JERK, n]) > TRUSTED_NOISE_FRACTION * c.run[h.POSITION_NOISE_LIMIT]:
         return 0.0
     excess = -x.tendon[s.RESIDUAL + QUICK_BALANCE, n]
     return max(excess - _max_explained_difference(x, c, n, QUICK_FORCE), 0.0)
@@ -141,7 +145,7 @@ def excess_tension(x: StateTables, c: ConstantTables, n: int) -> float:
 def _max_explained_difference(x: StateTables, c: ConstantTables, n: int, force_row: int) -> float:
     """Return the largest residual that friction and the tolerance of the motor force explain [N]."""
     tolerance = TORQUE_CONSTANT_TOLERANCE * abs(x.tendon[s.RESIDUAL + force_row, n])
-    return float(c.tendon[h.MOTOR_COULOMB, n] + tolerance)
+    return float(c.tendon[h.MOTOR_COULOMB_FRICTION, n] + tolerance)
 
 
 @kernel_helper

@@ -57,7 +57,7 @@ def update_slack_history(x: StateTables, c: ConstantTables) -> None:
 
 
 @kernel_helper
-def update_history_after_cut(x: StateTables, c: ConstantTables, tared: bool) -> None:
+def update_history_after_cut(x: StateTables, c: ConstantTables, are_cells_tared: bool) -> None:
     """Update the tension history after the motor torque was cut.
 
     The tension at the cut is the load-cell reading of the tick in which the torque is cut. In a
@@ -67,11 +67,11 @@ def update_history_after_cut(x: StateTables, c: ConstantTables, tared: bool) -> 
     Args:
         x: state tables.
         c: constants of the hand.
-        tared: True if the zeros of the load cells are known.
+        are_cells_tared: True if the zeros of the load cells are known.
     """
     ticks = x.run_int[s.TICKS_SINCE_CUT] + 1
     for n in range(x.tendon.shape[1]):
-        tension = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
+        tension = x.tendon[s.MEASURED_TENSION, n] if are_cells_tared else math.nan
         if ticks == 0:
             x.tendon[s.POSITION_AT_CUT, n] = x.tendon[s.POSITION, n]
             x.tendon[s.TENSION_AT_CUT, n] = (
@@ -79,7 +79,7 @@ def update_history_after_cut(x: StateTables, c: ConstantTables, tared: bool) -> 
             )
         elif math.isnan(x.tendon[s.TENSION_AT_CUT, n]):
             x.tendon[s.TENSION_AT_CUT, n] = tension
-        if ticks * c.run[h.PERIOD] < MIN_READING_DELAY_AFTER_CUT_S:
+        if ticks * c.run[h.CONTROL_PERIOD] < MIN_READING_DELAY_AFTER_CUT_S:
             x.tendon[s.TENSION_AFTER_CUT, n] = math.nan
         elif not math.isnan(tension):
             x.tendon[s.TENSION_AFTER_CUT, n] = tension

@@ -35,7 +35,7 @@ MIN_PRESSING_TENSION_N = 8.0
 
 
 @kernel_helper
-def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
+def update_stuck_counts(x: StateTables, c: ConstantTables, are_cells_tared: bool) -> None:
     """Update the number of ticks with a constant reading, for each sensor.
 
     If a reading is missing, the number does not change.
@@ -43,7 +43,7 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
     Args:
         x: state tables.
         c: constants of the hand.
-        tared: True if the zeros of the load cells are known.
+        are_cells_tared: True if the zeros of the load cells are known.
     """
     for n in range(x.tendon.shape[1]):
         # The position of the encoder is compared instead of the tendon travel, because the travel
@@ -58,11 +58,13 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
         if has_moved or math.isnan(x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE + 1, n]):
             x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE + 1, n] = tension
         if not math.isnan(value):
-            x.tendon_int[s.MOTOR_STUCK, n] = 0 if has_moved else x.tendon_int[s.MOTOR_STUCK, n] + 1
+            x.tendon_int[s.MOTOR_UNCHANGED_COUNT, n] = (
+                0 if has_moved else x.tendon_int[s.MOTOR_UNCHANGED_COUNT, n] + 1
+            )
             x.tendon[s.STUCK_TEST_POSITION, n] = value
-        cell = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
+        cell_tension = x.tendon[s.MEASURED_TENSION, n] if are_cells_tared else math.nan
         last_position = x.tendon[s.STUCK_TEST_TENSION, n]
-        has_moved = not math.isnan(cell) and cell != last_position
+        has_moved = not math.isnan(cell_tension) and cell_tension != last_position
         force = x.tendon[s.RESIDUAL + QUICK_FORCE, n]
         if has_moved or math.isnan(x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n]):
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n] = x.tendon[
@@ -73,9 +75,11 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n] = force
         if force > x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n]:
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n] = force
-        if not math.isnan(cell):
-            x.tendon_int[s.CELL_STUCK, n] = 0 if has_moved else x.tendon_int[s.CELL_STUCK, n] + 1
-            x.tendon[s.STUCK_TEST_TENSION, n] = cell
+        if not math.isnan(cell_tension):
+            x.tendon_int[s.CELL_UNCHANGED_COUNT, n] = (
+                0 if has_moved else x.tendon_int[s.CELL_UNCHANGED_COUNT, n] + 1
+            )
+            x.tendon[s.STUCK_TEST_TENSION, n] = cell_tension
     for j in range(x.joint.shape[1]):
         value = x.joint[s.MEASURED_JOINT, j]
         last_position = x.joint[s.STUCK_TEST_ANGLE, j]
@@ -86,7 +90,9 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
         if has_moved or math.isnan(x.joint[s.ANGLE_AT_LAST_JOINT_CHANGE, j]):
             x.joint[s.ANGLE_AT_LAST_JOINT_CHANGE, j] = reference
         if not math.isnan(value):
-            x.joint_int[s.JOINT_STUCK, j] = 0 if has_moved else x.joint_int[s.JOINT_STUCK, j] + 1
+            x.joint_int[s.JOINT_UNCHANGED_COUNT, j] = (
+                0 if has_moved else x.joint_int[s.JOINT_UNCHANGED_COUNT, j] + 1
+            )
             x.joint[s.STUCK_TEST_ANGLE, j] = value
 
 
@@ -116,7 +122,7 @@ def are_tendons_of_joint_taut(x: StateTables, c: ConstantTables, j: int) -> bool
     The spool of a slack tendon does not move the joint.
     """
     for n in range(x.tendon.shape[1]):
-        if c.joint_tendon[h.MOVES_JOINT, j, n] != 0.0 and not x.tendon_int[s.IS_TAUT, n]:
+        if c.joint_tendon_table[h.MOVES_JOINT, j, n] != 0.0 and not x.tendon_int[s.IS_TAUT, n]:
             return False
     return True
 
@@ -128,16 +134,16 @@ def joint_angle_by_spools(x: StateTables, c: ConstantTables, j: int) -> float:
         return math.nan
     angle = c.joint[h.ANGLE_OFFSET, j]
     for n in range(x.tendon.shape[1]):
-        if c.joint_tendon[h.MOVES_JOINT, j, n] != 0.0:
+        if c.joint_tendon_table[h.MOVES_JOINT, j, n] != 0.0:
             stretch = x.tendon[s.RESIDUAL + TENSION, n] / c.tendon[h.TENDON_STIFFNESS, n]
-            angle += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * (
+            angle += c.joint_tendon_table[h.EXCURSION_TO_JOINTS, j, n] * (
                 x.tendon[s.MEASURED_TRAVEL, n] - stretch
             )
     return angle
 
 
 @kernel_helper
-def motion_since_reading(reference: float, reference_at_reading: float) -> float:
+def change_since_reading(reference: float, reference_at_reading: float) -> float:
     """Return the change of a sensor's reference since the reading of the sensor became constant.
 
     Return 0 if this change is unknown.
@@ -159,13 +165,13 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
     the client. While a streamed digit presses on an object, the motion of its goal therefore does
     not count either.
     """
-    fraction = 1.0 - math.exp(-c.run[h.PERIOD] / MOTOR_FOLLOWING_TIME_CONSTANT_S)
-    min_step = MAX_UNDELAYED_GOAL_SPEED_M_S * c.run[h.PERIOD]
+    fraction = 1.0 - math.exp(-c.run[h.CONTROL_PERIOD] / MOTOR_FOLLOWING_TIME_CONSTANT_S)
+    min_step = MAX_UNDELAYED_GOAL_SPEED_M_S * c.run[h.CONTROL_PERIOD]
     for n in range(x.tendon.shape[1]):
         goal = 0.0
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-            if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
+            if c.tendon_joint_table[h.MOMENT_ARMS, n, j] != 0.0:
                 goal += joint_excursion(c, n, j, x.joint[s.Q_GOAL, j])
         last_goal = x.tendon[s.FILTERED_GOAL, n]
         present_excursion = x.tendon[s.EXCURSION, n]
@@ -173,7 +179,7 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
         if math.isnan(last_goal):
             continue
         change = goal - last_goal
-        if abs(change) > min_step and x.tendon_int[s.MOTOR_STUCK, n] != 0:
+        if abs(change) > min_step and x.tendon_int[s.MOTOR_UNCHANGED_COUNT, n] != 0:
             x.tendon[s.FILTERED_GOAL, n] = last_goal + math.copysign(
                 max(fraction * abs(change), min_step), change
             )

@@ -21,9 +21,22 @@ from handctl.core.estimation.varying_moment_arms import moment_arm
 from handctl.core.state_block import StateTables
 from handctl.core.tick_types import RELAX_MODE
 from handctl.safety.faults.tendon import (
-    DERAILED_READINGS,
+    DERAILED_READING_COUNT,
     EXCESS_FRICTION_WARN_N,
     EXCESS_TENSION_TRIP_N,
+    FAULT_T01,
+    FAULT_T02A,
+    FAULT_T02B,
+    FAULT_T03,
+    FAULT_T03B,
+    FAULT_T03C,
+    FAULT_T04A,
+    FAULT_T04B,
+    FAULT_T05,
+    FAULT_T05B,
+    FAULT_T06,
+    FAULT_T08,
+    FAULT_T09,
     FREE_SPOOL_SPEED_FRACTION,
     MIN_SNAP_SPOOL_SPEED,
     RELAXING_TIME_S,
@@ -34,23 +47,10 @@ from handctl.safety.faults.tendon import (
     SNAP_MIN_COMMAND_N,
     SNAP_SPOOL_SPEED,
     SNAP_SPOOL_SPEED_WITHOUT_CELL,
-    SNAP_TAUT_MEMORY_S,
     SNAP_TENSION_FRACTION,
     STUCK_CELL_FORCE_RANGE_N,
     STUCK_CELL_READINGS,
-    T01,
-    T02A,
-    T02B,
-    T03,
-    T03B,
-    T03C,
-    T04A,
-    T04B,
-    T05,
-    T05B,
-    T06,
-    T08,
-    T09,
+    TAUT_BEFORE_SNAP_TIME_S,
     TAUT_TENSION_N,
 )
 
@@ -60,27 +60,27 @@ def detect_tendon_faults(
     x: StateTables, c: ConstantTables, is_armed: bool, evidence: EvidenceTable
 ) -> None:
     """Run the detectors that also work without torque, and write their results into the evidence table."""
-    upper_rail = c.run[h.CELL_SATURATION]
-    time_in_mode_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_START_TIME]
-    is_hand_relaxed = x.run_int[s.MODE] == RELAX_MODE and time_in_mode_s > RELAXING_TIME_S
+    saturation_tension = c.run[h.CELL_SATURATION]
+    time_in_mode_s = x.run_int[s.TICK_TIME_NS] * 1e-9 - x.run[s.MODE_START_TIME]
+    is_hand_relaxed = x.run_int[s.HAND_MODE] == RELAX_MODE and time_in_mode_s > RELAXING_TIME_S
     for n in range(x.tendon.shape[1]):
         # The load-cell reading is tested even before the tare of the load cell is known.
         tension = monitored_tension(x, c, n, True)
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             tension = abs(tension)  # both directions of a spool pair have the same limit
-        if c.tendon[h.TENSION_TRIP, n] < tension < upper_rail:
-            evidence[T03, n] = tension
+        if c.tendon[h.TENSION_TRIP, n] < tension < saturation_tension:
+            evidence[FAULT_T03, n] = tension
         # A measured tension above the drive's torque limit proves that the drive does not obey this
         # limit. A tension that is only estimated proves nothing.
         if (
-            c.tendon[h.DRIVE_TENSION_LIMIT, n] < tension < upper_rail
+            c.tendon[h.DRIVE_TENSION_LIMIT, n] < tension < saturation_tension
             and c.tendon_int[h.CELL_GROUP, n] >= 0
         ):
-            evidence[T03B, n] = tension
+            evidence[FAULT_T03B, n] = tension
         if is_hand_relaxed and tension > c.tendon[h.TENSION_TRIP, n]:
-            evidence[T03C, n] = tension
+            evidence[FAULT_T03C, n] = tension
         if is_armed and is_cell_saturated(x, c, n):
-            evidence[T06, n] = tension
+            evidence[FAULT_T06, n] = tension
 
 
 @kernel_helper
@@ -93,31 +93,31 @@ def detect_tendon_faults_under_torque(
         unexplained_tension = residuals.unexplained_tension(x, c, n)
         excess_friction = residuals.excess_friction(x, n)
         if unexplained_tension > RESIDUAL_WARN_N:
-            evidence[T04A, n] = unexplained_tension
+            evidence[FAULT_T04A, n] = unexplained_tension
         excess_tension = residuals.excess_tension(x, c, n)
         if unexplained_tension > RESIDUAL_TRIP_N or excess_tension > EXCESS_TENSION_TRIP_N:
-            evidence[T04B, n] = max(unexplained_tension, excess_tension)
+            evidence[FAULT_T04B, n] = max(unexplained_tension, excess_tension)
         if excess_friction > EXCESS_FRICTION_WARN_N:
-            evidence[T09, n] = excess_friction
-        force_change = stuck_sensors.motion_since_reading(
+            evidence[FAULT_T09, n] = excess_friction
+        force_change = stuck_sensors.change_since_reading(
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n],
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n],
         )
-        is_reading_constant = x.tendon_int[s.CELL_STUCK, n] >= STUCK_CELL_READINGS
+        is_reading_constant = x.tendon_int[s.CELL_UNCHANGED_COUNT, n] >= STUCK_CELL_READINGS
         if (
             is_reading_constant
             and force_change > STUCK_CELL_FORCE_RANGE_N
             and x.tendon[s.STUCK_TEST_TENSION, n] > TAUT_TENSION_N
         ):
-            evidence[T05, n] = force_change
+            evidence[FAULT_T05, n] = force_change
         age = age_of_repeated_readings(x, n)
         if age > 0:
-            evidence[T05B, n] = age
-        slip = abs(x.tendon[s.SLIP, n])
-        if x.tendon[s.DERAILED_READINGS, n] >= DERAILED_READINGS and slip > derailment_threshold(
-            c, n
-        ):
-            evidence[T08, n] = slip
+            evidence[FAULT_T05B, n] = age
+        slip = abs(x.tendon[s.TENDON_SLIP, n])
+        if x.tendon[
+            s.DERAILED_READING_COUNT, n
+        ] >= DERAILED_READING_COUNT and slip > derailment_threshold(c, n):
+            evidence[FAULT_T08, n] = slip
 
 
 @kernel_helper
@@ -179,7 +179,9 @@ def _snapped_speed_threshold(
     ):
         return SNAP_SPOOL_SPEED
     damping = c.tendon[h.TENSION_SPEED_GAIN, n]
-    force = (1.0 + c.tendon[h.TENSION_GAIN, n]) * commanded_tension - c.tendon[h.MOTOR_COULOMB, n]
+    force = (1.0 + c.tendon[h.TENSION_GAIN, n]) * commanded_tension - c.tendon[
+        h.MOTOR_COULOMB_FRICTION, n
+    ]
     # The comparison needs no division, because the damping may be zero.
     if FREE_SPOOL_SPEED_FRACTION * force >= SNAP_SPOOL_SPEED * damping:
         return SNAP_SPOOL_SPEED
@@ -193,22 +195,24 @@ def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: EvidenceT
     After some time without tension, the tendon is slack (T02). If its spool also turns fast, the
     tendon has snapped (T01).
     """
-    period = c.run[h.PERIOD]
+    period = c.run[h.CONTROL_PERIOD]
     commanded_tension = x.tendon[s.COMMANDED_TENSION, n]
-    speed = x.tendon[s.SPEED, n]
+    speed = x.tendon[s.SPOOL_SPEED, n]
     slack_time = x.tendon_int[s.SLACK_TICKS, n] * period
     if slack_time > SLACK_WARN_S:
-        evidence[T02A, n] = slack_time
+        evidence[FAULT_T02A, n] = slack_time
     if slack_time > SLACK_TRIP_S:
-        evidence[T02B, n] = slack_time
-    tension = monitored_tension(x, c, n, x.run_int[s.CELLS_TARED] == 1)
+        evidence[FAULT_T02B, n] = slack_time
+    tension = monitored_tension(x, c, n, x.run_int[s.ARE_CELLS_TARED] == 1)
     planned_speed = _planned_speed(x, c, n)
     if c.tendon_int[h.IS_SPOOL_PAIR, n] and commanded_tension < 0.0:
         commanded_tension = -commanded_tension
         speed = -speed
         planned_speed = -planned_speed
         tension = -tension
-    was_recently_taut = 0.0 <= x.tendon_int[s.TICKS_SINCE_TAUT, n] * period < SNAP_TAUT_MEMORY_S
+    was_recently_taut = (
+        0.0 <= x.tendon_int[s.TICKS_SINCE_TAUT, n] * period < TAUT_BEFORE_SNAP_TIME_S
+    )
     unplanned_speed = speed - max(planned_speed, 0.0)
     if (
         unplanned_speed > _snapped_speed_threshold(x, c, n, commanded_tension)
@@ -216,4 +220,4 @@ def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: EvidenceT
         and tension < SNAP_TENSION_FRACTION * commanded_tension
         and was_recently_taut
     ):
-        evidence[T01, n] = unplanned_speed
+        evidence[FAULT_T01, n] = unplanned_speed

@@ -25,24 +25,24 @@ DEG_PER_RAD = 180.0 / math.pi
 
 
 @kernel_helper
-def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
+def update_tendon_slip(x: StateTables, c: ConstantTables, are_cells_tared: bool) -> None:
     """Update the slip of each tendon.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        tared: True if the zeros of the load cells are known.
+        are_cells_tared: True if the zeros of the load cells are known.
     """
-    has_joint_reading = x.run_int[s.ANY_JOINT_READ] == 1
+    has_joint_reading = x.run_int[s.HAS_ANY_JOINT_READING] == 1
     for n in range(x.tendon.shape[1]):
-        tension = monitored_tension(x, c, n, tared)
+        tension = monitored_tension(x, c, n, are_cells_tared)
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             # At least one tendon of a spool pair is always taut.
-            x.tendon[s.TAUT_TIME_S, n] += c.run[h.PERIOD]
+            x.tendon[s.TAUT_TIME_S, n] += c.run[h.CONTROL_PERIOD]
         elif tension < SLACK_TENSION_N or _is_tautness_unknown(x, c, n):
             x.tendon[s.TAUT_TIME_S, n] = 0.0
         elif tension > TAUT_TENSION_N:
-            x.tendon[s.TAUT_TIME_S, n] += c.run[h.PERIOD]
+            x.tendon[s.TAUT_TIME_S, n] += c.run[h.CONTROL_PERIOD]
         stretch = tension / c.tendon[h.TENDON_STIFFNESS, n]
         length_difference = (
             x.tendon[s.MEASURED_TRAVEL, n] - stretch - x.tendon[s.MEASURED_EXCURSION, n]
@@ -51,16 +51,16 @@ def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
             x.tendon[s.SLIP_REFERENCE, n] = length_difference
         if x.tendon[s.TAUT_TIME_S, n] <= MIN_TAUT_DURATION_S:
             x.tendon[s.SLIP_REFERENCE, n] = math.nan
-        x.tendon[s.SLIP, n] = math.nan
+        x.tendon[s.TENDON_SLIP, n] = math.nan
         if has_joint_reading:
-            x.tendon[s.SLIP, n] = (
+            x.tendon[s.TENDON_SLIP, n] = (
                 (length_difference - x.tendon[s.SLIP_REFERENCE, n])
                 / c.tendon[h.MOMENT_ARM_SUM, n]
                 * DEG_PER_RAD
             )
-            is_derailed = abs(x.tendon[s.SLIP, n]) > derailment_threshold(c, n)
-            x.tendon[s.DERAILED_READINGS, n] = (
-                x.tendon[s.DERAILED_READINGS, n] + 1.0 if is_derailed else 0.0
+            is_derailed = abs(x.tendon[s.TENDON_SLIP, n]) > derailment_threshold(c, n)
+            x.tendon[s.DERAILED_READING_COUNT, n] = (
+                x.tendon[s.DERAILED_READING_COUNT, n] + 1.0 if is_derailed else 0.0
             )
 
 

@@ -16,7 +16,7 @@ from handctl.core.constants import ConstantTables
 from handctl.core.state_block import StateTables
 from handctl.safety.faults.node import OSCILLATION_RMS_N
 
-SLOW_PART_TIME_CONSTANT_S = 0.02
+SLOW_DEVIATION_TIME_CONSTANT_S = 0.02
 """Time constant of the slow part that is subtracted from the tension error [s].
 
 The time constant belongs to the frequency ``MIN_OSCILLATION_HZ``.
@@ -26,22 +26,22 @@ MEAN_SQUARE_TIME_CONSTANT_S = 0.025
 
 
 @kernel_helper
-def update_swing(x: StateTables, c: ConstantTables, tared: bool) -> None:
+def update_tension_swing(x: StateTables, c: ConstantTables, are_cells_tared: bool) -> None:
     """Update the mean square of the fast part of the tension error, for each tendon."""
-    period = c.run[h.PERIOD]
-    slow_fraction = 1.0 - math.exp(-period / SLOW_PART_TIME_CONSTANT_S)
+    period = c.run[h.CONTROL_PERIOD]
+    slow_fraction = 1.0 - math.exp(-period / SLOW_DEVIATION_TIME_CONSTANT_S)
     mean_fraction = 1.0 - math.exp(-period / MEAN_SQUARE_TIME_CONSTANT_S)
     for n in range(x.tendon.shape[1]):
-        fast_part = 0.0
+        fast_deviation = 0.0
         deviation = x.tendon[s.MEASURED_TENSION, n] - x.tendon[s.COMMANDED_TENSION, n]
-        if tared and not math.isnan(deviation):
+        if are_cells_tared and not math.isnan(deviation):
             x.tendon[s.SLOW_TENSION_DEVIATION, n] += slow_fraction * (
                 deviation - x.tendon[s.SLOW_TENSION_DEVIATION, n]
             )
-            fast_part = deviation - x.tendon[s.SLOW_TENSION_DEVIATION, n]
+            fast_deviation = deviation - x.tendon[s.SLOW_TENSION_DEVIATION, n]
         # A missing reading counts as a difference of 0.
         x.tendon[s.MEAN_SQUARE_TENSION_SWING, n] += mean_fraction * (
-            fast_part * fast_part - x.tendon[s.MEAN_SQUARE_TENSION_SWING, n]
+            fast_deviation * fast_deviation - x.tendon[s.MEAN_SQUARE_TENSION_SWING, n]
         )
         is_oscillating = x.tendon[s.MEAN_SQUARE_TENSION_SWING, n] > square(OSCILLATION_RMS_N)
         x.tendon[s.SWING_DURATION, n] = (

@@ -79,7 +79,7 @@ MIN_SERVO_INCREMENT_COUNTS = 0.75
 The report contains a rounded position and speed, but the drive computes with unrounded values.
 Rounded and unrounded values differ by 0.3 counts (rms).
 """
-MIN_SERVO_SHARE = 0.01
+MIN_POSITION_COMMAND_FRACTION = 0.01
 """Fraction of ticks with a position loop closed by the drive, above which ``MIN_SERVO_INCREMENT_COUNTS`` applies."""
 (
     COMMAND_SQUARED_ROW,
@@ -107,7 +107,7 @@ def update_correlation(x: StateTables, c: ConstantTables, missed_ticks: int) -> 
         c: constants of the hand.
         missed_ticks: ticks missed before the present tick.
     """
-    fraction = 1.0 - math.exp(-c.run[h.PERIOD] / TORQUE_CORRELATION_TIME_S)
+    fraction = 1.0 - math.exp(-c.run[h.CONTROL_PERIOD] / TORQUE_CORRELATION_TIME_S)
     for n in range(x.tendon.shape[1]):
         # The last command and the three commands before it are stored, the newest first.
         command = x.tendon[s.COMMANDED_FORCE, n]
@@ -116,8 +116,8 @@ def update_correlation(x: StateTables, c: ConstantTables, missed_ticks: int) -> 
         last_force = x.tendon[s.RECENT_MOTOR_FORCES + 2, n]
         if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
             is_loop_closed = 1.0 if x.servo[s.LAST_SERVO_COMMAND + 2, n] > 0.0 else 0.0
-            x.servo[s.SERVO_TICK_FRACTION, n] += fraction * (
-                is_loop_closed - x.servo[s.SERVO_TICK_FRACTION, n]
+            x.servo[s.POSITION_COMMAND_FRACTION, n] += fraction * (
+                is_loop_closed - x.servo[s.POSITION_COMMAND_FRACTION, n]
             )
             last_force = second_force
             second_force = first_force
@@ -157,9 +157,12 @@ def _smallest_increment(x: StateTables, c: ConstantTables, n: int) -> float:
         MIN_INCREMENT_FRACTION * c.tendon[h.DRIVE_TENSION_LIMIT, n],
         0.5 * c.tendon[h.TORQUE_STEP, n],
     )
-    if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] and x.servo[s.SERVO_TICK_FRACTION, n] > MIN_SERVO_SHARE:
+    if (
+        c.tendon_int[h.DRIVE_CLOSES_LOOP, n]
+        and x.servo[s.POSITION_COMMAND_FRACTION, n] > MIN_POSITION_COMMAND_FRACTION
+    ):
         rounding_step = max(
-            rounding_step, MIN_SERVO_INCREMENT_COUNTS * c.tendon[h.SERVO_ROUNDING, n]
+            rounding_step, MIN_SERVO_INCREMENT_COUNTS * c.tendon[h.SERVO_ROUNDING_FORCE, n]
         )
     return float(rounding_step)
 
@@ -204,7 +207,7 @@ def is_torque_command_ignored(x: StateTables, c: ConstantTables, n: int) -> bool
     return (
         ab
         + COVARIANCE_MARGIN_SIGMAS
-        * math.sqrt(aa * bb * c.run[h.PERIOD] / (2.0 * TORQUE_CORRELATION_TIME_S))
+        * math.sqrt(aa * bb * c.run[h.CONTROL_PERIOD] / (2.0 * TORQUE_CORRELATION_TIME_S))
         < MIN_REPORTED_TORQUE_FRACTION * aa
     )
 
@@ -242,7 +245,7 @@ def does_report_contradict_commands(x: StateTables, c: ConstantTables, n: int) -
     that sends its torque in a separate frame is not tested either, because the torque may be older
     than the reply.
     """
-    window = COMPARED_COMMAND_COUNT * c.run[h.PERIOD]
+    window = COMPARED_COMMAND_COUNT * c.run[h.CONTROL_PERIOD]
     if c.tendon_int[h.CELL_GROUP, n] >= 0 or window < MIN_COMMAND_WINDOW_S:
         return False
     if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] or not c.tendon_int[h.HAS_SINGLE_ANSWER, n]:

@@ -36,7 +36,7 @@ limits.
 
 @kernel_helper
 def update_blocked_digits(x: StateTables, c: ConstantTables) -> None:
-    """Update the flag ``BLOCKED`` of each digit."""
+    """Update the flag ``IS_BLOCKED`` of each digit."""
     for d in range(x.digit.shape[1]):
         first_tendon = c.digit_int[h.FIRST_TENDON, d]
         end = c.digit_int[h.END_TENDON, d]
@@ -52,12 +52,14 @@ def update_blocked_digits(x: StateTables, c: ConstantTables) -> None:
             retained_fraction * x.digit[s.UNEXPLAINED_TENSION, d] + (1.0 - retained_fraction) * mean
         )
         limit = (
-            MAX_UNBLOCKED_TENSION_N if x.digit_int[s.BLOCKED, d] else MIN_BLOCKED_TENSION_N + margin
+            MAX_UNBLOCKED_TENSION_N
+            if x.digit_int[s.IS_BLOCKED, d]
+            else MIN_BLOCKED_TENSION_N + margin
         )
         is_blocked = x.digit[s.UNEXPLAINED_TENSION, d] > limit
-        if is_blocked != x.digit_int[s.BLOCKED, d]:
+        if is_blocked != x.digit_int[s.IS_BLOCKED, d]:
             x.run_int[s.CONSISTENCY_CHANGED] = 1
-        x.digit_int[s.BLOCKED, d] = is_blocked
+        x.digit_int[s.IS_BLOCKED, d] = is_blocked
 
 
 @kernel_helper
@@ -65,6 +67,6 @@ def reset_blocked_digits(x: StateTables) -> None:
     """Mark all digits as not blocked, because a contact cannot be observed without motor torque."""
     for d in range(x.digit.shape[1]):
         x.digit[s.UNEXPLAINED_TENSION, d] = 0.0
-        if x.digit_int[s.BLOCKED, d]:
+        if x.digit_int[s.IS_BLOCKED, d]:
             x.run_int[s.CONSISTENCY_CHANGED] = 1
-        x.digit_int[s.BLOCKED, d] = 0
+        x.digit_int[s.IS_BLOCKED, d] = 0

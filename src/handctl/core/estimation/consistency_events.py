@@ -32,19 +32,21 @@ def consistency_events(
         fields_after: state of the controller in the present tick.
     """
     events: list[TickEvent] = []
-    is_doubtful = fields_after.view("doubtful")
+    is_inconsistent = fields_after.view("doubtful")
     previous = fields_before.view("doubtful")
-    if (is_doubtful != previous).any():
-        for n in np.flatnonzero(is_doubtful != previous).tolist():
+    if (is_inconsistent != previous).any():
+        for n in np.flatnonzero(is_inconsistent != previous).tolist():
             name = model.hand.tendon_names[n]
             nis = fields_after.view("nis_mean")[n]
             verdict = (
                 "the estimate is not to be trusted"
-                if is_doubtful[n]
+                if is_inconsistent[n]
                 else "the estimate is good again"
             )
             text = f"{name}: NIS {nis:.1f} over {NIS_AVERAGING_TIME_S:g} s, 2 is right: {verdict}"
-            events.append(TickEvent("warn" if is_doubtful[n] else "info", "estimate", name, text))
+            events.append(
+                TickEvent("warn" if is_inconsistent[n] else "info", "estimate", name, text)
+            )
     is_blocked = fields_after.view("blocked")
     previous = fields_before.view("blocked")
     if (is_blocked != previous).any():

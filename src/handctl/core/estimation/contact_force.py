@@ -75,15 +75,15 @@ def update_tip_forces(x: StateTables, c: ConstantTables) -> None:
         if not x.digit_int[s.CLOSING_UNTIL_CONTACT, d]:
             continue
         force = x.digit[s.SMOOTHED_TIP_FORCE, d]
-        force += c.run[h.TIP_FORCE_FRACTION] * (_fit_tip_force(x, c, d, lever) - force)
+        force += c.run[h.TIP_FORCE_UPDATE_FRACTION] * (_fit_tip_force(x, c, d, lever) - force)
         mean = force if math.isnan(x.digit[s.TIP_FORCE_MEAN, d]) else x.digit[s.TIP_FORCE_MEAN, d]
         drift = 0.0 if math.isnan(x.digit[s.TIP_FORCE_DRIFT, d]) else x.digit[s.TIP_FORCE_DRIFT, d]
         x.digit[s.SMOOTHED_TIP_FORCE, d] = force
         # A negative average of the tip force is attributed to an error of the model, and a positive
         # drift to an error of the load cell.
         x.digit[s.CONTACT_FORCE, d] = force - min(mean, 0.0) - max(drift, 0.0)
-        x.digit[s.TIP_FORCE_MEAN, d] = mean + c.run[h.TIP_FORCE_MEAN_FRACTION] * (force - mean)
-        x.digit[s.TIP_FORCE_DRIFT, d] = drift + c.run[h.DRIFT_FRACTION] * (force - drift)
+        x.digit[s.TIP_FORCE_MEAN, d] = mean + c.run[h.MEAN_FORCE_UPDATE_FRACTION] * (force - mean)
+        x.digit[s.TIP_FORCE_DRIFT, d] = drift + c.run[h.DRIFT_UPDATE_FRACTION] * (force - drift)
 
 
 @kernel_helper
@@ -112,34 +112,36 @@ def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> 
     for n in range(c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d]):
         tension_per_force = 0.0
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-            tension_per_force += c.tendon_joint[h.TORQUE_TO_TENSION, n, j] * lever[j]
+            tension_per_force += c.tendon_joint_table[h.TORQUE_TO_TENSION, n, j] * lever[j]
         virtual_work += tension_per_force * x.tendon[s.EXTERNAL_TENSION, n]
         size += tension_per_force * tension_per_force
     return virtual_work / size if size > MIN_SQUARED_RESPONSE else 0.0
 
 
 @kernel_helper
-def average_grip_travel(x: StateTables, c: ConstantTables) -> None:
+def update_grip_travel(x: StateTables, c: ConstantTables) -> None:
     """Update the fast and the slow average of the length on each spool minus the stretch of the tendon.
 
     Both averages are equal until the detection of slip begins.
     """
-    is_slip_judged = x.run[s.GOAL_TIME] + c.run[h.PERIOD] >= x.run[s.SLIP_DETECTION_START]
+    is_slip_judged = x.run[s.GOAL_TIME] + c.run[h.CONTROL_PERIOD] >= x.run[s.SLIP_DETECTION_START]
     for n in range(x.tendon.shape[1]):
         # The length on the spool minus the elastic stretch is the tendon length that moves the
         # joints.
         unstretched_travel = (
-            x.tendon[s.TRAVEL, n] - x.tendon[s.TENSION, n] / c.tendon[h.TENDON_STIFFNESS, n]
+            x.tendon[s.SPOOL_TRAVEL, n] - x.tendon[s.TENSION, n] / c.tendon[h.TENDON_STIFFNESS, n]
         )
-        fast_travel = x.tendon[s.GRIP_TRAVEL_FAST, n]
-        slow_travel = x.tendon[s.GRIP_TRAVEL_SLOW, n]
+        fast_travel = x.tendon[s.FAST_GRIP_TRAVEL, n]
+        slow_travel = x.tendon[s.SLOW_GRIP_TRAVEL, n]
         fast_travel = (
-            fast_travel + (unstretched_travel - fast_travel) * c.run[h.GRIP_FAST_FRACTION]
+            fast_travel + (unstretched_travel - fast_travel) * c.run[h.FAST_GRIP_UPDATE_FRACTION]
             if x.run_int[s.PROGRAM_HOLDS_OBJECT]
             else unstretched_travel
         )
-        slow_travel = slow_travel + (unstretched_travel - slow_travel) * c.run[h.GRIP_SLOW_FRACTION]
-        x.tendon[s.GRIP_TRAVEL_FAST, n] = fast_travel
-        x.tendon[s.GRIP_TRAVEL_SLOW, n] = (
+        slow_travel = (
+            slow_travel + (unstretched_travel - slow_travel) * c.run[h.SLOW_GRIP_UPDATE_FRACTION]
+        )
+        x.tendon[s.FAST_GRIP_TRAVEL, n] = fast_travel
+        x.tendon[s.SLOW_GRIP_TRAVEL, n] = (
             slow_travel if is_slip_judged and x.run_int[s.PROGRAM_HOLDS_OBJECT] else fast_travel
         )

@@ -16,7 +16,7 @@ from handctl.compiled import kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
-from handctl.core.estimation.filter_stack import STATE_COUNT, E
+from handctl.core.estimation.filter_types import STATE_COUNT, E
 from handctl.core.state_block import StateTables
 
 Vector = NDArray[np.float64]
@@ -24,7 +24,7 @@ Matrix = NDArray[np.float64]
 
 CELL_ERROR = E
 """Index of the load-cell error among the states of a tendon."""
-MISSING_VARIANCE_FACTOR = 1e12
+MISSING_READING_VARIANCE_FACTOR = 1e12
 """Factor on the variance of a missing measurement.
 
 This factor makes the Kalman gain practically zero.
@@ -78,7 +78,7 @@ def correct_tendon_covariance(
     R = np.zeros(2)
     for m in range(2):
         R[m] = c.design[n, kind, h.MEASUREMENT_NOISE_OFFSET + m] * (
-            MISSING_VARIANCE_FACTOR if math.isnan(z[m]) else 1.0
+            MISSING_READING_VARIANCE_FACTOR if math.isnan(z[m]) else 1.0
         )
     # The inverse of the innovation covariance [[a, b], [b, d]] is computed by a formula.
     a = innovation_covariance[0, 0] + R[0]
@@ -102,17 +102,17 @@ def correct_tendon_covariance(
             * (state_measurement_covariance[i, 1] * a - state_measurement_covariance[i, 0] * b)
             / determinant
         )
-    correction_complement = np.zeros((STATE_COUNT, STATE_COUNT))
+    identity_minus_correction = np.zeros((STATE_COUNT, STATE_COUNT))
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
-            correction_complement[i, j] = (1.0 if i == j else 0.0) - (
+            identity_minus_correction[i, j] = (1.0 if i == j else 0.0) - (
                 gain[i, 0] * H[0, j] + gain[i, 1] * H[1, j]
             )
     # The Joseph form of the covariance is (I - K H) P (I - K H)^T + K R K^T. The Joseph form is
     # symmetric and positive for any gain, even for a gain that leaves the load-cell error
     # uncorrected (Schmidt's consider filter).
     joseph_term = _multiply_by_transposed(
-        _multiply_matrices(correction_complement, P), correction_complement
+        _multiply_matrices(identity_minus_correction, P), identity_minus_correction
     )
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
@@ -146,7 +146,7 @@ def predict_covariances(
                 for j in range(STATE_COUNT):
                     P[i, j] += Q[i, j]
         # The covariance that was computed so far belongs to the old filter design.
-        if kind != x.tendon_int[s.FILTER_KIND_BEFORE, n]:
+        if kind != x.tendon_int[s.LAST_FILTER_KIND, n]:
             P = _copy_design_matrix(c, n, kind, h.COVARIANCE_OFFSET)
         for i in range(STATE_COUNT):
             for j in range(STATE_COUNT):
@@ -158,7 +158,7 @@ def predict_covariances(
 @kernel_helper
 def ticks_to_predict(c: ConstantTables, missed_ticks: int) -> int:
     """Return the number of missed ticks over which the covariance is predicted."""
-    return min(missed_ticks, round(MAX_TORQUE_HOLD_TIME_S / c.run[h.PERIOD]))
+    return min(missed_ticks, round(MAX_TORQUE_HOLD_TIME_S / c.run[h.CONTROL_PERIOD]))
 
 
 @kernel_helper

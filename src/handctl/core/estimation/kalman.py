@@ -19,11 +19,18 @@ from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation import filter_covariance
-from handctl.core.estimation.filter_stack import (
+from handctl.core.estimation.filter_types import (
     FREE_REGIME,
     HELD_REGIME,
     SLACK_REGIME,
     STATE_COUNT,
+)
+from handctl.core.estimation.slack_detection import (
+    is_nearly_taut,
+    is_regime_over,
+    regime_evidence,
+    regime_evidence_without_cell,
+    set_offset_of_newly_taut_tendon,
 )
 from handctl.core.estimation.statics import (
     subtract_torque_of_passing_tendons,
@@ -31,13 +38,6 @@ from handctl.core.estimation.statics import (
     write_static_torque,
     write_tensions_at_joints,
     write_tensions_for_torque,
-)
-from handctl.core.estimation.take_up import (
-    is_nearly_taut,
-    is_regime_over,
-    regime_evidence,
-    regime_evidence_without_cell,
-    set_offset_of_newly_taut_tendon,
 )
 from handctl.core.estimation.varying_moment_arms import motor_speed
 from handctl.core.state_block import StateTables
@@ -108,7 +108,7 @@ def filter_kind(x: StateTables, n: int) -> int:
     The index is the regime of the tendon. While process noise is added, the index is larger by 3.
     """
     regime = x.tendon_int[s.REGIME, n]
-    return regime + 3 if x.tendon[s.ADDED_NOISE_S, n] > 0.0 else regime
+    return regime + 3 if x.tendon[s.ADDED_NOISE_TIME_S, n] > 0.0 else regime
 
 
 @kernel_helper
@@ -116,7 +116,7 @@ def correct_tension_filter(x: StateTables, c: ConstantTables, missed_ticks: int)
     """Correct the filter by the measurements of a tick, and judge the regime of each tendon.
 
     The regime depends on slack, open stop and contact. A digit with ``PLANNED_CONTACT`` or
-    ``BLOCKED`` counts as held, see ``is_in_contact``.
+    ``IS_BLOCKED`` counts as held, see ``is_in_contact``.
 
     Args:
         x: state tables.
@@ -127,7 +127,7 @@ def correct_tension_filter(x: StateTables, c: ConstantTables, missed_ticks: int)
     for n in range(count):
         # The kind of filter design may change in the code below. The measurements are still judged
         # by the kind of design that predicted them.
-        x.tendon_int[s.FILTER_KIND, n] = x.tendon_int[s.FILTER_KIND_BEFORE, n] = filter_kind(x, n)
+        x.tendon_int[s.FILTER_KIND, n] = x.tendon_int[s.LAST_FILTER_KIND, n] = filter_kind(x, n)
     z = _usable_measurements(x)
     innovation = _innovations(x, c, z)
     use_full_update = (
@@ -151,8 +151,8 @@ def correct_tension_filter(x: StateTables, c: ConstantTables, missed_ticks: int)
             )
     _gate_and_correct_states(x, c, innovation, gain, cell_sigma)
     _correct_slack_by_taut_tendons(x, c)
-    _judge_consistency(x, c, innovation, information, use_full_update)
-    force = _judge_regimes(x, c)
+    _update_consistency(x, c, innovation, information, use_full_update)
+    force = _update_regimes(x, c)
     _choose_filter_kinds(x)
     _write_external_tension(x, c, force)
     if use_full_update:
@@ -173,11 +173,13 @@ def _usable_measurements(x: StateTables) -> Matrix:
         z[n, 0] = x.tendon[s.MEASURED_TRAVEL, n]
         z[n, 1] = x.tendon[s.MEASURED_TENSION, n]
         z[n, 2] = x.tendon[s.MEASURED_EXCURSION, n]
-        if x.tendon_int[s.SATURATED, n]:
+        if x.tendon_int[s.IS_CELL_SATURATED, n]:
             z[n, 1] = math.nan
         if x.tendon_int[s.REGIME, n] == SLACK_REGIME:
             stretch = (
-                x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n]
+                x.tendon[s.SPOOL_TRAVEL, n]
+                - x.tendon[s.EXCURSION, n]
+                - x.tendon[s.STRETCH_OFFSET, n]
             )
             if not (stretch < -SLACK_LENGTH_M and x.tendon_int[s.TENDON_LENGTH_KNOWN, n]):
                 z[n, 1] = math.nan
@@ -201,7 +203,7 @@ def _innovations(x: StateTables, c: ConstantTables, z: Matrix) -> Matrix:
                         x.tendon_int[s.FILTER_KIND, n],
                         h.MEASUREMENT_MATRIX_OFFSET + STATE_COUNT * m + i,
                     ]
-                    * x.tendon[s.TRAVEL + i, n]
+                    * x.tendon[s.SPOOL_TRAVEL + i, n]
                 )
             innovation[n, m] = z[n, m] - expected
     return innovation
@@ -261,23 +263,23 @@ def _gate_and_correct_states(
         )
         tension_jump = 0.0
         if is_repeated and x.tendon_int[s.REGIME, n] != SLACK_REGIME:
-            steady_part = 0.0
+            steady_correction = 0.0
             kind = x.tendon_int[s.FILTER_KIND, n]
             for i in range(STATE_COUNT):
-                steady_part += (
+                steady_correction += (
                     c.design[n, kind, h.TENSION_ROW_OFFSET + i]
                     * c.design[n, kind, h.KALMAN_GAIN_OFFSET + 3 * i + 1]
                 )
             # The code below adds the correction by the gain, so only the rest of TENSION_STEP_CORRECTION_FRACTION is
             # applied here.
-            tension_jump = max(TENSION_STEP_CORRECTION_FRACTION - steady_part, 0.0) * cell
+            tension_jump = max(TENSION_STEP_CORRECTION_FRACTION - steady_correction, 0.0) * cell
         if abs(sigmas) > OUTLIER_GATE_SIGMAS and not is_repeated:
             innovations[n, 1] = math.nan
         x.tendon[s.CELL_INNOVATION_SIGMAS, n] = sigmas
         for i in range(STATE_COUNT):
             for m in range(3):
                 if not math.isnan(innovations[n, m]):
-                    x.tendon[s.TRAVEL + i, n] += gain[n, i, m] * innovations[n, m]
+                    x.tendon[s.SPOOL_TRAVEL + i, n] += gain[n, i, m] * innovations[n, m]
         # At the same travel, more tension means more stretch of the tendon, and therefore less
         # excursion.
         x.tendon[s.EXCURSION, n] -= tension_jump / c.tendon[h.TENDON_STIFFNESS, n]
@@ -323,7 +325,7 @@ def _normalised_innovation_squared(
 
 
 @kernel_helper
-def _judge_consistency(
+def _update_consistency(
     x: StateTables,
     c: ConstantTables,
     innovations: Matrix,
@@ -350,22 +352,22 @@ def _judge_consistency(
         if math.isnan(nis):
             continue
         nis = min(nis, MAX_NIS_SAMPLE)
-        period = c.run[h.PERIOD]
+        period = c.run[h.CONTROL_PERIOD]
         # The averages are first-order low-pass filters. The control period is short compared with
         # the averaging times.
         x.tendon[s.NIS_MEAN, n] += period / NIS_AVERAGING_TIME_S * (nis - x.tendon[s.NIS_MEAN, n])
         if period <= ADDED_NOISE_MAX_PERIOD_S:
-            x.tendon[s.NIS_FAST, n] += (
-                period / NOISE_NIS_AVERAGING_TIME_S * (nis - x.tendon[s.NIS_FAST, n])
+            x.tendon[s.RECENT_NIS_MEAN, n] += (
+                period / NOISE_NIS_AVERAGING_TIME_S * (nis - x.tendon[s.RECENT_NIS_MEAN, n])
             )
     for n in range(len(innovations)):
         limit = (
             MAX_CONSISTENT_NIS if x.tendon_int[s.MODEL_INCONSISTENT, n] else MIN_INCONSISTENT_NIS
         )
-        is_doubtful = x.tendon[s.NIS_MEAN, n] > limit
-        if is_doubtful != x.tendon_int[s.MODEL_INCONSISTENT, n]:
+        is_inconsistent = x.tendon[s.NIS_MEAN, n] > limit
+        if is_inconsistent != x.tendon_int[s.MODEL_INCONSISTENT, n]:
             x.run_int[s.CONSISTENCY_CHANGED] = 1
-        x.tendon_int[s.MODEL_INCONSISTENT, n] = is_doubtful
+        x.tendon_int[s.MODEL_INCONSISTENT, n] = is_inconsistent
     _judge_noise(x, c)
 
 
@@ -376,17 +378,17 @@ def _judge_noise(x: StateTables, c: ConstantTables) -> None:
     The added noise is kept for ``MAX_ADDED_NOISE_S``. If the friction in the model is wrong, the
     error is visible only while the tendon moves. The error is largest when the motion reverses.
     """
-    if c.run[h.PERIOD] > ADDED_NOISE_MAX_PERIOD_S:
+    if c.run[h.CONTROL_PERIOD] > ADDED_NOISE_MAX_PERIOD_S:
         return
     total = 0.0
     count = x.tendon.shape[1]
     for n in range(count):
-        total += x.tendon[s.NIS_FAST, n]
+        total += x.tendon[s.RECENT_NIS_MEAN, n]
     limit = NOISE_NIS_LIMIT if total < NOISE_NIS_LIMIT_OF_HAND * count else 0.0
     for n in range(count):
-        remaining_time = max(x.tendon[s.ADDED_NOISE_S, n] - c.run[h.PERIOD], 0.0)
-        x.tendon[s.ADDED_NOISE_S, n] = (
-            MAX_ADDED_NOISE_S if x.tendon[s.NIS_FAST, n] > limit else remaining_time
+        remaining_time = max(x.tendon[s.ADDED_NOISE_TIME_S, n] - c.run[h.CONTROL_PERIOD], 0.0)
+        x.tendon[s.ADDED_NOISE_TIME_S, n] = (
+            MAX_ADDED_NOISE_S if x.tendon[s.RECENT_NIS_MEAN, n] > limit else remaining_time
         )
 
 
@@ -399,7 +401,7 @@ def filtered_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     tension = 0.0
     kind = x.tendon_int[s.FILTER_KIND, n]
     for i in range(STATE_COUNT):
-        tension += c.design[n, kind, h.TENSION_ROW_OFFSET + i] * x.tendon[s.TRAVEL + i, n]
+        tension += c.design[n, kind, h.TENSION_ROW_OFFSET + i] * x.tendon[s.SPOOL_TRAVEL + i, n]
     return tension
 
 
@@ -421,7 +423,7 @@ def write_free_angles(x: StateTables, c: ConstantTables, row: int, result: Vecto
     for j in range(len(result)):
         result[j] = c.joint[h.ANGLE_OFFSET, j] if row == s.EXCURSION else 0.0
         for n in range(x.tendon.shape[1]):
-            result[j] += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * x.tendon[row, n]
+            result[j] += c.joint_tendon_table[h.EXCURSION_TO_JOINTS, j, n] * x.tendon[row, n]
 
 
 @kernel_helper
@@ -465,7 +467,7 @@ def _resistance_and_pull_forces(x: StateTables, c: ConstantTables) -> Matrix:
 
 
 @kernel_helper
-def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
+def _update_regimes(x: StateTables, c: ConstantTables) -> Matrix:
     """Update the regime of each tendon, and set the stretch offset or excursion of newly taut tendons.
 
     The regime of a tendon depends on slack, on the open stop and on contact. The result is that of
@@ -478,7 +480,7 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
         cell = x.tendon[s.MEASURED_TENSION, n]
         # While a tendon is slack, only the encoder determines the length that must still be wound
         # up.
-        is_near_knee = (
+        is_almost_taut = (
             regime == SLACK_REGIME
             and x.tendon_int[s.TENDON_LENGTH_KNOWN, n] == 1
             and is_nearly_taut(x, n)
@@ -489,11 +491,11 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
         if has_no_cell:
             # In the model of a slack tendon, the tension is 0. When the tendon has become taut, the
             # estimated disturbance force therefore equals minus the tension.
-            cell = -x.tendon[s.DISTURBANCE, n]
+            cell = -x.tendon[s.MOTOR_DISTURBANCE, n]
             evidence_count = regime_evidence_without_cell(regime, evidence_count, tension, cell)
         else:
             evidence_count = regime_evidence(
-                regime, evidence_count, tension, cell, x.tendon[s.CELL_ERROR, n], is_near_knee
+                regime, evidence_count, tension, cell, x.tendon[s.CELL_ERROR, n], is_almost_taut
             )
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             # The spool of a pair turns the joint in both directions. At least one tendon of a spool
@@ -548,9 +550,9 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
 @kernel_helper
 def is_in_contact(x: StateTables, d: int) -> bool:
     """Return True if a digit is blocked, or if it is in a planned contact while motors may make torque."""
-    makes_torque = ARMING_MODE <= x.run_int[s.MODE] <= RELAX_MODE
+    makes_torque = ARMING_MODE <= x.run_int[s.HAND_MODE] <= RELAX_MODE
     return (makes_torque and x.digit_int[s.PLANNED_CONTACT, d] == 1) or x.digit_int[
-        s.BLOCKED, d
+        s.IS_BLOCKED, d
     ] == 1
 
 
@@ -593,7 +595,7 @@ def _write_external_tension(x: StateTables, c: ConstantTables, force: Matrix) ->
 
 
 @kernel_helper
-def write_unknown_estimate(x: StateTables) -> None:
+def write_estimate_before_start(x: StateTables) -> None:
     """Write the estimate of a tick before the filter has started.
 
     This estimate has no contact and no innovation.

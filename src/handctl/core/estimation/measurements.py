@@ -25,28 +25,30 @@ def write_measurements(x: StateTables, c: ConstantTables) -> None:
     """
     for n in range(x.tendon.shape[1]):
         x.tendon[s.MEASURED_POSITION, n] = math.nan
-        if x.tendon_int[s.FEEDBACK_COUNT_NOW, n] > 0:
+        if x.tendon_int[s.FEEDBACK_COUNT_IN_TICK, n] > 0:
             x.tendon[s.MEASURED_POSITION, n] = x.tendon[s.POSITION, n] - c.tendon[h.MOTOR_ZERO, n]
         x.tendon[s.MEASURED_TENSION, n] = math.nan
-        x.tendon_int[s.SATURATED, n] = 0
-        if x.tendon_int[s.CELL_READ_NOW, n]:
+        x.tendon_int[s.IS_CELL_SATURATED, n] = 0
+        if x.tendon_int[s.HAS_NEW_CELL_READING, n]:
             cell_reading = x.tendon[s.CELL_READING, n]
-            is_saturated = not c.run[h.CELL_MIN] < cell_reading < c.run[h.CELL_MAX]
+            is_saturated = not c.run[h.MIN_CELL_RANGE] < cell_reading < c.run[h.MAX_CELL_RANGE]
             if is_saturated:
                 # When a load cell is overloaded, its amplifier may send NaN, or a number far
                 # outside of the range.
                 cell_reading = (
-                    c.run[h.CELL_MAX] if cell_reading >= c.run[h.CELL_MAX] else c.run[h.CELL_MIN]
+                    c.run[h.MAX_CELL_RANGE]
+                    if cell_reading >= c.run[h.MAX_CELL_RANGE]
+                    else c.run[h.MIN_CELL_RANGE]
                 )
             x.tendon[s.MEASURED_TENSION, n] = cell_reading - (
                 c.tendon[h.CELL_TARE, n] + x.tendon[s.TARE_MEASURED_BY_PROGRAM, n]
             )
-            x.tendon_int[s.SATURATED, n] = is_saturated
-    x.run_int[s.ANY_JOINT_READ] = 0
+            x.tendon_int[s.IS_CELL_SATURATED, n] = is_saturated
+    x.run_int[s.HAS_ANY_JOINT_READING] = 0
     for j in range(x.joint.shape[1]):
         x.joint[s.MEASURED_JOINT, j] = math.nan
-        if x.joint_int[s.JOINT_READ_NOW, j]:
-            x.run_int[s.ANY_JOINT_READ] = 1
+        if x.joint_int[s.HAS_NEW_JOINT_READING, j]:
+            x.run_int[s.HAS_ANY_JOINT_READING] = 1
             x.joint[s.MEASURED_JOINT, j] = x.joint[s.JOINT_ANGLE, j]
 
 
@@ -62,19 +64,19 @@ def reject_outliers(x: StateTables, c: ConstantTables, missed_ticks: int) -> Non
     """
     for n in range(x.tendon.shape[1]):
         _reject_outlier(
-            x.tendon, n, s.MEASURED_POSITION, s.ACCEPTED_POSITION, s.ACCEPTED_GAP, s.REJECTED_STEP,
-            s.REJECTED_POSITIONS, c.tendon[h.STEP_LIMIT, n], missed_ticks,
+            x.tendon, n, s.MEASURED_POSITION, s.ACCEPTED_POSITION, s.ACCEPTED_POSITION_AGE, s.REJECTED_MOTOR_STEP,
+            s.REJECTED_POSITION_COUNT, c.tendon[h.MOTOR_STEP_LIMIT, n], missed_ticks,
         )  # fmt: skip
     for j in range(x.joint.shape[1]):
         _reject_outlier(
-            x.joint, j, s.MEASURED_JOINT, s.ACCEPTED_JOINT_ANGLE, s.ACCEPTED_JOINT_GAP, s.REJECTED_JOINT_STEP,
-            s.REJECTED_JOINT_ANGLES, c.joint[h.JOINT_STEP_LIMIT, j], missed_ticks,
+            x.joint, j, s.MEASURED_JOINT, s.ACCEPTED_JOINT_ANGLE, s.ACCEPTED_ANGLE_AGE, s.REJECTED_JOINT_STEP,
+            s.REJECTED_ANGLE_COUNT, c.joint[h.JOINT_STEP_LIMIT, j], missed_ticks,
         )  # fmt: skip
 
 
 @kernel_helper
 def _reject_outlier(
-    reading_table: NDArray[np.float64],
+    position_table: NDArray[np.float64],
     i: int,
     measured_row: int,
     accepted_row: int,
@@ -87,7 +89,7 @@ def _reject_outlier(
     """Reject a position that is too far from the last accepted position of the same sensor.
 
     Args:
-        reading_table: table of the position, (rows, n).
+        position_table: table of the position, (rows, n).
         i: column of the position in the table.
         measured_row: row of the measured position.
         accepted_row: row of the last accepted position.
@@ -98,21 +100,21 @@ def _reject_outlier(
         limit: largest possible step in a period [rad].
         missed_ticks: see ``reject_outliers``.
     """
-    value = reading_table[measured_row, i]
+    value = position_table[measured_row, i]
     # A comparison with NaN is False. So no position is rejected if the measured or the accepted
     # position is missing.
-    step = abs(value - reading_table[accepted_row, i])
-    gap = reading_table[gap_ticks_row, i] + 1.0 + missed_ticks
-    reading_table[rejected_step_row, i] = 0.0
+    step = abs(value - position_table[accepted_row, i])
+    gap = position_table[gap_ticks_row, i] + 1.0 + missed_ticks
+    position_table[rejected_step_row, i] = 0.0
     if step > limit * gap:
-        reading_table[rejected_step_row, i] = step
-        reading_table[rejection_count_row, i] += 1.0
-        reading_table[measured_row, i] = math.nan
+        position_table[rejected_step_row, i] = step
+        position_table[rejection_count_row, i] += 1.0
+        position_table[measured_row, i] = math.nan
     elif not math.isnan(value):
-        reading_table[accepted_row, i] = value
-        reading_table[rejection_count_row, i] = 0.0
+        position_table[accepted_row, i] = value
+        position_table[rejection_count_row, i] = 0.0
         gap = float(missed_ticks)
-    reading_table[gap_ticks_row, i] = gap
+    position_table[gap_ticks_row, i] = gap
 
 
 @kernel_helper
@@ -122,7 +124,7 @@ def reset_rejected_steps(x: StateTables) -> None:
     While no motor makes torque, positions are not tested.
     """
     for n in range(x.tendon.shape[1]):
-        x.tendon[s.REJECTED_STEP, n] = 0.0
+        x.tendon[s.REJECTED_MOTOR_STEP, n] = 0.0
     for j in range(x.joint.shape[1]):
         x.joint[s.REJECTED_JOINT_STEP, j] = 0.0
 
@@ -145,7 +147,7 @@ def convert_positions(x: StateTables, c: ConstantTables) -> None:
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         excursion = 0.0
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-            if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
+            if c.tendon_joint_table[h.MOMENT_ARMS, n, j] != 0.0:
                 excursion += joint_excursion(c, n, j, x.joint[s.MEASURED_JOINT, j])
         x.tendon[s.MEASURED_EXCURSION, n] = excursion
 
@@ -159,8 +161,8 @@ def is_cell_saturated(x: StateTables, c: ConstantTables, n: int) -> bool:
     of these cases.
     """
     tension = x.tendon[s.MEASURED_TENSION, n]
-    is_out_of_range = tension >= c.run[h.CELL_SATURATION] or tension <= c.run[h.TENSION_LOW]
-    return bool(is_out_of_range or x.tendon_int[s.SATURATED, n])
+    is_out_of_range = tension >= c.run[h.CELL_SATURATION] or tension <= c.run[h.MIN_CELL_READING]
+    return bool(is_out_of_range or x.tendon_int[s.IS_CELL_SATURATED, n])
 
 
 @kernel_helper
@@ -194,17 +196,17 @@ def start_filter(x: StateTables, c: ConstantTables) -> None:
             return
     for n in range(x.tendon.shape[1]):
         for state in range(7):
-            x.tendon[s.TRAVEL + state, n] = 0.0
+            x.tendon[s.SPOOL_TRAVEL + state, n] = 0.0
         x.tendon[s.EXCURSION, n] = c.tendon[h.OPEN_EXCURSION, n]
         x.tendon_int[s.DIGIT_ON_OPEN_STOP, n] = c.tendon_int[h.HAS_RETURN_SPRINGS, n]
-        x.tendon[s.TRAVEL, n] = (x.tendon[s.POSITION, n] - c.tendon[h.MOTOR_ZERO, n]) * c.tendon[
-            h.SPOOL_RADIUS, n
-        ]
+        x.tendon[s.SPOOL_TRAVEL, n] = (
+            x.tendon[s.POSITION, n] - c.tendon[h.MOTOR_ZERO, n]
+        ) * c.tendon[h.SPOOL_RADIUS, n]
         if c.run_int[h.HAS_CARRIER_ARMS]:
             # The tendons of a digit that carries other digits come before the tendons of the
             # carried digits. The joint angles of the carrying digit are therefore known here.
             write_free_angles(x, c, s.EXCURSION, x.joint[s.Q])
-            x.tendon[s.TRAVEL, n] -= carrier_excursion(c, n, x.joint[s.Q])
+            x.tendon[s.SPOOL_TRAVEL, n] -= carrier_excursion(c, n, x.joint[s.Q])
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-            x.tendon[s.EXCURSION, n] = x.tendon[s.TRAVEL, n]  # no stretch at zero net tension
+            x.tendon[s.EXCURSION, n] = x.tendon[s.SPOOL_TRAVEL, n]  # no stretch at zero net tension
     x.run_int[s.FILTER_STARTED] = 1

@@ -30,15 +30,15 @@ from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.statics import (
+    joint_wrap_angle,
     link_poses_of_hand,
-    wrap_before_digit,
-    wrap_of_joint,
+    wrap_angle_before_digit,
     write_static_torque,
     write_tip_levers,
 )
-from handctl.core.estimation.varying_moment_arms import correct_angles_to_excursions
+from handctl.core.estimation.varying_moment_arms import fit_angles_to_excursions
 from handctl.core.state_block import StateTables
-from handctl.hand.rigid_body import LENGTH_ROW, write_levers, write_levers_after_turn
+from handctl.hand.rigid_body import LINK_LENGTH_ROW, write_levers, write_levers_after_turn
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -92,7 +92,7 @@ def estimate_joint_angles(x: StateTables, c: ConstantTables, k: int, t_ns: int) 
         k: number of the tick.
         t_ns: time of the tick [ns].
     """
-    spread, variance = _excursion_deviations(x, c)
+    angle_deviations, variance = _excursion_deviations(x, c)
     if not c.run_int[h.HAS_NULL_SPACE]:
         for j in range(x.joint.shape[1]):
             x.joint[s.Q_SIGMA, j] = math.sqrt(variance[j])
@@ -113,9 +113,9 @@ def estimate_joint_angles(x: StateTables, c: ConstantTables, k: int, t_ns: int) 
         x.joint[s.Q, j] += x.joint[s.CONTACT_TURN, j]
         x.joint[s.Q_SIGMA, j] = min(sigma, c.joint[h.ANGLE_RANGE_SIGMA, j])
     if c.run_int[h.HAND_HAS_VARYING_ARM]:
-        correct_angles_to_excursions(x, c)
-    if update and c.run_int[h.HAS_FUSED_JOINTS]:
-        _fuse_encoders(x, c, columns, spread, t_ns)
+        fit_angles_to_excursions(x, c)
+    if update and c.run_int[h.HAS_FUSED_ENCODERS]:
+        _fuse_encoders(x, c, columns, angle_deviations, t_ns)
 
 
 @kernel_helper
@@ -123,7 +123,7 @@ def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Ve
     """Return the angle errors by the error of each excursion (J, N) [rad], and the angle variances (J,)."""
     joints = x.joint.shape[1]
     tendons = x.tendon.shape[1]
-    spread = np.zeros((joints, tendons))
+    angle_deviations = np.zeros((joints, tendons))
     total = np.zeros(joints)
     for n in range(tendons):
         stretch = square(x.tendon[s.TENSION, n] * STIFFNESS_ERROR_FRACTION) + square(
@@ -137,12 +137,12 @@ def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Ve
             # carrying digits come first, so ``total`` already contains the error of the carrying
             # digits.
             for j in range(joints):
-                variance += square(c.tendon_joint[h.CARRIER_ARMS, n, j]) * total[j]
+                variance += square(c.tendon_joint_table[h.CARRIER_ARMS, n, j]) * total[j]
         excursion = math.sqrt(variance)
         for j in range(joints):
-            spread[j, n] = c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * excursion
-            total[j] += square(spread[j, n])
-    return spread, total
+            angle_deviations[j, n] = c.joint_tendon_table[h.EXCURSION_TO_JOINTS, j, n] * excursion
+            total[j] += square(angle_deviations[j, n])
+    return angle_deviations, total
 
 
 @kernel_helper
@@ -155,7 +155,7 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
     places of contact. The levers are computed at the angles of the last estimate, so each tick is
     an iteration towards a fixed point.
     """
-    place_count = c.place_joint.shape[1]
+    place_count = c.place_joint_table.shape[1]
     joints = x.joint.shape[1]
     columns = np.zeros((2 * place_count + 2, joints))
     turns, deviation = _contact_turns(x, c)
@@ -163,17 +163,17 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
     for j in range(joints):
         mean = 0.0
         for place in range(place_count):
-            mean += c.place_joint[h.PLACE_WEIGHT, place, j] * turns[place, j]
+            mean += c.place_joint_table[h.CONTACT_PLACE_PROBABILITY, place, j] * turns[place, j]
         turn = x.joint[s.CONTACT_TURN, j] + c.run[h.TURN_SMOOTHING_FRACTION] * (
             mean - x.joint[s.CONTACT_TURN, j]
         )
         x.joint[s.CONTACT_TURN, j] = turn
         for place in range(place_count):
-            root = math.sqrt(c.place_joint[h.PLACE_WEIGHT, place, j])
+            root_probability = math.sqrt(c.place_joint_table[h.CONTACT_PLACE_PROBABILITY, place, j])
             # The errors are multiplied by the square root of the probability of their place, so
             # that the sum of their squares is the variance over the places.
-            columns[place, j] = root * (turns[place, j] - turn)
-            columns[place_count + place, j] = root * deviation[place, j]
+            columns[place, j] = root_probability * (turns[place, j] - turn)
+            columns[place_count + place, j] = root_probability * deviation[place, j]
     for row in range(place_count, 2 * place_count + 2):
         for d in range(x.digit.shape[1]):
             fraction = max(
@@ -193,7 +193,7 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
 @kernel_helper
 def _contact_turns(x: StateTables, c: ConstantTables) -> tuple[Matrix, Matrix]:
     """Return the turns of the joints by a contact at each assumed place (H, J), and their deviations [rad]."""
-    place_count = c.place_joint.shape[1]
+    place_count = c.place_joint_table.shape[1]
     joints = x.joint.shape[1]
     turns = np.zeros((place_count, joints))
     deviation = np.zeros((place_count, joints))
@@ -205,8 +205,8 @@ def _contact_turns(x: StateTables, c: ConstantTables) -> tuple[Matrix, Matrix]:
             tension_error = math.sqrt(
                 square(MODEL_ERROR_N) + square(MODEL_ERROR_FRACTION * contact_tension)
             )
-            torque[j] += c.joint_tendon[h.POSTURE_TORQUE, j, n] * contact_tension
-            error[j] += c.joint_tendon[h.POSTURE_TORQUE, j, n] * tension_error
+            torque[j] += c.joint_tendon_table[h.POSTURE_TORQUE, j, n] * contact_tension
+            error[j] += c.joint_tendon_table[h.POSTURE_TORQUE, j, n] * tension_error
     q = np.zeros(joints)
     lever = np.zeros(joints)
     for j in range(joints):
@@ -238,7 +238,7 @@ def _write_levers_at_contact_place(
             pose,
             first_joint,
             touched_link,
-            0.5 * c.joint[h.LINK_TABLE + LENGTH_ROW, touched_link],
+            0.5 * c.joint[h.LINK_TABLE + LINK_LENGTH_ROW, touched_link],
             lever,
         )
     elif touched_link == end:
@@ -272,24 +272,24 @@ def _write_digit_turn(
     end = c.digit_int[h.END_JOINT, d]
     size = 0.0
     virtual_work = 0.0
-    work_error = 0.0
+    work_sigma = 0.0
     for j in range(first_joint, end):
         virtual_work += lever[j] * torque[j]
-        work_error += lever[j] * error[j]
+        work_sigma += lever[j] * error[j]
         for other_joint in range(first_joint, end):
             size += (
                 lever[j]
-                * c.joint_joint[h.COORDINATE_PROJECTION, j, other_joint]
+                * c.joint_joint_table[h.COORDINATE_PROJECTION, j, other_joint]
                 * lever[other_joint]
             )
     size = max(size, MIN_SQUARED_LEVER_M2)
     for j in range(first_joint, end):
         compliance = 0.0
         for other_joint in range(first_joint, end):
-            compliance += lever[other_joint] * c.joint_joint[h.COMPLIANCE, other_joint, j]
+            compliance += lever[other_joint] * c.joint_joint_table[h.COMPLIANCE, other_joint, j]
         # Unexplained tension is positive if the object pushes the digit open.
         turns[j] = -virtual_work / size * compliance
-        deviation[j] = work_error / size * compliance
+        deviation[j] = work_sigma / size * compliance
     fraction = _largest_turn_fraction(x, c, d, turns, 1.0)
     for j in range(first_joint, end):
         # the turns of all joints are reduced by the same fraction, so that the excursion does not
@@ -310,7 +310,10 @@ def _largest_turn_fraction(
         signed_turn = sign * joint_turn[j]
         q = x.joint[s.Q, j]
         margin = max(
-            c.joint[h.JOINT_MAX, j] - q if signed_turn > 0.0 else q - c.joint[h.JOINT_MIN, j], 0.0
+            c.joint[h.MAX_JOINT_ANGLE, j] - q
+            if signed_turn > 0.0
+            else q - c.joint[h.MIN_JOINT_ANGLE, j],
+            0.0,
         )
         fraction = min(fraction, margin / max(abs(signed_turn), MIN_TURN_RAD))
     return fraction
@@ -327,11 +330,11 @@ def _write_angle_errors_of_free_digits(x: StateTables, c: ConstantTables, turn: 
     write_static_torque(c, x.joint[s.Q], torque[1])
     for n in range(x.tendon.shape[1]):
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-        wrap_angle = wrap_before_digit(c, n, x.joint[s.Q])
+        wrap_angle = wrap_angle_before_digit(c, n, x.joint[s.Q])
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-            arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
+            arm = c.tendon_joint_table[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
-                wrap_angle += wrap_of_joint(c, j, x.joint[s.Q, j])
+                wrap_angle += joint_wrap_angle(c, j, x.joint[s.Q, j])
                 friction_arm = arm * c.tendon[h.CAPSTAN_COEFFICIENT, n]
                 torque[0, j] += (
                     FRICTION_FRACTION * x.tendon[s.TENSION, n] * friction_arm * wrap_angle
@@ -341,13 +344,17 @@ def _write_angle_errors_of_free_digits(x: StateTables, c: ConstantTables, turn: 
             turn[row, j] = 0.0
             for other_joint in range(joints):
                 turn[row, j] += (
-                    torque[row, other_joint] * c.joint_joint[h.COMPLIANCE, other_joint, j]
+                    torque[row, other_joint] * c.joint_joint_table[h.COMPLIANCE, other_joint, j]
                 )
 
 
 @kernel_helper
 def _fuse_encoders(
-    x: StateTables, c: ConstantTables, covariance_columns: Matrix, spread: Matrix, t_ns: int
+    x: StateTables,
+    c: ConstantTables,
+    covariance_columns: Matrix,
+    angle_deviations: Matrix,
+    t_ns: int,
 ) -> None:
     """Correct the joint angles by the readings of the joint encoders, one encoder after the other.
 
@@ -358,7 +365,7 @@ def _fuse_encoders(
         c: constants of the hand.
         covariance_columns: (2 H + 2, J) deviations of the angles in the null space [rad], see
             ``_covariance_columns``.
-        spread: (J, N) errors of the angles that the errors of the excursions cause [rad], see
+        angle_deviations: (J, N) errors of the angles that the errors of the excursions cause [rad], see
             ``_excursion_deviations``.
         t_ns: present time [ns].
 
@@ -370,23 +377,23 @@ def _fuse_encoders(
         for b in range(joints):
             for row in range(len(covariance_columns)):
                 covariance[a, b] += covariance_columns[row, a] * covariance_columns[row, b]
-            for n in range(spread.shape[1]):
-                covariance[a, b] += spread[a, n] * spread[b, n]
-            covariance[a, b] *= c.joint_joint[h.IS_SAME_DIGIT, a, b]
+            for n in range(angle_deviations.shape[1]):
+                covariance[a, b] += angle_deviations[a, n] * angle_deviations[b, n]
+            covariance[a, b] *= c.joint_joint_table[h.ARE_IN_SAME_DIGIT, a, b]
     has_reading = False
     gain = np.zeros(joints)
     covariance_row = np.zeros(joints)
     for j in range(joints):
-        if not c.joint_int[h.IS_FUSED, j]:
+        if not c.joint_int[h.IS_ENCODER_FUSED, j]:
             continue
-        last_heard_ns = x.group_int[s.GROUP_NS, c.joint_int[h.JOINT_GROUP, j]]
-        age = (t_ns - last_heard_ns) / 1e9
-        if last_heard_ns < 0 or age >= MAX_READING_AGE_S:
+        last_frame_ns = x.group_int[s.GROUP_RECEIVED_NS, c.joint_int[h.JOINT_GROUP, j]]
+        age = (t_ns - last_frame_ns) / 1e9
+        if last_frame_ns < 0 or age >= MAX_READING_AGE_S:
             continue
         has_reading = True
-        motion_since_reading = x.joint[s.DQ, j] * age
-        noise = c.joint[h.ENCODER_VARIANCE, j] + square(RATE_ERROR_FRACTION * motion_since_reading)
-        residual = x.joint[s.JOINT_ANGLE, j] + motion_since_reading - x.joint[s.Q, j]
+        change_since_reading = x.joint[s.DQ, j] * age
+        noise = c.joint[h.ENCODER_VARIANCE, j] + square(RATE_ERROR_FRACTION * change_since_reading)
+        residual = x.joint[s.JOINT_ANGLE, j] + change_since_reading - x.joint[s.Q, j]
         for a in range(joints):
             # A row of the covariance is copied before the loop below changes it.
             gain[a] = covariance[a, j] / (covariance[j, j] + noise)
@@ -397,7 +404,7 @@ def _fuse_encoders(
                 covariance[a, b] -= gain[a] * covariance_row[b]
     if has_reading:
         for j in range(joints):
-            if c.joint_int[h.IS_FUSED, j]:
+            if c.joint_int[h.IS_ENCODER_FUSED, j]:
                 x.joint[s.Q_SIGMA, j] = math.sqrt(max(covariance[j, j], 0.0))
 
 
@@ -421,12 +428,14 @@ def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
         q[j] = x.joint[s.Q, j]
     for k in range(coordinates):
         for n in range(x.tendon.shape[1]):
-            torque[k] += x.tendon[s.EXTERNAL_TENSION, n] * c.tendon_coordinate[h.REDUCED_ARMS, n, k]
+            torque[k] += (
+                x.tendon[s.EXTERNAL_TENSION, n] * c.tendon_coordinate_table[h.REDUCED_ARMS, n, k]
+            )
     pose = link_poses_of_hand(c, q)
     for d in range(x.digit.shape[1]):
         first_joint = c.digit_int[h.FIRST_JOINT, d]
         last_joint = c.digit_int[h.END_JOINT, d] - 1
-        length = c.joint[h.LINK_TABLE + LENGTH_ROW, last_joint]
+        length = c.joint[h.LINK_TABLE + LINK_LENGTH_ROW, last_joint]
         write_tip_levers(c, d, pose, joint_levers)
         _reduce_levers(c, d, joint_levers, lever)
         force = _dot_over_coordinates(c, d, lever, torque) / _dot_over_coordinates(
@@ -456,7 +465,7 @@ def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
             + square(MODEL_ERROR_N)
             + square(MODEL_ERROR_FRACTION * x.tendon[s.EXTERNAL_TENSION, n])
         )
-        arms = c.tendon_coordinate[h.REDUCED_ARMS, n]
+        arms = c.tendon_coordinate_table[h.REDUCED_ARMS, n]
         change = (
             _dot_over_coordinates(c, d, lever, arms)
             * error
@@ -473,7 +482,7 @@ def _reduce_levers(c: ConstantTables, d: int, lever: Vector, result: Vector) -> 
     for k in range(c.digit_int[h.FIRST_COORDINATE, d], c.digit_int[h.END_COORDINATE, d]):
         result[k] = 0.0
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-            result[k] += c.joint_coordinate[h.COUPLING, j, k] * lever[j]
+            result[k] += c.joint_coordinate_table[h.JOINT_COUPLING, j, k] * lever[j]
 
 
 @kernel_helper

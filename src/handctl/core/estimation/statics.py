@@ -14,7 +14,7 @@ from handctl.hand import rigid_body
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-MAX_EXPONENT = 700.0
+MAX_CAPSTAN_EXPONENT = 700.0
 """Largest exponent of the capstan equation, just below the overflow of a float number.
 
 If the numbers of a bad hand exceed it, Python raises an error, but compiled code does not.
@@ -57,12 +57,12 @@ def write_static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
 
 
 @kernel_helper
-def wrap_of_joint(c: ConstantTables, j: int, q: float) -> float:
+def joint_wrap_angle(c: ConstantTables, j: int, q: float) -> float:
     """Return the wrap angle that joint j adds to a tendon when the joint is at position q [rad].
 
     The wrap angle is 0 for a prismatic joint.
     """
-    return 0.0 if c.joint[h.LINK_TABLE + rigid_body.PRISMATIC_ROW, j] != 0.0 else q
+    return 0.0 if c.joint[h.LINK_TABLE + rigid_body.IS_PRISMATIC_ROW, j] != 0.0 else q
 
 
 @kernel_helper
@@ -79,7 +79,7 @@ def capstan_ratio(c: ConstantTables, n: int, friction_state: float, wrap_angle: 
     Source: capstan equation.
     """
     exponent = -c.tendon[h.CAPSTAN_COEFFICIENT, n] * friction_state * wrap_angle
-    return math.exp(MAX_EXPONENT if exponent > MAX_EXPONENT else exponent)
+    return math.exp(MAX_CAPSTAN_EXPONENT if exponent > MAX_CAPSTAN_EXPONENT else exponent)
 
 
 @kernel_helper
@@ -102,10 +102,12 @@ def pulley_torque(
             paid out.
         wrap_angle: wrap angle of the tendon up to and including the pulley [rad].
     """
-    passed_ratio = capstan_ratio(c, n, friction_state, wrap_angle)
+    transmitted_ratio = capstan_ratio(c, n, friction_state, wrap_angle)
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-        return moment_arm * net_tension_at_joint(tension, c.tendon[h.PRETENSION, n], passed_ratio)
-    return moment_arm * tension * passed_ratio
+        return moment_arm * net_tension_at_joint(
+            tension, c.tendon[h.PRETENSION, n], transmitted_ratio
+        )
+    return moment_arm * tension * transmitted_ratio
 
 
 @kernel_helper
@@ -130,14 +132,14 @@ def subtract_torque_of_passing_tendons(
     for n in range(len(tension)):
         wrap_angle = c.tendon[h.WRAP_ANGLE, n]
         for j in range(len(q)):
-            arm = c.tendon_joint[h.CARRIER_ARMS, n, j]
+            arm = c.tendon_joint_table[h.CARRIER_ARMS, n, j]
             if arm != 0.0:
-                wrap_angle += wrap_of_joint(c, j, q[j])
+                wrap_angle += joint_wrap_angle(c, j, q[j])
                 torque[j] -= pulley_torque(c, n, arm, tension[n], friction_state[n], wrap_angle)
 
 
 @kernel_helper
-def wrap_before_digit(c: ConstantTables, n: int, q: Vector) -> float:
+def wrap_angle_before_digit(c: ConstantTables, n: int, q: Vector) -> float:
     """Return the wrap angle of tendon n on all pulleys before the pulleys of its own digit [rad].
 
     Args:
@@ -148,8 +150,8 @@ def wrap_before_digit(c: ConstantTables, n: int, q: Vector) -> float:
     wrap_angle = c.tendon[h.WRAP_ANGLE, n]
     if c.run_int[h.HAS_CARRIER_ARMS]:
         for j in range(len(q)):
-            if c.tendon_joint[h.CARRIER_ARMS, n, j] != 0.0:
-                wrap_angle += wrap_of_joint(c, j, q[j])
+            if c.tendon_joint_table[h.CARRIER_ARMS, n, j] != 0.0:
+                wrap_angle += joint_wrap_angle(c, j, q[j])
     return wrap_angle
 
 
@@ -161,7 +163,7 @@ def write_tip_levers(c: ConstantTables, d: int, pose: Matrix, lever: Vector) -> 
         pose,
         c.digit_int[h.FIRST_JOINT, d],
         last_joint,
-        c.joint[h.LINK_TABLE + rigid_body.LENGTH_ROW, last_joint],
+        c.joint[h.LINK_TABLE + rigid_body.LINK_LENGTH_ROW, last_joint],
         lever,
     )
 
@@ -173,7 +175,7 @@ def write_tensions_for_torque(c: ConstantTables, torque: Vector, tension: Vector
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         tension[n] = 0.0
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-            tension[n] += c.tendon_joint[h.TORQUE_TO_TENSION, n, j] * torque[j]
+            tension[n] += c.tendon_joint_table[h.TORQUE_TO_TENSION, n, j] * torque[j]
 
 
 @kernel_helper
@@ -198,17 +200,17 @@ def write_tensions_at_joints(
     torque = np.zeros(len(q))
     for n in range(len(tension)):
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-        wrap_angle = wrap_before_digit(c, n, q)
+        wrap_angle = wrap_angle_before_digit(c, n, q)
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-            arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
+            arm = c.tendon_joint_table[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
-                wrap_angle += wrap_of_joint(c, j, q[j])
+                wrap_angle += joint_wrap_angle(c, j, q[j])
                 torque[j] += pulley_torque(c, n, arm, tension[n], friction_state[n], wrap_angle)
     write_tensions_for_torque(c, torque, result)
 
 
 @kernel_helper
-def part_explained_by_motion(c: ConstantTables, n: int, tendon_values: Vector) -> float:
+def project_onto_digit_motion(c: ConstantTables, n: int, tendon_values: Vector) -> float:
     """Return the part of tendon n's value that a motion of the digit explains.
 
     The result is element n of R R^+ v.
@@ -225,9 +227,10 @@ def part_explained_by_motion(c: ConstantTables, n: int, tendon_values: Vector) -
         angle = 0.0
         for other_tendon in range(c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d]):
             angle += (
-                c.joint_tendon[h.EXCURSION_TO_JOINTS, j, other_tendon] * tendon_values[other_tendon]
+                c.joint_tendon_table[h.EXCURSION_TO_JOINTS, j, other_tendon]
+                * tendon_values[other_tendon]
             )
-        total += c.tendon_joint[h.MOMENT_ARMS, n, j] * angle
+        total += c.tendon_joint_table[h.MOMENT_ARMS, n, j] * angle
     return total
 
 
@@ -253,12 +256,13 @@ def value_from_other_tendons(
     own_term = 0.0
     for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
         own_term += (
-            c.tendon_joint[h.MOMENT_ARMS, n, j] * c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n]
+            c.tendon_joint_table[h.MOMENT_ARMS, n, j]
+            * c.joint_tendon_table[h.EXCURSION_TO_JOINTS, j, n]
         )
     if own_term > MAX_DIAGONAL_ELEMENT:
         return math.nan
     return (
-        part_explained_by_motion(c, n, tendon_values) + offset - own_term * tendon_values[n]
+        project_onto_digit_motion(c, n, tendon_values) + offset - own_term * tendon_values[n]
     ) / (1.0 - own_term)
 
 
@@ -275,12 +279,12 @@ def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
         q: (J,) joint angles [rad].
     """
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-    wrap_angle = wrap_before_digit(c, n, q)
+    wrap_angle = wrap_angle_before_digit(c, n, q)
     efficiency = 0.0
     for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-        if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
-            wrap_angle += wrap_of_joint(c, j, q[j])
-            efficiency += c.tendon_joint[h.PULLEY_WEIGHTS, n, j] * capstan_ratio(
+        if c.tendon_joint_table[h.MOMENT_ARMS, n, j] != 0.0:
+            wrap_angle += joint_wrap_angle(c, j, q[j])
+            efficiency += c.tendon_joint_table[h.PULLEY_WEIGHTS, n, j] * capstan_ratio(
                 c, n, 1.0, wrap_angle
             )
     return efficiency

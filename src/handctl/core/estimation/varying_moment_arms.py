@@ -30,9 +30,9 @@ from handctl.compiled import kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
-from handctl.core.estimation.statics import part_explained_by_motion
+from handctl.core.estimation.statics import project_onto_digit_motion
 from handctl.core.state_block import StateTables
-from handctl.hand.file.quantities import POLYNOMIAL_COEFFICIENTS
+from handctl.hand.file.quantity_types import POLYNOMIAL_COEFFICIENTS
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -62,11 +62,11 @@ MIN_BALANCE_FRACTION = 0.05
 def moment_arm(c: ConstantTables, n: int, j: int, q: float) -> float:
     """Return the moment arm of tendon n about joint j, when this joint is at the angle q [m]."""
     if not c.tendon_int[h.HAS_VARYING_ARM, n]:
-        return c.tendon_joint[h.MOMENT_ARMS, n, j]
-    clamped_angle = min(max(q, c.joint[h.JOINT_MIN, j]), c.joint[h.JOINT_MAX, j])
+        return c.tendon_joint_table[h.MOMENT_ARMS, n, j]
+    clamped_angle = min(max(q, c.joint[h.MIN_JOINT_ANGLE, j]), c.joint[h.MAX_JOINT_ANGLE, j])
     value = 0.0
     for order in range(POLYNOMIAL_COEFFICIENTS - 1, -1, -1):
-        value = value * clamped_angle + c.tendon_joint[h.ARM_POLYNOMIAL + order, n, j]
+        value = value * clamped_angle + c.tendon_joint_table[h.ARM_POLYNOMIAL + order, n, j]
     return value
 
 
@@ -77,11 +77,11 @@ def joint_excursion(c: ConstantTables, n: int, j: int, q: float) -> float:
     This part is the integral of the moment arm over the joint angle.
     """
     if not c.tendon_int[h.HAS_VARYING_ARM, n]:
-        return c.tendon_joint[h.MOMENT_ARMS, n, j] * q
-    clamped_angle = min(max(q, c.joint[h.JOINT_MIN, j]), c.joint[h.JOINT_MAX, j])
+        return c.tendon_joint_table[h.MOMENT_ARMS, n, j] * q
+    clamped_angle = min(max(q, c.joint[h.MIN_JOINT_ANGLE, j]), c.joint[h.MAX_JOINT_ANGLE, j])
     value = 0.0
     for order in range(POLYNOMIAL_COEFFICIENTS - 1, -1, -1):
-        value = value * clamped_angle + c.tendon_joint[h.ARM_POLYNOMIAL + order, n, j] / (
+        value = value * clamped_angle + c.tendon_joint_table[h.ARM_POLYNOMIAL + order, n, j] / (
             order + 1.0
         )
     return value * clamped_angle + moment_arm(c, n, j, clamped_angle) * (q - clamped_angle)
@@ -99,7 +99,7 @@ def carrier_excursion(c: ConstantTables, n: int, values: Vector) -> float:
     """
     total = 0.0
     for j in range(len(values)):
-        arm = c.tendon_joint[h.CARRIER_ARMS, n, j]
+        arm = c.tendon_joint_table[h.CARRIER_ARMS, n, j]
         if arm != 0.0 and not math.isnan(values[j]):
             total += arm * values[j]
     return total
@@ -108,29 +108,29 @@ def carrier_excursion(c: ConstantTables, n: int, values: Vector) -> float:
 @kernel_helper
 def motor_speed(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the speed of a tendon at its spool [m/s], including the part that carrying digits cause."""
-    speed = x.tendon[s.SPEED, n]
+    speed = x.tendon[s.SPOOL_SPEED, n]
     if c.run_int[h.HAS_CARRIER_ARMS]:
         speed += carrier_excursion(c, n, x.joint[s.DQ])
     return speed
 
 
 @kernel_helper
-def arm_slope(c: ConstantTables, n: int, j: int, q: float) -> float:
+def moment_arm_slope(c: ConstantTables, n: int, j: int, q: float) -> float:
     """Return the derivative of tendon n's moment arm with respect to the angle of joint j [m/rad]."""
     if (
         not c.tendon_int[h.HAS_VARYING_ARM, n]
-        or q < c.joint[h.JOINT_MIN, j]
-        or q > c.joint[h.JOINT_MAX, j]
+        or q < c.joint[h.MIN_JOINT_ANGLE, j]
+        or q > c.joint[h.MAX_JOINT_ANGLE, j]
     ):
         return 0.0
     value = 0.0
     for order in range(POLYNOMIAL_COEFFICIENTS - 1, 0, -1):
-        value = value * q + c.tendon_joint[h.ARM_POLYNOMIAL + order, n, j] * order
+        value = value * q + c.tendon_joint_table[h.ARM_POLYNOMIAL + order, n, j] * order
     return value
 
 
 @kernel_helper
-def update_structure(x: StateTables, c: ConstantTables) -> None:
+def update_moment_arm_tables(x: StateTables, c: ConstantTables) -> None:
     """Compute the tables of all digits with varying moment arms, for the joint angles of the free digits."""
     q = np.empty(x.joint.shape[1])
     for d in range(x.digit.shape[1]):
@@ -139,25 +139,27 @@ def update_structure(x: StateTables, c: ConstantTables) -> None:
         first_joint = c.digit_int[h.FIRST_JOINT, d]
         end = c.digit_int[h.END_JOINT, d]
         for j in range(first_joint, end):
-            q[j] = c.joint[h.JOINT_MIN, j] if math.isnan(x.joint[s.Q, j]) else x.joint[s.Q, j]
+            q[j] = c.joint[h.MIN_JOINT_ANGLE, j] if math.isnan(x.joint[s.Q, j]) else x.joint[s.Q, j]
         for _ in range(NEWTON_STEPS):
-            _write_structure(c, d, q)
+            _write_moment_arm_tables(c, d, q)
             change = 0.0
             for j in range(first_joint, end):
                 angle = c.joint[h.ANGLE_OFFSET, j]
                 for n in range(c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d]):
-                    angle += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * x.tendon[s.EXCURSION, n]
+                    angle += (
+                        c.joint_tendon_table[h.EXCURSION_TO_JOINTS, j, n] * x.tendon[s.EXCURSION, n]
+                    )
                 change = max(change, abs(angle - q[j]))
                 q[j] = angle
             if change < NEWTON_TOLERANCE_RAD:
                 break
         _write_weights(c, d)
-        if c.joint_joint[h.COMPLIANCE, first_joint, first_joint] > 0.0:
+        if c.joint_joint_table[h.COMPLIANCE, first_joint, first_joint] > 0.0:
             _write_compliance(c, d)
 
 
 @kernel_helper
-def correct_angles_to_excursions(x: StateTables, c: ConstantTables) -> None:
+def fit_angles_to_excursions(x: StateTables, c: ConstantTables) -> None:
     """Correct the joint angles of digits with varying moment arms by the estimated excursions."""
     for d in range(x.digit.shape[1]):
         if not c.digit_int[h.DIGIT_HAS_VARYING_ARM, d]:
@@ -171,40 +173,43 @@ def correct_angles_to_excursions(x: StateTables, c: ConstantTables) -> None:
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
             for i in range(len(excursion_errors)):
                 x.joint[s.Q, j] += (
-                    c.joint_tendon[h.EXCURSION_TO_JOINTS, j, first_tendon + i] * excursion_errors[i]
+                    c.joint_tendon_table[h.EXCURSION_TO_JOINTS, j, first_tendon + i]
+                    * excursion_errors[i]
                 )
 
 
 @kernel_helper
-def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
+def _write_moment_arm_tables(c: ConstantTables, d: int, q: Vector) -> None:
     """Write the tables R, R B and B (R B)^+ and the offsets of a digit, for joint angles q (J,) [rad]."""
     joints = (c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d])
     tendons = (c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d])
     first_coordinate = c.digit_int[h.FIRST_COORDINATE, d]
     count = c.digit_int[h.END_COORDINATE, d] - first_coordinate
-    gram = np.zeros((count, count))
+    gram_matrix = np.zeros((count, count))
     offsets = np.zeros(tendons[1] - tendons[0])  # excursion minus the product R q
     for n in range(tendons[0], tendons[1]):
         for j in range(joints[0], joints[1]):
             arm = moment_arm(c, n, j, q[j])
             offsets[n - tendons[0]] += joint_excursion(c, n, j, q[j]) - arm * q[j]
-            c.tendon_joint[h.MOMENT_ARMS, n, j] = arm
+            c.tendon_joint_table[h.MOMENT_ARMS, n, j] = arm
         for k in range(count):
             reduced_arm = 0.0
             for j in range(joints[0], joints[1]):
                 reduced_arm += (
-                    c.tendon_joint[h.MOMENT_ARMS, n, j]
-                    * c.joint_coordinate[h.COUPLING, j, first_coordinate + k]
+                    c.tendon_joint_table[h.MOMENT_ARMS, n, j]
+                    * c.joint_coordinate_table[h.JOINT_COUPLING, j, first_coordinate + k]
                 )
-            c.tendon_coordinate[h.REDUCED_ARMS, n, first_coordinate + k] = reduced_arm
+            c.tendon_coordinate_table[h.REDUCED_ARMS, n, first_coordinate + k] = reduced_arm
         for k in range(count):
             for other_coordinate in range(count):
-                product = c.tendon_coordinate[h.REDUCED_ARMS, n, first_coordinate + k]
-                gram[k, other_coordinate] += (
+                product = c.tendon_coordinate_table[h.REDUCED_ARMS, n, first_coordinate + k]
+                gram_matrix[k, other_coordinate] += (
                     product
-                    * c.tendon_coordinate[h.REDUCED_ARMS, n, first_coordinate + other_coordinate]
+                    * c.tendon_coordinate_table[
+                        h.REDUCED_ARMS, n, first_coordinate + other_coordinate
+                    ]
                 )
-    _invert_matrix(gram)
+    _invert_matrix(gram_matrix)
     for j in range(joints[0], joints[1]):
         c.joint[h.ANGLE_OFFSET, j] = 0.0
         for n in range(tendons[0], tendons[1]):
@@ -212,16 +217,16 @@ def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
             for k in range(count):
                 for other_coordinate in range(count):
                     product = (
-                        c.joint_coordinate[h.COUPLING, j, first_coordinate + k]
-                        * gram[k, other_coordinate]
+                        c.joint_coordinate_table[h.JOINT_COUPLING, j, first_coordinate + k]
+                        * gram_matrix[k, other_coordinate]
                     )
                     angle += (
                         product
-                        * c.tendon_coordinate[
+                        * c.tendon_coordinate_table[
                             h.REDUCED_ARMS, n, first_coordinate + other_coordinate
                         ]
                     )
-            c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] = c.tendon_joint[
+            c.joint_tendon_table[h.EXCURSION_TO_JOINTS, j, n] = c.tendon_joint_table[
                 h.TORQUE_TO_TENSION, n, j
             ] = angle
             c.joint[h.ANGLE_OFFSET, j] -= angle * offsets[n - tendons[0]]
@@ -229,7 +234,7 @@ def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
         c.tendon[h.EXCURSION_MODEL_OFFSET, n] = offsets[n - tendons[0]]
         for j in range(joints[0], joints[1]):
             c.tendon[h.EXCURSION_MODEL_OFFSET, n] += (
-                c.tendon_joint[h.MOMENT_ARMS, n, j] * c.joint[h.ANGLE_OFFSET, j]
+                c.tendon_joint_table[h.MOMENT_ARMS, n, j] * c.joint[h.ANGLE_OFFSET, j]
             )
 
 
@@ -242,23 +247,23 @@ def _write_weights(c: ConstantTables, d: int) -> None:
     for n in range(c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d]):
         total = 0.0
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-            total += abs(c.tendon_joint[h.MOMENT_ARMS, n, j])
+            total += abs(c.tendon_joint_table[h.MOMENT_ARMS, n, j])
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-            c.tendon_joint[h.PULLEY_WEIGHTS, n, j] = (
-                abs(c.tendon_joint[h.MOMENT_ARMS, n, j]) / total
+            c.tendon_joint_table[h.PULLEY_WEIGHTS, n, j] = (
+                abs(c.tendon_joint_table[h.MOMENT_ARMS, n, j]) / total
             )
             torque = 0.0
             for i in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
                 torque += (
-                    c.joint_joint[h.COORDINATE_PROJECTION, j, i]
-                    * c.tendon_joint[h.MOMENT_ARMS, n, i]
+                    c.joint_joint_table[h.COORDINATE_PROJECTION, j, i]
+                    * c.tendon_joint_table[h.MOMENT_ARMS, n, i]
                 )
-            c.joint_tendon[h.POSTURE_TORQUE, j, n] = torque
-        mean = c.tendon[h.MEAN_BALANCE, n]
+            c.joint_tendon_table[h.POSTURE_TORQUE, j, n] = torque
+        mean = c.tendon[h.MEAN_BALANCE_TENSION, n]
         if c.tendon_int[h.IS_REDUNDANT_DIGIT, n] and mean > 0.0:
             # The balance tensions for the mean moment arms are known. The part of these tensions
             # that makes no torque with the present moment arms becomes the new balance.
-            balance = mean - part_explained_by_motion(c, n, c.tendon[h.MEAN_BALANCE])
+            balance = mean - project_onto_digit_motion(c, n, c.tendon[h.MEAN_BALANCE_TENSION])
             c.tendon[h.BALANCE_TENSION, n] = c.tendon[h.RELAXED_TENSION, n] = max(
                 balance, MIN_BALANCE_FRACTION * mean
             )
@@ -282,9 +287,11 @@ def _write_compliance(c: ConstantTables, d: int) -> None:
         joint_compliance[j] = 1.0 / max(c.joint[h.SPRING_STIFFNESS, j], min_stiffness)
         for a in range(count):
             for b in range(count):
-                product = c.tendon_joint[h.MOMENT_ARMS, tendons[0] + a, j] * joint_compliance[j]
+                product = (
+                    c.tendon_joint_table[h.MOMENT_ARMS, tendons[0] + a, j] * joint_compliance[j]
+                )
                 tendon_compliance[a, b] += (
-                    product * c.tendon_joint[h.MOMENT_ARMS, tendons[0] + b, j]
+                    product * c.tendon_joint_table[h.MOMENT_ARMS, tendons[0] + b, j]
                 )
     trace = 0.0
     for a in range(count):
@@ -299,15 +306,15 @@ def _write_compliance(c: ConstantTables, d: int) -> None:
                 for b in range(count):
                     product = (
                         joint_compliance[i]
-                        * c.tendon_joint[h.MOMENT_ARMS, tendons[0] + a, i]
+                        * c.tendon_joint_table[h.MOMENT_ARMS, tendons[0] + a, i]
                         * tendon_compliance[a, b]
                     )
                     value -= (
                         product
-                        * c.tendon_joint[h.MOMENT_ARMS, tendons[0] + b, j]
+                        * c.tendon_joint_table[h.MOMENT_ARMS, tendons[0] + b, j]
                         * joint_compliance[j]
                     )
-            c.joint_joint[h.COMPLIANCE, i, j] = value
+            c.joint_joint_table[h.COMPLIANCE, i, j] = value
 
 
 @kernel_helper

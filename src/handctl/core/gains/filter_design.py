@@ -22,7 +22,7 @@ import math
 import numpy as np
 
 from handctl.core.deferred_imports import DeferredModule
-from handctl.core.estimation.filter_stack import (
+from handctl.core.estimation.filter_types import (
     INPUT_COUNT,
     MEASUREMENT_COUNT,
     STATE_COUNT,
@@ -41,11 +41,11 @@ from handctl.core.estimation.filter_stack import (
 from handctl.core.gains.gains import FilterGains
 from handctl.core.gains.riccati import solve_covariance
 from handctl.core.gains.solver_errors import require_finite_solution, solver_failures_as_errors
-from handctl.core.tendon_space import TendonSpace
+from handctl.core.tendon_constants import TendonConstants
 
 linalg = DeferredModule("scipy.linalg")
 
-DECAY_TIME_S = 1e4
+HELD_STATE_DECAY_TIME_S = 1e4
 """Time constant with which stretch offset and excursion of a held digit decay to 0 in the model [s].
 
 Without any decay the Riccati equation has no solution. A faster decay changes the estimated
@@ -61,12 +61,12 @@ The added noise covers motor friction that differs from the hand file.
 """
 HELD_DISTURBANCE_FACTOR_WITH_ADDED_NOISE = 2.0
 """Factor on the motor disturbance of a held tendon while noise is added to its filter."""
-ADDED_TENSION_WALK = 8.0
+ADDED_TENSION_RANDOM_WALK = 8.0
 """Random walk [N/s^0.5] that is added to the tension of a free tendon.
 
 The walk covers joint friction that differs from the hand file.
 """
-ADDED_HELD_TENSION_WALK = 3.0
+HELD_TENSION_RANDOM_WALK = 3.0
 """Random walk [N/s^0.5] that is added to the tension of a held tendon."""
 PLANNED_CHANGE_FRACTION_WITH_ADDED_NOISE = 0.25
 """Fraction of the planned change of tension that the filter expects while noise is added."""
@@ -89,14 +89,14 @@ The regimes are in the order of the design indices 3 and 4.
 
 
 def design_filter(
-    space: TendonSpace, gains: FilterGains, period_s: float, joint_period: Matrix
+    tendons: TendonConstants, gains: FilterGains, period_s: float, joint_period: Matrix
 ) -> FilterDesign:
     """Design the filter of each tendon in each regime.
 
     Tendons with equal parameters get the same design.
 
     Args:
-        space: constants of the hand along the tendons.
+        tendons: constants of the hand along the tendons.
         gains: noise that the filter assumes.
         period_s: control period [s].
         joint_period: (N,) time between two readings of the joint encoders of a tendon [s], inf
@@ -108,15 +108,15 @@ def design_filter(
     blocks_by_constants: dict[tuple[float, ...], tuple[FilterBlock, ...]] = {}
     blocks = []
     for i, joints in enumerate(joint_period.tolist()):
-        constants = (joints, *space.constants_of_tendon(i))
+        constants = (joints, *tendons.constants_of_tendon(i))
         if constants not in blocks_by_constants:
             with solver_failures_as_errors("filter"):
                 nominal_blocks = tuple(
-                    _design_filter_block(space, i, (regime, False), gains, period_s, joints)
+                    _design_filter_block(tendons, i, (regime, False), gains, period_s, joints)
                     for regime in TendonRegime
                 )
                 noisy_blocks = (
-                    _design_filter_block(space, i, (regime, True), gains, period_s, joints)
+                    _design_filter_block(tendons, i, (regime, True), gains, period_s, joints)
                     for regime in TAUT_REGIMES
                 )
                 blocks_by_constants[constants] = (
@@ -129,21 +129,21 @@ def design_filter(
 
 
 def _continuous_model(
-    space: TendonSpace, i: int, regime: TendonRegime, gains: FilterGains
+    tendons: TendonConstants, i: int, regime: TendonRegime, gains: FilterGains
 ) -> tuple[Matrix, Matrix, Matrix]:
     """Return the continuous model of a tendon: A (7, 7), B (7, 2), and the tension row (7,).
 
     The tension is the product of this row and the states.
     """
     is_taut = regime != TendonRegime.SLACK
-    k, c = (space.stiffness[i], space.damping[i]) if is_taut else (0.0, 0.0)
+    k, c = (tendons.stiffness[i], tendons.damping[i]) if is_taut else (0.0, 0.0)
     tension = np.array([k, c, -k, -c, 0.0, 0.0, -k])
     A = np.zeros((STATE_COUNT, STATE_COUNT))
     B = np.zeros((STATE_COUNT, INPUT_COUNT))
     A[X, V] = A[S, W] = 1.0
-    A[V] = -tension / space.motor_mass[i]
-    A[V, V] -= space.motor_damping[i] / space.motor_mass[i]
-    A[V, D] = B[V, 0] = 1.0 / space.motor_mass[i]
+    A[V] = -tension / tendons.motor_mass[i]
+    A[V, V] -= tendons.motor_damping[i] / tendons.motor_mass[i]
+    A[V, D] = B[V, 0] = 1.0 / tendons.motor_mass[i]
     if regime == TendonRegime.FREE:
         # A free digit follows the rotor: it has the same acceleration as the rotor, and its speed
         # slowly becomes equal to the speed of the rotor.
@@ -153,13 +153,17 @@ def _continuous_model(
         A[W, W] -= 1.0 / gains.free_time_s
         # When the tension rises, the tendon becomes longer, so the excursion grows less than the
         # travel.
-        B[S, 1] = -1.0 / space.stiffness[i]
+        B[S, 1] = -1.0 / tendons.stiffness[i]
     else:
         A[W, W] = -1.0 / gains.held_time_s
-        A[S, S] = -1.0 / DECAY_TIME_S
-    time = _motor_noise(regime, gains)[1]
-    A[D, D] = -1.0 / (time if space.has_cell[i] else max(time, FRICTION_TIME_WITHOUT_CELL_S))
-    A[E, E] = A[O, O] = -1.0 / DECAY_TIME_S
+        A[S, S] = -1.0 / HELD_STATE_DECAY_TIME_S
+    correlation_time_s = _motor_noise(regime, gains)[1]
+    A[D, D] = -1.0 / (
+        correlation_time_s
+        if tendons.has_cell[i]
+        else max(correlation_time_s, FRICTION_TIME_WITHOUT_CELL_S)
+    )
+    A[E, E] = A[O, O] = -1.0 / HELD_STATE_DECAY_TIME_S
     return A, B, tension
 
 
@@ -178,27 +182,31 @@ def _motor_noise(regime: TendonRegime, gains: FilterGains) -> tuple[float, float
     )
 
 
-def _process_noise(space: TendonSpace, i: int, regime: TendonRegime, gains: FilterGains) -> Matrix:
+def _process_noise(
+    tendons: TendonConstants, i: int, regime: TendonRegime, gains: FilterGains
+) -> Matrix:
     """Return the process noise (7, 7) of a tendon's continuous model.
 
     A Gauss-Markov state with the standard deviation sigma and the correlation time tau has the
     noise 2 sigma^2 / tau. The two speeds in the state have white noise.
     """
     Q = np.zeros((STATE_COUNT, STATE_COUNT))
-    disturbance, time, jerk = _motor_noise(regime, gains)
-    if not space.has_cell[i]:
+    disturbance, correlation_time_s, acceleration_noise = _motor_noise(regime, gains)
+    if not tendons.has_cell[i]:
         # Without a load cell, the tension is estimated as motor force minus friction. An error of
         # the friction is then an error of the tension.
-        disturbance = math.hypot(disturbance, FRICTION_SIGMA_WITHOUT_CELL * space.coulomb[i])
-        time = max(time, FRICTION_TIME_WITHOUT_CELL_S)
-    Q[V, V] = jerk**2 / space.motor_mass[i] ** 2
+        disturbance = math.hypot(
+            disturbance, FRICTION_SIGMA_WITHOUT_CELL * tendons.coulomb_friction[i]
+        )
+        correlation_time_s = max(correlation_time_s, FRICTION_TIME_WITHOUT_CELL_S)
+    Q[V, V] = acceleration_noise**2 / tendons.motor_mass[i] ** 2
     if regime == TendonRegime.FREE:
-        rate = gains.free_rate_N_per_s / space.stiffness[i]
+        rate = gains.free_rate_N_per_s / tendons.stiffness[i]
         Q[V, W] = Q[W, V] = Q[V, V]
         Q[W, W] = Q[V, V] + 2.0 * rate**2 / gains.free_time_s
     else:
         Q[W, W] = 2.0 * gains.held_speed_m_s**2 / gains.held_time_s
-    Q[D, D] = 2.0 * disturbance**2 / time
+    Q[D, D] = 2.0 * disturbance**2 / correlation_time_s
     Q[E, E] = gains.cell_drift_N**2 / gains.cell_drift_time_s
     Q[O, O] = 2.0 * gains.offset_m**2 / gains.offset_time_s
     return Q
@@ -217,7 +225,7 @@ def _add_process_noise(process_noise: Matrix, stiffness: float, regime: TendonRe
         DISTURBANCE_FACTOR_WITH_ADDED_NOISE if is_free else HELD_DISTURBANCE_FACTOR_WITH_ADDED_NOISE
     ) ** 2
     process_noise[S, S] += (
-        (ADDED_TENSION_WALK if is_free else ADDED_HELD_TENSION_WALK) / stiffness
+        (ADDED_TENSION_RANDOM_WALK if is_free else HELD_TENSION_RANDOM_WALK) / stiffness
     ) ** 2
 
 
@@ -240,7 +248,7 @@ def _discretise_model(
 
 
 def _design_filter_block(
-    space: TendonSpace,
+    tendons: TendonConstants,
     i: int,
     regime_and_noise: tuple[TendonRegime, bool],
     gains: FilterGains,
@@ -265,22 +273,24 @@ def _design_filter_block(
     other state. The gains for all other states therefore do not depend on joint encoders.
     """
     regime, has_added_noise = regime_and_noise
-    A, B, tension = _continuous_model(space, i, regime, gains)
-    intensity = _process_noise(space, i, regime, gains)
+    A, B, tension = _continuous_model(tendons, i, regime, gains)
+    noise_intensity = _process_noise(tendons, i, regime, gains)
     if has_added_noise:
-        _add_process_noise(intensity, float(space.stiffness[i]), regime)
+        _add_process_noise(noise_intensity, float(tendons.stiffness[i]), regime)
         B[:, 1] *= PLANNED_CHANGE_FRACTION_WITH_ADDED_NOISE
-    F, held_input_matrix, Q = _discretise_model(A, B, intensity, period_s)
+    F, held_input_matrix, Q = _discretise_model(A, B, noise_intensity, period_s)
     H = np.zeros((MEASUREMENT_COUNT, STATE_COUNT))
     H[0, X] = 1.0
     H[1] = tension
     H[2, S] = 1.0
     is_cell_error_observable = regime == TendonRegime.SLACK
     H[1, E] = float(is_cell_error_observable)
-    noise = np.array([space.encoder_step[i] * gains.encoder_noise_counts, space.tension_noise[i]])
+    noise = np.array(
+        [tendons.encoder_step[i] * gains.encoder_noise_counts, tendons.tension_noise[i]]
+    )
     # The first two measurements are the encoder and the load cell. Without a load cell, only the
     # encoder is used.
-    measurement_count = 2 if space.has_cell[i] else 1
+    measurement_count = 2 if tendons.has_cell[i] else 1
     P = _prediction_covariance(F, H[:measurement_count], Q, np.diag(noise[:measurement_count] ** 2))
     innovation = H[:2] @ P @ H[:2].T + np.diag(noise**2)
     K = np.zeros((STATE_COUNT, MEASUREMENT_COUNT))

@@ -19,7 +19,7 @@ from handctl.printing import similar_name
 GAIN_SECTIONS = ("filter", "motion", "tension", "contact")
 TENDON_SECTION = "tendon"
 """Section of forces for single tendons, with keys such as ``tendon.wrist_flex.motion_force_N``."""
-LIVE_SECTIONS = ("motion", "tension", "contact", TENDON_SECTION)
+LIVE_GAIN_SECTIONS = ("motion", "tension", "contact", TENDON_SECTION)
 """Sections whose values may change while the controller runs.
 
 The section of the filter is missing, because the design of a filter takes longer than a tick
@@ -39,7 +39,7 @@ class GainBounds:
         is_low_excluded: True if the value must be greater than ``low``.
         default: default value of the key.
         is_integer: True if the value must be an integer.
-        is_live_changeable: True if the value may be changed while the controller runs.
+        is_changeable_live: True if the value may be changed while the controller runs.
         meaning: meaning of the key, in words. The text is empty if the name of the key is clear.
     """
 
@@ -49,7 +49,7 @@ class GainBounds:
     is_low_excluded: bool
     default: float
     is_integer: bool
-    is_live_changeable: bool
+    is_changeable_live: bool
     meaning: str
 
     def __str__(self) -> str:
@@ -64,15 +64,15 @@ class TendonKey(NamedTuple):
     Attributes:
         tendon: name of the tendon.
         field: name of the force in ``TendonForces``.
-        shared_key: key of the same force for all tendons.
+        common_key: key of the same force for all tendons.
     """
 
     tendon: str
     field: str
-    shared_key: str
+    common_key: str
 
 
-SHARED_KEYS = {"motion_force_N": "motion.force_N", "tension_force_N": "tension.force_N"}
+COMMON_KEY_BY_FORCE = {"motion_force_N": "motion.force_N", "tension_force_N": "tension.force_N"}
 """Key of the force for all tendons, for each field of ``TendonForces`` that can replace this force."""
 
 
@@ -80,9 +80,9 @@ def tendon_key(key: str) -> TendonKey | None:
     """Return the parts of a key that sets the force of a single tendon, or None for any other key."""
     section, _, key_name = key.partition(".")
     tendon, _, field = key_name.rpartition(".")
-    if section != TENDON_SECTION or not tendon or field not in SHARED_KEYS:
+    if section != TENDON_SECTION or not tendon or field not in COMMON_KEY_BY_FORCE:
         return None
-    return TendonKey(tendon, field, SHARED_KEYS[field])
+    return TendonKey(tendon, field, COMMON_KEY_BY_FORCE[field])
 
 
 @cache
@@ -103,7 +103,7 @@ def gain_bounds() -> Mapping[str, GainBounds]:
                 is_low_excluded,
                 field.default,
                 is_integer,
-                section in LIVE_SECTIONS,
+                section in LIVE_GAIN_SECTIONS,
                 meaning,
             )
     return result
@@ -134,7 +134,7 @@ def bounds_of_key(key: str) -> GainBounds | None:
     if key_parts is None:
         return gain_bounds().get(key)
     meaning = key_description(TendonForces, key_parts.field)
-    return replace(gain_bounds()[key_parts.shared_key], key=key, meaning=meaning)
+    return replace(gain_bounds()[key_parts.common_key], key=key, meaning=meaning)
 
 
 def values_by_key(gains: Gains) -> dict[str, float]:
@@ -144,7 +144,7 @@ def values_by_key(gains: Gains) -> dict[str, float]:
         for key in gain_bounds()
     }
     for tendon_gains in gains.tendon:
-        forces = {field: getattr(tendon_gains, field) for field in SHARED_KEYS}
+        forces = {field: getattr(tendon_gains, field) for field in COMMON_KEY_BY_FORCE}
         values |= {
             f"{TENDON_SECTION}.{tendon_gains.name}.{field}": force
             for field, force in forces.items()
@@ -174,7 +174,7 @@ def _gain_of_key(gain_values: Mapping[str, float], key: str) -> float:
     """
     key_parts = tendon_key(key)
     return (
-        gain_values[key_parts.shared_key]
+        gain_values[key_parts.common_key]
         if key_parts and key not in gain_values
         else gain_values[key]
     )
@@ -198,8 +198,10 @@ def gains_with_values(
     content = gains.model_dump(by_alias=True)
     for key, value in gain_values.items():
         bound = checked_gain_bounds(key, value, source_name)
-        if is_live and not bound.is_live_changeable:
-            expected = f"a key of {', '.join(LIVE_SECTIONS)}, or handctl gains apply and a new run"
+        if is_live and not bound.is_changeable_live:
+            expected = (
+                f"a key of {', '.join(LIVE_GAIN_SECTIONS)}, or handctl gains apply and a new run"
+            )
             raise ConfigError(
                 "is designed before arming and cannot change in a run",
                 f"{source_name}: {key}",

@@ -19,7 +19,7 @@ from handctl.core.gains.gain_bounds import check_tendon_names
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.riccati import solve_lqr
 from handctl.core.gains.solver_errors import require_finite_solution, solver_failures_as_errors
-from handctl.core.tendon_space import TendonSpace
+from handctl.core.tendon_constants import TendonConstants
 from handctl.core.tick_types import Vector
 
 linalg = DeferredModule("scipy.linalg")
@@ -42,24 +42,24 @@ class MotionDesign:
     tension_speed: Vector
 
 
-FULL_WEIGHT_PERIOD_S = 2e-3
+FULL_FORCE_WEIGHT_PERIOD_S = 2e-3
 """Longest control period at which the force weights are not reduced [s]."""
 
 
 def force_weight_at_period(force: float, period_s: float) -> float:
     """Return the force weight for a control period [N].
 
-    Above the period ``FULL_WEIGHT_PERIOD_S``, the weight is reduced. The stiffness of a loop is
+    Above the period ``FULL_FORCE_WEIGHT_PERIOD_S``, the weight is reduced. The stiffness of a loop is
     proportional to the weight. The bandwidth is proportional to the square root of the weight.
     """
-    return force * min(1.0, math.sqrt(FULL_WEIGHT_PERIOD_S / period_s))
+    return force * min(1.0, math.sqrt(FULL_FORCE_WEIGHT_PERIOD_S / period_s))
 
 
-def design_motion(space: TendonSpace, gains: Gains, period_s: float) -> MotionDesign:
+def design_motion(tendons: TendonConstants, gains: Gains, period_s: float) -> MotionDesign:
     """Design the motion loop and the tension loop of every tendon by LQR.
 
     Args:
-        space: constants of the hand along the tendons.
+        tendons: constants of the hand along the tendons.
         gains: gains with the weights.
         period_s: control period [s].
 
@@ -67,46 +67,46 @@ def design_motion(space: TendonSpace, gains: Gains, period_s: float) -> MotionDe
         ConfigError: no gains follow from the weights, or they name a tendon that the hand does not
             have.
     """
-    check_tendon_names(gains, space.names)
+    check_tendon_names(gains, tendons.names)
     return combine_loop_designs(
-        space,
+        tendons,
         [
-            design_control_loop(space, gains, period_s, piece_index)
-            for piece_index in range(control_loop_count(space))
+            design_control_loop(tendons, gains, period_s, loop_index)
+            for loop_index in range(control_loop_count(tendons))
         ],
     )
 
 
-def control_loop_count(space: TendonSpace) -> int:
-    """Return the number of pieces into which the design of all loops is divided.
+def control_loop_count(tendons: TendonConstants) -> int:
+    """Return the number of control loops to design.
 
-    In each tick, a running controller has time for only one piece of the design.
+    In each tick, a running controller has time for the design of only one loop.
     """
-    return 2 * len(space.spool)
+    return 2 * len(tendons.spool_radius)
 
 
 def design_control_loop(
-    space: TendonSpace, gains: Gains, period_s: float, loop_index: int
+    tendons: TendonConstants, gains: Gains, period_s: float, loop_index: int
 ) -> Vector:
     """Return the feedback gains (2,) of one control loop.
 
-    Pieces 0 to N - 1 of the design are motion loops, and pieces N to 2 N - 1 are tension loops.
+    Loops 0 to N - 1 are motion loops, and loops N to 2 N - 1 are tension loops.
 
     Raises:
         ConfigError: no gains follow from the weights.
     """
-    n = len(space.spool)
+    n = len(tendons.spool_radius)
     if loop_index < n:
         with solver_failures_as_errors("motion"):
-            return _design_motion_loop(space, loop_index, gains, period_s)
+            return _design_motion_loop(tendons, loop_index, gains, period_s)
     with solver_failures_as_errors("tension"):
-        return _design_tension_loop(space, loop_index - n, gains, period_s)
+        return _design_tension_loop(tendons, loop_index - n, gains, period_s)
 
 
-def combine_loop_designs(space: TendonSpace, feedback_gains: list[Vector]) -> MotionDesign:
-    """Combine the feedback gains of all pieces into the design of all tendons."""
-    n = len(space.spool)
-    mass = space.motor_mass + space.load_mass
+def combine_loop_designs(tendons: TendonConstants, feedback_gains: list[Vector]) -> MotionDesign:
+    """Combine the feedback gains of all loops into the design of all tendons."""
+    n = len(tendons.spool_radius)
+    mass = tendons.motor_mass + tendons.load_mass
     motion = feedback_gains[:n]
     tension = feedback_gains[n:]
     return MotionDesign(
@@ -139,35 +139,35 @@ def _sampled_lqr_gain(
     return np.asarray(K[0], dtype=np.float64)
 
 
-def _design_motion_loop(space: TendonSpace, i: int, gains: Gains, period_s: float) -> Vector:
+def _design_motion_loop(tendons: TendonConstants, i: int, gains: Gains, period_s: float) -> Vector:
     """Design the motion loop.
 
     In the model of this loop, motor and digit are one mass, because the tendon is rigid. The states
     are excursion error [m] and speed error [m/s].
     """
     weights = gains.motion
-    mass = float(space.motor_mass[i] + space.load_mass[i])
+    mass = float(tendons.motor_mass[i] + tendons.load_mass[i])
     A = np.array([[0.0, 1.0], [0.0, 0.0]])
     B = np.array([[0.0], [1.0 / mass]])
-    force = force_weight_at_period(gains.force_weights_of_tendon(space.names[i])[0], period_s)
+    force = force_weight_at_period(gains.force_weights_of_tendon(tendons.names[i])[0], period_s)
     return _sampled_lqr_gain(
         A, B, [weights.position_error_m, weights.speed_error_m_s], force, period_s
     )
 
 
-def _design_tension_loop(space: TendonSpace, i: int, gains: Gains, period_s: float) -> Vector:
+def _design_tension_loop(tendons: TendonConstants, i: int, gains: Gains, period_s: float) -> Vector:
     """Design the tension loop.
 
     In the model of this loop, the digit is blocked, and the rotor stretches the tendon. The states
     are tension error [N] and tendon speed [m/s].
     """
     weights = gains.tension
-    mass = space.motor_mass[i]
-    k = space.stiffness[i]
-    b = space.motor_damping[i] + space.damping[i]
+    mass = tendons.motor_mass[i]
+    k = tendons.stiffness[i]
+    b = tendons.motor_damping[i] + tendons.damping[i]
     A = np.array([[0.0, k], [-1.0 / mass, -b / mass]])
     B = np.array([[0.0], [1.0 / mass]])
-    force = force_weight_at_period(gains.force_weights_of_tendon(space.names[i])[1], period_s)
+    force = force_weight_at_period(gains.force_weights_of_tendon(tendons.names[i])[1], period_s)
     return _sampled_lqr_gain(
         A, B, [weights.tension_error_N, weights.speed_error_m_s], force, period_s
     )

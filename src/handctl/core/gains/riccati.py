@@ -5,12 +5,12 @@ The solutions are feedback gains, and covariances of the Kalman filter.
 
 import numpy as np
 
-from handctl.core.deferred_imports import DeferredModule, import_without_package
+from handctl.core.deferred_imports import DeferredModule, import_without_package_init
 from handctl.core.tick_types import Vector
 
 # control.dlqr and control.dlqe also call this solver. An import of the whole package control would
 # also import matplotlib and scipy.signal, which takes longer than the design of the gains.
-_mateqn = DeferredModule("control.mateqn", import_without_package)
+_matrix_equations = DeferredModule("control.mateqn", import_without_package_init)
 
 
 def solve_lqr(F: Vector, G: Vector, Q: Vector, R: Vector) -> Vector:
@@ -25,7 +25,9 @@ def solve_lqr(F: Vector, G: Vector, Q: Vector, R: Vector) -> Vector:
     Raises:
         ValueError: no stabilising solution exists, or a number is not finite.
     """
-    _, _, K = _mateqn.dare(F, G, Q, R, np.zeros((len(Q), len(R))), method="scipy", _Ss="N")
+    _, _, K = _matrix_equations.dare(
+        F, G, Q, R, np.zeros((len(Q), len(R))), method="scipy", _Ss="N"
+    )
     return np.asarray(K)
 
 
@@ -41,5 +43,7 @@ def solve_covariance(F: Vector, H: Vector, Q: Vector, R: Vector) -> Vector:
     Raises:
         ValueError: no solution exists, or a number is not finite.
     """
-    P, _, _ = _mateqn.dare(F.T, H.T, Q, R, method="scipy", _Bs="C", _Qs="QN", _Rs="RN", _Ss="NN")
+    P, _, _ = _matrix_equations.dare(
+        F.T, H.T, Q, R, method="scipy", _Bs="C", _Qs="QN", _Rs="RN", _Ss="NN"
+    )
     return np.asarray(P)

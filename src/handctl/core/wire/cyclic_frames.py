@@ -16,7 +16,7 @@ import numpy as np
 from handctl.compiled import borrowed_array, kernel, kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
-from handctl.core.block_schema import BlockArray, TablePlaces
+from handctl.core.block_schema import BlockArray, TableOffsets
 from handctl.core.constants import ConstantTables, constant_tables
 from handctl.core.control_law.servo_commands import command_torque_only
 from handctl.core.estimation.varying_moment_arms import carrier_excursion
@@ -45,12 +45,12 @@ from handctl.core.wire.wire_tables import (
 from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from handctl.drives.frame_records import (
-    BUS_BIT,
+    BUS_SHIFT,
     BYTE_MASK,
+    FIRST_PAYLOAD_WORD,
     ID_AND_FLAGS_WORD,
     ID_MASK,
-    LENGTH_BIT,
-    PAYLOAD_WORD,
+    LENGTH_SHIFT,
     TIME_WORD,
     WORDS_PER_RECORD,
     WordRows,
@@ -70,7 +70,7 @@ from handctl.drives.signals import (
 )
 from handctl.drives.signals import LENGTH_COLUMN as LENGTH_BITS
 
-NO_ENTRY = -1
+NO_FRAME_ENTRY = -1
 """Index that stands for a missing entry."""
 ENABLED_PHASE = int(DrivePhase.ENABLED)
 """Value of ``drives.contract.DrivePhase.ENABLED``."""
@@ -78,9 +78,9 @@ POSITION, VELOCITY, TORQUE, TEMPERATURE, STATUS, CELL, ANGLE, COUNTER = map(
     int, tuple(SignalQuantity)[:8]
 )
 """Values of ``drives.signals.SignalQuantity``, for compiled code."""
-NUMBER_MASK = 0x1FFFFFFF
+CAN_ID_MASK = 0x1FFFFFFF
 """Mask of a CAN identifier without its flags."""
-STANDARD_IDS = 0x800
+STANDARD_ID_COUNT = 0x800
 """Number of possible 11-bit identifiers."""
 OTHER_FRAME, RIGHT_REPLY, WRONG_REPLY = range(3)
 """Results of the comparison of a frame with the reply to a repeated read-back."""
@@ -88,7 +88,7 @@ OTHER_FRAME, RIGHT_REPLY, WRONG_REPLY = range(3)
 
 @kernel_helper
 def find_key(keys: IntArray, key: Any) -> int:
-    """Return the index of a key in sorted keys, or NO_ENTRY if the key is missing.
+    """Return the index of a key in sorted keys, or NO_FRAME_ENTRY if the key is missing.
 
     The function uses a binary search.
     """
@@ -100,7 +100,7 @@ def find_key(keys: IntArray, key: Any) -> int:
             low = middle_index + 1
         else:
             high = middle_index
-    return low if low < len(keys) and keys[low] == key else NO_ENTRY
+    return low if low < len(keys) and keys[low] == key else NO_FRAME_ENTRY
 
 
 @kernel(
@@ -120,14 +120,14 @@ def find_key(keys: IntArray, key: Any) -> int:
 )
 def receive_frames(
     block: BlockArray,
-    at: TablePlaces,
+    at: TableOffsets,
     constants: BlockArray,
-    constants_places: TablePlaces,
+    constant_offsets: TableOffsets,
     frame_rows: WordRows,
     keys: IntArray,
     entries: IntArray,
     signal_integers: IntArray,
-    signal_reals: FloatArray,
+    signal_scalings: FloatArray,
     recheck_ranges: IntArray,
     rechecks: WordRows,
     first_frame: int,
@@ -137,14 +137,14 @@ def receive_frames(
 
     Args:
         block: state block.
-        at: ``BlockLayout.places`` of the state block.
+        at: ``BlockLayout.offsets`` of the state block.
         constants: constants of the hand.
-        constants_places: ``BlockLayout.places`` of the constants.
+        constant_offsets: ``BlockLayout.offsets`` of the constants.
         frame_rows: (n, WORDS_PER_RECORD) records of frames.
         keys: see ``WireTables``.
         entries: see ``WireTables``.
         signal_integers: see ``WireTables``.
-        signal_reals: see ``WireTables``.
+        signal_scalings: see ``WireTables``.
         recheck_ranges: see ``WireTables``.
         rechecks: see ``WireTables``.
         first_frame: index of the first frame.
@@ -156,24 +156,24 @@ def receive_frames(
         or n if there is no such frame.
     """
     x = state_tables(block, at)
-    c = constant_tables(constants, constants_places)
+    c = constant_tables(constants, constant_offsets)
     frame_rows = borrowed_array(frame_rows, 0, frame_rows.shape)
     keys = borrowed_array(keys, 0, keys.shape)
     entries = borrowed_array(entries, 0, entries.shape)
     signal_integers = borrowed_array(signal_integers, 0, signal_integers.shape)
-    signal_reals = borrowed_array(signal_reals, 0, signal_reals.shape)
+    signal_scalings = borrowed_array(signal_scalings, 0, signal_scalings.shape)
     recheck_ranges = borrowed_array(recheck_ranges, 0, recheck_ranges.shape)
     rechecks = borrowed_array(rechecks, 0, rechecks.shape)
     for r in range(first_frame, len(frame_rows)):
         # The word ID_AND_FLAGS_WORD contains the identifier with its flags in bits 0 to 31, then the flags of
-        # the frame, the bus (from BUS_BIT) and the payload length (from LENGTH_BIT).
-        head_word = np.int64(frame_rows[r, ID_AND_FLAGS_WORD])
-        can_id = head_word & ID_MASK & ~ERROR_FLAG
-        bus = head_word >> BUS_BIT & BYTE_MASK
-        length = head_word >> LENGTH_BIT & BYTE_MASK
+        # the frame, the bus (from BUS_SHIFT) and the payload length (from LENGTH_SHIFT).
+        header_word = np.int64(frame_rows[r, ID_AND_FLAGS_WORD])
+        can_id = header_word & ID_MASK & ~ERROR_FLAG
+        bus = header_word >> BUS_SHIFT & BYTE_MASK
+        length = header_word >> LENGTH_SHIFT & BYTE_MASK
         entry = find_key(keys, bus << 32 | can_id)
-        is_error_frame = head_word & ERROR_FLAG != 0
-        if entry == NO_ENTRY or (
+        is_error_frame = header_word & ERROR_FLAG != 0
+        if entry == NO_FRAME_ENTRY or (
             is_error_frame and entries[entry, FRAME_KIND_COLUMN] == HOST_FRAMES
         ):
             _count_unknown_frame(x, keys, entries, bus, can_id)
@@ -182,7 +182,7 @@ def receive_frames(
             continue  # an error frame has no values, even if its identifier belongs to a node
         kind = entries[entry, FRAME_KIND_COLUMN]
         t_ns = np.int64(frame_rows[r, TIME_WORD])
-        payload = frame_rows[r, PAYLOAD_WORD]
+        payload = frame_rows[r, FIRST_PAYLOAD_WORD]
         has_expected_length = length == entries[entry, PAYLOAD_BYTES_COLUMN]
         owner = entries[entry, OWNER_COLUMN]
         if owner != SENSOR_NODE_OWNER and x.tendon_int[s.RECHECK_TRIES, owner] > 0:
@@ -195,14 +195,21 @@ def receive_frames(
             _count_stale_frame(x, entries[entry, GROUP_COLUMN])
         elif kind == SENSOR_FRAMES:
             _decode_sensor_frame(
-                x, t_ns, payload, has_expected_length, entries, entry, signal_integers, signal_reals
+                x,
+                t_ns,
+                payload,
+                has_expected_length,
+                entries,
+                entry,
+                signal_integers,
+                signal_scalings,
             )
         elif (
             kind == STATE_MACHINE_FRAMES
             or kind == HOST_FRAMES
             or not has_expected_length
             or not _decode_drive_frame(
-                x, c, t_ns, frame_rows[r], entries, entry, signal_integers, signal_reals
+                x, c, t_ns, frame_rows[r], entries, entry, signal_integers, signal_scalings
             )
         ):
             return r
@@ -213,7 +220,8 @@ def receive_frames(
 def _is_steady(x: StateTables, n: Any) -> bool:
     """Return True if a drive is enabled and its state machine has nothing to do."""
     is_steady: bool = (
-        x.tendon_int[s.PHASE, n] == ENABLED_PHASE and x.tendon_int[s.STATUS_EXPECTED, n] >= 0
+        x.tendon_int[s.DRIVE_PHASE, n] == ENABLED_PHASE
+        and x.tendon_int[s.EXPECTED_DRIVE_STATUS, n] >= 0
     )
     return is_steady
 
@@ -317,13 +325,13 @@ def _count_unknown_frame(
     node. A 29-bit identifier of 0x800 or more belongs to another protocol, even if its lower 11
     bits are those of a node.
     """
-    x.run_int[s.UNKNOWN_FRAMES] += 1
-    if can_id & (EXTENDED_FLAG | REMOTE_FLAG) and can_id & NUMBER_MASK < STANDARD_IDS:
-        entry = find_key(keys, bus << 32 | can_id & NUMBER_MASK)
-        if entry != NO_ENTRY and entries[entry, FRAME_KIND_COLUMN] != HOST_FRAMES:
+    x.run_int[s.UNKNOWN_FRAME_COUNT] += 1
+    if can_id & (EXTENDED_FLAG | REMOTE_FLAG) and can_id & CAN_ID_MASK < STANDARD_ID_COUNT:
+        entry = find_key(keys, bus << 32 | can_id & CAN_ID_MASK)
+        if entry != NO_FRAME_ENTRY and entries[entry, FRAME_KIND_COLUMN] != HOST_FRAMES:
             owner = entries[entry, OWNER_COLUMN]
             x.node_int[
-                s.MALFORMED_FRAME_NOW,
+                s.HAS_MALFORMED_FRAME,
                 owner if owner != SENSOR_NODE_OWNER else x.node_int.shape[1] - 1,
             ] = 1
 
@@ -331,9 +339,10 @@ def _count_unknown_frame(
 @kernel_helper
 def _count_stale_frame(x: StateTables, sensor_group: int) -> None:
     """Count a sensor frame that answers an older SYNC."""
-    x.run_int[s.STALE_FRAMES] += 1
-    x.run_int[s.STALE_FRAME_NOW] = max(
-        x.run_int[s.STALE_FRAME_NOW], 2 if x.group_int[s.GROUP_FRAME_COUNT_NOW, sensor_group] else 1
+    x.run_int[s.STALE_FRAME_COUNT] += 1
+    x.run_int[s.STALE_FRAME_STATE] = max(
+        x.run_int[s.STALE_FRAME_STATE],
+        2 if x.group_int[s.GROUP_FRAME_COUNT_IN_TICK, sensor_group] else 1,
     )
 
 
@@ -342,11 +351,11 @@ def _decode_sensor_frame(
     x: StateTables,
     t_ns: Any,
     payload: Any,
-    is_length_right: bool,
+    has_valid_length: bool,
     entries: IntArray,
     entry: int,
     signal_integers: IntArray,
-    signal_reals: FloatArray,
+    signal_scalings: FloatArray,
 ) -> None:
     """Decode a frame of load cells or joint encoders.
 
@@ -356,19 +365,19 @@ def _decode_sensor_frame(
         x: state tables.
         t_ns: reception time [ns].
         payload: first eight bytes of the frame's payload.
-        is_length_right: True if the payload has the expected length.
+        has_valid_length: True if the payload has the expected length.
         entries: see ``WireTables``.
         entry: row of the frame in ``entries``.
         signal_integers: see ``WireTables``.
-        signal_reals: see ``WireTables``.
+        signal_scalings: see ``WireTables``.
     """
-    if not is_length_right:
-        x.node_int[s.MALFORMED_FRAME_NOW, x.node_int.shape[1] - 1] = 1
+    if not has_valid_length:
+        x.node_int[s.HAS_MALFORMED_FRAME, x.node_int.shape[1] - 1] = 1
         return
     group = entries[entry, GROUP_COLUMN]
     tensions = 0
     for i in range(entries[entry, FIRST_SIGNAL_COLUMN], entries[entry, END_SIGNAL_COLUMN]):
-        value = decode_signal(payload, signal_integers, signal_reals, i)
+        value = decode_signal(payload, signal_integers, signal_scalings, i)
         quantity = signal_integers[i, QUANTITY_COLUMN]
         channel = signal_integers[i, CHANNEL_COLUMN]
         if quantity == COUNTER and value != x.run_int[s.SYNC_COUNTER]:
@@ -377,24 +386,24 @@ def _decode_sensor_frame(
         if quantity == CELL:
             tensions = 1
             x.tendon[s.CELL_READING, channel] = value
-            x.tendon_int[s.CELL_READ_NOW, channel] = 1
+            x.tendon_int[s.HAS_NEW_CELL_READING, channel] = 1
         if quantity == ANGLE:
             x.joint[s.JOINT_ANGLE, channel] = value
-            x.joint_int[s.JOINT_READ_NOW, channel] = 1
-    x.group_int[s.GROUP_NS, group] = t_ns
+            x.joint_int[s.HAS_NEW_JOINT_READING, channel] = 1
+    x.group_int[s.GROUP_RECEIVED_NS, group] = t_ns
     x.group_int[s.GROUP_FRAME_COUNT, group] += 1
-    x.run_int[s.TENSION_FRAMES] += tensions
-    x.group_int[s.GROUP_FRAME_COUNT_NOW, group] += 1
+    x.run_int[s.TENSION_FRAME_COUNT] += tensions
+    x.group_int[s.GROUP_FRAME_COUNT_IN_TICK, group] += 1
 
 
 @kernel_helper
-def _is_nearer(x: StateTables, c: ConstantTables, n: Any, position: float) -> bool:
+def _is_nearer_to_prediction(x: StateTables, c: ConstantTables, n: Any, position: float) -> bool:
     """Return True if a position is nearer to the predicted position than the stored position.
 
     The stored position was received earlier in this tick. The tension filter predicts the position
     for the time of the request. Before the filter has started, the later position is used.
     """
-    travel = x.tendon[s.TRAVEL, n]
+    travel = x.tendon[s.SPOOL_TRAVEL, n]
     if c.run_int[h.HAS_CARRIER_ARMS]:
         travel += carrier_excursion(c, n, x.joint[s.Q])
     expected = travel / c.tendon[h.SPOOL_RADIUS, n] + c.tendon[h.MOTOR_ZERO, n]
@@ -410,7 +419,7 @@ def _decode_drive_frame(
     entries: IntArray,
     entry: int,
     signal_integers: IntArray,
-    signal_reals: FloatArray,
+    signal_scalings: FloatArray,
 ) -> bool:
     """Decode a frame of a drive.
 
@@ -424,23 +433,23 @@ def _decode_drive_frame(
         entries: see ``WireTables``.
         entry: row of the frame in ``entries``.
         signal_integers: see ``WireTables``.
-        signal_reals: see ``WireTables``.
+        signal_scalings: see ``WireTables``.
     """
     n = entries[entry, OWNER_COLUMN]
     if not _is_steady(x, n):
         return False
-    expected = x.tendon_int[s.STATUS_EXPECTED, n]
+    expected = x.tendon_int[s.EXPECTED_DRIVE_STATUS, n]
     position = velocity = torque = temperature = math.nan
     status = 0
-    payload = frame_row[PAYLOAD_WORD]
+    payload = frame_row[FIRST_PAYLOAD_WORD]
     reversed_payload = bytes_reversed(payload)
     for i in range(entries[entry, FIRST_SIGNAL_COLUMN], entries[entry, END_SIGNAL_COLUMN]):
         if signal_integers[i, WINDOW_COLUMN] == 0:
             window = reversed_payload if signal_integers[i, ORDER_COLUMN] else payload
         else:
-            window = read_window(frame_row, PAYLOAD_WORD, signal_integers[i, WINDOW_COLUMN])
+            window = read_window(frame_row, FIRST_PAYLOAD_WORD, signal_integers[i, WINDOW_COLUMN])
             window = bytes_reversed(window) if signal_integers[i, ORDER_COLUMN] else window
-        value = decode_signal(window, signal_integers, signal_reals, i)
+        value = decode_signal(window, signal_integers, signal_scalings, i)
         if math.isnan(value):
             return False
         quantity = signal_integers[i, QUANTITY_COLUMN]
@@ -461,20 +470,20 @@ def _decode_drive_frame(
         return False
     if (
         entries[entry, NEAREST_ONLY_COLUMN]
-        and x.tendon_int[s.FEEDBACK_COUNT_NOW, n] > 0
-        and not _is_nearer(x, c, n, position)
+        and x.tendon_int[s.FEEDBACK_COUNT_IN_TICK, n] > 0
+        and not _is_nearer_to_prediction(x, c, n, position)
     ):
         x.tendon_int[s.FEEDBACK_COUNT, n] += 1
-        x.tendon_int[s.FEEDBACK_COUNT_NOW, n] += 1
+        x.tendon_int[s.FEEDBACK_COUNT_IN_TICK, n] += 1
         return True
     _store_tendon_value(x, s.POSITION, n, position)
     _store_tendon_value(x, s.VELOCITY, n, velocity)
     _store_tendon_value(x, s.REPORTED_TORQUE, n, torque)
     _store_tendon_value(x, s.TEMPERATURE, n, temperature)
     if feedback:
-        x.tendon_int[s.FEEDBACK_NS, n] = t_ns
+        x.tendon_int[s.FEEDBACK_RECEIVED_NS, n] = t_ns
         x.tendon_int[s.FEEDBACK_COUNT, n] += 1
-        x.tendon_int[s.FEEDBACK_COUNT_NOW, n] += 1
+        x.tendon_int[s.FEEDBACK_COUNT_IN_TICK, n] += 1
     return True
 
 
@@ -490,14 +499,14 @@ def _store_tendon_value(x: StateTables, table_row: int, n: int, value: float) ->
 
 @kernel_helper
 def _can_be_encoded(
-    x: StateTables, n: int, signal_reals: FloatArray, first_signal: int, signals_end: int
+    x: StateTables, n: int, signal_scalings: FloatArray, first_signal: int, signals_end: int
 ) -> bool:
     """Return True if each number of a position command is within the range of its signal."""
     for i in range(first_signal, signals_end):
         if (
-            not signal_reals[i, 2]
+            not signal_scalings[i, 2]
             <= x.servo[s.SERVO_POSITION + i - first_signal, n]
-            <= signal_reals[i, 3]
+            <= signal_scalings[i, 3]
         ):
             return False
     return True
@@ -510,7 +519,7 @@ def _write_position_command(
     frame_row: Any,
     template: Any,
     signal_integers: IntArray,
-    signal_reals: FloatArray,
+    signal_scalings: FloatArray,
     first_signal: int,
     signals_end: int,
 ) -> None:
@@ -518,10 +527,10 @@ def _write_position_command(
     _copy_record(template, frame_row)
     for i in range(first_signal, signals_end):
         bits = encode_signal(
-            x.servo[s.SERVO_POSITION + i - first_signal, n], signal_integers, signal_reals, i
+            x.servo[s.SERVO_POSITION + i - first_signal, n], signal_integers, signal_scalings, i
         )
         bits = bytes_reversed(bits) if signal_integers[i, ORDER_COLUMN] else bits
-        write_window(frame_row, PAYLOAD_WORD, signal_integers[i, WINDOW_COLUMN], bits)
+        write_window(frame_row, FIRST_PAYLOAD_WORD, signal_integers[i, WINDOW_COLUMN], bits)
 
 
 @kernel_helper
@@ -531,7 +540,7 @@ def _write_torque_command(
     torque: float,
     signal: Any,
     signal_integers: IntArray,
-    signal_reals: FloatArray,
+    signal_scalings: FloatArray,
 ) -> None:
     """Write a torque command into the record of a frame.
 
@@ -539,9 +548,11 @@ def _write_torque_command(
     """
     _copy_record(template, frame_row)
     if signal >= 0:
-        bits = encode_signal(torque, signal_integers, signal_reals, signal)
+        bits = encode_signal(torque, signal_integers, signal_scalings, signal)
         ordered_bits = bytes_reversed(bits) if signal_integers[signal, ORDER_COLUMN] else bits
-        write_window(frame_row, PAYLOAD_WORD, signal_integers[signal, WINDOW_COLUMN], ordered_bits)
+        write_window(
+            frame_row, FIRST_PAYLOAD_WORD, signal_integers[signal, WINDOW_COLUMN], ordered_bits
+        )
 
 
 @kernel(
@@ -550,17 +561,17 @@ def _write_torque_command(
 )  # fmt: skip
 def encode_commands(
     block: BlockArray,
-    at: TablePlaces,
+    at: TableOffsets,
     frame_words: WordRows,
     commands: IntArray,
     signal_integers: IntArray,
-    signal_reals: FloatArray,
+    signal_scalings: FloatArray,
     templates: WordRows,
     torque: FloatArray,
     servos: IntArray,
     servo_templates: WordRows,
     servo_signal_integers: IntArray,
-    servo_signal_reals: FloatArray,
+    servo_signal_scalings: FloatArray,
     recheck_ranges: IntArray,
     rechecks: WordRows,
     first_drive: int,
@@ -570,17 +581,17 @@ def encode_commands(
 
     Args:
         block: state block.
-        at: ``BlockLayout.places`` of the state block.
+        at: ``BlockLayout.offsets`` of the state block.
         frame_words: (frames, WORDS_PER_RECORD) result: records of the commands.
         commands: (frames, 3) see ``WireTables``.
         signal_integers: ``WireTables.command_signal_integers``.
-        signal_reals: ``WireTables.command_signal_reals``.
+        signal_scalings: ``WireTables.command_signal_scalings``.
         templates: (frames, WORDS_PER_RECORD) records of the commands with zero torque.
         torque: (N,) commanded torque of each drive [N m].
         servos: (N, 2) see ``WireTables``.
         servo_templates: (N, WORDS) see ``WireTables``.
         servo_signal_integers: see ``WireTables``.
-        servo_signal_reals: see ``WireTables``.
+        servo_signal_scalings: see ``WireTables``.
         recheck_ranges: see ``WireTables``.
         rechecks: see ``WireTables``.
         first_drive: index of the first drive whose command is encoded.
@@ -592,12 +603,12 @@ def encode_commands(
         The state machine of this drive then reports that the torque limit is exceeded.
     """
     x = state_tables(block, at)
-    now_ns = x.run_int[s.T_NS]
+    now_ns = x.run_int[s.TICK_TIME_NS]
     for i in range(len(commands)):
         n = commands[i, 0]
         if n < first_drive:
             continue
-        feedback_ns = x.tendon_int[s.FEEDBACK_NS, n]
+        feedback_ns = x.tendon_int[s.FEEDBACK_RECEIVED_NS, n]
         timeout_ns = commands[i, 2]
         is_feedback_overdue = timeout_ns > 0 and feedback_ns < now_ns - timeout_ns
         if not _is_steady(x, n) or now_ns >= x.tendon_int[s.DRIVE_DUE_NS, n] or is_feedback_overdue:
@@ -606,13 +617,13 @@ def encode_commands(
         if is_recheck_due and not _is_recheck_regular(x, n, now_ns):
             return n, count
         signal = commands[i, 1]
-        if signal >= 0 and not abs(torque[n]) <= signal_reals[signal, 2]:
+        if signal >= 0 and not abs(torque[n]) <= signal_scalings[signal, 2]:
             return n, count
         first_servo_row = servos[n, 0]
         end = servos[n, 1]
         use_position_command = first_servo_row < end and x.servo[s.SERVO_KP, n] > 0.0
         if use_position_command and not _can_be_encoded(
-            x, n, servo_signal_reals, first_servo_row, end
+            x, n, servo_signal_scalings, first_servo_row, end
         ):
             command_torque_only(x, n)
             use_position_command = False
@@ -624,13 +635,13 @@ def encode_commands(
                 row,
                 servo_templates[n],
                 servo_signal_integers,
-                servo_signal_reals,
+                servo_signal_scalings,
                 first_servo_row,
                 end,
             )
         else:
             _write_torque_command(
-                row, templates[i], torque[n], signal, signal_integers, signal_reals
+                row, templates[i], torque[n], signal, signal_integers, signal_scalings
             )
         count += 1
         if is_recheck_due and signal >= 0:

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from handctl.drives.contract import Drive
 from handctl.drives.frame import Frame
 from handctl.drives.frame_records import (
+    FIRST_PAYLOAD_WORD,
     ID_AND_FLAGS_WORD,
-    LENGTH_BIT,
-    PAYLOAD_WORD,
+    LENGTH_SHIFT,
     WORDS_PER_RECORD,
     WordRows,
     frames_as_records,
@@ -64,18 +64,18 @@ class WireTables:
         entries: (e, 7) values of each frame, in the columns ``OWNER_COLUMN`` to
             ``NEAREST_ONLY_COLUMN``.
         signal_integers: (s, INTEGER_COLUMN_COUNT) integers of the received signals.
-        signal_reals: (s, 2) real numbers of the received signals.
+        signal_scalings: (s, 2) real numbers of the received signals.
         commands: (f, 3) drive, row of the torque in ``command_signal_integers`` or -1, and feedback timeout
             [ns] of each command.
         command_signal_integers: (t, INTEGER_COLUMN_COUNT) integers of the sent torques.
-        command_signal_reals: (t, 3) real numbers of the sent torques, with the limit [N m] in the third
+        command_signal_scalings: (t, 3) real numbers of the sent torques, with the limit [N m] in the third
             column.
         templates: (f, WORDS_PER_RECORD) records of the commands with zero torque.
         servos: (N, 2) first row of each drive in ``servo_signal_integers``, and the row after its last. Both
             are equal for a drive that receives only torques.
         servo_templates: (N, WORDS_PER_RECORD) records of the position commands with all signals 0.
         servo_signal_integers: (p, INTEGER_COLUMN_COUNT) integers of the signals of position commands.
-        servo_signal_reals: (p, 4) scale, offset, smallest and largest value of the signals of position
+        servo_signal_scalings: (p, 4) scale, offset, smallest and largest value of the signals of position
             commands, for the real torque of the motor.
         recheck_ranges: (N, 2) first row of each drive in ``rechecks``, and the row after its last.
         rechecks: (r, WORDS_PER_RECHECK) settings that are read again while a drive is enabled: the
@@ -117,7 +117,7 @@ class WireTables:
                 for can_id in drive.node_ids
             }
             for message in drive.cyclic_messages.feedback:
-                kind = FEEDBACK_FRAMES if message.answers else VALUE_FRAMES
+                kind = FEEDBACK_FRAMES if message.is_reply else VALUE_FRAMES
                 signals = self._add_message(message)
                 entry_by_key[_frame_key(drive.bus, message.can_id)] = [
                     n,
@@ -125,7 +125,7 @@ class WireTables:
                     *signals,
                     message.length,
                     0,
-                    message.nearest,
+                    message.keeps_nearest_frame,
                 ]
         entry_by_key |= {
             _frame_key(sensors.bus, can_id): [
@@ -152,7 +152,7 @@ class WireTables:
         self.keys: IntArray = np.array(keys, dtype=np.int64)
         self.entries: IntArray = np.array([entry_by_key[key] for key in keys], dtype=np.int64)
         self.signal_integers = np.concatenate([table.signal_integers for table in self._signals])
-        self.signal_reals = np.concatenate([table.signal_reals for table in self._signals])
+        self.signal_scalings = np.concatenate([table.signal_scalings for table in self._signals])
         self._build_torque_commands(drives)
         self._build_position_commands(
             drives, is_loop_closed_by_drive or [False] * len(drives), torque_gain
@@ -184,7 +184,7 @@ class WireTables:
         rows = list[list[int]]()
         templates = list[WordRows]()
         signal_integers = list[IntArray]()
-        signal_reals = list[list[float]]()
+        signal_scalings = list[list[float]]()
         for n, drive in enumerate(drives):
             for message in drive.cyclic_messages.commands:
                 table = SignalTable(message)
@@ -192,16 +192,16 @@ class WireTables:
                 if len(table.signal_integers):
                     signal = len(signal_integers)
                     signal_integers.append(table.signal_integers[0])
-                    signal_reals.append([*table.signal_reals[0], message.limit])
+                    signal_scalings.append([*table.signal_scalings[0], message.limit])
                 rows.append([n, signal, drive.cyclic_messages.feedback_timeout_ns])
                 templates.append(_frame_template(message, drive.bus))
         self.commands: IntArray = np.array(rows, dtype=np.int64).reshape(-1, 3)
         self.command_signal_integers: IntArray = np.array(signal_integers, dtype=np.int64).reshape(
             -1, INTEGER_COLUMN_COUNT
         )
-        self.command_signal_reals: FloatArray = np.array(signal_reals, dtype=np.float64).reshape(
-            -1, 3
-        )
+        self.command_signal_scalings: FloatArray = np.array(
+            signal_scalings, dtype=np.float64
+        ).reshape(-1, 3)
         self.templates: WordRows = np.array(templates, dtype=np.uint64).reshape(
             -1, WORDS_PER_RECORD
         )
@@ -214,7 +214,7 @@ class WireTables:
     ) -> None:
         """Build the tables of the position commands of all drives that close the position loop."""
         signal_integers = [np.empty((0, INTEGER_COLUMN_COUNT), np.int64)]
-        signal_reals = [np.empty((0, 4))]
+        signal_scalings = [np.empty((0, 4))]
         servos = np.zeros((len(drives), 2), np.int64)
         templates = np.zeros((len(drives), WORDS_PER_RECORD), np.uint64)
         for n, drive in enumerate(drives):
@@ -227,11 +227,11 @@ class WireTables:
             templates[n] = _frame_template(message, drive.bus)
             signal_integers.append(signals)
             gain = 1.0 if torque_gain is None else float(torque_gain[n])
-            signal_reals.append(_ranges_of_signals(message, gain))
+            signal_scalings.append(_ranges_of_signals(message, gain))
         self.servos: IntArray = servos
         self.servo_templates: WordRows = templates
         self.servo_signal_integers: IntArray = np.concatenate(signal_integers)
-        self.servo_signal_reals: FloatArray = np.concatenate(signal_reals)
+        self.servo_signal_scalings: FloatArray = np.concatenate(signal_scalings)
 
     def _build_rechecks(self, drives: Sequence[Drive]) -> None:
         """Build the table of the settings that are read again while a drive is enabled."""
@@ -257,15 +257,15 @@ def _recheck_row(recheck: SettingRecheck, frame_entry: int) -> WordRows:
     request, reply = frames_as_records((recheck.request, recheck.reply)).rows
     key_mask, mask = (
         sum(0xFF << 8 * i for i in range(first_byte, end))
-        for first_byte, end in (recheck.key_bytes, recheck.compared_bytes)
+        for first_byte, end in (recheck.key_byte_range, recheck.compared_byte_range)
     )
     row = np.empty(WORDS_PER_RECHECK, dtype=np.uint64)
     row[:WORDS_PER_RECORD] = request
-    row[REPLY_WORD] = reply[PAYLOAD_WORD]
+    row[REPLY_WORD] = reply[FIRST_PAYLOAD_WORD]
     row[REPLY_KEY_MASK_WORD] = key_mask
     row[REPLY_MASK_WORD] = mask
     row[REPLY_ENTRY_WORD] = frame_entry
-    row[REPLY_BYTES_WORD] = int(reply[ID_AND_FLAGS_WORD]) >> LENGTH_BIT
+    row[REPLY_BYTES_WORD] = int(reply[ID_AND_FLAGS_WORD]) >> LENGTH_SHIFT
     return row
 
 
@@ -293,6 +293,6 @@ def _frame_key(bus: int, can_id: int) -> int:
 
 
 def _frame_template(message: CyclicMessage, bus: int) -> WordRows:
-    payload = message.base.ljust(message.length, b"\0")
+    payload = message.base_payload.ljust(message.length, b"\0")
     row: WordRows = frames_as_records([Frame(message.can_id, payload, message.flags, bus)]).rows[0]
     return row

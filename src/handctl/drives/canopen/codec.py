@@ -34,11 +34,11 @@ PRE_OPERATIONAL = 0x80
 BOOT_UP = 0x00
 STOPPED = 0x04
 OPERATIONAL = 0x05
-OBJECT_MISSING = 0x06020000
+OBJECT_MISSING_ABORT = 0x06020000
 """SDO abort code for an object missing in the node."""
 ABORT_TEXTS = {
     0x05030000: "toggle bit", 0x05040000: "time-out", 0x06010001: "write-only", 0x06010002: "read-only",
-    OBJECT_MISSING: "no such object", 0x06040041: "cannot be mapped", 0x06040042: "mapping too long",
+    OBJECT_MISSING_ABORT: "no such object", 0x06040041: "cannot be mapped", 0x06040042: "mapping too long",
     0x06070010: "wrong length", 0x06090011: "no such sub-index", 0x06090030: "out of range",
     0x08000022: "not in this state",
 }  # fmt: skip

@@ -9,14 +9,14 @@ data of a drive, while no controller runs (``runtime.diagnostics.canopen_identit
 from handctl.drives.canopen import codec
 from handctl.drives.canopen.setup import HOST_NODE, SERIAL_NUMBER
 from handctl.drives.discovery import (
-    TWO_DRIVES_WARNING,
+    DUPLICATE_NODE_WARNING,
     DiscoveredNode,
     ProtocolDiscovery,
     ReceivedFrames,
     is_number_used_by_two_drives,
 )
 from handctl.drives.frame import REMOTE_FLAG, Frame
-from handctl.hand.file.sections import CIA404_PROTOCOL
+from handctl.hand.file.section_models import CIA404_PROTOCOL
 
 NODE_NUMBERS = range(1, HOST_NODE)
 """Node numbers for a scan to try."""
@@ -108,7 +108,7 @@ def _describe_node(
             notes=("sends heartbeats, but does not answer an SDO",),
         )
     profile = device_type & 0xFFFF
-    notes = (TWO_DRIVES_WARNING,) * is_number_used_twice
+    notes = (DUPLICATE_NODE_WARNING,) * is_number_used_twice
     if profile == CIA404_PROFILE:
         channels = f" with {channel_count} channels" if channel_count else ""
         text = f"a measuring amplifier of CiA 404{channels}: not a drive"

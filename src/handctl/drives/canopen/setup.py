@@ -111,7 +111,7 @@ def is_next_request_write(cursor: ReadbackCursor, step: SetupStep) -> bool:
 
     A write is required by the rule of the object, or because the value of the object was wrong.
     """
-    return cursor.writing or (step.is_written_before_read and not cursor.written)
+    return cursor.must_write or (step.is_written_before_read and not cursor.write_count)
 
 
 def _has_required_value(step: SetupStep, value: int) -> bool:
@@ -133,11 +133,11 @@ def on_reply(
         the problem in words, empty without a problem.
     """
     step = required_steps[cursor.step]
-    if not cursor.waiting or reply[:2] != (step.number, step.sub_index):
+    if not cursor.is_waiting or reply[:2] != (step.number, step.sub_index):
         return cursor, 0, ""
     if reply.abort:
         if (
-            reply.abort in (codec.OBJECT_MISSING, 0x06090011)
+            reply.abort in (codec.OBJECT_MISSING_ABORT, 0x06090011)
             and step.check in OPTIONAL_OBJECT_CHECKS
         ):
             return cursor.next_setting(), 0, ""
@@ -151,9 +151,9 @@ def on_reply(
         return cursor.next_setting(), value, ""
     if _has_required_value(step, value):
         return cursor.next_setting(), 0, ""
-    write_count = 1 if step.check == ObjectCheck.WRITE_IF_DIFFERENT else 0
-    cursor, problem = readback.on_wrong_value(
-        cursor, step.name, f"{value:#x}", f"{step.value:#x}", write_count
+    max_write_count = 1 if step.check == ObjectCheck.WRITE_IF_DIFFERENT else 0
+    cursor, problem = readback.cursor_after_wrong_value(
+        cursor, step.name, f"{value:#x}", f"{step.value:#x}", max_write_count
     )
     return cursor, 0, problem
 

@@ -26,12 +26,12 @@ from handctl.drives.cia402.progress import (
     SETTING_MISMATCH_ERROR,
     Cia402Progress,
     apply_power_state,
+    get_progress,
     on_heartbeat,
-    progress_of,
     state_after_timeout,
 )
 from handctl.drives.contract import (
-    END_OF_TIME_NS,
+    MAX_TIME_NS,
     NO_STEADY_STATUS,
     DriveFaultCause,
     DrivePhase,
@@ -282,24 +282,24 @@ class Cia402Drive:
     @property
     def cyclic_messages(self) -> CyclicMessages:
         """Return the signal tables of RPDO and TPDO, and of SYNC if the option ``sync`` is set."""
-        sync = (CyclicMessage("sync", canopen.SYNC, 0, answers=False),) if self.sync else ()
+        sync = (CyclicMessage("sync", canopen.SYNC, 0, is_reply=False),) if self.sync else ()
         return CyclicMessages(
             (self.feedback.message,), (self.command.message, *sync), self.life_sign_timeout_ns
         )
 
     def steady_status(self, state: DriveState) -> int:
         """Return the status word of a drive that this host has enabled, or NO_STEADY_STATUS."""
-        progress = progress_of(state)
+        progress = get_progress(state)
         is_steady = (
-            state.phase == ENABLED and progress.enable_sent and progress.disable_command_ns < 0
+            state.phase == ENABLED and progress.is_enable_sent and progress.disable_command_ns < 0
         )
         return codec.ENABLED_STATUS if is_steady else NO_STEADY_STATUS
 
     def due_ns(self, state: DriveState) -> int:
         """Return the time at which this host must send its heartbeat [ns]."""
         if not self.sends_heartbeat:
-            return END_OF_TIME_NS
-        return progress_of(state).heartbeat_sent_ns + self.heartbeat_period_ns
+            return MAX_TIME_NS
+        return get_progress(state).heartbeat_sent_ns + self.heartbeat_period_ns
 
     @property
     def rechecked_settings(self) -> tuple[setup.SetupStep, ...]:
@@ -323,39 +323,43 @@ class Cia402Drive:
                     0,
                     self.bus,
                 ),
-                key_bytes=(1, 4),
-                compared_bytes=(0, 4 + len(step.raw)),
+                key_byte_range=(1, 4),
+                compared_byte_range=(0, 4 + len(step.raw)),
             )
             for step in self.rechecked_settings
         )
 
     def initial_state(self) -> DriveState:
         """Return the state of the drive before the first frame."""
-        return DriveState(private=Cia402Progress())
+        return DriveState(protocol_state=Cia402Progress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
         """Return the state of the drive after a received frame, see ``contract.Drive``."""
         if frame.bus != self.bus or frame.can_id not in self.node_ids:
             return state
-        message_base = frame.can_id - self.node_id
-        if len(frame.data) != (1 if message_base == canopen.HEARTBEAT else 8):
+        function_code = frame.can_id - self.node_id
+        if len(frame.data) != (1 if function_code == canopen.HEARTBEAT else 8):
             return state._replace(misread_frame_count=state.misread_frame_count + 1)
-        if message_base == canopen.TPDO:
+        if function_code == canopen.TPDO:
             return self._on_feedback(state, frame)
-        if message_base == canopen.HEARTBEAT:
+        if function_code == canopen.HEARTBEAT:
             return on_heartbeat(state, frame)
-        if message_base == canopen.SDO_REPLY:
+        if function_code == canopen.SDO_REPLY:
             return self._on_sdo_reply(state, frame.data)
         # After the tests above, the frame can only be an emergency. Code 0 of an emergency reports
         # that all errors have ended.
         code = int.from_bytes(frame.data[:2], "little")
-        return state._replace(private=progress_of(state)._replace(code=code)) if code else state
+        return (
+            state._replace(protocol_state=get_progress(state)._replace(error_code=code))
+            if code
+            else state
+        )
 
     def _on_sdo_reply(self, state: DriveState, payload: bytes) -> DriveState:
         """Return the state after an SDO reply of the drive."""
-        progress = progress_of(state)
+        progress = get_progress(state)
         reply = canopen.decode_sdo_reply(payload)
-        if reply is not None and state.phase == ENABLED and state.recheck.waiting:
+        if reply is not None and state.phase == ENABLED and state.recheck.is_waiting:
             return self._on_recheck_reply(state, reply)
         if (
             reply is None
@@ -365,7 +369,7 @@ class Cia402Drive:
             return state
         cursor, serial, problem = setup.on_reply(progress.cursor, self.steps, reply)
         progress = progress._replace(cursor=cursor, serial=serial or progress.serial)
-        next_state = state._replace(phase=CONFIGURING, private=progress)
+        next_state = state._replace(phase=CONFIGURING, protocol_state=progress)
         return enter_fault(next_state, SETTING_MISMATCH_ERROR, problem) if problem else next_state
 
     def _on_recheck_reply(self, state: DriveState, reply: canopen.SdoReply) -> DriveState:
@@ -394,7 +398,7 @@ class Cia402Drive:
         The new state contains the received values and the effect of the power state. Until the
         read-back is complete, the mapping of the TPDO is unknown, and its values are not used.
         """
-        progress = progress_of(state)
+        progress = get_progress(state)
         if progress.cursor.step < len(self.steps):
             return state
         _, _, position, torque = self.feedback.unpack(frame.data)
@@ -406,7 +410,7 @@ class Cia402Drive:
         )
         power = codec.power_state(int.from_bytes(frame.data[:2], "little"))
         return apply_power_state(
-            next_state, progress._replace(power=power or "unknown", life_sign_ns=frame.t_ns)
+            next_state, progress._replace(power_state=power or "unknown", life_sign_ns=frame.t_ns)
         )
 
     def advance(
@@ -419,15 +423,15 @@ class Cia402Drive:
         # latest status word.
         if (
             0
-            <= max(progress_of(state).life_sign_ns, state.feedback_t_ns)
+            <= max(get_progress(state).life_sign_ns, state.feedback_t_ns)
             < t_ns - self.life_sign_timeout_ns
         ):
             state = state_after_timeout(state)
         state, frames = self._advance_to_target(state, t_ns, target, command)
-        progress = progress_of(state)
+        progress = get_progress(state)
         if self.sends_heartbeat and t_ns - progress.heartbeat_sent_ns >= self.heartbeat_period_ns:
             frames = (*frames, Frame(_HOST_HEARTBEAT, bytes((canopen.OPERATIONAL,)), 0, self.bus))
-            state = state._replace(private=progress._replace(heartbeat_sent_ns=t_ns))
+            state = state._replace(protocol_state=progress._replace(heartbeat_sent_ns=t_ns))
         return state, (*frames, Frame(canopen.SYNC, b"", 0, self.bus)) if self.sync else frames
 
     def _advance_to_target(
@@ -437,7 +441,7 @@ class Cia402Drive:
 
         The frames do not include heartbeat and SYNC.
         """
-        progress = progress_of(state)
+        progress = get_progress(state)
         if target == DISABLE or (
             state.phase == ENABLED and (target != ENABLE or progress.disable_command_ns >= 0)
         ):
@@ -453,10 +457,12 @@ class Cia402Drive:
         if state.phase != READY:
             return self._start_node(state, progress, t_ns)
         if target == ENABLE:
-            control_word = codec.NEXT_CONTROLWORD.get(progress.power, codec.DISABLE_VOLTAGE)
-            enabling_state = start_enabling(state._replace(private=progress), self.node_id, t_ns)
-            return enabling_state, (self._rpdo_frame(control_word, self._rest_command(state)),)
-        return state._replace(private=progress), ()
+            control_word = codec.NEXT_CONTROLWORD.get(progress.power_state, codec.DISABLE_VOLTAGE)
+            enabling_state = start_enabling(
+                state._replace(protocol_state=progress), self.node_id, t_ns
+            )
+            return enabling_state, (self._rpdo_frame(control_word, self._command_at_rest(state)),)
+        return state._replace(protocol_state=progress), ()
 
     def _disable(
         self, state: DriveState, progress: Cia402Progress, t_ns: int
@@ -478,7 +484,7 @@ class Cia402Drive:
         if t_ns - max(state.feedback_t_ns, progress.started_ns) > REPEAT_PERIOD_NS:
             progress = progress._replace(started_ns=t_ns)
             start = (self._nmt_frame(canopen.START_NODE),)
-        return state._replace(phase=phase, private=progress), (
+        return state._replace(phase=phase, protocol_state=progress), (
             *start,
             self._rpdo_frame(codec.DISABLE_VOLTAGE, 0.0),
         )
@@ -491,7 +497,7 @@ class Cia402Drive:
         Before the first request, the host sets the node to the NMT state pre-operational.
         """
         cursor, data, problem = setup.next_request(progress.cursor, self.steps, t_ns)
-        next_state = state._replace(private=progress._replace(cursor=cursor))
+        next_state = state._replace(protocol_state=progress._replace(cursor=cursor))
         if problem:
             return enter_fault(next_state, SETTING_MISMATCH_ERROR, problem), ()
         frames = (self._sdo_frame(data),) if data else ()
@@ -508,17 +514,19 @@ class Cia402Drive:
         The host repeats these frames until a status word arrives. If the operator has cleared a
         fault, these frames reset the fault.
         """
-        if progress.clearing and progress.power == codec.FAULT:
+        if progress.errors_to_ignore and progress.power_state == codec.FAULT:
             # The control word alternates between two values, because a fault is reset only when bit
             # 7 changes from 0 to 1.
-            control_word = codec.FAULT_RESET if progress.clearing % 2 else codec.DISABLE_VOLTAGE
-            return state._replace(private=progress), (self._rpdo_frame(control_word, 0.0),)
+            control_word = (
+                codec.FAULT_RESET if progress.errors_to_ignore % 2 else codec.DISABLE_VOLTAGE
+            )
+            return state._replace(protocol_state=progress), (self._rpdo_frame(control_word, 0.0),)
         if t_ns - progress.started_ns < REPEAT_PERIOD_NS:
-            return state._replace(private=progress), ()
-        question = "does a node send SYNC (0x080) on its bus, and does the drive accept SYNC with a counter?"
-        text = f"no TPDO yet: {question}" if progress.started_ns >= 0 else ""
+            return state._replace(protocol_state=progress), ()
+        question_text = "does a node send SYNC (0x080) on its bus, and does the drive accept SYNC with a counter?"
+        text = f"no TPDO yet: {question_text}" if progress.started_ns >= 0 else ""
         next_progress = progress._replace(started_ns=t_ns)
-        return state._replace(error_text=text, private=next_progress), (
+        return state._replace(error_text=text, protocol_state=next_progress), (
             self._nmt_frame(canopen.START_NODE),
         )
 
@@ -530,7 +538,7 @@ class Cia402Drive:
             raise ValueError(f"{self.name}: {error}") from None
         return Frame(canopen.RPDO + self.node_id, data, 0, self.bus)
 
-    def _rest_command(self, state: DriveState) -> float:
+    def _command_at_rest(self, state: DriveState) -> float:
         """Return a command of zero torque, for a drive that is being enabled."""
         return 0.0
 
@@ -544,7 +552,7 @@ class Cia402Drive:
 
     def identity(self, state: DriveState) -> str:
         """Return the serial number in object 0x1018:4, or the node number without this object."""
-        return f"{serial:#x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
+        return f"{serial:#x}" if (serial := get_progress(state).serial) else f"node {self.node_id}"
 
     def fault_cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code of the drive, see ``contract.Drive``."""
@@ -591,11 +599,13 @@ class Cia402Drive:
 
         After the reset, the host reads back all objects again.
         """
-        power = progress_of(state).power
+        power = get_progress(state).power_state
         initial_progress = Cia402Progress(
-            power="" if power == codec.FAULT else power, clearing=IGNORED_FAULT_COUNT
+            power_state="" if power == codec.FAULT else power, errors_to_ignore=IGNORED_FAULT_COUNT
         )
-        next_state = state._replace(phase=SILENT, error=0, error_text="", private=initial_progress)
+        next_state = state._replace(
+            phase=SILENT, error=0, error_text="", protocol_state=initial_progress
+        )
         return next_state, (
             self._rpdo_frame(codec.DISABLE_VOLTAGE, 0.0),
             self._rpdo_frame(codec.FAULT_RESET, 0.0),

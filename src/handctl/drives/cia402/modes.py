@@ -72,12 +72,12 @@ class Cia402ModeDrive(Cia402Drive):
         """Return the frames of a tick: RPDO, TPDO, and also SYNC if the option ``sync`` is set."""
         return ((6, False), (8, False), *(((0, False),) if self.sync else ()))
 
-    def _rest_command(self, state: DriveState) -> float:
+    def _command_at_rest(self, state: DriveState) -> float:
         """Return the command that causes no motion.
 
         The command is the present position, or a velocity of zero.
         """
-        return self.mode.rest(state.position)
+        return self.mode.command_at_rest(state.position)
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
         """Return no frames, because the RPDO contains no torque in position mode and velocity mode."""
@@ -112,11 +112,11 @@ def make_mode_drive(
     fields["command_limit"] = (
         limits.speed if mode == DriveMode.VELOCITY else motor.position_range_rad
     )
-    unit_rad_s = (RAD_S_PER_RPM if unit == "rev_min" else math.tau / fields["counts"]) / fields[
+    rad_s_per_unit = (RAD_S_PER_RPM if unit == "rev_min" else math.tau / fields["counts"]) / fields[
         "ratio"
     ]
     try:
-        return Cia402ModeDrive(**fields, mode=mode, velocity_unit=unit_rad_s)
+        return Cia402ModeDrive(**fields, mode=mode, velocity_unit=rad_s_per_unit)
     except ValueError as error:
         raise ConfigError(str(error), location, "a smaller limit or range") from None
 

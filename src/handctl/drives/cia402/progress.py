@@ -18,8 +18,8 @@ SETTING_MISMATCH_ERROR = 0x1_0001
 DRIVE_LOST_ERROR = 0x1_0002
 ENABLED_BY_OTHER_HOST_ERROR = 0x1_0003
 CAUSE_BY_ERROR = {
-    0x3210: DriveFaultCause.VOLTAGE, 0x3220: DriveFaultCause.VOLTAGE, 0x4210: DriveFaultCause.HOT,
-    0x4310: DriveFaultCause.HOT, 0x8130: DriveFaultCause.WATCHDOG,
+    0x3210: DriveFaultCause.VOLTAGE, 0x3220: DriveFaultCause.VOLTAGE, 0x4210: DriveFaultCause.OVERHEATED,
+    0x4310: DriveFaultCause.OVERHEATED, 0x8130: DriveFaultCause.WATCHDOG,
     0x8250: DriveFaultCause.WATCHDOG, 0x8100: DriveFaultCause.DROPPED_OUT,
     DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT, DRIVE_LOST_ERROR: DriveFaultCause.COMMUNICATION_LOST,
     SETTING_MISMATCH_ERROR: DriveFaultCause.SETTING_MISMATCH,
@@ -34,45 +34,45 @@ IGNORED_FAULT_COUNT = 20
 
 
 class Cia402Progress(NamedTuple):
-    """State of the CiA 402 state machine between frames, stored in ``DriveState.private``.
+    """State of the CiA 402 state machine between frames, stored in ``DriveState.protocol_state``.
 
     Attributes:
         cursor: position in the list of objects to read back.
-        power: power state in the latest status word, or an empty text before the first status word.
-        code: error code in the latest emergency frame.
+        power_state: power state in the latest status word, or an empty text before the first status word.
+        error_code: error code in the latest emergency frame.
         life_sign_ns: time of the latest heartbeat or status word of the drive [ns], -1 before the
             first.
         started_ns: time of the latest NMT start [ns].
         heartbeat_sent_ns: time of this host's latest heartbeat [ns].
-        enable_sent: True from the enable command until the drive reports the state disabled.
+        is_enable_sent: True from the enable command until the drive reports the state disabled.
         disable_command_ns: time of the first disable command [ns], or -1 if none was sent.
-        clearing: number of status words whose fault must still be ignored while the fault is being
+        errors_to_ignore: number of status words whose fault must still be ignored while the fault is being
             cleared.
         serial: serial number of the drive, 0 if unknown.
     """
 
     cursor: ReadbackCursor = ReadbackCursor()
-    power: str = ""
-    code: int = 0
+    power_state: str = ""
+    error_code: int = 0
     life_sign_ns: int = -1
     started_ns: int = -REPEAT_PERIOD_NS
     heartbeat_sent_ns: int = -REPEAT_PERIOD_NS
-    enable_sent: bool = False
+    is_enable_sent: bool = False
     disable_command_ns: int = -1
-    clearing: int = 0
+    errors_to_ignore: int = 0
     serial: int = 0
 
     @property
     def may_be_enabled(self) -> bool:
         """Return True if this host has sent an enable command, or if the reported power stage may be on."""
-        return self.enable_sent or (
-            self.power != "" and self.power not in codec.STATES_WITHOUT_TORQUE
+        return self.is_enable_sent or (
+            self.power_state != "" and self.power_state not in codec.STATES_WITHOUT_TORQUE
         )
 
 
-def progress_of(state: DriveState) -> Cia402Progress:
+def get_progress(state: DriveState) -> Cia402Progress:
     """Return the ``Cia402Progress`` in the state of a drive."""
-    return cast(Cia402Progress, state.private)
+    return cast(Cia402Progress, state.protocol_state)
 
 
 def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState:
@@ -80,8 +80,8 @@ def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState
 
     The argument ``progress`` already contains the power state of this status word.
     """
-    power = progress.power
-    next_state = state._replace(private=progress)
+    power = progress.power_state
+    next_state = state._replace(protocol_state=progress)
     if power == codec.FAULT:
         return _state_when_fault(next_state, progress)
     if progress.disable_command_ns >= 0:
@@ -91,18 +91,18 @@ def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState
         )
         if not is_off:
             return next_state._replace(phase=ENABLED)
-        quiet_state = next_state._replace(
-            private=progress._replace(enable_sent=False, disable_command_ns=-1)
+        disabled_state = next_state._replace(
+            protocol_state=progress._replace(is_enable_sent=False, disable_command_ns=-1)
         )
-        return quiet_state._replace(phase=FAULT if state.error else READY)
+        return disabled_state._replace(phase=FAULT if state.error else READY)
     if state.phase == ENABLED and power != codec.OPERATION_ENABLED:
         return enter_fault(
-            next_state._replace(private=progress._replace(enable_sent=False)),
+            next_state._replace(protocol_state=progress._replace(is_enable_sent=False)),
             DROPPED_OUT_ERROR,
             f"fell to {power!r} by itself",
         )
     if power == codec.OPERATION_ENABLED:
-        if progress.enable_sent:
+        if progress.is_enable_sent:
             return next_state._replace(phase=ENABLED) if state.phase == READY else next_state
         return (
             enter_fault(next_state, ENABLED_BY_OTHER_HOST_ERROR, "enabled, but not by this host")
@@ -111,24 +111,26 @@ def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState
         )
     if state.phase == CONFIGURING and power in codec.STATES_WITHOUT_TORQUE:
         return next_state._replace(
-            phase=READY, error_text="", private=progress._replace(clearing=0)
+            phase=READY, error_text="", protocol_state=progress._replace(errors_to_ignore=0)
         )
     return next_state
 
 
 def _state_when_fault(state: DriveState, progress: Cia402Progress) -> DriveState:
     """Return the state after the drive has reported a fault, with the error code of the latest emergency."""
-    if progress.clearing:
-        return state._replace(private=progress._replace(clearing=progress.clearing - 1))
+    if progress.errors_to_ignore:
+        return state._replace(
+            protocol_state=progress._replace(errors_to_ignore=progress.errors_to_ignore - 1)
+        )
     state_when_off = state._replace(
-        private=progress._replace(enable_sent=False, disable_command_ns=-1)
+        protocol_state=progress._replace(is_enable_sent=False, disable_command_ns=-1)
     )
     text = (
-        codec.error_text(progress.code)
-        if progress.code
+        codec.error_text(progress.error_code)
+        if progress.error_code
         else "fault, and its emergency message was not heard"
     )
-    return enter_fault(state_when_off, progress.code or DROPPED_OUT_ERROR, text)
+    return enter_fault(state_when_off, progress.error_code or DROPPED_OUT_ERROR, text)
 
 
 def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
@@ -137,17 +139,17 @@ def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
     If the drive has left the NMT state operational, it was stopped or has restarted. A drive that
     has restarted has lost its settings.
     """
-    progress = progress_of(state)._replace(life_sign_ns=frame.t_ns)
+    progress = get_progress(state)._replace(life_sign_ns=frame.t_ns)
     if (
         frame.data[0] == OPERATIONAL
         or state.phase not in (READY, ENABLED)
         or progress.disable_command_ns >= 0
     ):
-        return state._replace(private=progress)
-    if state.phase == ENABLED or progress.enable_sent:
+        return state._replace(protocol_state=progress)
+    if state.phase == ENABLED or progress.is_enable_sent:
         problem = "restarted" if frame.data[0] == BOOT_UP else "left the state operational"
-        return enter_fault(state._replace(private=progress), DROPPED_OUT_ERROR, problem)
-    return state._replace(phase=SILENT, private=Cia402Progress())
+        return enter_fault(state._replace(protocol_state=progress), DROPPED_OUT_ERROR, problem)
+    return state._replace(phase=SILENT, protocol_state=Cia402Progress())
 
 
 def state_after_timeout(state: DriveState) -> DriveState:
@@ -156,11 +158,13 @@ def state_after_timeout(state: DriveState) -> DriveState:
     An enabled drive is then in fault. A disabled drive may have restarted, so its objects are read
     back again.
     """
-    progress = progress_of(state)
+    progress = get_progress(state)
     if state.phase == FAULT or progress.disable_command_ns >= 0:
         return state
-    if state.phase == ENABLED or progress.enable_sent:
+    if state.phase == ENABLED or progress.is_enable_sent:
         return enter_fault(state, DRIVE_LOST_ERROR, "no heartbeat")
     if state.phase == READY:
-        return state._replace(phase=SILENT, private=Cia402Progress(clearing=progress.clearing))
+        return state._replace(
+            phase=SILENT, protocol_state=Cia402Progress(errors_to_ignore=progress.errors_to_ignore)
+        )
     return state

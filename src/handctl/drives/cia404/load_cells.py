@@ -92,10 +92,10 @@ class Cia404LoadCells:
         bus: index of the bus of the amplifiers.
         sync_id: identifier of the SYNC frame.
         amplifiers: measuring amplifiers for the host to set up.
-        group_ranges: indices in ``ids`` of the frames from each amplifier.
+        amplifier_frame_ranges: indices in ``ids`` of the frames from each amplifier.
         ids: identifier of each frame with tensions.
         channels: indices of the tendons in each of these frames, as numbered in the hand.
-        frame_of: index of the frame with the load cell of each tendon of the hand, -1 for a tendon
+        tendon_frame_indices: index of the frame with the load cell of each tendon of the hand, -1 for a tendon
             without a load cell.
         range_n: rated load of the load cells [N].
         scale: change of the tension per count [N], 1 for ``real32``.
@@ -105,10 +105,10 @@ class Cia404LoadCells:
     bus: int
     sync_id: int
     amplifiers: tuple[LoadCellAmplifier, ...]
-    group_ranges: tuple[range, ...]
+    amplifier_frame_ranges: tuple[range, ...]
     ids: tuple[int, ...]
     channels: tuple[tuple[int, ...], ...]
-    frame_of: tuple[int, ...]
+    tendon_frame_indices: tuple[int, ...]
     range_n: float
     scale: float
     coding: SignalCoding
@@ -150,10 +150,10 @@ class Cia404LoadCells:
             bus=bus,
             sync_id=node.sync_id,
             amplifiers=tuple(amplifiers),
-            group_ranges=tuple(ranges),
+            amplifier_frame_ranges=tuple(ranges),
             ids=tuple(ids),
             channels=tuple(channels),
-            frame_of=tuple(frame.get(index, -1) for index in range(len(tendons))),
+            tendon_frame_indices=tuple(frame.get(index, -1) for index in range(len(tendons))),
             range_n=node.range_N,
             scale=1.0 if coding == SignalCoding.FLOAT else 10.0**-node.decimal_digits,
             coding=coding,
@@ -226,7 +226,7 @@ class Cia404LoadCells:
         In each signal, ``Signal.channel`` is the index of the tendon.
         """
         messages = []
-        for amplifier, groups in zip(self.amplifiers, self.group_ranges, strict=True):
+        for amplifier, groups in zip(self.amplifiers, self.amplifier_frame_ranges, strict=True):
             for tpdo, group in enumerate(groups):
                 signals = [
                     Signal(f"tension_{slot}", SignalQuantity.TENSION, 32 * slot, 32, False, self.coding, self.scale,
@@ -277,7 +277,7 @@ class Cia404LoadCells:
 
     def group_of_tendon(self, tendon_index: int) -> int:
         """Return the index of the frame with the load cell of a tendon, or -1 without a load cell."""
-        return self.frame_of[tendon_index]
+        return self.tendon_frame_indices[tendon_index]
 
     def group_of_joint(self, joint_index: int) -> int:
         """Return -1, because the amplifiers have no joint encoders."""

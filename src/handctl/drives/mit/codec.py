@@ -52,7 +52,7 @@ The payload contains the node number of the motor.
 # Last byte of each special command.
 ENABLE = 0xFC
 DISABLE = 0xFD
-CLEAR = 0xFB
+CLEAR_ERROR = 0xFB
 # Operations in a register request. REFRESH requests a feedback frame instead of a register.
 READ = 0x33
 WRITE = 0x55
@@ -90,7 +90,7 @@ VELOCITY_MODE = 3
 """Value of register CTRL_MODE for velocity mode."""
 FORCE_MODE = 4
 """Value of register CTRL_MODE for force-position mode."""
-SPEED_CODES = 100.0
+CODES_PER_RAD_S = 100.0
 """Number of codes per rad/s, in the speed limit of force-position mode."""
 FULL_SCALE_COUNT = 10_000
 """Largest code of the speed limit and of the current limit, in force-position mode."""
@@ -122,7 +122,7 @@ KP_MAX = 500.0
 """Full scale of the gain kp in a command [N m/rad]."""
 KD_MAX = 5.0
 """Full scale of the gain kd in a command [N m s/rad]."""
-_NO_MOTION = MAX_POSITION_COUNT // 2 << 48 | MAX_COUNT // 2 << 36
+_ZERO_MOTION_BITS = MAX_POSITION_COUNT // 2 << 48 | MAX_COUNT // 2 << 36
 """Payload of a command in which position, velocity, and gains are 0.
 
 The motor uses position and velocity only together with the gains.
@@ -174,7 +174,14 @@ def command_message(
         ),
     )
     return CyclicMessage(
-        "command", can_id, 8, signals, flags, _NO_MOTION.to_bytes(8, "big"), False, ranges.torque
+        "command",
+        can_id,
+        8,
+        signals,
+        flags,
+        _ZERO_MOTION_BITS.to_bytes(8, "big"),
+        False,
+        ranges.torque,
     )
 
 
@@ -280,14 +287,14 @@ def force_position_message(
         ValueError: a limit is too small or too large for the command.
     """
     speed, fraction = limits
-    codes = math.floor(speed * SPEED_CODES), math.floor(fraction * FULL_SCALE_COUNT)
+    codes = math.floor(speed * CODES_PER_RAD_S), math.floor(fraction * FULL_SCALE_COUNT)
     if not all(0 < code <= FULL_SCALE_COUNT for code in codes):
         raise ValueError(
             f"no code for speed {speed:g} rad/s and current {fraction:g}, expected at most 100 and 1"
         )
     signals = (
         _float_signal("position", SignalQuantity.POSITION, 0, "rad", direction, -direction * zero),
-        Signal("speed", SignalQuantity.UNUSED, 32, 16, scale=1.0 / SPEED_CODES, unit="rad/s"),
+        Signal("speed", SignalQuantity.UNUSED, 32, 16, scale=1.0 / CODES_PER_RAD_S, unit="rad/s"),
         Signal("current", SignalQuantity.UNUSED, 48, 16, scale=1.0 / FULL_SCALE_COUNT),
     )
     base = struct.pack("<fHH", 0.0, *codes)
@@ -375,7 +382,7 @@ def decode_feedback(data: bytes, table: SignalTable) -> FeedbackValues:
 
 
 def special_command(command_code: int) -> bytes:
-    """Return the payload of a special command: ENABLE, DISABLE, or CLEAR."""
+    """Return the payload of a special command: ENABLE, DISABLE, or CLEAR_ERROR."""
     return b"\xff" * 7 + bytes((command_code,))
 
 

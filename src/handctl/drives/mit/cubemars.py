@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from handctl.drives.contract import (
-    END_OF_TIME_NS,
+    MAX_TIME_NS,
     NO_STEADY_STATUS,
     DriveFaultCause,
     DrivePhase,
@@ -69,12 +69,12 @@ ERROR_TEXTS = {
 }
 """Text of each error, by byte 7 of the feedback. This byte is 0 if there is no error."""
 CAUSE_BY_ERROR = {
-    1: DriveFaultCause.HOT,
+    1: DriveFaultCause.OVERHEATED,
     3: DriveFaultCause.VOLTAGE,
     4: DriveFaultCause.VOLTAGE,
 } | dict.fromkeys((2, 5, 6), DriveFaultCause.OTHER)
 """Cause of each error, by byte 7 of the feedback."""
-FEEDBACK_SIZES = (6, 8)
+FEEDBACK_LENGTHS_BYTES = (6, 8)
 """Possible payload lengths of feedback [bytes].
 
 Older firmware sends 6 bytes, without temperature and error.
@@ -115,24 +115,24 @@ UNCHECKED_PROPERTIES = {
 
 
 class CubemarsProgress(NamedTuple):
-    """State of the CubeMars state machine between frames, stored in ``DriveState.private``.
+    """State of the CubeMars state machine between frames, stored in ``DriveState.protocol_state``.
 
     Attributes:
-        last_command: latest special command to the motor, ENABLE or DISABLE.
-        since_ns: time at which the latest special command was first sent [ns].
-        answers: number of consecutive answers that agree with the latest special command.
-        enable_sent: True from the enable command until the motor counts as disabled.
+        last_special_command: latest special command to the motor, ENABLE or DISABLE.
+        command_start_ns: time at which the latest special command was first sent [ns].
+        agreeing_answers: number of consecutive answers that agree with the latest special command.
+        is_enable_sent: True from the enable command until the motor counts as disabled.
     """
 
-    last_command: DriveTarget = DISABLE
-    since_ns: int = -1
-    answers: int = 0
-    enable_sent: bool = False
+    last_special_command: DriveTarget = DISABLE
+    command_start_ns: int = -1
+    agreeing_answers: int = 0
+    is_enable_sent: bool = False
 
 
-def progress_of(state: DriveState) -> CubemarsProgress:
+def get_progress(state: DriveState) -> CubemarsProgress:
     """Return the ``CubemarsProgress`` in the state of a drive."""
-    progress: CubemarsProgress = state.private
+    progress: CubemarsProgress = state.protocol_state
     return progress
 
 
@@ -312,34 +312,34 @@ class CubemarsDrive:
 
         The status consists of the byte with the node number, and the byte with error 0.
         """
-        progress: CubemarsProgress = state.private
+        progress: CubemarsProgress = state.protocol_state
         enabled = (
             state.phase == ENABLED
-            and progress.last_command == ENABLE
-            and progress.answers >= REQUIRED_ANSWER_COUNT
+            and progress.last_special_command == ENABLE
+            and progress.agreeing_answers >= REQUIRED_ANSWER_COUNT
         )
         return (self.node_id & 0xFF) << 8 if enabled else NO_STEADY_STATUS
 
     def due_ns(self, state: DriveState) -> int:
-        """Return END_OF_TIME_NS, because the motor has no settings to read back."""
-        return END_OF_TIME_NS
+        """Return MAX_TIME_NS, because the motor has no settings to read back."""
+        return MAX_TIME_NS
 
     def initial_state(self) -> DriveState:
         """Return the state of the motor before the first frame."""
-        return DriveState(private=CubemarsProgress())
+        return DriveState(protocol_state=CubemarsProgress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
         """Return the state of the drive after a received frame, see ``contract.Drive``."""
         can_id, data, _, bus, t_ns = frame
         if can_id != self.node_id or bus != self.bus:
             return state
-        if len(data) not in FEEDBACK_SIZES or data[0] != self.node_id & 0xFF:
+        if len(data) not in FEEDBACK_LENGTHS_BYTES or data[0] != self.node_id & 0xFF:
             return state._replace(misread_frame_count=state.misread_frame_count + 1)
-        _, position, velocity, torque, temperature, byte = self.feedback.unpack(data)
+        _, position, velocity, torque, temperature, error_code = self.feedback.unpack(data)
         if len(data) < 8:
             temperature = math.nan
-            byte = 0.0
-        error = int(byte)
+            error_code = 0.0
+        error = int(error_code)
         feedback = state._replace(
             position=position,
             velocity=velocity,
@@ -348,10 +348,12 @@ class CubemarsDrive:
             feedback_t_ns=t_ns,
             feedback_count=state.feedback_count + 1,
         )
-        next_state = self._on_answer(feedback, state.private)
+        next_state = self._on_answer(feedback, state.protocol_state)
         if not error:
             return next_state
-        disabling = next_state.phase == ENABLED and progress_of(next_state).last_command == DISABLE
+        disabling = (
+            next_state.phase == ENABLED and get_progress(next_state).last_special_command == DISABLE
+        )
         next_state = next_state._replace(
             error=error, error_text=ERROR_TEXTS.get(error, f"unknown error {error}")
         )
@@ -360,37 +362,41 @@ class CubemarsDrive:
     def _on_answer(self, state: DriveState, progress: CubemarsProgress) -> DriveState:
         """Return the state after an answer to the latest enable or disable command."""
         # An answer that the motor sent before this command does not show the effect of the command.
-        if state.feedback_t_ns < progress.since_ns:
+        if state.feedback_t_ns < progress.command_start_ns:
             return state
-        if progress.last_command == ENABLE:
-            if progress.answers >= REQUIRED_ANSWER_COUNT:
+        if progress.last_special_command == ENABLE:
+            if progress.agreeing_answers >= REQUIRED_ANSWER_COUNT:
                 return state  # the command counts as obeyed, and further answers change nothing
-            is_done = state.phase != FAULT and progress.answers + 1 >= REQUIRED_ANSWER_COUNT
+            is_done = (
+                state.phase != FAULT and progress.agreeing_answers + 1 >= REQUIRED_ANSWER_COUNT
+            )
             return state._replace(
                 phase=ENABLED if is_done else state.phase,
-                private=progress._replace(answers=progress.answers + 1),
+                protocol_state=progress._replace(agreeing_answers=progress.agreeing_answers + 1),
             )
         is_torque_free = abs(state.torque) <= MAX_RESTING_TORQUE_FRACTION * self.ranges.torque
-        progress = progress._replace(answers=progress.answers + 1 if is_torque_free else 0)
-        if progress.answers < REQUIRED_ANSWER_COUNT:
+        progress = progress._replace(
+            agreeing_answers=progress.agreeing_answers + 1 if is_torque_free else 0
+        )
+        if progress.agreeing_answers < REQUIRED_ANSWER_COUNT:
             feedback = CONFIGURING if state.phase == SILENT else state.phase
-            return state._replace(phase=feedback, private=progress)
+            return state._replace(phase=feedback, protocol_state=progress)
         phase = FAULT if state.error else READY
-        return state._replace(phase=phase, private=progress._replace(enable_sent=False))
+        return state._replace(phase=phase, protocol_state=progress._replace(is_enable_sent=False))
 
     def advance(
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state of the drive and the frames to send, see ``contract.Drive``."""
-        progress: CubemarsProgress = state.private
-        if state.phase == ENABLED and target == ENABLE and progress.last_command == ENABLE:
+        progress: CubemarsProgress = state.protocol_state
+        if state.phase == ENABLED and target == ENABLE and progress.last_special_command == ENABLE:
             return state, (self._frame_to_motor(self._torque_payload(command)),)
         if target == LISTEN:
             return state, ()
         if (
             state.phase == READY
             and t_ns - state.feedback_t_ns > SILENCE_TIMEOUT_NS
-            and not progress.enable_sent
+            and not progress.is_enable_sent
         ):
             state = state._replace(phase=SILENT)
         if target == ENABLE and state.phase == READY:
@@ -399,7 +405,7 @@ class CubemarsDrive:
             )
         phase = (
             ENABLED
-            if progress.enable_sent and (target == DISABLE or state.phase != FAULT)
+            if progress.is_enable_sent and (target == DISABLE or state.phase != FAULT)
             else state.phase
         )
         return self._state_after_command(
@@ -413,11 +419,11 @@ class CubemarsDrive:
 
         If the command is new, the count of its answers starts at 0.
         """
-        progress: CubemarsProgress = state.private
-        if progress.last_command == new_command and progress.since_ns >= 0:
+        progress: CubemarsProgress = state.protocol_state
+        if progress.last_special_command == new_command and progress.command_start_ns >= 0:
             return state
-        enable_sent = progress.enable_sent or new_command == ENABLE
-        return state._replace(private=CubemarsProgress(new_command, t_ns, 0, enable_sent))
+        is_enable_sent = progress.is_enable_sent or new_command == ENABLE
+        return state._replace(protocol_state=CubemarsProgress(new_command, t_ns, 0, is_enable_sent))
 
     def _torque_payload(self, torque: float) -> bytes:
         """Return the payload of a torque command.
@@ -450,12 +456,12 @@ class CubemarsDrive:
         The protocol has no frame that clears an error. If the error remains, the motor reports it
         again.
         """
-        progress: CubemarsProgress = state.private
+        progress: CubemarsProgress = state.protocol_state
         fresh_state = state._replace(
             phase=SILENT,
             error=0,
             error_text="",
-            private=CubemarsProgress(enable_sent=progress.enable_sent),
+            protocol_state=CubemarsProgress(is_enable_sent=progress.is_enable_sent),
         )
         return fresh_state, self.torque_cut_frames()
 

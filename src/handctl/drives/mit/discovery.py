@@ -11,7 +11,7 @@ register table.
 import struct
 
 from handctl.drives.discovery import (
-    TWO_DRIVES_WARNING,
+    DUPLICATE_NODE_WARNING,
     DiscoveredNode,
     ProtocolDiscovery,
     ReceivedFrames,
@@ -132,7 +132,7 @@ def _describe_motor(
     if values.get(CAN_BIT_RATE_REGISTER, 0) >= FIRST_FD_BIT_RATE:
         options["fd"] = True
     is_number_used_twice = is_number_used_by_two_drives(payloads_by_command, SERIAL_NUMBER)
-    notes = [TWO_DRIVES_WARNING] if is_number_used_twice else []
+    notes = [DUPLICATE_NODE_WARNING] if is_number_used_twice else []
     if other_nodes := [
         other_node_number
         for other_node_number, other_reply_id in reply_ids.items()

@@ -13,7 +13,7 @@ from typing import Any
 
 from handctl.drives import readback
 from handctl.drives.contract import (
-    END_OF_TIME_NS,
+    MAX_TIME_NS,
     NO_STEADY_STATUS,
     DriveFaultCause,
     DrivePhase,
@@ -31,7 +31,7 @@ from handctl.drives.mit.progress import (
     WATCHDOG_FIRES_WHILE_DISABLED_TEXT,
     MitProgress,
     apply_status,
-    progress_of,
+    get_progress,
 )
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import MotorOption, checked_boolean, refuse_unknown_options
@@ -228,8 +228,8 @@ class MitDrive:
                     0,
                     self.bus,
                 ),
-                key_bytes=(0, 4),
-                compared_bytes=(0, 8),
+                key_byte_range=(0, 4),
+                compared_byte_range=(0, 8),
             )
             for register, value in self.rechecked_settings
         )
@@ -252,12 +252,12 @@ class MitDrive:
         return codec.ENABLED << 4 | self.node_id & 0xF
 
     def due_ns(self, state: DriveState) -> int:
-        """Return END_OF_TIME_NS, because the state machine of an enabled motor has no schedule."""
-        return END_OF_TIME_NS
+        """Return MAX_TIME_NS, because the state machine of an enabled motor has no schedule."""
+        return MAX_TIME_NS
 
     def initial_state(self) -> DriveState:
         """Return the state of the motor before the first frame."""
-        return DriveState(private=MitProgress())
+        return DriveState(protocol_state=MitProgress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
         """Return the state of the drive after a received frame, see ``contract.Drive``."""
@@ -266,7 +266,7 @@ class MitDrive:
             return state
         if len(data) != 8:
             return state._replace(misread_frame_count=state.misread_frame_count + 1)
-        if state.phase == ENABLED and state.recheck.waiting:
+        if state.phase == ENABLED and state.recheck.is_waiting:
             reply = codec.decode_register_reply(data, self.node_id)
             if reply is not None and reply[:2] == (
                 codec.READ,
@@ -291,7 +291,7 @@ class MitDrive:
         """Return the state after a register reply during configuration."""
         if state.phase != CONFIGURING:
             return state
-        progress = progress_of(state)
+        progress = get_progress(state)
         if progress.cursor.step >= len(self.required):
             is_serial_number = reply[:2] == (codec.READ, codec.SERIAL_NUMBER)
             return (
@@ -302,7 +302,7 @@ class MitDrive:
         cursor, problem = registers.on_reply(progress.cursor, self.required, reply)
         if problem:
             return enter_fault(state, SETTING_MISMATCH_ERROR, problem)
-        return state._replace(private=progress._replace(cursor=cursor))
+        return state._replace(protocol_state=progress._replace(cursor=cursor))
 
     def _on_recheck_reply(self, state: DriveState, reply: codec.RegisterReply) -> DriveState:
         """Compare a register that was read again from the enabled motor with its required value."""
@@ -325,7 +325,7 @@ class MitDrive:
         The new state contains the values of the frame and the effect of the state nibble.
         """
         nibble, position, velocity, torque, hot = codec.decode_feedback(data, self.feedback)
-        if not progress_of(state).configured:
+        if not get_progress(state).is_configured:
             position = velocity = torque = math.nan
         next_state = state._replace(
             position=position,
@@ -341,8 +341,8 @@ class MitDrive:
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state of the drive and the frames to send, see ``contract.Drive``."""
-        progress: MitProgress = state.private
-        if target == ENABLE and state.phase == ENABLED and not progress.disabling:
+        progress: MitProgress = state.protocol_state
+        if target == ENABLE and state.phase == ENABLED and not progress.is_disabling:
             sent_command_frame = self._command_frame(command)
             state, recheck = request_recheck(state, self, SETTING_MISMATCH_ERROR, t_ns)
             return state, (sent_command_frame, *recheck)
@@ -352,34 +352,40 @@ class MitDrive:
             return start_disabling(state, t_ns), self.torque_cut_frames()
         if state.phase == FAULT and progress.may_be_enabled:
             return state, self.torque_cut_frames()
-        progress = progress._replace(disabling=False)
+        progress = progress._replace(is_disabling=False)
         if may_have_lost_power(state, t_ns):
-            return state._replace(phase=SILENT, private=MitProgress()), (self._refresh_frame(),)
+            return state._replace(phase=SILENT, protocol_state=MitProgress()), (
+                self._refresh_frame(),
+            )
         # This motor has a watchdog that runs even while the motor is disabled. Commands restart the
         # watchdog.
-        watchdog_needs_commands = state.error_text == WATCHDOG_FIRES_WHILE_DISABLED_TEXT
+        does_watchdog_need_commands = state.error_text == WATCHDOG_FIRES_WHILE_DISABLED_TEXT
         clear = (
-            (self._frame_to_motor(codec.special_command(codec.CLEAR)),) if progress.clearing else ()
+            (self._frame_to_motor(codec.special_command(codec.CLEAR_ERROR)),)
+            if progress.errors_to_ignore
+            else ()
         )
-        if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
+        if state.phase == CONFIGURING or (state.phase == READY and not progress.is_configured):
             next_state, requests = self._configure(
                 state._replace(phase=CONFIGURING), progress, t_ns
             )
             return next_state, (
                 *(clear or self.torque_cut_frames()),
                 *requests,
-            ) if watchdog_needs_commands else requests
+            ) if does_watchdog_need_commands else requests
         if (
             state.phase == READY
             and target == ENABLE
-            and not (watchdog_needs_commands and progress.clearing)
+            and not (does_watchdog_need_commands and progress.errors_to_ignore)
         ):
-            enabling_state = start_enabling(state._replace(private=progress), self.node_id, t_ns)
+            enabling_state = start_enabling(
+                state._replace(protocol_state=progress), self.node_id, t_ns
+            )
             return enabling_state, (self._frame_to_motor(codec.special_command(codec.ENABLE)),)
-        if watchdog_needs_commands and not clear:
-            return state._replace(private=progress), self.torque_cut_frames()
+        if does_watchdog_need_commands and not clear:
+            return state._replace(protocol_state=progress), self.torque_cut_frames()
         # The manual does not say if the clear command has an answer, so feedback is requested too.
-        return state._replace(private=progress), (*clear, self._refresh_frame())
+        return state._replace(protocol_state=progress), (*clear, self._refresh_frame())
 
     def _configure(
         self, state: DriveState, progress: MitProgress, t_ns: int
@@ -390,14 +396,14 @@ class MitDrive:
         """
         if progress.enabled_by_other_host:
             next_state = state._replace(
-                error_text="enabled, and does not disable", private=progress
+                error_text="enabled, and does not disable", protocol_state=progress
             )
             return next_state, self.torque_cut_frames()
         if progress.cursor.step >= len(self.required):
             cursor, data, unanswered = registers.next_serial_request(
                 progress.cursor, self.node_id, t_ns
             )
-            next_state = state._replace(private=progress._replace(cursor=cursor))
+            next_state = state._replace(protocol_state=progress._replace(cursor=cursor))
             return state_after_configuration(next_state, t_ns, 0) if unanswered else next_state, (
                 self._register_frame(data),
             ) if data else ()
@@ -406,14 +412,16 @@ class MitDrive:
         )
         if problem:
             return enter_fault(
-                state._replace(private=progress), SETTING_MISMATCH_ERROR, problem
+                state._replace(protocol_state=progress), SETTING_MISMATCH_ERROR, problem
             ), ()
         text = (
             WATCHDOG_FIRES_WHILE_DISABLED_TEXT
             if state.error_text == WATCHDOG_FIRES_WHILE_DISABLED_TEXT
             else ""
         )
-        next_state = state._replace(error_text=text, private=progress._replace(cursor=cursor))
+        next_state = state._replace(
+            error_text=text, protocol_state=progress._replace(cursor=cursor)
+        )
         return next_state, (self._register_frame(data),) if data else ()
 
     def _command_payload(self, command: float) -> bytes:
@@ -454,9 +462,9 @@ class MitDrive:
             phase=SILENT,
             error=0,
             error_text="",
-            private=MitProgress(clearing=IGNORED_FAULT_COUNT),
+            protocol_state=MitProgress(errors_to_ignore=IGNORED_FAULT_COUNT),
         )
-        return fresh_state, (self._frame_to_motor(codec.special_command(codec.CLEAR)),)
+        return fresh_state, (self._frame_to_motor(codec.special_command(codec.CLEAR_ERROR)),)
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return no frames, because the watchdog of a disabled motor is not active."""
@@ -464,7 +472,7 @@ class MitDrive:
 
     def identity(self, state: DriveState) -> str:
         """Return the serial number from register 15, or the node number if it is unknown."""
-        return f"{serial:#x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
+        return f"{serial:#x}" if (serial := get_progress(state).serial) else f"node {self.node_id}"
 
     def fault_cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code of the drive, see ``contract.Drive``."""

@@ -71,10 +71,10 @@ class MitModeDrive(MitDrive):
     @property
     def _mode_registers(self) -> tuple[tuple[int, float], ...]:
         """Return the registers for the control mode, as pairs (register, required value)."""
-        slope = self.limits.acceleration
+        max_acceleration = self.limits.acceleration
         ramp_registers = (
-            (codec.ACCELERATION, slope),
-            (codec.DECELERATION, -slope),
+            (codec.ACCELERATION, max_acceleration),
+            (codec.DECELERATION, -max_acceleration),
             (codec.MAX_SPEED, self.limits.speed),
         )
         return ((codec.CTRL_MODE, _CONTROL_MODES[self.mode]), *ramp_registers)

@@ -18,8 +18,8 @@ SETTING_MISMATCH_ERROR = 0x101
 UNKNOWN_STATUS_ERROR = 0x102
 ENABLED_BY_OTHER_HOST_ERROR = 0x103
 CAUSE_BY_ERROR = {
-    0x8: DriveFaultCause.VOLTAGE, 0x9: DriveFaultCause.VOLTAGE, 0xB: DriveFaultCause.HOT, 0xC: DriveFaultCause.HOT,
-    0xD: DriveFaultCause.WATCHDOG,
+    0x8: DriveFaultCause.VOLTAGE, 0x9: DriveFaultCause.VOLTAGE, 0xB: DriveFaultCause.OVERHEATED,
+    0xC: DriveFaultCause.OVERHEATED, 0xD: DriveFaultCause.WATCHDOG,
     DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT, SETTING_MISMATCH_ERROR: DriveFaultCause.SETTING_MISMATCH,
     ENABLED_BY_OTHER_HOST_ERROR: DriveFaultCause.SETTING_MISMATCH,
 } | dict.fromkeys(codec.ERROR_TEXTS.keys() - {0x8, 0x9, 0xB, 0xC, 0xD}, DriveFaultCause.OTHER)  # fmt: skip
@@ -39,42 +39,42 @@ While the error is being cleared, the motor sends two frames per tick.
 
 
 class MitProgress(NamedTuple):
-    """State of the MIT state machine between frames, stored in ``DriveState.private``.
+    """State of the MIT state machine between frames, stored in ``DriveState.protocol_state``.
 
     Attributes:
         cursor: position in the list of registers to read back.
-        configured: True if all registers have their required values. The feedback can be decoded
+        is_configured: True if all registers have their required values. The feedback can be decoded
             only after all registers have their required values.
         enabled_by_other_host: True if the motor reports the state enabled without a command of this
             host.
-        enable_sent: True from the enable command until the motor reports the state disabled.
-        disabling: True while the motor is being disabled.
+        is_enable_sent: True from the enable command until the motor reports the state disabled.
+        is_disabling: True while the motor is being disabled.
         disable_command_ns: time of the first disable command [ns].
-        clearing: number of feedback frames whose error must still be ignored while the error is
+        errors_to_ignore: number of feedback frames whose error must still be ignored while the error is
             being cleared.
         ready_ns: time at which the last register was verified [ns].
         serial: serial number of the motor, 0 if unknown.
     """
 
     cursor: ReadbackCursor = ReadbackCursor()
-    configured: bool = False
+    is_configured: bool = False
     enabled_by_other_host: bool = False
-    enable_sent: bool = False
-    disabling: bool = False
+    is_enable_sent: bool = False
+    is_disabling: bool = False
     disable_command_ns: int = 0
-    clearing: int = 0
+    errors_to_ignore: int = 0
     ready_ns: int = 0
     serial: int = 0
 
     @property
     def may_be_enabled(self) -> bool:
         """Return True if this host has sent an enable command, or if the motor may make torque without it."""
-        return self.enable_sent or self.enabled_by_other_host
+        return self.is_enable_sent or self.enabled_by_other_host
 
 
-def progress_of(state: DriveState) -> MitProgress:
+def get_progress(state: DriveState) -> MitProgress:
     """Return the ``MitProgress`` in the state of a drive."""
-    progress: MitProgress = state.private
+    progress: MitProgress = state.protocol_state
     return progress
 
 
@@ -83,7 +83,7 @@ def apply_status(state: DriveState, status_nibble: int) -> DriveState:
 
     The argument ``state`` already contains the values of the same feedback.
     """
-    progress = progress_of(state)
+    progress = get_progress(state)
     if status_nibble == codec.ENABLED:
         return state_when_on(state, ENABLED_BY_OTHER_HOST_ERROR, "enabled, but not by this host")
     if status_nibble == codec.DISABLED:
@@ -98,27 +98,33 @@ def _state_after_error(state: DriveState, progress: MitProgress, status_nibble: 
     A motor with a known error makes no torque. A motor with an unknown state nibble may still make
     torque.
     """
-    if status_nibble in codec.ERROR_TEXTS and progress.clearing:
-        return state._replace(private=progress._replace(clearing=progress.clearing - 1))
-    is_idle = not (progress.enable_sent or progress.enabled_by_other_host or progress.disabling)
+    if status_nibble in codec.ERROR_TEXTS and progress.errors_to_ignore:
+        return state._replace(
+            protocol_state=progress._replace(errors_to_ignore=progress.errors_to_ignore - 1)
+        )
+    is_idle = not (
+        progress.is_enable_sent or progress.enabled_by_other_host or progress.is_disabling
+    )
     if status_nibble == WATCHDOG_FIRED and is_idle and state.phase in (CONFIGURING, READY):
         # The watchdog has fired, because register requests do not restart it. The motor makes no
         # torque, so no operator has to clear the error.
         return state._replace(
             error_text=WATCHDOG_FIRES_WHILE_DISABLED_TEXT,
-            private=progress._replace(clearing=IGNORED_FAULT_COUNT),
+            protocol_state=progress._replace(errors_to_ignore=IGNORED_FAULT_COUNT),
         )
     if status_nibble in codec.ERROR_TEXTS:
         off_state = state._replace(
-            private=progress._replace(enable_sent=False, enabled_by_other_host=False)
+            protocol_state=progress._replace(is_enable_sent=False, enabled_by_other_host=False)
         )
         return enter_fault(off_state, status_nibble, codec.ERROR_TEXTS[status_nibble])
-    enabled_by_other_state = state._replace(private=progress._replace(enabled_by_other_host=True))
+    enabled_by_other_state = state._replace(
+        protocol_state=progress._replace(enabled_by_other_host=True)
+    )
     enabled_by_other_state = enter_fault(
         enabled_by_other_state, UNKNOWN_STATUS_ERROR, f"unknown state {status_nibble:#x}"
     )
     return (
         enabled_by_other_state._replace(phase=ENABLED)
-        if progress.disabling
+        if progress.is_disabling
         else enabled_by_other_state
     )

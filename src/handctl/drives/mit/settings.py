@@ -35,13 +35,16 @@ def on_reply(
         The new position in the read-back, and the problem in words (empty if there is no problem).
     """
     register, value = required[cursor.step]
-    if not cursor.waiting or reply[:2] != (codec.WRITE if cursor.writing else codec.READ, register):
+    if not cursor.is_waiting or reply[:2] != (
+        codec.WRITE if cursor.must_write else codec.READ,
+        register,
+    ):
         return cursor, ""
-    if cursor.writing:
+    if cursor.must_write:
         return cursor.cursor_after_write(), ""
     if reply.raw == codec.register_bytes(register, value):
         return cursor.next_setting(), ""
-    return readback.on_wrong_value(
+    return readback.cursor_after_wrong_value(
         cursor, register_name(register), f"{reply.value:g}", f"{value:g}", WRITE_TRIES
     )
 
@@ -64,7 +67,7 @@ def next_request(
     """
     register, value = required[cursor.step]
     cursor, send, problem = readback.request_setting(cursor, register_name(register), t_ns)
-    operation = codec.WRITE if cursor.writing else codec.READ
+    operation = codec.WRITE if cursor.must_write else codec.READ
     return (
         cursor,
         codec.register_request(node_id, operation, register, value) if send else b"",

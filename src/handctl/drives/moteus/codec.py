@@ -133,7 +133,7 @@ TEXT_IN, TEXT_OUT, TEXT_POLL = 0x40, 0x41, 0x42
 """First bytes of text subframes: text to the drive, text from the drive, request for text."""
 DIAGNOSTIC_CHANNEL = 1
 """Channel of the diagnostic protocol."""
-LONGEST_TEXT = 48
+MAX_TEXT_BYTES = 48
 """Longest text in one reply of the drive [bytes]."""
 _VALUE_STRUCTS = tuple(struct.Struct(f"<{letter}") for letter in "bhif")
 """``struct`` code of each type of register value."""
@@ -226,7 +226,7 @@ def text_request(text: bytes) -> bytes:
     return padded_payload(bytes((TEXT_IN, DIAGNOSTIC_CHANNEL, len(text))) + text)
 
 
-TEXT_REQUEST = padded_payload(bytes((TEXT_POLL, DIAGNOSTIC_CHANNEL, LONGEST_TEXT)))
+TEXT_REQUEST = padded_payload(bytes((TEXT_POLL, DIAGNOSTIC_CHANNEL, MAX_TEXT_BYTES)))
 """Payload to request text from the diagnostic channel."""
 
 
@@ -315,7 +315,7 @@ def position_message(
     # If a gain is 0, its fraction is 0, whatever the scale of the fraction.
     kp = _float_signal("kp", SignalQuantity.STIFFNESS, 19, gains.kp / math.tau or 1.0, "N m/rad")
     kd = _float_signal("kd", SignalQuantity.DAMPING, 23, gains.kd / math.tau or 1.0, "N m s/rad")
-    limit = _float_signal("limit", SignalQuantity.LIMIT, 27, 1.0, "N m")
+    limit = _float_signal("limit", SignalQuantity.TORQUE_LIMIT, 27, 1.0, "N m")
     signals = (
         position._replace(offset=-direction * zero, largest=MAX_TURNS),
         velocity._replace(largest=top_speed / math.tau),
@@ -325,7 +325,7 @@ def position_message(
         limit._replace(largest=torque.limit * (1.0 + FLOAT32_STEP)),
         _float_signal("watchdog", SignalQuantity.UNUSED, 36, 1.0, "s"),
     )
-    return torque._replace(name="position_command", signals=signals, base=base)
+    return torque._replace(name="position_command", signals=signals, base_payload=base)
 
 
 def feedback_message(node_id: int, direction: int = 1, zero: float = 0.0) -> CyclicMessage:
@@ -366,7 +366,7 @@ def _float_signal(
     )
 
 
-def joined_status(mode: int, fault: int) -> int:
+def join_mode_and_fault(mode: int, fault: int) -> int:
     """Return the status of feedback with a given mode and fault code.
 
     Compiled code joins both signals to the same number.
@@ -391,12 +391,12 @@ class DriveReply(NamedTuple):
 
     Attributes:
         values: value of each register in the reply, by register.
-        refused: error numbers of refused reads and writes, by register.
+        error_by_register: error numbers of refused reads and writes, by register.
         text: text from the diagnostic channel, None if the reply has no text subframe.
     """
 
     values: dict[int, float]
-    refused: dict[int, int]
+    error_by_register: dict[int, int]
     text: bytes | None
 
 
@@ -408,17 +408,17 @@ def decode_reply(data: bytes) -> DriveReply | None:
     reader = _SubframeReader(data)
     try:
         while reader.at < len(data):
-            kind = reader.byte()
+            kind = reader.read_byte()
             if kind == NOP:
                 continue
             if REPLY <= kind < REPLY + 0x10:
-                values.update(reader.registers(kind))
+                values.update(reader.read_registers(kind))
             elif kind in (WRITE_REFUSED, READ_REFUSED):
-                register = reader.varuint()
-                error_by_register[register] = reader.varuint()
+                register = reader.read_varuint()
+                error_by_register[register] = reader.read_varuint()
             elif kind == TEXT_OUT:
-                reader.varuint()
-                text = reader.bytes(reader.varuint())
+                reader.read_varuint()
+                text = reader.read_bytes(reader.read_varuint())
             else:
                 return None
     except IndexError:
@@ -441,13 +441,13 @@ class _SubframeReader:
         self.data = payload
         self.at = 0
 
-    def byte(self) -> int:
+    def read_byte(self) -> int:
         """Return the next byte."""
         value = self.data[self.at]
         self.at += 1
         return value
 
-    def bytes(self, byte_count: int) -> bytes:
+    def read_bytes(self, byte_count: int) -> bytes:
         """Return the given number of next bytes."""
         value = self.data[self.at : self.at + byte_count]
         if len(value) < byte_count:
@@ -455,20 +455,20 @@ class _SubframeReader:
         self.at += byte_count
         return value
 
-    def varuint(self) -> int:
+    def read_varuint(self) -> int:
         """Return the next varuint, which has at most five groups of seven bits."""
         number = 0
         for shift in range(0, 35, 7):
-            group = self.byte()
+            group = self.read_byte()
             number |= (group & 0x7F) << shift
             if group < 0x80:
                 return number
         raise IndexError
 
-    def registers(self, value_type: int) -> Iterator[tuple[int, Any]]:
+    def read_registers(self, value_type: int) -> Iterator[tuple[int, Any]]:
         """Yield the (register, value) pairs of a register subframe."""
         coding = _VALUE_STRUCTS[value_type >> 2 & 3]
-        count = value_type & 3 or self.varuint()
-        first_value = self.varuint()
+        count = value_type & 3 or self.read_varuint()
+        first_value = self.read_varuint()
         for register in range(first_value, first_value + count):
-            yield register, coding.unpack(self.bytes(coding.size))[0]
+            yield register, coding.unpack(self.read_bytes(coding.size))[0]

@@ -11,7 +11,7 @@ frame with a classical frame. Source: docs/facts/moteus.md.
 import math
 
 from handctl.drives.discovery import (
-    TWO_DRIVES_WARNING,
+    DUPLICATE_NODE_WARNING,
     DiscoveredNode,
     ProtocolDiscovery,
     ReceivedFrames,
@@ -26,7 +26,7 @@ DRIVE_NUMBERS = range(1, codec.LAST_NODE + 1)
 MODE_REQUEST = codec.read_subframe(codec.INT8, codec.MODE)
 """Payload to read the mode of a node, to discover the node. The reply begins with 21 00."""
 MODE_REPLY = bytes((codec.REPLY | 1, codec.MODE))
-DETAIL_REQUESTS = (
+IDENTITY_REQUESTS = (
     codec.read_subframe(codec.INT8, codec.FAULT),
     *(
         codec.read_subframe(codec.INT32, register)
@@ -57,7 +57,7 @@ def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Fram
         return tuple(
             Frame(codec.request_id(drive.node_id), data)
             for drive in discovered_drives(received_frames)
-            for data in DETAIL_REQUESTS
+            for data in IDENTITY_REQUESTS
         )
     return ()
 
@@ -103,7 +103,7 @@ def _describe_drive(
     words = [values.get(codec.SERIAL_NUMBER + i, 0) & 0xFFFFFFFF for i in range(3)]
     serial = "".join(f"{word:08x}" for word in reversed(words)) if any(words) else ""
     is_number_used_twice = is_number_used_by_two_drives(payloads_by_command, codec.SERIAL_NUMBER)
-    notes = (TWO_DRIVES_WARNING,) * is_number_used_twice + (
+    notes = (DUPLICATE_NODE_WARNING,) * is_number_used_twice + (
         "needs a bus with CAN FD: data_bitrate = 5_000_000",
     )
     state = _MODE_TEXTS.get(mode, f"mode {mode}")

@@ -32,7 +32,7 @@ from handctl.drives.moteus.progress import (
     SETTING_MISMATCH_ERROR,
     MoteusProgress,
     apply_mode,
-    progress_of,
+    get_progress,
 )
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import refuse_unknown_options
@@ -213,7 +213,7 @@ class MoteusDrive:
             (self.feedback.message,),
             (torque,),
             position=position,
-            moves_commanded_position=position is not None,
+            integrates_velocity=position is not None,
         )
 
     @property
@@ -223,9 +223,9 @@ class MoteusDrive:
 
     def steady_status(self, state: DriveState) -> int:
         """Return the status of feedback in position mode without a fault code, or NO_STEADY_STATUS."""
-        if not is_steady(state) or state.recheck.waiting:
+        if not is_steady(state) or state.recheck.is_waiting:
             return NO_STEADY_STATUS
-        return codec.joined_status(codec.POSITION, 0)
+        return codec.join_mode_and_fault(codec.POSITION, 0)
 
     def due_ns(self, state: DriveState) -> int:
         """Return the time of the next read-back request [ns]."""
@@ -233,7 +233,7 @@ class MoteusDrive:
 
     def initial_state(self) -> DriveState:
         """Return the state of the drive before the first frame."""
-        return DriveState(private=MoteusProgress())
+        return DriveState(protocol_state=MoteusProgress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
         """Return the state of the drive after a received frame, see ``contract.Drive``."""
@@ -245,9 +245,9 @@ class MoteusDrive:
         reply = codec.decode_reply(data)
         if reply is None:
             return state._replace(misread_frame_count=state.misread_frame_count + 1)
-        progress = progress_of(state)
-        if reply.refused and state.phase == CONFIGURING:
-            register, error = next(iter(reply.refused.items()))
+        progress = get_progress(state)
+        if reply.error_by_register and state.phase == CONFIGURING:
+            register, error = next(iter(reply.error_by_register.items()))
             return enter_fault(
                 state,
                 SETTING_MISMATCH_ERROR,
@@ -257,7 +257,7 @@ class MoteusDrive:
             return self._on_text_reply(state, progress, reply.text)
         if codec.SERIAL_NUMBER in reply.values:
             return self._on_serial_number(state, progress, reply.values, t_ns)
-        setting = self._open_setting(state, progress)
+        setting = self._requested_setting(state, progress)
         if setting is None or setting.register not in reply.values:
             return state
         return self._on_setting_value(state, progress, setting, reply.values[setting.register], "")
@@ -281,17 +281,17 @@ class MoteusDrive:
         )
         return apply_mode(next_state, int(status[1]), int(status[3]))
 
-    def _open_setting(
+    def _requested_setting(
         self, state: DriveState, progress: MoteusProgress
     ) -> items.MoteusSetting | None:
         """Return the setting whose value the host has requested, or None if no request is open."""
         if (
             state.phase == CONFIGURING
-            and progress.cursor.waiting
+            and progress.cursor.is_waiting
             and progress.cursor.step < len(self.required)
         ):
             return self.required[progress.cursor.step]
-        if state.phase == ENABLED and state.recheck.waiting:
+        if state.phase == ENABLED and state.recheck.is_waiting:
             return self.configuration[state.recheck.step]
         return None
 
@@ -300,7 +300,7 @@ class MoteusDrive:
     ) -> DriveState:
         """Return the state after a part of an answer was received over the text channel."""
         is_channel_read = progress.channel.request_sent_ns < 0
-        channel, line = progress.channel.take(text)
+        channel, line = progress.channel.take_line(text)
         progress = progress._replace(channel=channel)
         if is_channel_read:
             # The frame answers a read that empties the channel. The host may send the next request
@@ -309,13 +309,13 @@ class MoteusDrive:
             progress = progress._replace(
                 cursor=cursor._replace(sent_ns=-1, tries=max(0, cursor.tries - 1))
             )
-        state = state._replace(private=progress)
-        setting = self._open_setting(state, progress) if line else None
+        state = state._replace(protocol_state=progress)
+        setting = self._requested_setting(state, progress) if line else None
         if setting is None or setting.register:
             return state
-        if state.phase == CONFIGURING and progress.cursor.writing:
+        if state.phase == CONFIGURING and progress.cursor.must_write:
             return state._replace(
-                private=progress._replace(cursor=progress.cursor.cursor_after_write())
+                protocol_state=progress._replace(cursor=progress.cursor.cursor_after_write())
             )
         return self._on_setting_value(
             state, progress, setting, items.value_in_answer(line), line.decode(errors="replace")
@@ -346,15 +346,17 @@ class MoteusDrive:
                 f"reads {shown_text}",
                 expected,
             )
-        if progress.cursor.writing:
+        if progress.cursor.must_write:
             return state
         if is_equal:
-            return state._replace(private=progress._replace(cursor=progress.cursor.next_setting()))
-        write_count = items.WRITE_TRIES if value is not None else 0
-        cursor, problem = readback.on_wrong_value(
-            progress.cursor, setting.name, shown_text, expected, write_count
+            return state._replace(
+                protocol_state=progress._replace(cursor=progress.cursor.next_setting())
+            )
+        max_write_count = items.WRITE_TRIES if value is not None else 0
+        cursor, problem = readback.cursor_after_wrong_value(
+            progress.cursor, setting.name, shown_text, expected, max_write_count
         )
-        next_state = state._replace(private=progress._replace(cursor=cursor))
+        next_state = state._replace(protocol_state=progress._replace(cursor=cursor))
         return enter_fault(next_state, SETTING_MISMATCH_ERROR, problem) if problem else next_state
 
     def _on_serial_number(
@@ -373,11 +375,11 @@ class MoteusDrive:
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state of the drive and the frames to send, see ``contract.Drive``."""
-        progress: MoteusProgress = state.private
-        if target == ENABLE and state.phase == ENABLED and not progress.disabling:
+        progress: MoteusProgress = state.protocol_state
+        if target == ENABLE and state.phase == ENABLED and not progress.is_disabling:
             sent_frame = self._frame_to_drive(self._torque_payload(command))
             # In a running hand this is the usual case: one command, and no change of the state.
-            if t_ns < state.recheck.due_ns and not state.recheck.waiting:
+            if t_ns < state.recheck.due_ns and not state.recheck.is_waiting:
                 return state, (sent_frame,)
             state, requests = self._next_recheck(state, progress, t_ns)
             return state, (sent_frame, *requests)
@@ -387,22 +389,24 @@ class MoteusDrive:
             return start_disabling(state, t_ns), self.torque_cut_frames()
         if state.phase == FAULT and progress.may_be_enabled:
             return state, self.torque_cut_frames()
-        progress = progress._replace(disabling=False)
+        progress = progress._replace(is_disabling=False)
         if may_have_lost_power(state, t_ns):
-            return state._replace(phase=SILENT, private=MoteusProgress()), (
+            return state._replace(phase=SILENT, protocol_state=MoteusProgress()), (
                 self._frame_to_drive(codec.QUERY_SUBFRAMES),
             )
-        if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
+        if state.phase == CONFIGURING or (state.phase == READY and not progress.is_configured):
             return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
         if state.phase == READY and target == ENABLE:
-            enabling_state = start_enabling(state._replace(private=progress), self.node_id, t_ns)
+            enabling_state = start_enabling(
+                state._replace(protocol_state=progress), self.node_id, t_ns
+            )
             return enabling_state, (self._frame_to_drive(self._torque_payload(0.0)),)
-        question = (
+        request_frame = (
             self.torque_cut_frames()[0]
-            if progress.clearing
+            if progress.errors_to_ignore
             else self._frame_to_drive(codec.QUERY_SUBFRAMES)
         )
-        return state._replace(private=progress), (question,)
+        return state._replace(protocol_state=progress), (request_frame,)
 
     def _next_recheck(
         self, state: DriveState, progress: MoteusProgress, t_ns: int
@@ -420,13 +424,15 @@ class MoteusDrive:
         elif t_ns >= state.recheck.due_ns:
             # If a request has no answer, its text may still arrive, so the channel is emptied
             # first.
-            channel = items.DiagnosticChannel() if state.recheck.waiting else channel
-            check, problem = readback.next_recheck(state.recheck, setting.name, self.node_id, t_ns)
+            channel = items.DiagnosticChannel() if state.recheck.is_waiting else channel
+            check, problem = readback.cursor_after_recheck_request(
+                state.recheck, setting.name, self.node_id, t_ns
+            )
             state = state._replace(recheck=check)
             channel, data = self._setting_request(channel, setting, False, t_ns)
         elif channel.is_drained and channel.request_sent_ns < 0:
             channel, data = self._setting_request(channel, setting, False, t_ns)
-        state = state._replace(private=progress._replace(channel=channel))
+        state = state._replace(protocol_state=progress._replace(channel=channel))
         if problem:
             state = enter_fault(state, SETTING_MISMATCH_ERROR, problem)
         return state, (self._frame_to_drive(data),) if data else ()
@@ -440,36 +446,38 @@ class MoteusDrive:
         """
         if progress.enabled_by_other_host:
             text = f"in mode {progress.mode} without a command, and does not stop"
-            return state._replace(error_text=text, private=progress), self.torque_cut_frames()
+            return state._replace(
+                error_text=text, protocol_state=progress
+            ), self.torque_cut_frames()
         if progress.cursor.step >= len(self.required):
             return self._request_serial(state, progress, t_ns)
         setting = self.required[progress.cursor.step]
         if (
-            setting.register and progress.cursor.writing
+            setting.register and progress.cursor.must_write
         ):  # the drive answers this write only with feedback
             limits = self._frame_to_drive(codec.limits_request(self.command_limit, self.timeout_s))
             return state._replace(
-                private=progress._replace(cursor=progress.cursor.cursor_after_write())
+                protocol_state=progress._replace(cursor=progress.cursor.cursor_after_write())
             ), (limits,)
         if progress.channel.is_awaiting_answer(t_ns):
             channel, data = progress.channel.poll()
-            return state._replace(private=progress._replace(channel=channel)), (
+            return state._replace(protocol_state=progress._replace(channel=channel)), (
                 self._frame_to_drive(data),
             )
         cursor, send, problem = readback.request_setting(progress.cursor, setting.name, t_ns)
         if problem:
             return enter_fault(
-                state._replace(private=progress), SETTING_MISMATCH_ERROR, problem
+                state._replace(protocol_state=progress), SETTING_MISMATCH_ERROR, problem
             ), ()
         channel = progress.channel
         data = b""
         if send:
             # If a request has no answer, its text may still arrive, so the channel is emptied
             # first.
-            channel = items.DiagnosticChannel() if progress.cursor.waiting else channel
-            channel, data = self._setting_request(channel, setting, cursor.writing, t_ns)
+            channel = items.DiagnosticChannel() if progress.cursor.is_waiting else channel
+            channel, data = self._setting_request(channel, setting, cursor.must_write, t_ns)
         next_state = state._replace(
-            error_text="", private=progress._replace(cursor=cursor, channel=channel)
+            error_text="", protocol_state=progress._replace(cursor=cursor, channel=channel)
         )
         return next_state, (self._frame_to_drive(data),) if data else ()
 
@@ -496,7 +504,7 @@ class MoteusDrive:
         cursor, send, unanswered = readback.request_setting(
             progress.cursor, "serial number", t_ns, SERIAL_NUMBER_TRIES
         )
-        next_state = state._replace(private=progress._replace(cursor=cursor))
+        next_state = state._replace(protocol_state=progress._replace(cursor=cursor))
         if unanswered:
             return state_after_configuration(next_state, t_ns, 0), ()
         return next_state, (self._frame_to_drive(SERIAL_REQUEST),) if send else ()
@@ -532,7 +540,7 @@ class MoteusDrive:
             phase=SILENT,
             error=0,
             error_text="",
-            private=MoteusProgress(clearing=IGNORED_FAULT_COUNT),
+            protocol_state=MoteusProgress(errors_to_ignore=IGNORED_FAULT_COUNT),
         )
         return fresh_state, self.torque_cut_frames()
 
@@ -542,7 +550,9 @@ class MoteusDrive:
 
     def identity(self, state: DriveState) -> str:
         """Return the serial number (96 bits), or the node number if it is unknown."""
-        return f"{serial:024x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
+        return (
+            f"{serial:024x}" if (serial := get_progress(state).serial) else f"node {self.node_id}"
+        )
 
     def fault_cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code of the drive, see ``contract.Drive``."""
@@ -572,5 +582,5 @@ def _position_gains(motor: MotorDescription) -> codec.PositionGains | None:
             expected = 'a number, because control = "position" writes this gain into a moteus'
             raise ConfigError("missing", f"motor[{motor.name}].{key}", expected)
     return codec.PositionGains(
-        *(items.gain_of_drive(value) for value in gain_by_key.values() if value is not None)
+        *(items.gain_per_turn(value) for value in gain_by_key.values() if value is not None)
     )

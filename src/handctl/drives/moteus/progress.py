@@ -8,9 +8,9 @@ from handctl.drives.moteus.settings import DiagnosticChannel
 from handctl.drives.readback import ReadbackCursor
 from handctl.drives.state_machine import (
     enter_fault,
+    state_enabled_by_other_host,
     state_when_off,
     state_when_on,
-    state_when_on_by_other,
 )
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
@@ -21,7 +21,7 @@ SETTING_MISMATCH_ERROR = 0x101
 ENABLED_BY_OTHER_HOST_ERROR = 0x102
 CAUSE_BY_ERROR = {
     codec.FAULT_MODE: DriveFaultCause.OTHER, codec.TIMED_OUT: DriveFaultCause.WATCHDOG, 34: DriveFaultCause.VOLTAGE,
-    40: DriveFaultCause.VOLTAGE, 38: DriveFaultCause.HOT,
+    40: DriveFaultCause.VOLTAGE, 38: DriveFaultCause.OVERHEATED,
     DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT, SETTING_MISMATCH_ERROR: DriveFaultCause.SETTING_MISMATCH,
     ENABLED_BY_OTHER_HOST_ERROR: DriveFaultCause.SETTING_MISMATCH,
 } | dict.fromkeys(codec.FAULT_TEXTS.keys() - {34, 38, 40}, DriveFaultCause.OTHER)  # fmt: skip
@@ -33,18 +33,18 @@ SERIAL_NUMBER_TRIES = 3
 
 
 class MoteusProgress(NamedTuple):
-    """State of the moteus state machine between frames, stored in ``DriveState.private``.
+    """State of the moteus state machine between frames, stored in ``DriveState.protocol_state``.
 
     Attributes:
         cursor: position in the list of settings to read back.
         channel: state of the exchange over the diagnostic text channel.
-        configured: True if all settings have their required values.
+        is_configured: True if all settings have their required values.
         mode: mode of the drive in the latest feedback.
         enabled_by_other_host: True if the drive may make torque without a command of this host.
-        enable_sent: True from the enable command until the drive reports the state stopped.
-        disabling: True while the drive is being stopped.
+        is_enable_sent: True from the enable command until the drive reports the state stopped.
+        is_disabling: True while the drive is being stopped.
         disable_command_ns: time of the first stop command [ns].
-        clearing: number of feedback frames whose error must still be ignored while the error is
+        errors_to_ignore: number of feedback frames whose error must still be ignored while the error is
             being cleared.
         ready_ns: time at which the last setting was verified [ns].
         serial: serial number of the drive, 0 if unknown.
@@ -52,25 +52,25 @@ class MoteusProgress(NamedTuple):
 
     cursor: ReadbackCursor = ReadbackCursor()
     channel: DiagnosticChannel = DiagnosticChannel()
-    configured: bool = False
+    is_configured: bool = False
     mode: int = codec.STOPPED
     enabled_by_other_host: bool = False
-    enable_sent: bool = False
-    disabling: bool = False
+    is_enable_sent: bool = False
+    is_disabling: bool = False
     disable_command_ns: int = 0
-    clearing: int = 0
+    errors_to_ignore: int = 0
     ready_ns: int = 0
     serial: int = 0
 
     @property
     def may_be_enabled(self) -> bool:
         """Return True if this host has sent an enable command, or if the drive may make torque without it."""
-        return self.enable_sent or self.enabled_by_other_host
+        return self.is_enable_sent or self.enabled_by_other_host
 
 
-def progress_of(state: DriveState) -> MoteusProgress:
+def get_progress(state: DriveState) -> MoteusProgress:
     """Return the ``MoteusProgress`` in the state of a drive."""
-    progress: MoteusProgress = state.private
+    progress: MoteusProgress = state.protocol_state
     return progress
 
 
@@ -79,14 +79,16 @@ def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
 
     The argument ``state`` already contains the values of the same feedback.
     """
-    progress = progress_of(state)
+    progress = get_progress(state)
     was_preparing_control = progress.mode in codec.PREPARING_MODES
     if progress.mode != mode:
         progress = progress._replace(mode=mode)
-        state = state._replace(private=progress)
+        state = state._replace(protocol_state=progress)
     if mode == codec.STOPPED:
         # If this host had enabled the drive, or was enabling it, the drive has stopped by itself.
-        has_dropped_out = state.phase == ENABLED or (was_preparing_control and progress.enable_sent)
+        has_dropped_out = state.phase == ENABLED or (
+            was_preparing_control and progress.is_enable_sent
+        )
         return state_when_off(state, has_dropped_out, DROPPED_OUT_ERROR, "stopped by itself")
     if mode in (codec.FAULT_MODE, codec.TIMED_OUT):
         return _state_after_error(
@@ -94,7 +96,7 @@ def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
         )
     if mode == codec.POSITION:
         return state_when_on(state, ENABLED_BY_OTHER_HOST_ERROR, "enabled, but not by this host")
-    if mode in codec.PREPARING_MODES and progress.enable_sent and state.phase == READY:
+    if mode in codec.PREPARING_MODES and progress.is_enable_sent and state.phase == READY:
         return state
     return _state_when_in_other_mode(state, progress)
 
@@ -104,11 +106,11 @@ def _state_when_in_other_mode(state: DriveState, progress: MoteusProgress) -> Dr
 
     The drive may make torque in this mode.
     """
-    if state.phase == ENABLED and progress.enable_sent and not progress.disabling:
-        enabled = state._replace(private=progress._replace(enabled_by_other_host=True))
+    if state.phase == ENABLED and progress.is_enable_sent and not progress.is_disabling:
+        enabled = state._replace(protocol_state=progress._replace(enabled_by_other_host=True))
         return enter_fault(enabled, DROPPED_OUT_ERROR, f"went to mode {progress.mode} by itself")
     # Another host or a restart has caused this mode.
-    return state_when_on_by_other(
+    return state_enabled_by_other_host(
         state, ENABLED_BY_OTHER_HOST_ERROR, f"in mode {progress.mode}, but not by this host"
     )
 
@@ -118,10 +120,12 @@ def _state_after_error(state: DriveState, progress: MoteusProgress, error_code: 
 
     A drive with an error makes no torque.
     """
-    if progress.clearing:
-        return state._replace(private=progress._replace(clearing=progress.clearing - 1))
+    if progress.errors_to_ignore:
+        return state._replace(
+            protocol_state=progress._replace(errors_to_ignore=progress.errors_to_ignore - 1)
+        )
     off_state = state._replace(
-        private=progress._replace(enable_sent=False, enabled_by_other_host=False)
+        protocol_state=progress._replace(is_enable_sent=False, enabled_by_other_host=False)
     )
     return enter_fault(off_state, error_code, error_text(error_code))
 

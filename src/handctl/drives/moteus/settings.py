@@ -22,7 +22,7 @@ from handctl.drives.readback import REQUEST_TIMEOUT_NS
 
 WRITE_TRIES = 3
 """Number of writes per setting. The drive does not confirm a write, and a write may be lost."""
-UNANSWERED_READS = 3
+MAX_UNANSWERED_POLLS = 3
 """Number of reads without text that are necessary, at any control rate, before a request counts as unanswered."""
 MAX_ANSWER_LINE_BYTES = 128
 """Length above which a text without an end of line counts as an answer to another host [bytes]."""
@@ -88,7 +88,7 @@ def position_configuration(gains: codec.PositionGains) -> tuple[MoteusSetting, .
     )
 
 
-def gain_of_drive(gain: float) -> float:
+def gain_per_turn(gain: float) -> float:
     """Convert a gain per radian to a gain per turn, rounded up to six digits and six decimals.
 
     The texts to and from the drive contain all these digits. A float32 also keeps them.
@@ -167,7 +167,8 @@ class DiagnosticChannel(NamedTuple):
     def is_awaiting_answer(self, t_ns: int) -> bool:
         """Return True if the host must read the answer of the open request in this tick."""
         is_late = (
-            t_ns - self.request_sent_ns > REQUEST_TIMEOUT_NS and self.poll_count >= UNANSWERED_READS
+            t_ns - self.request_sent_ns > REQUEST_TIMEOUT_NS
+            and self.poll_count >= MAX_UNANSWERED_POLLS
         )
         return 0 <= self.request_sent_ns < t_ns and not is_late
 
@@ -175,7 +176,7 @@ class DiagnosticChannel(NamedTuple):
         """Return the next channel, and the payload that reads the answer of the open request."""
         return self._replace(poll_count=self.poll_count + 1), codec.TEXT_REQUEST
 
-    def take(self, text: bytes) -> tuple["DiagnosticChannel", bytes]:
+    def take_line(self, text: bytes) -> tuple["DiagnosticChannel", bytes]:
         """Return the next channel, and the first line of the answer.
 
         The line is empty if the answer has no complete line yet.

@@ -171,7 +171,7 @@ def encoder_message(node_id: int, ratio: float, zero: float, is_requested: bool)
     return CyclicMessage("encoder_estimates", message_id(node_id, ENCODER_ESTIMATES), 8, (
         _float_signal("position", SignalQuantity.POSITION, 0, turn, -zero / ratio, "rad"),
         _float_signal("velocity", SignalQuantity.VELOCITY, 4, turn, 0.0, "rad/s"),
-    ), nearest=is_requested)  # fmt: skip
+    ), keeps_nearest_frame=is_requested)  # fmt: skip
 
 
 def torques_message(node_id: int, ratio: float) -> CyclicMessage:
@@ -187,7 +187,7 @@ def torques_message(node_id: int, ratio: float) -> CyclicMessage:
     return CyclicMessage("torques", message_id(node_id, TORQUES), 8, (
         _float_signal("target", SignalQuantity.UNUSED, 0, ratio, 0.0, "N m"),
         _float_signal("torque", SignalQuantity.TORQUE, 4, ratio, 0.0, "N m"),
-    ), answers=False)  # fmt: skip
+    ), is_reply=False)  # fmt: skip
 
 
 def torque_message(node_id: int, ratio: float, limit: float) -> CyclicMessage:
@@ -267,7 +267,7 @@ def velocity_message(node_id: int, ratio: float, limit: float) -> CyclicMessage:
 def request_message(node_id: int, command: int) -> CyclicMessage:
     """Return the signal table of the remote frame that requests a message."""
     return CyclicMessage(
-        f"ask_{command:#04x}", message_id(node_id, command) | REMOTE_FLAG, 0, answers=False
+        f"ask_{command:#04x}", message_id(node_id, command) | REMOTE_FLAG, 0, is_reply=False
     )
 
 

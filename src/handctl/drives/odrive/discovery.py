@@ -11,7 +11,7 @@ import dataclasses
 import struct
 
 from handctl.drives.discovery import (
-    TWO_DRIVES_WARNING,
+    DUPLICATE_NODE_WARNING,
     DiscoveredNode,
     ProtocolDiscovery,
     ReceivedFrames,
@@ -34,7 +34,7 @@ IQ_CURRENT, BUS_VOLTAGE = 0x14, 0x17
 _REQUEST_ONLY_MESSAGES = (IQ_CURRENT, BUS_VOLTAGE)
 _MESSAGES_SENT_ONCE = (ADDRESS, codec.GET_VERSION, *_REQUEST_ONLY_MESSAGES)
 """Numbers of messages that a drive sends once for each request of a scan."""
-UNSHARED_NODE_NUMBERS = (range(0x01, 0x04), range(0x09, 0x0C), range(0x34, 0x38))
+CONFLICT_FREE_NODE_NUMBERS = (range(0x01, 0x04), range(0x09, 0x0C), range(0x34, 0x38))
 """Node numbers whose identifiers differ from those of the predefined connection set of CANopen and of the sensor node.
 
 Source: CiA 301, predefined connection set.
@@ -126,7 +126,7 @@ def _describe_drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNo
     is_number_used_twice = is_number_used_by_two_drives(
         {command: messages.get(command, []) for command in _MESSAGES_SENT_ONCE}, ADDRESS
     )
-    notes = [TWO_DRIVES_WARNING] if is_number_used_twice else []
+    notes = [DUPLICATE_NODE_WARNING] if is_number_used_twice else []
     options: dict[str, bool | int | float | str] = {}
     origins: dict[str, str] = {}
     if version or serial:
@@ -138,7 +138,10 @@ def _describe_drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNo
     if node == BROADCAST:
         notes.append("has no node number yet: give it one")
     elif node == 0:
-        first_number, last_number = UNSHARED_NODE_NUMBERS[0][0], UNSHARED_NODE_NUMBERS[0][-1]
+        first_number, last_number = (
+            CONFLICT_FREE_NODE_NUMBERS[0][0],
+            CONFLICT_FREE_NODE_NUMBERS[0][-1],
+        )
         notes.append(
             f"node 0 shares its identifiers with CANopen's NMT: give it {first_number} to {last_number}"
         )
@@ -184,7 +187,7 @@ def _firmware_06_warnings(serial: str, version: bytes) -> list[str]:
     return notes
 
 
-def with_unknown_firmware(drive: DiscoveredNode) -> DiscoveredNode:
+def mark_firmware_unknown(drive: DiscoveredNode) -> DiscoveredNode:
     """Return the drive with an unknown firmware.
 
     A scan that sends no requests cannot determine the firmware.
@@ -285,5 +288,5 @@ DISCOVERY = ProtocolDiscovery(
     other_host_frames,
     ping_request,
     is_ping_reply,
-    with_unknown_firmware,
+    mark_firmware_unknown,
 )

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 from handctl.drives import readback
 from handctl.drives.contract import (
-    END_OF_TIME_NS,
+    MAX_TIME_NS,
     NO_STEADY_STATUS,
     DriveFaultCause,
     DrivePhase,
@@ -36,8 +36,8 @@ from handctl.drives.odrive.progress import (
     VERSION_TRIES,
     OdriveProgress,
     cause_of_error,
+    get_progress,
     on_heartbeat,
-    progress_of,
     start_disabling,
     state_after_timeout,
 )
@@ -230,9 +230,9 @@ class OdriveDrive:
         requests = [codec.ENCODER_ESTIMATES] * (not self.encoder_period_s) + [
             codec.TORQUES
         ] * self.torque_feedback
-        questions = [codec.request_message(self.node_id, command) for command in requests]
+        request_messages = [codec.request_message(self.node_id, command) for command in requests]
         return CyclicMessages(
-            (self.encoder.message, self.torques.message), (self.command.message, *questions)
+            (self.encoder.message, self.torques.message), (self.command.message, *request_messages)
         )
 
     def steady_status(self, state: DriveState) -> int:
@@ -242,15 +242,15 @@ class OdriveDrive:
         """
         return (
             0
-            if state.phase == ENABLED and progress_of(state).disable_command_ns < 0
+            if state.phase == ENABLED and get_progress(state).disable_command_ns < 0
             else NO_STEADY_STATUS
         )
 
     def due_ns(self, state: DriveState) -> int:
         """Return the time of the next heartbeat timeout or temperature request, whichever is earlier [ns]."""
-        progress = progress_of(state)
+        progress = get_progress(state)
         temperature_rate = (
-            END_OF_TIME_NS
+            MAX_TIME_NS
             if self.firmware_05
             else progress.temperature_request_ns + TEMPERATURE_PERIOD_NS
         )
@@ -258,7 +258,7 @@ class OdriveDrive:
             temperature_rate,
             progress.heartbeat_ns + self.heartbeat_timeout_ns + 1
             if progress.heartbeat_ns >= 0
-            else END_OF_TIME_NS,
+            else MAX_TIME_NS,
         )
 
     @property
@@ -269,15 +269,15 @@ class OdriveDrive:
                 setting.name,
                 self._data_frame(codec.RX_SDO, codec.sdo_request(codec.SDO_READ, setting.endpoint)),
                 self._data_frame(codec.TX_SDO, codec.sdo_reply(setting.endpoint, setting.raw)),
-                key_bytes=(1, 3),
-                compared_bytes=(1, 4 + len(setting.raw)),
+                key_byte_range=(1, 3),
+                compared_byte_range=(1, 4 + len(setting.raw)),
             )
             for setting in self.settings
         )
 
     def initial_state(self) -> DriveState:
         """Return the state of the drive before the first frame."""
-        return DriveState(private=OdriveProgress(version=self.firmware_05))
+        return DriveState(protocol_state=OdriveProgress(version=self.firmware_05))
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
         """Return the state of the drive after a received frame, see ``contract.Drive``."""
@@ -335,7 +335,9 @@ class OdriveDrive:
             )
         return state._replace(
             phase=CONFIGURING,
-            private=progress_of(state)._replace(version=True, tries=0, sent_ns=-REPEAT_PERIOD_NS),
+            protocol_state=get_progress(state)._replace(
+                version=True, tries=0, sent_ns=-REPEAT_PERIOD_NS
+            ),
         )
 
     def _on_address_message(self, state: DriveState, data: bytes) -> DriveState:
@@ -344,18 +346,20 @@ class OdriveDrive:
             return state
         serial = int.from_bytes(data[1:7], "little")
         return state._replace(
-            private=progress_of(state)._replace(serial=serial, serial_requests=SERIAL_NUMBER_TRIES)
+            protocol_state=get_progress(state)._replace(
+                serial=serial, serial_requests=SERIAL_NUMBER_TRIES
+            )
         )
 
     def _on_setting_message(self, state: DriveState, data: bytes) -> DriveState:
         """Return the state after a TxSdo with the value of a setting."""
-        progress = progress_of(state)
-        if state.phase == ENABLED and state.recheck.waiting:
+        progress = get_progress(state)
+        if state.phase == ENABLED and state.recheck.is_waiting:
             return self._on_recheck_reply(state, data)
         if state.phase != CONFIGURING or progress.cursor.step >= len(self.settings):
             return state
         cursor, problem = endpoints.on_reply(progress.cursor, self.settings, data)
-        next_state = state._replace(private=progress._replace(cursor=cursor))
+        next_state = state._replace(protocol_state=progress._replace(cursor=cursor))
         return enter_fault(next_state, SETTING_MISMATCH_ERROR, problem) if problem else next_state
 
     def _on_recheck_reply(self, state: DriveState, data: bytes) -> DriveState:
@@ -381,7 +385,7 @@ class OdriveDrive:
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state of the drive and the frames to send, see ``contract.Drive``."""
-        progress = progress_of(state)
+        progress = get_progress(state)
         if target == LISTEN:
             return state, ()
         if (
@@ -390,7 +394,7 @@ class OdriveDrive:
             and progress.disable_command_ns < 0
         ):
             state = state_after_timeout(state, self.firmware_05)
-            progress = progress_of(state)
+            progress = get_progress(state)
         if target == DISABLE or (
             state.phase == ENABLED and (target != ENABLE or progress.disable_command_ns >= 0)
         ):
@@ -401,8 +405,8 @@ class OdriveDrive:
             return state, (self._command_frame(command), *recheck, *requests)
         if state.phase == FAULT:
             return state, self.torque_cut_frames() if progress.may_be_enabled else ()
-        state = state._replace(private=progress._replace(disable_command_ns=-1))
-        if state.phase == READY and progress.configured:
+        state = state._replace(protocol_state=progress._replace(disable_command_ns=-1))
+        if state.phase == READY and progress.is_configured:
             return self._advance_configured_drive(state, t_ns, target)
         return self._configure(
             state._replace(phase=SILENT if progress.heartbeat_ns < 0 else CONFIGURING), t_ns
@@ -419,23 +423,25 @@ class OdriveDrive:
         drive that has restarted.
         """
         state, requests = self._feedback_requests(state, t_ns)
-        progress = progress_of(state)
+        progress = get_progress(state)
         if target != ENABLE:
-            return state._replace(private=progress._replace(just_verified=False)), requests
-        if progress.enable_sent_ns >= 0:
-            return state, (self._command_frame(self._rest_command(state)), *requests)
-        if not progress.just_verified:
-            recheck = progress._replace(cursor=ReadbackCursor(), configured=False)
-            return state._replace(phase=CONFIGURING, private=recheck), requests
+            return state._replace(
+                protocol_state=progress._replace(is_just_verified=False)
+            ), requests
+        if progress.enable_command_ns >= 0:
+            return state, (self._command_frame(self._command_at_rest(state)), *requests)
+        if not progress.is_just_verified:
+            recheck = progress._replace(cursor=ReadbackCursor(), is_configured=False)
+            return state._replace(phase=CONFIGURING, protocol_state=recheck), requests
         check = readback.first_recheck(self.node_id, t_ns)
         next_state = state._replace(
             recheck=check,
-            private=progress._replace(
-                enable_sent_ns=t_ns, enable_commands=progress.enable_commands + 1
+            protocol_state=progress._replace(
+                enable_command_ns=t_ns, enable_attempts=progress.enable_attempts + 1
             ),
         )
         return next_state, (
-            *self._setup_frames(), self._command_frame(self._rest_command(state)),
+            *self._setup_frames(), self._command_frame(self._command_at_rest(state)),
             self._axis_state_frame(codec.CLOSED_LOOP), *requests,
         )  # fmt: skip
 
@@ -445,7 +451,7 @@ class OdriveDrive:
         The steps in order: set the axis to idle, request the version, request the serial number,
         verify the endpoints, and send mode and limits.
         """
-        progress = progress_of(state)
+        progress = get_progress(state)
         if progress.axis > codec.IDLE:
             text = f"in axis state {progress.axis} without a command, and does not go idle"
             return state._replace(error_text=text), (self._axis_state_frame(codec.IDLE),)
@@ -457,9 +463,9 @@ class OdriveDrive:
             return self._next_setting(state, progress, t_ns)
         if progress.heartbeat_ns < 0:
             return state, ()
-        configured_progress = progress._replace(configured=True, just_verified=True)
+        configured_progress = progress._replace(is_configured=True, is_just_verified=True)
         return state._replace(
-            phase=READY, error_text="", private=configured_progress
+            phase=READY, error_text="", protocol_state=configured_progress
         ), self._setup_frames()
 
     def _next_setting(
@@ -472,7 +478,7 @@ class OdriveDrive:
         enabled. Without the request, the silence of this drive would then be a fault.
         """
         cursor, data, problem = endpoints.next_request(progress.cursor, self.settings, t_ns)
-        next_state = state._replace(private=progress._replace(cursor=cursor))
+        next_state = state._replace(protocol_state=progress._replace(cursor=cursor))
         if problem:
             return enter_fault(next_state, SETTING_MISMATCH_ERROR, problem), ()
         next_state, requests = (
@@ -514,10 +520,10 @@ class OdriveDrive:
         )
         frame = (
             self._data_frame(codec.CLEAR_ERRORS, b"")
-            if progress.clearing
+            if progress.errors_to_ignore
             else self._remote_frame(codec.GET_VERSION)
         )
-        return state._replace(private=requests), (frame,)
+        return state._replace(protocol_state=requests), (frame,)
 
     def _request_serial(
         self, state: DriveState, progress: OdriveProgress, t_ns: int
@@ -529,7 +535,7 @@ class OdriveDrive:
         if t_ns - progress.sent_ns < REPEAT_PERIOD_NS:
             return state, ()
         requests = progress._replace(sent_ns=t_ns, serial_requests=progress.serial_requests + 1)
-        return state._replace(private=requests), (self._remote_frame(codec.ADDRESS),)
+        return state._replace(protocol_state=requests), (self._remote_frame(codec.ADDRESS),)
 
     def _feedback_requests(
         self, state: DriveState, t_ns: int
@@ -538,10 +544,10 @@ class OdriveDrive:
         frames = [self._remote_frame(codec.ENCODER_ESTIMATES)] * (not self.encoder_period_s) + [
             self._remote_frame(codec.TORQUES)
         ] * self.torque_feedback
-        progress = progress_of(state)
+        progress = get_progress(state)
         if t_ns - progress.temperature_request_ns >= TEMPERATURE_PERIOD_NS and not self.firmware_05:
             frames.append(self._remote_frame(codec.TEMPERATURE))
-            state = state._replace(private=progress._replace(temperature_request_ns=t_ns))
+            state = state._replace(protocol_state=progress._replace(temperature_request_ns=t_ns))
         return state, tuple(frames)
 
     def _command_frame(self, command: float) -> Frame:
@@ -551,7 +557,7 @@ class OdriveDrive:
         except ValueError as error:
             raise ValueError(f"{self.name}: {error}") from None
 
-    def _rest_command(self, state: DriveState) -> float:
+    def _command_at_rest(self, state: DriveState) -> float:
         """Return a command of zero torque, for a drive that is being enabled."""
         return 0.0
 
@@ -564,7 +570,9 @@ class OdriveDrive:
 
         Firmware 0.5 and early versions of 0.6 do not report a serial number.
         """
-        return f"{serial:012X}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
+        return (
+            f"{serial:012X}" if (serial := get_progress(state).serial) else f"node {self.node_id}"
+        )
 
     def fault_cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code of the drive, see ``contract.Drive``."""
@@ -591,10 +599,12 @@ class OdriveDrive:
         """
         initial_progress = OdriveProgress(
             version=self.firmware_05,
-            axis=progress_of(state).axis,
-            clearing=IGNORED_FAULT_COUNT,
+            axis=get_progress(state).axis,
+            errors_to_ignore=IGNORED_FAULT_COUNT,
         )
-        next_state = state._replace(phase=SILENT, error=0, error_text="", private=initial_progress)
+        next_state = state._replace(
+            phase=SILENT, error=0, error_text="", protocol_state=initial_progress
+        )
         return next_state, (self._data_frame(codec.CLEAR_ERRORS, b""),)
 
     def _axis_state_frame(self, state: int) -> Frame:

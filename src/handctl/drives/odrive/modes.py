@@ -50,12 +50,12 @@ class OdriveModeDrive(OdriveDrive):
         """Return the control mode in the message Set_Controller_Mode."""
         return _CONTROL_MODES[self.mode]
 
-    def _rest_command(self, state: DriveState) -> float:
+    def _command_at_rest(self, state: DriveState) -> float:
         """Return the command that causes no motion.
 
         The command is the present position, or a velocity of zero.
         """
-        return self.mode.rest(state.position)
+        return self.mode.command_at_rest(state.position)
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
         """Return no frames, because a torque is only a feedforward in this mode."""

@@ -10,7 +10,7 @@ from handctl.errors import ConfigError
 
 MAX_OPTION_VALUE = 1000
 """Largest accepted value of a ratio, a current [A], and a period [ms]."""
-_PERIOD_VALUE = f"a whole number from 1 to {MAX_OPTION_VALUE}"
+_PERIOD_RANGE_TEXT = f"a whole number from 1 to {MAX_OPTION_VALUE}"
 OPTIONS = {
     "firmware": MotorOption('"0.6" (default) or "0.5"', "Version of the firmware of the drive."),
     "gear_ratio": MotorOption(
@@ -22,10 +22,10 @@ OPTIONS = {
         "Current limit that handctl writes into the drive [A].",
     ),
     "heartbeat_ms": MotorOption(
-        f"{_PERIOD_VALUE} (default: 100)", "Period of the heartbeat that the drive sends."
+        f"{_PERIOD_RANGE_TEXT} (default: 100)", "Period of the heartbeat that the drive sends."
     ),
     "encoder_period_ms": MotorOption(
-        _PERIOD_VALUE,
+        _PERIOD_RANGE_TEXT,
         "Period with which the drive sends its position. If absent, handctl requests the position in each tick.",
     ),
     "torque_feedback": MotorOption(
@@ -83,8 +83,10 @@ def pop_options(options: MutableMapping[str, Any], key_path: str) -> OdriveOptio
         )
     firmware_05 = firmware == "0.5"
     if type(feedback) is not bool or (feedback and firmware_05):
-        hint = "false: firmware 0.5 does not report torque" if feedback is True else "true or false"
-        raise ConfigError(repr(feedback), f"{key_path}.torque_feedback", hint)
+        expected_text = (
+            "false: firmware 0.5 does not report torque" if feedback is True else "true or false"
+        )
+        raise ConfigError(repr(feedback), f"{key_path}.torque_feedback", expected_text)
     if firmware_05 and (keys := [key for key in options if key in endpoints.ENDPOINT_KEYS]):
         raise ConfigError("firmware 0.5 has no SDO", f"{key_path}.{keys[0]}", "no such key")
     encoder_period_ms = options.pop("encoder_period_ms", None)

@@ -28,8 +28,8 @@ CAUSE_BY_ERROR = {
 }  # fmt: skip
 """Cause of each error code added by handctl."""
 CAUSE_BY_ERROR_BIT = {
-    8: DriveFaultCause.VOLTAGE, 9: DriveFaultCause.VOLTAGE, 11: DriveFaultCause.VOLTAGE, 13: DriveFaultCause.HOT,
-    14: DriveFaultCause.HOT, 24: DriveFaultCause.WATCHDOG,
+    8: DriveFaultCause.VOLTAGE, 9: DriveFaultCause.VOLTAGE, 11: DriveFaultCause.VOLTAGE, 13: DriveFaultCause.OVERHEATED,
+    14: DriveFaultCause.OVERHEATED, 24: DriveFaultCause.WATCHDOG,
 }  # fmt: skip
 """Cause of error bits in a heartbeat. All other bits have the cause OTHER."""
 # Time after which a request is repeated, and time between two temperature requests [ns].
@@ -49,7 +49,7 @@ SETTLE_TIME_NS = 5_000_000
 
 
 class OdriveProgress(NamedTuple):
-    """State of the ODrive state machine between frames, stored in ``DriveState.private``.
+    """State of the ODrive state machine between frames, stored in ``DriveState.protocol_state``.
 
     Attributes:
         version: True if the drive has reported the protocol version supported by handctl.
@@ -57,46 +57,46 @@ class OdriveProgress(NamedTuple):
         serial_requests: number of requests for the serial number. ``SERIAL_NUMBER_TRIES`` means
             that no more requests are sent, because the drive has answered or does not answer.
         cursor: position in the list of endpoints to read back.
-        configured: True if control mode and limits were sent.
+        is_configured: True if control mode and limits were sent.
         axis: axis state in the latest heartbeat.
         heartbeat_ns: time of the latest heartbeat [ns], -1 before the first.
-        enable_sent_ns: time of the latest enable command [ns], -1 if none was sent.
+        enable_command_ns: time of the latest enable command [ns], -1 if none was sent.
         disable_command_ns: time of the first disable command [ns], or -1 if none was sent.
         sent_ns: time of the latest request for version or serial number [ns].
         tries: number of requests for the version so far.
         temperature_request_ns: time of the latest temperature request [ns].
-        clearing: number of heartbeats whose error must still be ignored while the error is being
+        errors_to_ignore: number of heartbeats whose error must still be ignored while the error is being
             cleared.
-        just_verified: True if all settings were verified in the last tick. Since the last tick, the
+        is_just_verified: True if all settings were verified in the last tick. Since the last tick, the
             drive has had no time to restart.
-        enable_commands: number of enable commands not obeyed by the drive.
+        enable_attempts: number of enable commands not obeyed by the drive.
     """
 
     version: bool = False
     serial: int = 0
     serial_requests: int = 0
     cursor: ReadbackCursor = ReadbackCursor()
-    configured: bool = False
+    is_configured: bool = False
     axis: int = 0
     heartbeat_ns: int = -1
-    enable_sent_ns: int = -1
+    enable_command_ns: int = -1
     disable_command_ns: int = -1
     sent_ns: int = -REPEAT_PERIOD_NS
     tries: int = 0
     temperature_request_ns: int = -TEMPERATURE_PERIOD_NS
-    clearing: int = 0
-    just_verified: bool = False
-    enable_commands: int = 0
+    errors_to_ignore: int = 0
+    is_just_verified: bool = False
+    enable_attempts: int = 0
 
     @property
     def may_be_enabled(self) -> bool:
         """Return True if this host has sent an enable command, or if the axis state is known and not idle."""
-        return self.enable_sent_ns >= 0 or self.axis > codec.IDLE
+        return self.enable_command_ns >= 0 or self.axis > codec.IDLE
 
 
-def progress_of(state: DriveState) -> OdriveProgress:
+def get_progress(state: DriveState) -> OdriveProgress:
     """Return the ``OdriveProgress`` in the state of a drive."""
-    return cast(OdriveProgress, state.private)
+    return cast(OdriveProgress, state.protocol_state)
 
 
 def on_heartbeat(state: DriveState, frame: Frame, firmware_05: bool) -> DriveState:
@@ -112,10 +112,12 @@ def on_heartbeat(state: DriveState, frame: Frame, firmware_05: bool) -> DriveSta
         if firmware_05
         else codec.decode_heartbeat(frame.data)
     )
-    progress = progress_of(state)._replace(axis=heartbeat.state, heartbeat_ns=frame.t_ns)
-    if heartbeat.errors and progress.clearing:
-        return state._replace(private=progress._replace(clearing=progress.clearing - 1))
-    next_state = state._replace(private=progress._replace(clearing=0))
+    progress = get_progress(state)._replace(axis=heartbeat.state, heartbeat_ns=frame.t_ns)
+    if heartbeat.errors and progress.errors_to_ignore:
+        return state._replace(
+            protocol_state=progress._replace(errors_to_ignore=progress.errors_to_ignore - 1)
+        )
+    next_state = state._replace(protocol_state=progress._replace(errors_to_ignore=0))
     if heartbeat.errors:
         return _state_after_error(next_state, progress, heartbeat, firmware_05)
     if heartbeat.state == codec.CLOSED_LOOP:
@@ -136,16 +138,20 @@ def _state_after_error(
     fault_state = enter_fault(state, heartbeat.errors, error_text(heartbeat.errors))
     if heartbeat.state == codec.IDLE:
         return fault_state._replace(
-            private=progress._replace(enable_sent_ns=-1, disable_command_ns=-1, clearing=0)
+            protocol_state=progress._replace(
+                enable_command_ns=-1, disable_command_ns=-1, errors_to_ignore=0
+            )
         )
     return fault_state._replace(phase=ENABLED) if progress.disable_command_ns >= 0 else fault_state
 
 
 def _state_when_enabled(state: DriveState, progress: OdriveProgress) -> DriveState:
     """Return the state after a heartbeat that reports closed loop control."""
-    if progress.disable_command_ns >= 0 or (progress.enable_sent_ns >= 0 and state.phase != FAULT):
+    if progress.disable_command_ns >= 0 or (
+        progress.enable_command_ns >= 0 and state.phase != FAULT
+    ):
         return state._replace(
-            phase=ENABLED, private=progress._replace(enable_commands=0, clearing=0)
+            phase=ENABLED, protocol_state=progress._replace(enable_attempts=0, errors_to_ignore=0)
         )
     if state.phase == READY:
         return enter_fault(
@@ -163,7 +169,7 @@ def _state_when_in_other_axis_state(state: DriveState, progress: OdriveProgress)
         return enter_fault(
             state, DROPPED_OUT_ERROR, f"went to axis state {progress.axis} by itself"
         )
-    if state.phase == READY and progress.enable_sent_ns < 0 and progress.axis > codec.IDLE:
+    if state.phase == READY and progress.enable_command_ns < 0 and progress.axis > codec.IDLE:
         return enter_fault(
             state,
             ENABLED_BY_OTHER_HOST_ERROR,
@@ -180,7 +186,7 @@ def _state_when_disabled(
     Shortly after a command, the heartbeat may be older than the command.
     """
     state_when_off = state._replace(
-        private=progress._replace(enable_sent_ns=-1, disable_command_ns=-1)
+        protocol_state=progress._replace(enable_command_ns=-1, disable_command_ns=-1)
     )
     if progress.disable_command_ns >= 0:
         if progress.heartbeat_ns < progress.disable_command_ns + SETTLE_TIME_NS:
@@ -190,7 +196,7 @@ def _state_when_disabled(
         reason = f": {codec.result_text(heartbeat.result)}" if heartbeat.result else ""
         return enter_fault(state_when_off, DROPPED_OUT_ERROR, f"disabled by itself{reason}")
     if (
-        0 <= progress.enable_sent_ns < progress.heartbeat_ns - SETTLE_TIME_NS
+        0 <= progress.enable_command_ns < progress.heartbeat_ns - SETTLE_TIME_NS
         and heartbeat.result != codec.PROCEDURE_BUSY
     ):
         return _state_when_enable_failed(state, progress, heartbeat)
@@ -208,15 +214,15 @@ def _state_when_enable_failed(
     before the next enable command.
     """
     if heartbeat.result != codec.PROCEDURE_SUCCESS:
-        state_when_off = state._replace(private=progress._replace(enable_sent_ns=-1))
+        state_when_off = state._replace(protocol_state=progress._replace(enable_command_ns=-1))
         return enter_fault(
             state_when_off,
             ENABLE_REFUSED_ERROR,
             f"refuses to enable: {codec.result_text(heartbeat.result)}",
         )
-    if progress.enable_commands >= ENABLE_COMMANDS:
+    if progress.enable_attempts >= ENABLE_COMMANDS:
         state_when_off = state._replace(
-            private=progress._replace(enable_sent_ns=-1, enable_commands=0)
+            protocol_state=progress._replace(enable_command_ns=-1, enable_attempts=0)
         )
         return enter_fault(
             state_when_off,
@@ -229,9 +235,9 @@ def _state_when_enable_failed(
         serial_requests=progress.serial_requests,
         axis=progress.axis,
         heartbeat_ns=progress.heartbeat_ns,
-        enable_commands=progress.enable_commands,
+        enable_attempts=progress.enable_attempts,
     )
-    return state._replace(phase=CONFIGURING, private=next_progress)
+    return state._replace(phase=CONFIGURING, protocol_state=next_progress)
 
 
 def state_after_timeout(state: DriveState, firmware_05: bool) -> DriveState:
@@ -240,11 +246,14 @@ def state_after_timeout(state: DriveState, firmware_05: bool) -> DriveState:
     An enabled drive is then in fault. A disabled drive may have lost power. In this case, it has
     also lost its control mode.
     """
-    progress = progress_of(state)
-    if state.phase == ENABLED or progress.enable_sent_ns >= 0:
+    progress = get_progress(state)
+    if state.phase == ENABLED or progress.enable_command_ns >= 0:
         return enter_fault(state, DRIVE_LOST_ERROR, "no heartbeat")
     return state._replace(
-        phase=SILENT, private=OdriveProgress(version=firmware_05, clearing=progress.clearing)
+        phase=SILENT,
+        protocol_state=OdriveProgress(
+            version=firmware_05, errors_to_ignore=progress.errors_to_ignore
+        ),
     )
 
 
@@ -256,7 +265,7 @@ def start_disabling(state: DriveState, progress: OdriveProgress, t_ns: int) -> D
     phase = ENABLED if progress.may_be_enabled else state.phase
     disabling_start_ns = progress.disable_command_ns if progress.disable_command_ns >= 0 else t_ns
     return state._replace(
-        phase=phase, private=progress._replace(disable_command_ns=disabling_start_ns)
+        phase=phase, protocol_state=progress._replace(disable_command_ns=disabling_start_ns)
     )
 
 

@@ -135,11 +135,11 @@ def on_reply(
     """
     setting = settings[cursor.step]
     endpoint, raw_bytes = codec.decode_sdo_reply(data)
-    if not cursor.waiting or endpoint != setting.endpoint or len(raw_bytes) < len(setting.raw):
+    if not cursor.is_waiting or endpoint != setting.endpoint or len(raw_bytes) < len(setting.raw):
         return cursor, ""
     if raw_bytes[: len(setting.raw)] == setting.raw:
         return cursor.next_setting(), ""
-    return readback.on_wrong_value(
+    return readback.cursor_after_wrong_value(
         cursor,
         setting.name,
         value_as_text(raw_bytes, setting),
@@ -157,7 +157,7 @@ def next_request(
     empty if no problem has occurred.
     """
     setting = settings[cursor.step]
-    if cursor.writing:  # the drive does not answer a write
+    if cursor.must_write:  # the drive does not answer a write
         return (
             cursor.cursor_after_write(),
             codec.sdo_request(codec.SDO_WRITE, setting.endpoint, setting.raw),

@@ -43,12 +43,12 @@ from handctl.drives.signals import (
 
 # Types of frames, in bits 28..24 of an identifier.
 GET_ID = 0x00
-CONTROL = 0x01
+MOTION_CONTROL = 0x01
 FEEDBACK = 0x02
 ENABLE = 0x03
 STOP = 0x04
 SET_ZERO = 0x06
-SET_NUMBER = 0x07
+SET_NODE_NUMBER = 0x07
 READ = 0x11
 WRITE = 0x12
 FAULT_REPORT = 0x15
@@ -61,7 +61,7 @@ REQUEST_TYPES = (
     ENABLE,
     STOP,
     SET_ZERO,
-    SET_NUMBER,
+    SET_NODE_NUMBER,
     READ,
     WRITE,
     SAVE,
@@ -106,7 +106,7 @@ FAULT_TEXTS = {
 
 Bits 0 to 5 come from the identifier of feedback. Bits from 8 on come from the fault report.
 """
-REPORT_SHIFT = 8
+FAULT_REPORT_SHIFT = 8
 """Bit number of the error code that stands for bit 0 of the fault report."""
 
 # Numbers of the parameters for mode of operation, torque limit, and watchdog.
@@ -121,8 +121,8 @@ POSITION_RANGE_RAD = 4.0 * math.pi
 """Full scale of the position in frames [rad]."""
 MAX_COUNT = 0xFFFF
 """Largest code of a 16-bit field."""
-_MIDDLE_COUNT = MAX_COUNT // 2
-NO_MOTION = struct.pack(">HHHH", _MIDDLE_COUNT, _MIDDLE_COUNT, 0, 0)
+_MIDSCALE_COUNT = MAX_COUNT // 2
+ZERO_MOTION_PAYLOAD = struct.pack(">HHHH", _MIDSCALE_COUNT, _MIDSCALE_COUNT, 0, 0)
 """Payload of a torque command.
 
 The gains in the command are 0, so position and velocity have no effect.
@@ -176,7 +176,7 @@ def motor_ids(node_id: int, host: int) -> frozenset[int]:
     return frozenset(feedback | read_reply_ids | {identity, reply_id(FAULT_REPORT, node_id, host)})
 
 
-def joined_status(mode: int, fault: int) -> int:
+def join_mode_and_fault(mode: int, fault: int) -> int:
     """Return the status with a mode and faults, as in bits 23..16 of the identifier of feedback."""
     return mode << 6 | fault
 
@@ -207,7 +207,14 @@ def command_message(
         unit="N m",
     )
     return CyclicMessage(
-        "command", EXTENDED_FLAG | CONTROL << 24 | node_id, 8, (torque,), 0, NO_MOTION, False, limit
+        "command",
+        EXTENDED_FLAG | MOTION_CONTROL << 24 | node_id,
+        8,
+        (torque,),
+        0,
+        ZERO_MOTION_PAYLOAD,
+        False,
+        limit,
     )
 
 
@@ -255,7 +262,7 @@ def impedance_message(
         ),
         *torque.signals,
     )
-    return torque._replace(name="position_command", signals=signals, base=EMPTY_DATA)
+    return torque._replace(name="position_command", signals=signals, base_payload=EMPTY_DATA)
 
 
 def feedback_message(
@@ -274,7 +281,7 @@ def feedback_message(
     position = _signal_over_range(
         "position", SignalQuantity.POSITION, 7, POSITION_RANGE_RAD, "rad", direction
     )
-    return CyclicMessage("feedback", reply_id(FEEDBACK, node_id, host, joined_status(RUNNING_MODE, 0)), 8, (
+    return CyclicMessage("feedback", reply_id(FEEDBACK, node_id, host, join_mode_and_fault(RUNNING_MODE, 0)), 8, (
         # The spool angle is sign * (motor angle - zero).
         position._replace(offset=position.offset - direction * zero),
         _signal_over_range("velocity", SignalQuantity.VELOCITY, 23, ranges.velocity, "rad/s", direction),

@@ -6,7 +6,7 @@ faults. A scan reads no parameters either. Source: docs/facts/robstride.md.
 """
 
 from handctl.drives.discovery import (
-    TWO_DRIVES_WARNING,
+    DUPLICATE_NODE_WARNING,
     DiscoveredNode,
     ProtocolDiscovery,
     ReceivedFrames,
@@ -22,7 +22,7 @@ HOST_REQUEST_TYPES = frozenset(codec.REQUEST_TYPES) - {
     codec.GET_ID,
     codec.READ,
     codec.REPORTING,
-} | {codec.CONTROL}
+} | {codec.MOTION_CONTROL}
 """Types of frames by which another host is detected."""
 
 
@@ -62,7 +62,7 @@ def discovered_motors(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, 
 def _describe_motor(node_number: int, serials: set[bytes]) -> DiscoveredNode:
     """Return a discovered motor, with the serial numbers that were received under its number."""
     is_number_used_twice = len(serials) > 1
-    notes = (TWO_DRIVES_WARNING,) * is_number_used_twice + (
+    notes = (DUPLICATE_NODE_WARNING,) * is_number_used_twice + (
         "does not report its model: give motor_type in the hand file",
     )
     return DiscoveredNode(

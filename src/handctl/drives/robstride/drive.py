@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 from handctl.drives import readback
 from handctl.drives.contract import (
-    END_OF_TIME_NS,
+    MAX_TIME_NS,
     NO_STEADY_STATUS,
     DriveFaultCause,
     DrivePhase,
@@ -42,7 +42,7 @@ from handctl.drives.robstride.progress import (
     apply_fault,
     apply_status,
     cause_of_error,
-    progress_of,
+    get_progress,
 )
 from handctl.drives.signals import CyclicMessages, SignalTable
 from handctl.drives.state_machine import (
@@ -228,8 +228,8 @@ class RobstrideDrive:
                     0,
                     self.bus,
                 ),
-                key_bytes=(0, 2),
-                compared_bytes=(0, 4 + struct.calcsize(parameter.coding)),
+                key_byte_range=(0, 2),
+                compared_byte_range=(0, 4 + struct.calcsize(parameter.coding)),
             )
             for parameter in self.required
         )
@@ -244,12 +244,12 @@ class RobstrideDrive:
         return 0
 
     def due_ns(self, state: DriveState) -> int:
-        """Return END_OF_TIME_NS, because the state machine of an enabled motor has no schedule."""
-        return END_OF_TIME_NS
+        """Return MAX_TIME_NS, because the state machine of an enabled motor has no schedule."""
+        return MAX_TIME_NS
 
     def initial_state(self) -> DriveState:
         """Return the state of the motor before the first frame."""
-        return DriveState(private=RobstrideProgress())
+        return DriveState(protocol_state=RobstrideProgress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
         """Return the state of the drive after a received frame, see ``contract.Drive``."""
@@ -268,9 +268,11 @@ class RobstrideDrive:
         if kind == codec.FAULT_REPORT:
             return self._on_fault_report(state, data)
         serial = int.from_bytes(data, "big")
-        progress = progress_of(state)._replace(serial=serial)
-        phase = CONFIGURING if state.phase == SILENT and not progress.clearing else state.phase
-        return state._replace(phase=phase, private=progress)
+        progress = get_progress(state)._replace(serial=serial)
+        phase = (
+            CONFIGURING if state.phase == SILENT and not progress.errors_to_ignore else state.phase
+        )
+        return state._replace(phase=phase, protocol_state=progress)
 
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int, status: int) -> DriveState:
         """Return the state after feedback.
@@ -298,16 +300,16 @@ class RobstrideDrive:
         faults = int.from_bytes(data[:4], "little")
         if not faults:
             return state
-        return apply_fault(state, codec.RESET_MODE, faults << codec.REPORT_SHIFT & 0xFFFFFFFF)
+        return apply_fault(state, codec.RESET_MODE, faults << codec.FAULT_REPORT_SHIFT & 0xFFFFFFFF)
 
     def _on_parameter_reply(self, state: DriveState, data: bytes, has_failed: bool) -> DriveState:
         """Return the state after a parameter reply.
 
         The value in the reply is compared with the required value.
         """
-        progress = progress_of(state)
+        progress = get_progress(state)
         number, raw_bytes = codec.decode_parameter_reply(data)
-        if state.phase == ENABLED and state.recheck.waiting:
+        if state.phase == ENABLED and state.recheck.is_waiting:
             required_parameter = self.required[state.recheck.step]
             if number != required_parameter.number:
                 return state
@@ -327,7 +329,7 @@ class RobstrideDrive:
                 f"{required_parameter.value:g}",
             )
         cursor = progress.cursor
-        if state.phase != CONFIGURING or not cursor.waiting or cursor.step >= len(self.required):
+        if state.phase != CONFIGURING or not cursor.is_waiting or cursor.step >= len(self.required):
             return state
         required_parameter = self.required[cursor.step]
         if number != required_parameter.number:
@@ -337,23 +339,23 @@ class RobstrideDrive:
                 state, SETTING_MISMATCH_ERROR, f"{required_parameter.name} cannot be read"
             )
         if required_parameter.is_required_value(raw_bytes):
-            return state._replace(private=progress._replace(cursor=cursor.next_setting()))
-        cursor, problem = readback.on_wrong_value(
+            return state._replace(protocol_state=progress._replace(cursor=cursor.next_setting()))
+        cursor, problem = readback.cursor_after_wrong_value(
             cursor,
             required_parameter.name,
             required_parameter.value_text(raw_bytes),
             f"{required_parameter.value:g}",
             parameters.WRITE_TRIES,
         )
-        next_state = state._replace(private=progress._replace(cursor=cursor))
+        next_state = state._replace(protocol_state=progress._replace(cursor=cursor))
         return enter_fault(next_state, SETTING_MISMATCH_ERROR, problem) if problem else next_state
 
     def advance(
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state of the drive and the frames to send, see ``contract.Drive``."""
-        progress: RobstrideProgress = state.private
-        if target == ENABLE and state.phase == ENABLED and not progress.disabling:
+        progress: RobstrideProgress = state.protocol_state
+        if target == ENABLE and state.phase == ENABLED and not progress.is_disabling:
             sent_torque_frame = self._torque_frame(command)
             state, recheck = request_recheck(state, self, SETTING_MISMATCH_ERROR, t_ns)
             return state, (sent_torque_frame, *recheck)
@@ -363,26 +365,28 @@ class RobstrideDrive:
             return start_disabling(state, t_ns), self.torque_cut_frames()
         if state.phase == FAULT:
             return state, self.torque_cut_frames()
-        progress = progress._replace(disabling=False)
+        progress = progress._replace(is_disabling=False)
         if may_have_lost_power(state, t_ns):
-            return state._replace(phase=SILENT, private=RobstrideProgress()), (
+            return state._replace(phase=SILENT, protocol_state=RobstrideProgress()), (
                 self._request_frame(codec.GET_ID),
             )
-        if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
+        if state.phase == CONFIGURING or (state.phase == READY and not progress.is_configured):
             return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
         if state.phase == READY and target == ENABLE:
-            enabling_state = start_enabling(state._replace(private=progress), self.node_id, t_ns)
+            enabling_state = start_enabling(
+                state._replace(protocol_state=progress), self.node_id, t_ns
+            )
             return enabling_state, (self._request_frame(codec.ENABLE),)
-        return state._replace(private=progress), (self._idle_request(state, progress),)
+        return state._replace(protocol_state=progress), (self._standby_request(state, progress),)
 
-    def _idle_request(self, state: DriveState, progress: RobstrideProgress) -> Frame:
+    def _standby_request(self, state: DriveState, progress: RobstrideProgress) -> Frame:
         """Return the frame that is sent to a motor without torque.
 
         The frame requests feedback, requests the identity, or clears faults.
         """
         if state.phase == READY:
             return self._request_frame(codec.STOP)
-        if progress.clearing:
+        if progress.errors_to_ignore:
             return self._request_frame(codec.STOP, codec.CLEAR_FAULT_DATA)
         return self._request_frame(codec.GET_ID)
 
@@ -394,18 +398,20 @@ class RobstrideDrive:
         An enabled motor is stopped first.
         """
         if progress.enabled_by_other_host:
-            next_state = state._replace(error_text="enabled, and does not stop", private=progress)
+            next_state = state._replace(
+                error_text="enabled, and does not stop", protocol_state=progress
+            )
             return next_state, self.torque_cut_frames()
         cursor = progress.cursor
         if cursor.step >= len(self.required):
-            next_state = state._replace(private=progress)
+            next_state = state._replace(protocol_state=progress)
             return state_after_configuration(
                 next_state, t_ns, progress.serial
             ), self.torque_cut_frames()
         required_parameter = self.required[cursor.step]
-        if cursor.writing:
+        if cursor.must_write:
             next_state = state._replace(
-                private=progress._replace(cursor=cursor.cursor_after_write())
+                protocol_state=progress._replace(cursor=cursor.cursor_after_write())
             )
             return next_state, (
                 self._request_frame(
@@ -416,9 +422,9 @@ class RobstrideDrive:
         cursor, send, problem = readback.request_setting(cursor, required_parameter.name, t_ns)
         if problem:
             return enter_fault(
-                state._replace(private=progress), SETTING_MISMATCH_ERROR, problem
+                state._replace(protocol_state=progress), SETTING_MISMATCH_ERROR, problem
             ), ()
-        next_state = state._replace(error_text="", private=progress._replace(cursor=cursor))
+        next_state = state._replace(error_text="", protocol_state=progress._replace(cursor=cursor))
         return next_state, (
             self._request_frame(codec.READ, codec.parameter_request(required_parameter.number)),
         ) if send else ()
@@ -458,7 +464,7 @@ class RobstrideDrive:
             phase=SILENT,
             error=0,
             error_text="",
-            private=RobstrideProgress(clearing=IGNORED_FAULT_COUNT),
+            protocol_state=RobstrideProgress(errors_to_ignore=IGNORED_FAULT_COUNT),
         )
         return fresh_state, (self._request_frame(codec.STOP, codec.CLEAR_FAULT_DATA),)
 
@@ -468,7 +474,9 @@ class RobstrideDrive:
 
     def identity(self, state: DriveState) -> str:
         """Return the 64-bit identifier of the motor's processor, or the node number if it is unknown."""
-        return f"{serial:016x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
+        return (
+            f"{serial:016x}" if (serial := get_progress(state).serial) else f"node {self.node_id}"
+        )
 
     def fault_cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code of the drive, see ``contract.Drive``."""

@@ -73,11 +73,11 @@ MOTOR_MODEL_RANGES = {
 """Full scale of the motor models whose ranges in MIT mode are the same in all sources."""
 HOST_ID_OFFSET = 0x10
 """Default of the host's number minus the motor's number, on a bus with several motors."""
-FACTORY_HOST = 0
+FACTORY_HOST_ID = 0
 """Factory setting of the host's number."""
 READ_FAULTS = b"\xff" * 6 + b"\x00\xfb"
 """Payload of the special command to read the faults."""
-FAULT_READ_PERIOD = 8
+FAULT_READ_INTERVAL_FRAMES = 8
 """Number of answers from a disabled motor between two reads of its faults."""
 CONTROL_MODES = range(3)
 """Values of bits 10..8 in the identifier of commands in MIT, position, and velocity mode."""
@@ -149,7 +149,7 @@ class RobstrideMitDrive(CubemarsDrive):
         if not 0 < motor.node_id <= codec.LAST_NODE:
             raise ConfigError(str(motor.node_id), f"{location}.node_id", f"1 to {codec.LAST_NODE}")
         host = options.pop("host_id", motor.node_id + HOST_ID_OFFSET)
-        if host != FACTORY_HOST:
+        if host != FACTORY_HOST_ID:
             host = checked_whole_number(host, f"{location}.options.host_id", codec.LAST_NODE)
         refuse_unknown_options(options, f"{location}.options", OPTIONS)
         if host == motor.node_id:
@@ -213,7 +213,7 @@ class RobstrideMitDrive(CubemarsDrive):
         next_state = next_state._replace(
             position=position, velocity=velocity, torque=torque, temperature=winding_temperature
         )
-        return self._on_answer(next_state, state.private)
+        return self._on_answer(next_state, state.protocol_state)
 
     def _on_faults(self, state: DriveState, fault_bits: int) -> DriveState:
         """Return the state after an answer to the request that reads the faults.
@@ -222,7 +222,7 @@ class RobstrideMitDrive(CubemarsDrive):
         """
         if not fault_bits:
             return state
-        error = fault_bits << codec.REPORT_SHIFT
+        error = fault_bits << codec.FAULT_REPORT_SHIFT
         return state._replace(phase=DrivePhase.FAULT, error=error, error_text=fault_text(error))
 
     def advance(
@@ -234,14 +234,14 @@ class RobstrideMitDrive(CubemarsDrive):
         faults.
         """
         next_state, frames = CubemarsDrive.advance(self, state, t_ns, target, command)
-        progress: CubemarsProgress = next_state.private
+        progress: CubemarsProgress = next_state.protocol_state
         is_disabled = (
-            next_state.phase in (DrivePhase.READY, DrivePhase.FAULT) and not progress.enable_sent
+            next_state.phase in (DrivePhase.READY, DrivePhase.FAULT) and not progress.is_enable_sent
         )
         if (
             target == DriveTarget.POLL
             and is_disabled
-            and next_state.feedback_count % FAULT_READ_PERIOD == REQUIRED_ANSWER_COUNT
+            and next_state.feedback_count % FAULT_READ_INTERVAL_FRAMES == REQUIRED_ANSWER_COUNT
         ):
             return next_state, (self._frame_to_motor(READ_FAULTS),)
         return next_state, frames
@@ -252,7 +252,7 @@ class RobstrideMitDrive(CubemarsDrive):
         The motor then starts again with stop commands.
         """
         cleared_state, stop = CubemarsDrive.clear(self, state)
-        return cleared_state, (self._frame_to_motor(mit.special_command(mit.CLEAR)), *stop)
+        return cleared_state, (self._frame_to_motor(mit.special_command(mit.CLEAR_ERROR)), *stop)
 
     def fault_cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code of the drive, see ``contract.Drive``."""

@@ -7,9 +7,9 @@ from handctl.drives.readback import ReadbackCursor
 from handctl.drives.robstride import codec
 from handctl.drives.state_machine import (
     enter_fault,
+    state_enabled_by_other_host,
     state_when_off,
     state_when_on,
-    state_when_on_by_other,
 )
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
@@ -29,8 +29,8 @@ CAUSE_BY_FAULT_BIT = {
     0: DriveFaultCause.VOLTAGE,
     10: DriveFaultCause.VOLTAGE,
     11: DriveFaultCause.VOLTAGE,
-    2: DriveFaultCause.HOT,
-    8: DriveFaultCause.HOT,
+    2: DriveFaultCause.OVERHEATED,
+    8: DriveFaultCause.OVERHEATED,
 }
 """Cause of fault bits of the motor. All other bits have the cause OTHER."""
 IGNORED_FAULT_COUNT = 3
@@ -40,40 +40,40 @@ WATCHDOG_TEXT = "disabled by itself: it restarted, or its watchdog fired"
 
 
 class RobstrideProgress(NamedTuple):
-    """State of the RobStride state machine between frames, stored in ``DriveState.private``.
+    """State of the RobStride state machine between frames, stored in ``DriveState.protocol_state``.
 
     Attributes:
         cursor: position in the list of parameters to read back.
-        configured: True if all parameters have their required values.
+        is_configured: True if all parameters have their required values.
         enabled_by_other_host: True if the motor may make torque without a command of this host.
-        enable_sent: True from the enable command until the motor reports reset mode.
-        disabling: True while the motor is being stopped.
+        is_enable_sent: True from the enable command until the motor reports reset mode.
+        is_disabling: True while the motor is being stopped.
         disable_command_ns: time of the first stop command [ns].
-        clearing: number of feedback frames with a fault still to be ignored, while the fault is
+        errors_to_ignore: number of feedback frames with a fault still to be ignored, while the fault is
             being cleared.
         ready_ns: time at which the last parameter was verified [ns].
         serial: identifier of the motor's processor, 0 if unknown.
     """
 
     cursor: ReadbackCursor = ReadbackCursor()
-    configured: bool = False
+    is_configured: bool = False
     enabled_by_other_host: bool = False
-    enable_sent: bool = False
-    disabling: bool = False
+    is_enable_sent: bool = False
+    is_disabling: bool = False
     disable_command_ns: int = 0
-    clearing: int = 0
+    errors_to_ignore: int = 0
     ready_ns: int = 0
     serial: int = 0
 
     @property
     def may_be_enabled(self) -> bool:
         """Return True if this host has sent an enable command, or if the motor may make torque without it."""
-        return self.enable_sent or self.enabled_by_other_host
+        return self.is_enable_sent or self.enabled_by_other_host
 
 
-def progress_of(state: DriveState) -> RobstrideProgress:
+def get_progress(state: DriveState) -> RobstrideProgress:
     """Return the ``RobstrideProgress`` in the state of a drive."""
-    progress: RobstrideProgress = state.private
+    progress: RobstrideProgress = state.protocol_state
     return progress
 
 
@@ -88,7 +88,7 @@ def apply_status(state: DriveState, mode: int, fault: int) -> DriveState:
         return state_when_off(state, state.phase == ENABLED, DROPPED_OUT_ERROR, WATCHDOG_TEXT)
     if mode == codec.RUNNING_MODE:
         return state_when_on(state, ENABLED_BY_OTHER_HOST_ERROR, "enabled, but not by this host")
-    return state_when_on_by_other(
+    return state_enabled_by_other_host(
         state, ENABLED_BY_OTHER_HOST_ERROR, "calibrating, but not by this host"
     )
 
@@ -98,15 +98,21 @@ def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
 
     A motor in reset mode makes no torque. In any other mode, the motor may still make torque.
     """
-    progress = progress_of(state)
-    if progress.clearing:
-        return state._replace(private=progress._replace(clearing=progress.clearing - 1))
+    progress = get_progress(state)
+    if progress.errors_to_ignore:
+        return state._replace(
+            protocol_state=progress._replace(errors_to_ignore=progress.errors_to_ignore - 1)
+        )
     is_off = mode == codec.RESET_MODE
     next_progress = progress._replace(
-        enable_sent=progress.enable_sent and not is_off, enabled_by_other_host=not is_off
+        is_enable_sent=progress.is_enable_sent and not is_off, enabled_by_other_host=not is_off
     )
-    fault_state = enter_fault(state._replace(private=next_progress), fault, fault_text(fault))
-    return fault_state._replace(phase=ENABLED) if progress.disabling and not is_off else fault_state
+    fault_state = enter_fault(
+        state._replace(protocol_state=next_progress), fault, fault_text(fault)
+    )
+    return (
+        fault_state._replace(phase=ENABLED) if progress.is_disabling and not is_off else fault_state
+    )
 
 
 def fault_text(fault: int) -> str:

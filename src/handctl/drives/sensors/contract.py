@@ -20,7 +20,7 @@ class SensorInterface(Protocol):
         channels: indices of the tendons or joints in each of these frames, as numbered in the hand.
         lengths: payload length of each of these frames [bytes].
         tension_frames: number of frames with tensions.
-        amplifiers: measuring amplifiers that the host sets up, in the order of ``group_ranges``.
+        amplifiers: measuring amplifiers that the host sets up, in the order of ``amplifier_frame_ranges``.
             The tuple is empty if no amplifier needs a set-up.
     """
 
@@ -63,7 +63,7 @@ class SensorInterface(Protocol):
         ...
 
     @property
-    def group_ranges(self) -> tuple[range, ...]:
+    def amplifier_frame_ranges(self) -> tuple[range, ...]:
         """Return for each amplifier the indices of its frames in ``ids``."""
         ...
 

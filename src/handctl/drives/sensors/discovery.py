@@ -13,7 +13,7 @@ from handctl.drives.frame import Frame
 
 SYNC_ID = 0x080
 """Identifier of SYNC, as in CANopen."""
-PROBE_COUNTERS = (0x35, 0x3A)
+PROBE_SYNC_COUNTERS = (0x35, 0x3A)
 """Counters of the two SYNC frames that a scan sends.
 
 The counters differ, so that a frame that another device repeats does not count as two answers.
@@ -31,15 +31,17 @@ def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Fram
     Round 3 has two SYNC frames. The other rounds have no requests.
     """
     return (
-        tuple(sync_with_counter(counter) for counter in PROBE_COUNTERS) if scan_round == 3 else ()
+        tuple(sync_with_counter(counter) for counter in PROBE_SYNC_COUNTERS)
+        if scan_round == 3
+        else ()
     )
 
 
 def discovered_sensor_nodes(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the discovered sensor nodes.
 
-    A node is found by its identifiers, from which both SYNC frames were answered. Consecutive
-    identifiers belong to one node.
+    An identifier belongs to a sensor node if a frame with this identifier answered each of the two
+    SYNC frames. Consecutive identifiers belong to one node.
     """
     ids = sorted(
         {
@@ -59,7 +61,7 @@ def _answers_both_sync_frames(received_frames: ReceivedFrames, can_id: int) -> b
         for frame in received_frames
         if frame.can_id == can_id and 2 <= len(frame.data) <= MAX_FRAME_BYTES
     ]
-    return can_id < SYNC_ID << 3 and counters == [counter & 0xF for counter in PROBE_COUNTERS]
+    return can_id < SYNC_ID << 3 and counters == [counter & 0xF for counter in PROBE_SYNC_COUNTERS]
 
 
 def _describe_node(can_id: int, received_frames: ReceivedFrames) -> DiscoveredNode:
@@ -93,7 +95,7 @@ def sync_with_counter(counter: int) -> Frame:
 
 def ping_request(node: DiscoveredNode) -> Frame:
     """Return a SYNC frame as the request to a sensor node."""
-    return sync_with_counter(PROBE_COUNTERS[0])
+    return sync_with_counter(PROBE_SYNC_COUNTERS[0])
 
 
 def is_ping_reply(node: DiscoveredNode, frame: Frame) -> bool:
@@ -101,7 +103,7 @@ def is_ping_reply(node: DiscoveredNode, frame: Frame) -> bool:
     return (
         frame.can_id == node.node_id
         and len(frame.data) >= 2
-        and frame.data[0] & 0xF == PROBE_COUNTERS[0] & 0xF
+        and frame.data[0] & 0xF == PROBE_SYNC_COUNTERS[0] & 0xF
     )
 
 

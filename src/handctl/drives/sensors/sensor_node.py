@@ -36,7 +36,7 @@ CHANNEL_BITS = 12
 """Number of bits of a channel."""
 COUNTER_BITS = 4
 """Number of bits of the counter in an answer."""
-CHANNEL_SHIFTS = tuple(
+CHANNEL_START_BITS = tuple(
     range(COUNTER_BITS, COUNTER_BITS + CHANNELS_PER_FRAME * CHANNEL_BITS, CHANNEL_BITS)
 )
 """Number of the lowest bit of each channel in a frame."""
@@ -68,7 +68,7 @@ TENSION_RAIL_N = TENSION_MAX_N - TARE_MAX_N
 # Number of ticks after which the SYNC counters repeat, and number of consecutive ticks with
 # distinct answers.
 COUNTER_PERIOD = 4096
-DISTINCT_COUNTERS = 8
+DISTINCT_COUNTER_TICKS = 8
 JOINT_STEP_RAD = 2 * math.pi / 4096
 """Change of the joint angle per count [rad]."""
 JOINT_STEP_M = 5e-5
@@ -124,7 +124,7 @@ class SensorNode:
         channels: indices of the tendons or joints in each of these frames, as numbered in the hand.
         lengths: payload length of each of these frames [bytes].
         tension_frames: number of frames with tensions.
-        frame_of: index of the frame with the load cell of each tendon of the hand, -1 for a tendon
+        tendon_frame_indices: index of the frame with the load cell of each tendon of the hand, -1 for a tendon
             without a load cell.
         decimation: number of SYNC frames for each answer with joint angles.
         prismatic: indices of the prismatic joints of the hand.
@@ -138,7 +138,7 @@ class SensorNode:
     channels: tuple[tuple[int, ...], ...]
     lengths: tuple[int, ...]
     tension_frames: int
-    frame_of: tuple[int, ...]
+    tendon_frame_indices: tuple[int, ...]
     decimation: int
     prismatic: frozenset[int] = frozenset()
     counters: bytes = field(init=False, repr=False, compare=False)
@@ -177,7 +177,7 @@ class SensorNode:
             channels=(*tension, *angle),
             lengths=tuple(_payload_length(len(group)) for group in tension + angle),
             tension_frames=len(tension),
-            frame_of=tuple(frame.get(index, -1) for index in range(len(tendons))),
+            tendon_frame_indices=tuple(frame.get(index, -1) for index in range(len(tendons))),
             decimation=node.joint_decimation,
             prismatic=frozenset(prismatic),
         )
@@ -198,7 +198,7 @@ class SensorNode:
         return ()
 
     @property
-    def group_ranges(self) -> tuple[range, ...]:
+    def amplifier_frame_ranges(self) -> tuple[range, ...]:
         """Return an empty tuple, because the node has no amplifiers."""
         return ()
 
@@ -317,7 +317,7 @@ class SensorNode:
 
     def group_of_tendon(self, tendon_index: int) -> int:
         """Return the index of the frame with the load cell of a tendon, or -1 without a load cell."""
-        return self.frame_of[tendon_index]
+        return self.tendon_frame_indices[tendon_index]
 
     def group_of_joint(self, joint_index: int) -> int:
         """Return the index of the frame with the encoder of a joint, or -1 without an encoder."""
@@ -327,14 +327,14 @@ class SensorNode:
 
 def _tension_signal(slot: int, index: int) -> Signal:
     """Return the signal of a tendon in channel ``slot`` of a frame."""
-    return Signal(f"tension_{slot}", SignalQuantity.TENSION, CHANNEL_SHIFTS[slot], CHANNEL_BITS,
+    return Signal(f"tension_{slot}", SignalQuantity.TENSION, CHANNEL_START_BITS[slot], CHANNEL_BITS,
                       scale=TENSION_STEP_N, offset=TENSION_ZERO_N, unit="N", channel=index)  # fmt: skip
 
 
 def _joint_signal(slot: int, index: int, is_prismatic: bool) -> Signal:
     """Return the signal of a joint in channel ``slot`` of a frame."""
     step, unit = (JOINT_STEP_M, "m") if is_prismatic else (JOINT_STEP_RAD, "rad")
-    return Signal(f"angle_{slot}", SignalQuantity.ANGLE, CHANNEL_SHIFTS[slot], CHANNEL_BITS,
+    return Signal(f"angle_{slot}", SignalQuantity.ANGLE, CHANNEL_START_BITS[slot], CHANNEL_BITS,
                   scale=step, offset=-JOINT_ZERO_COUNT * step, unit=unit,
                   channel=index)  # fmt: skip
 
@@ -345,21 +345,20 @@ def sync_counters(decimation: int) -> bytes:
 
     If a counter of four bits counted up, it would have the same value again after 16 or 32 ticks. A
     frame of this age would then seem fresh. The counters of handctl are pseudo-random instead. If
-    the distance of two ticks is less than ``DISTINCT_COUNTERS``, the low four bits of their
+    the distance of two ticks is less than ``DISTINCT_COUNTER_TICKS``, the low four bits of their
     counters differ. At a larger distance, these bits are equal only by chance. The node sends angle
     frames by the remainder of the counter modulo ``decimation``. This remainder therefore equals
-    the tick modulo ``decimation``. With some decimations, such as multiples of 8, at most two
-    values of the four bits have the same remainder. The bits of ticks at a small distance may then
-    be equal.
+    the tick modulo ``decimation``. If ``decimation`` is a multiple of 8, the remainder leaves only
+    two values for the low four bits. These bits may then be equal at a small distance, too.
     """
     rows = [range(remainder, 256, decimation) for remainder in range(decimation)]
     byte_by_nibble = [{byte & 0xF: byte for byte in row} for row in rows]
-    chance = 1
+    random_state = 1
     recent_counters = list[int]()
     result = bytearray()
     for k in range(COUNTER_PERIOD - COUNTER_PERIOD % decimation):
-        chance = (
-            chance * 6364136223846793005 + 1442695040888963407 & 0xFFFF_FFFF_FFFF_FFFF
+        random_state = (
+            random_state * 6364136223846793005 + 1442695040888963407 & 0xFFFF_FFFF_FFFF_FFFF
         )  # Knuth's MMIX
         fit = sorted(byte_by_nibble[k % decimation])
         # The counter of the latest tick is excluded first.
@@ -367,9 +366,9 @@ def sync_counters(decimation: int) -> bytes:
             if len(fit) > 2 and old_counter in fit:
                 fit.remove(old_counter)
         # Only the high bits of a linear congruential generator are random.
-        nibble = fit[(chance >> 33) % len(fit)]
+        nibble = fit[(random_state >> 33) % len(fit)]
         result.append(byte_by_nibble[k % decimation][nibble])
-        recent_counters = [*recent_counters[2 - DISTINCT_COUNTERS :], nibble]
+        recent_counters = [*recent_counters[2 - DISTINCT_COUNTER_TICKS :], nibble]
     return bytes(result)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.hand.file.error_text import FileMistake
-from handctl.hand.file.sections import (
+from handctl.hand.file.section_models import (
     PRISMATIC_KEYS,
     REVOLUTE_KEYS,
     Digit,
@@ -22,13 +22,13 @@ from handctl.hand.file.sections import (
     Tendon,
 )
 from handctl.hand.file.sensor_checks import amplifier_identifiers, check_sensor_node
-from handctl.hand.link_bodies import link_inertia
+from handctl.hand.link_geometry import link_inertia
 from handctl.hand.moment_arms import (
-    TABLE_DEGREE,
-    arm_table_residual,
-    is_arm_varying,
+    MOMENT_ARM_FIT_DEGREE,
+    is_moment_arm_varying,
+    moment_arm_polynomial,
+    moment_arm_table_residual,
     moment_arms_at,
-    polynomial_of_arm,
 )
 
 if TYPE_CHECKING:
@@ -36,15 +36,15 @@ if TYPE_CHECKING:
 
 SMALLEST_RATIO = 0.05
 """Smallest accepted absolute excursion ratio of a tendon at a prismatic joint."""
-SMALLEST_ARM_M = 1e-4
+SMALLEST_MOMENT_ARM_M = 1e-4
 """Smallest accepted absolute moment arm of a tendon at a joint [m]."""
-LARGEST_ARM_M = 0.05
+LARGEST_MOMENT_ARM_M = 0.05
 """Largest accepted absolute moment arm of a tendon at a joint [m]."""
-ARM_SAMPLES = 181
+MOMENT_ARM_SAMPLE_COUNT = 181
 """Number of joint angles at which a moment arm that depends on the joint angle is checked."""
 MAX_TABLE_RESIDUAL_FRACTION = 0.1
 """Largest difference between a table of moment arms and its polynomial, as a fraction of the largest arm."""
-ROUTING_SAMPLES = 11
+ROUTING_POSTURE_COUNT = 11
 """Number of postures at which tendon routing is checked, in a digit whose moment arms depend on joint angles."""
 ROUNDING_DEG = 1e-6
 """Tolerance for angles that were converted from rad [deg]."""
@@ -71,9 +71,15 @@ RELATIVE_ROUNDING_TOLERANCE = 1e-3
 
 It applies to the length of a unit vector and to the triangle inequality of inertias.
 """
-STRENGTH_KEY = "rated_breaking_force_N"
+BREAKING_FORCE_KEY = "rated_breaking_force_N"
 """Key of a tendon's breaking force."""
-LIMIT_KEYS = ("tension_floor_N", "tension_max_N", "tension_trip_N", "drive_limit_N", STRENGTH_KEY)
+TENSION_LIMIT_KEYS = (
+    "tension_floor_N",
+    "tension_max_N",
+    "tension_trip_N",
+    "drive_limit_N",
+    BREAKING_FORCE_KEY,
+)
 """Keys of a tendon's tension limits in ascending order."""
 MIT_REPLY_OFFSET = 0x10
 """Identifier of an MIT drive's replies minus the identifier of its commands, if the option ``reply_id`` is absent.
@@ -82,7 +88,7 @@ Source: Damiao, MST_ID = ESC_ID + 0x10.
 """
 MIT_REGISTER_ID = 0x7FF
 """Identifier that the register frames of all MIT drives share. Source: Damiao manual."""
-CANOPEN_SERVICES = (0x080, 0x180, 0x200, 0x580, 0x600, 0x700)
+CANOPEN_FRAME_IDS = (0x080, 0x180, 0x200, 0x580, 0x600, 0x700)
 """Identifiers of the CANopen frames emergency, TPDO1, RPDO1, SDO in both directions and heartbeat.
 
 The identifier of a device's frame is this number plus its node number.
@@ -93,7 +99,7 @@ EXTENDED_ID_FLAG = 1 << 31
 """Bit that marks a 29-bit CAN identifier. Source: Linux ``can.h``, CAN_EFF_FLAG."""
 STANDARD_IDS = 0x800
 """Number of 11-bit CAN identifiers."""
-SHARED_IDS = (
+IDS_SHARED_BY_MOTORS = (
     ("mit", MIT_REGISTER_ID, "the register frames of MIT drives"),
     ("odrive", 0x7E2, "the broadcast emergency stop of ODrives"),
     ("cia402", 0x000, "CANopen's NMT"),
@@ -131,10 +137,10 @@ def check_hand(hand: Hand) -> MistakeIterator:
     yield from check_sensor_node(hand)
     for digit in hand.digit:
         yield from _check_routing(hand, digit)
-        yield from _check_pairs(hand, digit)
+        yield from _check_spool_pairs(hand, digit)
     for tendon in hand.tendon:
-        yield from _check_drive(tendon, hand.motor_of(tendon.name))
-        yield from _check_control(hand, tendon, hand.motor_of(tendon.name))
+        yield from _check_drive(tendon, hand.motor_of_tendon(tendon.name))
+        yield from _check_control(hand, tendon, hand.motor_of_tendon(tendon.name))
     yield from _check_stream(hand.stream)
     yield from _check_identifiers(hand)
 
@@ -426,7 +432,7 @@ def _check_tendon_order(hand: Hand) -> MistakeIterator:
     for tendon in hand.tendon:
         location = f"tendon[{tendon.name}].moment_arm_m"
         for joint in tendon.arms:
-            yield from _check_arm(hand, tendon, joint)
+            yield from _check_moment_arm_range(hand, tendon, joint)
         name = hand.digit_of_tendon(tendon)
         if name is None:
             crossed_digits = [
@@ -443,7 +449,7 @@ def _check_tendon_order(hand: Hand) -> MistakeIterator:
             joint for joint in tendon.arms if joint not in hand.digit_named(name).joints
         ]
         for joint in passed_joints:
-            if is_arm_varying(tendon.arms[joint]):
+            if is_moment_arm_varying(tendon.arms[joint]):
                 expected = f"a number: {name} is carried by this joint"
                 yield FileMistake(
                     "an arm that depends on the angle", f"{location}.{joint}", expected
@@ -457,20 +463,20 @@ def _check_tendon_order(hand: Hand) -> MistakeIterator:
         last_digit_index = max(last_digit_index, digit)
 
 
-def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> MistakeIterator:
+def _check_moment_arm_range(hand: Hand, tendon: Tendon, joint: str) -> MistakeIterator:
     """Check the size and the sign of a moment arm over the range of its joint.
 
     A table of moment arms must cover the whole range and must be smooth.
     """
     arm = tendon.arms[joint]
-    location = f"tendon[{tendon.name}].{tendon.arm_key(joint)}.{joint}"
+    location = f"tendon[{tendon.name}].{tendon.moment_arm_key(joint)}.{joint}"
     if joint in tendon.excursion_ratio:
         if abs(arm) < SMALLEST_RATIO:
             expected = f"{SMALLEST_RATIO:g} to 5 m/m either way, or no such key"
             yield FileMistake(f"{arm:g}", location, expected)
         return
     if not isinstance(arm, dict):
-        if abs(arm) < SMALLEST_ARM_M:
+        if abs(arm) < SMALLEST_MOMENT_ARM_M:
             yield FileMistake(f"{arm:g}", location, "0.0001 to 0.05 m either way, or no such key")
         return
     low, high = np.degrees(hand.joint_limits[:, hand.joints.index(joint)]).tolist()
@@ -483,8 +489,8 @@ def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> MistakeIterator:
             f"a table over {range_text}",
         )
         return
-    angle = np.linspace(low, high, ARM_SAMPLES)
-    values = np.polynomial.polynomial.polyval(np.radians(angle), polynomial_of_arm(arm))
+    angle = np.linspace(low, high, MOMENT_ARM_SAMPLE_COUNT)
+    values = np.polynomial.polynomial.polyval(np.radians(angle), moment_arm_polynomial(arm))
     smallest_index = int(np.argmin(np.abs(values)))
     size = float(np.abs(values).max())
     if values.min() < 0.0 < values.max():
@@ -495,10 +501,10 @@ def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> MistakeIterator:
             location,
             f"one sign over {range_text}: a tendon either closes or opens a joint",
         )
-    elif abs(values[smallest_index]) < SMALLEST_ARM_M or size > LARGEST_ARM_M:
+    elif abs(values[smallest_index]) < SMALLEST_MOMENT_ARM_M or size > LARGEST_MOMENT_ARM_M:
         worst_arm = (
             values[smallest_index]
-            if abs(values[smallest_index]) < SMALLEST_ARM_M
+            if abs(values[smallest_index]) < SMALLEST_MOMENT_ARM_M
             else values[np.argmax(np.abs(values))]
         )
         worst_angle = angle[np.argmin(np.abs(values - worst_arm))]
@@ -507,8 +513,9 @@ def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> MistakeIterator:
             location,
             f"0.0001 to 0.05 m over {range_text}",
         )
-    elif (residual := arm_table_residual(arm)) > MAX_TABLE_RESIDUAL_FRACTION * size:
-        problem_text = f"the polynomial of degree {TABLE_DEGREE} differs by {1e3 * residual:.2g} mm from the table"
+    elif (residual := moment_arm_table_residual(arm)) > MAX_TABLE_RESIDUAL_FRACTION * size:
+        degree_text = f"the polynomial of degree {MOMENT_ARM_FIT_DEGREE}"
+        problem_text = f"{degree_text} differs by {1e3 * residual:.2g} mm from the table"
         yield FileMistake(
             problem_text,
             location,
@@ -526,7 +533,7 @@ def _check_routing(hand: Hand, digit: Digit) -> MistakeIterator:
     rank = _moment_arm_rank(arms @ coupling)
     if hand.has_varying_arm[tendons].any():
         limits = hand.joint_limits[:, joints]
-        postures = np.linspace(limits[0], limits[1], ROUTING_SAMPLES)
+        postures = np.linspace(limits[0], limits[1], ROUTING_POSTURE_COUNT)
         rank = min(
             _moment_arm_rank(moment_arm @ coupling)
             for moment_arm in moment_arms_at(
@@ -546,11 +553,11 @@ def _check_routing(hand: Hand, digit: Digit) -> MistakeIterator:
             yield FileMistake(
                 f"no tendon crosses {joint}",
                 f"digit[{digit.name}]",
-                f"a tendon with {arm_key_of(hand, joint)}.{joint}",
+                f"a tendon with {moment_arm_key_for_joint(hand, joint)}.{joint}",
             )
 
 
-def arm_key_of(hand: Hand, joint: str) -> str:
+def moment_arm_key_for_joint(hand: Hand, joint: str) -> str:
     """Return the key of a tendon's moment arm at a joint.
 
     For a prismatic joint, the key is ``excursion_ratio``.
@@ -571,26 +578,26 @@ def _moment_arm_rank(arm_matrix: NDArray[np.float64]) -> int:
 
 def _check_limits(tendon: Tendon) -> MistakeIterator:
     """Check that the tension limits of a tendon increase in the order from the floor to the breaking force."""
-    values = {key: getattr(tendon, key) for key in LIMIT_KEYS}
+    values = {key: getattr(tendon, key) for key in TENSION_LIMIT_KEYS}
     breaking_force = tendon.rated_breaking_force_N
     is_too_high = False
     for lower_limit, key, upper_limit in zip(
-        (None, *LIMIT_KEYS), LIMIT_KEYS[:-1], LIMIT_KEYS[1:], strict=False
+        (None, *TENSION_LIMIT_KEYS), TENSION_LIMIT_KEYS[:-1], TENSION_LIMIT_KEYS[1:], strict=False
     ):
         value = values[key]
-        value_above = values[upper_limit]
+        upper_limit_value = values[upper_limit]
         # The limit before this one has been reported as too high. Therefore this limit is not also
         # reported as too low.
         is_too_low = lower_limit is not None and value <= values[lower_limit] and not is_too_high
         bounds = (
             [] if lower_limit is None else [f"more than {lower_limit} = {values[lower_limit]:g} N"]
         )
-        if upper_limit == STRENGTH_KEY or breaking_force < value_above:
-            bounds.append(f"at most {STRENGTH_KEY} = {breaking_force:g} N")
+        if upper_limit == BREAKING_FORCE_KEY or breaking_force < upper_limit_value:
+            bounds.append(f"at most {BREAKING_FORCE_KEY} = {breaking_force:g} N")
             is_too_high = value > breaking_force
         else:
-            bounds.append(f"less than {upper_limit} = {value_above:g} N")
-            is_too_high = value >= value_above
+            bounds.append(f"less than {upper_limit} = {upper_limit_value:g} N")
+            is_too_high = value >= upper_limit_value
         if is_too_high or is_too_low:
             breaking_text = (
                 f", and the tendon breaks at {breaking_force:g} N" if value > breaking_force else ""
@@ -621,7 +628,7 @@ def _check_pretension(tendon: Tendon) -> MistakeIterator:
         )
 
 
-def _check_pairs(hand: Hand, digit: Digit) -> MistakeIterator:
+def _check_spool_pairs(hand: Hand, digit: Digit) -> MistakeIterator:
     """Check that a digit with spool pairs has one pair per coordinate.
 
     It must have no single tendons, no springs and no load cells.
@@ -732,7 +739,7 @@ def _frame_identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
     If the protocol of a motor is unknown here, the pair of protocol and node number replaces the
     identifier.
     """
-    for protocol, identifier, use_text in SHARED_IDS:
+    for protocol, identifier, use_text in IDS_SHARED_BY_MOTORS:
         for bus in {motor.bus for motor in hand.motor if motor.protocol == protocol}:
             yield bus, identifier, use_text
     node = hand.sensor_node
@@ -758,7 +765,7 @@ def _motor_identifiers(motor: Motor) -> Iterator[tuple[object, str]]:
         for message in range(32):
             yield motor.node_id << 5 | message, location
     elif motor.protocol == "cia402":
-        for service_base_id in CANOPEN_SERVICES:
+        for service_base_id in CANOPEN_FRAME_IDS:
             yield service_base_id + motor.node_id, location
     elif motor.protocol == "moteus":
         # These are the identifiers of the requests. They contain the source 0 and the bit that asks

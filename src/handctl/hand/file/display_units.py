@@ -15,9 +15,9 @@ EQUIVALENT_M_PER_RAD = 0.01
 
 It is a usual moment arm: the same motion of a tendon turns a hinge by 1 rad.
 """
-UNIT_NAMES = ("deg", "mm")
+DISPLAY_UNIT_NAMES = ("deg", "mm")
 """Displayed units of a hinge and of a prismatic joint."""
-SI_NAMES = ("rad", "m")
+SI_UNIT_NAMES = ("rad", "m")
 """Units of a hinge and of a prismatic joint in logs and calculations."""
 
 
@@ -29,14 +29,14 @@ class DisplayUnits(NamedTuple):
         factor: (n,) displayed value per SI value [deg/rad or mm/m].
         si_factor: (n,) SI value per displayed value.
         scale: (n,) factor of thresholds in rad for each position: 1, or ``EQUIVALENT_M_PER_RAD``.
-        per_degree: (n,) displayed change that counts as 1 deg in a speed limit: 1, or 0.17 mm.
+        displayed_per_degree: (n,) displayed change that counts as 1 deg in a speed limit: 1, or 0.17 mm.
     """
 
     is_prismatic: NDArray[np.bool_]
     factor: Array
     si_factor: Array
     scale: Array
-    per_degree: Array
+    displayed_per_degree: Array
 
     @classmethod
     def of(cls, is_prismatic: ArrayLike) -> "DisplayUnits":
@@ -51,7 +51,7 @@ class DisplayUnits(NamedTuple):
             np.where(prismatic_mask, 1000.0 * EQUIVALENT_M_PER_RAD * np.pi / 180.0, 1.0),
         )
 
-    def to_displayed(self, values: ArrayLike) -> Array:
+    def to_display_units(self, values: ArrayLike) -> Array:
         """Convert positions (.., n) [rad or m] to displayed units [deg or mm]."""
         return np.asarray(np.asarray(values, dtype=np.float64) * self.factor)
 
@@ -69,4 +69,6 @@ class DisplayUnits(NamedTuple):
     @property
     def names(self) -> tuple[str, ...]:
         """Return the displayed unit of each position."""
-        return tuple(UNIT_NAMES[int(unit_is_length)] for unit_is_length in self.is_prismatic)
+        return tuple(
+            DISPLAY_UNIT_NAMES[int(unit_is_length)] for unit_is_length in self.is_prismatic
+        )

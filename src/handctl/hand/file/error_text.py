@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from handctl.errors import ConfigError
 from handctl.hand.file.key_descriptions import key_description
-from handctl.hand.file.quantities import UNMEASURED_PLACEHOLDER
+from handctl.hand.file.quantity_types import UNMEASURED_PLACEHOLDER
 from handctl.printing import similar_name
 
 
@@ -41,7 +41,7 @@ SECTION_PATTERN = re.compile(r"(\w+)\[([^\]]*)\](.*)", re.DOTALL)
 
 The pattern matches the kind, the name, and the rest of the path.
 """
-EXPECTED_TYPES = {
+EXPECTED_BY_ERROR_TYPE = {
     "tuple_type": "a list",
     "dict_type": "a table",
     "model_type": "a table",
@@ -100,7 +100,7 @@ def validation_mistakes(
                 )
         elif error_detail["type"] != "extra_forbidden":
             context = {"right": error_detail["msg"], **error_detail.get("ctx", {})}
-            expected = EXPECTED_TYPES.get(error_detail["type"], "{right}").format(**context)
+            expected = EXPECTED_BY_ERROR_TYPE.get(error_detail["type"], "{right}").format(**context)
             if error_detail["input"] == UNMEASURED_PLACEHOLDER:
                 expected += _field_meaning(_field_of_key(location, model))
             unknown_key_mistakes.append(
@@ -192,10 +192,10 @@ def _unknown_key_mistake(
             key_path(content, key_location),
             "no mode; one drive: handctl jog --mode",
         )
-    proposal = most_similar_valid_key(
-        str(key_location[-1]), _valid_keys_at(model, key_location[:-1])
+    similar_key = most_similar_valid_key(
+        str(key_location[-1]), _valid_keys_of_table(model, key_location[:-1])
     )
-    return FileMistake("unknown key", key_path(content, key_location), proposal)
+    return FileMistake("unknown key", key_path(content, key_location), similar_key)
 
 
 def with_paths_in_hand_file(
@@ -215,8 +215,10 @@ def with_paths_in_hand_file(
     for mistake in mistakes:
         location = _path_in_file(mistake.where, origin_of_path)
         is_shared = location != mistake.where and mistake.what != "missing"
-        placed_mistake = mistake._replace(where=location)
-        located_mistakes.setdefault(location if is_shared else placed_mistake, placed_mistake)
+        mistake_at_location = mistake._replace(where=location)
+        located_mistakes.setdefault(
+            location if is_shared else mistake_at_location, mistake_at_location
+        )
     return list(located_mistakes.values())
 
 
@@ -254,16 +256,16 @@ def shortened_list(section_names: Sequence[str]) -> str:
     )
 
 
-def lines_by_text(named_texts: Iterable[tuple[str, str]]) -> tuple[str, ...]:
+def lines_by_text(name_text_pairs: Iterable[tuple[str, str]]) -> tuple[str, ...]:
     """Return one line for each different text, with all names that have this text.
 
     The lines are in the order of their first names.
 
     Args:
-        named_texts: pairs of a name and its text.
+        name_text_pairs: pairs of a name and its text.
     """
     names: dict[str, list[str]] = {}
-    for name, text in named_texts:
+    for name, text in name_text_pairs:
         names.setdefault(text, []).append(name)
     return tuple(f"{shortened_list(names[text])}: {text}" for text in names)
 
@@ -314,7 +316,7 @@ def toml_spelling(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _valid_keys_at(model: type[BaseModel], key_location: Sequence[str | int]) -> list[str]:
+def _valid_keys_of_table(model: type[BaseModel], key_location: Sequence[str | int]) -> list[str]:
     """Return the valid keys of the table at a location in the file."""
     for key_or_index in key_location:
         if isinstance(key_or_index, str):

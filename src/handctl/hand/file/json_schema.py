@@ -8,15 +8,15 @@ from copy import deepcopy
 from typing import Any
 
 from handctl.hand.description import Hand
-from handctl.hand.file.key_descriptions import DescribedSchema
+from handctl.hand.file.key_descriptions import SchemaWithDescriptions
 from handctl.hand.file.templates import (
-    ALL_NAMES_WORD,
-    DIGIT_KINDS,
-    KEYS_WITH_ONE_VALUE_FOR_ALL_LINKS,
-    RESOLVED_SCHEMA,
+    ALL_NAMES_KEYWORD,
+    KEYS_ACCEPTING_ONE_VALUE,
+    SCHEMA_WITH_TEMPLATES,
+    SCHEMA_WITHOUT_TEMPLATES,
     SECTION_KINDS,
+    TABLE_KINDS_IN_DIGIT,
     TEMPLATE_KEYS,
-    WRITTEN_SCHEMA,
 )
 
 SCHEMA_DRAFT = "http://json-schema.org/draft-07/schema#"
@@ -35,7 +35,7 @@ def hand_schema() -> dict[str, Any]:
     In the schema, every key of a digit, tendon or motor is optional, because the value may be in a
     default or template. ``handctl config check`` reports missing keys.
     """
-    schema = Hand.model_json_schema(by_alias=True, schema_generator=DescribedSchema)
+    schema = Hand.model_json_schema(by_alias=True, schema_generator=SchemaWithDescriptions)
     definitions = schema["definitions"] = schema.pop("$defs")
     for kind, name in SECTION_DEFINITIONS.items():
         definition = definitions[name]
@@ -54,28 +54,28 @@ def hand_schema() -> dict[str, Any]:
     for key in ("tendons", "joints"):
         node[key] = {
             "description": node[key].pop("description"),
-            "anyOf": [{"const": ALL_NAMES_WORD}, node[key]],
+            "anyOf": [{"const": ALL_NAMES_KEYWORD}, node[key]],
         }
     properties = schema["properties"]
     properties["schema"] = {
-        "enum": [WRITTEN_SCHEMA, RESOLVED_SCHEMA],
+        "enum": [SCHEMA_WITH_TEMPLATES, SCHEMA_WITHOUT_TEMPLATES],
         "description": "Version of the format.",
     }
     properties["default"] = {
         "type": "object",
         "description": "Values of all digits, tendons or motors that do not have their own.",
-        "properties": {kind: _reference_to(VALUE_DEFINITIONS[kind]) for kind in SECTION_KINDS},
+        "properties": {kind: _schema_reference(VALUE_DEFINITIONS[kind]) for kind in SECTION_KINDS},
         "additionalProperties": False,
     }
     for kind, key in TEMPLATE_KEYS.items():
         properties[key] = _table_array_schema(
             kind, f"Values of each {kind} that names the template."
         )
-    optional_sections = (*DIGIT_KINDS, "sensor_node")
+    optional_sections = (*TABLE_KINDS_IN_DIGIT, "sensor_node")
     schema["required"] = [key for key in schema["required"] if key not in optional_sections]
     return {
         "$schema": SCHEMA_DRAFT,
-        **_in_draft_vocabulary(schema),
+        **_convert_to_draft_7(schema),
         "title": "Hand file of handctl",
     }
 
@@ -91,20 +91,20 @@ def _add_short_forms_of_digit(digit_schema: dict[str, Any]) -> None:
     These forms are not valid in hand files of schema 1.
     """
     properties = digit_schema["properties"]
-    for kind in DIGIT_KINDS:
+    for kind in TABLE_KINDS_IN_DIGIT:
         properties[kind] = _table_array_schema(
             kind, f"Each {kind} of this digit, named DIGIT_NAME."
         )
-    for key in KEYS_WITH_ONE_VALUE_FOR_ALL_LINKS:
-        lists = properties[key]
+    for key in KEYS_ACCEPTING_ONE_VALUE:
+        list_schema = properties[key]
         element_schema = next(
             subschema["items"]
-            for subschema in (lists, *lists.get("anyOf", ()))
+            for subschema in (list_schema, *list_schema.get("anyOf", ()))
             if "items" in subschema
         )
         properties[key] = {
             "anyOf": [element_schema, {"type": "array", "items": element_schema}],
-            "description": lists["description"],
+            "description": list_schema["description"],
         }
 
 
@@ -113,22 +113,22 @@ def _table_array_schema(section_kind: str, description: str) -> dict[str, Any]:
     return {
         "type": "object",
         "description": description,
-        "additionalProperties": _reference_to(VALUE_DEFINITIONS[section_kind]),
+        "additionalProperties": _schema_reference(VALUE_DEFINITIONS[section_kind]),
     }
 
 
-def _reference_to(name: str) -> dict[str, Any]:
+def _schema_reference(name: str) -> dict[str, Any]:
     """Return a reference to a definition of the JSON Schema."""
     return {"$ref": f"#/definitions/{name}"}
 
 
-def _in_draft_vocabulary(schema_node: Any) -> Any:
+def _convert_to_draft_7(schema_node: Any) -> Any:
     """Convert a JSON Schema to the keywords of draft 7.
 
     Titles that only repeat a key are removed from the schema.
     """
     if isinstance(schema_node, list):
-        return [_in_draft_vocabulary(entry) for entry in schema_node]
+        return [_convert_to_draft_7(entry) for entry in schema_node]
     if not isinstance(schema_node, dict):
         return schema_node
     if "prefixItems" in schema_node:
@@ -140,7 +140,7 @@ def _in_draft_vocabulary(schema_node: Any) -> Any:
     return {
         key: value.replace("``", "`")
         if key == "description" and isinstance(value, str)
-        else _in_draft_vocabulary(value)
+        else _convert_to_draft_7(value)
         for key, value in schema_node.items()
         if key != "title" or not isinstance(value, str) or value.endswith("Values")
     }

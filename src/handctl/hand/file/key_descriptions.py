@@ -64,7 +64,7 @@ def _documented_attributes(class_body: list[ast.stmt]) -> Iterator[tuple[str, st
                 yield name, inspect.cleandoc(text)
 
 
-class DescribedSchema(GenerateJsonSchema):
+class SchemaWithDescriptions(GenerateJsonSchema):
     """Generator of a JSON Schema that contains the description of each key."""
 
     def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:

@@ -17,19 +17,19 @@ from tomlkit.items import AoT, Comment, Item, Table, Whitespace
 
 from handctl.errors import ConfigError
 from handctl.hand.file.templates import (
-    ALL_NAMES_WORD,
-    ARM_KEYS,
-    DIGIT_KINDS,
-    KEYS_WITH_ONE_VALUE_FOR_ALL_LINKS,
+    ALL_NAMES_KEYWORD,
+    KEYS_ACCEPTING_ONE_VALUE,
+    MOMENT_ARM_KEYS,
+    SCHEMA_WITH_TEMPLATES,
     SECTION_KINDS,
     SHORT_JOINT_PATTERN,
-    WRITTEN_SCHEMA,
+    TABLE_KINDS_IN_DIGIT,
 )
 from handctl.hand.file.toml_text import toml_text
 
 MAX_LINE_LENGTH = 120
 """Largest length of a line with an inline table."""
-INDIVIDUAL_KEYS = {
+NEVER_SHARED_KEYS = {
     "digit": {"name", "mount_position_m"},
     "tendon": {"name"},
     "motor": {"name", "node_id"},
@@ -79,7 +79,7 @@ class TomlTable:
     comments_before: list[str] = field(default_factory=list)
     comment: str = ""
     subtables: dict[str, dict[str, "TomlTable"]] = field(
-        default_factory=lambda: {kind: {} for kind in DIGIT_KINDS}
+        default_factory=lambda: {kind: {} for kind in TABLE_KINDS_IN_DIGIT}
     )
 
     def values(self) -> dict[str, Any]:
@@ -110,12 +110,12 @@ def convert_to_schema_2(text: str, source_name: str) -> str:
     root, tables = _parse_blocks(document)
     for entry in root.entries:
         if entry.key == "schema":
-            entry.text = str(WRITTEN_SCHEMA)
+            entry.text = str(SCHEMA_WITH_TEMPLATES)
     sections = {kind: [block for name, block in tables if name == kind] for kind in SECTION_KINDS}
     other_blocks = [(name, block) for name, block in tables if name not in SECTION_KINDS]
     _shorten_sensor_node(other_blocks, sections)
     defaults = {kind: _remove_common_values(kind, sections[kind]) for kind in SECTION_KINDS}
-    for kind in DIGIT_KINDS:
+    for kind in TABLE_KINDS_IN_DIGIT:
         _move_sections_into_digits(kind, sections)
     templates = _remove_values_to_templates(sections["digit"])
     lines = _table_lines(root, "")
@@ -124,7 +124,7 @@ def convert_to_schema_2(text: str, source_name: str) -> str:
         header = f"[[{name}]]" if array else f"[{name}]" + _header_comment(block)
         lines += ["", *block.comments_before, header, *_table_lines(block, name)]
     for kind in SECTION_KINDS:
-        lines += _kind_lines(
+        lines += _lines_of_section_kind(
             kind, defaults[kind], templates if kind == "digit" else {}, sections[kind]
         )
     return re.sub(r"\n{3,}", "\n\n", "\n".join(lines).strip("\n")) + "\n"
@@ -187,8 +187,8 @@ def _remove_common_values(
             _shorten_lists_per_link(block)
     if len(section_tables) < MIN_SECTIONS_TO_SHARE:
         return []
-    individual_keys = (*INDIVIDUAL_KEYS[section_kind], "motor", *ARM_KEYS)
-    return _remove_shared_values(section_tables, lambda key, value: key not in individual_keys)
+    never_shared_keys = (*NEVER_SHARED_KEYS[section_kind], "motor", *MOMENT_ARM_KEYS)
+    return _remove_shared_values(section_tables, lambda key, value: key not in never_shared_keys)
 
 
 def _remove_shared_values(
@@ -231,11 +231,7 @@ def _shorten_lists_per_link(block: TomlTable) -> None:
     """Replace each list of equal numbers, one per link, by a single number."""
     for entry in block.entries:
         values = entry.value
-        if (
-            entry.key not in KEYS_WITH_ONE_VALUE_FOR_ALL_LINKS
-            or not isinstance(values, list)
-            or not values
-        ):
+        if entry.key not in KEYS_ACCEPTING_ONE_VALUE or not isinstance(values, list) or not values:
             continue
         if isinstance(values[0], int | float) and all(value == values[0] for value in values):
             # The text between the bracket and the first comma is the number as the file spells it.
@@ -260,7 +256,7 @@ def _shorten_sensor_node(
     for name, block in other_tables:
         for entry in block.entries if name == "sensor_node" else ():
             if entry.key in names and entry.value == names[entry.key]:
-                entry.text = f'"{ALL_NAMES_WORD}"'
+                entry.text = f'"{ALL_NAMES_KEYWORD}"'
 
 
 def _move_sections_into_digits(
@@ -280,7 +276,7 @@ def _move_sections_into_digits(
         )
         if owner is None or not all(
             joint.startswith(f"{owner}_j")
-            for key in ARM_KEYS
+            for key in MOMENT_ARM_KEYS
             for joint in block.values().get(key, ())
         ):
             return
@@ -303,7 +299,7 @@ def _move_sections_into_digits(
             if entry.key == "motor" and str(entry.value).startswith(f"{owner}_"):
                 entry.value = str(entry.value).removeprefix(f"{owner}_")
                 entry.text = f'"{entry.value}"'
-            if entry.key in ARM_KEYS:
+            if entry.key in MOMENT_ARM_KEYS:
                 entry.value = {
                     joint.removeprefix(f"{owner}_"): arm for joint, arm in entry.value.items()
                 }
@@ -325,9 +321,9 @@ def _remove_values_to_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTa
         if len(group) < MIN_SECTIONS_TO_SHARE or "link_length_m" not in group[0].values():
             continue
         template = TomlTable(
-            _remove_shared_values(group, lambda key, value: key not in INDIVIDUAL_KEYS["digit"])
+            _remove_shared_values(group, lambda key, value: key not in NEVER_SHARED_KEYS["digit"])
         )
-        for kind in DIGIT_KINDS:
+        for kind in TABLE_KINDS_IN_DIGIT:
             # In the resolved file, the tendons and motors of a template come before those of the
             # digit itself. But the order of tendons and motors must not change. Therefore only
             # those before the first difference between the digits are moved into the template.
@@ -349,7 +345,7 @@ def _remove_values_to_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTa
     return templates
 
 
-def _kind_lines(
+def _lines_of_section_kind(
     section_kind: str,
     default_entries: Sequence[TomlEntry],
     table_of_template: dict[str, TomlTable],

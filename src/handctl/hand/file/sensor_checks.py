@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from handctl.hand.file.error_text import FileMistake, first_sentence
 from handctl.hand.file.key_descriptions import key_description
-from handctl.hand.file.sections import (
+from handctl.hand.file.section_models import (
     CIA404_KEYS,
     CIA404_PROTOCOL,
     HANDCTL_NODE_KEYS,
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 CANOPEN_SYNC = 0x080
 """CAN identifier of SYNC in CANopen. Source: CiA 301."""
-AMPLIFIER_SERVICES = (0x080, 0x580, 0x600, 0x700)
+AMPLIFIER_FRAME_IDS = (0x080, 0x580, 0x600, 0x700)
 """Identifiers of the frames of an amplifier: emergency, SDO in both directions, and heartbeat.
 
 The identifier of a frame is this number plus the node number of the amplifier.
@@ -75,11 +75,13 @@ def _check_amplifiers(node: SensorNode) -> Iterator[FileMistake]:
             f"0x{CANOPEN_SYNC:03X}, the SYNC of CANopen",
         )
     location = "sensor_node.node_ids"
-    repeated_numbers = sorted(
+    duplicate_node_numbers = sorted(
         {number for number in node.node_ids if node.node_ids.count(number) > 1}
     )
-    if repeated_numbers:
-        yield FileMistake(f"0x{repeated_numbers[0]:X} twice", location, "every node number once")
+    if duplicate_node_numbers:
+        yield FileMistake(
+            f"0x{duplicate_node_numbers[0]:X} twice", location, "every node number once"
+        )
     cells, channel_count = len(node.tendons), len(node.node_ids) * node.channels_per_node
     if cells > channel_count:
         problem_text = f"{len(node.node_ids)} amplifiers of {node.channels_per_node} channels for {cells} load cells"
@@ -125,5 +127,5 @@ def amplifier_identifiers(node: SensorNode) -> Iterator[tuple[int, str]]:
     for identifier in node.tension_ids:
         yield identifier, "sensor_node.node_ids"
     for number in node.node_ids:
-        for service_base_id in AMPLIFIER_SERVICES:
+        for service_base_id in AMPLIFIER_FRAME_IDS:
             yield service_base_id + number, "sensor_node.node_ids"

@@ -22,15 +22,15 @@ from typing import Any, NamedTuple
 
 from handctl.hand.file.checks import KEYS_PER_LINK
 from handctl.hand.file.error_text import FileMistake, most_similar_valid_key, toml_spelling
-from handctl.hand.file.sections import PRISMATIC, PRISMATIC_KEYS, REVOLUTE_KEYS
+from handctl.hand.file.section_models import PRISMATIC, PRISMATIC_KEYS, REVOLUTE_KEYS
 
-RESOLVED_SCHEMA = 1
+SCHEMA_WITHOUT_TEMPLATES = 1
 """Schema number of a hand file in which every section has all its values."""
-WRITTEN_SCHEMA = 2
+SCHEMA_WITH_TEMPLATES = 2
 """Schema number of a hand file with defaults and templates."""
 SECTION_KINDS = ("digit", "tendon", "motor")
 """Kinds of section that can have defaults and templates."""
-DIGIT_KINDS = ("tendon", "motor")
+TABLE_KINDS_IN_DIGIT = ("tendon", "motor")
 """Kinds of table that a digit may hold."""
 TEMPLATE_KEYS = {kind: f"{kind}_template" for kind in SECTION_KINDS}
 """Name of the table that holds the templates of each kind of section."""
@@ -39,18 +39,18 @@ KEYS_PER_JOINT_TYPE = {
     **dict.fromkeys((*PRISMATIC_KEYS, "joint_rated_force_N"), True),
 }
 """Keys of a digit with a value per joint of one type: True for those of prismatic joints."""
-KEYS_WITH_ONE_VALUE_FOR_ALL_LINKS = (*KEYS_PER_LINK, *KEYS_PER_JOINT_TYPE, "link_mesh_scale")
+KEYS_ACCEPTING_ONE_VALUE = (*KEYS_PER_LINK, *KEYS_PER_JOINT_TYPE, "link_mesh_scale")
 """Keys of a digit that accept one number in place of a list with a value per link or joint."""
-ARM_KEYS = ("moment_arm_m", "excursion_ratio")
+MOMENT_ARM_KEYS = ("moment_arm_m", "excursion_ratio")
 """Keys of a tendon whose value is a table with an entry per joint."""
-ALL_NAMES_WORD = "all"
+ALL_NAMES_KEYWORD = "all"
 """Value of the sensor node that stands for all tendons or all joints."""
 MAX_MERGED_TABLE_DEPTH = 3
 """Number of levels of nested tables that are merged key by key.
 
 A deeper table is replaced as a whole.
 """
-MISSING_KEY_PATTERN = re.compile(r"(digit|tendon|motor)\[[^\]]*\]\.([A-Za-z_0-9]+)")
+KEY_PATH_PATTERN = re.compile(r"(digit|tendon|motor)\[[^\]]*\]\.([A-Za-z_0-9]+)")
 """Pattern of the key path of a key in a digit, tendon or motor."""
 SHORT_JOINT_PATTERN = re.compile(r"j[0-9]+")
 
@@ -92,16 +92,16 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
     validation gives a better message about such a value.
     """
     tables = [key for key in ("default", *TEMPLATE_KEYS.values()) if key in content]
-    if content.get("schema") != WRITTEN_SCHEMA and not tables:
+    if content.get("schema") != SCHEMA_WITH_TEMPLATES and not tables:
         return ResolvedContent(dict(content), {}, [])
     resolver = _TemplateResolver(content)
-    if content.get("schema") != WRITTEN_SCHEMA:
+    if content.get("schema") != SCHEMA_WITH_TEMPLATES:
         resolver.mistakes.append(
-            FileMistake(f"the file has [{tables[0]}]", "schema", str(WRITTEN_SCHEMA))
+            FileMistake(f"the file has [{tables[0]}]", "schema", str(SCHEMA_WITH_TEMPLATES))
         )
     names = ("default", *TEMPLATE_KEYS.values())
     resolved_content = {key: value for key, value in content.items() if key not in names} | {
-        "schema": RESOLVED_SCHEMA
+        "schema": SCHEMA_WITHOUT_TEMPLATES
     }
     resolver.check_tables()
     sections: dict[str, Any] = {kind: [] for kind in SECTION_KINDS}
@@ -116,7 +116,7 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
                     kind, [ValueLayer(entry, f"{kind}[{_section_label(entry, position)}]")]
                 )
             )
-    for kind in DIGIT_KINDS:
+    for kind in TABLE_KINDS_IN_DIGIT:
         if isinstance(sections[kind], list):
             sections[kind] = resolver.of_digits[kind] + sections[kind]
     # If a section is missing, it is not added, so that the validation reports it as missing.
@@ -137,7 +137,9 @@ class _TemplateResolver:
         self.content = content
         self.origins: KeyPathOrigins = {}
         self.mistakes: list[FileMistake] = []
-        self.of_digits: dict[str, list[dict[str, Any]]] = {kind: [] for kind in DIGIT_KINDS}
+        self.of_digits: dict[str, list[dict[str, Any]]] = {
+            kind: [] for kind in TABLE_KINDS_IN_DIGIT
+        }
 
     def check_tables(self) -> None:
         """Find mistakes in the defaults and templates of the file.
@@ -184,7 +186,7 @@ class _TemplateResolver:
             section_layers: layers of the section itself, without those of the default and the template.
             name: name of the section, or None if the layers contain the name.
         """
-        layers = [*self.shared(section_kind, section_layers), *section_layers]
+        layers = [*self.shared_layers(section_kind, section_layers), *section_layers]
         values, origins = _merge_layers(layers, MAX_MERGED_TABLE_DEPTH)
         values.pop("template", None)
         label = name or values.get("name")
@@ -196,7 +198,7 @@ class _TemplateResolver:
             self._resolve_digit(layers, values, path)
         return values
 
-    def shared(
+    def shared_layers(
         self, section_kind: str, section_layers: Sequence[ValueLayer]
     ) -> Iterator[ValueLayer]:
         """Yield the layers of the default for a kind of section, and of the template that the section names."""
@@ -205,13 +207,13 @@ class _TemplateResolver:
         for key, values in default.items():
             # If a kind is misspelt, its default is used nevertheless. Otherwise all values of this
             # default would also be reported as missing.
-            misspelt = (
+            is_misspelt = (
                 key not in SECTION_KINDS
                 and section_kind not in default
                 and most_similar_valid_key(key, [*SECTION_KINDS]) == section_kind
             )
-            if isinstance(values, Mapping) and (key == section_kind or misspelt):
-                yield ValueLayer(_without_entry_keys(values), f"default.{key}")
+            if isinstance(values, Mapping) and (key == section_kind or is_misspelt):
+                yield ValueLayer(_without_name_and_template(values), f"default.{key}")
         template_layers = [layer for layer in section_layers if "template" in layer.values]
         if not template_layers:
             return
@@ -232,7 +234,7 @@ class _TemplateResolver:
             # Otherwise all values of the template would also be reported as missing.
             name = expected if expected in valid_names else next(iter(valid_names), None)
         if isinstance(templates, Mapping) and isinstance(templates.get(name), Mapping):
-            yield ValueLayer(_without_entry_keys(templates[name]), f"{key}.{name}")
+            yield ValueLayer(_without_name_and_template(templates[name]), f"{key}.{name}")
 
     def _resolve_digit(
         self, digit_layers: Sequence[ValueLayer], values: dict[str, Any], path: str
@@ -240,9 +242,9 @@ class _TemplateResolver:
         """Take the tendons and motors out of a digit, and extend single numbers to lists with a value per link."""
         digit = values.get("name")
         layers_by_kind = {
-            kind: _template_layers_by_name(digit_layers, kind) for kind in DIGIT_KINDS
+            kind: _template_layers_by_name(digit_layers, kind) for kind in TABLE_KINDS_IN_DIGIT
         }
-        for kind in DIGIT_KINDS:
+        for kind in TABLE_KINDS_IN_DIGIT:
             template_value = values.get(kind)
             if not isinstance(template_value, Mapping):
                 continue  # either there are none, or the later validation describes the mistake
@@ -251,26 +253,26 @@ class _TemplateResolver:
                 location = self.origins[f"{path}.{kind}.{name}"]
                 if isinstance(table, Mapping):
                     self.of_digits[kind].append(
-                        self._part_of_digit(
+                        self._tendon_or_motor_of_digit(
                             kind, digit, name, layers_by_kind[kind][name], layers_by_kind["motor"]
                         )
                     )
                 else:
                     self.mistakes.append(FileMistake(toml_spelling(table), location, "a table"))
         links = values.get("link_length_m", [0.0])
-        for key in KEYS_WITH_ONE_VALUE_FOR_ALL_LINKS:
+        for key in KEYS_ACCEPTING_ONE_VALUE:
             value = values.get(key)
             if (
                 isinstance(links, list | tuple)
                 and isinstance(value, int | float)
                 and not isinstance(value, bool)
             ):
-                count = _value_count(key, len(links), values.get("joint_type"))
+                count = _expected_value_count(key, len(links), values.get("joint_type"))
                 values[key] = [value] * count
                 origin = self.origins[f"{path}.{key}"]
                 self.origins |= {f"{path}.{key}[{i}]": origin for i in range(count)}
 
-    def _part_of_digit(
+    def _tendon_or_motor_of_digit(
         self,
         section_kind: str,
         digit: Any,
@@ -301,7 +303,7 @@ class _TemplateResolver:
         if section_kind == "tendon":
             if values.get("motor") in motors:
                 values["motor"] = f"{digit}_{values['motor']}"
-            for key in ARM_KEYS:
+            for key in MOMENT_ARM_KEYS:
                 self._write_full_joint_names(values, f"{path}.{key}", key, str(digit))
         return values
 
@@ -329,7 +331,7 @@ class _TemplateResolver:
         }
 
 
-def _value_count(key: str, link_count: int, joint_types: Any) -> int:
+def _expected_value_count(key: str, link_count: int, joint_types: Any) -> int:
     """Return the number of values that a digit with the given joint types needs for a key."""
     if key not in KEYS_PER_JOINT_TYPE:
         return link_count
@@ -339,7 +341,7 @@ def _value_count(key: str, link_count: int, joint_types: Any) -> int:
     return prismatic_count if KEYS_PER_JOINT_TYPE[key] else max(link_count - prismatic_count, 0)
 
 
-def join_mistakes_of_default(
+def join_missing_key_mistakes(
     mistakes: Iterable[FileMistake], content: TableContent
 ) -> list[FileMistake]:
     """Join the mistakes about a key that is missing in all sections of a kind.
@@ -350,14 +352,14 @@ def join_mistakes_of_default(
         mistakes: mistakes whose key paths belong to the resolved content.
         content: resolved content.
     """
-    joined_mistakes = list(mistakes)
+    mistake_list = list(mistakes)
     missing_values = [
-        MISSING_KEY_PATTERN.fullmatch(mistake.where) if mistake.what == "missing" else None
-        for mistake in joined_mistakes
+        KEY_PATH_PATTERN.fullmatch(mistake.where) if mistake.what == "missing" else None
+        for mistake in mistake_list
     ]
     counts = Counter(match.groups() for match in missing_values if match)
     joined: dict[FileMistake, None] = {}
-    for mistake, match in zip(joined_mistakes, missing_values, strict=True):
+    for mistake, match in zip(mistake_list, missing_values, strict=True):
         if match and counts[match.groups()] == len(_list_of_tables(content.get(match[1]))) > 1:
             expected = f"a value, there or in each {match[1]}" + mistake.right.removeprefix(
                 "a value"
@@ -429,10 +431,10 @@ def _expand_all_names(node: TableContent, sections: TableContent) -> dict[str, A
             for i in range(len(digit["link_length_m"]))
         ],
     }
-    return dict(node) | {key: names[key] for key in names if node.get(key) == ALL_NAMES_WORD}
+    return dict(node) | {key: names[key] for key in names if node.get(key) == ALL_NAMES_KEYWORD}
 
 
-def _without_entry_keys(values: TableContent) -> dict[str, Any]:
+def _without_name_and_template(values: TableContent) -> dict[str, Any]:
     """Return the values of a default or template, without the keys ``name`` and ``template``."""
     return {key: value for key, value in values.items() if key not in ("name", "template")}
 

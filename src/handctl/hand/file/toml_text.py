@@ -28,7 +28,7 @@ def toml_text(content: Mapping[str, Any]) -> str:
 def _value_lines(table_content: Mapping[str, Any], inline_tables: bool = False) -> list[str]:
     """Return the lines of a table that contain its values with one line each."""
 
-    def is_entry(value: Any) -> bool:
+    def is_single_line_value(value: Any) -> bool:
         """Return True for a value that needs only one line of the table."""
         return (
             bool(inline_tables and value)
@@ -39,7 +39,7 @@ def _value_lines(table_content: Mapping[str, Any], inline_tables: bool = False) 
     return [
         f"{key} = {_value_text(value)}"
         for key, value in table_content.items()
-        if value is not None and is_entry(value)
+        if value is not None and is_single_line_value(value)
     ]
 
 

@@ -14,9 +14,9 @@ import numpy as np
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array
 from handctl.hand.file.error_text import FileMistake
-from handctl.hand.file.mesh_values import MESH_SUFFIXES
+from handctl.hand.file.mesh_value_types import MESH_SUFFIXES
 from handctl.hand.formats.mesh_file import mesh_triangles
-from handctl.hand.link_bodies import rotation_of_rpy
+from handctl.hand.link_geometry import rotation_of_rpy
 
 PALM_LINK = "palm"
 """Link name of the palm."""
@@ -63,7 +63,7 @@ class LinkMesh:
         """Return the suffix of the mesh file's name in lower case."""
         return PurePath(self.file).suffix.lower()
 
-    def place(self, triangles: Array) -> Array:
+    def to_link_frame(self, triangles: Array) -> Array:
         """Transform triangles (n, 3, 3) of the mesh file to the frame of the link [m]."""
         return np.asarray(triangles * self.scale @ self.rotation.T + self.position)
 
@@ -154,7 +154,7 @@ def _read_file(path: Path) -> bytes:
 
 def _size_mistakes(mesh: LinkMesh, triangles: Array) -> Iterator[FileMistake]:
     """Check that the size of a mesh and its distance from the link are plausible."""
-    points = mesh.place(triangles).reshape(-1, 3)
+    points = mesh.to_link_frame(triangles).reshape(-1, 3)
     extent = float((points.max(axis=0) - points.min(axis=0)).max())
     max_distance = float(np.abs(points).max())
     scale_key = mesh.key.rpartition(".")[2].partition("[")[0] + "_scale"

@@ -11,12 +11,12 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from handctl.hand.description import Hand
-from handctl.hand.file.sections import Digit
+from handctl.hand.file.section_models import Digit
 from handctl.hand.formats.link_meshes import LinkMesh
 from handctl.hand.formats.number_text import number_text, numbers_text
 from handctl.hand.formats.urdf import NO_MESHES, coupled_joints, palm_box, shape_length
-from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement
 from handctl.hand.link_frames import quaternion_of_rotation
+from handctl.hand.link_geometry import centre_of_mass, joint_axes, link_inertia, link_placement
 
 STOP_SOLVER_PARAMETERS = ("0.002 1", "0.99 0.9999 0.001")
 """Values of ``solreflimit`` and ``solimplimit`` that make the joint stops stiff.
@@ -25,9 +25,9 @@ With MuJoCo's defaults, return springs push the light links 16 degrees past thei
 """
 
 
-VISUAL_GROUP = "2"
+VISUAL_GEOM_GROUP = "2"
 """Group of the geoms that show meshes. Viewers show the groups 0 to 2."""
-HIDDEN_GROUP = "3"
+COLLISION_GEOM_GROUP = "3"
 """Group of the collision shapes of links with a mesh. Viewers do not show this group."""
 
 
@@ -177,10 +177,15 @@ def _add_meshes(model_root: ET.Element, mesh_of_link: Mapping[str, LinkMesh]) ->
             inertia="shell",
         )
         for geom in bodies[link].findall("geom"):
-            geom.set("group", HIDDEN_GROUP)
+            geom.set("group", COLLISION_GEOM_GROUP)
         x, y, z, w = quaternion_of_rotation(mesh.rotation)
         mesh_pose = {"pos": numbers_text(mesh.position), "quat": numbers_text((w, x, y, z))}
-        geom_attributes = {"contype": "0", "conaffinity": "0", "mass": "0", "group": VISUAL_GROUP}
+        geom_attributes = {
+            "contype": "0",
+            "conaffinity": "0",
+            "mass": "0",
+            "group": VISUAL_GEOM_GROUP,
+        }
         ET.SubElement(bodies[link], "geom", mesh_pose | geom_attributes, type="mesh", mesh=link)
 
 

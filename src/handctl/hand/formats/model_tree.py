@@ -17,8 +17,8 @@ import numpy as np
 
 from handctl.errors import ConfigError
 from handctl.hand.digit import Array
-from handctl.hand.file.quantities import NAME_PATTERN
-from handctl.hand.file.sections import MAX_LINKS
+from handctl.hand.file.quantity_types import NAME_PATTERN
+from handctl.hand.file.section_models import MAX_LINKS
 
 MAX_ANGLE_TO_LINK_RAD = 1e-6
 """Largest angle between a link and the x axis of its frame [rad].
@@ -27,7 +27,7 @@ If the angle is larger, the frame is turned.
 """
 INTERSECTION_TOLERANCE_M = 1e-7
 """Largest distance of two joints whose axes count as meeting in a point [m]."""
-MIN_FLEXION_Y = 0.7
+MIN_FLEXION_COMPONENT = 0.7
 """Smallest component along y of the tip's direction of motion.
 
 If the component is smaller, the last frame of a digit is turned.
@@ -38,7 +38,7 @@ NEGATIVE_FLEXION_RATIO = 0.1
 If a joint's upper limit is at most this ratio times minus its lower limit, the joint flexes towards
 negative angles.
 """
-MIN_FORWARD_X = 0.7
+MIN_FORWARD_COMPONENT = 0.7
 """Smallest component along x of the mean direction of the digits.
 
 If the component is smaller, the palm frame is turned.
@@ -228,16 +228,16 @@ class ModelDigit:
 class _LinkChain:
     """Chain of links.
 
-    ``carrier`` is the index of the chain that carries this chain. ``members`` are the indices of
+    ``carrier`` is the index of the chain that carries this chain. ``link_indices`` are the indices of
     the links.
     """
 
     name: str
     carrier: int | None
-    members: tuple[int, ...]
+    link_indices: tuple[int, ...]
 
 
-def digits_of_links(
+def digits_from_links(
     links: Sequence[ModelLink], source_name: str
 ) -> tuple[tuple[ModelDigit, ...], Array, Array]:
     """Return the digits of a tree of links and the frame of the palm.
@@ -264,41 +264,42 @@ def digits_of_links(
     palm, origin = _palm_frame(links, chains, frames)
     digits = []
     for chain in chains:
-        first_member, *other_members = chain.members
-        base = palm if chain.carrier is None else frames[chains[chain.carrier].members[-1]][0]
-        position_from_carrier = links[first_member].position - (
+        base_link_index, *other_link_indices = chain.link_indices
+        base = palm if chain.carrier is None else frames[chains[chain.carrier].link_indices[-1]][0]
+        position_from_carrier = links[base_link_index].position - (
             origin if chain.carrier is None else 0.0
         )
         turns = [
-            frames[links[i].parent][0].T @ links[i].rotation @ frames[i][0] for i in other_members
+            frames[links[i].parent][0].T @ links[i].rotation @ frames[i][0]
+            for i in other_link_indices
         ]
-        own_frames = [frames[i][0] for i in chain.members]
-        bodies = [links[i] for i in chain.members]
+        link_frames = [frames[i][0] for i in chain.link_indices]
+        bodies = [links[i] for i in chain.link_indices]
         digits.append(
             ModelDigit(
                 name=chain.name,
                 carrier=None if chain.carrier is None else chains[chain.carrier].name,
                 joints=tuple(link.joint for link in bodies),
                 position=base.T @ position_from_carrier,
-                rotation=base.T @ links[first_member].rotation @ frames[first_member][0],
+                rotation=base.T @ links[base_link_index].rotation @ frames[base_link_index][0],
                 turns=np.array(turns).reshape(-1, 3, 3),
-                lengths=np.array([frames[i][1] for i in chain.members]),
+                lengths=np.array([frames[i][1] for i in chain.link_indices]),
                 axes=np.array(
-                    [turn.T @ link.axis for turn, link in zip(own_frames, bodies, strict=True)]
+                    [turn.T @ link.axis for turn, link in zip(link_frames, bodies, strict=True)]
                 ),
                 links=tuple(bodies),
                 centres_of_mass=np.array(
-                    [turn.T @ link.com for turn, link in zip(own_frames, bodies, strict=True)]
+                    [turn.T @ link.com for turn, link in zip(link_frames, bodies, strict=True)]
                 ),
                 inertias=np.array(
                     [
                         turn.T @ link.inertia @ turn
-                        for turn, link in zip(own_frames, bodies, strict=True)
+                        for turn, link in zip(link_frames, bodies, strict=True)
                     ]
                 ),
                 meshes=tuple(
                     link.mesh and link.mesh.seen_from_frame(turn, np.zeros(3))
-                    for turn, link in zip(own_frames, bodies, strict=True)
+                    for turn, link in zip(link_frames, bodies, strict=True)
                 ),
             )
         )
@@ -318,13 +319,13 @@ def _link_chains(links: Sequence[ModelLink]) -> Iterator[_LinkChain]:
     pending_links: list[tuple[int, int | None]] = [(i, None) for i in reversed(children[-1])]
     while pending_links:
         first_link, carrier = pending_links.pop()
-        members = [first_link]
-        while len(children[members[-1]]) == 1 and len(members) < MAX_LINKS:
-            members += children[members[-1]]
-        name = _digit_name([links[i] for i in members], names, count)
+        link_indices = [first_link]
+        while len(children[link_indices[-1]]) == 1 and len(link_indices) < MAX_LINKS:
+            link_indices += children[link_indices[-1]]
+        name = _digit_name([links[i] for i in link_indices], names, count)
         names.add(name)
-        yield _LinkChain(name, carrier, tuple(members))
-        pending_links += [(i, count) for i in reversed(children[members[-1]])]
+        yield _LinkChain(name, carrier, tuple(link_indices))
+        pending_links += [(i, count) for i in reversed(children[link_indices[-1]])]
         count += 1
 
 
@@ -367,12 +368,12 @@ def _link_frames(
     """
     frames = {}
     for chain in chains:
-        for i, following in zip(chain.members, chain.members[1:], strict=False):
+        for i, following in zip(chain.link_indices, chain.link_indices[1:], strict=False):
             frames[i] = _link_frame(links[i], links[following].position, is_last_link=False)
-        last_member = chain.members[-1]
-        frames[last_member] = _link_frame(
-            links[last_member],
-            _link_end(links, last_member, f"{source_name}: digit {chain.name}"),
+        last_link_index = chain.link_indices[-1]
+        frames[last_link_index] = _link_frame(
+            links[last_link_index],
+            _link_end(links, last_link_index, f"{source_name}: digit {chain.name}"),
             is_last_link=True,
         )
     return frames
@@ -391,7 +392,7 @@ def _link_frame(link: ModelLink, link_end: Array, is_last_link: bool) -> tuple[A
     if (
         np.linalg.norm(x[1:]) < MAX_ANGLE_TO_LINK_RAD
         and x[0] > 0.0
-        and not (is_last_link and motion[1] < MIN_FLEXION_Y)
+        and not (is_last_link and motion[1] < MIN_FLEXION_COMPONENT)
     ):
         return np.eye(3), length
     z = axis - (axis @ x) * x
@@ -470,21 +471,21 @@ def _palm_frame(
         frames_of_digits.append((position + rotation @ link.position, rotation @ link.rotation))
     carriers = {chain.carrier for chain in chains}
     fingers = [chain for i, chain in enumerate(chains) if i not in carriers]
-    mounts = np.array([frames_of_digits[chain.members[0]][0] for chain in fingers])
+    mounts = np.array([frames_of_digits[chain.link_indices[0]][0] for chain in fingers])
     mean_direction = np.zeros(3)
     for chain, mount in zip(fingers, mounts, strict=True):
-        last_member = chain.members[-1]
-        position, rotation = frames_of_digits[last_member]
+        last_link_index = chain.link_indices[-1]
+        position, rotation = frames_of_digits[last_link_index]
         palm_axis = (
             position
-            + rotation @ frame_of_link[last_member][0][:, 0] * frame_of_link[last_member][1]
+            + rotation @ frame_of_link[last_link_index][0][:, 0] * frame_of_link[last_link_index][1]
             - mount
         )
         mean_direction += palm_axis / np.linalg.norm(palm_axis) / len(fingers)
-    last_member = fingers[0].members[-1]
-    closing_axis = frames_of_digits[last_member][1] @ frame_of_link[last_member][0][:, 1]
+    last_link_index = fingers[0].link_indices[-1]
+    closing_axis = frames_of_digits[last_link_index][1] @ frame_of_link[last_link_index][0][:, 1]
     palm = np.eye(3)
-    if mean_direction[0] < MIN_FORWARD_X * np.linalg.norm(mean_direction):
+    if mean_direction[0] < MIN_FORWARD_COMPONENT * np.linalg.norm(mean_direction):
         palm = max(
             _right_angle_rotations(),
             key=lambda turn: float(2 * turn[:, 0] @ mean_direction - turn[:, 1] @ closing_axis),

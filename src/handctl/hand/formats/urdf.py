@@ -11,10 +11,10 @@ import numpy as np
 
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array
-from handctl.hand.file.sections import PRISMATIC, Digit
+from handctl.hand.file.section_models import PRISMATIC, Digit
 from handctl.hand.formats.link_meshes import LinkMesh
 from handctl.hand.formats.number_text import number_text, numbers_text
-from handctl.hand.link_bodies import (
+from handctl.hand.link_geometry import (
     centre_of_mass,
     joint_axes,
     link_inertia,
@@ -22,7 +22,7 @@ from handctl.hand.link_bodies import (
     rpy_of_rotation,
 )
 
-INERTIA_INDICES = {
+INDICES_BY_INERTIA_ATTRIBUTE = {
     "xx": (0, 0),
     "yy": (1, 1),
     "zz": (2, 2),
@@ -35,7 +35,7 @@ NO_MESHES: Mapping[str, LinkMesh] = {}
 """Meshes of a hand that is exported with primitive shapes only."""
 PALM_THICKNESS_M = 0.010
 """Depth of the box that represents the palm [m]. The front of the box is at x = 0."""
-PALM_MARGIN_M = 0.010
+PALM_BOX_MARGIN_M = 0.010
 """Extent of the box beyond the mounts of the outermost digits [m]."""
 
 
@@ -82,8 +82,8 @@ def palm_box(hand: Hand, carrier: str | None) -> tuple[Array, Array]:
         carrier: digit whose last link carries the digits, None for the palm.
     """
     mounts = np.array([digit.mount_position_m for digit in hand.digit if digit.mount_on == carrier])
-    low = mounts.min(axis=0) - PALM_MARGIN_M
-    high = mounts.max(axis=0) + PALM_MARGIN_M
+    low = mounts.min(axis=0) - PALM_BOX_MARGIN_M
+    high = mounts.max(axis=0) + PALM_BOX_MARGIN_M
     high[0] = 0.0 if carrier is None else mounts[:, 0].min()
     low[0] = high[0] - PALM_THICKNESS_M
     return (low + high) / 2, high - low
@@ -150,7 +150,7 @@ def _add_joint(robot_element: ET.Element, hand: Hand, digit: Digit, i: int) -> N
         arm * tendon.tension_max_N for arm, tendon in zip(arms, crossing_tendons, strict=True)
     )
     motors = [
-        (hand.motor_of(tendon.name), arm)
+        (hand.motor_of_tendon(tendon.name), arm)
         for arm, tendon in zip(arms, crossing_tendons, strict=True)
     ]
     # The joint speed is the spool speed times the spool radius, divided by the moment arm. The
@@ -241,7 +241,7 @@ def _add_link(
     moments = link_inertia(digit, i)
     values = {
         f"i{key}": number_text(moments[matrix_index])
-        for key, matrix_index in INERTIA_INDICES.items()
+        for key, matrix_index in INDICES_BY_INERTIA_ATTRIBUTE.items()
     }
     ET.SubElement(inertial_element, "inertia", values)
     if mesh:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from handctl.core.tick_types import TELEMETRY_AXES, HandMode
 from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
-from handctl.log.read.log_hand import prismatic_joints
+from handctl.log.read.hand_in_log import prismatic_joints
 from handctl.log.read.reader import RunLog
 from handctl.safety.safety_action import SafetyAction
 

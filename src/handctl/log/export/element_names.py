@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable
 
 ANGLE_SUFFIX = ".pos_rad"
 """End of the name of an element that contains the angle of a hinge [rad]."""
-SLIDE_SUFFIX = ".pos_m"
+PRISMATIC_SUFFIX = ".pos_m"
 """End of the name of an element that contains the position of a prismatic joint [m]."""
 
 
@@ -22,5 +22,5 @@ def position_names(joints: Iterable[str], prismatic: Collection[str]) -> tuple[s
         prismatic: names of the prismatic joints among them.
     """
     return tuple(
-        f"{joint}{SLIDE_SUFFIX if joint in prismatic else ANGLE_SUFFIX}" for joint in joints
+        f"{joint}{PRISMATIC_SUFFIX if joint in prismatic else ANGLE_SUFFIX}" for joint in joints
     )

@@ -41,9 +41,9 @@ from handctl.log.export.camera_video import (
     write_episode_video,
 )
 from handctl.log.export.element_names import position_names
-from handctl.log.read.log_hand import prismatic_joints
+from handctl.log.read.hand_in_log import prismatic_joints
 from handctl.log.read.reader import RunLog
-from handctl.log.read.timeline import check_order
+from handctl.log.read.timeline import check_tick_times
 from handctl.printing import printable_text
 
 DATA_PATH_PATTERN = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
@@ -51,7 +51,7 @@ EPISODES_PATH_PATTERN = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:
 STATISTICS_PERCENTILES = (1, 10, 50, 90, 99)
 """Percentiles in the statistics of a feature."""
 
-SIGMA_FIELDS = ("q_sigma", "tension_sigma")
+STANDARD_DEVIATION_FIELDS = ("q_sigma", "tension_sigma")
 """Telemetry fields with the standard deviations of the values in `observation.state`.
 
 Logs of version 0.1 lack `q_sigma`.
@@ -113,7 +113,7 @@ def export_lerobot(
         )
     episodes = [_episode_of_log(log, fps) for log in logs]
     for i, (log, episode) in enumerate(zip(logs, episodes, strict=True)):
-        _check_same_dataset(
+        _check_same_hand_and_rate(
             first_log, log, episodes[0].element_names == episode.element_names, f"log {i + 1}"
         )
     tasks = list(dict.fromkeys(episode.task for episode in episodes))
@@ -230,7 +230,7 @@ def _video_feature(episode_videos: Sequence[EpisodeVideo], fps: int) -> dict[str
     }
 
 
-def _check_same_dataset(
+def _check_same_hand_and_rate(
     first_log: RunLog, log: RunLog, has_same_names: bool, log_name: str
 ) -> None:
     """Check that a log has the same hand and the same control rate as the first log of the dataset.
@@ -263,7 +263,7 @@ def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
     active = np.flatnonzero(log.mode == int(HandMode.ACTIVE))
     if len(active) < 2:
         raise LogError("the hand was never active in this log", "the log", "a run that moved")
-    check_order(log.t_ns, log.header.period_ns)
+    check_tick_times(log.t_ns, log.header.period_ns)
     start = int(log.t_ns[active[0]])
     end = int(log.t_ns[active[-1]])
     frames = (end - start) * fps // 10**9 + 1
@@ -276,8 +276,8 @@ def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
 def _vector_features(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[list[str], Array]]:
     """Return the element names and the values (frames, n) of each vector feature."""
     header = log.header
-    q = _without_nan(log, "q", rows)
-    tension = _without_nan(log, "tension", rows)
+    q = _fill_missing_values(log, "q", rows)
+    tension = _fill_missing_values(log, "tension", rows)
     angle_commands = log.field("q_goal")[rows]
     tension_commands = log.field("tension_goal")[rows]
     names = list(position_names(header.joints, prismatic_joints(header)))
@@ -292,12 +292,14 @@ def _vector_features(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[lis
         "observation.state": (names, np.hstack([q, tension])),
         "observation.tip_force": (
             [f"{digit}.force_N" for digit in header.digits],
-            _without_nan(log, "tip_force", rows),
+            _fill_missing_values(log, "tip_force", rows),
         ),
         "action": (names, commands),
     }
-    if SIGMA_FIELDS[0] in log.fields:
-        sigma = np.hstack([_without_nan(log, name, rows) for name in SIGMA_FIELDS])
+    if STANDARD_DEVIATION_FIELDS[0] in log.fields:
+        sigma = np.hstack(
+            [_fill_missing_values(log, name, rows) for name in STANDARD_DEVIATION_FIELDS]
+        )
         vector_features["observation.sigma"] = (
             [_standard_deviation_name(name) for name in names],
             sigma,
@@ -311,7 +313,7 @@ def _standard_deviation_name(name: str) -> str:
     return f"{quantity}_sigma_{unit}"
 
 
-def _without_nan(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
+def _fill_missing_values(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
     """Return a telemetry field (frames, n) in which each NaN is replaced by a number.
 
     A NaN is replaced by the last number above it in the same column. If there is no number above,

@@ -18,7 +18,7 @@ from handctl.log.export.csv_and_candump import (
     column_unit,
     table_blocks,
 )
-from handctl.log.read.log_hand import prismatic_joints
+from handctl.log.read.hand_in_log import prismatic_joints
 from handctl.log.read.reader import RunLog
 
 

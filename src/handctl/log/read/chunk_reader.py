@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 MAX_CHANNELS = 1000
 """Largest accepted number of schemas in a chunk, and largest accepted number of channels."""
-MIN_BLOCKS = 128
+MIN_BLOCK_LIMIT = 128
 """Number of message blocks that a chunk of any size may have."""
 BYTES_PER_BLOCK = 16
 """A chunk may have one further message block for each such number of compressed bytes."""
@@ -100,7 +100,7 @@ def iter_messages(
     raw_bytes = np.frombuffer(content, np.uint8)
     at = 0
     definition_count = 0
-    remaining = MIN_BLOCKS + compressed_size // BYTES_PER_BLOCK
+    remaining = MIN_BLOCK_LIMIT + compressed_size // BYTES_PER_BLOCK
     while at < len(content):
         remaining -= 1
         if remaining < 0:

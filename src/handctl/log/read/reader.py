@@ -25,11 +25,11 @@ from handctl.log.read.chunk_reader import (
 from handctl.log.read.logfile import ChunkLocation, LogErrorContext, LogFile
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.log.read.timeline import LoggedEvent, PhaseChange, TickGap
-from handctl.log.tick_batch import FIXED_DTYPE, column_count, columns_of_fields, row_fields
+from handctl.log.tick_batch import TICK_HEAD_DTYPE, column_count, columns_of_fields, row_field_names
 from handctl.log.tick_record import TickRecord, message_layout, unpack_tick, unpack_ticks
 from handctl.log.topics.clock_pair_topic import CLOCK_PAIRS_TOPIC as CLOCK_TOPIC
 from handctl.log.topics.clock_pair_topic import ClockPair, decode_clock_pair
-from handctl.log.topics.hash_chain import CHAIN_TOPIC as CHAIN_TOPIC
+from handctl.log.topics.hash_chain import HASH_CHAIN_TOPIC as HASH_CHAIN_TOPIC
 from handctl.log.topics.hash_chain import HASH_SIZE
 from handctl.log.topics.snapshot_topic import SNAPSHOT_TOPIC as SNAPSHOT_TOPIC
 from handctl.log.topics.snapshot_topic import decode_snapshot
@@ -39,7 +39,7 @@ from handctl.printing import printable_text
 
 Array = NDArray[np.float64]
 
-_MAX_CACHED_TAILS = 1000
+_MAX_CACHED_MESSAGE_TAILS = 1000
 """Largest number of cached message ends. The cache has only ends without events."""
 VALUES_START_OFFSET = 4 + 8 + 8 + 8
 """Offset of the values in a StatisticsValues message [bytes].
@@ -72,14 +72,14 @@ class _ChunkIndex(NamedTuple):
     """Index of the chunks of a log.
 
     Attributes:
-        constant_parts: (ticks,) first part of each Tick message. This part has a constant length.
+        tick_heads: (ticks,) first part of each Tick message. This part has a constant length.
         first_tick_of_chunk: (chunks + 1,) index of the first tick in each chunk. The last element is the
             number of all ticks.
         snapshots: index of the chunk that contains each snapshot. The keys are the sequence numbers
             of the snapshot messages.
     """
 
-    constant_parts: NDArray[np.void]
+    tick_heads: NDArray[np.void]
     first_tick_of_chunk: NDArray[np.intp]
     snapshots: dict[int, int]
 
@@ -150,7 +150,7 @@ class RunLog:
             with LogErrorContext(self._file.name):
                 self.header = _read_header(scan)
             self.end = scan.metadata.get("handctl.end", {})
-            self._tick, self._values, self._others = self._channels()
+            self._tick, self._values, self._others = self._read_channel_ids()
         except LogError:
             self._file.close()
             raise
@@ -172,7 +172,7 @@ class RunLog:
         """Close the log file."""
         self._file.close()
 
-    def _channels(self) -> tuple[int, int, dict[str, int]]:
+    def _read_channel_ids(self) -> tuple[int, int, dict[str, int]]:
         """Return the channel id of the Tick messages, the channel id of the telemetry, and all channel ids by topic."""
         with LogErrorContext(self._file.position_text(self._chunks[0].offset)):
             definitions_of_log: ChunkDefinitions = schemas_and_channels(
@@ -205,7 +205,7 @@ class RunLog:
     @functools.cached_property
     def _chunk_index(self) -> _ChunkIndex:
         """Read the file once, and return the index of all chunks."""
-        index_arrays = [np.empty(0, FIXED_DTYPE)]
+        index_arrays = [np.empty(0, TICK_HEAD_DTYPE)]
         counts = [0]
         snapshots = dict[int, int]()
         for i, chunk in enumerate(self._chunks):
@@ -213,13 +213,13 @@ class RunLog:
             for rows in self._message_rows_of_chunk(chunk, self._tick):
                 data = rows.data()
                 with LogErrorContext(self._file.position_text(chunk.offset)):
-                    if data.shape[1] < 4 + FIXED_DTYPE.itemsize:
+                    if data.shape[1] < 4 + TICK_HEAD_DTYPE.itemsize:
                         raise ValueError("a tick that is too short")
                     # In each message, four bytes (the CDR encapsulation) come before the part whose
                     # length is constant.
                     index_arrays.append(
-                        np.ascontiguousarray(data[:, 4 : 4 + FIXED_DTYPE.itemsize]).view(
-                            FIXED_DTYPE
+                        np.ascontiguousarray(data[:, 4 : 4 + TICK_HEAD_DTYPE.itemsize]).view(
+                            TICK_HEAD_DTYPE
                         )[:, 0]
                     )
             counts.append(sum(map(len, index_arrays[part_count_before:])))
@@ -228,23 +228,23 @@ class RunLog:
         return _ChunkIndex(np.concatenate(index_arrays), np.cumsum(counts), snapshots)
 
     @property
-    def _fixed_parts(self) -> NDArray[np.void]:
+    def _tick_heads(self) -> NDArray[np.void]:
         """Return the first part of each Tick message (ticks,). The length of this part is constant."""
-        return self._chunk_index.constant_parts
+        return self._chunk_index.tick_heads
 
     def __len__(self) -> int:
         """Return the number of ticks in the log."""
-        return len(self._fixed_parts)
+        return len(self._tick_heads)
 
     @property
     def k(self) -> NDArray[np.int64]:
         """Return the number of each tick (ticks,)."""
-        return self._fixed_parts["k"]
+        return self._tick_heads["k"]
 
     @property
     def t_ns(self) -> NDArray[np.int64]:
         """Return the time of each tick since the start of the run (ticks,) [ns]."""
-        return self._fixed_parts["t_ns"]
+        return self._tick_heads["t_ns"]
 
     @property
     def times(self) -> Array:
@@ -254,22 +254,22 @@ class RunLog:
     @property
     def late_ns(self) -> NDArray[np.int64]:
         """Return the lateness of each tick (ticks,) [ns]."""
-        return self._fixed_parts["late_ns"]
+        return self._tick_heads["late_ns"]
 
     @property
     def state_hash(self) -> NDArray[np.void]:
         """Return the 8-byte hash of the controller's state after each tick (ticks,)."""
-        return self._fixed_parts["state_hash"]
+        return self._tick_heads["state_hash"]
 
     @property
     def mode(self) -> NDArray[np.uint8]:
         """Return the mode of the hand in each tick (ticks,), as a `core.tick_types.HandMode`."""
-        return self._fixed_parts["mode"]
+        return self._tick_heads["mode"]
 
     @property
     def action(self) -> NDArray[np.uint8]:
         """Return the reaction to faults in each tick (ticks,), as a `safety.safety_action.SafetyAction`."""
-        return self._fixed_parts["action"]
+        return self._tick_heads["action"]
 
     @property
     def gaps(self) -> list[TickGap]:
@@ -310,7 +310,7 @@ class RunLog:
         """
         for chunk, rows in self._message_rows(self._values):
             with LogErrorContext(self._file.position_text(chunk.offset)):
-                return row_fields(
+                return row_field_names(
                     self.header,
                     (rows.data().shape[1] - VALUES_START_OFFSET + VALUES_END_OFFSET) // 8,
                 )
@@ -335,7 +335,7 @@ class RunLog:
         """
         column_arrays = [np.empty((0, columns.stop - columns.start))]
         sequence = [np.empty(0, np.uint32)]
-        for data, numbers in self._values_parts():
+        for data, numbers in self._telemetry_blocks():
             chunk_columns = np.ascontiguousarray(data[:, 8 * columns.start : 8 * columns.stop])
             column_arrays.append(chunk_columns.view("<f8"))
             sequence.append(numbers)
@@ -346,7 +346,7 @@ class RunLog:
             )
         return np.concatenate(column_arrays)
 
-    def _values_parts(
+    def _telemetry_blocks(
         self, chunks: slice = slice(None)
     ) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint32]]]:
         """Yield the telemetry in blocks.
@@ -363,27 +363,27 @@ class RunLog:
             yield data[:, VALUES_START_OFFSET:VALUES_END_OFFSET], rows.sequence()
 
     def packed_telemetry(self, chunks: slice = slice(None)) -> Iterator[bytes]:
-        """Yield the telemetry of each tick in the layout of `Telemetry.packed`.
+        """Yield the telemetry of each tick in the layout of `Telemetry.to_bytes`.
 
         At any time, only a part of the file is in memory.
 
         Args:
             chunks: chunks of the file to read. By default, all chunks are read.
         """
-        for data, _ in self._values_parts(chunks):
+        for data, _ in self._telemetry_blocks(chunks):
             yield from (row.tobytes() for row in data)
 
     def tick_messages(self) -> Iterator[bytes]:
         """Yield the bytes of the Tick message of each tick, as the file contains them."""
-        yield from (message for _, message in self._messages())
+        yield from (message for _, message in self._located_messages())
 
     def tick_digests(self) -> Iterator[bytes]:
         """Yield the hash of each tick in the hash chain.
 
         Logs of earlier versions contain no hash chain.
         """
-        if CHAIN_TOPIC in self._others:
-            for _, rows in self._message_rows(self._others[CHAIN_TOPIC]):
+        if HASH_CHAIN_TOPIC in self._others:
+            for _, rows in self._message_rows(self._others[HASH_CHAIN_TOPIC]):
                 yield from (row[-HASH_SIZE:].tobytes() for row in rows.data())
 
     @functools.cached_property
@@ -435,7 +435,7 @@ class RunLog:
         """Return the names of the columns of a telemetry field."""
         return self.header.axis_names(TELEMETRY_AXES[field])
 
-    def _messages(self) -> Iterator[tuple[ChunkLocation, bytes]]:
+    def _located_messages(self) -> Iterator[tuple[ChunkLocation, bytes]]:
         """Yield each Tick message, together with the location of its chunk."""
         for chunk, rows in self._message_rows(self._tick):
             yield from ((chunk, message) for message in rows.messages())
@@ -472,7 +472,7 @@ class RunLog:
         events: list[LoggedEvent] = []
         phases: list[PhaseChange] = []
         phase_of_tail: dict[bytes, str] = {}
-        for index, (chunk, message) in enumerate(self._messages()):
+        for index, (chunk, message) in enumerate(self._located_messages()):
             with LogErrorContext(self._file.position_text(chunk.offset)):
                 # All ticks of one phase without events end with the same bytes: the phase and empty
                 # lists. Because of the cache, these bytes are not decoded again.
@@ -485,7 +485,7 @@ class RunLog:
                         LoggedEvent(tick.tick_in.k, tick.tick_in.t_ns, event)
                         for event in tick.events
                     ]
-                    if not tick.events and len(phase_of_tail) < _MAX_CACHED_TAILS:
+                    if not tick.events and len(phase_of_tail) < _MAX_CACHED_MESSAGE_TAILS:
                         phase_of_tail[tail_bytes] = phase
             if not phases or phases[-1].name != phase:
                 phases.append(PhaseChange(int(self.k[index]), int(self.t_ns[index]), phase))

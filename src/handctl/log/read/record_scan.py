@@ -19,12 +19,12 @@ from pathlib import Path
 from mcap.opcode import Opcode
 
 from handctl.errors import LogError
-from handctl.log.container import MCAP_MAGIC
+from handctl.log.mcap_container import MCAP_MAGIC
 from handctl.log.read.logfile import MAX_CHUNK_BYTES, ChunkLocation, LogErrorContext, LogFile
 
 MAX_ATTACHMENT_BYTES = 16 << 20
 """Largest accepted size of one attachment [bytes]."""
-MAX_ALL_ATTACHMENTS_BYTES = 64 << 20
+MAX_TOTAL_ATTACHMENT_BYTES = 64 << 20
 """Largest accepted total size of the attachments of a file [bytes]."""
 MAX_METADATA_BYTES = 1 << 20
 """Largest accepted size of a metadata record [bytes]."""
@@ -62,10 +62,10 @@ class RecordScan:
         metadata: values of each metadata record, by name.
         end: offset after the last complete record of the data section.
         size: size of the file [bytes].
-        complete: True if the data section has an end record with the correct checksum.
+        is_complete: True if the data section has an end record with the correct checksum.
         problem: description of a defect of the file, or an empty text if there is no defect.
         skipped_ranges: (start, end) of every damaged record that the scan has skipped [bytes].
-        unknown: number of records with an unknown opcode.
+        unknown_record_count: number of records with an unknown opcode.
     """
 
     chunks: list[ChunkLocation] = field(default_factory=list)
@@ -73,10 +73,10 @@ class RecordScan:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     end: int = 0
     size: int = 0
-    complete: bool = False
+    is_complete: bool = False
     problem: str = ""
     skipped_ranges: list[tuple[int, int]] = field(default_factory=list)
-    unknown: int = 0
+    unknown_record_count: int = 0
 
 
 class _RecordFieldReader:
@@ -103,7 +103,7 @@ class _RecordFieldReader:
         """Read a string."""
         return self.read_bytes(self.read_number("I")).decode()
 
-    def unread_bytes(self) -> int:
+    def count_unread_bytes(self) -> int:
         """Return the number of unread bytes."""
         return len(self._data) - self._at
 
@@ -155,7 +155,7 @@ def scan_records(
             scan.end = end  # most records are message indexes, whose content the scan does not use
             continue
         if code == Opcode.DATA_END:
-            _check_end(file, scan, at, end, is_checked)
+            _check_end_record(file, scan, at, end, is_checked)
             return
         try:
             with LogErrorContext(file.position_text(at)):
@@ -165,7 +165,7 @@ def scan_records(
                 raise
             scan.problem = scan.problem or str(error)
             scan.skipped_ranges.append((at, end))
-        scan.unknown += code not in Opcode.__members__.values()
+        scan.unknown_record_count += code not in Opcode.__members__.values()
         with LogErrorContext(file.position_text(at)):
             _check_limits(scan, unpacked)
         scan.end = end
@@ -194,12 +194,17 @@ def _check_limits(scan: RecordScan, unpacked_bytes: int) -> None:
     if unpacked_bytes > MAX_COMPRESSION_RATIO * scan.size + MAX_CHUNK_BYTES:
         raise ValueError(f"chunks of more than {unpacked_bytes} bytes")
     if (
-        max(scan.unknown, len(scan.attachments), len(scan.metadata), len(scan.skipped_ranges))
+        max(
+            scan.unknown_record_count,
+            len(scan.attachments),
+            len(scan.metadata),
+            len(scan.skipped_ranges),
+        )
         > MAX_RECORDS
     ):
         raise ValueError(f"more than {MAX_RECORDS} records of a kind")
-    if sum(len(data) for _, _, data in scan.attachments.values()) > MAX_ALL_ATTACHMENTS_BYTES:
-        raise ValueError(f"more than {MAX_ALL_ATTACHMENTS_BYTES} bytes of attachments")
+    if sum(len(data) for _, _, data in scan.attachments.values()) > MAX_TOTAL_ATTACHMENT_BYTES:
+        raise ValueError(f"more than {MAX_TOTAL_ATTACHMENT_BYTES} bytes of attachments")
 
 
 def _add_record(file: LogFile, scan: RecordScan, opcode: int, offset: int, end_offset: int) -> int:
@@ -223,7 +228,7 @@ def _add_record(file: LogFile, scan: RecordScan, opcode: int, offset: int, end_o
             file.read_range(start, _checked_size(length, MAX_METADATA_BYTES))
         )
         name = fields.read_string()
-        scan.metadata[name] = _text_map(fields)
+        scan.metadata[name] = _read_string_map(fields)
     elif opcode == Opcode.MESSAGE:
         raise ValueError("a message outside a chunk")
     return 0
@@ -262,27 +267,27 @@ def _decode_attachment(scan: RecordScan, data: bytes) -> None:
     time_ns = fields.read_number("Q")
     fields.read_number("Q")  # the time at which the attachment was created
     name = fields.read_string()
-    media = fields.read_string()
+    media_type = fields.read_string()
     content = fields.read_bytes(fields.read_number("Q"))
     crc = fields.read_number("I")
     # The checksum covers all fields of the attachment that come before it. The checksum itself is
     # in the last four bytes of the attachment.
-    if crc and crc != zlib.crc32(data[: -4 - fields.unread_bytes()]):
+    if crc and crc != zlib.crc32(data[: -4 - fields.count_unread_bytes()]):
         raise ValueError("checksum of an attachment does not match")
-    scan.attachments[name] = (media, time_ns, content)
+    scan.attachments[name] = (media_type, time_ns, content)
 
 
-def _text_map(fields: _RecordFieldReader) -> dict[str, str]:
+def _read_string_map(fields: _RecordFieldReader) -> dict[str, str]:
     """Decode a map in a record. The keys and values of the map are texts."""
     map_reader = _RecordFieldReader(fields.read_bytes(fields.read_number("I")))
     values = {}
-    while map_reader.unread_bytes():
+    while map_reader.count_unread_bytes():
         key = map_reader.read_string()
         values[key] = map_reader.read_string()
     return values
 
 
-def _check_end(
+def _check_end_record(
     file: LogFile, scan: RecordScan, offset: int, end_offset: int, is_checked: bool
 ) -> None:
     """Compare the checksums of the data section and of the summary with the content of the file."""
@@ -295,7 +300,7 @@ def _check_end(
             file.position_text(offset),
             "an intact file",
         )
-    scan.complete = True
+    scan.is_complete = True
     footer = file.size - len(MCAP_MAGIC) - 29
     if (
         footer < end_offset

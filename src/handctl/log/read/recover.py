@@ -12,7 +12,7 @@ import numpy as np
 from mcap.records import Channel, Schema
 
 from handctl.errors import LogError
-from handctl.log.container import McapContainer, MessageBlock
+from handctl.log.mcap_container import McapContainer, MessageBlock
 from handctl.log.read.chunk_reader import iter_messages, schemas_and_channels
 from handctl.log.read.logfile import ChunkLocation, LogErrorContext, LogFile
 from handctl.log.read.record_scan import RecordScan, scan_records
@@ -104,8 +104,8 @@ def _copy_intact_parts(
     file: LogFile, scan: RecordScan, problem_text: str, new_container: McapContainer
 ) -> RecoveryReport:
     """Copy the undamaged parts of a file into the new file, and write the end of the new file."""
-    for name, (media, time_ns, data) in scan.attachments.items():
-        new_container.write_attachment(name, media, data, time_ns)
+    for name, (media_type, time_ns, data) in scan.attachments.items():
+        new_container.write_attachment(name, media_type, data, time_ns)
     for name, values in scan.metadata.items():
         # The end record is written last, as in a log that was finished without errors.
         if name != "handctl.end":
@@ -119,7 +119,7 @@ def _copy_intact_parts(
         except LogError as error:
             problem_text = problem_text or str(error)
             lost_ranges.append((chunk.offset, chunk.end))
-    if not scan.complete and scan.end < file.size:
+    if not scan.is_complete and scan.end < file.size:
         lost_ranges.append((scan.end, file.size))
     new_container.write_metadata("handctl.end", _end_record(scan, problem_text))
     new_container.write_summary_and_footer()
@@ -127,7 +127,7 @@ def _copy_intact_parts(
         RecoveryStatus.NOTHING
         if not copied
         else RecoveryStatus.LOSSY
-        if lost_ranges or not scan.complete
+        if lost_ranges or not scan.is_complete
         else RecoveryStatus.WHOLE
     )
     return RecoveryReport(

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from handctl.core.tick_types import TickEvent
 from handctl.errors import LogError
 
-MAX_PERIODS = 1_000_000
+MAX_RUN_PERIODS = 1_000_000
 """Number of tick periods that a run may last, even if its log has few ticks."""
-MAX_PERIODS_PER_TICK = 10
+EXTRA_RUN_PERIODS_PER_TICK = 10
 """Number of tick periods by which each tick in the log extends this limit."""
 
 
@@ -52,7 +52,7 @@ def phase_of_each_tick(
     return np.asarray(names[np.searchsorted(start_indices, k, side="right") - 1])
 
 
-def check_order(t_ns: NDArray[np.int64], period_ns: int) -> None:
+def check_tick_times(t_ns: NDArray[np.int64], period_ns: int) -> None:
     """Raise an error if the times of the ticks cannot belong to a run with a constant period.
 
     Without this check, a log with wrong times could require a table that does not fit into memory.
@@ -73,7 +73,7 @@ def check_order(t_ns: NDArray[np.int64], period_ns: int) -> None:
             "ticks in order",
         )
     periods = (int(t_ns[-1]) - int(t_ns[0])) // period_ns if len(t_ns) else 0
-    if periods > MAX_PERIODS + MAX_PERIODS_PER_TICK * len(t_ns):
+    if periods > MAX_RUN_PERIODS + EXTRA_RUN_PERIODS_PER_TICK * len(t_ns):
         raise LogError(
             f"{len(t_ns)} ticks in {periods} periods", "the log", "a run with fewer missing ticks"
         )

@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 
 from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, FDF, REMOTE_FLAG
 from handctl.log.cdr import CdrWriter, MessageTemplate, TemplateWriter
-from handctl.log.container import MESSAGE_STRUCT, MessageBlock
 from handctl.log.header import RunHeader
+from handctl.log.mcap_container import MESSAGE_STRUCT, MessageBlock
 from handctl.log.tick_batch import FrameBatch, TickBatch
 from handctl.log.topics.message_streams import (
     MessageStamps,

@@ -10,11 +10,11 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from handctl.log.cdr import CdrWriter
-from handctl.log.container import MessageBlock
+from handctl.log.mcap_container import MessageBlock
 from handctl.log.topics.message_streams import MessageStamps, TopicRegistry, variable_length_block
 
 CLOCK_PAIRS_TOPIC = "/clock_pairs"
-PAIR_PERIOD_NS = 10_000_000_000
+CLOCK_PAIR_PERIOD_NS = 10_000_000_000
 """Time after which the recorder reads both clocks again [ns]."""
 MIN_STEP_NS = 50_000_000
 """Smallest step of the wall clock that is reported [ns].

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from handctl.core.tick_types import GAIN_EVENT, HandMode
 from handctl.log.cdr import CdrWriter
-from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
+from handctl.log.mcap_container import MessageBlock
 from handctl.log.message_types import OTHER_PHASE_NUMBER, PHASE_NUMBERS
 from handctl.log.tick_batch import TickBatch
 from handctl.log.tick_record import TickRecord
@@ -82,7 +82,7 @@ def encode_parameter_event(
     return writer.finished_message()
 
 
-def encode_labelled_number(t_ns: int, number: int, name: str) -> bytes:
+def encode_enum_message(t_ns: int, number: int, name: str) -> bytes:
     """Encode a message of type GraspPhase, Mode or Action from handctl_msgs, with header, number and name."""
     writer = _stamped_writer(t_ns)
     writer.put_string("")
@@ -139,7 +139,7 @@ class EventTopics:
         for channel, states in lanes:
             indexes = _changed_indexes(states, self._last.get(channel))
             messages = [
-                encode_labelled_number(int(stamps.log_times[index]), *states[index])
+                encode_enum_message(int(stamps.log_times[index]), *states[index])
                 for index in indexes
             ]
             blocks.append(
@@ -156,7 +156,7 @@ class EventTopics:
         gains = []
         for index, tick in batch.ticks_with_events.items():
             t_ns = int(stamps.log_times[index])
-            for level, name, text in _log_lines(tick):
+            for level, name, text in _rosout_lines(tick):
                 line_indexes.append(index)
                 lines.append(encode_rosout(t_ns, level, f"handctl.{name}", text))
             text_by_bus = {
@@ -178,7 +178,7 @@ def _index_array(values: list[int]) -> NDArray[np.intp]:
     return np.array(values, np.intp)
 
 
-def _log_lines(tick: TickRecord) -> Iterator[tuple[str, str, str]]:
+def _rosout_lines(tick: TickRecord) -> Iterator[tuple[str, str, str]]:
     """Yield the level, the name and the text of each log line of a tick."""
     for io_event in tick.tick_in.io_events:
         number = f" ({io_event.number})" if io_event.number != 1 else ""

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.log.cdr import MessageTemplate, TemplateWriter
-from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
+from handctl.log.mcap_container import MessageBlock
 from handctl.log.tick_batch import TickBatch
 from handctl.log.topics.message_streams import MessageStamps, MessageStream, TopicRegistry
 
-CHAIN_TOPIC = "/tick/chain"
+HASH_CHAIN_TOPIC = "/tick/chain"
 HASH_SIZE = 8
 """Size of a chain hash [bytes]."""
 
@@ -82,7 +82,7 @@ def tick_hashes(previous_hash: bytes, ticks: Iterable[tuple[bytes, bytes]]) -> I
         yield previous_hash
 
 
-def chain_message() -> MessageTemplate:
+def hash_chain_message() -> MessageTemplate:
     """Return the template of a handctl_msgs/Chain message."""
     writer = TemplateWriter()
     writer.put_header()
@@ -90,7 +90,7 @@ def chain_message() -> MessageTemplate:
     return writer.finished_template()
 
 
-class ChainTopic:
+class HashChainTopic:
     """Topic with the hash of every tick in the hash chain.
 
     Attributes:
@@ -100,7 +100,7 @@ class ChainTopic:
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
         """Register the topic, and start the chain with the hash of the header."""
         self._stream = MessageStream(
-            registry.register_topic(CHAIN_TOPIC, "handctl_msgs/Chain"), chain_message()
+            registry.register_topic(HASH_CHAIN_TOPIC, "handctl_msgs/Chain"), hash_chain_message()
         )
         self.last_hash = first_hash_of_run(header)
 

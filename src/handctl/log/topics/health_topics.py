@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from handctl.core.tick_types import HandMode
 from handctl.drives.contract import DrivePhase
 from handctl.log.cdr import CdrWriter, MessageTemplate, TemplateWriter
-from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
+from handctl.log.mcap_container import MessageBlock
 from handctl.log.tick_batch import TickBatch, columns_of_fields
 from handctl.log.topics.message_streams import (
     MessageStamps,
@@ -29,7 +29,7 @@ WARN_LEVEL = 1
 ERROR_LEVEL = 2
 """Levels of diagnostic_msgs/DiagnosticStatus."""
 
-_DRIVE_LEVEL = {
+_LEVEL_BY_DRIVE_PHASE = {
     DrivePhase.READY: OK_LEVEL,
     DrivePhase.ENABLED: OK_LEVEL,
     DrivePhase.FAULT: ERROR_LEVEL,
@@ -110,7 +110,7 @@ class HealthTopics:
 
     def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return the status and temperature messages of a batch of ticks."""
-        blocks = self._temperature_runs(batch, stamps)
+        blocks = self._temperature_blocks(batch, stamps)
         status_ticks = self._status_ticks(batch)
         messages: list[bytes] = []
         start = 0
@@ -129,7 +129,7 @@ class HealthTopics:
             )
         return blocks
 
-    def _temperature_runs(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
+    def _temperature_blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return the temperature messages.
 
         Each message has the values of the first tick in an interval.
@@ -153,9 +153,9 @@ class HealthTopics:
         phases = np.nan_to_num(batch.numbers[:, self._columns["drive_phase"]], nan=-1.0)
         state = np.column_stack([batch.mode, batch.action, phases])
         last_state, last_period = self._last
-        first_last_state = last_state if len(last_state) else np.full(state.shape[1], -1.0)
+        previous_state = last_state if len(last_state) else np.full(state.shape[1], -1.0)
         periods = batch.t_ns // DIAGNOSTICS_PERIOD_NS
-        has_changed = (np.diff(state, axis=0, prepend=first_last_state[None, :]) != 0).any(axis=1)
+        has_changed = (np.diff(state, axis=0, prepend=previous_state[None, :]) != 0).any(axis=1)
         self._last = state[-1], int(periods[-1])
         return np.flatnonzero(has_changed | (np.diff(periods, prepend=last_period) != 0))
 
@@ -230,7 +230,7 @@ class HealthTopics:
                 name.removeprefix("motor_"): f"{values_of_field[name][index]:.6g}"
                 for name in fields
             }
-            level = _DRIVE_LEVEL.get(phase, WARN_LEVEL)
+            level = _LEVEL_BY_DRIVE_PHASE.get(phase, WARN_LEVEL)
             statuses.append(
                 DiagnosticStatus(
                     level, f"handctl: motor {motor}", phase.name.lower(), motor, values

@@ -7,7 +7,7 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from handctl.log.cdr import MessageTemplate
-from handctl.log.container import MESSAGE_STRUCT, MessageBlock
+from handctl.log.mcap_container import MESSAGE_STRUCT, MessageBlock
 from handctl.log.message_types import schema_name, schema_text
 
 TimeArray = NDArray[np.uint64]
@@ -78,7 +78,7 @@ class MessageStamps:
         return MessageStamps(self.log_times[index], self.sequence[index])
 
 
-def stamps_at(log_ns: int, k: int) -> MessageStamps:
+def single_message_stamps(log_ns: int, k: int) -> MessageStamps:
     """Return the log time and sequence number of a single message.
 
     Args:

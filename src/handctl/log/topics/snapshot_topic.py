@@ -7,8 +7,12 @@ import struct
 from typing import NamedTuple
 
 from handctl.log.cdr import CdrWriter
-from handctl.log.container import MessageBlock
-from handctl.log.topics.message_streams import TopicRegistry, stamps_at, variable_length_block
+from handctl.log.mcap_container import MessageBlock
+from handctl.log.topics.message_streams import (
+    TopicRegistry,
+    single_message_stamps,
+    variable_length_block,
+)
 
 SNAPSHOT_TOPIC = "/controller/snapshot"
 SNAPSHOT_PERIOD_NS = 1_000_000_000
@@ -50,7 +54,9 @@ class SnapshotTopic:
         writer.put_number("q", snapshot.k)
         writer.put_length(len(snapshot.data))
         return variable_length_block(
-            self._channel, stamps_at(t_ns, snapshot.k), [writer.finished_message() + snapshot.data]
+            self._channel,
+            single_message_stamps(t_ns, snapshot.k),
+            [writer.finished_message() + snapshot.data],
         )
 
 

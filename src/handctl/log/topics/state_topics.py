@@ -10,8 +10,8 @@ from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_from_content, parse_toml
 from handctl.hand.moment_arms import moment_arms_at
 from handctl.log.cdr import CdrWriter, MessageTemplate, TemplateWriter
-from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
+from handctl.log.mcap_container import MessageBlock
 from handctl.log.tick_batch import TickBatch, columns_of_fields
 from handctl.log.topics.message_streams import MessageStamps, MessageStream, TopicRegistry
 
@@ -134,7 +134,7 @@ def estimate_template(names: tuple[str, ...], unit: str) -> MessageTemplate:
     return writer.finished_template()
 
 
-def pack_names_message(header: RunHeader, seconds: int, nanoseconds: int) -> bytes:
+def encode_statistics_names(header: RunHeader, seconds: int, nanoseconds: int) -> bytes:
     """Encode the names (`field/name`) of the telemetry columns as pal_statistics_msgs/StatisticsNames."""
     writer = CdrWriter()
     writer.put_number("I", seconds)
@@ -271,10 +271,12 @@ class StateTopics:
     def _pair_tensions(self, tension: FloatArray) -> FloatArray:
         """Return the tensions of both tendons of all P spool pairs (n, 2 P) [N], see ``estimation.spool_pair``."""
         names = list(self._header.tendons)
-        net = tension[:, [names.index(name) for name in self._pretension]]
-        both_tensions = np.stack([net, -net], axis=2)
+        net_tension = tension[:, [names.index(name) for name in self._pretension]]
+        both_tensions = np.stack([net_tension, -net_tension], axis=2)
         taut_tensions = np.array(list(self._pretension.values()))[:, None] + 0.5 * both_tensions
-        return np.maximum(np.maximum(taut_tensions, both_tensions), 0.0).reshape(len(net), -1)
+        return np.maximum(np.maximum(taut_tensions, both_tensions), 0.0).reshape(
+            len(net_tension), -1
+        )
 
     def _joint_state_values(
         self, topic: str, values_of_field: dict[str, FloatArray]

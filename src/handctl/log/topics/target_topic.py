@@ -6,8 +6,8 @@ import numpy as np
 
 from handctl.core.tick_types import StreamTarget, TickRequest
 from handctl.log.cdr import CdrWriter
-from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
+from handctl.log.mcap_container import MessageBlock
 from handctl.log.tick_batch import TickBatch
 from handctl.log.topics.message_streams import MessageStamps, TopicRegistry, variable_length_block
 from handctl.programs.requests import (

@@ -4,22 +4,22 @@ import numpy as np
 from mcap.records import Channel, Schema
 
 from handctl.log.cdr import CdrWriter
-from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
+from handctl.log.mcap_container import MessageBlock
 from handctl.log.tick_batch import TickBatch
 from handctl.log.topics.can_frame_topics import CanTopics
 from handctl.log.topics.clock_pair_topic import ClockTopic
 from handctl.log.topics.event_topics import EventTopics
-from handctl.log.topics.hash_chain import ChainTopic
+from handctl.log.topics.hash_chain import HashChainTopic
 from handctl.log.topics.health_topics import HealthTopics
 from handctl.log.topics.message_streams import (
     MessageStamps,
     TopicRegistry,
-    stamps_at,
+    single_message_stamps,
     variable_length_block,
 )
 from handctl.log.topics.snapshot_topic import ControllerSnapshot, SnapshotTopic
-from handctl.log.topics.state_topics import StateTopics, pack_names_message
+from handctl.log.topics.state_topics import StateTopics, encode_statistics_names
 from handctl.log.topics.target_topic import TargetTopic
 from handctl.log.topics.transform_topics import TfTopics
 
@@ -54,7 +54,7 @@ class TopicSet:
             StateTopics(header, self._registry), CanTopics(header, self._registry), self._tf, self._events,
             HealthTopics(header, self._registry), TargetTopic(header, self._registry),
         )  # fmt: skip
-        self._chain = ChainTopic(header, self._registry)
+        self._chain = HashChainTopic(header, self._registry)
         self._clocks = ClockTopic(self._registry)
         self._snapshots = SnapshotTopic(self._registry)
 
@@ -73,7 +73,7 @@ class TopicSet:
         stamps = MessageStamps(
             np.array([self._header.offset_ns], np.uint64), np.zeros(1, np.uint32)
         )
-        names = pack_names_message(self._header, *divmod(self._header.offset_ns, 10**9))
+        names = encode_statistics_names(self._header, *divmod(self._header.offset_ns, 10**9))
         blocks = [
             variable_length_block(self._names, stamps, [names]),
             self._tf.latched_messages(stamps),
@@ -102,7 +102,9 @@ class TopicSet:
             wall_ns: reading of the wall clock [ns].
             monotonic_ns: reading of the monotonic clock [ns].
         """
-        return self._clocks.block(stamps_at(self._log_ns(t_ns), k), wall_ns, monotonic_ns)
+        return self._clocks.block(
+            single_message_stamps(self._log_ns(t_ns), k), wall_ns, monotonic_ns
+        )
 
     def snapshot(self, t_ns: int, snapshot: ControllerSnapshot) -> MessageBlock:
         """Return a message with the controller's state after the tick at time `t_ns`."""

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.log.cdr import TemplateWriter
-from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
+from handctl.log.mcap_container import MessageBlock
 from handctl.log.tick_batch import TickBatch, columns_of_fields
 from handctl.log.topics.message_streams import MessageStamps, MessageStream, TopicRegistry
 

@@ -10,13 +10,13 @@ import itertools
 import os
 from contextlib import suppress
 
-_READ_BYTES = 1 << 10
+_MAX_READ_BYTES = 1 << 10
 """Largest number of waiting sync requests that one read takes. Each request is one byte."""
-_MAX_DESCRIPTORS = 1 << 16
+_MAX_FILE_DESCRIPTORS = 1 << 16
 """Upper limit of the file descriptors that are closed. All open descriptors are below it."""
 
 
-def sync_now(descriptor: int) -> None:
+def sync_to_disk(descriptor: int) -> None:
     """Sync a file to disk, and wait until the sync is done.
 
     Raises:
@@ -44,7 +44,7 @@ class DiskSyncer:
             OSError: an earlier sync failed.
         """
         if self._request_pipe < 0:
-            self._start(descriptor)
+            self._fork_sync_process(descriptor)
         with suppress(BlockingIOError):
             error = os.read(self._error_pipe, 1)
             if error and error[0]:
@@ -52,13 +52,13 @@ class DiskSyncer:
         with suppress(BlockingIOError, BrokenPipeError):
             os.write(self._request_pipe, b"\0")
 
-    def _start(self, descriptor: int) -> None:
+    def _fork_sync_process(self, descriptor: int) -> None:
         """Fork the process that syncs the file on request."""
         requests, self._request_pipe = os.pipe()
         self._error_pipe, errors = os.pipe()
         if os.fork() == 0:
             try:
-                _close_all_but(descriptor, requests, errors)
+                _close_other_descriptors(descriptor, requests, errors)
                 _serve_sync_requests(descriptor, requests, errors)
             finally:
                 os._exit(0)
@@ -68,13 +68,13 @@ class DiskSyncer:
         os.set_blocking(self._error_pipe, False)
 
 
-def _close_all_but(*descriptors: int) -> None:
+def _close_other_descriptors(*descriptors: int) -> None:
     """Close all file descriptors of the forked process except the given ones.
 
     If this process kept other descriptors open, the controller would not notice the death of the
     recorder. In addition, the disk space that the recorder has reserved could not be freed.
     """
-    edges = [-1, *sorted(descriptors), _MAX_DESCRIPTORS]
+    edges = [-1, *sorted(descriptors), _MAX_FILE_DESCRIPTORS]
     for low, high in itertools.pairwise(edges):
         os.closerange(low + 1, high)
 
@@ -84,9 +84,9 @@ def _serve_sync_requests(descriptor: int, requests: int, errors: int) -> None:
 
     A single sync serves all requests that are waiting.
     """
-    while os.read(requests, _READ_BYTES):
+    while os.read(requests, _MAX_READ_BYTES):
         try:
-            sync_now(descriptor)
+            sync_to_disk(descriptor)
         except OSError as error:
             os.write(errors, bytes([min(error.errno or 255, 255)]))
             return

@@ -12,14 +12,14 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from handctl.log.container import McapContainer, MessageBlock
 from handctl.log.header import RunHeader
+from handctl.log.mcap_container import McapContainer, MessageBlock
 from handctl.log.tick_batch import TickBatcher
 from handctl.log.tick_record import SNAPSHOT_HEAD_STRUCT
-from handctl.log.topics.clock_pair_topic import PAIR_PERIOD_NS
+from handctl.log.topics.clock_pair_topic import CLOCK_PAIR_PERIOD_NS
 from handctl.log.topics.snapshot_topic import ControllerSnapshot
 from handctl.log.topics.topic_set import TopicSet
-from handctl.log.write.disk_syncer import sync_now
+from handctl.log.write.disk_syncer import sync_to_disk
 
 CHUNK_SPAN_NS = 250_000_000
 """Longest time span of a chunk [ns].
@@ -108,7 +108,7 @@ class LogWriter:
         report: ReportFunction,
         min_free_bytes: int,
         clocks: ClockFunction = _read_both_clocks,
-        sync_file: Callable[[int], None] = sync_now,
+        sync_file: Callable[[int], None] = sync_to_disk,
     ) -> None:
         """Create the file, and write the header.
 
@@ -189,11 +189,11 @@ class LogWriter:
         if self.closed:
             self.lost += 1
             return
-        misshapen_before = self._batcher.misshapen_ticks
+        misshapen_count_before = self._batcher.misshapen_ticks
         is_chunk_start = not self.has_pending_ticks
         t_ns = self._batcher.add_tick(body)
         self.ticks += 1
-        if self._batcher.misshapen_ticks > misshapen_before == 0:
+        if self._batcher.misshapen_ticks > misshapen_count_before == 0:
             self._report("misshapen", 1)
         if self._is_chunk_end(t_ns, is_chunk_start) or self._batcher.size > CHUNK_BYTES:
             self.flush()
@@ -218,9 +218,9 @@ class LogWriter:
         CHUNK_SPAN_NS.
         """
         if self._header.deterministic:
-            mark_before = self._mark
+            previous_mark = self._mark
             self._mark = t_ns // CHUNK_SPAN_NS
-            return mark_before != self._mark
+            return previous_mark != self._mark
         if is_chunk_start:
             self._mark = t_ns
         return t_ns - self._mark >= CHUNK_SPAN_NS
@@ -248,11 +248,11 @@ class LogWriter:
     def _clock_pair(self, t_ns: int) -> list[MessageBlock]:
         """Return a message with new readings of both clocks.
 
-        If less than PAIR_PERIOD_NS has passed since the last readings, return no message.
+        If less than CLOCK_PAIR_PERIOD_NS has passed since the last readings, return no message.
         """
         if self._header.deterministic or t_ns < self._next_pair_ns:
             return []
-        self._next_pair_ns = t_ns + PAIR_PERIOD_NS
+        self._next_pair_ns = t_ns + CLOCK_PAIR_PERIOD_NS
         return [self._topics.clock_pair(t_ns, self._last_k, *self._clocks())]
 
     def sync(self) -> None:
@@ -291,7 +291,7 @@ class LogWriter:
             self._write_end_of_file(f"write failed: {error.strerror}", 0)
 
     def _write_end_of_file(
-        self, end_reason: str, dropped_records: int, facts_at_end: Mapping[str, str] | None = None
+        self, end_reason: str, dropped_records: int, final_metadata: Mapping[str, str] | None = None
     ) -> None:
         """Write the end of the log file: the end record, the summary and the footer.
 
@@ -306,7 +306,7 @@ class LogWriter:
             "misshapen": self._batcher.misshapen_ticks,
         }
         values = {
-            **(facts_at_end or {}),
+            **(final_metadata or {}),
             "reason": end_reason,
             "messages": str(self._container.message_count),
             "chain": self._topics.last_digest.hex(),
@@ -323,19 +323,19 @@ class LogWriter:
             os.fsync(self._fd)
 
     def finish(
-        self, end_reason: str, dropped_records: int, facts_at_end: Mapping[str, str] | None = None
+        self, end_reason: str, dropped_records: int, final_metadata: Mapping[str, str] | None = None
     ) -> dict[str, object]:
         """Close the log file, and return a summary of the recording.
 
         Args:
             end_reason: reason why the run ended.
             dropped_records: number of records that the controller could not send to the recorder.
-            facts_at_end: facts about the run that are known only at its end, by the name of the fact.
+            final_metadata: facts about the run that are known only at its end, by the name of the fact.
         """
         self.flush()
         if not self.closed:
             try:
-                self._write_end_of_file(end_reason, dropped_records, facts_at_end)
+                self._write_end_of_file(end_reason, dropped_records, final_metadata)
             except OSError as error:
                 self._report(
                     "disk_full" if error.errno in _DISK_FULL_ERRNOS else "error", error.errno or 0

@@ -25,7 +25,7 @@ from handctl.log.tick_record import (
     HEADER_RECORD_KIND,
     record_bytes,
 )
-from handctl.log.write.recorder_start import RecorderProcess, prestarted_or_new_recorder_process
+from handctl.log.write.recorder_start import RecorderProcess, get_recorder_process
 
 PIPE_BYTES = (8 << 20, 1 << 20)
 """Sizes to request for the pipe to the recorder, in order of preference [bytes].
@@ -110,7 +110,7 @@ class Recorder:
         Raises:
             LogError: the log file cannot be created, or the recorder process does not answer.
         """
-        recorder = cls(path, prestarted_or_new_recorder_process(), header.deterministic)
+        recorder = cls(path, get_recorder_process(), header.deterministic)
         file = json.dumps({"path": str(path), "floor_bytes": min_free_bytes}).encode()
         recorder._send_header(
             record_bytes(FILE_RECORD_KIND, file) + record_bytes(HEADER_RECORD_KIND, header.dump())
@@ -148,7 +148,7 @@ class Recorder:
         self._ended = True
         self._process.end_process()
 
-    def _close_notes(self) -> None:
+    def _close_note_pipe(self) -> None:
         """Close the pipe for the notes of the recorder."""
         assert self._child.stdout is not None
         self._child.stdout.close()
@@ -228,7 +228,7 @@ class Recorder:
         if not self._ended and self._calls % CALLS_PER_PROCESS_CHECK == 0:
             if self._poll.poll(0):
                 self._read_notes(0.0)
-            events += self._pipe_filling_events()
+            events += self._pipe_level_events()
         self._calls += 1
         if not self._messages and self.dropped == self._announced and not self._ended:
             return tuple(events)
@@ -246,7 +246,7 @@ class Recorder:
             events.append(IoEvent("recorder", "gone"))
         return tuple(events)
 
-    def _pipe_filling_events(self) -> list[IoEvent]:
+    def _pipe_level_events(self) -> list[IoEvent]:
         """Return an event if the pipe has become more than half full since the last call.
 
         A deterministic run never gets this event, because the level in the pipe depends on the
@@ -286,13 +286,13 @@ class Recorder:
             self._messages += [json.loads(line) for line in lines]
 
     def close(
-        self, end_reason: str, facts_at_end: Mapping[str, str] | None = None
+        self, end_reason: str, final_metadata: Mapping[str, str] | None = None
     ) -> dict[str, object]:
         """End the recording of the run, and wait until the log file is complete.
 
         Args:
             end_reason: reason why the run ended. The log contains it.
-            facts_at_end: facts for the log that are known only at the end of the run, by the name of the
+            final_metadata: facts for the log that are known only at the end of the run, by the name of the
                 fact.
 
         Returns:
@@ -300,7 +300,7 @@ class Recorder:
             the log, the summary also contains ticks, messages, lost and reason.
         """
         body = json.dumps(
-            {"reason": end_reason, "dropped": self.dropped, "facts": dict(facts_at_end or {})}
+            {"reason": end_reason, "dropped": self.dropped, "facts": dict(final_metadata or {})}
         ).encode()
         if not self._ended and self._send(self._rest, CLOSE_TIMEOUT_S):
             self._send(record_bytes(END_RECORD_KIND, body), CLOSE_TIMEOUT_S)
@@ -311,7 +311,7 @@ class Recorder:
             self._child.kill()
             self._child.wait()
         self._read_notes(0.0)
-        self._close_notes()
+        self._close_note_pipe()
         summary = next((note["summary"] for note in self._messages if "summary" in note), {})
         assert isinstance(summary, dict)
         size = self._path.stat().st_size if self._path.exists() else 0

@@ -30,7 +30,7 @@ from handctl.log.tick_record import (
 from handctl.log.write.disk_syncer import DiskSyncer
 from handctl.log.write.log_writer import LogWriter
 
-READ_BYTES = 1 << 20
+MAX_READ_BYTES = 1 << 20
 """Largest number of bytes that one read takes from the pipe."""
 WRITE_PAUSE_S = 0.01
 """Pause after a read that returned few bytes [s].
@@ -123,7 +123,7 @@ class RecorderSession:
         last_flushed = next_sync_time = time.monotonic()
         while True:
             if select.select([0], [], [], MAX_UNWRITTEN_S)[0]:
-                data = os.read(0, READ_BYTES)
+                data = os.read(0, MAX_READ_BYTES)
                 if not data:
                     break
                 for kind, body in self._splitter.complete_records(data):

@@ -2,7 +2,7 @@
 
 A process that is started in advance does not know yet which run it will record. The recorder
 process needs half a second for its imports. If a command records a run, the command starts the
-recorder process before the command imports other modules (`recorder_process_started_in_advance`).
+recorder process before the command imports other modules (`prestarted_recorder_process`).
 Both processes then import modules at the same time, each on one core. Therefore this module itself
 imports only a few modules.
 """
@@ -36,7 +36,7 @@ class RecorderProcess(NamedTuple):
 
 
 _started_ahead: list[RecorderProcess] = []
-"""Recorder process that `recorder_process_started_in_advance` has started, until a recorder takes it.
+"""Recorder process that `prestarted_recorder_process` has started, until a recorder takes it.
 
 The list has at most this one element.
 """
@@ -60,7 +60,7 @@ def start_recorder_process() -> RecorderProcess:
 
 
 @contextmanager
-def recorder_process_started_in_advance() -> Iterator[None]:
+def prestarted_recorder_process() -> Iterator[None]:
     """Start a recorder process in advance.
 
     The first recorder that is created in this block uses this process.
@@ -75,8 +75,8 @@ def recorder_process_started_in_advance() -> Iterator[None]:
             _started_ahead.pop().end_process()
 
 
-def prestarted_or_new_recorder_process() -> RecorderProcess:
-    """Return the recorder process that `recorder_process_started_in_advance` has started.
+def get_recorder_process() -> RecorderProcess:
+    """Return the recorder process that `prestarted_recorder_process` has started.
 
     If there is none, start a recorder process.
     """

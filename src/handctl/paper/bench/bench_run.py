@@ -16,7 +16,11 @@ from handctl.errors import DriveError
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatorSettings, homed_controller, simulate_controller
+from handctl.session.lockstep_simulation import (
+    SimulatorSettings,
+    homed_controller,
+    simulate_controller,
+)
 
 RATE_HZ = 500.0
 """Control rate of all experiments [Hz]."""

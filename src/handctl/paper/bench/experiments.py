@@ -30,7 +30,7 @@ def run_job(job: ExperimentJob, folder: Path) -> ExperimentResult:
         case "pull":
             return force_displacement.measure_tendons(folder)
         case "search":
-            return payload.search_tension(folder, job["diameter_mm"])
+            return payload.search_grip_tension(folder, job["diameter_mm"])
         case "load":
             return payload.load_until_slip(folder, job["diameter_mm"], job["axis"], job["found"])
     raise ValueError(f"no such experiment: {job['do']}")

@@ -16,7 +16,7 @@ from handctl.hand.description import Hand
 from handctl.hand.digit import Array
 from handctl.hand.hand_loading import hand_from_content, load_hand
 from handctl.hand.tendons import TendonElasticity
-from handctl.paper import sources as src
+from handctl.paper import paper_data as src
 from handctl.paper.bench.bench_run import run_bench_task
 from handctl.paper.errata_item import ErrataItem
 from handctl.paper.verdicts import verdict_of_contradiction
@@ -97,7 +97,7 @@ def measure_tendons(folder: Path) -> dict[str, Any]:
     rows = recording.mask_of_phase("pull")
     force = np.array(recording.tension)[rows]
     travel = np.array(recording.travel)[rows]
-    spool_radii = [hand.motor_of(name).spool_radius_m for name in hand.tendon_names]
+    spool_radii = [hand.motor_of_tendon(name).spool_radius_m for name in hand.tendon_names]
     return {
         "ropes": [
             {
@@ -183,7 +183,7 @@ def curves_of_tendons(measured_results: Mapping[str, Any]) -> list[TendonCurve]:
     return [curve_of_tendon(tendon, noise) for tendon in measured_results["ropes"]]
 
 
-def knee_items(measured_results: Mapping[str, Any]) -> list[ErrataItem]:
+def knee_errata(measured_results: Mapping[str, Any]) -> list[ErrataItem]:
     """Return errata items about the knees of the curves.
 
     Each item compares the knee of a measured curve with a knee that the paper states.

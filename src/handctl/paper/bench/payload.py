@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from handctl.hand.digit import Array
-from handctl.paper import sources as src
+from handctl.paper import paper_data as src
 from handctl.paper.bench.bench_run import BenchRecording, run_bench_task
 from handctl.paper.errata_item import ErrataItem
 from handctl.paper.verdicts import verdict_of_lower_bound
@@ -56,7 +56,7 @@ AVERAGED_ROW_COUNT = 100
 
 There is a row for each millisecond.
 """
-SCENE_TEXT = """name = "payload"
+SCENE_TOML_TEMPLATE = """name = "payload"
 [object]
 shape = "cylinder"
 diameter_m = {diameter}
@@ -75,7 +75,7 @@ rate_N_per_s = {rate}
 """Template of the scene file."""
 
 
-def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
+def search_grip_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
     """Return the tension of each digit for a grip with 6 N per finger, and the start time of the grip.
 
     The search increases the tension in steps. The result is interpolated between these steps.
@@ -92,25 +92,29 @@ def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
     ]
     recording, truth = _grip_cylinder(folder, diameter_mm, "z", 1e3, phases)
     normal_forces = np.array(
-        [_mean_normals(truth, _phase_end_ns(recording, phase["name"])) for phase in phases]
+        [_mean_normal_forces(truth, _phase_end_ns(recording, phase["name"])) for phase in phases]
     )
     # The interpolation needs forces that strictly increase. From phase to phase, 1e-6 N more is
     # added to each force, so that equal forces become different.
     normal_forces = np.maximum.accumulate(normal_forces + 1e-6 * np.arange(len(phases))[:, None])
     start_s = recording.t_ns[recording.phase.index(phases[0]["name"])] / 1e9
     target_normal_forces = np.full(len(names), float(src.FINGER_GRIP_FORCE_N))
-    tension = _tension_for_normals(normal_forces, target_normal_forces)
+    tension = _tension_for_normal_forces(normal_forces, target_normal_forces)
     recording, truth = _grip_cylinder(
         folder, diameter_mm, "z", 1e3, [_hold_phase("try", tension, GRIP_SETTLING_S)]
     )
-    missing_force = target_normal_forces - _mean_normals(truth, _phase_end_ns(recording, "try"))
+    missing_force = target_normal_forces - _mean_normal_forces(
+        truth, _phase_end_ns(recording, "try")
+    )
     return {
-        "tension_N": _tension_for_normals(normal_forces, target_normal_forces + missing_force),
+        "tension_N": _tension_for_normal_forces(
+            normal_forces, target_normal_forces + missing_force
+        ),
         "began_s": start_s,
     }
 
 
-def _tension_for_normals(
+def _tension_for_normal_forces(
     normal_forces_by_step: Array, target_normal_forces: Array
 ) -> dict[str, float]:
     """Return the tension of each digit at which the fingers press with the given normal forces [N].
@@ -138,7 +142,7 @@ def load_until_slip(
     recording, truth = _grip_cylinder(folder, diameter_mm, load_axis, start, [hold_phase])
     first_row = int(np.searchsorted(truth.t_ns, round(start * 1e9)))
     end = int(np.searchsorted(truth.t_ns, _phase_end_ns(recording, "load")))
-    normal_forces = _mean_normals(truth, int(truth.t_ns[first_row]))
+    normal_forces = _mean_normal_forces(truth, int(truth.t_ns[first_row]))
     slip, end_reason = _find_slip(truth, first_row, end)
     # Along the axis z, the weight of the object acts in the same direction as the load.
     weight = CYLINDER_MASS_KG * float(src.GRAVITY_M_PER_S2) if load_axis == "z" else 0.0
@@ -189,7 +193,7 @@ def _grip_cylinder(
     scene = folder / "payload.toml"
     truth = folder / "payload.truth"
     diameter = diameter_mm / 1000.0
-    text = SCENE_TEXT.format(
+    text = SCENE_TOML_TEMPLATE.format(
         diameter=diameter, mass=CYLINDER_MASS_KG, friction=float(src.FRICTION_COEFFICIENT), x=diameter / 2 + 0.002,
         direction=list(LOAD_DIRECTIONS[load_axis]), start=load_start_s, rate=LOAD_RATE_N_PER_S)  # fmt: skip
     scene.write_text(text, encoding="utf-8")
@@ -214,7 +218,7 @@ def _phase_end_ns(recording: BenchRecording, phase_name: str) -> int:
     return recording.t_ns[int(np.flatnonzero(recording.mask_of_phase(phase_name))[-1])]
 
 
-def _mean_normals(truth: TruthRecord, until_ns: int) -> list[float]:
+def _mean_normal_forces(truth: TruthRecord, until_ns: int) -> list[float]:
     """Return the normal force of each digit, averaged over the rows before a given time [N]."""
     end = int(np.searchsorted(truth.t_ns, until_ns))
     times = truth.t_ns[end - AVERAGED_ROW_COUNT : end]
@@ -256,7 +260,7 @@ def friction_bound_kg(payload_result: Mapping[str, Any]) -> float:
     return float(src.FRICTION_COEFFICIENT) * float(normal) / float(src.GRAVITY_M_PER_S2)
 
 
-def payload_items(payload_results: Sequence[Mapping[str, Any]]) -> list[ErrataItem]:
+def payload_errata(payload_results: Sequence[Mapping[str, Any]]) -> list[ErrataItem]:
     """Return one item of the errata for each load case.
 
     A load case is a combination of a diameter and an axis.
@@ -269,7 +273,7 @@ def payload_items(payload_results: Sequence[Mapping[str, Any]]) -> list[ErrataIt
         reason = (
             f"Cylinder of {result['diameter_mm']:g} mm, load {AXIS_NAMES[axis]}; fingers press with "
             f"{', '.join(f'{force:.1f}' for force in fingers)} N, the thumb with {result['normal_N']['thumb']:.1f} N; "
-            f"{CRITERION_TEXTS[result['ended']]}. Coulomb's bound by all normal forces is "
+            f"{TEXT_BY_CRITERION[result['ended']]}. Coulomb's bound by all normal forces is "
             f"{friction_bound_kg(result):.2f} kg."
         )
         rows.append(
@@ -314,7 +318,7 @@ def payload_table(payload_results: Sequence[Mapping[str, Any]]) -> tuple[tuple[s
     return (column_titles, *rows)
 
 
-CRITERION_TEXTS = {
+TEXT_BY_CRITERION = {
     "moved": "it had moved by 2 mm",
     "creep": "it crept faster than 1 mm/s",
     "held": "it still held at the end",

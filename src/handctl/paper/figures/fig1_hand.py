@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from handctl.hand.digit import Array, DigitModel
-from handctl.hand.formats.urdf import PALM_MARGIN_M, PALM_THICKNESS_M
+from handctl.hand.formats.urdf import PALM_BOX_MARGIN_M, PALM_THICKNESS_M
 from handctl.hand.kinematics import joint_points
-from handctl.paper import sources as src
+from handctl.paper import paper_data as src
 from handctl.paper.figures.style import DIGIT_COLOURS
 
 HAND_FIGURE_SIZE_IN = (7.2, 5.6)
@@ -103,8 +103,8 @@ def _finger_and_thumb() -> tuple[Any, Any]:
 def _palm_faces() -> list[Array]:
     """Return the six sides of the box that represents the palm."""
     mounts = np.array([digit.mount_position_m for digit in src.paper_hand().digit])
-    low = 1000.0 * (mounts.min(axis=0) - PALM_MARGIN_M)
-    high = 1000.0 * (mounts.max(axis=0) + PALM_MARGIN_M)
+    low = 1000.0 * (mounts.min(axis=0) - PALM_BOX_MARGIN_M)
+    high = 1000.0 * (mounts.max(axis=0) + PALM_BOX_MARGIN_M)
     # The box lies behind the plane on which the digits are mounted.
     low[0] = -1000.0 * PALM_THICKNESS_M
     high[0] = 0.0

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.paper import sources as src
+from handctl.paper import paper_data as src
 from handctl.paper.figures.style import BLUE, GREY, ORANGE
 from handctl.paper.model import kinematics
 

@@ -5,8 +5,8 @@ A force on the tip causes some of these moments. The tendon causes the others.
 
 from typing import Any
 
-from handctl.hand.file.sections import Digit
-from handctl.paper import sources as src
+from handctl.hand.file.section_models import Digit
+from handctl.paper import paper_data as src
 from handctl.paper.figures.style import BLUE, GREY, ORANGE, RED
 
 STATICS_FIGURE_SIZE_IN = (9.6, 4.2)
@@ -23,17 +23,17 @@ def draw_statics_figure(figure: Any) -> None:
 
 def _draw_digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
     """Draw the moments that balance the tip force at a digit's joints, and the moments of the tendon."""
-    tip_levers = [float(lever) for lever in src.levers_mm(digit)]
-    positions = [tip_levers[0] - lever for lever in tip_levers]
-    tendon_moment = tip_levers[0]
+    tip_distances = [float(distance) for distance in src.tip_distances_mm(digit)]
+    positions = [tip_distances[0] - distance for distance in tip_distances]
+    tendon_moment = tip_distances[0]
     axes.plot(
-        [0, tip_levers[0]],
-        [tip_levers[0], 0],
+        [0, tip_distances[0]],
+        [tip_distances[0], 0],
         color=BLUE,
         label="required by F at the tip",
         zorder=3,
     )
-    axes.plot(positions, tip_levers, "o", color=BLUE, zorder=4)
+    axes.plot(positions, tip_distances, "o", color=BLUE, zorder=4)
     axes.plot(
         [0, positions[-1] + 2.0],
         [tendon_moment, tendon_moment],
@@ -41,34 +41,34 @@ def _draw_digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
         label="available from one tendon on 3 mm pulleys",
         zorder=3,
     )
-    for i, (position, lever) in enumerate(zip(positions, tip_levers, strict=True)):
+    for i, (position, distance) in enumerate(zip(positions, tip_distances, strict=True)):
         axes.annotate(
-            f"{lever:g}F",
-            (position, lever),
+            f"{distance:g}F",
+            (position, distance),
             (7, 3),
             textcoords="offset points",
             color=BLUE,
             weight="bold",
         )
-        if tendon_moment > lever:
+        if tendon_moment > distance:
             axes.annotate(
                 "",
                 (position, tendon_moment),
-                (position, lever),
+                (position, distance),
                 arrowprops={"arrowstyle": "<->", "color": RED, "shrinkA": 4},
             )
             axes.text(
                 position + 0.8,
-                (tendon_moment + lever) / 2,
-                f"{tendon_moment - lever:g}F\ntoo much",
+                (tendon_moment + distance) / 2,
+                f"{tendon_moment - distance:g}F\ntoo much",
                 color=RED,
                 fontsize=8.5,
             )
         axes.text(position, -7.8, f"joint {i + 1}", ha="center", fontsize=8.5, color=GREY)
     axes.text(0.3 * tendon_moment, tendon_moment + 1.2, tension, color="#a87400", fontsize=9)
-    _draw_digit_outline(axes, [*positions, tip_levers[0]])
+    _draw_digit_outline(axes, [*positions, tip_distances[0]])
     axes.set(
-        xlabel="along the digit [mm]", title=title, xlim=(-4, tip_levers[0] + 6), ylim=(-17, 64)
+        xlabel="along the digit [mm]", title=title, xlim=(-4, tip_distances[0] + 6), ylim=(-17, 64)
     )
 
 

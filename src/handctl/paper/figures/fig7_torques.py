@@ -12,15 +12,15 @@ from handctl.paper.figures.style import BLUE, GREEN, GREY, ORANGE, PURPLE, RED
 from handctl.paper.model.motion import (
     CLOSED_JOINT_ANGLE_DEG,
     CLOSING_DURATIONS_S,
-    TORQUE_PARTS,
+    TORQUE_CAUSES,
     closing_torque_t1,
     closing_torques,
 )
 
 TORQUES_FIGURE_SIZE_IN = (9.6, 9.0)
 EQ10_FIGURE_SIZE_IN = (9.0, 3.6)
-PART_COLOURS = dict(zip(TORQUE_PARTS, (BLUE, RED, GREEN, ORANGE, PURPLE), strict=True))
-LINK_PARTS = TORQUE_PARTS[:3]
+TORQUE_CAUSE_COLOURS = dict(zip(TORQUE_CAUSES, (BLUE, RED, GREEN, ORANGE, PURPLE), strict=True))
+LINK_TORQUE_CAUSES = TORQUE_CAUSES[:3]
 """Torque components that Eq. 3 to 12 of the paper describe."""
 
 
@@ -37,11 +37,11 @@ def draw_torque_figure(figure: Any) -> None:
             motion = closing_torques(name, duration)
             total_axes = rows[2 * pair][column]
             link_axes = rows[2 * pair + 1][column]
-            for torque_cause in TORQUE_PARTS:
+            for torque_cause in TORQUE_CAUSES:
                 total_axes.plot(
                     1e3 * motion.times,
                     1e3 * motion.torque_by_cause[torque_cause],
-                    color=PART_COLOURS[torque_cause],
+                    color=TORQUE_CAUSE_COLOURS[torque_cause],
                     label=torque_cause,
                 )
             total = sum(motion.torque_by_cause.values(), np.zeros(len(motion.times)))
@@ -53,11 +53,11 @@ def draw_torque_figure(figure: Any) -> None:
                 linestyle="--",
                 label="sum",
             )
-            for torque_cause in LINK_PARTS:
+            for torque_cause in LINK_TORQUE_CAUSES:
                 link_axes.plot(
                     1e3 * motion.times,
                     1e3 * motion.torque_by_cause[torque_cause],
-                    color=PART_COLOURS[torque_cause],
+                    color=TORQUE_CAUSE_COLOURS[torque_cause],
                 )
             total_axes.set_title(
                 f"{title}, {CLOSED_JOINT_ANGLE_DEG:g}° in {duration:g} s", fontsize=9.5
@@ -66,7 +66,7 @@ def draw_torque_figure(figure: Any) -> None:
             for axes in (total_axes, link_axes):
                 axes.margins(x=0)
                 axes.axhline(0.0, color=GREY, linewidth=0.7)
-                _add_tension_axis(axes, motion.lever_m, column == len(CLOSING_DURATIONS_S) - 1)
+                _add_tension_axis(axes, motion.moment_arm_m, column == len(CLOSING_DURATIONS_S) - 1)
             if column == 0:
                 total_axes.set(ylabel="torque [mN m]")
                 link_axes.set(ylabel="torque [mN m]")
@@ -76,10 +76,10 @@ def draw_torque_figure(figure: Any) -> None:
     figure.legend(handles, labels, loc="outside upper center", ncols=6, fontsize=9)
 
 
-def _add_tension_axis(axes: Any, lever_m: float, is_labelled: bool) -> None:
+def _add_tension_axis(axes: Any, moment_arm_m: float, is_labelled: bool) -> None:
     """Add an axis that shows the torque as a tension of the tendon."""
     # The torques are converted from mN m to N m. Division by the lever then gives tensions in N.
-    factor = 1e-3 / lever_m
+    factor = 1e-3 / moment_arm_m
     side = axes.secondary_yaxis(
         "right", functions=(lambda torque: torque * factor, lambda force: force / factor)
     )

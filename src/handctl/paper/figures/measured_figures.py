@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.paper import sources as src
+from handctl.paper import paper_data as src
 from handctl.paper.bench import payload
 from handctl.paper.bench.force_displacement import TendonCurve
 from handctl.paper.figures.style import BLUE, GREEN, GREY, ORANGE, PURPLE, RED

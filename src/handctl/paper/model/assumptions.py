@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 
 from handctl.hand.digit import Array
-from handctl.paper import sources as src
+from handctl.paper import paper_data as src
 from handctl.paper.errata_item import ErrataItem
 from handctl.paper.model.kinematics import paper_digit
 from handctl.paper.verdicts import verdict_of_number, verdict_of_statement
@@ -26,13 +26,13 @@ Source: Birglen, Laliberte & Gosselin (2008).
 """
 
 
-def assumption_items() -> list[ErrataItem]:
+def assumption_errata() -> list[ErrataItem]:
     """Return the items of the errata about the assumptions of the paper."""
     return [
         *_check_one_tendon(),
         *_check_coupling(),
-        *_check_balance(),
-        *_payload_of_both_sides(),
+        *_check_grip_balance(),
+        *_check_two_sided_payload(),
         _check_bending(),
         _check_lift_off(),
     ]
@@ -40,10 +40,10 @@ def assumption_items() -> list[ErrataItem]:
 
 def _check_one_tendon() -> list[ErrataItem]:
     """Check whether T r_p = M can be true at every joint of a straight finger at the same time."""
-    tip_levers = src.levers_mm(src.paper_finger())
+    tip_distances = src.tip_distances_mm(src.paper_finger())
     given_ratio = src.tension_per_newton(src.paper_finger()) * src.PULLEY_RADIUS_MM
     rows = []
-    for i, required in enumerate(tip_levers):
+    for i, required in enumerate(tip_distances):
         radius = required / src.tension_per_newton(src.paper_finger())
         rows.append(
             ErrataItem(
@@ -65,17 +65,17 @@ def _check_coupling() -> list[ErrataItem]:
 
     With equal angles, the work of the tendon must equal the work of the tip force.
     """
-    tip_levers = src.levers_mm(src.paper_finger())
+    tip_distances = src.tip_distances_mm(src.paper_finger())
     # If all joint angles are equal, the principle of virtual work gives T times 3 r_p = F times the
     # sum of the levers. Here T is the tension, and F is the force at the tip.
-    tension = sum(tip_levers, Fraction(0)) / (len(tip_levers) * src.PULLEY_RADIUS_MM)
+    tension = sum(tip_distances, Fraction(0)) / (len(tip_distances) * src.PULLEY_RADIUS_MM)
     force = src.FINGER_GRIP_FORCE_N * tension
     torque = src.FINGER_GRIP_FORCE_N * tension * src.SPOOL_RADIUS_MM / 1000
     arms = src.paper_hand().moment_arms[
         src.paper_hand().digit_tendons["index"], src.paper_hand().digit_joints["index"]
     ]
     # `free` is the number of joint motions that no tendon controls.
-    free_dimensions = len(tip_levers) - int(np.linalg.matrix_rank(arms))
+    free_dimensions = len(tip_distances) - int(np.linalg.matrix_rank(arms))
     return [
         ErrataItem(
             "coupling.tension", "Sec. 4 against Sec. 5", "18.33 F", float(tension), "N per N",
@@ -92,7 +92,7 @@ def _check_coupling() -> list[ErrataItem]:
     ]  # fmt: skip
 
 
-def _check_balance() -> list[ErrataItem]:
+def _check_grip_balance() -> list[ErrataItem]:
     """Check whether three fingers with 6 N each and a thumb with 10 N are in balance."""
     fingers = src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N
     tension = fingers * src.tension_per_newton(src.paper_thumb())
@@ -108,7 +108,7 @@ def _check_balance() -> list[ErrataItem]:
     ]  # fmt: skip
 
 
-def _payload_of_both_sides() -> list[ErrataItem]:
+def _check_two_sided_payload() -> list[ErrataItem]:
     """Calculate the payload with friction on both sides of the object, and compare it with the printed payload."""
     fingers = src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N
     two_sided_payload_kg = 2 * src.payload_kg(fingers)
@@ -149,15 +149,17 @@ def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_ANGLES_D
     """
     lengths = np.array(paper_digit("index").lengths)
     link_angles = np.cumsum(np.radians(angles_deg))
-    lever_matrix = np.zeros((3, 3))
+    moment_arm_matrix = np.zeros((3, 3))
     for joint in range(3):
         for link in range(joint, 3):
             # This is the lever with which a normal force at the middle of `link` acts on `joint`.
             distance_to_link = lengths[joint:link] @ np.cos(
                 link_angles[link] - link_angles[joint:link]
             )
-            lever_matrix[joint, link] = distance_to_link + lengths[link] / 2.0
-    return np.linalg.solve(lever_matrix, np.full(3, tension * float(src.PULLEY_RADIUS_MM) / 1000.0))
+            moment_arm_matrix[joint, link] = distance_to_link + lengths[link] / 2.0
+    return np.linalg.solve(
+        moment_arm_matrix, np.full(3, tension * float(src.PULLEY_RADIUS_MM) / 1000.0)
+    )
 
 
 def _check_lift_off() -> ErrataItem:

@@ -17,7 +17,7 @@ class EquationTerm:
     Attributes:
         id: identifier of the errata item about this term.
         where: equation that contains the term.
-        printed: the term, as it is printed in the paper.
+        printed_form: the term, as it is printed in the paper.
         readings: possible meanings of the printed term. If only one meaning of an undefined symbol
             is possible, the symbol is read in this way.
         correct_form: correct form of the term.
@@ -28,7 +28,7 @@ class EquationTerm:
 
     id: str
     where: str
-    printed: str
+    printed_form: str
     readings: tuple[Expression, ...]
     correct_form: Expression
     explanation: str

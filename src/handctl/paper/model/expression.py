@@ -64,7 +64,7 @@ class Expression:
 
     def as_typeset_text(self) -> str:
         """Return the formula as text with mathematical symbols and without multiplication signs, for example θ̇₁²."""
-        return _pretty_text(self.tree)[0]
+        return _typeset_text(self.tree)[0]
 
 
 FUNCTION_BY_NAME: dict[str, Callable[[Any], Any]] = {"sin": np.sin, "cos": np.cos}
@@ -167,17 +167,17 @@ _PRODUCT_PRECEDENCE = 2
 _POWER_PRECEDENCE = 3
 
 
-def _pretty_text(formula_node: ast.expr) -> tuple[str, int]:
+def _typeset_text(formula_node: ast.expr) -> tuple[str, int]:
     """Return a node of the syntax tree as text, and the precedence of the operator in this node."""
     match formula_node:
         case ast.Constant(value=value):
             return f"{value:g}" if isinstance(value, int | float) else str(value), _POWER_PRECEDENCE
         case ast.Name(id=name):
-            return pretty_name(name), _POWER_PRECEDENCE
+            return typeset_name(name), _POWER_PRECEDENCE
         case ast.UnaryOp(operand=inner):
             return "−" + _text_in_brackets(inner, _PRODUCT_PRECEDENCE), _SUM_PRECEDENCE
         case ast.Call(func=ast.Name(id=name), args=[inner]):
-            text, precedence_of_argument = _pretty_text(inner)
+            text, precedence_of_argument = _typeset_text(inner)
             return (
                 f"{name} {text}"
                 if precedence_of_argument == _POWER_PRECEDENCE
@@ -192,7 +192,7 @@ def _pretty_text(formula_node: ast.expr) -> tuple[str, int]:
         case ast.BinOp(op=ast.Mult() | ast.Div()) if (
             positive := _node_without_minus(formula_node)
         ) is not formula_node:
-            return "−" + _pretty_text(positive)[0], _SUM_PRECEDENCE
+            return "−" + _typeset_text(positive)[0], _SUM_PRECEDENCE
         case ast.BinOp(left=left, op=ast.Div(), right=right):
             return (
                 f"{_text_in_brackets(left, _PRODUCT_PRECEDENCE)}/{_text_in_brackets(right, _POWER_PRECEDENCE)}",
@@ -232,11 +232,11 @@ def _text_in_brackets(formula_node: ast.expr, min_precedence: int) -> str:
 
     If the operator of the node has a lower precedence than required, add brackets.
     """
-    text, precedence = _pretty_text(formula_node)
+    text, precedence = _typeset_text(formula_node)
     return text if precedence >= min_precedence else f"({text})"
 
 
-def pretty_name(name: str) -> str:
+def typeset_name(name: str) -> str:
     """Return a name in the notation of mathematics.
 
     For example, ddth1 becomes θ̈₁, and L1 becomes L₁.

@@ -7,7 +7,7 @@ import numpy as np
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.inverse_kinematics import inverse_kinematics
 from handctl.hand.kinematics import from_palm_frame, joint_points
-from handctl.paper import sources as src
+from handctl.paper import paper_data as src
 from handctl.paper.errata_item import ErrataItem
 from handctl.paper.model.expression import Expression
 from handctl.paper.model.lagrange import RELATIVE_TOLERANCE, relative_deviation
@@ -29,15 +29,15 @@ def points_in_plane(model: DigitModel, q: Array) -> Array:
     return from_palm_frame(model, joint_points(model, q))[:, :2]
 
 
-def kinematics_items() -> list[ErrataItem]:
+def kinematics_errata() -> list[ErrataItem]:
     """Return the errata items about kinematics: Eq. 1-2, the meaning of their angles, and the inverse kinematics."""
     return [
-        _check_hinges(),
+        _check_hinge_chain(),
         *_check_general_position(),
         *_check_paths(),
         _check_kind_of_angle(),
         _check_absolute_angles(),
-        _check_inverse(),
+        _check_inverse_kinematics(),
     ]
 
 
@@ -140,7 +140,7 @@ def _check_general_position() -> list[ErrataItem]:
     return items_of_components
 
 
-def _check_hinges() -> ErrataItem:
+def _check_hinge_chain() -> ErrataItem:
     """Check whether the chain of hinges in Fig. 2 stays in one plane, and whether the links keep their lengths."""
     model = paper_digit("index")
     random = np.random.default_rng(3)
@@ -196,7 +196,7 @@ def _check_absolute_angles() -> ErrataItem:
         "forward kinematics does.", ("forward kinematics",))  # fmt: skip
 
 
-def _check_inverse() -> ErrataItem:
+def _check_inverse_kinematics() -> ErrataItem:
     """Check the inverse kinematics, which the paper does not print.
 
     If the joint angles of a solution are put into the forward kinematics, the result must be the

@@ -21,7 +21,7 @@ from handctl.paper.errata_item import ErrataItem, ErrataVerdict
 from handctl.paper.model import equations
 from handctl.paper.model.equations import EquationTerm
 from handctl.paper.model.expression import Dimension, DimensionError
-from handctl.paper.verdicts import verdict_of_readings, verdict_of_statement
+from handctl.paper.verdicts import verdict_of_ambiguous_statement, verdict_of_statement
 
 STATE_COUNT = 200
 """Number of random states."""
@@ -127,7 +127,7 @@ def _lagrangian_slope(states: StateSamples, i: int) -> Array:
     return np.asarray(np.imag(lagrangian) / COMPLEX_STEP)
 
 
-def term_items() -> list[ErrataItem]:
+def term_errata() -> list[ErrataItem]:
     """Return one errata item for each term of Eq. 3 to 6 and 10 to 12."""
     return [
         _term_item(term)
@@ -146,20 +146,20 @@ def _term_item(term: EquationTerm) -> ErrataItem:
     deviations = [
         relative_deviation(reading.evaluate(states), correct_values) for reading in term.readings
     ]
-    verdict = verdict_of_readings([value < RELATIVE_TOLERANCE for value in deviations])
+    verdict = verdict_of_ambiguous_statement([value < RELATIVE_TOLERANCE for value in deviations])
     # A reader can see wrong dimensions and a missing symmetry without a computer.
     faults = (
         []
         if verdict == ErrataVerdict.EQUAL
-        else [_dimension_evidence(term), _symmetry_evidence(term)]
+        else [_wrong_dimensions_text(term), _asymmetry_text(term)]
     )
     return ErrataItem(
-        term.id, term.where, term.printed, term.correct_form.as_typeset_text(), "", verdict, term.explanation,
+        term.id, term.where, term.printed_form, term.correct_form.as_typeset_text(), "", verdict, term.explanation,
         (*filter(None, faults), "Lagrange"), min(deviations),
     )  # fmt: skip
 
 
-def _dimension_evidence(term: EquationTerm) -> str:
+def _wrong_dimensions_text(term: EquationTerm) -> str:
     """Return the text "dimensions" if some reading of a term has wrong dimensions, and otherwise an empty text."""
     for reading in term.readings:
         try:
@@ -170,7 +170,7 @@ def _dimension_evidence(term: EquationTerm) -> str:
     return ""
 
 
-def _symmetry_evidence(term: EquationTerm) -> str:
+def _asymmetry_text(term: EquationTerm) -> str:
     """Compare the printed coefficients of a term and its mirror term.
 
     If the coefficients differ, return a text about this. Otherwise, return an empty text.
@@ -193,7 +193,7 @@ def _symmetry_evidence(term: EquationTerm) -> str:
     return f"symmetry with {mirror_term.where}" if is_asymmetric else ""
 
 
-def equation_items() -> list[ErrataItem]:
+def equation_errata() -> list[ErrataItem]:
     """Return the errata items for Eq. 7 to 9, and for Eq. 10 to 12 as a whole.
 
     These equations are compared with handctl's equations of motion.
@@ -215,7 +215,7 @@ def equation_items() -> list[ErrataItem]:
         _check_joint_torque(digit, states, model),
     ]  # fmt: skip
     for i, terms in enumerate(equations.TORQUE_TERMS):
-        deviation = relative_deviation(printed_sum(terms, states), model[i])
+        deviation = relative_deviation(printed_equation_value(terms, states), model[i])
         remaining_deviation = relative_deviation(
             sum(term.correct_form.evaluate(states) for term in terms), model[i]
         )
@@ -271,7 +271,7 @@ def paper_finger() -> DigitModel:
     digit = DigitModel.from_hand(load_hand("jamia"), "index")
     digit = digit.with_gravity(digit.mount_rotation @ np.array([0.0, -9.81, 0.0]))
     table = digit.table.copy()
-    table[rigid_body.ARMATURE_ROW] = 0.0
+    table[rigid_body.JOINT_ARMATURE_ROW] = 0.0
     return replace(digit, table=table)
 
 
@@ -296,6 +296,6 @@ def _relative_from_absolute(states: StateSamples, name: str) -> Array:
     return np.diff(np.column_stack([states[f"{name}{i}"] for i in (1, 2, 3)]), axis=1, prepend=0.0)
 
 
-def printed_sum(terms: Sequence[EquationTerm], states: StateSamples) -> Any:
+def printed_equation_value(terms: Sequence[EquationTerm], states: StateSamples) -> Any:
     """Return the value of a printed equation. Ambiguous terms have their first reading."""
     return sum(term.readings[0].evaluate(states) for term in terms)

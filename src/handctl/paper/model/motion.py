@@ -11,11 +11,11 @@ from handctl.core.control_law.trajectory import MinimumJerk
 from handctl.hand import dynamics
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.tendons import reflected_inertia
-from handctl.paper import sources as src
+from handctl.paper import paper_data as src
 from handctl.paper.errata_item import ErrataItem
 from handctl.paper.model import equations
-from handctl.paper.model.lagrange import finger_states, printed_sum
-from handctl.paper.verdicts import verdict_of_readings, verdict_of_statement
+from handctl.paper.model.lagrange import finger_states, printed_equation_value
+from handctl.paper.verdicts import verdict_of_ambiguous_statement, verdict_of_statement
 
 CLOSED_JOINT_ANGLE_DEG = 60.0
 """Angle of each joint at the end of the motion [deg]."""
@@ -23,7 +23,7 @@ CLOSING_DURATIONS_S = (0.6, 0.3, 0.15)
 """Durations of the motions whose torques are drawn [s]."""
 SAMPLE_COUNT = 301
 """Number of samples of a motion."""
-TORQUE_PARTS = ("inertia", "Coriolis", "gravity", "springs", "motor inertia")
+TORQUE_CAUSES = ("inertia", "Coriolis", "gravity", "springs", "motor inertia")
 """Causes of the torque. The first three are effects of the links alone."""
 
 
@@ -37,7 +37,7 @@ class ClosingTorques:
         times: (samples,) times of the samples [s].
         torque_by_cause: (samples,) torque at the single coordinate of the digit for each cause, by
             the name of the cause [N m].
-        lever_m: moment arm of the tendon for this coordinate, which is the sum of all pulley radii
+        moment_arm_m: moment arm of the tendon for this coordinate, which is the sum of all pulley radii
             [m].
     """
 
@@ -45,11 +45,11 @@ class ClosingTorques:
     duration_s: float
     times: Array
     torque_by_cause: dict[str, Array]
-    lever_m: float
+    moment_arm_m: float
 
     def peak_tension(self, cause: str) -> float:
         """Return the largest tension that is necessary because of one cause of the torque [N]."""
-        return float(np.abs(self.torque_by_cause[cause]).max()) / self.lever_m
+        return float(np.abs(self.torque_by_cause[cause]).max()) / self.moment_arm_m
 
 
 def upright_digit(name: str) -> DigitModel:
@@ -87,7 +87,7 @@ def closing_torques(name: str, duration_s: float) -> ClosingTorques:
     columns = np.array(rows).T
     lever = float(digit.reduced_moment_arms[0, 0])
     return ClosingTorques(
-        name, duration_s, times, dict(zip(TORQUE_PARTS, columns, strict=True)), lever
+        name, duration_s, times, dict(zip(TORQUE_CAUSES, columns, strict=True)), lever
     )
 
 
@@ -107,12 +107,12 @@ def closing_torque_t1(duration_s: float) -> tuple[Array, Array, Array]:
     correct_torque = sum(term.correct_form.evaluate(states) for term in equations.TORQUE_TERMS_1)
     return (
         times,
-        np.asarray(printed_sum(equations.TORQUE_TERMS_1, states)),
+        np.asarray(printed_equation_value(equations.TORQUE_TERMS_1, states)),
         np.asarray(correct_torque),
     )
 
 
-def motion_items() -> list[ErrataItem]:
+def motion_errata() -> list[ErrataItem]:
     """Return the errata items about the torque during a motion.
 
     The items are about Eq. 10 for a straight finger, about the completeness of Eq. 3 to 12, and
@@ -144,14 +144,15 @@ def _check_completeness() -> ErrataItem:
     The paper mentions neither springs nor the inertia of the actuator.
     """
     torques = closing_torques("index", CLOSING_DURATIONS_S[-1])
-    links = sum(torques.torque_by_cause[torque_cause] for torque_cause in TORQUE_PARTS[:3])
-    links_and_motor = links + torques.torque_by_cause["motor inertia"]
+    links = sum(torques.torque_by_cause[torque_cause] for torque_cause in TORQUE_CAUSES[:3])
+    link_and_motor_torque = links + torques.torque_by_cause["motor inertia"]
     links_peak, driven_peak = (
-        float(np.abs(torque).max()) / torques.lever_m for torque in (links, links_and_motor)
+        float(np.abs(torque).max()) / torques.moment_arm_m
+        for torque in (links, link_and_motor_torque)
     )
     return ErrataItem(
         "sec7.complete", "Sec. 7", "the torque required to move the fingers", links_peak, "N",
-        verdict_of_readings([True, links_peak > 0.5 * driven_peak]),
+        verdict_of_ambiguous_statement([True, links_peak > 0.5 * driven_peak]),
         f"Peak tension for closing a finger by {CLOSED_JOINT_ANGLE_DEG:g}° in {torques.duration_s:g} s with the "
         "dynamics of the links only, which Eq. 3 to 12 describe. This tension is complete if the actuator has no "
         "inertia, "
@@ -168,14 +169,14 @@ def _check_torque_value() -> ErrataItem:
     torques = closing_torques("index", CLOSING_DURATIONS_S[-1])
     peak = 1000.0 * float(
         np.abs(
-            sum(torques.torque_by_cause[torque_cause] for torque_cause in TORQUE_PARTS[:3])
+            sum(torques.torque_by_cause[torque_cause] for torque_cause in TORQUE_CAUSES[:3])
         ).max()
     )
     terms = [
         term
         for terms in equations.TORQUE_TERMS
         for term in terms
-        if not term.printed.startswith("(")
+        if not term.printed_form.startswith("(")
     ]
     numbers = [term.id for term in terms if not any(reading.names for reading in term.readings)]
     return ErrataItem(

@@ -6,7 +6,7 @@ All these values are calculated from numbers of the paper.
 import math
 from fractions import Fraction
 
-from handctl.paper import sources as src
+from handctl.paper import paper_data as src
 from handctl.paper.errata_item import ErrataItem
 from handctl.paper.model.expression import DIMENSIONLESS, Dimension, DimensionError, Expression
 from handctl.paper.verdicts import (
@@ -21,15 +21,15 @@ ARITHMETIC_TAG = ("arithmetic",)
 STATICS_TAG = ("statics",)
 
 
-def statics_items() -> list[ErrataItem]:
+def statics_errata() -> list[ErrataItem]:
     """Return the errata items about all numbers and formulas of the statics."""
     return [
-        *_check_moments(),
-        *_check_labels(),
+        *_check_joint_moments(),
+        *_check_moment_labels(),
         *_check_formulas(),
         *_check_finger(),
         *_check_payload(),
-        *_check_wire(),
+        *_check_wire_diameters(),
         *_check_knee(),
         *_check_thumb(),
     ]
@@ -56,7 +56,7 @@ def number_item(
     )
 
 
-def _check_moments() -> list[ErrataItem]:
+def _check_joint_moments() -> list[ErrataItem]:
     """Check the printed moments in sections 5 and 6."""
     rows = [
         ("sec5.M", "Sec. 5", src.paper_finger(), ("55", "25", "10"), "F"),
@@ -66,7 +66,7 @@ def _check_moments() -> list[ErrataItem]:
         number_item(f"{id}{i + 1}", location, printed_value, lever, "N mm per N",
                f"Lever of the tip about joint {i + 1} of the straight digit.", f" {symbol}")
         for id, location, digit, printed_values, symbol in rows
-        for i, (printed_value, lever) in enumerate(zip(printed_values, src.levers_mm(digit), strict=True))
+        for i, (printed_value, lever) in enumerate(zip(printed_values, src.tip_distances_mm(digit), strict=True))
     ]  # fmt: skip
 
 
@@ -104,21 +104,21 @@ Joints are counted from the palm, beginning with 0.
 """
 
 
-def _check_labels() -> list[ErrataItem]:
+def _check_moment_labels() -> list[ErrataItem]:
     """Check the labels of the moments in the paper.
 
     Some labels name several joints. Such a label states that the moments at these joints are equal.
     """
     rows = []
     for id, location, printed_label, digit, joint, named_joint in FIGURE_LABELS:
-        tip_levers = src.levers_mm(digit())
-        levers_text = ", ".join(f"{tip_levers[i]}F" for i in named_joint)
+        tip_distances = src.tip_distances_mm(digit())
+        moments_text = ", ".join(f"{tip_distances[i]}F" for i in named_joint)
         rows.append(
             ErrataItem(
                 id, location, printed_label, f"moment at joint {joint + 1}", "",
-                verdict_of_statement(all(tip_levers[i] == tip_levers[joint] for i in named_joint)),
-                f"{tip_levers[joint]}F is the moment at joint {joint + 1}, counted from the palm. "
-                f"At the joints that the label names it is {levers_text}.", STATICS_TAG,
+                verdict_of_statement(all(tip_distances[i] == tip_distances[joint] for i in named_joint)),
+                f"{tip_distances[joint]}F is the moment at joint {joint + 1}, counted from the palm. "
+                f"At the joints that the label names it is {moments_text}.", STATICS_TAG,
             )
         )  # fmt: skip
     return rows
@@ -141,7 +141,7 @@ def _check_formulas() -> list[ErrataItem]:
     hand = src.paper_hand()
     tendons = src.paper_hand().digit_tendons["index"]
     arms = hand.moment_arms[tendons, hand.digit_joints["index"]][0].tolist()
-    spool = hand.motor_of(hand.tendon_names[tendons][0]).spool_radius_m
+    spool = hand.motor_of_tendon(hand.tendon_names[tendons][0]).spool_radius_m
     tension = 110.0
     grip_force_n = float(src.FINGER_GRIP_FORCE_N)
     values = {
@@ -223,7 +223,7 @@ def _check_payload() -> list[ErrataItem]:
         "0.915", triple_payload, 3 * Fraction("0.305"), first_item.verdict
     )
     force = src.GRAVITY_M_PER_S2 / (src.FINGER_COUNT * src.FRICTION_COEFFICIENT)
-    tension = src.tension_of_payload_kg(1)
+    tension = src.tension_for_payload(1)
     return [
         first_item,
         ErrataItem("sec5.payload3", "Sec. 5", "0.915", float(triple_payload), "kg", verdict, "3 × the truncated 0.305.",
@@ -235,7 +235,7 @@ def _check_payload() -> list[ErrataItem]:
     ]  # fmt: skip
 
 
-def _check_wire() -> list[ErrataItem]:
+def _check_wire_diameters() -> list[ErrataItem]:
     """Check the printed diameters of the wire."""
     tension = src.FINGER_GRIP_FORCE_N * src.tension_per_newton(src.paper_finger())
     diameter = src.wire_diameter_mm(tension)
@@ -250,7 +250,7 @@ def _check_wire() -> list[ErrataItem]:
         number_item(
             "abstract.wire", "Abstract", "0.86", diameter, "mm",
             "This is the wire for 0.917 kg, which the abstract rounds to 1 kg. Here the digits are right, unlike in "
-            f"section 5. A whole kilogram would need {src.wire_diameter_mm(src.tension_of_payload_kg(1)):.4g} mm."),
+            f"section 5. A whole kilogram would need {src.wire_diameter_mm(src.tension_for_payload(1)):.4g} mm."),
         _check_area(),
     ]  # fmt: skip
 
@@ -279,8 +279,8 @@ def _check_knee() -> list[ErrataItem]:
     )
     knee, knee_abstract = src.KNEE_TENSIONS_N
     stress_mpa = src.wire_stress_mpa(knee, diameter)
-    claims = [str(value) for value in src.KNEE_TENSIONS_N]
-    verdict = verdict_of_contradiction(claims, None)
+    printed_tensions = [str(value) for value in src.KNEE_TENSIONS_N]
+    verdict = verdict_of_contradiction(printed_tensions, None)
     reason = "Section 5 states 200 N, the abstract 250 N. The paper prints no data and no law that give the knee."
     return [
         ErrataItem(
@@ -331,7 +331,7 @@ def _missing_radius() -> ErrataItem:
     # All numbers that are rounded to 8.33 correspond to an interval of pulley radii. This interval
     # contains exactly one whole number of millimetres.
     low, high = sorted(
-        src.levers_mm(src.paper_thumb())[0] / bound for bound in rounding_interval("8.33")
+        src.tip_distances_mm(src.paper_thumb())[0] / bound for bound in rounding_interval("8.33")
     )
     integer_radii = [radius for radius in range(1, 10) if low <= radius <= high]
     return ErrataItem(

@@ -6,7 +6,7 @@ Source: Linux ABI documentation, ``sysfs-bus-usb`` (speed in Mbit/s) and ``sysfs
 from pathlib import Path
 from typing import NamedTuple
 
-NETWORK_FOLDER = Path("/sys/class/net")
+SYSFS_NETWORK_FOLDER = Path("/sys/class/net")
 """Folder in which Linux lists the network interfaces."""
 FULL_SPEED_MBIT_S = 12
 """Data rate of USB full speed [Mbit/s].
@@ -37,7 +37,7 @@ class UsbAdapter(NamedTuple):
         return 0.0 < self.usb_speed_mbit_s <= FULL_SPEED_MBIT_S
 
 
-def read_adapter(name: str, network_folder: Path = NETWORK_FOLDER) -> UsbAdapter | None:
+def read_adapter(name: str, network_folder: Path = SYSFS_NETWORK_FOLDER) -> UsbAdapter | None:
     """Return the adapter of a network interface, or None if the interface is virtual or missing.
 
     Args:

@@ -21,7 +21,7 @@ import errno
 BusEvent = tuple[str, str, int]
 """Event of a bus: kind, name of the bus (possibly with a detail), and number of occurrences."""
 
-ERRNO_KINDS = {
+EVENT_KIND_BY_ERRNO = {
     errno.ENOBUFS: "enobufs",
     errno.EAGAIN: "enobufs",
     errno.ENOMEM: "enobufs",
@@ -50,7 +50,7 @@ ERRNO_KINDS = {
 
 Each bit is a class of errors. Source: Linux ``can/error.h``.
 """
-CLASS_NAMES = (
+ERROR_CLASS_NAMES = (
     "tx timeout",
     "lost arbitration",
     "controller",
@@ -107,19 +107,19 @@ class BusEvents:
 
         Args:
             errno_code: errno of the failure, or None for an unknown errno.
-            default_kind: kind of event to count if the errno is not known or not in ``ERRNO_KINDS``.
+            default_kind: kind of event to count if the errno is not known or not in ``EVENT_KIND_BY_ERRNO``.
             occurrences: number of frames in the failed operation.
         """
-        kind = ERRNO_KINDS.get(errno_code or 0, default_kind)
-        if ERRNO_KINDS.get(errno_code or 0) == "enodev":
-            self.set_lasting_state(kind, True)
+        kind = EVENT_KIND_BY_ERRNO.get(errno_code or 0, default_kind)
+        if EVENT_KIND_BY_ERRNO.get(errno_code or 0) == "enodev":
+            self.set_persistent_event(kind, True)
             return
         if kind == "enetdown":  # an interface that is down has no error states
-            self.set_lasting_state("bus_off", False)
-            self.set_lasting_state("error_passive", False)
+            self.set_persistent_event("bus_off", False)
+            self.set_persistent_event("error_passive", False)
         self.add_event(kind, occurrences)
 
-    def set_lasting_state(self, event_kind: str, is_present: bool) -> None:
+    def set_persistent_event(self, event_kind: str, is_present: bool) -> None:
         """Begin or end a lasting state of the bus.
 
         Each call of ``take_events`` reports every lasting state.
@@ -133,14 +133,14 @@ class BusEvents:
             can_id: identifier of the error frame, with the bits of its error classes.
             data: payload of the error frame. data[1] is the state of the CAN controller.
         """
-        names = [name for bit, name in enumerate(CLASS_NAMES) if can_id >> bit & 1]
+        names = [name for bit, name in enumerate(ERROR_CLASS_NAMES) if can_id >> bit & 1]
         self.add_event("error_frame", 1, ", ".join(names) or "unknown class")
         if can_id & CONTROLLER_RESTARTED:
             self.add_event("restarted")
-            self.set_lasting_state("bus_off", False)
-            self.set_lasting_state("error_passive", False)
+            self.set_persistent_event("bus_off", False)
+            self.set_persistent_event("error_passive", False)
         if can_id & BUS_OFF:
-            self.set_lasting_state("bus_off", True)
+            self.set_persistent_event("bus_off", True)
         if can_id & CONTROLLER_ERROR and len(data) > 1:
             self._count_controller_status(data[1])
 
@@ -155,7 +155,7 @@ class BusEvents:
         if status & ACTIVE_MASK:
             self.add_event("error_active")
         if status & (PASSIVE_MASK | WARNING_MASK | ACTIVE_MASK):
-            self.set_lasting_state("error_passive", bool(status & PASSIVE_MASK))
+            self.set_persistent_event("error_passive", bool(status & PASSIVE_MASK))
 
     def take_events(self) -> list[BusEvent]:
         """Return the events since the last call, followed by the lasting states."""

@@ -26,7 +26,7 @@ def real_buses(specs: Sequence[str]) -> list[str]:
     return [spec for spec in specs if not spec.startswith(SIMULATED_PREFIXES)]
 
 
-def _keep_monotonic_time(t_ns: int) -> int:
+def _identity_conversion(t_ns: int) -> int:
     """Return an unchanged CLOCK_MONOTONIC time.
 
     Programs without a run use this function, because they have no time of a run.
@@ -56,7 +56,7 @@ def open_bus(
     index: int,
     bitrate: int,
     data_bitrate: int | None = None,
-    convert_time: TimeConversion = _keep_monotonic_time,
+    convert_time: TimeConversion = _identity_conversion,
 ) -> Bus:
     """Open a bus.
 

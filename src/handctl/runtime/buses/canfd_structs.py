@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from handctl.compiled import kernel, kernel_helper
 from handctl.drives.frame import ERROR_FLAG, FDF, Frame
 from handctl.drives.frame_records import (
-    BUS_BIT,
+    BUS_SHIFT,
     BYTE_MASK,
-    FLAGS_BIT,
+    FIRST_PAYLOAD_WORD,
+    FLAGS_SHIFT,
     ID_AND_FLAGS_WORD,
     ID_MASK,
-    LENGTH_BIT,
-    PAYLOAD_WORD,
+    LENGTH_SHIFT,
     TIME_WORD,
     WORDS_PER_RECORD,
     Frames,
@@ -40,8 +40,8 @@ MAX_CLASSICAL_PAYLOAD_BYTES = 8
 PAYLOAD_WORDS = MAX_PAYLOAD_BYTES // 8
 """Number of words of eight bytes in the payload of a struct, and of a record."""
 # Lowest bits of the fields of a struct in its first word.
-STRUCT_LENGTH_BIT = 32
-STRUCT_FLAGS_BIT = 40
+STRUCT_LENGTH_SHIFT = 32
+STRUCT_FLAGS_SHIFT = 40
 STRUCT_RESERVED_BIT = 48
 FLAGS_MASK = 0xFFFF
 """Mask of the flags of a record."""
@@ -92,23 +92,23 @@ def read_structs(
         added_flags: flags to set in every record.
     """
     bits_of_all_ids = np.uint64(0)
-    bus_bits = np.uint64(bus) << np.uint64(BUS_BIT)
+    bus_bits = np.uint64(bus) << np.uint64(BUS_SHIFT)
     for i in range(records.shape[0]):
         head_word = structs[i, 0]
         can_id = head_word & np.uint64(ID_MASK)
         bits_of_all_ids |= can_id
-        length = int(np.int64((head_word >> np.uint64(STRUCT_LENGTH_BIT)) & np.uint64(BYTE_MASK)))
+        length = int(np.int64((head_word >> np.uint64(STRUCT_LENGTH_SHIFT)) & np.uint64(BYTE_MASK)))
         length = min(length, MAX_PAYLOAD_BYTES)
-        flags = (head_word >> np.uint64(STRUCT_FLAGS_BIT)) & np.uint64(flag_mask)
+        flags = (head_word >> np.uint64(STRUCT_FLAGS_SHIFT)) & np.uint64(flag_mask)
         flags |= np.uint64(added_flags)
         records[i, TIME_WORD] = np.int64(t_ns)
         records[i, ID_AND_FLAGS_WORD] = (
             can_id
-            | flags << np.uint64(FLAGS_BIT)
+            | flags << np.uint64(FLAGS_SHIFT)
             | bus_bits
-            | np.uint64(length) << np.uint64(LENGTH_BIT)
+            | np.uint64(length) << np.uint64(LENGTH_SHIFT)
         )
-        _copy_payload(structs, 1, records, PAYLOAD_WORD, i, length)
+        _copy_payload(structs, 1, records, FIRST_PAYLOAD_WORD, i, length)
     return bool(bits_of_all_ids & np.uint64(ERROR_FLAG))
 
 
@@ -128,18 +128,18 @@ def write_structs(records: WordRows, structs: WordRows, struct_sizes: WordRows) 
     count = len(records)
     for i in range(count):
         head_word = records[i, ID_AND_FLAGS_WORD]
-        flags = (head_word >> np.uint64(FLAGS_BIT)) & np.uint64(FLAGS_MASK)
-        length = int(np.int64(head_word >> np.uint64(LENGTH_BIT)))
+        flags = (head_word >> np.uint64(FLAGS_SHIFT)) & np.uint64(FLAGS_MASK)
+        length = int(np.int64(head_word >> np.uint64(LENGTH_SHIFT)))
         if not flags & np.uint64(FDF):
             flags = np.uint64(0)
         if length > (MAX_PAYLOAD_BYTES if flags else MAX_CLASSICAL_PAYLOAD_BYTES):
             return i
         structs[i, 0] = (
             head_word & np.uint64(ID_MASK)
-            | np.uint64(length) << np.uint64(STRUCT_LENGTH_BIT)
-            | (flags & np.uint64(BYTE_MASK)) << np.uint64(STRUCT_FLAGS_BIT)
+            | np.uint64(length) << np.uint64(STRUCT_LENGTH_SHIFT)
+            | (flags & np.uint64(BYTE_MASK)) << np.uint64(STRUCT_FLAGS_SHIFT)
         )
-        _copy_payload(records, PAYLOAD_WORD, structs, 1, i, length)
+        _copy_payload(records, FIRST_PAYLOAD_WORD, structs, 1, i, length)
         struct_sizes[i, 0] = CANFD_FRAME_BYTES if flags else CLASSICAL_FRAME_BYTES
     return count
 

@@ -13,7 +13,7 @@ Source: man 2 clock_gettime, man 7 vdso.
 
 import time
 
-USES_PER_OFFSET_MEASUREMENT = 256
+CONVERSIONS_PER_MEASUREMENT = 256
 """Number of times that each measured offset is used before the next measurement.
 
 After a small step of the wall clock, at most this number of uses has the wrong offset.
@@ -23,7 +23,7 @@ READINGS_PER_MEASUREMENT = 3
 
 
 class ClockOffset:
-    """Offset between wall clock and CLOCK_MONOTONIC, measured again after ``USES_PER_OFFSET_MEASUREMENT`` uses."""
+    """Offset between wall clock and CLOCK_MONOTONIC, measured again after ``CONVERSIONS_PER_MEASUREMENT`` uses."""
 
     def __init__(self) -> None:
         """Start without a measurement."""
@@ -53,7 +53,7 @@ class ClockOffset:
         ]
         time_before, wall_ns, time_after = min(readings, key=_reading_duration)
         self._offset_ns = (time_before + time_after) // 2 - wall_ns
-        self._uses_left = USES_PER_OFFSET_MEASUREMENT
+        self._uses_left = CONVERSIONS_PER_MEASUREMENT
 
 
 def _reading_duration(reading: tuple[int, int, int]) -> int:

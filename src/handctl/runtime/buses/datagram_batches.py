@@ -53,12 +53,12 @@ CONTROL_MESSAGES_STRUCT = struct.Struct("@NiillNiiI12x")
     length | level | SO_TIMESTAMPNS | s | ns
     length | level | SO_RXQ_OVFL | dropped 32 | padding 12
 """
-STAMP_OFFSET = struct.calcsize("@Nii")
+TIME_STAMP_OFFSET = struct.calcsize("@Nii")
 """Offset of the time stamp's seconds in the control messages [bytes].
 
 The nanoseconds follow them.
 """
-STAMP_CONTROL_BYTES = struct.calcsize("@Niill")
+TIME_STAMP_CONTROL_BYTES = struct.calcsize("@Niill")
 """Length of the control messages if they have a time stamp and no loss counter [bytes].
 
 Control messages with a loss counter but no time stamp are shorter.
@@ -70,7 +70,7 @@ The kernel also counts the padding after the counter, if it is within the buffer
 """
 COUNTER_OFFSET = struct.calcsize("@NiillNii")
 """Offset of the loss counter in the control messages [bytes]."""
-_HEADER_TAIL_BYTES = (
+_HEADER_PADDING_BYTES = (
     ctypes.sizeof(_MultiMessageHeader)
     - _MultiMessageHeader.size.offset
     - ctypes.sizeof(ctypes.c_uint)
@@ -81,7 +81,7 @@ _HEADER_GAP_BYTES = (
     - ctypes.sizeof(ctypes.c_size_t)
 )
 _HEADER_STRUCT = struct.Struct(
-    f"@{_MessageHeader.controllen.offset}xN{_HEADER_GAP_BYTES}xI{_HEADER_TAIL_BYTES}x"
+    f"@{_MessageHeader.controllen.offset}xN{_HEADER_GAP_BYTES}xI{_HEADER_PADDING_BYTES}x"
 )
 """Values that the kernel writes into a header: length of the control messages, length of the datagram."""
 _libc = ctypes.CDLL(None, use_errno=True)
@@ -128,19 +128,19 @@ class DatagramSlots:
         """
         self.count = count
         self.size = size
-        store = (ctypes.c_char * (count * size))()
+        buffer = (ctypes.c_char * (count * size))()
         messages = (ctypes.c_char * (count * CONTROL_MESSAGES_STRUCT.size))()
         self._iovecs = (_Iovec * count)()
         headers = (_MultiMessageHeader * count)()
         for i in range(count):
-            self._iovecs[i] = _Iovec(ctypes.addressof(store) + i * size, size)
+            self._iovecs[i] = _Iovec(ctypes.addressof(buffer) + i * size, size)
             message = headers[i].message
             message.iov = ctypes.addressof(self._iovecs) + i * ctypes.sizeof(_Iovec)
             message.iovlen = 1
             if has_control_data:
                 message.control = ctypes.addressof(messages) + i * CONTROL_MESSAGES_STRUCT.size
                 message.controllen = CONTROL_MESSAGES_STRUCT.size
-        self.data = memoryview(store).cast("B")
+        self.data = memoryview(buffer).cast("B")
         self.control = memoryview(messages).cast("B")
         self.headers = ctypes.addressof(headers)
         self._view = memoryview(headers).cast("B")
@@ -148,7 +148,7 @@ class DatagramSlots:
             :, 1
         ]
         control_words = np.frombuffer(self.control, "l").reshape(count, -1)
-        at = STAMP_OFFSET // control_words.itemsize
+        at = TIME_STAMP_OFFSET // control_words.itemsize
         self._seconds = control_words[:, at]
         self._nanoseconds = control_words[:, at + 1]
         counters = np.frombuffer(self.control, np.uint32).reshape(count, -1)
@@ -176,8 +176,8 @@ class DatagramSlots:
             kinds = set(_HEADER_STRUCT.iter_unpack(raw_bytes))
             length, size = kinds.pop()
             self._last_has_counters = length >= COUNTER_CONTROL_BYTES
-            is_stamped = self._last_has_counters or length == STAMP_CONTROL_BYTES
-            self._last_size = size if is_stamped and not kinds else 0
+            has_time_stamp = self._last_has_counters or length == TIME_STAMP_CONTROL_BYTES
+            self._last_size = size if has_time_stamp and not kinds else 0
             self._last_headers = raw_bytes
         if self._last_has_counters and (self._loss_counters[:count] != known_loss_count).any():
             return 0
@@ -194,16 +194,18 @@ class DatagramSlots:
             sizes, control, strict=True
         ):
             is_timestamp = (
-                length >= STAMP_CONTROL_BYTES and kind == SO_TIMESTAMPNS and level == _SOL_SOCKET
+                length >= TIME_STAMP_CONTROL_BYTES
+                and kind == SO_TIMESTAMPNS
+                and level == _SOL_SOCKET
             )
-            is_drop_count = (
+            is_drop_counter = (
                 length >= COUNTER_CONTROL_BYTES and kind2 == SO_RXQ_OVFL and level2 == _SOL_SOCKET
             )
             result.append(
                 (
                     size,
                     s * 1_000_000_000 + ns if is_timestamp else 0,
-                    dropped_count if is_drop_count else 0,
+                    dropped_count if is_drop_counter else 0,
                 )
             )
         return result
@@ -222,7 +224,7 @@ class DatagramSlots:
         times += self._nanoseconds[:count]
         return times
 
-    def set_lengths(self, lengths: NDArray[np.uint64]) -> None:
+    def set_datagram_lengths(self, lengths: NDArray[np.uint64]) -> None:
         """Set how many bytes of each slot are sent.
 
         ``lengths`` contains one number for each of the first slots.

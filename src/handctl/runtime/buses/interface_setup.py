@@ -16,7 +16,7 @@ TX_QUEUE_FRAMES = 128
 
 The Linux default of 10 frames is too short for the frames that a large hand sends in one tick.
 """
-RESTART_MS = 100
+BUS_OFF_RESTART_MS = 100
 """Delay after which an interface restarts from the state bus-off [ms]."""
 
 
@@ -51,7 +51,7 @@ def interface_setup_commands(
     timing_command: CommandWords = (*link, "type", "can", "bitrate", str(bitrate))
     if data_bitrate:
         timing_command = (*timing_command, "dbitrate", str(data_bitrate), "fd", "on")
-    return ((*link, "down"), (*timing_command, "restart-ms", str(RESTART_MS)), queue, up)
+    return ((*link, "down"), (*timing_command, "restart-ms", str(BUS_OFF_RESTART_MS)), queue, up)
 
 
 def interface_setup_text(

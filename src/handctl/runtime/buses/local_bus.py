@@ -16,7 +16,7 @@ import time
 from collections.abc import Sequence
 
 from handctl.drives.frame import ERROR_FLAG, Frame
-from handctl.drives.frame_records import NO_FRAMES, Frames, join_frames
+from handctl.drives.frame_records import NO_FRAMES, Frames, concatenate_frames
 from handctl.errors import BusError, NoSimulatorError
 from handctl.runtime.buses.bus_events import BusEvent, BusEvents
 from handctl.runtime.buses.canfd_structs import (
@@ -132,13 +132,13 @@ class LocalBus:
         frame_batches = [self.early_frames] if self.early_frames else []
         self.early_frames = NO_FRAMES
         for _ in range(self._reads):
-            partial = self._partial_record_bytes
-            size = self._read(self._buffer[partial:] if partial else self._buffer)
+            partial_size = self._partial_record_bytes
+            size = self._read(self._buffer[partial_size:] if partial_size else self._buffer)
             if size:
-                frame_batches.append(self._frames_of_complete_records(partial + size))
-            if size < len(self._buffer) - partial:
+                frame_batches.append(self._frames_of_complete_records(partial_size + size))
+            if size < len(self._buffer) - partial_size:
                 break
-        return join_frames(frame_batches)
+        return concatenate_frames(frame_batches)
 
     def _read(self, buffer: memoryview) -> int:
         """Read from the socket into a buffer.
@@ -160,7 +160,7 @@ class LocalBus:
     def _report_lost_hub(self) -> None:
         """Set the state that makes every later call of ``take_events`` report the end of the hub."""
         self._closed = True
-        self._events.set_lasting_state("enodev", True)
+        self._events.set_persistent_event("enodev", True)
 
     def _frames_of_complete_records(self, filled_bytes: int) -> Frames:
         """Return the frames in the complete records of the first ``filled_bytes`` bytes of the buffer.
@@ -194,11 +194,11 @@ class LocalBus:
             frame = self.early_frames[0]
             self.early_frames = self.early_frames[1:]
             return frame
-        filled = self._partial_record_bytes + self._read(
+        filled_size = self._partial_record_bytes + self._read(
             self._buffer[self._partial_record_bytes : CANFD_FRAME_BYTES]
         )
-        self._partial_record_bytes = filled % CANFD_FRAME_BYTES
-        if filled < CANFD_FRAME_BYTES:
+        self._partial_record_bytes = filled_size % CANFD_FRAME_BYTES
+        if filled_size < CANFD_FRAME_BYTES:
             return None
         can_id, length, flags, lost_count, data = FRAME_RECORD_STRUCT.unpack_from(self._buffer)
         self._count_dropped_frames(lost_count)
@@ -209,14 +209,14 @@ class LocalBus:
             can_id, data[:length], flags, self._index, self._convert_time(time.monotonic_ns())
         )
 
-    def _count_dropped_frames(self, hub_counter: int) -> None:
+    def _count_dropped_frames(self, hub_drop_count: int) -> None:
         """Count the frames that the hub has dropped since the last record.
 
-        Here, ``hub_counter`` is the counter of the hub, modulo 65536.
+        Here, ``hub_drop_count`` is the counter of the hub, modulo 65536.
         """
-        if hub_counter != self._dropped:
-            self._events.add_event("dropped", (hub_counter - self._dropped) & 0xFFFF)
-            self._dropped = hub_counter
+        if hub_drop_count != self._dropped:
+            self._events.add_event("dropped", (hub_drop_count - self._dropped) & 0xFFFF)
+            self._dropped = hub_drop_count
 
     def _take_control(self, can_id: int, data: bytes) -> None:
         """Process a frame that contains no data.
@@ -228,7 +228,7 @@ class LocalBus:
         else:
             self._events.add_error_frame(can_id, data)
 
-    def _frames_for_queue(self, frames: Sequence[Frame]) -> Sequence[Frame]:
+    def _frames_fitting_queue(self, frames: Sequence[Frame]) -> Sequence[Frame]:
         """Return the frames from the first to the last one for which the queue has room.
 
         All other frames count as refused.
@@ -251,7 +251,7 @@ class LocalBus:
     def send(self, frames: Sequence[Frame]) -> int:
         """Send a batch of frames, and return the number of accepted frames, see ``contract.Bus``."""
         if self._queue_frames:
-            frames = self._frames_for_queue(frames)
+            frames = self._frames_fitting_queue(frames)
         records = self._pack_records(frames)
         unsent_records = self._unsent_bytes + records if self._unsent_bytes else records
         if self._closed or not unsent_records:

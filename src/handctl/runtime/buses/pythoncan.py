@@ -26,7 +26,7 @@ IDENTIFIER_MASK = 0x1FFFFFFF
 """Mask of the 29 bits of an identifier, without flag bits."""
 
 
-def frame_of_message(message: can.Message, index: int, t_ns: int) -> Frame:
+def frame_from_message(message: can.Message, index: int, t_ns: int) -> Frame:
     """Convert a python-can message to a frame.
 
     Args:
@@ -48,7 +48,7 @@ def frame_of_message(message: can.Message, index: int, t_ns: int) -> Frame:
     return Frame(can_id | ERROR_FLAG * message.is_error_frame, data, flags, index, t_ns)
 
 
-def message_of_frame(frame: Frame, timestamp: float = 0.0) -> can.Message:
+def message_from_frame(frame: Frame, timestamp: float = 0.0) -> can.Message:
     """Convert a frame to a python-can message.
 
     Args:
@@ -139,7 +139,7 @@ class PythonCanBus:
             try:
                 message = self._bus.recv(0)
             except (can.CanError, OSError) as error:
-                self._events.count_failure(_errno_of(error), "enodev")
+                self._events.count_failure(_error_number(error), "enodev")
                 break
             except (
                 ValueError,
@@ -163,7 +163,7 @@ class PythonCanBus:
             message.is_rx
         ):  # the interfaces gs_usb and cantact also return the frames that this host has sent
             frames.append(
-                frame_of_message(message, self._index, self._convert_time(time.monotonic_ns()))
+                frame_from_message(message, self._index, self._convert_time(time.monotonic_ns()))
             )
 
     def send(self, frames: Sequence[Frame]) -> int:
@@ -171,9 +171,9 @@ class PythonCanBus:
         for number, frame in enumerate(frames):
             check_payload_size(frame)
             try:
-                self._bus.send(message_of_frame(frame), 0)
+                self._bus.send(message_from_frame(frame), 0)
             except (can.CanError, OSError) as error:
-                self._events.count_failure(_errno_of(error), "enobufs", len(frames) - number)
+                self._events.count_failure(_error_number(error), "enobufs", len(frames) - number)
                 return number
         return len(frames)
 
@@ -193,7 +193,7 @@ class PythonCanBus:
         self._bus.shutdown()
 
 
-def _errno_of(error: Exception) -> int | None:
+def _error_number(error: Exception) -> int | None:
     """Return the errno of an error from python-can, or None if there is none.
 
     The errno may be in the error itself, in the attribute ``error_code``, or in the cause of the

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from handctl.drives.frame import ERROR_FLAG, FDF, Frame
-from handctl.drives.frame_records import Frames, frames_as_records, join_frames
+from handctl.drives.frame_records import Frames, concatenate_frames, frames_as_records
 from handctl.errors import BusError
 from handctl.runtime.buses import datagram_batches
 from handctl.runtime.buses.bus_events import BusEvent, BusEvents
@@ -116,7 +116,7 @@ class SocketCanBus:
                 self._in.reset_headers(count)
             if count < MAX_FRAMES_PER_CALL:
                 break
-        return join_frames(frame_batches)
+        return concatenate_frames(frame_batches)
 
     def _convert_datagrams(self, count: int) -> Frames:
         """Convert the received datagrams to frames.
@@ -213,7 +213,7 @@ class SocketCanBus:
                 if len(frames) > MAX_FRAMES_PER_CALL
                 else frames
             )
-            self._out.set_lengths(self._out_structs.write(batch))
+            self._out.set_datagram_lengths(self._out_structs.write(batch))
             sent_count, code = datagram_batches.send_datagrams(
                 self._socket.fileno(), self._out, 0, len(batch)
             )

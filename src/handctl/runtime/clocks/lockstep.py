@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from handctl.drives.frame import ERROR_FLAG, Frame
-from handctl.drives.frame_records import Frames, RecordArray, frames_as_records, join_frames
+from handctl.drives.frame_records import Frames, RecordArray, concatenate_frames, frames_as_records
 from handctl.errors import ConfigError
 from handctl.extras import missing_extra
 from handctl.runtime.buses.bus_events import BusEvents
@@ -78,9 +78,9 @@ def load_simulator(entry: str, **options: object) -> LockstepSimulator:
     Raises:
         ConfigError: the module or class does not exist, or the class refuses the options.
     """
-    factory = load_simulator_object(entry, "the simulated hand")
+    make_simulated_hand = load_simulator_object(entry, "the simulated hand")
     try:
-        peer: LockstepSimulator = factory(**options)
+        peer: LockstepSimulator = make_simulated_hand(**options)
     except (ValueError, OSError) as error:
         raise ConfigError(str(error), "the simulated hand") from None
     return peer
@@ -137,7 +137,7 @@ class LockstepClock:
         The result is 0, because virtual time is never late.
         """
         if k > 0:
-            frames = join_frames(self.frames_to_simulator)
+            frames = concatenate_frames(self.frames_to_simulator)
             replies = self._exchange(self.offset_ns + (k - 1) * self.period_ns, frames.records)
             if self.offset_ns:
                 replies = replies.copy()
@@ -151,7 +151,7 @@ class LockstepClock:
         """Return the scheduled time of the present tick [ns]."""
         return self.k * self.period_ns
 
-    def clock_facts(self) -> dict[str, str]:
+    def clock_statistics(self) -> dict[str, str]:
         """Return an empty mapping, because virtual time is the same in every run."""
         return {}
 
@@ -171,7 +171,7 @@ class LockstepBus:
 
     def drain(self) -> Frames:
         """Return the answers of the simulator. Error frames become events."""
-        frames = join_frames(self.clock.frames_from_simulator)
+        frames = concatenate_frames(self.clock.frames_from_simulator)
         self.clock.frames_from_simulator = []
         # The bitwise OR of all identifiers shows whether any frame is an error frame. Usually there
         # is no error frame. In this case, the frames need not be examined one by one.

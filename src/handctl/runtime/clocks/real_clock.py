@@ -33,7 +33,7 @@ class TickClock(Protocol):
         """Return the time since the start of the run [ns]."""
         ...
 
-    def clock_facts(self) -> dict[str, str]:
+    def clock_statistics(self) -> dict[str, str]:
         """Return facts about the clock, each with its name.
 
         The recorder writes these facts at the end of the log.
@@ -68,7 +68,7 @@ class RealClock:
 
     def start(self) -> None:
         """Start the time of the run. The deadline of tick 0 is one period later."""
-        self.start_ns = self._read_ns() + int(self.period_ns / self.time_scale)
+        self.start_ns = self._read_clock_ns() + int(self.period_ns / self.time_scale)
 
     def wait(self, k: int) -> int:
         """Wait for the deadline of tick k, and return the time since the deadline [ns], see ``TickClock``."""
@@ -78,17 +78,17 @@ class RealClock:
 
     def now_ns(self) -> int:
         """Return the time since the start of the run [ns]."""
-        return self.run_time_of(time.monotonic_ns())
+        return self.convert_to_run_time(time.monotonic_ns())
 
-    def clock_facts(self) -> dict[str, str]:
+    def clock_statistics(self) -> dict[str, str]:
         """Return facts about the clock, see ``TickClock``."""
         return {}
 
-    def run_time_of(self, monotonic_ns: int) -> int:
+    def convert_to_run_time(self, monotonic_ns: int) -> int:
         """Convert a CLOCK_MONOTONIC time stamp to a time of the run [ns]."""
         return int((monotonic_ns - self.start_ns) * self.time_scale)
 
-    def _read_ns(self) -> int:
+    def _read_clock_ns(self) -> int:
         """Return the reading of the clock [ns of wall time]."""
         return time.monotonic_ns()
 
@@ -98,11 +98,11 @@ class RealClock:
 
     def _wait_until(self, deadline_ns: int) -> int:
         """Wait until the clock reads the deadline, and return the time since then [ns of wall time]."""
-        waiting_ns = deadline_ns - self._read_ns() - (BUSY_WAIT_NS if self.busy_wait else 0)
+        waiting_ns = deadline_ns - self._read_clock_ns() - (BUSY_WAIT_NS if self.busy_wait else 0)
         if waiting_ns > 0:
             time.sleep(waiting_ns / 1e9)
         while (
-            now := self._read_ns()
+            now := self._read_clock_ns()
         ) < deadline_ns:  # sleep may return too early, so the loop reads the clock again
             if not self.busy_wait:
                 time.sleep((deadline_ns - now) / 1e9)

@@ -9,10 +9,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-LATENCY_FILE = "/dev/cpu_dma_latency"
+CPU_LATENCY_FILE = "/dev/cpu_dma_latency"
 """File through which a process tells Linux how fast idle processors must wake up."""
-ZERO_LATENCY_BYTES = bytes(4)
-"""Wake-up time of 0 us to write into ``LATENCY_FILE``, as a 32-bit integer."""
+ZERO_CPU_LATENCY = bytes(4)
+"""Wake-up time of 0 us to write into ``CPU_LATENCY_FILE``, as a 32-bit integer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,21 +22,25 @@ class GrantedPriority:
     Attributes:
         is_realtime: True if the system has granted SCHED_FIFO, the scheduling class with real-time
             priority.
-        memory_locked: True if the memory of the process is locked against paging.
-        processors_awake: True if idle processors stay awake while the ticks run.
+        is_memory_locked: True if the memory of the process is locked against paging.
+        are_processors_awake: True if idle processors stay awake while the ticks run.
     """
 
     is_realtime: bool
-    memory_locked: bool
-    processors_awake: bool = False
+    is_memory_locked: bool
+    are_processors_awake: bool = False
 
     def __str__(self) -> str:
         """List the granted and the refused permissions in one line."""
         priority_text = (
             "SCHED_FIFO" if self.is_realtime else "no real-time priority (not permitted)"
         )
-        memory = ", memory locked" if self.memory_locked else ", memory not locked"
-        return priority_text + memory + (", processors kept awake" if self.processors_awake else "")
+        memory = ", memory locked" if self.is_memory_locked else ", memory not locked"
+        return (
+            priority_text
+            + memory
+            + (", processors kept awake" if self.are_processors_awake else "")
+        )
 
 
 def request_priority(level: int = 60) -> GrantedPriority:
@@ -47,7 +51,7 @@ def request_priority(level: int = 60) -> GrantedPriority:
     # The memory is locked before SCHED_FIFO is requested. Locking the memory fills hundreds of MB.
     # Under SCHED_FIFO, no other process on the same core could run during this time.
     is_memory_locked = _lock_memory()
-    return GrantedPriority(_enter_fifo(level), is_memory_locked)
+    return GrantedPriority(_set_fifo_scheduling(level), is_memory_locked)
 
 
 def prepare_priority() -> GrantedPriority:
@@ -70,9 +74,9 @@ def realtime_priority(level: int = 60) -> Iterator[bool]:
     """
     try:
         with keep_processors_awake():
-            yield _enter_fifo(level)
+            yield _set_fifo_scheduling(level)
     finally:
-        _leave_fifo()
+        _restore_scheduling()
 
 
 @contextmanager
@@ -81,16 +85,16 @@ def keep_processors_awake() -> Iterator[bool]:
 
     Yield True if the system permits it. Otherwise an idle processor sleeps. An idle processor may
     take a millisecond to wake up, above all in a virtual machine. Idle processors stay awake as
-    long as a process keeps ``LATENCY_FILE`` open after writing a latency of 0.
+    long as a process keeps ``CPU_LATENCY_FILE`` open after writing a latency of 0.
     Source: Linux, Documentation/power/pm_qos_interface.
     """
     try:
-        descriptor = os.open(LATENCY_FILE, os.O_WRONLY | os.O_CLOEXEC)
+        descriptor = os.open(CPU_LATENCY_FILE, os.O_WRONLY | os.O_CLOEXEC)
     except OSError:
         yield False
         return
     try:
-        os.write(descriptor, ZERO_LATENCY_BYTES)
+        os.write(descriptor, ZERO_CPU_LATENCY)
         yield True
     finally:
         os.close(descriptor)
@@ -98,14 +102,14 @@ def keep_processors_awake() -> Iterator[bool]:
 
 def restore_priority() -> None:
     """Return to ordinary scheduling and unlock the memory, after the control loop has ended."""
-    _leave_fifo()
+    _restore_scheduling()
     if sys.platform.startswith("linux"):
         import ctypes
 
         ctypes.CDLL(None).munlockall()
 
 
-def _leave_fifo() -> None:
+def _restore_scheduling() -> None:
     """Return from SCHED_FIFO to ordinary scheduling. Any other scheduling class stays unchanged."""
     if not sys.platform.startswith("linux"):
         return
@@ -113,7 +117,7 @@ def _leave_fifo() -> None:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
-def _enter_fifo(level: int) -> bool:
+def _set_fifo_scheduling(level: int) -> bool:
     """Enter SCHED_FIFO, and return True if the system grants it.
 
     Child processes start with ordinary scheduling.

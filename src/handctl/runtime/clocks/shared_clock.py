@@ -37,7 +37,7 @@ from handctl.runtime.clocks.real_clock import RealClock
 CLOCK_FILE_VERSION = 1
 GATE_INDEX, PAUSED_INDEX, SENT_INDEX, ANSWERED_INDEX, REACHED_INDEX = 1, 2, 3, 4, 5
 """Indices of the integers in the file of the shared clock."""
-INTEGER_COUNT = 6
+CLOCK_FILE_INTEGER_COUNT = 6
 OPEN_GATE_NS = 2**63 - 1
 """Value of the gate while no controller uses the clock.
 
@@ -81,7 +81,7 @@ class ClockFile:
         """
         descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
         try:
-            self._map = mmap.mmap(descriptor, 8 * INTEGER_COUNT)
+            self._map = mmap.mmap(descriptor, 8 * CLOCK_FILE_INTEGER_COUNT)
         finally:
             os.close(descriptor)
         self.numbers = memoryview(self._map).cast("q")
@@ -109,7 +109,7 @@ class SharedClock(RealClock):
     """
 
     file: ClockFile = field(kw_only=True)
-    _end_and_duration_of_pause_ns: tuple[int, int] = (0, 0)
+    _last_pause_ns: tuple[int, int] = (0, 0)
     _answer_count_at_timeout: int = -1
 
     def start(self) -> None:
@@ -130,29 +130,29 @@ class SharedClock(RealClock):
             self._pause_at_gate()
             self._wait_for_simulator(deadline)
             self._count_pause(self._numbers[PAUSED_INDEX] - paused_ns)
-            lateness_ns = min(self._read_ns(), self._numbers[GATE_INDEX]) - deadline
+            lateness_ns = min(self._read_clock_ns(), self._numbers[GATE_INDEX]) - deadline
         self._move_gate(k + 1 + int(lateness_ns * self.time_scale) // self.period_ns)
         return int(lateness_ns * self.time_scale)
 
-    def clock_facts(self) -> dict[str, str]:
+    def clock_statistics(self) -> dict[str, str]:
         """Return the number of pauses and their total duration, see ``TickClock``."""
         return {
             "clock_pauses": str(self.pause_count),
             "clock_paused_ms": f"{self.paused_ns / 1e6:.1f}",
         }
 
-    def run_time_of(self, monotonic_ns: int) -> int:
+    def convert_to_run_time(self, monotonic_ns: int) -> int:
         """Convert a CLOCK_MONOTONIC time stamp to the time of the run [ns].
 
         The result is right only for time stamps after the second-last pause.
         """
-        end_ns, pause_ns = self._end_and_duration_of_pause_ns
+        end_ns, pause_ns = self._last_pause_ns
         paused_before_ns = self._numbers[PAUSED_INDEX] - min(
             max(end_ns - monotonic_ns, 0), pause_ns
         )
         return int((monotonic_ns - paused_before_ns - self.start_ns) * self.time_scale)
 
-    def _read_ns(self) -> int:
+    def _read_clock_ns(self) -> int:
         return time.monotonic_ns() - self._numbers[PAUSED_INDEX]
 
     @property
@@ -171,7 +171,7 @@ class SharedClock(RealClock):
         The simulator has never seen a time after the gate. Therefore no jump back in time occurs in
         the simulator.
         """
-        self._numbers[PAUSED_INDEX] += max(0, self._read_ns() - self._numbers[GATE_INDEX])
+        self._numbers[PAUSED_INDEX] += max(0, self._read_clock_ns() - self._numbers[GATE_INDEX])
 
     def _wait_for_simulator(self, deadline_ns: int) -> None:
         """Stop the clock at the gate until the simulator has answered the frames of the previous tick.
@@ -193,15 +193,15 @@ class SharedClock(RealClock):
     def _is_answered(self, deadline_ns: int) -> bool:
         """Return True if the simulator has answered all frames and is not more than ``MAX_SIMULATOR_LAG_NS`` late."""
         numbers = self._numbers
-        behind_ns = int(MAX_SIMULATOR_LAG_NS / self.time_scale)
+        max_lag_ns = int(MAX_SIMULATOR_LAG_NS / self.time_scale)
         return bool(
             numbers[ANSWERED_INDEX] >= numbers[SENT_INDEX]
-            and numbers[REACHED_INDEX] >= deadline_ns - behind_ns
+            and numbers[REACHED_INDEX] >= deadline_ns - max_lag_ns
         )
 
     def _count_pause(self, pause_ns: int) -> None:
         """Add the pause before this tick [ns of wall time] to the totals of the run."""
         if pause_ns:
-            self._end_and_duration_of_pause_ns = (time.monotonic_ns(), pause_ns)
+            self._last_pause_ns = (time.monotonic_ns(), pause_ns)
             self.pause_count += 1
             self.paused_ns += pause_ns

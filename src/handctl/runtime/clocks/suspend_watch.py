@@ -10,7 +10,7 @@ from handctl.core.tick_types import IoEvent
 
 MIN_SUSPEND_NS = 20_000_000
 """Shortest suspend that is reported [ns]."""
-MAX_READING_NS = 1_000_000
+MAX_READ_DURATION_NS = 1_000_000
 """Longest time that a reading of both clocks may take [ns].
 
 A reading that takes longer has been interrupted, and is discarded.
@@ -52,7 +52,9 @@ class SuspendWatch:
         time_before = self._monotonic()
         boot_time_ns = self._boot()
         return (
-            boot_time_ns - time_before if self._monotonic() - time_before < MAX_READING_NS else None
+            boot_time_ns - time_before
+            if self._monotonic() - time_before < MAX_READ_DURATION_NS
+            else None
         )
 
     def take_events(self) -> list[IoEvent]:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from handctl.drives.discovery import (
-    PROBE_ANSWER_S,
+    PROBE_ANSWER_TIMEOUT_S,
     PROBE_ROUNDS,
     SCAN_LISTEN_S,
     DiscoveredNode,
@@ -95,11 +95,11 @@ def scan_bus(
         for frame in _requests_of_round(turn, seen_frames, omitted):
             if not _send_with_retries(bus, frame, seen_frames, listen_function):
                 break
-        listen_function(bus, SCAN_LISTEN_S if turn == 0 else PROBE_ANSWER_S, seen_frames)
+        listen_function(bus, SCAN_LISTEN_S if turn == 0 else PROBE_ANSWER_TIMEOUT_S, seen_frames)
         if turn == 0 and not force and (foreign_frames := _foreign_frames(seen_frames)):
             break
     drives = tuple(
-        discovery.correct_without_requests(node) if foreign_frames else node
+        discovery.correct_passive_result(node) if foreign_frames else node
         for discovery in DISCOVERY_BY_PROTOCOL.values()
         for node in discovery.nodes(seen_frames)
     )
@@ -152,11 +152,11 @@ def _foreign_frames(seen_frames: list[Frame]) -> tuple[Frame, ...]:
     """
     foreign_frames: list[Frame] = []
     for name, discovery in DISCOVERY_BY_PROTOCOL.items():
-        explained_commands = frozenset().union(*_commands_of_other_hosts(name, seen_frames))
+        known_command_ids = frozenset().union(*_commands_of_other_hosts(name, seen_frames))
         foreign_frames += [
             frame
             for frame in discovery.other_host_frames(seen_frames)
-            if frame.can_id not in explained_commands
+            if frame.can_id not in known_command_ids
         ]
     return tuple(dict.fromkeys(foreign_frames)) if len(foreign_frames) > MAX_IGNORED_FRAMES else ()
 

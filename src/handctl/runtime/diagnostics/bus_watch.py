@@ -169,7 +169,7 @@ class BusWatch:
         for i, amplifier in enumerate(self.sensors.amplifiers):
             self.amplifiers[i] = amplifier.receive(self.amplifiers[i], frame)
             if (
-                group in self.sensors.group_ranges[i]
+                group in self.sensors.amplifier_frame_ranges[i]
                 and self.amplifiers[i].phase != DrivePhase.READY
             ):
                 return  # until the amplifier has been set up, the unit of its readings is unknown

@@ -27,7 +27,7 @@ HOST_SILENCE_S = 0.3
 """Shortest time for which the check of the watchdog sends no commands [s]."""
 CHECK_DURATION_TICKS = 60
 """Number of ticks in which a check counts answers, or sends torque commands to a disabled drive."""
-MIN_ANSWERS_PER_REQUEST_OF_TWO_DRIVES = 1.5
+MIN_DUPLICATE_ANSWER_RATIO = 1.5
 """Number of answers per request above which a second drive must have the same node number.
 
 A single drive sends one answer to each request. Two drives with the same number send two answers.
@@ -185,7 +185,7 @@ def _check_one_answer_per_request(device: DeviceUnderTest) -> str:
         answer_frames -= round(unsolicited_frames * polled_s / listened_s)
         requests = CHECK_DURATION_TICKS
         text = f"{answer_frames} answers to {requests} requests"
-    if answer_frames > MIN_ANSWERS_PER_REQUEST_OF_TWO_DRIVES * requests:
+    if answer_frames > MIN_DUPLICATE_ANSWER_RATIO * requests:
         raise CheckFailed(
             f"{text}: another drive has the same number; give each a number of its own"
         )
@@ -275,11 +275,11 @@ def _check_feedback(device: DeviceUnderTest) -> str:
         ages.append(rig.t_ns - PERIOD_NS - state.feedback_t_ns)
     ages.sort()
     count = rig.state.feedback_count - start
-    late_age = ages[-MAX_LATE_TICKS_PER_100]
+    high_age_ns = ages[-MAX_LATE_TICKS_PER_100]
     result_text = (
         f"{count} feedback frames in {ticks} ticks, at most {max(ages[-1], 0) / 1e6:.0f} ms old"
     )
-    if count < 0.8 * ticks or late_age > MAX_FEEDBACK_AGE_NS:
+    if count < 0.8 * ticks or high_age_ns > MAX_FEEDBACK_AGE_NS:
         raise CheckFailed(result_text)
     return result_text
 

@@ -98,12 +98,12 @@ def distance_at(t_s: float, distance: float, speed: float, acceleration: float) 
     if t_s >= total_s:
         return distance
     if t_s < ramp_s:
-        ramp_distance = 0.5 * acceleration * t_s * t_s
+        travelled_distance = 0.5 * acceleration * t_s * t_s
     elif t_s < total_s - ramp_s:
-        ramp_distance = top_speed * (t_s - 0.5 * ramp_s)
+        travelled_distance = top_speed * (t_s - 0.5 * ramp_s)
     else:
-        ramp_distance = length - 0.5 * acceleration * (total_s - t_s) ** 2
-    return math.copysign(ramp_distance, distance)
+        travelled_distance = length - 0.5 * acceleration * (total_s - t_s) ** 2
+    return math.copysign(travelled_distance, distance)
 
 
 class _JogExecution:

@@ -21,7 +21,7 @@ MAX_LISTED_IDS = 8
 """Largest number of identifiers in a message. The replies of a RobStride motor have a thousand."""
 MAX_SETUP_S = 3.0
 """Longest time of the set-up of a drive [s]."""
-PHASES_BEFORE_READY_REPORT = (DrivePhase.SILENT, DrivePhase.CONFIGURING)
+SETUP_PHASES = (DrivePhase.SILENT, DrivePhase.CONFIGURING)
 """Phases in which the drive has not reported whether it makes torque."""
 VELOCITY_WINDOW_TICKS = 4
 """Number of ticks between the two positions from which the velocity is computed."""
@@ -196,9 +196,9 @@ class DriveRig:
             self.run_for(DriveTarget.LISTEN, silence_s)
             if self.run_until(DriveTarget.DISABLE, is_confirmed_off, 1.0):
                 return True
-        return self.state.phase in PHASES_BEFORE_READY_REPORT and self._report_after_setup()
+        return self.state.phase in SETUP_PHASES and self._is_disabled_after_setup()
 
-    def _report_after_setup(self) -> bool:
+    def _is_disabled_after_setup(self) -> bool:
         """Set up a drive from the beginning, and disable it.
 
         Return True if the drive reports that it is disabled. A CiA 402 drive reports its power
@@ -207,6 +207,6 @@ class DriveRig:
         self.replace_drive(self.drive)
         return self.run_until(
             DriveTarget.POLL,
-            lambda state: state.phase not in PHASES_BEFORE_READY_REPORT,
+            lambda state: state.phase not in SETUP_PHASES,
             MAX_SETUP_S,
         ) and self.run_until(DriveTarget.DISABLE, is_confirmed_off, 1.0)

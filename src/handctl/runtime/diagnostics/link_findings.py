@@ -4,7 +4,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from handctl.runtime.buses.adapter import UsbAdapter
-from handctl.runtime.buses.interface_setup import RESTART_MS, TX_QUEUE_FRAMES, interface_setup_text
+from handctl.runtime.buses.interface_setup import (
+    BUS_OFF_RESTART_MS,
+    TX_QUEUE_FRAMES,
+    interface_setup_text,
+)
 from handctl.runtime.buses.link_state import CanLinkState
 from handctl.runtime.buses.socketcan import MIN_QUEUE_FRAMES
 
@@ -28,7 +32,7 @@ MAX_RATE_AT_FULL_SPEED_HZ = 333
 
 Source: docs/how-to/adapters.md.
 """
-HARMLESS_COUNTERS = {"arbitration_lost"}
+IGNORED_ERROR_COUNTERS = {"arbitration_lost"}
 """Names of counters that also increase on a healthy bus."""
 
 
@@ -183,7 +187,7 @@ def _controller_findings(name: str, link: CanLinkState) -> list[LinkFinding]:
     )
     result = [LinkFinding(counters, is_good or not link.is_up, restart_text + WIRING_ADVICE)]
     if link.restart_ms is not None:
-        command = f"sudo ip link set {name} down; sudo ip link set {name} up type can restart-ms {RESTART_MS}"
+        command = f"sudo ip link set {name} down; sudo ip link set {name} up type can restart-ms {BUS_OFF_RESTART_MS}"
         result.append(
             LinkFinding(
                 f"restarts {link.restart_ms} ms after bus-off", link.restart_ms > 0, command
@@ -202,7 +206,7 @@ def _counter_findings(link: CanLinkState) -> list[LinkFinding]:
     has_errors = any(
         number
         for key, number in link.event_counts.items()
-        if key in ERROR_COUNTER_TEXTS and key not in HARMLESS_COUNTERS
+        if key in ERROR_COUNTER_TEXTS and key not in IGNORED_ERROR_COUNTERS
     )
     remedy = f"since it was created; {WIRING_ADVICE}; repeat this check after a run"
     return [

@@ -29,7 +29,7 @@ class RoundTrip(NamedTuple):
         shortest_s: shortest round-trip time [s], NaN without an answer.
         median_s: median round-trip time [s], NaN without an answer.
         longest_s: longest round-trip time [s], NaN without an answer.
-        double_answer_count: number of requests with more than one answer. Such answers show that two
+        duplicate_answer_count: number of requests with more than one answer. Such answers show that two
             drives have the same node number.
     """
 
@@ -38,7 +38,7 @@ class RoundTrip(NamedTuple):
     shortest_s: float
     median_s: float
     longest_s: float
-    double_answer_count: int = 0
+    duplicate_answer_count: int = 0
 
     @property
     def is_node_number_shared(self) -> bool:
@@ -46,7 +46,7 @@ class RoundTrip(NamedTuple):
 
         Then two drives have the same node number.
         """
-        return self.double_answer_count > self.requests / 2
+        return self.duplicate_answer_count > self.requests / 2
 
 
 def measure_round_trips(

@@ -85,13 +85,13 @@ def apply_torque_step(rig: DriveRig, motion_sign: int, torque_limit: float) -> T
             break
     reported_torque = rig.state.torque
     rig.run_for(DriveTarget.ENABLE, COASTING_TICKS * PERIOD_S)
-    gained_speed = rig.velocity_rad_s - (
+    speed_change = rig.velocity_rad_s - (
         initial_velocity if math.isfinite(initial_velocity) else 0.0
     )
     if (
-        torque_impulse * gained_speed > 0.0
+        torque_impulse * speed_change > 0.0
     ):  # the inertia is the integral of the torque over time [N m s], divided by the change of velocity
-        rig.inertia = torque_impulse / gained_speed
+        rig.inertia = torque_impulse / speed_change
     return TorqueStep(position_change, torque, reported_torque, True)
 
 

@@ -8,10 +8,10 @@ from handctl.safety.faults.fault import (
     FAULT_PLACE_HAND,
     FAULT_PLACE_MOTOR,
     FAULT_PLACE_NODE,
-    INDIRECT_FAULT_SIGN,
+    INDIRECTLY_VISIBLE,
     INVISIBLE_FAULT,
+    declare_catalogue_row,
     declare_fault,
-    declare_row,
 )
 from handctl.safety.safety_action import RelaxMethod, SafetyAction
 from handctl.safety.safety_limits import LOAD_CELLS, MAX_SILENCE_S, MIN_SILENT_TICKS
@@ -34,16 +34,15 @@ MISSING_ACKNOWLEDGE_TEXTS = ("no acknowledge", "bus error", "protocol")
 
 # Texts of the fault catalogue for faults that the messages of a drive protocol do not report.
 _MISSING_COUNTER_TEXT = (
-    f"{INDIRECT_FAULT_SIGN}: load cells by their counter (CiA 404 amplifiers: only by the time of arrival), drives "
+    f"{INDIRECTLY_VISIBLE}: load cells by their counter (CiA 404 amplifiers: only by the time of arrival), drives "
     "by N14, because their replies have no counter"
 )
 _WRONG_ORDER_TEXT = (
-    f"{INDIRECT_FAULT_SIGN}: load cells by their counter (CiA 404 amplifiers have none), drives "
+    f"{INDIRECTLY_VISIBLE}: load cells by their counter (CiA 404 amplifiers have none), drives "
     "have no counter"
 )
 _MISSING_CHECKSUM_TEXT = (
-    f"{INDIRECT_FAULT_SIGN}: by wrong length, NaN and jumps (N05), because payloads have no "
-    "checksum"
+    f"{INDIRECTLY_VISIBLE}: by wrong length, NaN and jumps (N05), because payloads have no checksum"
 )
 _EXCESS_REPLIES_TEXT = f"{INVISIBLE_FAULT}: excess replies look like cyclic messages, which come in addition to replies"
 SILENCE_TIME_REASON = (
@@ -55,18 +54,18 @@ _SILENCE_CONDITION_TEXT = (
     f"for {MAX_SILENCE_S * 1e3:g} ms, at least {MIN_SILENT_TICKS} ticks in a row"
 )
 
-declare_row("B01", "one frame lost", ticks=2, required=2)
-B01 = declare_fault(
+declare_catalogue_row("B01", "one frame lost", ticks=2, required=2)
+FAULT_B01 = declare_fault(
     "B01", "a reply is missing", "The latest feedback of a motor is older than one tick", SafetyAction.WARN,
     CLEARED_BY_ITSELF, FAULT_PLACE_MOTOR,
     cause="A frame was lost, or the motor or this host was late once. The filter bridges single losses.",
     remedy="Ignore single cases. If it repeats, run handctl bus doctor and check cable, termination and bus load.",
 )  # fmt: skip
 
-declare_row(
+declare_catalogue_row(
     "B02", "several frames in a row lost", ticks=1, ms=30, required=5, why=SILENCE_TIME_REASON
 )
-B02 = declare_fault(
+FAULT_B02 = declare_fault(
     "B02", "a motor has gone silent", f"A motor sends no reply {_SILENCE_CONDITION_TEXT}", SafetyAction.RELAX,
     CLEARED_BY_OPERATOR, FAULT_PLACE_MOTOR,
     caused_by_lateness=True,
@@ -74,15 +73,15 @@ B02 = declare_fault(
     remedy="Check supply and CAN cable of the motor, find it with handctl scan, then start a new run.",
 )  # fmt: skip
 
-declare_row("B03", "intermittent loss", ticks=102, required=102)
-B03A = declare_fault(
+declare_catalogue_row("B03", "intermittent loss", ticks=102, required=102)
+FAULT_B03A = declare_fault(
     "B03a", "replies are being lost",
     f"More than {LOST_FRAMES_FOR_HOLD} of the last {LOSS_WINDOW_TICKS} replies of a node are missing",
     SafetyAction.HOLD, CLEARED_BY_ITSELF, FAULT_PLACE_NODE,
     cause="The bus is disturbed or overloaded, or the host is too slow.",
     remedy="Check termination, shielding and bus load (handctl bus doctor, handctl bus plan), or lower the rate.",
 )  # fmt: skip
-B03B = declare_fault(
+FAULT_B03B = declare_fault(
     "B03b", "many replies are being lost",
     f"More than {LOST_FRAMES_FOR_RELAX} of the last {LOSS_WINDOW_TICKS} replies of a node are missing",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_NODE,
@@ -91,7 +90,7 @@ B03B = declare_fault(
     remedy="Check termination, shielding and bus load (handctl bus doctor, handctl bus plan) before the next run.",
 )  # fmt: skip
 
-declare_row(
+declare_catalogue_row(
     "B04",
     "delay",
     CHECKED_BY_FAULT_TABLE,
@@ -101,23 +100,27 @@ declare_row(
     ticks=4,
     required=4,
 )
-B04 = declare_fault(
+FAULT_B04 = declare_fault(
     "B04", "a delayed frame", "A load-cell frame replies to an older SYNC",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name=LOAD_CELLS,
     cause="The sensor node or a gateway on the bus holds frames back.",
     remedy="Look for gateways, full queues and a busy sensor node between the load cells and the host.",
 )  # fmt: skip
 
-declare_row("B05", "duplicate, equal bytes", odrive=_EXCESS_REPLIES_TEXT, ticks=2, required=2)
-B05 = declare_fault(
+declare_catalogue_row(
+    "B05", "duplicate, equal bytes", odrive=_EXCESS_REPLIES_TEXT, ticks=2, required=2
+)
+FAULT_B05 = declare_fault(
     "B05", "a duplicate frame", "A node sends more replies than requests, and the replies have equal bytes",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_NODE,
     cause="An adapter or gateway repeats frames, or two nodes share an identifier.",
     remedy="Check the adapter's driver and settings, and the identifiers of all nodes with handctl scan.",
 )  # fmt: skip
 
-declare_row("B06", "duplicate, different bytes", odrive=_EXCESS_REPLIES_TEXT, ticks=2, required=2)
-B06 = declare_fault(
+declare_catalogue_row(
+    "B06", "duplicate, different bytes", odrive=_EXCESS_REPLIES_TEXT, ticks=2, required=2
+)
+FAULT_B06 = declare_fault(
     "B06", "a conflicting duplicate frame",
     "A node sends more replies than requests, and the replies have different bytes",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_NODE, relax_method=RelaxMethod.OPEN_LOOP,
@@ -125,7 +128,7 @@ B06 = declare_fault(
     remedy="Disconnect other programs and nodes, check all identifiers with handctl scan, then start a new run.",
 )  # fmt: skip
 
-declare_row(
+declare_catalogue_row(
     "B07",
     "reordering",
     CHECKED_BY_FAULT_TABLE,
@@ -135,14 +138,14 @@ declare_row(
     ticks=2,
     required=2,
 )
-B07 = declare_fault(
+FAULT_B07 = declare_fault(
     "B07", "frames arrive out of order", "An old load-cell frame arrives after a newer one",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name=LOAD_CELLS,
     cause="The adapter or a gateway reorders frames.",
     remedy="Use an adapter and driver that keep the order. Remove gateways between host and hand.",
 )  # fmt: skip
 
-declare_row(
+declare_catalogue_row(
     "B08",
     "corruption above the CAN CRC",
     CHECKED_BY_FAULT_TABLE,
@@ -152,7 +155,7 @@ declare_row(
     ticks=4,
     required=4,
 )
-B08 = declare_fault(
+FAULT_B08 = declare_fault(
     "B08", "corrupt payloads",
     f"In {MALFORMED_WINDOW_TICKS} ticks, {MALFORMED_FRAMES_LIMIT} frames of a node cannot be decoded",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_NODE,
@@ -160,17 +163,17 @@ B08 = declare_fault(
     remedy="Check protocol option and firmware of the node in the hand file. Replace the node if it continues.",
 )  # fmt: skip
 
-declare_row("B09", "wrong length, RTR, 29 bit, FD", ticks=2, required=2)
-B09 = declare_fault(
+declare_catalogue_row("B09", "wrong length, RTR, 29 bit, FD", ticks=2, required=2)
+FAULT_B09 = declare_fault(
     "B09", "a malformed frame", "A frame has a wrong length, is a remote frame, has 29 bits, or contains no number",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_NODE,
     cause="A node sends another protocol or another message length than the hand file says.",
     remedy="Check the motor's protocol and options in the hand file against handctl scan.",
 )  # fmt: skip
 
-declare_row("B10", "unknown identifiers", ticks=2, ms=51, required=2,
+declare_catalogue_row("B10", "unknown identifiers", ticks=2, ms=51, required=2,
     why="51 unknown frames within a second are the limit. With one frame per millisecond this takes 51 ms")  # fmt: skip
-B10 = declare_fault(
+FAULT_B10 = declare_fault(
     "B10", "unknown identifiers on the bus",
     f"More than {MAX_UNKNOWN_FRAMES_PER_S:g} frames per second have an unassigned identifier",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name="bus",
@@ -178,23 +181,23 @@ B10 = declare_fault(
     remedy="Compare handctl scan with the hand file. Move other devices to a bus of their own.",
 )  # fmt: skip
 
-declare_row("B11", "babbling idiot", ticks=3, required=3)
-B11A = declare_fault(
+declare_catalogue_row("B11", "babbling idiot", ticks=3, required=3)
+FAULT_B11A = declare_fault(
     "B11a", "the bus is flooded", "In two ticks, more frames arrive than all nodes can send",
-    SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_HAND, debounce=2, name="bus",
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_HAND, debounce_ticks=2, name="bus",
     cause="A node or another program sends without pause (babbling idiot).",
     remedy="Unplug one node after the other until the traffic stops. Replace or reconfigure the last one.",
 )  # fmt: skip
 # B11b is the second stage of the fault B11a. B11b has the same condition as B11a, but a longer
 # debounce.
-B11B = declare_fault(
+FAULT_B11B = declare_fault(
     "B11b", "the bus stays flooded", "In ten ticks, more frames arrive than all nodes can send",
-    SafetyAction.CUT, CLEARED_BY_OPERATOR, FAULT_PLACE_HAND, debounce=10, name="bus",
+    SafetyAction.CUT, CLEARED_BY_OPERATOR, FAULT_PLACE_HAND, debounce_ticks=10, name="bus",
     cause="A node or another program sends without pause (babbling idiot), so that commands may not arrive.",
     remedy="Remove the power. Unplug one node after the other until the traffic stops, and replace the last one.",
 )  # fmt: skip
 
-declare_row("B12", "bus off", ticks=1, required=1)
+declare_catalogue_row("B12", "bus off", ticks=1, required=1)
 declare_fault(
     "B12", "bus off", "The interface reports bus-off", SafetyAction.CUT, CLEARED_BY_OPERATOR, reports=("bus_off",),
     cause="A short circuit, a wrong bit rate or the lack of other nodes caused too many errors, and the interface "
@@ -202,7 +205,7 @@ declare_fault(
     remedy="Check cable, termination and bit rate, then bring the interface up again (handctl bus doctor says how).",
 )  # fmt: skip
 
-declare_row("B13", "error-warning, error-passive", ticks=21, required=21)
+declare_catalogue_row("B13", "error-warning, error-passive", ticks=21, required=21)
 declare_fault(
     "B13a", "errors on the bus", "The interface reports error-warning or error-passive",
     SafetyAction.WARN, CLEARED_BY_ITSELF, reports=("error_warning", "error_passive"),
@@ -211,12 +214,12 @@ declare_fault(
 )  # fmt: skip
 declare_fault(
     "B13b", "lasting errors on the bus", "The interface is error-passive for 20 ticks",
-    SafetyAction.RELAX, CLEARED_BY_OPERATOR, debounce=20, reports=("error_passive",),
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, debounce_ticks=20, reports=("error_passive",),
     cause="A plug is loose, a termination is missing, a bit rate is wrong, or a node has lost power.",
     remedy="Check plugs, termination (60 ohm) and bit rate of all nodes, and run handctl bus doctor.",
 )  # fmt: skip
 
-declare_row("B14", "interface down", ticks=1, required=1)
+declare_catalogue_row("B14", "interface down", ticks=1, required=1)
 declare_fault(
     "B14", "the CAN interface is down", "The interface is down",
     SafetyAction.CUT, CLEARED_BY_OPERATOR, reports=("enetdown",),
@@ -224,15 +227,15 @@ declare_fault(
     remedy="Bring the interface up again (handctl bus doctor prints the command), then start a new run.",
 )  # fmt: skip
 
-declare_row("B15", "send queue full", ticks=3, required=3)
+declare_catalogue_row("B15", "send queue full", ticks=3, required=3)
 declare_fault(
     "B15", "the send queue is full", "The interface refuses frames in two ticks",
-    SafetyAction.RELAX, CLEARED_BY_OPERATOR, debounce=2, reports=("enobufs",),
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, debounce_ticks=2, reports=("enobufs",),
     cause="The bus is overloaded, or no node acknowledges frames.",
     remedy="Check the bus load with handctl bus plan, and power and cable of the nodes.",
 )  # fmt: skip
 
-declare_row("B16", "adapter unplugged", ticks=1, required=1)
+declare_catalogue_row("B16", "adapter unplugged", ticks=1, required=1)
 declare_fault(
     "B16", "the CAN adapter is unplugged", "The interface no longer exists",
     SafetyAction.CUT, CLEARED_BY_OPERATOR, reports=("enodev", "ebadf"),
@@ -240,12 +243,12 @@ declare_fault(
     remedy="Plug the adapter in and secure the cable. Bring the interface up, then start a new run.",
 )  # fmt: skip
 
-declare_row("B17", "some nodes do not hear", CHECKED_BY_FAULT_TABLE,
-    f"{INDIRECT_FAULT_SIGN}: no reply for four ticks while others reply",
-    f"{INDIRECT_FAULT_SIGN}: by counted losses (B03) or by its watchdog (N08), because its cyclic messages continue",
-    f"{INDIRECT_FAULT_SIGN}: by the drive's timeout of the master (N08), because RPDOs are not confirmed",
+declare_catalogue_row("B17", "some nodes do not hear", CHECKED_BY_FAULT_TABLE,
+    f"{INDIRECTLY_VISIBLE}: no reply for four ticks while others reply",
+    f"{INDIRECTLY_VISIBLE}: by counted losses (B03) or by its watchdog (N08), because its cyclic messages continue",
+    f"{INDIRECTLY_VISIBLE}: by the drive's timeout of the master (N08), because RPDOs are not confirmed",
     ticks=4, odrive_extra_ms=160, required=4)  # fmt: skip
-B17 = declare_fault(
+FAULT_B17 = declare_fault(
     "B17", "some nodes do not hear",
     f"A motor sends no reply in {MIN_SILENT_TICKS} ticks in a row, while other motors reply",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_MOTOR,
@@ -254,7 +257,7 @@ B17 = declare_fault(
     remedy="Check plug, cable and supply of this motor, then start a new run.",
 )  # fmt: skip
 
-declare_row(
+declare_catalogue_row(
     "B18",
     "alone on the bus",
     CHECKED_BEFORE_ARMING,
@@ -262,7 +265,7 @@ declare_row(
 )
 declare_fault(
     "B18", "alone on the bus", "The interface reports error frames, and no node replies before arming",
-    SafetyAction.RELAX, CLEARED_BY_OPERATOR, debounce=20, reports=("error_frame",),
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, debounce_ticks=20, reports=("error_frame",),
     cause="The bit rate is wrong, the hand has no power, or a cable is not connected.",
     remedy="Switch the hand on, check cable and bit rate, and run handctl bus doctor.",
 )  # fmt: skip

@@ -9,7 +9,7 @@ come from these declarations.
 There are two ways to find a fault. A fault with the argument ``fault_places`` is detected by
 compiled code in ``core.detectors``. This argument lists the parts that the fault can affect, such
 as motors or tendons. The declaration returns the row of the fault in the detectors' table of
-results. Detectors use this row as in ``evidence[N07, motor]``. A fault with the argument
+results. Detectors use this row as in ``evidence[FAULT_N07, motor]``. A fault with the argument
 ``reports`` is reported by a bus, the host or the recorder.
 """
 
@@ -36,13 +36,13 @@ FAULT_PLACE_HAND = "hand"
 """
 
 VISIBLE_FAULT = "detected"
-INDIRECT_FAULT_SIGN = "replaced"
+INDIRECTLY_VISIBLE = "replaced"
 INVISIBLE_FAULT = "lost"
 """Visibility of a fault with a protocol: detected, replaced by a weaker sign, or not visible."""
 CHECKED_BY_FAULT_TABLE = "fault table"
 CHECKED_BEFORE_ARMING = "before arming"
 CHECKED_BY_DRIVE = "the drive itself"
-CHECKED_BY_LOOP = "loop and recorder"
+CHECKED_BY_CONTROL_LOOP = "loop and recorder"
 CHECKED_IN_FILES = "files"
 """Places where a row of the catalogue is checked."""
 
@@ -53,7 +53,7 @@ class CatalogueRow(NamedTuple):
     Attributes:
         id: identifier of the row.
         title: name of the failure.
-        where: the part of handctl that checks the row of the catalogue.
+        checked_by: the part of handctl that checks the row of the catalogue.
         mit: visibility with the MIT protocol: detected, "replaced: SIGN" or "lost: REASON".
         odrive: visibility with ODrive.
         cia402: visibility with CiA 402.
@@ -71,13 +71,13 @@ class CatalogueRow(NamedTuple):
         moteus: visibility with moteus. The text is empty if it equals ``mit``, because both
             protocols answer each command once.
         robstride: visibility with RobStride. The text is empty if it equals ``mit``.
-        counted_from_event: event from which the longest reaction time counts, as the end of a sentence.
+        reaction_time_start: event from which the longest reaction time counts, as the end of a sentence.
             The text is empty if the time counts from the failure itself.
     """
 
     id: str
     title: str
-    where: str = CHECKED_BY_FAULT_TABLE
+    checked_by: str = CHECKED_BY_FAULT_TABLE
     mit: str = VISIBLE_FAULT
     odrive: str = VISIBLE_FAULT
     cia402: str = VISIBLE_FAULT
@@ -89,7 +89,7 @@ class CatalogueRow(NamedTuple):
     tested_by: str = "campaign"
     moteus: str = ""
     robstride: str = ""
-    counted_from_event: str = ""
+    reaction_time_start: str = ""
 
     def visibility(self, protocol: str) -> str:
         """Return the visibility of the failure with a drive protocol.
@@ -99,7 +99,7 @@ class CatalogueRow(NamedTuple):
         visibility: str = getattr(self, protocol)
         return visibility or self.mit
 
-    def max_reaction_ms(self, rate_hz: float) -> float:
+    def max_reaction_time_ms(self, rate_hz: float) -> float:
         """Return the longest time from the failure to the reaction, for a control rate [ms].
 
         This time does not include ``odrive_extra_ms``.
@@ -121,7 +121,7 @@ class Fault:
         cleared_by: the way in which the fault ends, ``CLEARED_BY_OPERATOR`` or ``CLEARED_BY_ITSELF``.
         cause: usual causes, for the operator, in whole sentences.
         remedy: instruction for the operator in one line, in whole sentences.
-        debounce: number of consecutive ticks with the fault after which the fault becomes active.
+        debounce_ticks: number of consecutive ticks with the fault after which the fault becomes active.
         relax_method: method of removing the torque if the action is RELAX.
         fault_places: kinds of parts that the fault can affect. The value is empty for a reported fault.
         name: name of the only instance, if the fault has the kind ``FAULT_PLACE_HAND``.
@@ -143,7 +143,7 @@ class Fault:
     cleared_by: str
     cause: str
     remedy: str
-    debounce: int = 1
+    debounce_ticks: int = 1
     relax_method: RelaxMethod = RelaxMethod.TENSION_LOOP
     fault_places: tuple[str, ...] = ()
     name: str = ""
@@ -155,12 +155,12 @@ class Fault:
     needs_joint_encoders: bool = False
 
     @property
-    def reaction(self) -> str:
+    def reaction_name(self) -> str:
         """Return the name of the reaction for tables. The name includes the method of relaxing."""
         return self.relax_method.value if self.action == SafetyAction.RELAX else self.action.name
 
     @property
-    def latched(self) -> bool:
+    def is_latched(self) -> bool:
         """Return True if the reaction lasts until an operator clears the fault."""
         return self.cleared_by == CLEARED_BY_OPERATOR
 
@@ -182,7 +182,7 @@ The kinds of instances of one fault have adjacent rows.
 """
 
 
-def declare_row(*args: object, **details: object) -> None:
+def declare_catalogue_row(*args: object, **details: object) -> None:
     """Declare a row of the catalogue. For the arguments see ``CatalogueRow``."""
     DECLARED_ROWS.append(CatalogueRow(*args, **details))  # type: ignore[arg-type]
 
@@ -196,7 +196,7 @@ def declare_fault(
     *fault_places: str,
     cause: str,
     remedy: str,
-    debounce: int = 1,
+    debounce_ticks: int = 1,
     relax_method: RelaxMethod = RelaxMethod.TENSION_LOOP,
     name: str = "",
     reports: tuple[str, ...] = (),
@@ -220,7 +220,7 @@ def declare_fault(
         cleared_by,
         cause,
         remedy,
-        debounce,
+        debounce_ticks,
         relax_method,
         fault_places,
         name,

@@ -2,15 +2,15 @@
 
 from handctl.safety.faults.fault import (
     CHECKED_BEFORE_ARMING,
+    CHECKED_BY_CONTROL_LOOP,
     CHECKED_BY_DRIVE,
-    CHECKED_BY_LOOP,
     CHECKED_IN_FILES,
     CLEARED_BY_ITSELF,
     CLEARED_BY_OPERATOR,
     FAULT_PLACE_HAND,
     VISIBLE_FAULT,
+    declare_catalogue_row,
     declare_fault,
-    declare_row,
 )
 from handctl.safety.safety_action import RelaxMethod, SafetyAction
 from handctl.safety.safety_limits import MAX_STALL_S, MIN_STALLED_TICKS
@@ -25,24 +25,24 @@ FOREIGN_CONTROLLER_EVENT = "foreign"
 _WALL_CLOCK_TEXT = f"{VISIBLE_FAULT}: nothing uses the wall clock"
 _NO_CONNECTION_TEXT = f"{VISIBLE_FAULT}: not connected to the loop"
 
-declare_row("H01", "one late tick", ticks=1, required=1)
-H01 = declare_fault(
+declare_catalogue_row("H01", "one late tick", ticks=1, required=1)
+FAULT_H01 = declare_fault(
     "H01", "a late tick", "A tick began later than a quarter of a period after its time",
     SafetyAction.PASS, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name="loop",
     cause="Another program or the kernel delayed this host for a moment.",
     remedy="Ignore single cases. If it repeats, run handctl doctor.",
 )  # fmt: skip
 
-declare_row("H02", "a missed tick", ticks=1, required=1)
-H02 = declare_fault(
+declare_catalogue_row("H02", "a missed tick", ticks=1, required=1)
+FAULT_H02 = declare_fault(
     "H02", "a missed tick", "At least one tick did not run", SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND,
     name="loop",
     cause="Another program or the kernel delayed this host for more than a period.",
     remedy="Run handctl doctor (priority, cores), close other programs, or lower the rate.",
 )  # fmt: skip
 
-declare_row("H03", "three or more ticks missed", ticks=1, required=1)
-H03 = declare_fault(
+declare_catalogue_row("H03", "three or more ticks missed", ticks=1, required=1)
+FAULT_H03 = declare_fault(
     "H03", "the host stalled", f"For {MAX_STALL_S * 1e3:g} ms, and for at least {MIN_STALLED_TICKS} ticks, no tick ran",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_HAND, name="loop",
     caused_by_lateness=True,
@@ -50,7 +50,7 @@ H03 = declare_fault(
     remedy="Run handctl doctor (priority, cores), close other programs, then start a new run.",
 )  # fmt: skip
 
-declare_row("H04", "suspend", ticks=1, required=1)
+declare_catalogue_row("H04", "suspend", ticks=1, required=1)
 declare_fault(
     "H04", "the host was suspended", "CLOCK_BOOTTIME is ahead of CLOCK_MONOTONIC, because the host was asleep",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, reports=("suspended",),
@@ -58,21 +58,23 @@ declare_fault(
     remedy="Disable sleep and lid actions on this machine, then start a new run.",
 )  # fmt: skip
 
-declare_row("H05", "the controller is killed", CHECKED_BY_DRIVE,
+declare_catalogue_row("H05", "the controller is killed", CHECKED_BY_DRIVE,
     odrive=f"{VISIBLE_FAULT}: if its watchdog is on, which is read back with endpoints", ms=54, required=3,
     why="watchdog_ms of the hand file is 50 ms from the last command, and the current decays in 4 ms",
     tested_by="tests/runtime/test_killed.py")  # fmt: skip
-declare_row("H06", "SIGTERM, SIGINT, also twice", CHECKED_BY_LOOP, ticks=1, required=1)
-declare_row(
+declare_catalogue_row(
+    "H06", "SIGTERM, SIGINT, also twice", CHECKED_BY_CONTROL_LOOP, ticks=1, required=1
+)
+declare_catalogue_row(
     "H07",
     "exception in the loop",
-    CHECKED_BY_LOOP,
+    CHECKED_BY_CONTROL_LOOP,
     ticks=1,
     required=1,
     tested_by="tests/runtime/test_loop.py",
 )
 
-declare_row("H08", "disk full", ticks=1, required=200)
+declare_catalogue_row("H08", "disk full", ticks=1, required=200)
 declare_fault(
     "H08", "the disk is full", "The log could not be written",
     SafetyAction.WARN, CLEARED_BY_ITSELF, reports=("recorder:disk_low", "recorder:disk_full"),
@@ -80,7 +82,7 @@ declare_fault(
     remedy="Free space, or write the log to another disk (--log). The hand continues without a log.",
 )  # fmt: skip
 
-declare_row("H09", "recorder stalls", ticks=1, required=640)
+declare_catalogue_row("H09", "recorder stalls", ticks=1, required=640)
 declare_fault(
     "H09", "log records were dropped", "The recorder is slower than the controller",
     SafetyAction.WARN, CLEARED_BY_ITSELF, reports=("recorder:dropped", "recorder:filling"),
@@ -88,7 +90,7 @@ declare_fault(
     remedy="Write the log to a faster disk, and run handctl doctor.",
 )  # fmt: skip
 
-declare_row("H10", "recorder dies", ticks=1, required=1)
+declare_catalogue_row("H10", "recorder dies", ticks=1, required=1)
 declare_fault(
     "H10", "the recorder is lost", "The recorder process or its disk no longer exists",
     SafetyAction.WARN, CLEARED_BY_ITSELF, reports=("recorder:gone", "recorder:error"),
@@ -96,23 +98,23 @@ declare_fault(
     remedy="Check disk and memory of this machine. handctl log recover repairs the unfinished log.",
 )  # fmt: skip
 
-declare_row(
+declare_catalogue_row(
     "H11",
     "wall-clock step",
-    CHECKED_BY_LOOP,
+    CHECKED_BY_CONTROL_LOOP,
     _WALL_CLOCK_TEXT,
     _WALL_CLOCK_TEXT,
     _WALL_CLOCK_TEXT,
     tested_by="tests/vcan/inside/test_host_faults.py",
 )
-declare_row(
+declare_catalogue_row(
     "H12",
     "second controller, same host",
     CHECKED_BEFORE_ARMING,
     tested_by="tests/runtime/test_mailbox.py",
 )
 
-declare_row("H13", "second controller, same bus", ticks=2, required=2)
+declare_catalogue_row("H13", "second controller, same bus", ticks=2, required=2)
 declare_fault(
     "H13", "a second controller", "A frame arrives that only the host may send, or a reply arrives without a request",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, relax_method=RelaxMethod.OPEN_LOOP, reports=(FOREIGN_CONTROLLER_EVENT,),
@@ -120,50 +122,54 @@ declare_fault(
     remedy="Stop the other program or unplug its adapter, then start a new run.",
 )  # fmt: skip
 
-declare_row(
+declare_catalogue_row(
     "H14",
     "viewer dies or hangs",
-    CHECKED_BY_LOOP,
+    CHECKED_BY_CONTROL_LOOP,
     _NO_CONNECTION_TEXT,
     _NO_CONNECTION_TEXT,
     _NO_CONNECTION_TEXT,
     tested_by="tests/view/test_live.py",
 )
-declare_row("H15", "memory or descriptors leak", CHECKED_BY_LOOP, tested_by="soak")
-declare_row(
+declare_catalogue_row(
+    "H15", "memory or descriptors leak", CHECKED_BY_CONTROL_LOOP, tested_by="soak"
+)
+declare_catalogue_row(
     "I01",
     "NaN, inf, bool for number",
     CHECKED_IN_FILES,
     tested_by="tests/hand/test_hand_file_refusals.py",
 )
-declare_row(
+declare_catalogue_row(
     "I02",
     "negative mass, zero length",
     CHECKED_IN_FILES,
     tested_by="tests/hand/test_hand_file_refusals.py",
 )
-declare_row(
+declare_catalogue_row(
     "I03", "wrong unit", CHECKED_IN_FILES, tested_by="tests/hand/test_hand_file_refusals.py"
 )
-declare_row(
+declare_catalogue_row(
     "I04",
     "unknown, missing, duplicate keys",
     CHECKED_IN_FILES,
     tested_by="tests/hand/test_hand_file_refusals.py",
 )
-declare_row("I05", "contradiction", CHECKED_IN_FILES, tested_by="tests/hand/test_cross_checks.py")
-declare_row(
+declare_catalogue_row(
+    "I05", "contradiction", CHECKED_IN_FILES, tested_by="tests/hand/test_cross_checks.py"
+)
+declare_catalogue_row(
     "I06", "bad trajectory", CHECKED_IN_FILES, tested_by="tests/controller/test_task_files.py"
 )
 
-declare_row("I07", "bad live goal", ticks=1, required=2)
-I07A = declare_fault(
+declare_catalogue_row("I07", "bad live goal", ticks=1, required=2)
+FAULT_I07A = declare_fault(
     "I07a", "a live goal was refused", "A goal is out of range or not a number, and the previous goal remains",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name="goal",
     cause="The client sent a goal that the hand cannot reach or that is not a number.",
     remedy="Correct the client. The event before this one contains the wrong value and the valid values.",
 )  # fmt: skip
-I07B = declare_fault(
+FAULT_I07B = declare_fault(
     "I07b", "requests keep being malformed",
     f"In a second, {REFUSED_REQUESTS_LIMIT} requests are not JSON, have unknown keys, or contain no number",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_HAND, name="goal",
@@ -171,27 +177,27 @@ I07B = declare_fault(
     remedy="Stop and correct the client. The events before this one contain the wrong values.",
 )  # fmt: skip
 
-declare_row(
+declare_catalogue_row(
     "I08", "truncated or corrupt log", CHECKED_IN_FILES, tested_by="tests/log/test_recover.py"
 )
-declare_row("I09", "hostile log", CHECKED_IN_FILES, tested_by="tests/log/test_reader.py")
-declare_row(
+declare_catalogue_row("I09", "hostile log", CHECKED_IN_FILES, tested_by="tests/log/test_reader.py")
+declare_catalogue_row(
     "I10",
     "log of another hand or version",
     CHECKED_IN_FILES,
     tested_by="tests/replay/test_execute.py",
 )
 
-declare_row("I11", "a stream of targets goes stale", ticks=1, ms=100, required=0,
+declare_catalogue_row("I11", "a stream of targets goes stale", ticks=1, ms=100, required=0,
     tested_by="tests/controller/test_target_streams.py")  # fmt: skip
-I11A = declare_fault(
+FAULT_I11A = declare_fault(
     "I11a", "streamed targets are missing",
     "No target has arrived for hold_after_ms of the hand file, by default 100 ms",
     SafetyAction.HOLD, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name="stream",
     cause="The client that streams targets is busy, paused, or has ended without closing its stream.",
     remedy="The hand goes on with the next target. Send targets in time, or close the stream before a pause.",
 )  # fmt: skip
-I11B = declare_fault(
+FAULT_I11B = declare_fault(
     "I11b", "the stream of targets has ended",
     "No target has arrived for relax_after_ms of the hand file, by default 1000 ms",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_HAND, name="stream",

@@ -7,7 +7,7 @@ from handctl.safety.faults.table import FAULT_CATALOGUE, FAULT_TABLE
 
 CATALOGUE_PERIOD_MS = 5.0
 """Control period that the project's fault catalogue assumes [ms]."""
-RATE_HZ = 500.0
+CATALOGUE_RATE_HZ = 500.0
 """Control rate for which the catalogue states reaction times [Hz].
 
 The packaged hand with one motor per digit has this rate.
@@ -18,7 +18,8 @@ def fault_table_markdown(table: tuple[Fault, ...] = FAULT_TABLE) -> str:
     """Return the fault table as Markdown, with one row per fault."""
     title_lines = ["| id | fault | what happens | action | cleared |", "|---|---|---|---|---|"]
     rows = [
-        f"| {f.id} | {f.title} | {f.detection} | {f.reaction} | {f.cleared_by} |" for f in table
+        f"| {f.id} | {f.title} | {f.detection} | {f.reaction_name} | {f.cleared_by} |"
+        for f in table
     ]
     return "\n".join([*title_lines, *rows])
 
@@ -29,7 +30,7 @@ def fault_sections(table: tuple[Fault, ...] = FAULT_TABLE) -> str:
         f"### {f.id}: {f.title}\n\n"
         f"- **What happened:** {f.detection}.\n"
         f"- **Why:** {f.cause}\n"
-        f"- **Reaction:** {f.reaction}, cleared {f.cleared_by}.\n"
+        f"- **Reaction:** {f.reaction_name}, cleared {f.cleared_by}.\n"
         f"- **What to do:** {f.remedy}"
         for f in table
     )
@@ -51,27 +52,32 @@ def _catalogue_row(row: CatalogueRow) -> str:
     # The faults that belong to a row are its stages. A row that the controller does not check in
     # each tick has no faults.
     condition_text = (
-        ", ".join(f"{f.id} {f.action.name}" for f in FAULT_TABLE if f.row == row.id) or row.where
+        ", ".join(f"{f.id} {f.action.name}" for f in FAULT_TABLE if f.row == row.id)
+        or row.checked_by
     )
-    latest_text = f"{row.max_reaction_ms(RATE_HZ):g} ms, {_ticks_text(row)} ticks"
-    latest_text += f", ODrive {row.odrive_extra_ms:g} ms more" if row.odrive_extra_ms else ""
-    latest_text += f", after {row.counted_from_event}" if row.counted_from_event else ""
-    latest_text = (
-        latest_text
+    latest_reaction_text = (
+        f"{row.max_reaction_time_ms(CATALOGUE_RATE_HZ):g} ms, {_ticks_text(row)} ticks"
+    )
+    latest_reaction_text += (
+        f", ODrive {row.odrive_extra_ms:g} ms more" if row.odrive_extra_ms else ""
+    )
+    latest_reaction_text += f", after {row.reaction_time_start}" if row.reaction_time_start else ""
+    latest_reaction_text = (
+        latest_reaction_text
         if row.ticks or row.ms
         else "before torque"
-        if row.where != CHECKED_BY_FAULT_TABLE
+        if row.checked_by != CHECKED_BY_FAULT_TABLE
         else "1 tick"
     )
     return (
         f"| {row.id} | {row.title} | {condition_text} | {' | '.join(map(row.visibility, VERIFIABLE_PROTOCOLS))} | "
-        f"{latest_text} "
+        f"{latest_reaction_text} "
         f"| {row.tested_by} |"
     )
 
 
 def _ticks_text(row: CatalogueRow) -> int:
-    return round(row.max_reaction_ms(RATE_HZ) * RATE_HZ / 1e3)
+    return round(row.max_reaction_time_ms(CATALOGUE_RATE_HZ) * CATALOGUE_RATE_HZ / 1e3)
 
 
 def reacts_too_late(row: CatalogueRow) -> bool:
@@ -82,14 +88,14 @@ def reacts_too_late(row: CatalogueRow) -> bool:
     return 0 < row.required < _ticks_text(row)
 
 
-def late_reaction_rows(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
+def late_reactions_markdown(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
     """Return as Markdown all rows with a later reaction than allowed, with the reasons.
 
     The project's fault catalogue states the allowed reaction times.
     """
     rows = [
         f"| {e.id} | {e.title} | {e.required} | {_ticks_text(e)} | {e.required * CATALOGUE_PERIOD_MS:g} ms "
-        f"| {e.max_reaction_ms(RATE_HZ):g} ms | {e.why} |"
+        f"| {e.max_reaction_time_ms(CATALOGUE_RATE_HZ):g} ms | {e.why} |"
         for e in entries
         if reacts_too_late(e)
     ]

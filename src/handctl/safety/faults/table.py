@@ -14,7 +14,7 @@ FAULT_CATALOGUE: tuple[CatalogueRow, ...] = tuple(declared.DECLARED_ROWS)
 
 DETECTOR_ROWS: tuple[tuple[Fault, str], ...] = tuple(declared.DETECTOR_ROWS)
 """Fault and kind of instance for each row of the detectors' result table."""
-DEBOUNCE_TICKS = np.array([fault.debounce for fault, _ in DETECTOR_ROWS], dtype=np.int64)
+DEBOUNCE_TICKS = np.array([fault.debounce_ticks for fault, _ in DETECTOR_ROWS], dtype=np.int64)
 """(rows,) number of consecutive ticks after which a fault becomes active."""
 ACTION_NUMBERS = np.array([int(fault.action) for fault, _ in DETECTOR_ROWS], dtype=np.int64)
 """(rows,) reaction to the fault, a number of ``SafetyAction``."""

@@ -9,10 +9,10 @@ from handctl.safety.faults.fault import (
     CLEARED_BY_ITSELF,
     CLEARED_BY_OPERATOR,
     FAULT_PLACE_TENDON,
-    INDIRECT_FAULT_SIGN,
+    INDIRECTLY_VISIBLE,
     VISIBLE_FAULT,
+    declare_catalogue_row,
     declare_fault,
-    declare_row,
 )
 from handctl.safety.safety_action import RelaxMethod, SafetyAction
 
@@ -23,12 +23,12 @@ SNAP_TENSION_FRACTION = 0.2
 SNAP_MIN_COMMAND_N = 8.0
 SNAP_SPOOL_SPEED = 0.03
 SNAP_SPOOL_SPEED_WITHOUT_CELL = 0.06
-SNAP_TAUT_MEMORY_S = 0.1
+TAUT_BEFORE_SNAP_TIME_S = 0.1
 """Thresholds for a snapped tendon: tension fraction, commanded tension [N], spool speeds [m/s], memory [s].
 
 A tendon counts as snapped if more than ``SNAP_MIN_COMMAND_N`` is commanded and its tension is below
 ``SNAP_TENSION_FRACTION`` of the command, while the spool winds faster than ``SNAP_SPOOL_SPEED``. The tendon must
-also have been taut within the last ``SNAP_TAUT_MEMORY_S``. So a slack tendon whose spool takes it up
+also have been taut within the last ``TAUT_BEFORE_SNAP_TIME_S``. So a slack tendon whose spool takes it up
 does not count as snapped. The second speed is for tendons without load cell. Of 60 random streams to ``orca_like``, 6
 ended with a false T01 at 0.03 m/s, and none at 0.06 m/s. Joint encoders report such a torn tendon sooner (T08).
 """
@@ -85,7 +85,7 @@ SATURATED_CELL_TICKS = 3
 """Number of consecutive ticks with a saturated load cell after which there is a fault."""
 DERAILED_TENDON_DEG = 15.0
 DERAILED_TENDON_WITHOUT_CELL_DEG = 10.0
-DERAILED_READINGS = 3
+DERAILED_READING_COUNT = 3
 """Thresholds for a derailed tendon: joint minus spool angle that no stretch explains [deg], and readings in a row.
 
 The second threshold is for a tendon without load cell, because no other fault reports soon that such a tendon has
@@ -94,30 +94,30 @@ noise, and by 5.1 degrees with a stiffness that was 30 % too low.
 """
 
 _SLACK_TEXT = (
-    f"{INDIRECT_FAULT_SIGN}: only with joint encoders, by three readings, else by slack (T02)"
+    f"{INDIRECTLY_VISIBLE}: only with joint encoders, by three readings, else by slack (T02)"
 )
 _TORQUE_COMPARISON_TEXT = f"{VISIBLE_FAULT}: by comparison with the commanded torque"
 
-declare_row("T01", "snap", ticks=10, required=3,
+declare_catalogue_row("T01", "snap", ticks=10, required=3,
     why="the spool of a torn tendon reaches the speed limit in three to seven ticks, and must exceed it for two ticks",
 )  # fmt: skip
-T01 = declare_fault(
+FAULT_T01 = declare_fault(
     "T01", "a tendon snapped", "The tension of a tendon has disappeared, and its spool winds fast",
-    SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON, debounce=2,
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON, debounce_ticks=2,
     cause="The tendon has torn, or its clamp has opened.",
     remedy="Inspect the tendon and its clamp, replace them, then commission the hand (handctl commission).",
 )  # fmt: skip
 
-declare_row("T02", "slack", ticks=4, ms=110, required=12,
+declare_catalogue_row("T02", "slack", ticks=4, ms=110, required=12,
     why="the required 50 ms begin after a filter of 20 ms. Sudden slack is found by T01 in 10 ticks")  # fmt: skip
-T02A = declare_fault(
+FAULT_T02A = declare_fault(
     "T02a", "a tendon is slack",
     f"The tension is below {SLACK_TENSION_N:g} N for {SLACK_WARN_S * 1e3:g} ms, although a tension is commanded",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_TENDON,
     cause="The digit moves faster than the motor winds, or the tendon has left its spool.",
     remedy="Ignore single cases in fast motion. If it repeats, inspect the tendon.",
 )  # fmt: skip
-T02B = declare_fault(
+FAULT_T02B = declare_fault(
     "T02b", "a tendon stays slack",
     f"The tension is below {SLACK_TENSION_N:g} N for {SLACK_TRIP_S * 1e3:g} ms, although a tension is commanded",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON,
@@ -125,22 +125,22 @@ T02B = declare_fault(
     remedy="Inspect tendon, clamp and load cell, then commission the hand (handctl commission).",
 )  # fmt: skip
 
-declare_row("T03", "over-tension", ticks=10, required=2,
+declare_catalogue_row("T03", "over-tension", ticks=10, required=2,
     why="2 ticks from the first sample above the limit, 10 ticks from the start of a drive's failure")  # fmt: skip
-T03 = declare_fault(
+FAULT_T03 = declare_fault(
     "T03", "over-tension", "A load-cell reading is above tension_trip_N",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON, relax_method=RelaxMethod.FAST_TENSION_LOOP,
     cause="The digit is blocked or pulled from outside, or the tension command is too high.",
     remedy="Free the digit, check the task's tensions, then start a new run.",
 )  # fmt: skip
-T03B = declare_fault(
+FAULT_T03B = declare_fault(
     "T03b", "tension above the drive's limit", "A load-cell reading is above drive_limit_N",
     SafetyAction.CUT, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON,
     needs_load_cell=True,
     cause="The drive makes more torque than its limit allows, or something else pulls the tendon.",
     remedy="Check the torque limit in the drive's own settings before the hand is powered again.",
 )  # fmt: skip
-T03C = declare_fault(
+FAULT_T03C = declare_fault(
     "T03c", "over-tension remains after relaxing",
     f"{RELAXING_TIME_S * 1e3:g} ms after relaxing began, the tension is above tension_trip_N or the load cell is "
     "saturated",
@@ -149,16 +149,16 @@ T03C = declare_fault(
     remedy="Remove the motor power, free the digit, and check the drive before the next run.",
 )  # fmt: skip
 
-declare_row("T04", "load cell drifts", odrive=_TORQUE_COMPARISON_TEXT, ticks=2, ms=500, required=200,
+declare_catalogue_row("T04", "load cell drifts", odrive=_TORQUE_COMPARISON_TEXT, ticks=2, ms=500, required=200,
     why="sooner than the required 1000 ms, for a drift of 60 N/s from its first newton")  # fmt: skip
-T04A = declare_fault(
+FAULT_T04A = declare_fault(
     "T04a", "a load cell drifts", f"Torque, inertia and friction do not explain {RESIDUAL_WARN_N:g} N of the tension",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_TENDON,
     needs_load_cell=True,
     cause="The load cell drifts, or the friction or the torque constant differs from the hand file.",
     remedy="Commission the hand again (handctl commission). If it repeats, identify the hand (handctl identify).",
 )  # fmt: skip
-T04B = declare_fault(
+FAULT_T04B = declare_fault(
     "T04b", "a load cell is wrong",
     f"Torque, inertia and friction do not explain {RESIDUAL_TRIP_N:g} N of the tension, "
     f"or the tension is {EXCESS_TENSION_TRIP_N:g} N too large over 20 ms",
@@ -169,10 +169,10 @@ T04B = declare_fault(
     remedy="Check the load cell with a known weight with handctl bus watch, then commission (handctl commission).",
 )  # fmt: skip
 
-declare_row("T05", "load cell stuck", ticks=42, required=42,
-    counted_from_event=f"the motor force has varied by {STUCK_CELL_FORCE_RANGE_N + FORCE_RANGE_ERROR_N:g} N",
+declare_catalogue_row("T05", "load cell stuck", ticks=42, required=42,
+    reaction_time_start=f"the motor force has varied by {STUCK_CELL_FORCE_RANGE_N + FORCE_RANGE_ERROR_N:g} N",
 )  # fmt: skip
-T05 = declare_fault(
+FAULT_T05 = declare_fault(
     "T05", "a load cell is stuck",
     f"{STUCK_CELL_READINGS} readings of a load cell are equal, although the torque of the motor changes",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON,
@@ -180,7 +180,7 @@ T05 = declare_fault(
     cause="The load cell's amplifier or the sensor node repeats one value.",
     remedy="Restart the sensor node, and check the amplifier of this load cell.",
 )  # fmt: skip
-T05B = declare_fault(
+FAULT_T05B = declare_fault(
     "T05b", "load-cell readings are old",
     f"{MIN_REPEATED_READINGS} to {REPEAT_WINDOW} readings in a row repeat readings from some ticks before",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON, relax_method=RelaxMethod.OPEN_LOOP,
@@ -189,38 +189,38 @@ T05B = declare_fault(
     remedy="Restart the sensor node, and check its firmware for a queue of readings.",
 )  # fmt: skip
 
-declare_row("T06", "load cell saturated", ticks=4, required=4)
-T06 = declare_fault(
+declare_catalogue_row("T06", "load cell saturated", ticks=4, required=4)
+FAULT_T06 = declare_fault(
     "T06", "a load cell is saturated",
     f"For {SATURATED_CELL_TICKS} ticks, the reading is at the end of the range, or shows a broken wire",
-    SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON, debounce=SATURATED_CELL_TICKS,
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON, debounce_ticks=SATURATED_CELL_TICKS,
     relax_method=RelaxMethod.FAST_TENSION_LOOP,
     makes_tension_unreliable=True, needs_load_cell=True,
     cause="A wire is broken, the load cell is unplugged, or the tension is beyond its range.",
     remedy="Check wire and plug of the load cell with handctl bus watch, then commission (handctl commission).",
 )  # fmt: skip
 
-declare_row(
+declare_catalogue_row(
     "T07",
     "load cells swapped or inverted",
     CHECKED_BEFORE_ARMING,
     tested_by="tests/controller/test_commission.py",
 )
 
-declare_row("T08", "derailed or crossed", CHECKED_BY_FAULT_TABLE, _SLACK_TEXT, _SLACK_TEXT,
+declare_catalogue_row("T08", "derailed or crossed", CHECKED_BY_FAULT_TABLE, _SLACK_TEXT, _SLACK_TEXT,
     _SLACK_TEXT, ticks=8, ms=400, required=4,
     why="three readings are necessary, and joints are read in turn. Below 15 degrees N06 finds the fault in 300 ms",
 )  # fmt: skip
-T08 = declare_fault(
+FAULT_T08 = declare_fault(
     "T08", "a tendon left its pulley",
-    f"In {DERAILED_READINGS} readings, joint and spool differ by more than a tendon can stretch",
+    f"In {DERAILED_READING_COUNT} readings, joint and spool differ by more than a tendon can stretch",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON,
     needs_joint_encoders=True,
     cause="The tendon has derailed or crossed another one, or a tendon without load cell has torn.",
     remedy="Put the tendon back on its pulleys, then commission the hand (handctl commission).",
 )  # fmt: skip
 
-declare_row(
+declare_catalogue_row(
     "T09",
     "friction grows",
     odrive=_TORQUE_COMPARISON_TEXT,
@@ -228,7 +228,7 @@ declare_row(
     ms=15000,
     tested_by="tests/safety/test_tension_residuals.py",
 )
-T09 = declare_fault(
+FAULT_T09 = declare_fault(
     "T09", "friction has grown",
     f"Over 5 s of motion, the mean friction is {EXCESS_FRICTION_WARN_N:g} N above that of the hand file",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_TENDON,

@@ -125,10 +125,10 @@ def steepest_ramp(
             column = np.zeros(len(residual))
             column[rows] = shape * unit
             # Only the part of the ramp outside of this span counts for the score.
-            orthogonal = column - basis @ (basis.T @ column)
-            size = float(orthogonal @ orthogonal)
+            orthogonal_part = column - basis @ (basis.T @ column)
+            size = float(orthogonal_part @ orthogonal_part)
             if size > MIN_UNEXPLAINED_RAMP_FRACTION * float(column @ column):
-                score = float(orthogonal @ residual) / size**0.5
+                score = float(orthogonal_part @ residual) / size**0.5
                 best = max(best, (score, start, score / size**0.5), key=lambda ramp: abs(ramp[0]))
     mean_square = float(np.mean(residual[rows][used_columns] ** 2))
     contact_score = (

@@ -107,10 +107,14 @@ def check_identifiable(hand: Hand, digits: tuple[str, ...]) -> None:
         identifiable_tendons = zip(
             hand.tendon[tendons], hand.has_cell[tendons] | hand.is_pair[tendons], strict=True
         )
-        bare_names = [tendon.name for tendon, is_known in identifiable_tendons if not is_known]
-        if bare_names:
+        names_without_cell = [
+            tendon.name for tendon, is_known in identifiable_tendons if not is_known
+        ]
+        if names_without_cell:
             expected = "a load cell on every tendon that is not a spool pair"
-            raise ConfigError(f"no load cell on {', '.join(bare_names)}", f"digit {name}", expected)
+            raise ConfigError(
+                f"no load cell on {', '.join(names_without_cell)}", f"digit {name}", expected
+            )
 
 
 def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:

@@ -15,7 +15,7 @@ import numpy as np
 from handctl.core.control_law.tendon_redundancy import redundancy_of_hand
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
-from handctl.hand.link_tree import HandLinkTree
+from handctl.hand.link_tree import LinkTree
 from handctl.programs.excitation import ExciteStep
 
 LOWEST_SWEEP_ANGLE_DEG = 0.0
@@ -51,7 +51,7 @@ The tendons that hold the digit open have this tension for several seconds. At h
 monitor would mistake a motor that makes 30 % less torque than commanded for a wrong load cell
 (T04b) or an oscillation (N14b).
 """
-PAIR_MIN_TENSION_FRACTION = 0.07
+SPOOL_PAIR_MIN_TENSION_FRACTION = 0.07
 """Smallest net tension while a spool pair is stretched, as a fraction of ``tension_max_N``."""
 CLOSING_TENSION_FRACTION = 0.12
 """Net tension with which spool pairs move their digit to its lower stops, as a fraction of ``tension_max_N``."""
@@ -80,12 +80,12 @@ STRETCH_WAIT_S = 0.06
 """Waiting time after a stretch [s]."""
 STRETCH_COUNT = 5
 """Number of stretches up and down of each tendon that is not a spool pair."""
-PAIR_STRETCH_COUNT = 10
+SPOOL_PAIR_STRETCH_COUNT = 10
 """Number of stretches up and down of all spool pairs of a digit.
 
 All pairs are stretched at once.
 """
-PAIR_MAX_TENSION_FRACTION = 0.65
+SPOOL_PAIR_MAX_TENSION_FRACTION = 0.65
 """Largest net tension while a spool pair is stretched, as a fraction of ``tension_max_N``.
 
 If the net tension exceeds twice the pretension, one of the two tendons is slack. The largest net
@@ -151,7 +151,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
     for lower, upper in stretch_ranges:
         duration = float(np.abs(upper - lower).max()) / TENSION_RATE_N_PER_S + STRETCH_WAIT_S
         stretch_steps.append(excite_step("close", "tension", 0.5, lower, rate=80.0, held=True))
-        for _ in range(PAIR_STRETCH_COUNT if pairs else STRETCH_COUNT):
+        for _ in range(SPOOL_PAIR_STRETCH_COUNT if pairs else STRETCH_COUNT):
             for goal in (upper, lower):
                 stretch_steps.append(
                     excite_step(
@@ -235,15 +235,15 @@ def _swing_amplitudes(
     hand: Hand, digit: DigitModel, middle_angles: Array, half_ranges: Array
 ) -> Array:
     """Return the amplitudes (n_c,) of an oscillation that the motors can produce [rad]."""
-    tree = HandLinkTree.from_hand(hand)
+    tree = LinkTree.from_hand(hand)
     q = np.clip(np.zeros(len(hand.joints)), hand.joint_limits[0], hand.joint_limits[1])
     q[digit.joints] = digit.coupling @ middle_angles
-    moved_mass = tree.mass_matrix(q)[digit.joints, digit.joints]
+    mass_matrix = tree.mass_matrix(q)[digit.joints, digit.joints]
     arms = digit.reduced_moment_arms
-    inertia = np.abs(digit.coupling.T @ moved_mass @ digit.coupling).sum(axis=1)
+    inertia = np.abs(digit.coupling.T @ mass_matrix @ digit.coupling).sum(axis=1)
     force = np.abs(digit.torque_to_tension @ digit.joints_to_coordinates.T @ inertia)
     force = force + digit.motor_mass * np.abs(arms).sum(axis=1)
-    motors = [hand.motor_of(tendon) for tendon in digit.tendon_names]
+    motors = [hand.motor_of_tendon(tendon) for tendon in digit.tendon_names]
     available_force = SWING_TORQUE_FRACTION * np.array(
         [motor.torque_max_N_m / motor.spool_radius_m for motor in motors]
     )
@@ -272,7 +272,10 @@ def _balanced_tensions(hand: Hand, digit: DigitModel) -> Array:
     """
     floor = np.array([tendon.tension_floor_N for tendon in hand.tendon])
     ceiling = np.array([tendon.tension_max_N for tendon in hand.tendon])
-    return TAUT_TENSION_RATIO * redundancy_of_hand((digit,), floor, ceiling, hand.is_pair).balance
+    return (
+        TAUT_TENSION_RATIO
+        * redundancy_of_hand((digit,), floor, ceiling, hand.is_pair).balance_tension
+    )
 
 
 def _stretched_tensions(hand: Hand, digit: DigitModel) -> tuple[Array, list[tuple[Array, Array]]]:
@@ -289,8 +292,8 @@ def _stretched_tensions(hand: Hand, digit: DigitModel) -> tuple[Array, list[tupl
         full_stretch_tension = largest / STRETCH_TENSION_FRACTION
         return np.zeros(len(full_stretch_tension)), [
             (
-                -PAIR_MIN_TENSION_FRACTION * full_stretch_tension,
-                -PAIR_MAX_TENSION_FRACTION * full_stretch_tension,
+                -SPOOL_PAIR_MIN_TENSION_FRACTION * full_stretch_tension,
+                -SPOOL_PAIR_MAX_TENSION_FRACTION * full_stretch_tension,
             )
         ]
     arms = digit.reduced_moment_arms

@@ -151,10 +151,10 @@ class TorqueBalance:
         present_moment_arms = self.digit.moment_arms_at(self.q)
         for j, arms in enumerate(self.digit.moment_arms):
             angle = np.full(len(self.t), self.digit.wrap[j])
-            for i, mean_arm in enumerate(arms.tolist()):
+            for i, mean_moment_arm in enumerate(arms.tolist()):
                 arm = present_moment_arms[..., j, i]
                 # A prismatic joint, and a joint that the tendon does not cross, add no wrap angle.
-                has_pulley = mean_arm != 0.0 and not self.digit.is_prismatic[i]
+                has_pulley = mean_moment_arm != 0.0 and not self.digit.is_prismatic[i]
                 angle = angle + self.q[:, i] * has_pulley
                 # The direction of the friction depends on the direction in which the tendon moves.
                 friction_loss = np.clip(

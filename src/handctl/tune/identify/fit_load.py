@@ -21,7 +21,7 @@ import numpy as np
 
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import gravity_torque, mass_matrix
-from handctl.hand.moment_arms import excursions_at, moment_arms_at
+from handctl.hand.moment_arms import joint_excursions, moment_arms_at
 from handctl.tune.identify.tendon_data import Array, Mask, TendonData
 
 BIN_DURATION_S = 0.01
@@ -167,7 +167,7 @@ class DigitLoad:
         inertia: (grid, n) torque at each joint per acceleration, if all joints accelerate together,
             at the angles of the table.
         weight: (grid, n) torque of the weight at each joint, at the angles of the table [N m].
-        varying: model of the digit if its moment arms depend on the joint angles, or None
+        varying_arm_digit: model of the digit if its moment arms depend on the joint angles, or None
             otherwise.
     """
 
@@ -178,7 +178,7 @@ class DigitLoad:
     wrap: float
     inertia: Array
     weight: Array
-    varying: DigitModel | None = None
+    varying_arm_digit: DigitModel | None = None
 
     @staticmethod
     def from_digit(digit: DigitModel) -> "DigitLoad":
@@ -194,15 +194,15 @@ class DigitLoad:
                 [mass_matrix(digit, [q] * n).sum(axis=1) for q in TABLE_ANGLES_RAD.tolist()]
             ),
             weight=np.array([gravity_torque(digit, [q] * n) for q in TABLE_ANGLES_RAD.tolist()]),
-            varying=digit if digit.has_varying_arm else None,
+            varying_arm_digit=digit if digit.has_varying_arm else None,
         )
 
     def mean_angle(self, excursion: Array) -> Array:
         """Return the angle (m,) of each joint at an excursion (m,) of the tendon, if all joints turn equally [rad]."""
-        if self.varying is None:
+        if self.varying_arm_digit is None:
             return np.asarray(excursion / self.arms.sum())
         grid = [
-            float(self.varying.excursion_at(np.full(len(self.arms), angle))[0])
+            float(self.varying_arm_digit.excursion_at_angles(np.full(len(self.arms), angle))[0])
             for angle in TABLE_ANGLES_RAD.tolist()
         ]
         return np.interp(excursion, grid, TABLE_ANGLES_RAD)
@@ -211,18 +211,18 @@ class DigitLoad:
         self, i: int, q: Array
     ) -> tuple[Array | float, Array | float, Array]:
         """Return the moment arm [m], its derivative [m/rad] and the excursion [m] of joint i at angles (m,) [rad]."""
-        if self.varying is None:
+        if self.varying_arm_digit is None:
             arm = float(self.arms[i])
             return arm, 0.0, arm * q
-        polynomial = self.varying.arm_polynomials[:1, i : i + 1]
-        limits = self.varying.joint_limits[:, i : i + 1]
+        polynomial = self.varying_arm_digit.arm_polynomials[:1, i : i + 1]
+        limits = self.varying_arm_digit.joint_limits[:, i : i + 1]
         angle = q[:, None]
         arms_at_angle = moment_arms_at(polynomial, limits, angle)[:, 0, 0]
-        arm_ahead = moment_arms_at(polynomial, limits, angle + DIFFERENCE_STEP_RAD)[:, 0, 0]
+        arm_after_step = moment_arms_at(polynomial, limits, angle + DIFFERENCE_STEP_RAD)[:, 0, 0]
         return (
             arms_at_angle,
-            (arm_ahead - arms_at_angle) / DIFFERENCE_STEP_RAD,
-            excursions_at(polynomial, limits, angle)[:, 0, 0],
+            (arm_after_step - arms_at_angle) / DIFFERENCE_STEP_RAD,
+            joint_excursions(polynomial, limits, angle)[:, 0, 0],
         )
 
     def expected_tension(self, p: LoadParameters, mean_samples: SignalBins) -> Array:

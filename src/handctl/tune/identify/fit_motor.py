@@ -24,7 +24,7 @@ HALF_WINDOW_S = 0.022
 A window of this length has enough bandwidth for the motion of a motor of a hand. Half of the window
 contains eleven load-cell samples at 500 Hz.
 """
-MIN_HALF_SAMPLES = 6
+MIN_HALF_WINDOW_SAMPLES = 6
 """Smallest half length of a window [samples].
 
 Half lengths are whole numbers of samples, because only then the sums equal the integrals.
@@ -80,27 +80,27 @@ class WindowWeights(NamedTuple):
     Attributes:
         samples: positions of the samples relative to the centre of the window.
         mean: weights that give the mean of a signal.
-        first: weights that give the negative first derivative [1/s].
-        second: weights that give the second derivative [1/s^2].
+        first_derivative: weights that give the negative first derivative [1/s].
+        second_derivative: weights that give the second derivative [1/s^2].
     """
 
     samples: NDArray[np.intp]
     mean: Array
-    first: Array
-    second: Array
+    first_derivative: Array
+    second_derivative: Array
 
     @staticmethod
     def from_period(period: float) -> "WindowWeights":
         """Return the weights for a control period [s]."""
-        half_window = max(MIN_HALF_SAMPLES, round(HALF_WINDOW_S / period))
-        half_s = half_window * period
+        half_window = max(MIN_HALF_WINDOW_SAMPLES, round(HALF_WINDOW_S / period))
+        half_window_s = half_window * period
         samples = np.arange(-half_window, half_window + 1)
         s = np.asarray(samples / half_window, np.float64)
         return WindowWeights(
             samples,
             _window_value(s) / half_window,
-            _window_slope(s) / half_s / half_window,
-            _window_curvature(s) / half_s**2 / half_window,
+            _window_slope(s) / half_window_s / half_window,
+            _window_curvature(s) / half_window_s**2 / half_window,
         )
 
     def derivatives(self, values: Array) -> tuple[Array, Array, Array]:
@@ -110,7 +110,7 @@ class WindowWeights(NamedTuple):
         """
         # Integration by parts replaces the derivative of the signal by that of the window, with the
         # opposite sign.
-        return values @ self.mean, -values @ self.first, values @ self.second
+        return values @ self.mean, -values @ self.first_derivative, values @ self.second_derivative
 
 
 def motor_windows(data: TendonData, spool_radius: float) -> MotorWindows:
@@ -131,13 +131,15 @@ def motor_windows(data: TendonData, spool_radius: float) -> MotorWindows:
     rows = centres[:, None] + samples
     travel = data.travel[rows]
     _, speed, acceleration = weights.derivatives(travel)
-    quick = speed_from_difference(data.travel, period)
+    quick_speed = speed_from_difference(data.travel, period)
     is_complete = data.torque_mask[rows].all(axis=1) & np.isfinite(travel + data.tension[rows]).all(
         axis=1
     )
-    moving = np.abs(quick[rows]).min(axis=1) > MIN_SPEED_RAD_S * spool_radius
+    moving = np.abs(quick_speed[rows]).min(axis=1) > MIN_SPEED_RAD_S * spool_radius
     # All signs in a window are equal if the absolute value of their sum is the number of readings.
-    is_selected = is_complete & moving & (np.abs(np.sign(quick[rows]).sum(axis=1)) == len(samples))
+    is_selected = (
+        is_complete & moving & (np.abs(np.sign(quick_speed[rows]).sum(axis=1)) == len(samples))
+    )
     taps = np.arange(-half_window - 2, half_window + 3)
     return MotorWindows(
         t=data.t[centres][is_selected],
@@ -173,15 +175,17 @@ def _window_value(s: Array) -> Array:
 
 def _window_slope(s: Array) -> Array:
     """Return the first derivative of the window function."""
-    inner_slope = -8.0 / 3.0 * np.pi * np.cos(0.5 * np.pi * s) ** 3 * np.sin(0.5 * np.pi * s)
-    return np.asarray(np.where(np.abs(s) < 1.0, inner_slope, 0.0))
+    slope_inside_window = (
+        -8.0 / 3.0 * np.pi * np.cos(0.5 * np.pi * s) ** 3 * np.sin(0.5 * np.pi * s)
+    )
+    return np.asarray(np.where(np.abs(s) < 1.0, slope_inside_window, 0.0))
 
 
 def _window_curvature(s: Array) -> Array:
     """Return the second derivative of the window function."""
     c2 = np.cos(0.5 * np.pi * s) ** 2
-    inner_curvature = 4.0 / 3.0 * np.pi**2 * c2 * (3.0 - 4.0 * c2)
-    return np.asarray(np.where(np.abs(s) < 1.0, inner_curvature, 0.0))
+    curvature_inside_window = 4.0 / 3.0 * np.pi**2 * c2 * (3.0 - 4.0 * c2)
+    return np.asarray(np.where(np.abs(s) < 1.0, curvature_inside_window, 0.0))
 
 
 def _window_integral(s: Array) -> Array:

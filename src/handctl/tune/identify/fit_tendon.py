@@ -58,9 +58,9 @@ This prior keeps a fit finite if the data do not determine a parameter.
 """
 TARE_SIGMA_N = 1.0
 """Prior standard deviation of the offset of a tared load cell [N]."""
-DRIFT_KNOT_S = 1.0
+DRIFT_KNOT_INTERVAL_S = 1.0
 """Time between the knots of the load cell's drift [s]."""
-STOP_BIN_S = 0.05
+STOP_BIN_DURATION_S = 0.05
 """Duration of the bins of data at the open stop [s].
 
 At the stop, the travel changes slowly. In a bin of this duration, the travel passes so many encoder
@@ -112,7 +112,7 @@ class TendonFitProblem:
         Raises:
             LogError: the tendon does not move enough in the log.
         """
-        motor = hand.motor_of(data.tendon)
+        motor = hand.motor_of_tendon(data.tendon)
         digit = DigitModel.from_hand(hand, data.digit)
         spool = motor.spool_radius_m
         if not data.torque_mask.any() or len(data.t) < 2:
@@ -132,10 +132,12 @@ class TendonFitProblem:
             digit_load=DigitLoad.from_digit(digit) if has_single_tendon and has_springs else None,
             motor_windows=windows,
             free_motion_bins=average_in_bins(data, data.free_motion_mask, is_moving=True),
-            open_stop_bins=average_in_bins(data, stop, is_moving=False, bin_s=STOP_BIN_S),
-            slack_tendon_bins=average_in_bins(data, data.slack, is_moving=False, bin_s=STOP_BIN_S),
+            open_stop_bins=average_in_bins(data, stop, is_moving=False, bin_s=STOP_BIN_DURATION_S),
+            slack_tendon_bins=average_in_bins(
+                data, data.slack, is_moving=False, bin_s=STOP_BIN_DURATION_S
+            ),
             drift_knots=np.linspace(
-                data.t[0], data.t[-1], max(2, round(duration_s / DRIFT_KNOT_S) + 1)
+                data.t[0], data.t[-1], max(2, round(duration_s / DRIFT_KNOT_INTERVAL_S) + 1)
             ),
             cell_noise_N=_cell_noise(
                 data.tension[data.slack | stop], hand.sensor_node.tension_noise_N
@@ -143,7 +145,7 @@ class TendonFitProblem:
             # The drift is modelled as a random walk. Its standard deviation increases with the
             # square root of the time. The hand file contains the standard deviation after 100 s.
             drift_step_N=max(hand.sensor_node.tension_bias_drift_N, 1e-3)
-            * (DRIFT_KNOT_S / 100.0) ** 0.5,
+            * (DRIFT_KNOT_INTERVAL_S / 100.0) ** 0.5,
         )
 
     def start_parameters(self) -> Array:
@@ -258,7 +260,7 @@ def parameter_scales(hand: Hand, tendon: str) -> Array:
     A scale is usually the value in the hand file.
     """
     tendon_section = hand.tendon[hand.tendon_names.index(tendon)]
-    motor = hand.motor_of(tendon)
+    motor = hand.motor_of_tendon(tendon)
     value_scales = np.array([
         1.0, motor.inertia_kg_m2, motor.viscous_N_m_s_per_rad, motor.coulomb_N_m, DELAY_SCALE_S,
         tendon_section.stiffness_N_per_m, 1.0, 1.0, tendon_section.friction_coefficient, 1.0, 1.0,
@@ -339,11 +341,11 @@ class TendonFit:
             np.sqrt(np.diag(self.covariance))[: len(PARAMETER_NAMES)]
             * self.problem.parameter_scales
         )
-        student_factor = student.ppf(
+        student_t_factor = student.ppf(
             0.5 + 0.5 * CONFIDENCE_LEVEL ** (1.0 / parameter_count),
             self.degrees_of_freedom[: len(PARAMETER_NAMES)],
         )
-        return dict(zip(PARAMETER_NAMES, (student_factor * spread).tolist(), strict=True))
+        return dict(zip(PARAMETER_NAMES, (student_t_factor * spread).tolist(), strict=True))
 
 
 def fit_tendon(problem: TendonFitProblem) -> TendonFit:
@@ -399,20 +401,20 @@ def _row_times(problem: TendonFitProblem) -> Array:
     return np.concatenate(time_arrays)
 
 
-def _cell_noise(quiet_readings: Array, stated_noise: float) -> float:
+def _cell_noise(quiet_readings: Array, nominal_noise: float) -> float:
     """Return the standard deviation of a load-cell reading, estimated from pairs of neighbouring readings [N].
 
     Args:
         quiet_readings: tensions at rest and during slow stretches, where neighbouring readings differ only
             by noise [N].
-        stated_noise: standard deviation that the hand file states [N]. If there are too few
+        nominal_noise: standard deviation that the hand file states [N]. If there are too few
             readings, this value is returned.
     """
     quiet_readings = quiet_readings[np.isfinite(quiet_readings)]
     return (
-        stated_noise
+        nominal_noise
         if len(quiet_readings) < 200
-        else max(float(np.std(np.diff(quiet_readings))) / 2**0.5, 0.1 * stated_noise, 1e-3)
+        else max(float(np.std(np.diff(quiet_readings))) / 2**0.5, 0.1 * nominal_noise, 1e-3)
     )
 
 
@@ -452,7 +454,7 @@ def merge_solution(
     )
 
 
-def with_model_error(fit: TendonFit, error_of_parameter: Mapping[str, float]) -> TendonFit:
+def add_model_error(fit: TendonFit, error_of_parameter: Mapping[str, float]) -> TendonFit:
     """Return a fit whose variances also contain the errors of the model.
 
     These errors cannot be seen in the scatter of the residuals.

@@ -21,8 +21,8 @@ from handctl.tune.identify.fit_tendon import (
     PARAMETER_NAMES,
     STRETCH_OFFSET_SCALE_M,
     TendonFit,
+    add_model_error,
     merge_solution,
-    with_model_error,
 )
 from handctl.tune.identify.least_squares import solve_least_squares
 from handctl.tune.identify.tendon_data import MIN_TENSION_N, Array, TendonData, average_samples
@@ -43,7 +43,7 @@ load cell. The values were chosen in simulations of five hands.
 """
 SENSOR_SKEW_S = 1e-3
 """Scale of the time difference between the encoders, and its prior standard deviation [s]."""
-SAMPLES_EACH_SIDE = 1
+AVERAGING_HALF_WINDOW = 1
 """Number of samples before and after a joint reading over which the tension is averaged."""
 MIN_DATA_ROWS = 50
 """Smallest number of joint readings for a fit."""
@@ -53,7 +53,7 @@ def tendon_excursions(digit: DigitModel, tendon: int, q: Array) -> Array:
     """Return the excursion (m,) of one tendon of a digit at joint angles (m, joints) [m]."""
     if not digit.has_varying_arm:
         return np.asarray(q @ digit.moment_arms[tendon])
-    return np.array([digit.excursion_at(row)[tendon] for row in q])
+    return np.array([digit.excursion_at_angles(row)[tendon] for row in q])
 
 
 def model_with_arm_factors(digit: DigitModel, arm_factors: Array) -> DigitModel:
@@ -87,7 +87,7 @@ def fit_travel(
         joint_noise: standard deviation of one joint-encoder reading [rad].
     """
     problem = fit.problem
-    tension = average_samples(data.tension, SAMPLES_EACH_SIDE)
+    tension = average_samples(data.tension, AVERAGING_HALF_WINDOW)
     speed = np.gradient(data.travel, data.period)
     used_samples = (
         np.isfinite(data.joints).all(axis=1)
@@ -106,24 +106,24 @@ def fit_travel(
     nominal = problem.parameter_scales[PARAMETER_NAMES.index("tendon_stiffness")]
     noise = np.hypot(
         joint_noise * float(np.linalg.norm(digit.moment_arms[tendon])),
-        problem.cell_noise_N / (2 * SAMPLES_EACH_SIDE + 1) ** 0.5 / nominal,
+        problem.cell_noise_N / (2 * AVERAGING_HALF_WINDOW + 1) ** 0.5 / nominal,
     )
     knots = problem.drift_knots
-    own_count = 3
+    scalar_count = 3
     offset = float(np.mean(travel - excursion - tension / nominal))
 
     def residuals(z: Array) -> Array:
         stretch = tension / (z[0] * nominal)
-        moving = np.interp(t, knots, z[own_count:]) * STRETCH_OFFSET_SCALE_M
-        expected = z[1] * excursion + stretch + offset + moving + z[2] * SENSOR_SKEW_S * speed
+        drift_offset = np.interp(t, knots, z[scalar_count:]) * STRETCH_OFFSET_SCALE_M
+        expected = z[1] * excursion + stretch + offset + drift_offset + z[2] * SENSOR_SKEW_S * speed
         # The offset follows the drift of the load cell, which is a random walk.
-        steps = np.diff(z[own_count:]) * STRETCH_OFFSET_SCALE_M * nominal / problem.drift_step_N
+        steps = np.diff(z[scalar_count:]) * STRETCH_OFFSET_SCALE_M * nominal / problem.drift_step_N
         prior = np.array(
             [
                 (z[0] - 1.0) / DEFAULT_PRIOR_DEVIATION,
                 (z[1] - 1.0) / DEFAULT_PRIOR_DEVIATION,
                 z[2],
-                z[own_count] / 10.0,
+                z[scalar_count] / 10.0,
             ]
         )
         return np.concatenate([(travel - expected) / noise, steps, prior])
@@ -136,4 +136,4 @@ def fit_travel(
     merged_fit = merge_solution(
         fit, solution, len(t), TRAVEL_PARAMETERS, range(len(TRAVEL_PARAMETERS))
     )
-    return with_model_error(merged_fit, TRAVEL_MODEL_ERROR)
+    return add_model_error(merged_fit, TRAVEL_MODEL_ERROR)

@@ -29,7 +29,7 @@ With a single part, the coherence would always be 1.
 """
 BALANCE_PARAMETERS = ("spring_stiffness", "spring_preload", "capstan", "joint_damping")
 """Parameters that only the balance of torques at the joints determines, if a digit has several tendons."""
-ENCODERS_NEEDED = "needs joint encoders"
+MISSING_ENCODERS_REASON = "needs joint encoders"
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,11 +84,11 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
         for name in PARAMETER_UNITS
         if name not in names
     } | unobservable_reasons
-    if _needs_missing_encoders(hand, digit):
+    if _lacks_needed_encoders(hand, digit):
         unexcited_names = (
             name for name in BALANCE_PARAMETERS if not _is_parameter_excited(jacobian, name)
         )
-        reasons |= dict.fromkeys(unexcited_names, ENCODERS_NEEDED)
+        reasons |= dict.fromkeys(unexcited_names, MISSING_ENCODERS_REASON)
     spread = np.sqrt(np.diag(fit.covariance))
     correlation = fit.covariance / np.outer(spread, spread)
     pairs = [
@@ -108,12 +108,12 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
         rank=int((1.96 / np.maximum(sizes, 1e-12) < MAX_HALF_WIDTH).sum()),
         columns=len(PARAMETER_NAMES),
         condition_number=float(sizes[0] / max(sizes[-1], 1e-12)),
-        weakest_combination=_combination_text(directions[-1]),
+        weakest_combination=_parameter_combination_text(directions[-1]),
         correlated_pairs=tuple(pair for pair in pairs if abs(pair[2]) > MAX_CORRELATION),
     )
 
 
-def _needs_missing_encoders(hand: Hand, digit: str) -> bool:
+def _lacks_needed_encoders(hand: Hand, digit: str) -> bool:
     """Return True if a digit with springs and several tendons has no joint encoders.
 
     In such a digit, the tension of a single tendon does not show the load of the springs. The
@@ -183,7 +183,7 @@ def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, st
             "it trades off with springs and stretch, so the moment arms of the hand file are used"
         )
     elif not hand.tendons_with_encoders[index]:
-        reason_by_parameter["moment_arm"] = ENCODERS_NEEDED
+        reason_by_parameter["moment_arm"] = MISSING_ENCODERS_REASON
     return reason_by_parameter
 
 
@@ -229,7 +229,7 @@ def _unidentifiable_parameters(fit: TendonFit, hand: Hand, name: str) -> list[st
     return reasons
 
 
-def _combination_text(direction: Array) -> str:
+def _parameter_combination_text(direction: Array) -> str:
     """Return the largest components of a combination of parameters, as text."""
     order = np.argsort(-np.abs(direction))[:3]
     return ", ".join(

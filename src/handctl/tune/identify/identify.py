@@ -8,7 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from handctl.core.identified_parameters import DIGIT_KEYS, PARAMETER_UNITS, IdentifiedParameters
+from handctl.core.identified_parameters import (
+    DIGIT_KEY_BY_PARAMETER,
+    PARAMETER_UNITS,
+    IdentifiedParameters,
+)
 from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
@@ -16,7 +20,7 @@ from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import phase_of_each_tick
 from handctl.tune.identify.contact_detection import are_joints_moving
 from handctl.tune.identify.fit_digit import TorqueBalance, fit_digit, fits_with_digit_solution
-from handctl.tune.identify.fit_pair import fit_pair
+from handctl.tune.identify.fit_spool_pair import fit_spool_pair
 from handctl.tune.identify.fit_tendon import (
     PARAMETER_NAMES,
     TendonFit,
@@ -51,7 +55,7 @@ rest and slow motions determine the other parameters, such as the torque gain.
 """
 LOW_COHERENCE_TEXT = f"coherence is below {MIN_COHERENCE:g}"
 """Reason for which a parameter of the motion of a rotor is not kept."""
-SWEEP_PARAMETERS = (*DIGIT_KEYS, "capstan")
+SWEEP_PARAMETERS = (*DIGIT_KEY_BY_PARAMETER, "capstan")
 """Parameters that are invalid if the digit touched an obstacle during the sweeps.
 
 Parameters of motor and tendon stay valid, because they do not depend on the torque balance of the
@@ -71,7 +75,7 @@ class TendonResult:
         spectrum: frequencies [Hz], and the coherence at each frequency.
         balance: data for the fit of the digit, if the digit has several tendons and joint encoders.
             None otherwise.
-        blocked_event: text of the event in which the controller reported that the digit was
+        blocked_event_text: text of the event in which the controller reported that the digit was
             blocked, or an empty text.
         contact_text: text that describes a contact during the sweeps, or an empty text without a
             contact.
@@ -83,7 +87,7 @@ class TendonResult:
     coherence: float
     spectrum: tuple[Array, Array]
     balance: TorqueBalance | None = None
-    blocked_event: str = ""
+    blocked_event_text: str = ""
     contact_text: str = ""
 
     @property
@@ -92,7 +96,7 @@ class TendonResult:
 
         A contact or a low coherence makes some parameters invalid.
         """
-        if self.blocked_event:
+        if self.blocked_event_text:
             return ()
         return tuple(
             name
@@ -117,7 +121,7 @@ class TendonResult:
         """
         reason_by_parameter = dict(text.split(": ", 1) for text in self.identifiability.missing)
         invalid_reasons = dict.fromkeys(self.identifiability.names, "invalid because of a contact")
-        if self.is_incoherent and not self.blocked_event:
+        if self.is_incoherent and not self.blocked_event_text:
             invalid_reasons |= dict.fromkeys(SWING_PARAMETERS, LOW_COHERENCE_TEXT)
         reasons = dict.fromkeys(PARAMETER_UNITS, "") | invalid_reasons | reason_by_parameter
         return {
@@ -171,7 +175,7 @@ class TendonResult:
         }
         return {
             "digit": self.data.digit,
-            "blocked": self.blocked_event,
+            "blocked": self.blocked_event_text,
             "met": self.contact_text,
             "ramp": self.fit.ramp._asdict() if self.fit.ramp else None,
             "parameters": rows,
@@ -205,8 +209,8 @@ def identify_tendons(
     """
     data_and_fits = []
     failure = LogError("no tendon of this hand in it", "the log", "a run in which digits move")
-    tendons_data = tendon_data(log, hand)
-    for data in tendons_data:
+    data_of_tendons = tendon_data(log, hand)
+    for data in data_of_tendons:
         progress(f"fitting {data.tendon}")
         try:
             data_and_fits.append(
@@ -217,7 +221,7 @@ def identify_tendons(
                         data,
                         [
                             other_data
-                            for other_data in tendons_data
+                            for other_data in data_of_tendons
                             if other_data.digit == data.digit
                         ],
                     ),
@@ -253,7 +257,7 @@ def _fit_single_tendon(hand: Hand, data: TendonData, digit_data: list[TendonData
     digit = DigitModel.from_hand(hand, data.digit)
     tendon_index = digit.tendon_names.index(data.tendon)
     if hand.is_pair[digit.tendons].any():
-        return fit_pair(hand, digit, tendon_index, digit_data)
+        return fit_spool_pair(hand, digit, tendon_index, digit_data)
     fit = fit_tendon(TendonFitProblem.from_data(data, hand))
     if any(digit.spring_stiffness):
         return fit
@@ -271,7 +275,7 @@ def _result_with_contacts(hand: Hand, result: TendonResult, event: str) -> Tendo
     contact = contact_text(hand, result)
     residual_ramp = result.fit.ramp
     has_no_contact = not contact and residual_ramp is not None and residual_ramp.excludes_contact
-    return replace(result, contact_text=contact, blocked_event="" if has_no_contact else event)
+    return replace(result, contact_text=contact, blocked_event_text="" if has_no_contact else event)
 
 
 def contact_text(hand: Hand, result: TendonResult) -> str:
@@ -310,8 +314,8 @@ def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
     travel = float(np.nanmax(np.where(data.torque_mask, data.travel - stretch, np.nan)))
     closed_angles = np.radians(hand.digit_named(data.digit).joint_max_deg)
     full_excursion = float(abs(load.arms) @ closed_angles)
-    if load.varying is not None:
-        full_excursion = float(abs(load.varying.excursion_at(closed_angles)[0]))
+    if load.varying_arm_digit is not None:
+        full_excursion = float(abs(load.varying_arm_digit.excursion_at_angles(closed_angles)[0]))
     preload = values["spring_preload"]
     width = result.fit.half_widths["spring_preload"]
     if are_joints_moving(len(load.arms), preload, width, travel, full_excursion):
@@ -427,7 +431,7 @@ def result_table(result_of_tendon: dict[str, TendonResult], is_verbose: bool = F
                 lines.append(_identified_row(result, key))
         lines += [_table_row(key, "-", "", "", "", reason) for key, reason in reasons.items()]
         if is_verbose:
-            lines += _combination_lines(result)
+            lines += _parameter_summary_lines(result)
     return lines
 
 
@@ -454,7 +458,7 @@ def _identified_row(result: TendonResult, key: str) -> str:
     )
 
 
-def _combination_lines(result: TendonResult) -> list[str]:
+def _parameter_summary_lines(result: TendonResult) -> list[str]:
     """Return lines about all parameters of a tendon together: joint intervals, combinations and correlations."""
     names = result.identified_names
     half_widths = result.fit.half_widths

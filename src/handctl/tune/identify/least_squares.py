@@ -94,7 +94,7 @@ def solve_least_squares(
     return FitSolution(result.x, covariance, jacobian, result.fun, degrees_of_freedom)
 
 
-def _block_rows(sample_times: Array) -> Iterator[NDArray[np.intp]]:
+def _rows_by_time_block(sample_times: Array) -> Iterator[NDArray[np.intp]]:
     """Yield, for each block of time, the indices of its rows.
 
     A long block is divided into parts of `MAX_BLOCK_ROWS` rows.
@@ -128,20 +128,23 @@ def _parameter_covariance(
     # of the sandwich estimator without correction.
     score_covariance = jacobian[len(sample_times) :].T @ jacobian[len(sample_times) :]
     expected = [np.diag(plain_covariance @ score_covariance @ plain_covariance)]
-    for rows in _block_rows(sample_times):
+    for rows in _rows_by_time_block(sample_times):
         block_jacobian = jacobian[rows]
         residual_maker = np.eye(len(rows)) - block_jacobian @ plain_covariance @ block_jacobian.T
         # If a single block determines a parameter alone, the matrix (I - H) is singular. Therefore
         # a least-squares solution takes the place of the inverse of (I - H).
-        parameter_alone = np.linalg.lstsq(
+        corrected_columns = np.linalg.lstsq(
             residual_maker, np.column_stack([residual[rows], block_jacobian]), rcond=1e-9
         )[0]
-        score = block_jacobian.T @ parameter_alone[:, 0]
+        score = block_jacobian.T @ corrected_columns[:, 0]
         score_covariance += np.outer(score, score)
         expected.append(
             np.maximum(
                 np.diag(
-                    plain_covariance @ block_jacobian.T @ parameter_alone[:, 1:] @ plain_covariance
+                    plain_covariance
+                    @ block_jacobian.T
+                    @ corrected_columns[:, 1:]
+                    @ plain_covariance
                 ),
                 0.0,
             )

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.run_setup import SETUP_ATTACHMENT
+from handctl.controller.run_setup import SETUP_ATTACHMENT_NAME
 from handctl.core.tick_types import HandMode
 from handctl.hand.description import Hand
 from handctl.log.read.logfile import LogErrorContext
@@ -105,7 +105,7 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
     for i, tendon in enumerate(hand.tendon):
         d = next(d for d, name in enumerate(hand.digit_names) if _digit_has_tendon(hand, name, i))
         digit = hand.digit_names[d]
-        spool = hand.motor_of(tendon.name).spool_radius_m
+        spool = hand.motor_of_tendon(tendon.name).spool_radius_m
         data = TendonData(
             tendon=tendon.name,
             digit=digit,
@@ -133,7 +133,7 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
             )
             is_taut |= bool(hand.is_pair[i])
             is_free_motion = (
-                active & is_taut & (contact[:, d] < 0.5) & _free_motion(log, hand, digit)[:-1]
+                active & is_taut & (contact[:, d] < 0.5) & _free_motion_mask(log, hand, digit)[:-1]
             )
             result.append(replace(data, free_motion_mask=is_free_motion))
     return result
@@ -141,8 +141,8 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
 
 def _logged_gain(log: RunLog, tendons: int) -> list[float]:
     """Return the torque gains (N,) that the controller used in the logged run."""
-    text = log.header.attachments.get(SETUP_ATTACHMENT, b"{}")
-    with LogErrorContext(f"{SETUP_ATTACHMENT} in the log"):
+    text = log.header.attachments.get(SETUP_ATTACHMENT_NAME, b"{}")
+    with LogErrorContext(f"{SETUP_ATTACHMENT_NAME} in the log"):
         setup = json.loads(text)
         if not isinstance(setup, dict):
             raise ValueError("not a table")
@@ -161,7 +161,7 @@ def _digit_has_tendon(hand: Hand, digit: str, tendon: int) -> bool:
     return bool(tendons.start <= tendon < tendons.stop)
 
 
-def _free_motion(log: RunLog, hand: Hand, digit: str) -> Mask:
+def _free_motion_mask(log: RunLog, hand: Hand, digit: str) -> Mask:
     """Return a mask of the ticks in which a digit moves freely.
 
     In these ticks, the digit has followed a trajectory for some time, and is away from its stops.
@@ -175,13 +175,13 @@ def _free_motion(log: RunLog, hand: Hand, digit: str) -> Mask:
         q < np.array(digit_file.joint_max_deg) - margin
     )
     moving = ~np.isnan(log.field("q_goal")[:, joints]).any(axis=1)
-    return _lasting_mask(
+    return _debounced_mask(
         np.asarray(moving & is_inside_range.all(axis=1)),
         round(TRANSIENT_S * 1e9 / log.header.period_ns),
     )
 
 
-def _lasting_mask(mask: Mask, tick_count: int) -> Mask:
+def _debounced_mask(mask: Mask, tick_count: int) -> Mask:
     """Return a mask that is True where `mask` has been True for more than `tick_count` ticks."""
     # `last` is the index of the last False at or before each tick. Before the first False, its
     # value is -1.

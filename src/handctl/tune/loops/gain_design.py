@@ -36,35 +36,35 @@ from handctl.tune.loops.linear_models import (
     LinearSystem,
     LoopKind,
     PlantFactors,
+    connect_in_series,
     controller_system,
-    join_to_open_loop,
     plant_system,
 )
 from handctl.tune.loops.margins import (
     LoopMargins,
-    all_margins,
     confirmed_margins,
+    margins_by_loop,
     margins_of_loop,
-    smaller_margins,
-    unproven_margins,
+    minimum_margins,
+    zeroed_margins,
 )
 
 MIN_FORCE_N = 0.2
 """Smallest authority of the search [N]."""
 MAX_FORCE_N = 400.0
 """Largest authority of the search [N]."""
-FORCE_SEARCH_LOG_STEP = math.log(1.7)
+FORCE_SEARCH_STEP = math.log(1.7)
 """Step of the search for the largest authority, in the natural logarithm of the force."""
 BISECTION_STEPS = 5
 """Number of bisections of the last step of the search, for an accuracy of two per cent."""
-FORCE_REDUCTION_LOG_STEP = math.log(1.03)
+FORCE_REDUCTION_STEP = math.log(1.03)
 """Step by which a force is reduced after the search, in the natural logarithm of the force.
 
 The force is reduced until the margins that eigenvalues confirm are large enough.
 """
-MAX_REDUCTIONS = 6
+MAX_FORCE_REDUCTIONS = 6
 """Largest number of reductions of a force after the search."""
-MAX_COMMON_REDUCTIONS = 5
+MAX_UNIFORM_REDUCTIONS = 5
 """Largest number of steps by which all forces are reduced together.
 
 The forces are reduced if the loops keep their margins but the hand does not come to rest in
@@ -94,7 +94,7 @@ class GainDesign:
             gains.
         worst_margins_after: smallest value of each margin over all plants of the ensemble, with the
             designed gains.
-        old_gains_unrest_reason: reason why the hand does not come to rest in simulation with the old
+        old_gains_failure: reason why the hand does not come to rest in simulation with the old
             gains, or an empty text.
     """
 
@@ -103,9 +103,9 @@ class GainDesign:
     margins_after: dict[tuple[str, LoopKind], LoopMargins]
     worst_margins_before: LoopMargins
     worst_margins_after: LoopMargins
-    old_gains_unrest_reason: str = ""
+    old_gains_failure: str = ""
 
-    def with_unproven_old_gains(self, reason: str) -> "GainDesign":
+    def with_zero_old_margins(self, reason: str) -> "GainDesign":
         """Return the design with margins of zero for the old gains.
 
         This is right if the hand did not come to rest with the old gains in simulation.
@@ -114,13 +114,13 @@ class GainDesign:
             reason: reason why the hand does not come to rest.
         """
         margins_before = {
-            loop: unproven_margins(margin) for loop, margin in self.margins_before.items()
+            loop: zeroed_margins(margin) for loop, margin in self.margins_before.items()
         }
         return replace(
             self,
             margins_before=margins_before,
-            worst_margins_before=unproven_margins(self.worst_margins_before),
-            old_gains_unrest_reason=reason,
+            worst_margins_before=zeroed_margins(self.worst_margins_before),
+            old_gains_failure=reason,
         )
 
     def as_weights(self) -> Gains:
@@ -142,7 +142,7 @@ class GainDesign:
             "tension_error_N": tension_gains.tension_error_N * tension,
             "speed_error_m_s": tension_gains.speed_error_m_s * tension,
         }
-        return _gains_with_sections(
+        return _replace_gain_sections(
             gains,
             motion={
                 **motion_gains.model_dump(),
@@ -191,15 +191,15 @@ def gains_with_poles(
         motion = shared_gains.motion
         force = force_weight_at_period(motion.force_N, model.period)
         table = {"position_error_m": force / position, "speed_error_m_s": force / speed}
-        return _gains_with_sections(shared_gains, motion={**motion.model_dump(), **table})
+        return _replace_gain_sections(shared_gains, motion={**motion.model_dump(), **table})
     tension = shared_gains.tension
     force = force_weight_at_period(tension.force_N, model.period)
     table = {"tension_error_N": force / position, "speed_error_m_s": force / speed}
-    return _gains_with_sections(shared_gains, tension={**tension.model_dump(), **table})
+    return _replace_gain_sections(shared_gains, tension={**tension.model_dump(), **table})
 
 
 def _scaled_tendon_forces(
-    gains: Gains, motion_authority: float, tension: float
+    gains: Gains, motion_factor: float, tension_factor: float
 ) -> list[dict[str, Any]]:
     """Multiply the forces of single tendons by factors, and return the entries of these tendons.
 
@@ -209,15 +209,15 @@ def _scaled_tendon_forces(
         {
             "name": tendon_gains.name,
             "motion_force_N": tendon_gains.motion_force_N
-            and tendon_gains.motion_force_N * motion_authority,
+            and tendon_gains.motion_force_N * motion_factor,
             "tension_force_N": tendon_gains.tension_force_N
-            and tendon_gains.tension_force_N * tension,
+            and tendon_gains.tension_force_N * tension_factor,
         }
         for tendon_gains in gains.tendon
     ]
 
 
-def _gains_with_sections(
+def _replace_gain_sections(
     gains: Gains, **sections: dict[str, float] | list[dict[str, Any]]
 ) -> Gains:
     """Return gains in which some sections are replaced, after their bounds have been checked.
@@ -237,7 +237,7 @@ def _motion_weights(model: HandModel, frequency: float, damping: float) -> tuple
     The plant is a single mass, and the characteristic polynomial is d(s) = s^2 + 2 z w s + w^2.
     """
     # At low frequencies, the rotor and a freely moving digit act as one mass.
-    mass = float((model.space.motor_mass + model.space.load_mass).mean())
+    mass = float((model.tendon_constants.motor_mass + model.tendon_constants.load_mass).mean())
     return mass * frequency**2, mass * frequency * _positive_root(
         4.0 * damping**2 - 2.0, MIN_DAMPING_TEXT
     )
@@ -249,11 +249,11 @@ def _tension_weights(model: HandModel, frequency: float, damping: float) -> tupl
     The plant is a rotor on its tendon. No weights give poles below the natural frequency of the
     rotor without control.
     """
-    space = model.space
-    m = float(space.motor_mass.mean())
-    k = float(space.stiffness.mean())
+    tendons = model.tendon_constants
+    m = float(tendons.motor_mass.mean())
+    k = float(tendons.stiffness.mean())
     a0 = k / m
-    a1 = float((space.motor_damping + space.damping).mean()) / m
+    a1 = float((tendons.motor_damping + tendons.damping).mean()) / m
     expected = (
         f"tension poles above {math.sqrt(a0) / (2.0 * math.pi):.1f} "
         "Hz, the frequency of the free rotor on its tendon"
@@ -282,7 +282,9 @@ def _positive_root(squared_value: float, expected_text: str) -> float:
 
 def model_with_gains(model: HandModel, gains: Gains) -> HandModel:
     """Return the model with other gains of the motion loop and the tension loop, but with the same filter."""
-    return replace(model, gains=gains, motion=design_motion(model.space, gains, model.period))
+    return replace(
+        model, gains=gains, motion_design=design_motion(model.tendon_constants, gains, model.period)
+    )
 
 
 def worst_margins(
@@ -294,7 +296,7 @@ def worst_margins(
 
     The eigenvalues of the closed loops confirm these margins.
     """
-    return reduce(smaller_margins, _margins_of_loops(model, plants, kinds, confirmed_margins))
+    return reduce(minimum_margins, _margins_of_loops(model, plants, kinds, confirmed_margins))
 
 
 def weakest_plant(model: HandModel, plants: tuple[PlantFactors, ...]) -> int:
@@ -338,7 +340,7 @@ def _margins_of_loops(
             loop_controller = controller_system(model, i, kind)
             yield from (
                 margins_function(
-                    join_to_open_loop(plant_system(model, i, kind, factors), loop_controller)
+                    connect_in_series(plant_system(model, i, kind, factors), loop_controller)
                 )
                 for factors in plants
             )
@@ -351,10 +353,10 @@ def distinct_tendons(model: HandModel) -> tuple[int, ...]:
 
 def _groups_of_equal_tendons(model: HandModel) -> tuple[tuple[int, ...], ...]:
     """Return groups of tendons whose constants and forces are the same, apart from rounding errors."""
-    space = model.space
+    tendons = model.tendon_constants
     groups: dict[tuple[str, ...], tuple[int, ...]] = {}
-    for i, name in enumerate(space.names):
-        numbers = (*space.constants_of_tendon(i), *model.gains.force_weights_of_tendon(name))
+    for i, name in enumerate(tendons.names):
+        numbers = (*tendons.constants_of_tendon(i), *model.gains.force_weights_of_tendon(name))
         key = tuple(f"{number:.6g}" for number in numbers)
         groups[key] = (*groups.get(key, ()), i)
     return tuple(groups.values())
@@ -384,19 +386,21 @@ def design_gains(
     for rejection in DISTURBANCE_REJECTION_FRACTIONS:
         if rejection > model.gains.motion.disturbance_rejection:
             continue
-        candidate = model_with_largest_authority(
-            _gains_with_motion(model, disturbance_rejection=rejection), LoopKind.MOTION, plants
+        candidate = model_with_largest_force(
+            _model_with_motion_gains(model, disturbance_rejection=rejection),
+            LoopKind.MOTION,
+            plants,
         )
-        candidate = candidate and model_with_largest_authority(candidate, LoopKind.TENSION, plants)
+        candidate = candidate and model_with_largest_force(candidate, LoopKind.TENSION, plants)
         if not candidate:
             continue
-        for tried_model in _models_with_decreasing_authority(candidate, plants):
+        for tried_model in _models_with_decreasing_force(candidate, plants):
             margins_after = worst_margins(tried_model, plants)
             if margins_after.are_sufficient and passes_test(tried_model):
                 return GainDesign(
                     tried_model.gains,
-                    all_margins(model),
-                    all_margins(tried_model),
+                    margins_by_loop(model),
+                    margins_by_loop(tried_model),
                     worst_margins(model, plants),
                     margins_after,
                 )
@@ -412,20 +416,20 @@ def design_gains(
     )
 
 
-def _models_with_decreasing_authority(
+def _models_with_decreasing_force(
     model: HandModel, plants: tuple[PlantFactors, ...]
 ) -> Iterator[HandModel]:
     """Yield the model, and then models with decreasing authority, as long as they keep the margins."""
     yield model
-    for step in range(1, MAX_COMMON_REDUCTIONS + 1):
-        weaker_model = _gains_with_scaled_forces(model, math.exp(-step * FORCE_SEARCH_LOG_STEP))
+    for step in range(1, MAX_UNIFORM_REDUCTIONS + 1):
+        weaker_model = _model_with_scaled_forces(model, math.exp(-step * FORCE_SEARCH_STEP))
         if keeps_required_margins(weaker_model, plants):
             yield weaker_model
 
 
-def _gains_with_scaled_forces(model: HandModel, factor: float) -> HandModel:
+def _model_with_scaled_forces(model: HandModel, factor: float) -> HandModel:
     """Return the model with the authority of all loops multiplied by a factor."""
-    gains = _gains_with_sections(
+    gains = _replace_gain_sections(
         model.gains,
         motion={**model.gains.motion.model_dump(), "force_N": model.gains.motion.force_N * factor},
         tension={
@@ -437,13 +441,15 @@ def _gains_with_scaled_forces(model: HandModel, factor: float) -> HandModel:
     return model_with_gains(model, gains)
 
 
-def _gains_with_motion(model: HandModel, **values: float) -> HandModel:
+def _model_with_motion_gains(model: HandModel, **values: float) -> HandModel:
     """Return the model with some gains of the motion loop replaced."""
-    gains = _gains_with_sections(model.gains, motion={**model.gains.motion.model_dump(), **values})
+    gains = _replace_gain_sections(
+        model.gains, motion={**model.gains.motion.model_dump(), **values}
+    )
     return model_with_gains(model, gains)
 
 
-def model_with_largest_authority(
+def model_with_largest_force(
     model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...]
 ) -> HandModel | None:
     """Return the model in which each tendon's loop has the largest authority that keeps the margins.
@@ -459,23 +465,23 @@ def model_with_largest_authority(
             return None
         forces |= dict.fromkeys(group, force)
     shared_force = min(forces.values())
-    shared_force_model = _model_with_common_force(model, kind, shared_force)
+    model_with_equal_forces = _model_with_equal_forces(model, kind, shared_force)
     separate_force_by_tendon = {
-        model.space.names[i]: force
+        model.tendon_constants.names[i]: force
         for i, force in forces.items()
         if force > MIN_SEPARATE_FORCE_RATIO * shared_force
     }
     if not separate_force_by_tendon:
-        return shared_force_model
-    separate_forces_model = _gains_with_tendon_forces(
-        shared_force_model, kind, separate_force_by_tendon
+        return model_with_equal_forces
+    model_with_tendon_forces = _model_with_tendon_forces(
+        model_with_equal_forces, kind, separate_force_by_tendon
     )
     # Each of these forces was found while all tendons had the same force. If two tendons share a
     # joint, a larger force of one tendon reduces the margins of the other.
     return (
-        separate_forces_model
-        if keeps_required_margins(separate_forces_model, plants, (kind,))
-        else shared_force_model
+        model_with_tendon_forces
+        if keeps_required_margins(model_with_tendon_forces, plants, (kind,))
+        else model_with_equal_forces
     )
 
 
@@ -492,9 +498,9 @@ def _largest_force(
     increase is then bisected. Larger forces are not tried.
     """
 
-    def has_required_margins(log_force: float) -> bool:
+    def has_required_margins(force_logarithm: float) -> bool:
         return keeps_required_margins(
-            _model_with_common_force(model, kind, _rounded_force(log_force)),
+            _model_with_equal_forces(model, kind, _rounded_force(force_logarithm)),
             plants,
             (kind,),
             (tendon,),
@@ -507,7 +513,7 @@ def _largest_force(
             best = at
         elif best is not None:
             break
-        at += FORCE_SEARCH_LOG_STEP
+        at += FORCE_SEARCH_STEP
     if best is None:
         return None
     high = min(at, math.log(MAX_FORCE_N))
@@ -519,8 +525,8 @@ def _largest_force(
             high = tried_force
     # The search uses the response at few frequencies. At more frequencies, or by the eigenvalues,
     # the margins may be smaller.
-    for _ in range(MAX_REDUCTIONS):
-        tried_gains = _model_with_common_force(model, kind, _rounded_force(best))
+    for _ in range(MAX_FORCE_REDUCTIONS):
+        tried_gains = _model_with_equal_forces(model, kind, _rounded_force(best))
         if all(
             margin.are_sufficient
             for margin in _margins_of_loops(
@@ -528,13 +534,13 @@ def _largest_force(
             )
         ):
             break
-        best -= FORCE_REDUCTION_LOG_STEP
+        best -= FORCE_REDUCTION_STEP
     return _rounded_force(best)
 
 
-def _rounded_force(log_force: float) -> float:
+def _rounded_force(force_logarithm: float) -> float:
     """Return the force whose natural logarithm is given, rounded down to a few digits [N]."""
-    force = math.exp(log_force)
+    force = math.exp(force_logarithm)
     unit = 10.0 ** (math.floor(math.log10(force)) - FORCE_SIGNIFICANT_DIGITS + 1)
     # The summand 1e-9 compensates the rounding error of the quotient.
     return float(f"{math.floor(force / unit + 1e-9) * unit:.{FORCE_SIGNIFICANT_DIGITS}g}")
@@ -547,10 +553,10 @@ def _without_tendon_forces(gains: Gains, kind: LoopKind) -> Gains:
     kept_entries = [
         entry.model_dump() for entry in entries if entry.motion_force_N or entry.tension_force_N
     ]
-    return _gains_with_sections(gains, tendon=kept_entries)
+    return _replace_gain_sections(gains, tendon=kept_entries)
 
 
-def _gains_with_tendon_forces(
+def _model_with_tendon_forces(
     model: HandModel, kind: LoopKind, force_of_tendon: Mapping[str, float]
 ) -> HandModel:
     """Return the model in which some tendons, given by name, have separate forces [N] in a loop."""
@@ -560,12 +566,12 @@ def _gains_with_tendon_forces(
     return model_with_gains(model, gains_with_values(model.gains, values, "design"))
 
 
-def _model_with_common_force(model: HandModel, kind: LoopKind, force: float) -> HandModel:
+def _model_with_equal_forces(model: HandModel, kind: LoopKind, force: float) -> HandModel:
     """Return the model with another common authority for a loop of all tendons [N]."""
     if kind == LoopKind.MOTION:
-        return _gains_with_motion(model, force_N=force)
+        return _model_with_motion_gains(model, force_N=force)
     table = {**model.gains.tension.model_dump(), "force_N": force}
-    return model_with_gains(model, _gains_with_sections(model.gains, tension=table))
+    return model_with_gains(model, _replace_gain_sections(model.gains, tension=table))
 
 
 def design_with_poles(
@@ -580,18 +586,18 @@ def design_with_poles(
     Raises:
         ValueError: no weights lead to these poles.
     """
-    moved_model = model_with_gains(
+    model_with_poles = model_with_gains(
         model, gains_with_poles(model, LoopKind.MOTION, motion_hz, damping)
     )
-    moved_model = model_with_gains(
-        moved_model, gains_with_poles(moved_model, LoopKind.TENSION, tension_hz, damping)
+    model_with_poles = model_with_gains(
+        model_with_poles, gains_with_poles(model_with_poles, LoopKind.TENSION, tension_hz, damping)
     )
     margins_before = worst_margins(model, plants)
-    margins_after = worst_margins(moved_model, plants)
+    margins_after = worst_margins(model_with_poles, plants)
     return GainDesign(
-        moved_model.gains,
-        all_margins(model),
-        all_margins(moved_model),
+        model_with_poles.gains,
+        margins_by_loop(model),
+        margins_by_loop(model_with_poles),
         margins_before,
         margins_after,
     )

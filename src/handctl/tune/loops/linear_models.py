@@ -34,7 +34,7 @@ from handctl.core.control_law.goal_writer import sample_trajectories, write_goal
 from handctl.core.control_law.required_tensions import write_tension_goals
 from handctl.core.control_law.trajectory import SampledTrajectory
 from handctl.core.estimation.filter_prediction import predict_filter_states
-from handctl.core.estimation.filter_stack import TendonRegime
+from handctl.core.estimation.filter_types import TendonRegime
 from handctl.core.hand_constants import HandConstants
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
@@ -60,7 +60,7 @@ DIFFERENCE_STEPS = {"travel": 1e-7, "tension": 1e-2, "state": 2.0**-14}
 """Steps of the finite differences: travel [m], tension [N], and states as a fraction of their typical size."""
 UNREACHABLE_LIMIT = 1e12
 """Value for the limits of motor torque [N m] and force [N]. No gains reach a limit of this size."""
-MOVING_TENSION_N = 1e4
+PLANNED_MOTION_TENSION_N = 1e4
 """Expected tension of a moving digit, chosen far outside of its friction band [N].
 
 With this value, the control law predicts the tension at the edge of the friction band.
@@ -153,12 +153,12 @@ def plant_system(
 
     Source: two masses on a spring, torque with a first-order lag, zero-order hold.
     """
-    space = model.space
+    tendons = model.tendon_constants
     i = tendon
-    m = space.motor_mass[i] * factors.motor_inertia
-    b = space.motor_damping[i] * factors.damping
-    k = space.stiffness[i] * factors.stiffness
-    c = space.damping[i] * factors.damping
+    m = tendons.motor_mass[i] * factors.motor_inertia
+    b = tendons.motor_damping[i] * factors.damping
+    k = tendons.stiffness[i] * factors.stiffness
+    c = tendons.damping[i] * factors.damping
     tendon_force = np.array([k, c, -k, -c, 0.0])
     A = np.zeros((5, 5))
     B = np.zeros((5, 1))
@@ -170,13 +170,13 @@ def plant_system(
     # The last state is the motor force, which follows the command as a first-order lag.
     A[4, 4], B[4, 0] = -1.0 / CURRENT_LAG_S, factors.torque_constant / CURRENT_LAG_S
     if kind == LoopKind.MOTION:
-        load = space.load_mass[i] * factors.mass
+        load = tendons.load_mass[i] * factors.mass
         A[2, 3] = 1.0
         # By Newton's law, the tension accelerates the digit. All constants of the digit are
         # converted to the tendon.
         A[3] = tendon_force / load
-        A[3, 2] -= space.load_stiffness[i] * factors.spring / load
-        A[3, 3] -= space.load_damping[i] * factors.damping / load
+        A[3, 2] -= tendons.load_stiffness[i] * factors.spring / load
+        A[3, 3] -= tendons.load_damping[i] * factors.damping / load
     else:
         kept_states = [0, 1, 4]
         A = A[np.ix_(kept_states, kept_states)]
@@ -229,13 +229,13 @@ def controller_system(model: HandModel, tendon: int, kind: LoopKind) -> LinearSy
 def open_loop(
     model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL_FACTORS
 ) -> LinearSystem:
-    """Return the open loop of a tendon, see `join_to_open_loop`."""
-    return join_to_open_loop(
+    """Return the open loop of a tendon, see `connect_in_series`."""
+    return connect_in_series(
         plant_system(model, tendon, kind, factors), controller_system(model, tendon, kind)
     )
 
 
-def join_to_open_loop(P: LinearSystem, K: LinearSystem) -> LinearSystem:
+def connect_in_series(P: LinearSystem, K: LinearSystem) -> LinearSystem:
     """Return the open loop of a plant P and a controller K, where the loop is cut at the motor force.
 
     The output of the open loop is the force that the controller commands, with the opposite sign.
@@ -263,14 +263,14 @@ def _without_constants(K: LinearSystem) -> LinearSystem:
     """
     A = K.A - np.eye(len(K.A))
     B = K.B
-    changing = np.flatnonzero(
+    changing_states = np.flatnonzero(
         (np.abs(A).max(axis=1) > CONSTANT_STATE_TOLERANCE)
         | (np.abs(B).max(axis=1) > CONSTANT_STATE_TOLERANCE)
     )
     return LinearSystem(
-        K.A[np.ix_(changing, changing)],
-        K.B[changing],
-        K.C[:, changing],
+        K.A[np.ix_(changing_states, changing_states)],
+        K.B[changing_states],
+        K.C[:, changing_states],
         K.D,
         K.period,
     )
@@ -303,26 +303,26 @@ def _tick_with_reading(
     return tick(state, shifted_reading)
 
 
-STATE_ROWS = [
-    *range(s.TRAVEL, s.STRETCH_OFFSET + 1),
-    s.SETPOINT,
+FEEDBACK_STATE_ROWS = [
+    *range(s.SPOOL_TRAVEL, s.STRETCH_OFFSET + 1),
+    s.TENSION_SETPOINT,
     s.TENSION_INTEGRAL,
-    s.FILTER_FORCE,
+    s.FILTER_INPUT_FORCE,
     s.PLANNED_TENSION,
     s.PLANNED_TENSION_RATE,
 ]
 """Rows of the tendon states that are part of the feedback: first those of the filter, then those of the control law."""
 MEASUREMENT_ROWS = [s.MEASURED_TRAVEL, s.MEASURED_TENSION, s.MEASURED_EXCURSION]
 """Rows of the state block that contain the measurements of a tendon."""
-_STATE_SIZE = 2.0 ** np.array([-17, -7, -17, -7, 0, 0, -17, 0, 0, 0, 0, 0])
-"""Typical sizes of the states in `STATE_ROWS`, with which the finite differences are scaled.
+_TYPICAL_STATE_SIZES = 2.0 ** np.array([-17, -7, -17, -7, 0, 0, -17, 0, 0, 0, 0, 0])
+"""Typical sizes of the states in `FEEDBACK_STATE_ROWS`, with which the finite differences are scaled.
 
 The sizes are powers of two. Thus the finite difference of a state that is only copied is exactly
 one.
 """
 
 
-class _LinearizationBench:
+class _LinearController:
     """Filter and linear control law of a hand.
 
     Both work on a state block.
@@ -335,11 +335,15 @@ class _LinearizationBench:
     def __init__(self, model: HandModel) -> None:
         """Store the model, without limits and without motor friction."""
         unreachable_limits = np.full(model.tendon_count, UNREACHABLE_LIMIT)
-        space = replace(model.space, coulomb=np.zeros_like(unreachable_limits))
-        self.model = replace(model, torque_limit=unreachable_limits, space=space)
+        tendon_constants = replace(
+            model.tendon_constants, coulomb_friction=np.zeros_like(unreachable_limits)
+        )
+        self.model = replace(
+            model, torque_limit=unreachable_limits, tendon_constants=tendon_constants
+        )
         self.layout: BlockLayout = layout_of_state(model, 1)
         self._constants = HandConstants(self.model, {})
-        self._constant_args = self._constants.block, self._constants.layout.places
+        self._constant_args = self._constants.block, self._constants.layout.offsets
 
     def run_filter(self, block: BlockArray) -> None:
         """Execute the correction and the prediction of the filter.
@@ -347,16 +351,16 @@ class _LinearizationBench:
         No contact is detected, because no motor makes torque yet.
         """
         self.layout.view(block, "mode")[...] = HandMode.ARMING
-        tick_stages.correct_tension_estimate(block, self.layout.places, *self._constant_args)
+        tick_stages.correct_tension_estimate(block, self.layout.offsets, *self._constant_args)
         predict_filter_states(self.model, self.layout, block)
-        tick_stages.conclude_estimate(block, self.layout.places, *self._constant_args)
+        tick_stages.conclude_estimate(block, self.layout.offsets, *self._constant_args)
 
     def run_control_law(self, block: BlockArray) -> None:
         """Compute the torque commands from the goals and the estimates."""
         self.layout.view(block, "mode")[...] = HandMode.ACTIVE
         write_tension_goals(self.model, self.layout, self._constants, block)
         tick_stages.compute_motor_torques(
-            block, self.layout.places, *self._constant_args, 0.0, 0, 1
+            block, self.layout.offsets, *self._constant_args, 0.0, 0, 1
         )
 
 
@@ -367,37 +371,40 @@ def _operating_point(
 
     There is a small step for each state and each reading.
     """
-    bench = _LinearizationBench(model)
-    operating_point = _operating_block(bench, tendon, kind)
+    controller = _LinearController(model)
+    operating_point = _operating_point_state(controller, tendon, kind)
 
     def run_linear_tick(values: Matrix, reading: Matrix) -> Matrix:
         block = operating_point.copy()
-        table = bench.layout.table(block, "tendon")
-        table[STATE_ROWS, tendon] = values
+        table = controller.layout.table(block, "tendon")
+        table[FEEDBACK_STATE_ROWS, tendon] = values
         table[MEASUREMENT_ROWS, tendon] = reading
-        bench.run_filter(block)
-        bench.run_control_law(block)
+        controller.run_filter(block)
+        controller.run_control_law(block)
         return np.append(
-            table[STATE_ROWS, tendon], table[s.TORQUE, tendon] / model.space.spool[tendon]
+            table[FEEDBACK_STATE_ROWS, tendon],
+            table[s.COMMANDED_TORQUE, tendon] / model.tendon_constants.spool_radius[tendon],
         )
 
-    table = bench.layout.table(operating_point, "tendon")
+    table = controller.layout.table(operating_point, "tendon")
     return (
         run_linear_tick,
-        table[STATE_ROWS, tendon].copy(),
+        table[FEEDBACK_STATE_ROWS, tendon].copy(),
         table[MEASUREMENT_ROWS, tendon].copy(),
-        _STATE_SIZE * DIFFERENCE_STEPS["state"],
+        _TYPICAL_STATE_SIZES * DIFFERENCE_STEPS["state"],
     )
 
 
-def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) -> BlockArray:
+def _operating_point_state(
+    controller: _LinearController, tendon: int, kind: LoopKind
+) -> BlockArray:
     """Return the state block at the operating point of a loop.
 
     Every digit is half closed, and every tendon is taut. For a motion loop, the tendon is being
     wound up. For a tension loop, the tendon is at rest. All errors are zero.
     """
-    model = bench.model
-    layout = bench.layout
+    model = controller.model
+    layout = controller.layout
     moving = kind == LoopKind.MOTION
     coordinates = [_half_closed_coordinates(digit) for digit in model.digits]
     rates = [
@@ -416,13 +423,17 @@ def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) ->
     block = layout.initial.copy()
     table = layout.table(block, "tendon")
     digits = [digit.with_moment_arms_at(q[digit.joints]) for digit in model.digits]
-    table[s.EXCURSION] = np.concatenate([digit.excursion_at(q[digit.joints]) for digit in digits])
-    table[s.TRAVEL] = table[s.EXCURSION] + OPERATING_TENSION_N / model.space.stiffness
-    table[s.SPEED] = table[s.EXCURSION_RATE] = (
+    table[s.EXCURSION] = np.concatenate(
+        [digit.excursion_at_angles(q[digit.joints]) for digit in digits]
+    )
+    table[s.SPOOL_TRAVEL] = (
+        table[s.EXCURSION] + OPERATING_TENSION_N / model.tendon_constants.stiffness
+    )
+    table[s.SPOOL_SPEED] = table[s.EXCURSION_RATE] = (
         block_diag(*(digit.moment_arms for digit in digits)) @ dq
     )
-    table[s.FILTER_FORCE] = table[s.MEASURED_TENSION] = OPERATING_TENSION_N
-    table[s.MEASURED_TRAVEL] = table[s.TRAVEL]
+    table[s.FILTER_INPUT_FORCE] = table[s.MEASURED_TENSION] = OPERATING_TENSION_N
+    table[s.MEASURED_TRAVEL] = table[s.SPOOL_TRAVEL]
     is_joint_measured = np.isfinite(_joint_gain(model))
     table[s.MEASURED_EXCURSION] = np.where(is_joint_measured, table[s.EXCURSION], math.nan)
     layout.view(block, "regime")[...] = TendonRegime.FREE if moving else TendonRegime.HELD
@@ -430,10 +441,10 @@ def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) ->
     layout.view(block, "planned_contact")[...] = not moving
     layout.view(block, "started")[...] = 1
     estimated = block.copy()
-    bench.run_filter(estimated)
+    controller.run_filter(estimated)
     reached_values = layout.table(estimated, "tendon")
-    table[s.SETPOINT] = reached_values[s.TENSION]
-    table[s.PLANNED_TENSION] = MOVING_TENSION_N if moving else OPERATING_TENSION_N
+    table[s.TENSION_SETPOINT] = reached_values[s.TENSION]
+    table[s.PLANNED_TENSION] = PLANNED_MOTION_TENSION_N if moving else OPERATING_TENSION_N
     goals = tuple(_hold_goal(tendons) for tendons in model.digit_tendons)
     if moving:
         goals = tuple(
@@ -442,7 +453,7 @@ def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) ->
                 position,
                 rate,
                 reached_values[s.EXCURSION, digit.tendons],
-                reached_values[s.SPEED, digit.tendons],
+                reached_values[s.SPOOL_SPEED, digit.tendons],
                 tendon - digit.tendons.start,
             )
             for digit, position, rate in zip(model.digits, coordinates, rates, strict=True)
@@ -498,7 +509,7 @@ def _joint_gain(model: HandModel) -> Matrix:
     The value is 1 if joint encoders measure the excursion of the tendon.
     """
     is_joint_measured = [
-        bool(np.any(blocks[TendonRegime.FREE].K[:, 2])) for blocks in model.filter.blocks
+        bool(np.any(blocks[TendonRegime.FREE].K[:, 2])) for blocks in model.filter_design.blocks
     ]
     return np.where(is_joint_measured, 1.0, math.nan)
 
@@ -527,7 +538,7 @@ def _move_goal(
     arms = digit.with_moment_arms_at(q).reduced_moment_arms
     if 0 <= i < len(arms):
         direction = arms[i] / (arms[i] @ arms[i])
-        position = position + direction * (reached_position[i] - digit.excursion_at(q)[i])
+        position = position + direction * (reached_position[i] - digit.excursion_at_angles(q)[i])
         goal_rate = goal_rate + direction * (speed[i] - arms[i] @ goal_rate)
     return DigitGoal(
         GoalKind.MOTION, SampledTrajectory(position, goal_rate, np.zeros_like(position))

@@ -41,7 +41,7 @@ MAX_GAIN_DB = 60.0
 """Largest reported gain margin [dB]. Larger margins are not confirmed."""
 MAX_DELAY_S = 0.1
 """Largest reported delay margin [s]. Larger margins are not confirmed."""
-CHECKED_FRACTION_COUNT = 10
+MARGIN_STEP_COUNT = 10
 """Number of fractions of a margin at which the eigenvalues are calculated."""
 DISK_DIRECTION_COUNT = 6
 """Number of directions on the edge of the disk at which the eigenvalues are calculated."""
@@ -94,7 +94,7 @@ class LoopMargins:
         )
 
 
-def unproven_margins(linear_margins: LoopMargins) -> LoopMargins:
+def zeroed_margins(linear_margins: LoopMargins) -> LoopMargins:
     """Return margins that are zero.
 
     They replace margins that a simulation has contradicted.
@@ -102,7 +102,7 @@ def unproven_margins(linear_margins: LoopMargins) -> LoopMargins:
     return _zero_margins(linear_margins.crossover_hz, linear_margins.peak, is_stable_loop=False)
 
 
-def smaller_margins(first_margins: LoopMargins, second_margins: LoopMargins) -> LoopMargins:
+def minimum_margins(first_margins: LoopMargins, second_margins: LoopMargins) -> LoopMargins:
     """Combine two sets of margins: for each margin, return the smaller value.
 
     For the crossover frequency and the peak, return the larger value.
@@ -187,7 +187,7 @@ def confirmed_margins(system: LinearSystem) -> LoopMargins:
     if not result.stable or result.phase_deg == 0.0:
         return result
     ticks = int(min(result.delay_s, MAX_DELAY_S) / system.period)
-    delays = np.unique(np.linspace(0, ticks, CHECKED_FRACTION_COUNT + 1).astype(int))[1:].tolist()
+    delays = np.unique(np.linspace(0, ticks, MARGIN_STEP_COUNT + 1).astype(int))[1:].tolist()
     first_unstable = next(
         (i for i, k in enumerate(delays) if not is_stable(system, delay_ticks=k)), None
     )
@@ -204,7 +204,7 @@ def confirmed_margins(system: LinearSystem) -> LoopMargins:
         disk=_largest_confirmed_margin(
             result.disk,
             lambda x: _is_stable_with_factors(system, _disk_factors(x)),
-            CHECKED_FRACTION_COUNT // 3,
+            MARGIN_STEP_COUNT // 3,
         ),
         delay_s=min(result.delay_s, MAX_DELAY_S)
         if first_unstable is None
@@ -231,14 +231,14 @@ def _disk_factors(disk_size: float) -> NDArray[np.complex128]:
 def _largest_confirmed_margin(
     linear_margin: float,
     is_confirmed: Callable[[float], bool],
-    fraction_count: int = CHECKED_FRACTION_COUNT,
+    step_count: int = MARGIN_STEP_COUNT,
 ) -> float:
     """Return the largest part of a margin that the eigenvalues confirm.
 
     Several fractions of the margin are tested. All fractions up to the result are confirmed. The
     last hundredth of a margin is not tested, because the frequency response is interpolated.
     """
-    tried_margins = linear_margin * np.linspace(0.0, 0.99, fraction_count + 1)[1:]
+    tried_margins = linear_margin * np.linspace(0.0, 0.99, step_count + 1)[1:]
     for previous_margin, tried_margin in zip(
         [0.0, *tried_margins[:-1]], tried_margins, strict=True
     ):
@@ -279,7 +279,7 @@ def _phase_angles(L: NDArray[np.complex128], omega: Matrix) -> list[tuple[float,
     )
 
 
-def all_margins(
+def margins_by_loop(
     model: HandModel, factors: PlantFactors = NOMINAL_FACTORS
 ) -> dict[tuple[str, LoopKind], LoopMargins]:
     """Return the confirmed margins of both loops of every tendon."""

@@ -49,7 +49,7 @@ With margins of 6 dB and 45 degrees, the three oscillations are at most 0.0004 r
 N, because of quantisation, noise, and stick-slip. With a gain margin of 2 dB or less, or an
 unstable loop, a held tension oscillates by 2.9 N or more, or the run ends with a fault.
 """
-SINGLE_RUN_LIMIT_FRACTION = 0.4
+EARLY_PASS_FRACTION = 0.4
 """Fraction of the limits below which one run decides that a hand comes to rest."""
 DESIGN_LIMIT_FRACTION = 0.7
 """Fraction of the limits that the oscillations of a design may reach.
@@ -121,7 +121,7 @@ class StepOscillation:
         )
         return is_small and not self.failure
 
-    def without_plant_swings(self, plant_swings_N: tuple[float, ...]) -> "StepOscillation":
+    def subtract_plant_swings(self, plant_swings_N: tuple[float, ...]) -> "StepOscillation":
         """Return the oscillation of the held tensions, minus the oscillation that the plant itself causes [N].
 
         A loop with sufficient margins amplifies the oscillation of the plant by up to
@@ -205,7 +205,7 @@ def median_swing(
     """
     runs = list[StepOscillation]()
     for run in swings_with_other_noise(hand, model, plant_factors, seed):
-        if run.failure or (not runs and run.is_within_limits(SINGLE_RUN_LIMIT_FRACTION)):
+        if run.failure or (not runs and run.is_within_limits(EARLY_PASS_FRACTION)):
             return run
         runs.append(run)
     return StepOscillation(
@@ -236,10 +236,14 @@ def _peak_to_peak(values: Matrix) -> Matrix:
     """
     t = np.linspace(-1.0, 1.0, len(values))
     # The columns of this matrix are t^2, t and 1.
-    time_powers = np.vander(t, 3)
+    vandermonde_matrix = np.vander(t, 3)
     # The rest after the least-squares parabola is subtracted is the oscillation.
     return np.asarray(
-        np.ptp(values - time_powers @ np.linalg.lstsq(time_powers, values, rcond=None)[0], axis=0)
+        np.ptp(
+            values
+            - vandermonde_matrix @ np.linalg.lstsq(vandermonde_matrix, values, rcond=None)[0],
+            axis=0,
+        )
     )
 
 
@@ -357,7 +361,7 @@ class RestTest:
             if (
                 result.failure
                 or is_ringing
-                or not result.without_plant_swings(
+                or not result.subtract_plant_swings(
                     self._plant_swing(model, name, factors, seed)
                 ).is_within_limits(self.fraction)
             ):

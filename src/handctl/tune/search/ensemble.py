@@ -62,7 +62,7 @@ def sample_ensemble(
     ]
 
 
-FACTOR_OF_PARAMETER = {
+FACTOR_BY_PARAMETER = {
     "tendon_stiffness": "stiffness",
     "capstan": "friction",
     "motor_coulomb": "friction",
@@ -87,8 +87,8 @@ def factor_half_widths(identified: Mapping[str, IdentifiedParameters]) -> dict[s
         for name, value, half_width in zip(
             tendon.names, tendon.values, tendon.half_widths, strict=True
         ):
-            if name in FACTOR_OF_PARAMETER and value > 0.0:
-                spread[FACTOR_OF_PARAMETER[name]] = max(
-                    spread.get(FACTOR_OF_PARAMETER[name], 0.0), half_width / value
+            if name in FACTOR_BY_PARAMETER and value > 0.0:
+                spread[FACTOR_BY_PARAMETER[name]] = max(
+                    spread.get(FACTOR_BY_PARAMETER[name], 0.0), half_width / value
                 )
     return spread

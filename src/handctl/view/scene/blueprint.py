@@ -4,7 +4,7 @@ import numpy as np
 import rerun.blueprint as rrb
 from rerun.blueprint.components import BackgroundKind, Corner2D, LinkAxis, PanelState
 
-from handctl.hand.file.sections import Digit
+from handctl.hand.file.section_models import Digit
 from handctl.view.scene.chunk_arrays import RUN_TIME_TIMELINE
 from handctl.view.scene.run_info import RunInfo
 
@@ -45,7 +45,7 @@ def dashboard_layout(run: RunInfo, is_live: bool = False) -> rrb.Blueprint:
     right_column = rrb.Vertical(
         _force_plots(window),
         _angle_plots(run, window),
-        _state_lanes_view(window),
+        _state_timeline_view(window),
         row_shares=ROW_HEIGHT_FRACTIONS,
     )
     return rrb.Blueprint(
@@ -128,7 +128,7 @@ def _angle_plots(run: RunInfo, window: PlotTimeRange) -> rrb.Grid:
     return rrb.Grid(*plot_views, grid_columns=2)
 
 
-def _state_lanes_view(window: PlotTimeRange) -> rrb.StateTimelineView:
+def _state_timeline_view(window: PlotTimeRange) -> rrb.StateTimelineView:
     """Return the lanes that show the grasp phase, the mode of the hand and the reaction to faults over time."""
     return rrb.StateTimelineView(
         name="Grasp phase, mode of the hand, safety",

@@ -11,7 +11,7 @@ from handctl.view.scene.run_info import RunInfo
 
 MAX_PAYLOAD_BYTES = 64
 """Largest payload of a CAN FD frame [bytes]."""
-LOAD_WINDOW_NS = 100_000_000
+BUS_LOAD_WINDOW_NS = 100_000_000
 """Length of the time window for which the load is computed [ns].
 
 The reply to a command of one tick may be read in the next tick. So the load in a single tick means
@@ -22,7 +22,7 @@ little.
 class BusLoadCalculator:
     """Calculator for the load of each bus.
 
-    The load is the fraction of the last `LOAD_WINDOW_NS` that the frames take in the worst case.
+    The load is the fraction of the last `BUS_LOAD_WINDOW_NS` that the frames take in the worst case.
 
     The caller must pass the ticks in the order of time.
     """
@@ -55,27 +55,27 @@ class BusLoadCalculator:
         """Return the load of each bus (0 to 1) in each of the next n ticks, as an array (n, buses)."""
         tick_times = np.asarray(ticks.field("t_ns"))
         t = np.concatenate([self._t, tick_times])
-        occupied_times = np.concatenate(
+        occupancy_ns = np.concatenate(
             [
                 self._spent,
-                self._occupied_times(ticks.field("received"))
-                + self._occupied_times(ticks.field("sent")),
+                self._bus_occupancy_ns(ticks.field("received"))
+                + self._bus_occupancy_ns(ticks.field("sent")),
             ]
         )
         total = np.concatenate(
-            [np.zeros((1, occupied_times.shape[1]), np.int64), np.cumsum(occupied_times, axis=0)]
+            [np.zeros((1, occupancy_ns.shape[1]), np.int64), np.cumsum(occupancy_ns, axis=0)]
         )
         # A difference of two running totals is the sum over a window.
-        first_index = np.searchsorted(t, tick_times - LOAD_WINDOW_NS, side="right")
-        window_ns = np.clip(tick_times + self._period_ns, self._period_ns, LOAD_WINDOW_NS)
+        first_index = np.searchsorted(t, tick_times - BUS_LOAD_WINDOW_NS, side="right")
+        window_ns = np.clip(tick_times + self._period_ns, self._period_ns, BUS_LOAD_WINDOW_NS)
         self._t = t[first_index[-1] :]
-        self._spent = occupied_times[first_index[-1] :]
+        self._spent = occupancy_ns[first_index[-1] :]
         return np.asarray(
             (total[len(t) - len(tick_times) + 1 :] - total[first_index]) / window_ns[:, None],
             np.float64,
         )
 
-    def _occupied_times(self, frames: pa.ListArray) -> NDArray[np.int64]:
+    def _bus_occupancy_ns(self, frames: pa.ListArray) -> NDArray[np.int64]:
         """Return for how long the frames of each tick occupy each bus (n, buses) [ns].
 
         The times are integers. Therefore the sum of several times does not depend on the order of
@@ -92,8 +92,6 @@ class BusLoadCalculator:
         flags = flags[is_valid_frame]
         size = size[is_valid_frame]
         extended = (can_id[is_valid_frame] & EXTENDED_FLAG) // EXTENDED_FLAG
-        occupied_times = np.zeros((len(frames), len(self._times)), np.int64)
-        np.add.at(
-            occupied_times, (tick, bus), self._times[bus, (flags & FDF) // FDF, extended, size]
-        )
-        return occupied_times
+        occupancy_ns = np.zeros((len(frames), len(self._times)), np.int64)
+        np.add.at(occupancy_ns, (tick, bus), self._times[bus, (flags & FDF) // FDF, extended, size])
+        return occupancy_ns

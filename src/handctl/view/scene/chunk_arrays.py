@@ -25,7 +25,7 @@ def times_since_start(chunk: Chunk, offset_ns: int) -> TimesNs:
     )
 
 
-def timed_chunk(entity_path: str, times: TimesNs, columns: Iterable[ComponentColumn]) -> Chunk:
+def temporal_chunk(entity_path: str, times: TimesNs, columns: Iterable[ComponentColumn]) -> Chunk:
     """Create a chunk whose rows have times.
 
     Args:

@@ -31,7 +31,7 @@ def entity_path(path: str) -> str:
     return "/hand/" + path.split("/visual_geometries/", 1)[1]
 
 
-def solid_chunks(chunk: Chunk, run: RunInfo) -> Iterator[Chunk]:
+def solid_shape_chunks(chunk: Chunk, run: RunInfo) -> Iterator[Chunk]:
     """Yield the chunks that draw a part of the hand as a solid.
 
     The shape of the part comes from the URDF in the log. For a link with a mesh, nothing is

@@ -11,8 +11,8 @@ from handctl.hand.description import Hand
 from handctl.hand.file.error_text import shortened_list
 from handctl.log.attached_meshes import AttachedMesh, attached_meshes
 from handctl.log.header import RunHeader
-from handctl.log.read.log_hand import described_hand
-from handctl.log.tick_batch import columns_of_fields, row_fields
+from handctl.log.read.hand_in_log import described_hand
+from handctl.log.tick_batch import columns_of_fields, row_field_names
 from handctl.printing import printable_text
 from handctl.report.truth_record import TruthRecord
 
@@ -77,7 +77,9 @@ class RunInfo:
             an array (n, names) for each field of the telemetry. If an older version wrote the log
             and did not know a field, the array of this field is NaN.
         """
-        slices = columns_of_fields(self.header, row_fields(self.header, telemetry_table.shape[1]))
+        slices = columns_of_fields(
+            self.header, row_field_names(self.header, telemetry_table.shape[1])
+        )
         missing_names = {
             name: np.full((len(telemetry_table), len(self.header.axis_names(axis))), np.nan)
             for name, axis in _missing_fields(slices)

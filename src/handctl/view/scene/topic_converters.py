@@ -18,17 +18,17 @@ from handctl.view.scene.chunk_arrays import (
     chunk_with_run_times,
     column_as_array,
     decoded_messages,
-    timed_chunk,
+    temporal_chunk,
     times_since_start,
 )
-from handctl.view.scene.geometry import solid_chunks
+from handctl.view.scene.geometry import solid_shape_chunks
 from handctl.view.scene.run_info import RunInfo
 
 ARROW_LENGTH_M_PER_N = 0.008
 """Length of a force arrow for each newton of force [m/N]."""
 ARROW_RADIUS_M = 0.0013
 """Radius of a force arrow [m]."""
-SHOWN_LIMIT_FRACTION = 0.6
+LIMIT_DISPLAY_FRACTION = 0.6
 """Fraction of a tension limit that a tension must reach so that the limit is drawn."""
 MIN_ARROW_FORCE_N = 0.05
 """Smallest force drawn as an arrow [N]."""
@@ -77,7 +77,7 @@ class TopicConverters:
         """Convert a chunk of the log, and yield the resulting chunks for the dashboard."""
         entity_path = chunk.entity_path
         if "/visual_geometries/" in entity_path:
-            yield from solid_chunks(chunk, self._run)
+            yield from solid_shape_chunks(chunk, self._run)
         elif not chunk.timeline_names:
             return
         elif entity_path in self._converters:
@@ -93,41 +93,41 @@ class TopicConverters:
         table = column_as_array(messages.field("values"))
         times = times_since_start(chunk, self._offset)
         values_of_field = self._run.split_telemetry(table)
-        yield timed_chunk(
+        yield temporal_chunk(
             "/tension/estimate",
             times,
             lines_with_band(values_of_field["tension"], values_of_field["tension_sigma"]),
         )
-        yield timed_chunk("/tension/command", times, plot_lines(values_of_field["tension_goal"]))
+        yield temporal_chunk("/tension/command", times, plot_lines(values_of_field["tension_goal"]))
         limits = limits_near_tensions(self._run.tension_limits, values_of_field["tension"])
         if not np.isnan(limits).all():
             drawn_lines = plot_lines(np.tile(limits, (2, 1)))
-            yield timed_chunk("/tension/limit", times[[0, -1]], drawn_lines)
+            yield temporal_chunk("/tension/limit", times[[0, -1]], drawn_lines)
         for digit, joints in self._run.hand.digit_joints.items():
             factor = self._run.hand.display_units.factor[joints]
             angle = factor * values_of_field["q"][:, joints]
             # Without an encoder, the standard deviation of a joint angle is about 20 deg. A band of
             # this width would cover the plot. So the plot of the angles shows no band. The plot of
             # the signal q_sigma shows the standard deviation instead.
-            yield timed_chunk(f"/angle/{digit}/estimate", times, plot_lines(angle))
-            yield timed_chunk(
+            yield temporal_chunk(f"/angle/{digit}/estimate", times, plot_lines(angle))
+            yield temporal_chunk(
                 f"/angle/{digit}/command",
                 times,
                 plot_lines(factor * values_of_field["q_goal"][:, joints]),
             )
         for index, digit in enumerate(self._run.hand.digit_names):
-            yield timed_chunk(
+            yield temporal_chunk(
                 f"/force/{digit}", times, force_arrows(values_of_field["tip_force"][:, index])
             )
         for name in TELEMETRY_AXES:
-            yield timed_chunk(f"/controller/{name}", times, plot_lines(values_of_field[name]))
+            yield temporal_chunk(f"/controller/{name}", times, plot_lines(values_of_field[name]))
 
     def _convert_cycle(self, chunk: Chunk) -> Iterator[Chunk]:
         """Convert the lateness of each tick to a plot line [us]."""
         messages = decoded_messages(chunk)
         if messages is not None:
             lateness_us = np.asarray(messages.field("late"), np.float64) * 1e6
-            yield timed_chunk(
+            yield temporal_chunk(
                 "/loop/late",
                 times_since_start(chunk, self._offset),
                 plot_lines(lateness_us[:, None]),
@@ -138,7 +138,9 @@ class TopicConverters:
         messages = decoded_messages(chunk)
         if messages is not None:
             load = 100 * self._load.loads_of_ticks(messages)
-            yield timed_chunk("/bus/load", times_since_start(chunk, self._offset), plot_lines(load))
+            yield temporal_chunk(
+                "/bus/load", times_since_start(chunk, self._offset), plot_lines(load)
+            )
 
     def _convert_state(self, chunk: Chunk) -> Iterator[Chunk]:
         """Convert messages that contain the name of a state to a lane of the dashboard."""
@@ -146,7 +148,7 @@ class TopicConverters:
         if messages is not None:
             names = messages.field("name").to_pylist()
             entity_path = STATE_TOPICS[chunk.entity_path]
-            yield timed_chunk(
+            yield temporal_chunk(
                 entity_path,
                 times_since_start(chunk, self._offset),
                 rr.StateChange.columns(state=names),
@@ -161,7 +163,7 @@ def limits_near_tensions(joint_limits: list[float], tension: FloatArray) -> Floa
     together.
     """
     largest = float(np.fmax.reduce(tension, axis=None, initial=0.0))
-    return np.array([x if largest >= SHOWN_LIMIT_FRACTION * x else np.nan for x in joint_limits])
+    return np.array([x if largest >= LIMIT_DISPLAY_FRACTION * x else np.nan for x in joint_limits])
 
 
 def lines_with_band(line_values: FloatArray, sigma: FloatArray) -> rr.ComponentColumnList:

@@ -1,0 +1,148 @@
+"""Re-execution of a log.
+
+The controller is executed again on the inputs in the log, and each byte of the new output is
+compared with the log.
+
+A re-execution uses no bus, and reads no file except the log. No decision depends on a clock.
+"""
+
+import gc
+import math
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from handctl.core.gains.gains import Gains
+from handctl.log.read.reader import RunLog
+from handctl.replay.log_runner import LogRunner, ProgressCallback, TickObserver, relative_error
+from handctl.replay.parallel_execution import run_parallel
+from handctl.replay.tick_difference import TickDifference
+
+
+@dataclass(frozen=True, slots=True)
+class LogExecution:
+    """Result of a re-execution.
+
+    Attributes:
+        ticks: number of executed ticks.
+        differing_ticks: number of ticks in which at least one byte of the output differs from the
+            log.
+        different_decisions: number of ticks in which a decision differs from the log: mode, phase,
+            reaction or events.
+        first_difference: first difference from the logged output, or None if there is no
+            difference.
+        first_state_difference: first field of the controller's state that differs from a snapshot
+            in the log, or None if all snapshots are equal.
+        largest_difference: the largest difference of a number, measured by `relative_error`. The
+            value is None if there is no difference.
+        wall_s: time that the re-execution took, without the time for the design of the gains [s].
+        cpu_s: processor time of all processes together [s]. A single core without other work would
+            need this time.
+        logged_duration_s: duration of the recorded run [s].
+    """
+
+    ticks: int
+    differing_ticks: int
+    different_decisions: int
+    first_difference: TickDifference | None
+    first_state_difference: TickDifference | None
+    largest_difference: TickDifference | None
+    wall_s: float
+    cpu_s: float
+    logged_duration_s: float
+
+    @property
+    def real_time_factor(self) -> float:
+        """Return the duration of the recorded run divided by the time of the re-execution."""
+        return self.logged_duration_s / self.wall_s if self.wall_s else math.inf
+
+
+def is_within_tolerance(execution: LogExecution, tolerance: float) -> bool:
+    """Return True if a new execution of a run agrees with the log.
+
+    All decisions must be those in the log. No number may differ from the log by more than
+    `tolerance`. A tolerance is useful because another kind of processor may round differently.
+    """
+    largest = relative_error(execution.largest_difference) if execution.largest_difference else 0.0
+    return not execution.different_decisions and largest <= tolerance
+
+
+def execute_log(
+    log: RunLog,
+    gains: Gains | None = None,
+    observer: TickObserver | None = None,
+    progress: ProgressCallback | None = None,
+    worker_count: int = 1,
+) -> LogExecution:
+    """Execute the controller of a recorded run again, on the inputs in the log.
+
+    Args:
+        log: log of the run.
+        gains: gains to use instead of the gains in the log.
+        observer: function called with the input and the output of every tick.
+        progress: function called at intervals with the number of ticks executed so far.
+        worker_count: number of processes. With other gains or with an observer, the log is executed in a
+            single process. The result does not depend on the number of processes.
+
+    Raises:
+        LogError: the controller cannot be rebuilt from the log, or the log is damaged.
+    """
+    runner = LogRunner.from_log(log, gains)
+    start = time.perf_counter()
+    cpu_start = _cpu_seconds()
+    finished_ticks = 0
+
+    def add_progress(ticks: int) -> None:
+        nonlocal finished_ticks
+        finished_ticks += ticks
+        if progress:
+            progress(finished_ticks)
+
+    with gc_disabled():
+        if worker_count > 1 and not gains and not observer:
+            difference_tally = run_parallel(runner, worker_count, progress or _ignore_progress)
+        else:
+            _, difference_tally = runner.execute_log_part(
+                0, len(log), runner.controller.initial_state(), observer, add_progress
+            )
+    wall_time_s = time.perf_counter() - start
+    cpu = _cpu_seconds() - cpu_start
+    length = float(log.times[-1]) if len(log) else 0.0
+    tally_fields = (
+        difference_tally.ticks,
+        difference_tally.differing_ticks,
+        difference_tally.different_decisions,
+        difference_tally.first_difference,
+        difference_tally.first_state_difference,
+        difference_tally.largest_difference,
+    )
+    return LogExecution(*tally_fields, wall_time_s, cpu, length)
+
+
+def _ignore_progress(ticks: int) -> None:
+    """Ignore a report of progress."""
+
+
+def _cpu_seconds() -> float:
+    """Return the processor time of the calling process and of finished child processes [s]."""
+    return sum(os.times()[:4])
+
+
+@contextmanager
+def gc_disabled() -> Iterator[None]:
+    """Disable garbage collection, as the control loop does.
+
+    Also disable numpy's warnings about invalid numbers, because a log may contain such numbers.
+
+    A tick creates no reference cycles. So no garbage accumulates.
+    """
+    gc.disable()
+    try:
+        with np.errstate(all="ignore"):
+            yield
+    finally:
+        gc.enable()

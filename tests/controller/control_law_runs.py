@@ -1,0 +1,227 @@
+"""Run single ticks of the control law in tests.
+
+Read the state of the control law and its commands from the controller's state.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from handctl.compiled import kernel
+from handctl.controller.controller_state import ControllerState
+from handctl.core import state_block as s
+from handctl.core import tick_stages
+from handctl.core.block_schema import BlockArray, TableOffsets
+from handctl.core.constants import constant_tables
+from handctl.core.control_law import computed_torque, digit_reference
+from handctl.core.control_law.digit_goal import DigitGoal
+from handctl.core.control_law.goal_writer import write_goals
+from handctl.core.control_law.required_tensions import allocate_bounded_tensions
+from handctl.core.hand_model import HandModel
+from handctl.core.state_block import state_tables
+from handctl.safety.safety_action import SafetyAction
+from tests.controller.synthetic_states import (
+    SyntheticEstimate,
+    active_state,
+    constant_args_of,
+    controller_of,
+    state_with_estimate,
+)
+
+
+class ControlLawState(NamedTuple):
+    """State of the control law between two ticks. Each attribute has one value per tendon (N,).
+
+    Attributes:
+        setpoint: setpoint of the tension loop [N]. integral: integral part of the tension loop [N].
+            force: commanded motor force, without friction [N].
+        planned: tension that is planned for the next tick, for tendons of moving digits [N]. rate:
+            planned rate of change of the tension until the next tick [N/s].
+        trim: force that compensates the step of the command at a change of gains [N]. The value is
+            None after it has decayed.
+        held: tension limit while the safety monitor holds the hand [N]. None at other times.
+        friction_state: friction of each tendon as a fraction of its full amount, from 1 (winding
+            up) to -1 (paying out). NaN if the fraction is unknown, and None before the first
+            command.
+        friction_slider: travel at which the friction element of each tendon has no tension [m]. NaN
+            if it is unknown, and None before the first command.
+    """
+
+    setpoint: np.ndarray
+    integral: np.ndarray
+    force: np.ndarray
+    planned: np.ndarray
+    rate: np.ndarray
+    trim: np.ndarray | None = None
+    held: np.ndarray | None = None
+    friction_state: np.ndarray | None = None
+    friction_slider: np.ndarray | None = None
+
+    @staticmethod
+    def initial_state(n: int) -> "ControlLawState":
+        """Return the state of the control law of N tendons before its first command."""
+        return ControlLawState.initial_state_at_tensions(np.zeros(n))
+
+    @staticmethod
+    def initial_state_at_tensions(tension: np.ndarray) -> "ControlLawState":
+        """Return the state of the control law before its first command, with given tensions (N,) [N] as setpoints."""
+        return ControlLawState(tension, *np.zeros((4, len(tension))))
+
+
+class ControlLawCommand(NamedTuple):
+    """Output of the control law.
+
+    For each tendon (N,), a command contains a motor torque [N m] and a tension goal [N]. For each
+    joint (J,), a command contains a torque [N m], a goal of the angle [rad] and a goal of the rate
+    [rad/s].
+    """
+
+    torque: np.ndarray
+    tension: np.ndarray
+    joint_torque: np.ndarray
+    q: np.ndarray
+    dq: np.ndarray
+
+
+def temperatures_for_limits(model: HandModel, tension_limit: np.ndarray) -> np.ndarray:
+    """Return the drive temperatures (N,) [degC] at which the tension limits are ``tension_limit`` [N].
+
+    Each limit must be between the lowest and the highest tension that the hand allows.
+    """
+    limits = controller_of(model).derived_constants.limits
+    fraction = (tension_limit - model.floor) / (model.ceiling - model.floor)
+    return limits.temperature_hard - fraction * (limits.temperature_hard - limits.temperature_soft)
+
+
+def run_control_law(
+    model: HandModel,
+    state: ControllerState,
+    goals: tuple[DigitGoal, ...],
+    t: float,
+    action: SafetyAction,
+) -> None:
+    """Run the control law of one tick on a controller's state, with goals for time t [s]."""
+    write_goals(model, state.layout, state.block, goals)
+    state.decide(progress=replace(state.progress, goals=goals))
+    state.goal_time = t
+    controller_of(model)._compute_torques(state, action, 1)
+
+
+def run_control_law_tick(
+    model: HandModel,
+    law: ControlLawState,
+    estimate: SyntheticEstimate,
+    goals: tuple[DigitGoal, ...],
+    t: float,
+    temperature_limit_N: np.ndarray | None = None,
+    held_limit_N: np.ndarray | None = None,
+) -> tuple[ControlLawState, ControlLawCommand]:
+    """Run one tick of the control law for all digits of a hand.
+
+    Args:
+        model: the hand. law: state of the control law after the last tick. estimate: estimate of
+            the hand at time t. goals: one per digit. t: time [s].
+        temperature_limit_N: (N,) tension limit that the temperature of each drive causes [N].
+        held_limit_N: (N,) tension limit while the safety monitor holds the hand [N].
+    """
+    state = state_with_estimate(model, estimate)
+    for name in ("setpoint", "integral", "force", "planned", "rate"):
+        state.view(name)[...] = getattr(law, name)
+    if law.trim is not None:
+        state.view("trim")[...] = law.trim
+        state.set_run_table_integer(s.TRIM_ACTIVE, 1)
+    if law.friction_state is not None:
+        state.view("friction_state")[...] = law.friction_state
+    if law.friction_slider is not None:
+        state.view("friction_slider")[...] = law.friction_slider
+    if temperature_limit_N is not None:
+        state.view("temperature")[...] = temperatures_for_limits(model, temperature_limit_N)
+    if held_limit_N is not None:
+        state.view("limit_held")[...] = held_limit_N
+        state.set_run_table_integer(s.SAFETY_HOLD_ACTIVE, 1)
+    run_control_law(
+        model, state, goals, t, SafetyAction.PASS if held_limit_N is None else SafetyAction.HOLD
+    )
+    return control_law_state_of(state), control_law_command_of(state)
+
+
+def control_law_state_of(state: ControllerState) -> ControlLawState:
+    """Return the state of the control law after a tick."""
+    block_values = {
+        name: state.view(name).copy()
+        for name in ControlLawState._fields
+        if name not in ("trim", "held")
+    }
+    trim = state.view("trim").copy() if state.run_table_integer(s.TRIM_ACTIVE) else None
+    held_limits = (
+        state.view("limit_held").copy() if state.run_table_integer(s.SAFETY_HOLD_ACTIVE) else None
+    )
+    return ControlLawState(**block_values, trim=trim, held=held_limits)
+
+
+def control_law_command_of(state: ControllerState) -> ControlLawCommand:
+    """Return the commands that the control law has written into a controller's state."""
+    names = ("torque", "tension_goal", "joint_torque", "q_goal", "dq_goal")
+    return ControlLawCommand(*(state.view(name).copy() for name in names))
+
+
+@kernel("block", "layout", "constants", "layout")
+def _tension_limits(
+    block: BlockArray,
+    state_places: TableOffsets,
+    constants: BlockArray,
+    constant_places: TableOffsets,
+) -> np.ndarray:
+    return computed_torque.temporary_tension_limits(
+        state_tables(block, state_places), constant_tables(constants, constant_places)
+    )
+
+
+def tension_limits_of(model: HandModel, state: ControllerState) -> np.ndarray:
+    """Return the tension limits (N,) [N] that a controller's state contains.
+
+    For a tendon without a limit, the value is infinity. Tension limits of the hand file are not
+    included.
+    """
+    return _tension_limits(state.block, state.layout.offsets, *constant_args_of(model))
+
+
+@kernel("block", "layout", "constants", "layout", "matrix")
+def _required_tensions(
+    block: BlockArray,
+    state_places: TableOffsets,
+    constants: BlockArray,
+    constant_places: TableOffsets,
+    motion: np.ndarray,
+) -> int:
+    x, c = state_tables(block, state_places), constant_tables(constants, constant_places)
+    digit_reference.write_required_torque(x, c, motion)
+    return digit_reference.write_required_tensions(x, c)
+
+
+def required_tensions_of(
+    model: HandModel, goals: tuple[DigitGoal, ...], motion: np.ndarray
+) -> np.ndarray:
+    """Return the tensions (N,) [N] that moving digits need for a joint motion (3, J)."""
+    state = active_state(model)
+    write_goals(model, state.layout, state.block, goals)
+    unsolved_digits = _required_tensions(
+        state.block, state.layout.offsets, *constant_args_of(model), motion
+    )
+    allocate_bounded_tensions(
+        model,
+        state.layout,
+        controller_of(model).derived_constants.constants,
+        state.block,
+        unsolved_digits,
+        motion,
+    )
+    return state.view("load")
+
+
+def joint_motion_at(model: HandModel, goals: tuple[DigitGoal, ...], t: float) -> np.ndarray:
+    """Return the angle, rate and acceleration (3, J) of each joint on its trajectory at time t [s]."""
+    state = active_state(model)
+    run_control_law(model, state, goals, t, SafetyAction.PASS)
+    return tick_stages.joint_motion(state.block, state.layout.offsets, *constant_args_of(model))
