@@ -137,8 +137,8 @@ class MomentArmCurve:
     Attributes:
         low: smallest joint angle [rad].
         high: largest joint angle [rad].
-        coefficients: ``MOMENT_ARM_COEFFICIENT_COUNT`` coefficients of the polynomial that gives the moment arm [m] for a
-            joint angle [rad]. The constant term comes first.
+        coefficients: ``MOMENT_ARM_COEFFICIENT_COUNT`` coefficients of the polynomial that gives the
+            moment arm [m] for a joint angle [rad]. The constant term comes first.
     """
 
     low: float

@@ -143,7 +143,9 @@ def alarms_of_run(last_phase, *event_texts):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(campaign, "homed_run", fake_homed_run)
-        return campaign.simulate_without_faults(hand_with_protocol("jamia", "mit"), 1.0, 9.0, seed=5)
+        return campaign.simulate_without_faults(
+            hand_with_protocol("jamia", "mit"), 1.0, 9.0, seed=5
+        )
 
 
 def test_a_reaction_or_a_missing_grasp_without_fault_is_a_false_alarm():

@@ -478,7 +478,7 @@ def test_a_bench_has_no_tendons_to_break() -> None:
 def test_frames_for_no_node_are_counted() -> None:
     bench = SimulatedDriveBench([drive_spec("cia402", 32), drive_spec("mit", 1)])
     assert bench.receive(Frame(0x123, b"")) == []
-    assert bench.foreign == 1
+    assert bench.foreign_frame_count == 1
     bench.advance(5 * NS_PER_MS)
     assert [frame.can_id for frame in bench.take_unsolicited_frames()] == [0x720]
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.hand_description import SensorSpec, load_hand
-from firmware_sim.nodes.noise import BLOCK_SIZE, NormalNoise
+from firmware_sim.nodes.noise import NOISE_BLOCK_SIZE, NormalNoise
 from firmware_sim.nodes.sensor_node import SensorNode, joint_code, pack, tension_code
 
 JAMIA11_SENSORS = load_hand("jamia11").sensors
@@ -137,7 +137,7 @@ def test_drift_does_not_depend_on_the_sample_rate() -> None:
 def test_noise_equals_pythons_generator() -> None:
     noise, rng = NormalNoise("a seed"), random.Random("a seed")
     noise_samples = [float(number) for k in range(200) for number in noise.take(k % 12)]
-    assert len(noise_samples) > 2 * BLOCK_SIZE
+    assert len(noise_samples) > 2 * NOISE_BLOCK_SIZE
     assert noise_samples == pytest.approx([rng.gauss(0.0, 1.0) for _ in noise_samples], rel=1e-14)
 
 
