@@ -107,7 +107,7 @@ class RepeatAfterStallPlugin:
     tries.
 
     In some tests, the simulated time runs slower than the real clock. In a repetition, the
-    simulated time of such a test runs even slower. The fixture ``repeat_time_scale`` returns the
+    simulated time of such a test runs even slower. The fixture ``attempt_time_scale`` returns the
     factor. In slower time, a stall of the machine has less effect, but a defect has the same
     effect.
 
@@ -179,7 +179,7 @@ class RepeatAfterStallPlugin:
 
 
 @pytest.fixture
-def repeat_time_scale(request: pytest.FixtureRequest) -> float:
+def attempt_time_scale(request: pytest.FixtureRequest) -> float:
     """Return the factor that multiplies the time scale of a test: 1 in its first try, and less in each repetition."""
     return float(TIME_SCALE_PER_REPEAT ** (getattr(request.node, "execution_count", 1) - 1))
 

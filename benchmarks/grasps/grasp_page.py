@@ -183,7 +183,7 @@ TABLE_FUNCTION_BY_KEY = {
 
 
 def write_page(result: dict[str, Any]) -> None:
-    """Write each table of the result into the page, between its two marks.
+    """Write the tables of the result into the page. Two marks in the page enclose each table.
 
     If the result contains grasps, also draw the picture.
     """

@@ -153,7 +153,7 @@ rate_N_per_s = {rate}
 """
 
 
-def grasp_program(limit_line: str) -> TaskProgram:
+def grasp_program(slip_limit_text: str) -> TaskProgram:
     phases = [
         {
             "kind": "move",
@@ -162,7 +162,7 @@ def grasp_program(limit_line: str) -> TaskProgram:
         },
         {"kind": "close", "angle_deg": 85.0, "speed_deg_s": 80.0, "contact_tension_N": 14.0},
         {"kind": "hold", "tension_N": 20.0, "duration_s": 60.0}
-        | ({"slip_limit_N": 80.0} if limit_line else {}),
+        | ({"slip_limit_N": 80.0} if slip_limit_text else {}),
     ]
     return TaskProgram(
         Task.model_validate_json(json.dumps({"schema": 1, "name": "t", "phase": phases}))

@@ -21,7 +21,7 @@ OPTIONAL_KEYS = {"coupling"}
 
 
 def content_leaves(content_node, node_path=()):
-    """Yield the path and the value of each entry in a hand's content that is neither a table nor a list."""
+    """Yield key path and value of each single value in the content of a hand. Tables and lists are not yielded."""
     entries = (
         content_node.items()
         if isinstance(content_node, dict)

@@ -102,7 +102,7 @@ def test_hidden_values_do_not_affect_the_height(drawn_figures: list[Any]) -> Non
 def test_all_tensions_are_inside_the_plot(
     drawn_figures: list[Any], hand_name: str, field: str
 ) -> None:
-    """Reproduce a defect: with a dead load cell, the axis of the plot ended below the command and the true tension."""
+    """Reproduce a defect: with a dead load cell, commanded and true tension were outside of the plotted range."""
     hand = load_hand(hand_name)
     log, truth = generate_run_log(hand_name, True), zero_truth_record(hand, 120)
     for field_name in ("tension", "tension_goal", "tension_sigma"):

@@ -44,13 +44,13 @@ def started_processes():
 
 
 @pytest.fixture
-def time_scale_options(request, repeat_time_scale):
+def time_scale_options(request, attempt_time_scale):
     """Return the command-line options for the time scale.
 
     A test module may define its own ``TIME_SCALE``.
     """
     return make_time_scale_options(
-        getattr(request.module, "TIME_SCALE", TIME_SCALE) * repeat_time_scale
+        getattr(request.module, "TIME_SCALE", TIME_SCALE) * attempt_time_scale
     )
 
 

@@ -127,10 +127,10 @@ CONTROL_PERIOD = _real_field("period", "run", "s", "control period")
 STREAM_SPEED = _real_field("stream_speed", "run", "rad/s", "largest rate of a streamed motion")
 STREAM_ACCELERATION = _real_field("stream_acceleration", "run", "rad/s2",
     "largest acceleration of a streamed motion")  # fmt: skip
-STREAM_HOLD_NS = _integer_field(
+STREAM_HOLD_DELAY_NS = _integer_field(
     "stream_hold_ns", "run", "ns", "age of a target after which the hand holds"
 )
-STREAM_RELAX_NS = _integer_field("stream_relax_ns", "run", "ns",
+STREAM_RELAX_DELAY_NS = _integer_field("stream_relax_ns", "run", "ns",
     "age of a target after which the hand relaxes")  # fmt: skip
 TRIM_DECAY = _real_field("trim_kept", "run", "", "fraction of a trim that remains after a tick")
 

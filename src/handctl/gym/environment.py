@@ -377,11 +377,11 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         requests: list[TickRequest] = list(self.requests_of_action(action_vector))
         names = self.names_of_targets(action_vector)
         if names and names != self._last_streamed_names:
-            opening_request = {
+            open_stream_request = {
                 "do": "stream", "stream": STREAM_NAME, "space": self._space, "names": list(names),
                 "rate_Hz": 1.0 / self.step_s, "interpolation": "minimum_jerk",
             }  # fmt: skip
-            requests.append(json.dumps(opening_request))
+            requests.append(json.dumps(open_stream_request))
         self._last_streamed_names = names
         return [*requests, self._next_target(action_vector)] if names else requests
 

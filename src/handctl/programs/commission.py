@@ -437,13 +437,13 @@ class CommissionProgram:
     ) -> ProgressAndEvents:
         """End the commissioning because tendon i has failed."""
         name = model.hand.tendon_names[i]
-        failed_progress = replace(
+        progress_after_failure = replace(
             progress,
             finished=True,
             failure=f"{name}: {reason}",
             goals=(DigitGoal(),) * len(progress.goals),
         )
-        return failed_progress, (TickEvent("error", "commission", name, reason),)
+        return progress_after_failure, (TickEvent("error", "commission", name, reason),)
 
 
 def _tare_text(model: HandModel) -> str:

@@ -122,10 +122,10 @@ class ExciteProgram:
                 return progress, ()
             text = f"not taut after {TAUT_TIMEOUT_S:g} s"
             zero_torque_goals = (DigitGoal(),) * len(progress.goals)
-            failed_progress = replace(
+            progress_after_failure = replace(
                 progress, finished=True, failure=f"{step.digit}: {text}", goals=zero_torque_goals
             )
-            return failed_progress, (TickEvent("error", "identify", step.digit, text),)
+            return progress_after_failure, (TickEvent("error", "identify", step.digit, text),)
         if elapsed < step.duration_s:
             return progress, ()
         return self._enter_step(model, progress, estimate, t, progress.step + 1)

@@ -290,7 +290,7 @@ def _holding_mask(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
     """Return a mask (ticks, N) that is True where a tendon follows a tension target because the digit is in contact.
 
     A spool pair for sideways motion is excluded, because such a pair holds a position instead. A
-    digit that carries other digits is also excluded.
+    digit on which other digits are mounted, such as a wrist, is also excluded.
     """
     slices = [hand.digit_tendons[name] for name in hand.digit_names]
     digit_of_tendon = np.repeat(

@@ -44,7 +44,7 @@ step is a hundred times faster. MuJoCo uses this clock only for its profile.
 def run_simulator(
     *options: str, stderr_file: Path | None = None, time_scale: float = TIME_SCALE
 ) -> Iterator["subprocess.Popen[str]"]:
-    """Run ``firmware_sim`` with the hand jamia on vcan0, and check that its process ends without an error.
+    """Run the simulator of the hand ``jamia`` on vcan0, and check that the simulator ends without an error.
 
     Args:
         options: further command-line arguments of the simulator.

@@ -54,7 +54,7 @@ def fault(parser: VerbParser) -> None:
         subparser.add_argument("--bus", metavar="SPEC", help=text)
         add_json_option(subparser)
     _add_campaign_options(
-        add_action("campaign", "inject every fault of the fault matrix in lockstep")
+        add_action("campaign", "inject all faults of the fault matrix into a simulated hand")
     )
     _add_sequence_options(
         add_action(

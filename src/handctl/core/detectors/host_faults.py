@@ -40,7 +40,7 @@ def detect_host_faults(
             evidence[FAULT_I07B, 0] = x.run_int[s.REFUSED_REQUESTS]
     if is_armed and is_target_stream_running(x):
         silence_ns = x.run_int[s.TICK_TIME_NS] - x.run_int[s.STREAM_SENT_NS]
-        if silence_ns > c.run_int[h.STREAM_HOLD_NS]:
+        if silence_ns > c.run_int[h.STREAM_HOLD_DELAY_NS]:
             evidence[FAULT_I11A, 0] = silence_ns / 1e9
-        if silence_ns > c.run_int[h.STREAM_RELAX_NS]:
+        if silence_ns > c.run_int[h.STREAM_RELAX_DELAY_NS]:
             evidence[FAULT_I11B, 0] = silence_ns / 1e9

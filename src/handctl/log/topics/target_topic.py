@@ -55,9 +55,9 @@ class TargetTopic:
                 if (target := parse_target(request)) is not None:
                     yield target
                 continue
-            opening_request = parse_request(request)
-            if isinstance(opening_request, OpenStreamRequest):
-                self._names[opening_request.stream] = opening_request.names
+            open_stream_request = parse_request(request)
+            if isinstance(open_stream_request, OpenStreamRequest):
+                self._names[open_stream_request.stream] = open_stream_request.names
 
     def _target_message(self, log_ns: int, target: StreamTarget) -> bytes:
         """Encode a streamed target as a handctl_msgs/StreamTarget message."""

@@ -1,4 +1,4 @@
-"""Start of the recorder process, possibly in advance.
+"""Functions that start the recorder process, either for a run or before the run is planned.
 
 A process that is started in advance does not know yet which run it will record. The recorder
 process needs half a second for its imports. If a command records a run, the command starts the
