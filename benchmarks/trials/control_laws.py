@@ -196,7 +196,7 @@ GRAVITY_LAW_BY_NAME = {
 
 The laws of a pair differ only in gravity compensation.
 """
-ABLATION_LAW_BY_NAME = {
+COMPARED_LAW_BY_NAME = {
     "PD alone": AblationLaw(zero_torque, NO_INERTIA_GAINS),
     "+ gravity and springs": AblationLaw(gravity_and_spring_torque, NO_INERTIA_GAINS),
     "+ motor inertia": AblationLaw(gravity_and_spring_torque, NO_FRICTION_GAINS),

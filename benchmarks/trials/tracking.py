@@ -31,7 +31,7 @@ from handctl.tune.loops.linear_models import LoopKind
 from handctl.tune.search.ensemble import sample_ensemble
 from trials import control_page, force_page, force_step, tracking_page
 from trials.benchmark_hands import FREE_MOTION_SCENE, SPACED_HAND_SUFFIX, hand_by_name
-from trials.control_laws import ABLATION_LAW_BY_NAME
+from trials.control_laws import COMPARED_LAW_BY_NAME
 from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
 from trials.lockstep_trial import RATES_HZ, LockstepTrial, TrialRecord, run_trial
 from trials.script_program import ScriptProgram, ScriptStep
@@ -71,11 +71,11 @@ pair. Each run consists of a slow, a medium and a fast motion, because the best 
 motion may cause a fault in a run with all three motions.
 """
 PD_LAW, SPRINGS_LAW, BEST_LAW, MISPRINTED_LAW = [
-    list(ABLATION_LAW_BY_NAME)[i] for i in (0, 1, -2, -1)
+    list(COMPARED_LAW_BY_NAME)[i] for i in (0, 1, -2, -1)
 ]
 COMPARED_LAWS = (PD_LAW, SPRINGS_LAW, BEST_LAW)
 """Control laws that are also tried on simulated hands whose parameters differ from the hand file."""
-LAWS_WITH_MARGINS = (PD_LAW, SPRINGS_LAW, list(ABLATION_LAW_BY_NAME)[-4], BEST_LAW)
+LAWS_WITH_MARGINS = (PD_LAW, SPRINGS_LAW, list(COMPARED_LAW_BY_NAME)[-4], BEST_LAW)
 """Control laws that are also tried with the best LQR weights that keep the stability margins."""
 RANDOM_PLANT_COUNT = 8
 """Number of random hands on which LQR weights must keep the stability margins."""
@@ -113,7 +113,7 @@ def tracking_trial(
     speeds: tuple[str, ...],
 ) -> LockstepTrial:
     """Return the tracking trial of a control law with two given LQR weights."""
-    config = ABLATION_LAW_BY_NAME[law_name]
+    config = COMPARED_LAW_BY_NAME[law_name]
     return LockstepTrial(
         hand_name + SPACED_HAND_SUFFIX,
         motion_script(speeds),
@@ -185,7 +185,7 @@ def tune_weights(plan: JobPlan) -> None:
     jobs = [
         (h, law, w, TUNING_SEED, "as known", tuple(MOTION_TIMES_S))
         for h in MEASURED_HANDS
-        for law in ABLATION_LAW_BY_NAME
+        for law in COMPARED_LAW_BY_NAME
         for w in WEIGHT_CANDIDATES
     ]
     results = collect_results(run_tracking_trial, jobs, plan)
@@ -212,7 +212,7 @@ def has_required_margins(hand_name: str, law_name: str, lqr_weights: tuple[float
     """
     model = HandModel.from_hand(
         hand_by_name(hand_name),
-        ABLATION_LAW_BY_NAME[law_name].gains(*lqr_weights, RATES_HZ[hand_name]),
+        COMPARED_LAW_BY_NAME[law_name].gains(*lqr_weights, RATES_HZ[hand_name]),
         RATES_HZ[hand_name],
     )
     plants = tuple(
@@ -256,7 +256,7 @@ def measure_tracking(
 
     Return their mean and their range over the seeds.
     """
-    cases = [(hand, law, "as known", False) for hand in hand_names for law in ABLATION_LAW_BY_NAME]
+    cases = [(hand, law, "as known", False) for hand in hand_names for law in COMPARED_LAW_BY_NAME]
     cases += [(hand, law, "as known", True) for hand in hand_names for law in LAWS_WITH_MARGINS]
     for plant in list(PLANT_FACTORS)[1:] if mismatch_seed_count else []:
         cases += [(hand, law, plant, True) for hand in hand_names for law in COMPARED_LAWS]
@@ -275,7 +275,7 @@ def measure_tracking(
     results = collect_results(run_tracking_trial, list(dict.fromkeys(jobs)), plan)
     result: dict = {
         "weights": {
-            hand: {law: tuned_weights(hand, law) for law in ABLATION_LAW_BY_NAME}
+            hand: {law: tuned_weights(hand, law) for law in COMPARED_LAW_BY_NAME}
             for hand in hand_names
         },
         "careful weights": {

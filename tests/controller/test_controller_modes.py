@@ -37,7 +37,7 @@ ENABLE_PAYLOAD, DISABLE_PAYLOAD = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfd"
 
 
 @pytest.fixture(scope="module")
-def low_rate_jamia() -> HandModel:
+def jamia_at_low_rate() -> HandModel:
     """Return a hand model at a low control rate.
 
     The low rate makes the tests fast. All times in this test are in seconds, and do not depend on
@@ -47,8 +47,8 @@ def low_rate_jamia() -> HandModel:
 
 
 @pytest.fixture
-def hand_bench(low_rate_jamia: HandModel) -> ControllerBench:
-    return make_controller_bench(low_rate_jamia, LiveProgram())
+def hand_bench(jamia_at_low_rate: HandModel) -> ControllerBench:
+    return make_controller_bench(jamia_at_low_rate, LiveProgram())
 
 
 def duration_in_mode(bench: ControllerBench, mode: HandMode) -> float:
@@ -109,8 +109,8 @@ def test_registers_are_written_before_any_torque(hand_bench: ControllerBench) ->
     )
 
 
-def test_hand_waits_without_an_arm_request(low_rate_jamia: HandModel) -> None:
-    run = make_controller_bench(low_rate_jamia, LiveProgram(), arms_at_start=False)
+def test_hand_waits_without_an_arm_request(jamia_at_low_rate: HandModel) -> None:
+    run = make_controller_bench(jamia_at_low_rate, LiveProgram(), arms_at_start=False)
     run.run_until_mode(HandMode.READY)
     run.run(2.0)
     assert run.state.mode == HandMode.READY
@@ -443,9 +443,9 @@ def test_relax_lowers_the_tension_slowly_and_ends_in_time(hand_bench: Controller
 
 
 def test_a_program_that_fails_relaxes_the_hand_and_gives_a_reason(
-    low_rate_jamia: HandModel,
+    jamia_at_low_rate: HandModel,
 ) -> None:
-    run = make_controller_bench(low_rate_jamia, LiveProgram())
+    run = make_controller_bench(jamia_at_low_rate, LiveProgram())
     run.toy_hand.snap_tendon(1)  # the load cell of a torn tendon reads zero
     run.run_until_mode(HandMode.DONE, 20.0)
     assert run.state.failure == "not taut after 4 s: middle_tendon"

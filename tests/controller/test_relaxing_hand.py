@@ -24,7 +24,7 @@ MOVE_REQUEST = '{"do": "move", "angle_deg": {"index": 60}}'
 
 
 @pytest.fixture(scope="module")
-def low_rate_jamia() -> HandModel:
+def jamia_at_low_rate() -> HandModel:
     """Return a model of ``jamia`` at a low control rate, which makes the tests fast."""
     return HandModel.from_hand(load_hand("jamia"), Gains(), 200.0)
 
@@ -43,9 +43,9 @@ def command_of_other_host(bench: ControllerBench) -> Frame:
 @pytest.mark.parametrize("request_text", [FAST_HOLD_REQUEST, MOVE_REQUEST])
 @pytest.mark.parametrize("with_fault", [False, True])
 def test_no_request_raises_the_tension_during_relax(
-    low_rate_jamia: HandModel, request_text: str, with_fault: bool
+    jamia_at_low_rate: HandModel, request_text: str, with_fault: bool
 ) -> None:
-    run = bench_holding_hand(low_rate_jamia)
+    run = bench_holding_hand(jamia_at_low_rate)
     run.tick('{"do": "hold", "tension_N": {"index": 40}, "rate_N_per_s": 1000}')
     run.run(0.5)
     run.tick(
@@ -64,7 +64,7 @@ def test_no_request_raises_the_tension_during_relax(
         ]
     )
     assert (np.diff(goals, axis=0) <= 1e-9).all()
-    assert len(goals) * low_rate_jamia.period < 0.2
+    assert len(goals) * jamia_at_low_rate.period < 0.2
     texts = [event.text for event in run.events if event.text.startswith("refused")]
     assert texts == ["refused: the hand is letting go"] * len(texts)
     run.run_until_mode(HandMode.DONE)
@@ -73,8 +73,8 @@ def test_no_request_raises_the_tension_during_relax(
     )
 
 
-def test_a_tension_that_is_still_growing_is_not_waited_for(low_rate_jamia: HandModel) -> None:
-    run = bench_holding_hand(low_rate_jamia)
+def test_a_tension_that_is_still_growing_is_not_waited_for(jamia_at_low_rate: HandModel) -> None:
+    run = bench_holding_hand(jamia_at_low_rate)
     run.tick(FAST_HOLD_REQUEST)
     known_tension = run.tick().telemetry.tension
     assert run.state.view("setpoint")[0] > known_tension[0] + 30.0, "the set-point is far ahead"
@@ -97,13 +97,13 @@ def fastest_setpoint_fall(bench: ControllerBench, tendon_index: int = 0) -> floa
 
 @pytest.mark.parametrize("was_relaxing_before", [False, True])
 def test_over_tension_is_relaxed_four_times_as_fast(
-    low_rate_jamia: HandModel, was_relaxing_before: bool
+    jamia_at_low_rate: HandModel, was_relaxing_before: bool
 ) -> None:
     """The tension falls faster from the tick in which a load cell reads too much.
 
     This is also true if the hand is already relaxing.
     """
-    run = bench_holding_hand(low_rate_jamia)
+    run = bench_holding_hand(jamia_at_low_rate)
     run.tick('{"do": "hold", "tension_N": {"index": 60}, "rate_N_per_s": 1000}')
     run.run(0.5)
     if was_relaxing_before:
@@ -111,7 +111,7 @@ def test_over_tension_is_relaxed_four_times_as_fast(
         run.run(0.02)
         assert fastest_setpoint_fall(run) == pytest.approx(RELAX_RATE_N_PER_S)
     run.toy_hand.cell_bias[0] = 150.0 - run.toy_hand.tension[0]
-    run.run(2 * low_rate_jamia.period)
+    run.run(2 * jamia_at_low_rate.period)
     run.toy_hand.cell_bias[0] = 0.0
     run.run_until_mode(HandMode.DISARM)
     assert next(event.text for event in run.events if event.name == "fault").startswith("T03 ")
@@ -120,9 +120,9 @@ def test_over_tension_is_relaxed_four_times_as_fast(
 
 @pytest.mark.parametrize("ending_request", [STOP_REQUEST, CUT_REQUEST])
 def test_a_fault_during_relax_makes_the_run_fail(
-    low_rate_jamia: HandModel, ending_request: str
+    jamia_at_low_rate: HandModel, ending_request: str
 ) -> None:
-    run = bench_holding_hand(low_rate_jamia)
+    run = bench_holding_hand(jamia_at_low_rate)
     run.tick('{"do": "hold", "tension_N": {"index": 40}, "rate_N_per_s": 1000}')
     run.run(0.5)
     if ending_request == STOP_REQUEST:
@@ -140,8 +140,10 @@ def test_a_fault_during_relax_makes_the_run_fail(
     )
 
 
-def test_after_a_fault_during_arming_no_further_drive_is_enabled(low_rate_jamia: HandModel) -> None:
-    run = make_controller_bench(low_rate_jamia, LiveProgram())
+def test_after_a_fault_during_arming_no_further_drive_is_enabled(
+    jamia_at_low_rate: HandModel,
+) -> None:
+    run = make_controller_bench(jamia_at_low_rate, LiveProgram())
     run.toy_hand.motors[1].ignored_commands.add(0xFC)
     run.run_until_mode(HandMode.ARMING)
     run.tick(extra_frames=(command_of_other_host(run),))
@@ -160,14 +162,14 @@ def test_after_a_fault_during_arming_no_further_drive_is_enabled(low_rate_jamia:
 
 @pytest.mark.parametrize("request_text", [FAST_HOLD_REQUEST, MOVE_REQUEST])
 def test_a_run_with_its_own_goals_refuses_goals_of_clients(
-    low_rate_jamia: HandModel, request_text: str
+    jamia_at_low_rate: HandModel, request_text: str
 ) -> None:
     """The goals of a client are refused while the hand is commissioned.
 
     A goal could tension a tendon while its load cell is tared. All readings of this load cell would
     then be wrong in later runs.
     """
-    run = make_controller_bench(low_rate_jamia, CommissionProgram())
+    run = make_controller_bench(jamia_at_low_rate, CommissionProgram())
     run.run_until_mode(HandMode.ACTIVE)
     run.run(0.05)
     goals = run.state.progress.goals
@@ -177,8 +179,8 @@ def test_a_run_with_its_own_goals_refuses_goals_of_clients(
     assert not out.telemetry.motor_torque_goal.any()
 
 
-def test_a_hand_refuses_goals_before_active_mode(low_rate_jamia: HandModel) -> None:
-    run = make_controller_bench(low_rate_jamia, LiveProgram())
+def test_a_hand_refuses_goals_before_active_mode(jamia_at_low_rate: HandModel) -> None:
+    run = make_controller_bench(jamia_at_low_rate, LiveProgram())
     for _ in range(60):
         out = run.tick()
     run.tick(FAST_HOLD_REQUEST)

@@ -17,7 +17,7 @@ from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.log.read.recover import recover_log
 from handctl.replay.log_check import check_log
-from handctl.replay.log_damage import describe_first_damage
+from handctl.replay.log_damage import describe_damaged_log
 
 
 @pytest.fixture
@@ -97,9 +97,9 @@ def _put_chunk(
 def test_a_changed_byte_is_named_by_its_tick(
     log_copy: Path, topic: str, byte_offset: int, has_valid_checksum: bool
 ) -> None:
-    assert describe_first_damage(log_copy) == ""
+    assert describe_damaged_log(log_copy) == ""
     _change_message(log_copy, topic, 321, byte_offset, has_valid_checksum)
-    assert describe_first_damage(log_copy).startswith("tick 321 was changed after it was written")
+    assert describe_damaged_log(log_copy).startswith("tick 321 was changed after it was written")
     if has_valid_checksum:
         with RunLog(log_copy) as opened_log:
             (line,) = [line for line in check_log(opened_log) if "chain" in line]
@@ -108,7 +108,7 @@ def test_a_changed_byte_is_named_by_its_tick(
 
 def test_a_changed_byte_of_a_derived_topic_is_named_by_its_chunk(log_copy: Path) -> None:
     _change_message(log_copy, "/joint_states", 321, 300, False)
-    message = describe_first_damage(log_copy)
+    message = describe_damaged_log(log_copy)
     assert "its ticks are intact" in message
     first_tick, last_tick = (int(word) for word in message.rpartition("ticks ")[2].split(" to "))
     assert first_tick <= 321 <= last_tick

@@ -32,7 +32,7 @@ class _StoredTick(NamedTuple):
     chain_hash: bytes
 
 
-def describe_first_damage(path: Path) -> str:
+def describe_damaged_log(path: Path) -> str:
     """Return a description of the first damage and the first wrong tick of a log.
 
     If there is no damage, the text is empty.

@@ -106,7 +106,7 @@ def _lateness_us(log: RunLog) -> dict[str, float]:
 
 def _check_log(args: argparse.Namespace) -> int:
     from handctl.replay.log_check import check_log
-    from handctl.replay.log_damage import describe_first_damage
+    from handctl.replay.log_damage import describe_damaged_log
 
     try:
         with RunLog(args.log) as log, progress_bar("checking", quiet=args.json):
@@ -114,7 +114,7 @@ def _check_log(args: argparse.Namespace) -> int:
             ticks = len(log)
             is_incomplete = bool(log.warning)
     except LogError as error:
-        problems = [str(error), *filter(None, [describe_first_damage(args.log)])]
+        problems = [str(error), *filter(None, [describe_damaged_log(args.log)])]
         ticks = 0
         is_incomplete = False
     if args.json:

@@ -16,7 +16,7 @@ REQUEST_COUNT = 20
 """Number of requests in a measurement."""
 ANSWER_TIMEOUT_S = 0.1
 """Longest wait for an answer [s]."""
-SECOND_ANSWER_WAIT_S = 0.005
+DUPLICATE_ANSWER_WAIT_S = 0.005
 """Time for which a second answer is awaited after the first answer [s]."""
 
 
@@ -87,7 +87,7 @@ def _measure_round_trip(bus: Bus, node: DiscoveredNode) -> tuple[float | None, b
     first_answer_s = None
     answer_count = 0
     while (elapsed_s := time.perf_counter() - start) < (
-        ANSWER_TIMEOUT_S if first_answer_s is None else first_answer_s + SECOND_ANSWER_WAIT_S
+        ANSWER_TIMEOUT_S if first_answer_s is None else first_answer_s + DUPLICATE_ANSWER_WAIT_S
     ):
         answer_count += sum(discovery.is_ping_reply(node, frame) for frame in bus.drain())
         if answer_count and first_answer_s is None:

@@ -96,7 +96,9 @@ class TopicConverters:
         yield temporal_chunk(
             "/tension/estimate",
             times,
-            lines_with_band(values_of_field["tension"], values_of_field["tension_sigma"]),
+            lines_with_uncertainty_band(
+                values_of_field["tension"], values_of_field["tension_sigma"]
+            ),
         )
         yield temporal_chunk("/tension/command", times, plot_lines(values_of_field["tension_goal"]))
         limits = limits_near_tensions(self._run.tension_limits, values_of_field["tension"])
@@ -166,7 +168,9 @@ def limits_near_tensions(joint_limits: list[float], tension: FloatArray) -> Floa
     return np.array([x if largest >= LIMIT_DISPLAY_FRACTION * x else np.nan for x in joint_limits])
 
 
-def lines_with_band(line_values: FloatArray, sigma: FloatArray) -> rr.ComponentColumnList:
+def lines_with_uncertainty_band(
+    line_values: FloatArray, sigma: FloatArray
+) -> rr.ComponentColumnList:
     """Return values (n, lines) as plot lines with a band of one standard deviation.
 
     The band has a gap where the standard deviation is unknown.
