@@ -190,7 +190,7 @@ def _run_loop(
     record_tick: Callable[[TickIn, TickOut], None],
     take_events: Callable[[], list[IoEvent]],
 ) -> LoopStats:
-    """Run the controller's loop for a time with prepared ticks, and return its statistics."""
+    """Run the control loop with ticks that were computed before, and return the statistics of the loop."""
     last_tick = int(duration_s * RATE_HZ)
 
     def begin(state: int, entry: TickIn) -> _PrecomputedTick:

@@ -63,7 +63,7 @@ class AdapterLatency:
     """
 
     def __init__(self, adapter_class: str, seed: int = 0) -> None:
-        """Create the latency of an adapter whose USB frames start at random times of the period.
+        """Initialise the latency of a USB adapter. The phase of its USB frames is random.
 
         Args:
             adapter_class: key of ``ADAPTER_CLASSES``.

@@ -28,7 +28,7 @@ def goal_of_request(request_text: str) -> MoveDigitsRequest | HoldTensionRequest
 def begin_live_program(
     model: HandModel, estimate: SyntheticEstimate
 ) -> tuple[LiveProgram, ProgramProgress]:
-    """Return a program that waits for live requests, and the progress of this program."""
+    """Return a program and its progress. The program waits for live requests."""
     program = LiveProgram()
     progress, t = program.initial_progress(model), 0.0
     while progress.phase != "live":

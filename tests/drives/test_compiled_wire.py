@@ -166,7 +166,7 @@ def state_enabled_at(state: DriveState, node_id: int, t_ns: int) -> DriveState:
 
 
 def reply_to_open_request(drive: Drive, state: DriveState) -> list[Frame]:
-    """Return copies of the right reply to the pending request of a setting.
+    """Return several copies of the correct reply to a request for a drive setting.
 
     Several copies make the right reply frequent among random frames.
     """

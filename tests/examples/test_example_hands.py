@@ -1,6 +1,6 @@
 """Test the hand in examples/hands.
 
-The hand is valid with its gains. The command in examples/README.md makes the hand grasp an object.
+`config check` accepts hand file and gains file. The command in examples/README.md makes the hand grasp an object.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Test a run in lockstep in which a fault holds the hand.
+"""Test a simulated run in which a fault stops the hand (reaction HOLD).
 
 In lockstep, no operator can clear the fault. A time limit must therefore end the run.
 """
