@@ -78,7 +78,7 @@ def draw_run(
 
     n = len(hand.digit)
     # In virtual time no tick is late, so the figure has no row for the lateness.
-    has_lateness = bool(log.late_ns.any())  # in virtual time no tick is late
+    has_lateness = bool(log.late_ns.any())
     layout = ConstrainedLayoutEngine(w_pad=LAYOUT_PAD_INCH)
     figure = Figure(figsize=(max(9.0, 2.6 + 2.6 * n), 7.6 + 1.4 * has_lateness), layout=layout)
     FigureCanvasAgg(figure)

@@ -13,7 +13,9 @@ cell, the faults T01, T02, T03, T08 and N06 use the estimated tension. The limit
 faults are then stricter by two standard deviations of the estimate. The fault N16 then uses the torque that the
 drive reports.
 """
-FAULTS_NEEDING_TORQUE_IN_REPLY = ("N16",)
+FAULTS_NEEDING_TORQUE_IN_REPLY = tuple(
+    fault.id for fault in FAULT_TABLE if fault.shows_torque_after_cut
+)
 """Faults that are not detected without load cell if the drive sends its torque in a separate frame.
 
 Such a drive sends no torque after a cut.
