@@ -1,7 +1,7 @@
 """Simulate drives and load cells at rest.
 
-The replies of the nodes are stored, and each drive reports the torque of the command before. There are
-no tendons and no digits. The drives are Damiao motors in MIT mode.
+The replies of the nodes are stored, and each drive reports the torque of the command before. Tendons and
+digits do not move. The drives are Damiao motors in MIT mode.
 
 ``python benchmarks/loops/simulated_drives.py HAND NAME`` serves ``local:NAME`` and prints a line
 when it is ready.
@@ -84,9 +84,10 @@ def with_torque_of_command(reply: bytes, command: bytes) -> bytes:
     The torque is the lowest 12 bits of the command, and 4 bits of byte 4 and byte 5 of the reply. Both
     have the same scale.
     """
-    first, second = FIRST_TORQUE_BYTE, FIRST_TORQUE_BYTE + 1
-    torque_bytes = bytes((reply[first] & 0xF0 | command[6] & 0x0F, command[7]))
-    return reply[:first] + torque_bytes + reply[second + 1 :]
+    record = bytearray(reply)
+    record[FIRST_TORQUE_BYTE] = reply[FIRST_TORQUE_BYTE] & 0xF0 | command[6] & 0x0F
+    record[FIRST_TORQUE_BYTE + 1] = command[7]
+    return bytes(record)
 
 
 def main(hand_name: str, bus_name: str) -> None:
