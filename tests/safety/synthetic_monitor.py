@@ -22,6 +22,7 @@ from handctl.core.constants import (
     ConstantTables,
     constant_tables,
 )
+from handctl.core.detectors.fault_detection import empty_evidence
 from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
 from handctl.core.hand_constants import low_pass_fractions
 from handctl.core.state_block import STATE_SCHEMA, StateTables, state_tables
@@ -118,6 +119,7 @@ class SyntheticMonitor:
         self.replace_limits(limits)
         self.set_constants(**constants)
         self.block = self.layout.initial.copy()
+        self.found_values = empty_evidence(self.layout)
         self.latched: tuple[LatchedFault, ...] = ()
         self.reported_faults: tuple[ReportedFault, ...] = ()
         self.set_state_values({
@@ -188,12 +190,13 @@ class SyntheticMonitor:
         Return the value of each finding by fault and by part of the hand.
         """
         self.set_state_values({**(value_by_field or {}), **more_values})
-        self.demanded_action, self.found_values = tick_stages.find_faults(
+        self.demanded_action = tick_stages.find_faults(
             self.block,
             self.layout.offsets,
             self._read_only_constants(),
             self.constants_layout.offsets,
             self.layout.initial,
+            self.found_values,
         )
         reported: dict[str, dict[str, float]] = {}
         for row, i in zip(*np.nonzero(~np.isnan(self.found_values)), strict=True):

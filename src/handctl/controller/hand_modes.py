@@ -59,6 +59,10 @@ class OperatorRequests:
     is_cut_requested: bool = False
 
 
+NO_OPERATOR_REQUESTS = OperatorRequests()
+"""Requests of a tick without requests."""
+
+
 class ModeInputs(NamedTuple):
     """Inputs of the mode state machine, in addition to the state of the controller.
 
@@ -159,6 +163,14 @@ def next_mode(
     Returns:
         The event of a mode change. There is no event if the mode does not change.
     """
+    mode_before = state.mode
+    if (
+        mode_before == HandMode.ACTIVE
+        and action < RELAX
+        and operator_requests is NO_OPERATOR_REQUESTS
+        and not (other_host_signs or state.decisions.progress.finished)
+    ):
+        return ()  # most ticks of a run end here
     inputs = ModeInputs(
         model,
         drives,
@@ -168,7 +180,6 @@ def next_mode(
         other_host_signs,
         calibrated_identities,
     )
-    mode_before = state.mode
     overriding_mode = None if inputs.has_no_mode_override else _overriding_mode(state, inputs)
     mode, failure = overriding_mode or _NEXT_MODE_FUNCTIONS[mode_before](state, inputs)
     if mode == mode_before:

@@ -42,7 +42,12 @@ from handctl.core import state_block as s
 from handctl.core import tick_stages
 from handctl.core.block_schema import BlockLayout, TableOffsets
 from handctl.core.control_law.goal_writer import sample_trajectories, write_goals
-from handctl.core.control_law.required_tensions import write_tension_goals
+from handctl.core.control_law.required_tensions import (
+    allocate_bounded_tensions,
+    write_tension_goals,
+)
+from handctl.core.detectors.bus_faults import EvidenceTable
+from handctl.core.detectors.fault_detection import empty_evidence
 from handctl.core.estimation.consistency_events import consistency_events
 from handctl.core.estimation.filter_prediction import predict_filter_states
 from handctl.core.hand_constants import HandConstants
@@ -63,7 +68,8 @@ from handctl.drives.frame_records import (
     frames_as_records,
 )
 from handctl.drives.sensors.contract import SensorInterface
-from handctl.programs.program import TARE_PHASE, Program
+from handctl.hand.dynamics import required_torque
+from handctl.programs.program import TARE_PHASE, Program, ProgramProgress
 from handctl.programs.requests import (
     REFUSAL_EVENT_PREFIX,
     parse_target,
@@ -80,7 +86,7 @@ from handctl.safety.tick_verdict import (
 )
 
 NO_REQUESTS: tuple[hand_modes.OperatorRequests, tuple[TickEvent, ...]] = (
-    hand_modes.OperatorRequests(),
+    hand_modes.NO_OPERATOR_REQUESTS,
     (),
 )
 ACTIVE = HandMode.ACTIVE
@@ -88,6 +94,10 @@ CUT = HandMode.CUT
 DONE = HandMode.DONE
 RELAX = HandMode.RELAX
 SILENT = HandMode.SILENT
+_MODES_WITHOUT_COMMANDS = (SILENT, DONE)
+"""Modes in which the drives receive no commands."""
+_MODES_WITH_GOALS = (ACTIVE, RELAX)
+"""Modes in which the goals of the digits determine the motor torques."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +116,8 @@ class DerivedConstants:
         sends_sync: True if the sensor node needs SYNC frames. On a bus without such SYNC frames,
             the host sends SYNC after the command of a CiA 402 drive.
         sync_row: SYNC frame of the sensor node as a record.
+        fault_evidence: (faults, instances) memory for the evidence of each fault. Each tick overwrites
+            the evidence of the tick before.
     """
 
     limits: SafetyLimits
@@ -118,6 +130,7 @@ class DerivedConstants:
     amplifier_index_by_id: dict[tuple[int, int], int]
     sends_sync: bool
     sync_row: WordRows
+    fault_evidence: EvidenceTable
 
     def with_constants(self, limits: SafetyLimits, constants: HandConstants) -> "DerivedConstants":
         """Return a copy with other limits and constants, after a change of gains."""
@@ -154,6 +167,7 @@ class DerivedConstants:
             },
             sends_sync=bool(sensors.ids),
             sync_row=frames_as_records([sensors.sync(0)]).rows[0],
+            fault_evidence=empty_evidence(layout),
         )
 
 
@@ -234,7 +248,7 @@ class Controller:
         )
         for n, drive_state in enumerate(drives):
             self.store_drive_state(state, n, drive_state)
-        self._write_progress(state, None)
+        self._write_progress(state)
         return state
 
     def torque_cut_frames(self) -> tuple[Frame, ...]:
@@ -297,7 +311,8 @@ class Controller:
             if state.run_table_integer(s.CONSISTENCY_CHANGED)
             else request_events
         )
-        self._count_refusals(state, request_events)
+        if request_events or state.decisions.refusals:
+            self._count_refusals(state, request_events)
         if state.decisions.lease is not None:
             events += enforce_lease(self.model, state)
         action, findings = self._judge_faults(
@@ -315,7 +330,8 @@ class Controller:
             self.identities,
         )
         program_events = self._advance_program(state, action)
-        self._write_progress(state, last_state)
+        if state.progress is not last_state.progress:
+            self._write_progress(state, last_state.progress)
         tick_in_progress.action = action
         tick_in_progress.events = (
             events + tuple(map(_fault_event, findings)) + mode_events + program_events
@@ -348,10 +364,9 @@ class Controller:
                 tick_in_progress.action,
                 tick_in_progress.tick_input.k - tick_in_progress.last_state.k,
             )
+        derived_constants = self.derived_constants
         tick_stages.store_commands(
-            state.block,
-            self.derived_constants.layout.offsets,
-            *self.derived_constants.kernel_constants,
+            state.block, derived_constants.layout.offsets, *derived_constants.kernel_constants
         )
         mode = state.mode
         phase = state.progress.phase if mode == ACTIVE else mode.name.lower()
@@ -360,7 +375,7 @@ class Controller:
             mode,
             phase,
             tick_in_progress.action,
-            self.derived_constants.copy_telemetry(state.block),
+            derived_constants.copy_telemetry(state.block),
             tick_in_progress.events,
             state.digest(),
         )
@@ -380,11 +395,12 @@ class Controller:
         Return texts that describe signs of a second controller on the bus.
         """
         block = state.block
-        places = self.derived_constants.layout.offsets
+        layout = self.derived_constants.layout
+        kernel_args = (block, layout.offsets, *self.derived_constants.kernel_constants)
         missed_ticks = tick_input.k - last_state.k - 1
         tick_stages.begin_tick(
             block,
-            places,
+            layout.offsets,
             tick_input.k,
             tick_input.t_ns,
             tick_input.late_ns,
@@ -396,13 +412,11 @@ class Controller:
             frames,
             self.sensors.earliest_answer_time_ns(last_state.run_table_integer(s.TICK_TIME_NS)),
         )
-        tick_stages.observe_tick(block, places, *self.derived_constants.kernel_constants)
-        tick_stages.correct_tension_estimate(
-            block, places, *self.derived_constants.kernel_constants
-        )
+        tick_stages.observe_tick(*kernel_args)
+        tick_stages.correct_tension_estimate(*kernel_args)
         if state.has_started:
-            predict_filter_states(self.model, self.derived_constants.layout, block, missed_ticks)
-        if tick_stages.conclude_estimate(block, places, *self.derived_constants.kernel_constants):
+            predict_filter_states(self.model, layout, block, missed_ticks)
+        if tick_stages.conclude_estimate(*kernel_args):
             second_controller_signs += detect_unsolicited_replies(
                 self.drives, self.sensors, last_state, state, tick_input.frames
             )
@@ -421,8 +435,9 @@ class Controller:
         Return the identifiers of received frames that only this host may send. Each identifier
         occurs once.
         """
-        tables = self.derived_constants.wire_tables
-        second_controller_signs = list[str]()
+        derived_constants = self.derived_constants
+        tables = derived_constants.wire_tables
+        second_controller_signs: list[str] = []
         at = 0
         rows = frames.rows
         entries = tables.entries
@@ -432,7 +447,7 @@ class Controller:
             )
         while True:
             at = cyclic_frames.receive_frames(
-                state.block, self.derived_constants.layout.offsets, *self.derived_constants.kernel_constants, rows,
+                state.block, derived_constants.layout.offsets, *derived_constants.kernel_constants, rows,
                 tables.keys, entries, tables.signal_integers, tables.signal_scalings, tables.recheck_ranges,
                 tables.rechecks, at, min_receive_ns,
             )  # fmt: skip
@@ -441,12 +456,12 @@ class Controller:
             # The kernel ``receive_frames`` has already counted error frames. So this frame is no
             # error frame.
             frame = frames[at]
-            owner = self.derived_constants.drive_index_by_id.get((frame.bus, frame.can_id))
+            owner = derived_constants.drive_index_by_id.get((frame.bus, frame.can_id))
             if owner is not None:
                 self.store_drive_state(
                     state, owner, self.drives[owner].receive(state.drive(owner), frame)
                 )
-            elif (frame.bus, frame.can_id) in self.derived_constants.amplifier_index_by_id:
+            elif (frame.bus, frame.can_id) in derived_constants.amplifier_index_by_id:
                 self._receive_amplifier_frame(state, frame)
             else:
                 second_controller_signs.append(f"{frame.can_id:#05x}")
@@ -523,22 +538,18 @@ class Controller:
         A program may send a request only to find out whether a value is in range. So a refused
         request is no fault. Only malformed requests show that a client is faulty.
         """
-        recent_refusals = state.decisions.refusals
-        if request_events or recent_refusals:
-            refused_texts = [event.text for event in request_events if event.level == "warn"]
-            malformed_count = sum(
-                not text.startswith(REFUSAL_EVENT_PREFIX) for text in refused_texts
-            )
-            k = state.k
-            rate = 1.0 / self.model.period
-            recent_refusals = tuple(
-                refusal_tick
-                for refusal_tick in (*recent_refusals, *(k,) * malformed_count)
-                if k - refusal_tick < rate
-            )
-            state.decide(refusals=recent_refusals)
-            state.set_run_table_integer(s.REFUSED_REQUESTS, len(recent_refusals))
-            state.set_run_table_integer(s.REFUSED_REQUESTS_IN_TICK, len(refused_texts))
+        refused_texts = [event.text for event in request_events if event.level == "warn"]
+        malformed_count = sum(not text.startswith(REFUSAL_EVENT_PREFIX) for text in refused_texts)
+        k = state.k
+        rate = 1.0 / self.model.period
+        recent_refusals = tuple(
+            refusal_tick
+            for refusal_tick in (*state.decisions.refusals, *(k,) * malformed_count)
+            if k - refusal_tick < rate
+        )
+        state.decide(refusals=recent_refusals)
+        state.set_run_table_integer(s.REFUSED_REQUESTS, len(recent_refusals))
+        state.set_run_table_integer(s.REFUSED_REQUESTS_IN_TICK, len(refused_texts))
 
     def _judge_faults(
         self,
@@ -550,16 +561,18 @@ class Controller:
         state.set_run_table_integer(
             s.ARE_CELLS_TARED, state.progress.phase != TARE_PHASE
         )  # before a load cell has been tared, it may read any value
-        demanded_action, raw_findings = tick_stages.find_faults(
+        derived_constants = self.derived_constants
+        layout = derived_constants.layout
+        evidence = derived_constants.fault_evidence
+        demanded_action = tick_stages.find_faults(
             state.block,
-            self.derived_constants.layout.offsets,
-            *self.derived_constants.kernel_constants,
-            self.derived_constants.layout.initial,
+            layout.offsets,
+            *derived_constants.kernel_constants,
+            layout.initial,
+            evidence,
         )
         new_findings = (
-            newly_active_faults(
-                self.derived_constants.limits, raw_findings, state.view("fault_ticks")
-            )
+            newly_active_faults(derived_constants.limits, evidence, state.view("fault_ticks"))
             if state.run_table_integer(s.NEW_FAULT_COUNT)
             else []
         )
@@ -617,12 +630,16 @@ class Controller:
         state.goal_time = t
         return events
 
-    def _write_progress(self, state: ControllerState, last_state: ControllerState | None) -> None:
-        """Write the goals that the program has changed into the state block."""
+    def _write_progress(
+        self, state: ControllerState, old_progress: ProgramProgress | None = None
+    ) -> None:
+        """Write the goals that the program has changed into the state block.
+
+        Args:
+            state: state of the tick, modified in place.
+            old_progress: progress of the program after the last tick, None before the first tick.
+        """
         progress = state.progress
-        old_progress = last_state.progress if last_state else None
-        if progress is old_progress:
-            return
         if old_progress is None or progress.goals is not old_progress.goals:
             write_goals(self.model, self.derived_constants.layout, state.block, progress.goals)
         state.view("planned_contact")[...] = progress.contact
@@ -641,31 +658,37 @@ class Controller:
 
         The torques are 0 unless the hand is active or relaxing.
         """
-        block = state.block
-        places = self.derived_constants.layout.offsets
         mode = state.mode
-        if mode in (ACTIVE, RELAX):
-            sample_trajectories(
-                self.model,
-                self.derived_constants.layout,
-                block,
-                state.progress.goals,
-                state.goal_time,
-            )
-            write_tension_goals(
-                self.model,
-                self.derived_constants.layout,
-                self.derived_constants.constants,
-                block,
-                int(action),
-            )
-        is_relaxing = mode == RELAX
         rate, opening_rate = (
-            (present_relax_rate(state), is_open_loop(state)) if is_relaxing else (0.0, False)
+            (present_relax_rate(state), is_open_loop(state)) if mode == RELAX else (0.0, False)
         )
-        tick_stages.compute_motor_torques(
-            block, places, *self.derived_constants.kernel_constants, rate, int(opening_rate), ticks
-        )
+        derived_constants = self.derived_constants
+        layout = derived_constants.layout
+        kernel_args = (state.block, layout.offsets, *derived_constants.kernel_constants)
+        if mode in _MODES_WITH_GOALS:
+            sample_trajectories(
+                self.model, layout, state.block, state.progress.goals, state.goal_time
+            )
+            # An experiment may replace the function of the inverse dynamics.
+            if self.model.inverse_dynamics is required_torque:
+                unsolved_digits = tick_stages.evaluate_goals_and_torques(
+                    *kernel_args, int(action), rate, int(opening_rate), ticks
+                )
+                if not unsolved_digits:
+                    return
+                allocate_bounded_tensions(
+                    self.model,
+                    layout,
+                    derived_constants.constants,
+                    state.block,
+                    unsolved_digits,
+                    tick_stages.joint_motion(*kernel_args),
+                )
+            else:
+                write_tension_goals(
+                    self.model, layout, derived_constants.constants, state.block, int(action)
+                )
+        tick_stages.compute_motor_torques(*kernel_args, rate, int(opening_rate), ticks)
 
     def _design_pending_gains(
         self,
@@ -712,21 +735,22 @@ class Controller:
         ``shutdown_frames`` are sent.
         """
         mode = state.mode
-        if mode in (SILENT, DONE):
+        if mode in _MODES_WITHOUT_COMMANDS:
             return frames_as_records(hand_modes.shutdown_frames(self.drives, state))
+        derived_constants = self.derived_constants
         frame_rows = np.empty(
-            (self.derived_constants.wire_tables.max_frames, WORDS_PER_RECORD), dtype=np.uint64
+            (derived_constants.wire_tables.max_frames, WORDS_PER_RECORD), dtype=np.uint64
         )
         # A hand without sensors needs no SYNC frame. So row 0 is not sent.
-        start = 0 if self.derived_constants.sends_sync else 1
-        if self.derived_constants.sends_sync:
+        start = 0 if derived_constants.sends_sync else 1
+        amplifiers = state.decisions.amplifiers
+        if derived_constants.sends_sync:
             counter = self.sensors.counter(state.k)
-            frame_rows[0] = self.derived_constants.sync_row
+            frame_rows[0] = derived_constants.sync_row
             frame_rows[0, FIRST_PAYLOAD_WORD] = counter
             state.set_run_table_integer(s.SYNC_COUNTER, counter & 0xF)
             # Before the set-up of an amplifier is complete, its answers are not used, and missing
             # answers do not count as lost.
-            amplifiers = state.decisions.amplifiers
             if not amplifiers or all(
                 amplifier.phase == DrivePhase.READY for amplifier in amplifiers
             ):
@@ -736,14 +760,12 @@ class Controller:
             torque = torque / self.model.torque_gain
         target = hand_modes.drive_target(mode)
         sent_frames = self._write_commands(state, frame_rows, start, target, torque, t_ns)
-        if state.decisions.amplifiers and (setup := self._advance_amplifiers(state, target, t_ns)):
+        if amplifiers and (setup := self._advance_amplifiers(state, target, t_ns)):
             sent_frames = concatenate_frames([sent_frames, frames_as_records(setup)])
-        return (
-            concatenate_frames(
-                [frames_as_records(self.torque_cut_frames()), Frames.from_rows(frame_rows[start:1])]
-            )
-            if mode == CUT
-            else sent_frames
+        if mode != CUT:
+            return sent_frames
+        return concatenate_frames(
+            [frames_as_records(self.torque_cut_frames()), Frames.from_rows(frame_rows[start:1])]
         )
 
     def _write_commands(
@@ -768,7 +790,7 @@ class Controller:
             t_ns: time of the tick [ns].
         """
         tables = self.derived_constants.wire_tables
-        frame_batches = list[Frames]()
+        frame_batches: list[Frames] = []
         first_row = 0
         first_unsent_row = start
         count = 1
@@ -777,7 +799,7 @@ class Controller:
         while True:
             if target == DriveTarget.ENABLE:
                 first_row, count = cyclic_frames.encode_commands(
-                    state.block, self.derived_constants.layout.offsets, frame_words, tables.commands,
+                    state.block, state.layout.offsets, frame_words, tables.commands,
                     tables.command_signal_integers, tables.command_signal_scalings, tables.templates, torque,
                     tables.servos, tables.servo_templates, tables.servo_signal_integers, tables.servo_signal_scalings,
                     tables.recheck_ranges, tables.rechecks, first_row, count,

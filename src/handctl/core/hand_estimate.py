@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core import state_block as s
+from handctl.core.block_schema import BlockArray, BlockLayout
 from handctl.core.estimation.filter_types import SLACK_REGIME
 from handctl.core.tick_types import Vector
 
@@ -19,33 +20,42 @@ class HandEstimate:
     A property has the shape (N,), unless its docstring states another shape.
 
     Attributes:
+        layout: layout of the state block.
+        block: state block.
         tendon: table ``tendon`` of the state block.
-        joint: table ``joint`` of the state block.
-        digit: table ``digit`` of the state block.
-        regimes: (N,) regime of each tendon: 0 free, 1 held, 2 slack.
     """
 
-    __slots__ = ("digit", "joint", "regimes", "tendon")
+    __slots__ = ("block", "layout", "tendon")
 
-    def __init__(
-        self,
-        tendon: QuantityTable,
-        joint: QuantityTable,
-        digit: QuantityTable,
-        regimes: NDArray[np.int64],
-    ) -> None:
-        """Store the tables of the state block, without a copy.
+    def __init__(self, layout: BlockLayout, block: BlockArray, tendon: QuantityTable) -> None:
+        """Store the state block, without a copy.
 
         Args:
+            layout: layout of the state block.
+            block: state block.
             tendon: table ``tendon`` of the state block.
-            joint: table ``joint`` of the state block.
-            digit: table ``digit`` of the state block.
-            regimes: (N,) regime of each tendon.
         """
+        self.layout = layout
+        self.block = block
         self.tendon = tendon
-        self.joint = joint
-        self.digit = digit
-        self.regimes = regimes
+
+    # Most ticks of a program need no other table than ``tendon``. So the views of the other tables
+    # are created only when they are used.
+
+    @property
+    def joint(self) -> QuantityTable:
+        """Return the table ``joint`` of the state block."""
+        return self.layout.table(self.block, "joint")
+
+    @property
+    def digit(self) -> QuantityTable:
+        """Return the table ``digit`` of the state block."""
+        return self.layout.table(self.block, "digit")
+
+    @property
+    def regimes(self) -> NDArray[np.int64]:
+        """Return the regime of each tendon: 0 free, 1 held, 2 slack."""
+        return self.layout.view(self.block, "regime")
 
     @property
     def tension(self) -> Vector:
@@ -163,17 +173,19 @@ class TickMeasurements:
     A property has the shape (N,), unless its docstring states another shape.
     """
 
-    __slots__ = ("joint", "tendon")
+    __slots__ = ("block", "layout", "tendon")
 
-    def __init__(self, tendon: QuantityTable, joint: QuantityTable) -> None:
-        """Keep the tables of the state block, without a copy.
+    def __init__(self, layout: BlockLayout, block: BlockArray, tendon: QuantityTable) -> None:
+        """Store the state block, without a copy.
 
         Args:
+            layout: layout of the state block.
+            block: state block.
             tendon: table ``tendon`` of the state block.
-            joint: table ``joint`` of the state block.
         """
+        self.layout = layout
+        self.block = block
         self.tendon = tendon
-        self.joint = joint
 
     @property
     def travel(self) -> Vector:
@@ -198,4 +210,4 @@ class TickMeasurements:
     @property
     def joint_angles(self) -> Vector:
         """Return the readings of the joint encoders (J,) [rad]."""
-        return self.joint[s.MEASURED_JOINT]
+        return self.layout.view(self.block, "measured_joint")

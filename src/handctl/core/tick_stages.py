@@ -23,11 +23,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import kernel
+from handctl.compiled import borrowed_array, kernel, kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.block_schema import BlockArray, TableOffsets
-from handctl.core.constants import constant_tables
+from handctl.core.constants import ConstantTables, constant_tables
 from handctl.core.control_law import computed_torque, digit_reference
 from handctl.core.detectors import fault_detection, outstanding_requests, stuck_sensors
 from handctl.core.detectors.bus_faults import EvidenceTable
@@ -39,7 +39,7 @@ from handctl.core.estimation import (
     posture,
     varying_moment_arms,
 )
-from handctl.core.state_block import state_tables, write_canonical_nan
+from handctl.core.state_block import StateTables, state_tables, write_canonical_nan
 from handctl.core.tick_types import ACTIVE_MODE, ARMING_MODE, DONE_MODE, RELAX_MODE, SILENT_MODE
 from handctl.safety.safety_action import SafetyAction
 
@@ -208,18 +208,32 @@ def conclude_estimate(
     return outstanding_requests.close_answered_requests(x, c)
 
 
-@kernel("block", "layout", "constants", "layout", "constants")
+@kernel("block", "layout", "constants", "layout", "constants", "results")
 def find_faults(
     block: BlockArray,
     at: TableOffsets,
     constants: BlockArray,
     constant_offsets: TableOffsets,
     initial: BlockArray,
-) -> tuple[int, EvidenceTable]:
-    """Find and debounce the faults of a tick, see ``detectors.fault_detection``."""
+    evidence: EvidenceTable,
+) -> int:
+    """Find and debounce the faults of a tick, see ``detectors.fault_detection``.
+
+    Args:
+        block: state block.
+        at: ``BlockLayout.offsets`` of the state block.
+        constants: constants of the hand.
+        constant_offsets: ``BlockLayout.offsets`` of the constants.
+        initial: state block before the first tick.
+        evidence: (faults, instances) result: evidence of each fault.
+
+    Returns:
+        The most severe action of all active faults.
+    """
     x = state_tables(block, at)
     c = constant_tables(constants, constant_offsets)
-    return fault_detection.find_and_debounce_faults(x, c, state_tables(initial, at))
+    evidence = borrowed_array(evidence, 0, evidence.shape)
+    return fault_detection.find_and_debounce_faults(x, c, state_tables(initial, at), evidence)
 
 
 @kernel("block", "layout", "constants", "layout", "count")
@@ -235,8 +249,14 @@ def evaluate_goals(
     The result has one bit for each digit. The bit is 1 if the bounded least-squares problem of the
     digit must still be solved.
     """
-    x = state_tables(block, at)
-    c = constant_tables(constants, constant_offsets)
+    return _evaluate_goals(
+        state_tables(block, at), constant_tables(constants, constant_offsets), action
+    )
+
+
+@kernel_helper
+def _evaluate_goals(x: StateTables, c: ConstantTables, action: int) -> int:
+    """Evaluate the goals of all digits, see ``evaluate_goals``."""
     computed_torque.update_hold_limits(
         x, c, action == HOLD_ACTION and x.run_int[s.HAND_MODE] == ACTIVE_MODE
     )
@@ -279,14 +299,53 @@ def compute_motor_torques(
 
     The motor torques are 0 unless the hand is active or relaxing.
     """
-    x = state_tables(block, at)
-    c = constant_tables(constants, constant_offsets)
+    _compute_motor_torques(
+        state_tables(block, at),
+        constant_tables(constants, constant_offsets),
+        relax_rate,
+        open_loop,
+        ticks,
+    )
+
+
+@kernel_helper
+def _compute_motor_torques(
+    x: StateTables, c: ConstantTables, relax_rate: float, open_loop: int, ticks: int
+) -> None:
+    """Compute the motor torques of the tick, see ``compute_motor_torques``."""
     if x.run_int[s.HAND_MODE] == ACTIVE_MODE or x.run_int[s.HAND_MODE] == RELAX_MODE:
         computed_torque.write_motor_torques(
             x, c, digit_reference.joint_trajectories(x, c), relax_rate, open_loop == 1, ticks
         )
     else:
         computed_torque.command_zero_torque(x, c)
+
+
+@kernel("block", "layout", "constants", "layout", "count", "real", "count", "count")
+def evaluate_goals_and_torques(
+    block: BlockArray,
+    at: TableOffsets,
+    constants: BlockArray,
+    constant_offsets: TableOffsets,
+    action: int,
+    relax_rate: float,
+    open_loop: int,
+    ticks: int,
+) -> int:
+    """Evaluate the goals of all digits, and compute the motor torques of the tick.
+
+    A single kernel is faster than ``evaluate_goals`` and ``compute_motor_torques``. If a bounded
+    least-squares problem must be solved between the two, the motor torques are not computed.
+
+    Returns:
+        The result of ``evaluate_goals``, 0 if the motor torques were computed.
+    """
+    x = state_tables(block, at)
+    c = constant_tables(constants, constant_offsets)
+    unsolved_digits = _evaluate_goals(x, c, action)
+    if unsolved_digits == 0:
+        _compute_motor_torques(x, c, relax_rate, open_loop, ticks)
+    return unsolved_digits
 
 
 @kernel("block", "layout", "constants", "layout")

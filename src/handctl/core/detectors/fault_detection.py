@@ -11,6 +11,7 @@ import numpy as np
 
 from handctl.compiled import kernel_helper
 from handctl.core import state_block as s
+from handctl.core.block_schema import BlockLayout
 from handctl.core.constants import ConstantTables
 from handctl.core.control_law import servo_commands
 from handctl.core.detectors import (
@@ -32,29 +33,39 @@ from handctl.core.state_block import StateTables, reset_monitor
 from handctl.core.tick_types import ARMING_MODE, CUT_MODE, DISARM_MODE, RELAX_MODE
 from handctl.safety.faults.table import ACTION_NUMBERS, DEBOUNCE_TICKS
 
-FAULT_ROW_COUNT = len(ACTION_NUMBERS)
+
+def empty_evidence(layout: BlockLayout) -> EvidenceTable:
+    """Return memory for the evidence of all faults in a tick, (faults, instances).
+
+    Args:
+        layout: layout of the state block.
+    """
+    return np.full((len(ACTION_NUMBERS), layout.axes["instance"]), math.nan)
 
 
 @kernel_helper
 def find_and_debounce_faults(
-    x: StateTables, c: ConstantTables, initial: StateTables
-) -> tuple[int, EvidenceTable]:
+    x: StateTables, c: ConstantTables, initial: StateTables, evidence: EvidenceTable
+) -> int:
     """Find the faults of a tick, and write the number of newly active faults to ``NEW_FAULT_COUNT``.
 
     Args:
         x: state tables.
         c: constants of the hand.
         initial: state tables before the first tick.
+        evidence: (faults, instances) result: evidence of each fault. The evidence of an absent fault
+            is NaN.
 
     Returns:
-        The most severe action of all active faults, and the evidence of each fault (faults,
-        instances). The evidence of an absent fault is NaN.
+        The most severe action of all active faults.
     """
     mode = x.run_int[s.HAND_MODE]
     # Motors may make torque in the states from ARMING to RELAX, but not in DISARM and CUT.
     is_armed = ARMING_MODE <= mode <= RELAX_MODE
     is_torque_cut = mode == CUT_MODE or mode == DISARM_MODE
-    evidence = np.full((FAULT_ROW_COUNT, x.instance_int.shape[1]), math.nan)
+    for row in range(evidence.shape[0]):
+        for i in range(evidence.shape[1]):
+            evidence[row, i] = math.nan
     frame_losses.update_loss_counts(
         x,
         c,
@@ -75,7 +86,7 @@ def find_and_debounce_faults(
         node_faults.detect_tension_after_cut(x, c, evidence)
     else:
         reset_monitor(x, initial)
-    return debounce_faults(x, evidence), evidence
+    return debounce_faults(x, evidence)
 
 
 @kernel_helper
