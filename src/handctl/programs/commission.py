@@ -181,9 +181,10 @@ class CommissionProgram:
         may hold tension in a tendon that was pulled before. The tares of all tendons in a digit
         without springs are renewed together.
         """
+        if t - progress.since < REST_SETTLING_S:
+            return progress, ()
         tension = _measured_or_estimated_tensions(model, measured)
-        is_missing = np.isnan(tension + measured.travel).any()
-        if t - progress.since < REST_SETTLING_S or is_missing:
+        if np.isnan(tension + measured.travel).any():
             return progress, ()
         i = progress.step - 1
         table = _commissioning_table(progress)
@@ -276,20 +277,19 @@ class CommissionProgram:
             return self._refuse_tendon(
                 model, progress, slack, _missing_response_reason(model, measurements)
             )
+        is_first_tendon = i == digit_tendons.start
+        settling_time_s = HOLD_SETTLING_TIMEOUT_S if is_first_tendon else PULL_SETTLING_S
+        if t - progress.since < settling_time_s:
+            return progress, ()
         excursion = np.where(
             model.hand.tendons_with_encoders,
             measurements.excursion,
             model.redundancy.excursion_at_lower_limits,
         )[digit_tendons]
         tension = _measured_or_estimated_tensions(model, measurements, estimate)
-        is_missing = (
+        if (
             np.isnan(tension).any()
             or np.isnan(measurements.travel[digit_tendons] + excursion).any()
-        )
-        is_first_tendon = i == digit_tendons.start
-        if (
-            t - progress.since < (HOLD_SETTLING_TIMEOUT_S if is_first_tendon else PULL_SETTLING_S)
-            or is_missing
         ):
             return progress, ()
         table = _commissioning_table(progress)
@@ -347,9 +347,10 @@ class CommissionProgram:
                 if is_late
                 else (progress, ())
             )
+        if t - progress.since < PULL_SETTLING_S:
+            return progress, ()
         tension = _measured_or_estimated_tensions(model, measurements, estimate)
-        is_missing = np.isnan(tension + measurements.travel).any()
-        if t - progress.since < PULL_SETTLING_S or is_missing:
+        if np.isnan(tension + measurements.travel).any():
             return progress, ()
         table = _commissioning_table(progress)
         table[:, PULL_SUM] += tension
