@@ -11,7 +11,7 @@ import math
 from itertools import pairwise
 from typing import NamedTuple
 
-from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
+from handctl.drives.motor_description import PROTOCOL_TRAITS, VERIFIABLE_PROTOCOLS
 from handctl.drives.sensors.sensor_node import TENSION_RAIL_N
 from handctl.hand.description import Hand
 from handctl.safety.faults.tendon import FORCE_RANGE_ERROR_N, STUCK_CELL_FORCE_RANGE_N
@@ -78,7 +78,8 @@ class FaultMatrixRow(NamedTuple):
             the protocol.
         extra_ticks: further number of ticks that the reaction may take with some protocols, by the
             name of the protocol. These ticks are added to the time ``extra_ms_by_protocol``.
-        protocols_needing_cell: protocols with which the fault is only detected by a load cell.
+        needs_prompt_torque: True if the fault shows only in a load cell, or in the torque that the reply
+            to a command contains. Drives that report the torque in a separate frame then need a load cell.
         extra_ms_without_load_cell: further time if the tendon of the fault has no load cell [ms].
         extra_sensor_frames: number of further frames of the sensor node that the detection needs.
             ``max_ticks`` contains one tick for each of these frames. If the hand has no load cells,
@@ -101,7 +102,7 @@ class FaultMatrixRow(NamedTuple):
     protocols: tuple[str, ...] = ALL_PROTOCOLS
     extra_ms_by_protocol: dict[str, float] = {}  # noqa: RUF012 - read only
     extra_ticks: dict[str, int] = {}  # noqa: RUF012 - read only
-    protocols_needing_cell: tuple[str, ...] = ()
+    needs_prompt_torque: bool = False
     extra_ms_without_load_cell: float = 0.0
     extra_sensor_frames: int = 0
     force_change_N: float = 0.0
@@ -279,13 +280,13 @@ FAULT_MATRIX: tuple[FaultMatrixRow, ...] = (
         scales_with_period=True),
     FaultMatrixRow("N14", "runaway node={node}", RELAX, 10, accepted_faults=("N14", "T03", "N05", "T04")),
     FaultMatrixRow("N14", "ripple node={node} size=0.2 hz=20", RELAX, 22, 600.0,
-        ("N14b", "T03", "N07", "T01", "N17", "N14"), (GRASP_STAGE,), protocols_needing_cell=(ODRIVE,)),
+        ("N14b", "T03", "N07", "T01", "N17", "N14"), (GRASP_STAGE,), needs_prompt_torque=True),
     FaultMatrixRow("N15", "slow node={node} size=2", WARN, 22, accepted_faults=("N15",),
         protocols=SINGLE_ANSWER_PROTOCOLS),
     FaultMatrixRow("N15", "slow node={node} size=4", WARN, 4, accepted_faults=("B01",), protocols=(ODRIVE,)),
     # An ODrive sends its torque in a separate frame, and sends none after a cut.
     FaultMatrixRow("N16", "hold_on node={node}", CUT, 2, 100.0, ("N16",), (GRASP_STAGE,),
-        protocols_needing_cell=(ODRIVE,)),
+        needs_prompt_torque=True),
     FaultMatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
         protocols=SINGLE_ANSWER_PROTOCOLS),
     FaultMatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
@@ -396,7 +397,11 @@ def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[Fault
                 )
                 for stage in row.stages
                 for text in end_texts
-                if protocol not in row.protocols_needing_cell or not _lacks_load_cell(hand, text)
+                if not (
+                    row.needs_prompt_torque
+                    and PROTOCOL_TRAITS[protocol].has_separate_torque_frame
+                    and _lacks_load_cell(hand, text)
+                )
             ]
     return scenarios
 

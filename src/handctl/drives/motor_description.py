@@ -41,6 +41,14 @@ class ProtocolTraits(NamedTuple):
     hint: str = ""
     motor_types: tuple[str, ...] = ()
 
+    @property
+    def has_separate_torque_frame(self) -> bool:
+        """Return True if the reply to a command contains no torque.
+
+        The drive then reports its torque in a separate frame, and only with ``torque_option``.
+        """
+        return bool(self.torque_option)
+
 
 PROTOCOL_TRAITS: dict[str, ProtocolTraits] = {
     "mit": ProtocolTraits("MIT"),

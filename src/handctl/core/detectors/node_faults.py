@@ -214,9 +214,9 @@ def _overcomes_friction(c: ConstantTables, n: int, goal_change: float) -> bool:
     Friction c may hold a motor at rest until the feedback force has changed by 2 c. With a soft
     position loop, this is a long way of the goal. Position loops in drives are stiff.
     """
-    loop_stiffness = c.tendon[h.FEEDBACK_MASS, n] * c.tendon[h.EXCURSION_GAIN, n]
-    if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] or loop_stiffness == 0.0:
+    if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
         return True
+    loop_stiffness = c.tendon[h.FEEDBACK_MASS, n] * c.tendon[h.EXCURSION_GAIN, n]
     return bool(goal_change * loop_stiffness > 2.0 * c.tendon[h.MOTOR_COULOMB_FRICTION, n])
 
 
