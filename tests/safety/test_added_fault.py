@@ -49,7 +49,7 @@ def add_example_fault(package_folder: Path) -> None:
     source = source.replace(preceding_line, preceding_line + lines, 1)
     source = source.replace(
         "from handctl.safety.faults.tendon import (\n",
-        "from handctl.safety.faults.tendon import (\n    HEAVY_N,\n    FAULT_T10,\n",
+        "from handctl.safety.faults.tendon import (\n    HEAVY_N,\n    T10_HEAVY_LOAD,\n",
     )
     path.write_text(source, encoding="utf-8")
 

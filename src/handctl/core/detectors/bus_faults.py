@@ -14,20 +14,20 @@ from handctl.core.detectors.frame_losses import (
 )
 from handctl.core.state_block import StateTables
 from handctl.safety.faults.bus import (
-    FAULT_B01,
-    FAULT_B02,
-    FAULT_B03A,
-    FAULT_B03B,
-    FAULT_B04,
-    FAULT_B05,
-    FAULT_B06,
-    FAULT_B07,
-    FAULT_B08,
-    FAULT_B09,
-    FAULT_B10,
-    FAULT_B11A,
-    FAULT_B11B,
-    FAULT_B17,
+    B01_MISSING_REPLY,
+    B02_SILENT_MOTOR,
+    B03A_LOST_REPLIES,
+    B03B_MANY_LOST_REPLIES,
+    B04_DELAYED_FRAME,
+    B05_DUPLICATE_FRAME,
+    B06_CONFLICTING_FRAMES,
+    B07_WRONG_FRAME_ORDER,
+    B08_CORRUPT_PAYLOADS,
+    B09_MALFORMED_FRAME,
+    B10_UNKNOWN_IDENTIFIERS,
+    B11A_FLOODED_BUS,
+    B11B_LASTING_FLOOD,
+    B17_DEAF_NODES,
     LOST_FRAMES_FOR_HOLD,
     LOST_FRAMES_FOR_RELAX,
     MALFORMED_FRAMES_LIMIT,
@@ -47,19 +47,19 @@ def detect_bus_faults(
 ) -> None:
     """Run the detectors of bus faults, and write their results into the evidence table."""
     if x.run[s.UNKNOWN_FRAME_RATE] > MAX_UNKNOWN_FRAMES_PER_S:
-        evidence[FAULT_B10, 0] = x.run[s.UNKNOWN_FRAME_RATE]
+        evidence[B10_UNKNOWN_IDENTIFIERS, 0] = x.run[s.UNKNOWN_FRAME_RATE]
     if not is_armed:
         return
     _detect_overdue_feedback(x, c, evidence)
     _detect_lost_replies(x, evidence)
     _detect_bad_frames(x, evidence)
     if x.run_int[s.STALE_FRAME_STATE] == 1:
-        evidence[FAULT_B04, 0] = 0.0
+        evidence[B04_DELAYED_FRAME, 0] = 0.0
     if x.run_int[s.STALE_FRAME_STATE] == 2:
-        evidence[FAULT_B07, 0] = 1.0
+        evidence[B07_WRONG_FRAME_ORDER, 0] = 1.0
     frames = x.run_int[s.RECEIVED_FRAME_COUNT]
     if frames > c.run_int[h.MAX_FRAMES_PER_TICK] * (1 + x.run_int[s.MISSED_TICKS]):
-        evidence[FAULT_B11A, 0] = evidence[FAULT_B11B, 0] = frames
+        evidence[B11A_FLOODED_BUS, 0] = evidence[B11B_LASTING_FLOOD, 0] = frames
 
 
 @kernel_helper
@@ -75,11 +75,11 @@ def _detect_overdue_feedback(x: StateTables, c: ConstantTables, evidence: Eviden
     for n in range(x.tendon.shape[1]):
         age = motor_ticks_overdue(x, c, n, x.run_int[s.TICK_TIME_NS])
         if age > x.run_int[s.MISSED_TICKS]:
-            evidence[FAULT_B01, n] = age
+            evidence[B01_MISSING_REPLY, n] = age
         if age >= c.run_int[h.SILENT_TICKS]:
-            evidence[FAULT_B02, n] = age
+            evidence[B02_SILENT_MOTOR, n] = age
         if age >= c.run_int[h.SILENT_TICKS_OF_SINGLE_MOTOR] and lowest_age == 0:
-            evidence[FAULT_B17, n] = age
+            evidence[B17_DEAF_NODES, n] = age
 
 
 @kernel_helper
@@ -88,9 +88,9 @@ def _detect_lost_replies(x: StateTables, evidence: EvidenceTable) -> None:
     for node in range(x.node_int.shape[1]):
         number = count_lost_replies(x, node)
         if number > LOST_FRAMES_FOR_HOLD:
-            evidence[FAULT_B03A, node] = number
+            evidence[B03A_LOST_REPLIES, node] = number
         if number > LOST_FRAMES_FOR_RELAX:
-            evidence[FAULT_B03B, node] = number
+            evidence[B03B_MANY_LOST_REPLIES, node] = number
 
 
 @kernel_helper
@@ -99,10 +99,10 @@ def _detect_bad_frames(x: StateTables, evidence: EvidenceTable) -> None:
     for node in range(x.node_int.shape[1]):
         if x.node_int[s.MALFORMED_FRAME_TICKS, node] & 1:
             number = count_set_bits(x.node_int[s.MALFORMED_FRAME_TICKS, node])
-            evidence[FAULT_B09, node] = number
+            evidence[B09_MALFORMED_FRAME, node] = number
             if number >= MALFORMED_FRAMES_LIMIT:
-                evidence[FAULT_B08, node] = number
+                evidence[B08_CORRUPT_PAYLOADS, node] = number
         if x.node_int[s.DUPLICATE_REPLIES, node] == 1:
-            evidence[FAULT_B05, node] = 0.0
+            evidence[B05_DUPLICATE_FRAME, node] = 0.0
         if x.node_int[s.DUPLICATE_REPLIES, node] == 2:
-            evidence[FAULT_B06, node] = 1.0
+            evidence[B06_CONFLICTING_FRAMES, node] = 1.0

@@ -13,28 +13,28 @@ from handctl.core.detectors.tendon_slip import DEG_PER_RAD
 from handctl.core.state_block import StateTables
 from handctl.drives.contract import DriveFaultCause, DrivePhase
 from handctl.safety.faults.node import (
-    FAULT_N01,
-    FAULT_N02,
-    FAULT_N02B,
-    FAULT_N04,
-    FAULT_N05A,
-    FAULT_N05B,
-    FAULT_N06A,
-    FAULT_N06B,
-    FAULT_N07,
-    FAULT_N08,
-    FAULT_N09A,
-    FAULT_N09B,
-    FAULT_N10,
-    FAULT_N11,
-    FAULT_N11B,
-    FAULT_N12,
-    FAULT_N13,
-    FAULT_N14,
-    FAULT_N14B,
-    FAULT_N15,
-    FAULT_N16,
-    FAULT_N17,
+    N01_DRIVE_DROPPED_OUT,
+    N02_SILENT_LOAD_CELLS,
+    N02B_SILENT_JOINT_ENCODERS,
+    N04_STUCK_ENCODER,
+    N05A_ENCODER_JUMP,
+    N05B_REPEATED_ENCODER_JUMPS,
+    N06A_JOINT_SPOOL_MISMATCH,
+    N06B_SLIPPING_ENCODER_OR_TENDON,
+    N07_NOISY_ENCODER,
+    N08_WATCHDOG_FIRED,
+    N09A_WARM_DRIVE,
+    N09B_OVERHEATED_DRIVE,
+    N10_SUPPLY_VOLTAGE,
+    N11_DRIVE_ERROR,
+    N11B_UNKNOWN_DRIVE_ERROR,
+    N12_CHANGED_SETTINGS,
+    N13_SHARED_IDENTIFIER,
+    N14_DISOBEYED_COMMAND,
+    N14B_OSCILLATING_TENSION,
+    N15_SLOW_NODE,
+    N16_PULL_AFTER_CUT,
+    N17_EXCHANGED_TORQUE_REPORTS,
     OSCILLATION_DURATION_S,
     PULL_AFTER_CUT_FRACTION,
     PULL_AFTER_CUT_N,
@@ -52,14 +52,14 @@ from handctl.safety.faults.node import (
 )
 
 _FAULT_ROW_BY_CAUSE = {
-    DriveFaultCause.OTHER: FAULT_N11,
-    DriveFaultCause.DROPPED_OUT: FAULT_N01,
-    DriveFaultCause.WATCHDOG: FAULT_N08,
-    DriveFaultCause.VOLTAGE: FAULT_N10,
-    DriveFaultCause.OVERHEATED: FAULT_N11,
-    DriveFaultCause.SETTING_MISMATCH: FAULT_N12,
-    DriveFaultCause.COMMUNICATION_LOST: FAULT_N11,
-    DriveFaultCause.UNKNOWN: FAULT_N11B,
+    DriveFaultCause.OTHER: N11_DRIVE_ERROR,
+    DriveFaultCause.DROPPED_OUT: N01_DRIVE_DROPPED_OUT,
+    DriveFaultCause.WATCHDOG: N08_WATCHDOG_FIRED,
+    DriveFaultCause.VOLTAGE: N10_SUPPLY_VOLTAGE,
+    DriveFaultCause.OVERHEATED: N11_DRIVE_ERROR,
+    DriveFaultCause.SETTING_MISMATCH: N12_CHANGED_SETTINGS,
+    DriveFaultCause.COMMUNICATION_LOST: N11_DRIVE_ERROR,
+    DriveFaultCause.UNKNOWN: N11B_UNKNOWN_DRIVE_ERROR,
 }
 FAULT_ROW_BY_CAUSE_INDEX = tuple(_FAULT_ROW_BY_CAUSE[cause] for cause in sorted(DriveFaultCause))
 """Fault for each value of ``drives.contract.DriveFaultCause``."""
@@ -74,9 +74,9 @@ def detect_node_faults(
     """Run the detectors that also work without torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
         if x.tendon[s.TEMPERATURE, n] > c.run[h.DERATING_START_TEMPERATURE]:
-            evidence[FAULT_N09A, n] = x.tendon[s.TEMPERATURE, n]
+            evidence[N09A_WARM_DRIVE, n] = x.tendon[s.TEMPERATURE, n]
         if x.tendon[s.TEMPERATURE, n] > c.run[h.DERATING_END_TEMPERATURE]:
-            evidence[FAULT_N09B, n] = x.tendon[s.TEMPERATURE, n]
+            evidence[N09B_OVERHEATED_DRIVE, n] = x.tendon[s.TEMPERATURE, n]
     _detect_rejected_positions(x, evidence)
     if not is_armed:
         return
@@ -84,9 +84,9 @@ def detect_node_faults(
     _detect_silent_sensors(x, c, evidence)
     for node in range(x.node_int.shape[1]):
         if misses_every_second_reply(x, node):
-            evidence[FAULT_N15, node] = 0.5
+            evidence[N15_SLOW_NODE, node] = 0.5
         if x.node_int[s.DUPLICATE_REPLIES, node]:
-            evidence[FAULT_N13, node] = x.node_int[s.DUPLICATE_REPLIES, node] - 1.0
+            evidence[N13_SHARED_IDENTIFIER, node] = x.node_int[s.DUPLICATE_REPLIES, node] - 1.0
 
 
 @kernel_helper
@@ -109,7 +109,7 @@ def _detect_silent_sensors(x: StateTables, c: ConstantTables, evidence: Evidence
     for n in range(x.tendon.shape[1]):
         age = cell_ticks_overdue(x, c, n, now_ns)
         if age >= c.run_int[h.SILENT_TICKS]:
-            evidence[FAULT_N02, n] = age
+            evidence[N02_SILENT_LOAD_CELLS, n] = age
     last_group = -1
     for j in range(x.joint.shape[1]):
         group = c.joint_int[h.JOINT_GROUP, j]
@@ -117,7 +117,7 @@ def _detect_silent_sensors(x: StateTables, c: ConstantTables, evidence: Evidence
             last_group = group
             last_frame_ns = x.group_int[s.GROUP_RECEIVED_NS, group]
             if last_frame_ns < now_ns - c.run_int[h.JOINT_SILENCE_NS]:
-                evidence[FAULT_N02B, j] = (now_ns - last_frame_ns) * 1e-9
+                evidence[N02B_SILENT_JOINT_ENCODERS, j] = (now_ns - last_frame_ns) * 1e-9
 
 
 @kernel_helper
@@ -128,16 +128,16 @@ def _detect_rejected_positions(x: StateTables, evidence: EvidenceTable) -> None:
     """
     for n in range(x.tendon.shape[1]):
         if x.tendon[s.REJECTED_MOTOR_STEP, n] > 0.0:
-            evidence[FAULT_N05A, n] = x.tendon[s.REJECTED_MOTOR_STEP, n]
+            evidence[N05A_ENCODER_JUMP, n] = x.tendon[s.REJECTED_MOTOR_STEP, n]
             if x.tendon[s.REJECTED_POSITION_COUNT, n] > 1.0:
-                evidence[FAULT_N05B, n] = x.tendon[s.REJECTED_MOTOR_STEP, n]
+                evidence[N05B_REPEATED_ENCODER_JUMPS, n] = x.tendon[s.REJECTED_MOTOR_STEP, n]
     for j in range(x.joint.shape[1]):
         if x.joint[s.REJECTED_JOINT_STEP, j] > 0.0:
             # A fault that can occur in motors and in joints has two rows of the evidence table. The
             # second row is for joints.
-            evidence[FAULT_N05A + 1, j] = x.joint[s.REJECTED_JOINT_STEP, j]
+            evidence[N05A_ENCODER_JUMP + 1, j] = x.joint[s.REJECTED_JOINT_STEP, j]
             if x.joint[s.REJECTED_ANGLE_COUNT, j] > 1.0:
-                evidence[FAULT_N05B + 1, j] = x.joint[s.REJECTED_JOINT_STEP, j]
+                evidence[N05B_REPEATED_ENCODER_JUMPS + 1, j] = x.joint[s.REJECTED_JOINT_STEP, j]
 
 
 @kernel_helper
@@ -148,12 +148,12 @@ def detect_node_faults_under_torque(
     for n in range(x.tendon.shape[1]):
         slip = abs(x.tendon[s.RESIDUAL + residuals.SLIP, n])
         if slip > SLIP_WARN_DEG:
-            evidence[FAULT_N06A, n] = slip
+            evidence[N06A_JOINT_SPOOL_MISMATCH, n] = slip
         if slip > SLIP_TRIP_DEG:
-            evidence[FAULT_N06B, n] = slip
+            evidence[N06B_SLIPPING_ENCODER_OR_TENDON, n] = slip
         jerk = abs(x.tendon[s.RESIDUAL + residuals.JERK, n])
         if jerk > c.run[h.POSITION_NOISE_LIMIT]:
-            evidence[FAULT_N07, n] = jerk
+            evidence[N07_NOISY_ENCODER, n] = jerk
         command_difference = abs(x.tendon[s.RESIDUAL + residuals.COMMAND_DIFFERENCE, n])
         max_difference = min(
             TORQUE_DIFFERENCE_LIMIT_N,
@@ -163,11 +163,15 @@ def detect_node_faults_under_torque(
             command_difference > max_difference
             or torque_correlation.does_report_contradict_commands(x, c, n)
         ):
-            evidence[FAULT_N14, n] = command_difference
+            evidence[N14_DISOBEYED_COMMAND, n] = command_difference
         if x.tendon[s.SWING_DURATION, n] > OSCILLATION_DURATION_S:
-            evidence[FAULT_N14B, n] = math.sqrt(x.tendon[s.MEAN_SQUARE_TENSION_SWING, n])
+            evidence[N14B_OSCILLATING_TENSION, n] = math.sqrt(
+                x.tendon[s.MEAN_SQUARE_TENSION_SWING, n]
+            )
         if torque_correlation.is_torque_command_ignored(x, c, n):
-            evidence[FAULT_N17, n] = torque_correlation.fraction_of_command_reported(x, n)
+            evidence[N17_EXCHANGED_TORQUE_REPORTS, n] = (
+                torque_correlation.fraction_of_command_reported(x, n)
+            )
     _detect_stuck_encoders(x, c, evidence)
 
 
@@ -192,7 +196,7 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
             if (
                 goal > STUCK_SENSOR_GOAL_CHANGE_M and _overcomes_friction(c, n, goal)
             ) or tension > STUCK_SENSOR_TENSION_CHANGE_N:
-                evidence[FAULT_N04, n] = max(goal * 1e3, tension)
+                evidence[N04_STUCK_ENCODER, n] = max(goal * 1e3, tension)
     for j in range(x.joint.shape[1]):
         if x.joint_int[s.JOINT_UNCHANGED_COUNT, j] * c.run[h.JOINT_PERIOD] > STUCK_SENSOR_TIME_S:
             turned_angle = (
@@ -204,7 +208,7 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
                 * DEG_PER_RAD
             )
             if turned_angle > STUCK_SENSOR_JOINT_CHANGE_DEG:
-                evidence[FAULT_N04 + 1, j] = turned_angle
+                evidence[N04_STUCK_ENCODER + 1, j] = turned_angle
 
 
 @kernel_helper
@@ -236,9 +240,9 @@ def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Eviden
             and not _has_spool_paid_out(x, c, n)
             and tension > PULL_AFTER_CUT_FRACTION * x.tendon[s.TENSION_AT_CUT, n]
         ):
-            evidence[FAULT_N16, n] = tension
+            evidence[N16_PULL_AFTER_CUT, n] = tension
         elif _reports_torque_after_cut(x, c, n):
-            evidence[FAULT_N16, n] = abs(x.tendon[s.MEASURED_FORCE, n])
+            evidence[N16_PULL_AFTER_CUT, n] = abs(x.tendon[s.MEASURED_FORCE, n])
 
 
 @kernel_helper

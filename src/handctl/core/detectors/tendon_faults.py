@@ -24,19 +24,6 @@ from handctl.safety.faults.tendon import (
     DERAILED_READING_COUNT,
     EXCESS_FRICTION_WARN_N,
     EXCESS_TENSION_TRIP_N,
-    FAULT_T01,
-    FAULT_T02A,
-    FAULT_T02B,
-    FAULT_T03,
-    FAULT_T03B,
-    FAULT_T03C,
-    FAULT_T04A,
-    FAULT_T04B,
-    FAULT_T05,
-    FAULT_T05B,
-    FAULT_T06,
-    FAULT_T08,
-    FAULT_T09,
     FREE_SPOOL_SPEED_FRACTION,
     MIN_SNAP_SPOOL_SPEED,
     RELAXING_TIME_S,
@@ -50,6 +37,19 @@ from handctl.safety.faults.tendon import (
     SNAP_TENSION_FRACTION,
     STUCK_CELL_FORCE_RANGE_N,
     STUCK_CELL_READINGS,
+    T01_SNAPPED_TENDON,
+    T02A_SLACK_TENDON,
+    T02B_LASTING_SLACK,
+    T03_OVER_TENSION,
+    T03B_TENSION_ABOVE_DRIVE_LIMIT,
+    T03C_TENSION_AFTER_RELAXING,
+    T04A_DRIFTING_LOAD_CELL,
+    T04B_WRONG_LOAD_CELL,
+    T05_STUCK_LOAD_CELL,
+    T05B_OLD_LOAD_CELL_READINGS,
+    T06_SATURATED_LOAD_CELL,
+    T08_TENDON_OFF_PULLEY,
+    T09_GROWN_FRICTION,
     TAUT_BEFORE_SNAP_TIME_S,
     TAUT_TENSION_N,
 )
@@ -69,18 +69,18 @@ def detect_tendon_faults(
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             tension = abs(tension)  # both directions of a spool pair have the same limit
         if c.tendon[h.TENSION_TRIP, n] < tension < saturation_tension:
-            evidence[FAULT_T03, n] = tension
+            evidence[T03_OVER_TENSION, n] = tension
         # A measured tension above the drive's torque limit proves that the drive does not obey this
         # limit. A tension that is only estimated proves nothing.
         if (
             c.tendon[h.DRIVE_TENSION_LIMIT, n] < tension < saturation_tension
             and c.tendon_int[h.CELL_GROUP, n] >= 0
         ):
-            evidence[FAULT_T03B, n] = tension
+            evidence[T03B_TENSION_ABOVE_DRIVE_LIMIT, n] = tension
         if is_hand_relaxed and tension > c.tendon[h.TENSION_TRIP, n]:
-            evidence[FAULT_T03C, n] = tension
+            evidence[T03C_TENSION_AFTER_RELAXING, n] = tension
         if is_armed and is_cell_saturated(x, c, n):
-            evidence[FAULT_T06, n] = tension
+            evidence[T06_SATURATED_LOAD_CELL, n] = tension
 
 
 @kernel_helper
@@ -93,12 +93,12 @@ def detect_tendon_faults_under_torque(
         unexplained_tension = residuals.unexplained_tension(x, c, n)
         excess_friction = residuals.excess_friction(x, n)
         if unexplained_tension > RESIDUAL_WARN_N:
-            evidence[FAULT_T04A, n] = unexplained_tension
+            evidence[T04A_DRIFTING_LOAD_CELL, n] = unexplained_tension
         excess_tension = residuals.excess_tension(x, c, n)
         if unexplained_tension > RESIDUAL_TRIP_N or excess_tension > EXCESS_TENSION_TRIP_N:
-            evidence[FAULT_T04B, n] = max(unexplained_tension, excess_tension)
+            evidence[T04B_WRONG_LOAD_CELL, n] = max(unexplained_tension, excess_tension)
         if excess_friction > EXCESS_FRICTION_WARN_N:
-            evidence[FAULT_T09, n] = excess_friction
+            evidence[T09_GROWN_FRICTION, n] = excess_friction
         force_change = stuck_sensors.change_since_reading(
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n],
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n],
@@ -109,15 +109,15 @@ def detect_tendon_faults_under_torque(
             and force_change > STUCK_CELL_FORCE_RANGE_N
             and x.tendon[s.STUCK_TEST_TENSION, n] > TAUT_TENSION_N
         ):
-            evidence[FAULT_T05, n] = force_change
+            evidence[T05_STUCK_LOAD_CELL, n] = force_change
         age = age_of_repeated_readings(x, n)
         if age > 0:
-            evidence[FAULT_T05B, n] = age
+            evidence[T05B_OLD_LOAD_CELL_READINGS, n] = age
         slip = abs(x.tendon[s.TENDON_SLIP, n])
         if x.tendon[
             s.DERAILED_READING_COUNT, n
         ] >= DERAILED_READING_COUNT and slip > derailment_threshold(c, n):
-            evidence[FAULT_T08, n] = slip
+            evidence[T08_TENDON_OFF_PULLEY, n] = slip
 
 
 @kernel_helper
@@ -200,9 +200,9 @@ def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: EvidenceT
     speed = x.tendon[s.SPOOL_SPEED, n]
     slack_time = x.tendon_int[s.SLACK_TICKS, n] * period
     if slack_time > SLACK_WARN_S:
-        evidence[FAULT_T02A, n] = slack_time
+        evidence[T02A_SLACK_TENDON, n] = slack_time
     if slack_time > SLACK_TRIP_S:
-        evidence[FAULT_T02B, n] = slack_time
+        evidence[T02B_LASTING_SLACK, n] = slack_time
     tension = monitored_tension(x, c, n, x.run_int[s.ARE_CELLS_TARED] == 1)
     planned_speed = _planned_speed(x, c, n)
     if c.tendon_int[h.IS_SPOOL_PAIR, n] and commanded_tension < 0.0:
@@ -220,4 +220,4 @@ def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: EvidenceT
         and tension < SNAP_TENSION_FRACTION * commanded_tension
         and was_recently_taut
     ):
-        evidence[FAULT_T01, n] = unplanned_speed
+        evidence[T01_SNAPPED_TENDON, n] = unplanned_speed

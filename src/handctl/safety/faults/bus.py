@@ -55,7 +55,7 @@ _SILENCE_CONDITION_TEXT = (
 )
 
 declare_catalogue_row("B01", "one frame lost", ticks=2, required=2)
-FAULT_B01 = declare_fault(
+B01_MISSING_REPLY = declare_fault(
     "B01", "a reply is missing", "The latest feedback of a motor is older than one tick", SafetyAction.WARN,
     CLEARED_BY_ITSELF, FAULT_PLACE_MOTOR,
     cause="A frame was lost, or the motor or this host was late once. The filter bridges single losses.",
@@ -65,7 +65,7 @@ FAULT_B01 = declare_fault(
 declare_catalogue_row(
     "B02", "several frames in a row lost", ticks=1, ms=30, required=5, why=SILENCE_TIME_REASON
 )
-FAULT_B02 = declare_fault(
+B02_SILENT_MOTOR = declare_fault(
     "B02", "a motor has gone silent", f"A motor sends no reply {_SILENCE_CONDITION_TEXT}", SafetyAction.RELAX,
     CLEARED_BY_OPERATOR, FAULT_PLACE_MOTOR,
     caused_by_lateness=True,
@@ -74,14 +74,14 @@ FAULT_B02 = declare_fault(
 )  # fmt: skip
 
 declare_catalogue_row("B03", "intermittent loss", ticks=102, required=102)
-FAULT_B03A = declare_fault(
+B03A_LOST_REPLIES = declare_fault(
     "B03a", "replies are being lost",
     f"More than {LOST_FRAMES_FOR_HOLD} of the last {LOSS_WINDOW_TICKS} replies of a node are missing",
     SafetyAction.HOLD, CLEARED_BY_ITSELF, FAULT_PLACE_NODE,
     cause="The bus is disturbed or overloaded, or the host is too slow.",
     remedy="Check termination, shielding and bus load (handctl bus doctor, handctl bus plan), or lower the rate.",
 )  # fmt: skip
-FAULT_B03B = declare_fault(
+B03B_MANY_LOST_REPLIES = declare_fault(
     "B03b", "many replies are being lost",
     f"More than {LOST_FRAMES_FOR_RELAX} of the last {LOSS_WINDOW_TICKS} replies of a node are missing",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_NODE,
@@ -100,7 +100,7 @@ declare_catalogue_row(
     ticks=4,
     required=4,
 )
-FAULT_B04 = declare_fault(
+B04_DELAYED_FRAME = declare_fault(
     "B04", "a delayed frame", "A load-cell frame replies to an older SYNC",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name=LOAD_CELLS,
     cause="The sensor node or a gateway on the bus holds frames back.",
@@ -110,7 +110,7 @@ FAULT_B04 = declare_fault(
 declare_catalogue_row(
     "B05", "duplicate, equal bytes", odrive=_EXCESS_REPLIES_TEXT, ticks=2, required=2
 )
-FAULT_B05 = declare_fault(
+B05_DUPLICATE_FRAME = declare_fault(
     "B05", "a duplicate frame", "A node sends more replies than requests, and the replies have equal bytes",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_NODE,
     cause="An adapter or gateway repeats frames, or two nodes share an identifier.",
@@ -120,7 +120,7 @@ FAULT_B05 = declare_fault(
 declare_catalogue_row(
     "B06", "duplicate, different bytes", odrive=_EXCESS_REPLIES_TEXT, ticks=2, required=2
 )
-FAULT_B06 = declare_fault(
+B06_CONFLICTING_FRAMES = declare_fault(
     "B06", "a conflicting duplicate frame",
     "A node sends more replies than requests, and the replies have different bytes",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_NODE, relax_method=RelaxMethod.OPEN_LOOP,
@@ -138,7 +138,7 @@ declare_catalogue_row(
     ticks=2,
     required=2,
 )
-FAULT_B07 = declare_fault(
+B07_WRONG_FRAME_ORDER = declare_fault(
     "B07", "frames arrive out of order", "An old load-cell frame arrives after a newer one",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name=LOAD_CELLS,
     cause="The adapter or a gateway reorders frames.",
@@ -155,7 +155,7 @@ declare_catalogue_row(
     ticks=4,
     required=4,
 )
-FAULT_B08 = declare_fault(
+B08_CORRUPT_PAYLOADS = declare_fault(
     "B08", "corrupt payloads",
     f"In {MALFORMED_WINDOW_TICKS} ticks, {MALFORMED_FRAMES_LIMIT} frames of a node cannot be decoded",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_NODE,
@@ -164,7 +164,7 @@ FAULT_B08 = declare_fault(
 )  # fmt: skip
 
 declare_catalogue_row("B09", "wrong length, RTR, 29 bit, FD", ticks=2, required=2)
-FAULT_B09 = declare_fault(
+B09_MALFORMED_FRAME = declare_fault(
     "B09", "a malformed frame", "A frame has a wrong length, is a remote frame, has 29 bits, or contains no number",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_NODE,
     cause="A node sends another protocol or another message length than the hand file says.",
@@ -173,7 +173,7 @@ FAULT_B09 = declare_fault(
 
 declare_catalogue_row("B10", "unknown identifiers", ticks=2, ms=51, required=2,
     why="51 unknown frames within a second are the limit. With one frame per millisecond this takes 51 ms")  # fmt: skip
-FAULT_B10 = declare_fault(
+B10_UNKNOWN_IDENTIFIERS = declare_fault(
     "B10", "unknown identifiers on the bus",
     f"More than {MAX_UNKNOWN_FRAMES_PER_S:g} frames per second have an unassigned identifier",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name="bus",
@@ -182,7 +182,7 @@ FAULT_B10 = declare_fault(
 )  # fmt: skip
 
 declare_catalogue_row("B11", "babbling idiot", ticks=3, required=3)
-FAULT_B11A = declare_fault(
+B11A_FLOODED_BUS = declare_fault(
     "B11a", "the bus is flooded", "In two ticks, more frames arrive than all nodes can send",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_HAND, debounce_ticks=2, name="bus",
     cause="A node or another program sends without pause (babbling idiot).",
@@ -190,7 +190,7 @@ FAULT_B11A = declare_fault(
 )  # fmt: skip
 # B11b is the second stage of the fault B11a. B11b has the same condition as B11a, but a longer
 # debounce.
-FAULT_B11B = declare_fault(
+B11B_LASTING_FLOOD = declare_fault(
     "B11b", "the bus stays flooded", "In ten ticks, more frames arrive than all nodes can send",
     SafetyAction.CUT, CLEARED_BY_OPERATOR, FAULT_PLACE_HAND, debounce_ticks=10, name="bus",
     cause="A node or another program sends without pause (babbling idiot), so that commands may not arrive.",
@@ -248,7 +248,7 @@ declare_catalogue_row("B17", "some nodes do not hear", CHECKED_BY_FAULT_TABLE,
     f"{INDIRECTLY_VISIBLE}: by counted losses (B03) or by its watchdog (N08), because its cyclic messages continue",
     f"{INDIRECTLY_VISIBLE}: by the drive's timeout of the master (N08), because RPDOs are not confirmed",
     ticks=4, odrive_extra_ms=160, required=4)  # fmt: skip
-FAULT_B17 = declare_fault(
+B17_DEAF_NODES = declare_fault(
     "B17", "some nodes do not hear",
     f"A motor sends no reply in {MIN_SILENT_TICKS} ticks in a row, while other motors reply",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_MOTOR,

@@ -9,7 +9,7 @@ come from these declarations.
 There are two ways to find a fault. A fault with the argument ``fault_places`` is detected by
 compiled code in ``core.detectors``. This argument lists the parts that the fault can affect, such
 as motors or tendons. The declaration returns the row of the fault in the detectors' table of
-results. Detectors use this row as in ``evidence[FAULT_N07, motor]``. A fault with the argument
+results. Detectors use this row as in ``evidence[N07_NOISY_ENCODER, motor]``. A fault with the argument
 ``reports`` is reported by a bus, the host or the recorder.
 """
 

@@ -26,7 +26,7 @@ _WALL_CLOCK_TEXT = f"{VISIBLE_FAULT}: nothing uses the wall clock"
 _NO_CONNECTION_TEXT = f"{VISIBLE_FAULT}: not connected to the loop"
 
 declare_catalogue_row("H01", "one late tick", ticks=1, required=1)
-FAULT_H01 = declare_fault(
+H01_LATE_TICK = declare_fault(
     "H01", "a late tick", "A tick began later than a quarter of a period after its time",
     SafetyAction.PASS, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name="loop",
     cause="Another program or the kernel delayed this host for a moment.",
@@ -34,7 +34,7 @@ FAULT_H01 = declare_fault(
 )  # fmt: skip
 
 declare_catalogue_row("H02", "a missed tick", ticks=1, required=1)
-FAULT_H02 = declare_fault(
+H02_MISSED_TICK = declare_fault(
     "H02", "a missed tick", "At least one tick did not run", SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND,
     name="loop",
     cause="Another program or the kernel delayed this host for more than a period.",
@@ -42,7 +42,7 @@ FAULT_H02 = declare_fault(
 )  # fmt: skip
 
 declare_catalogue_row("H03", "three or more ticks missed", ticks=1, required=1)
-FAULT_H03 = declare_fault(
+H03_STALLED_HOST = declare_fault(
     "H03", "the host stalled", f"For {MAX_STALL_S * 1e3:g} ms, and for at least {MIN_STALLED_TICKS} ticks, no tick ran",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_HAND, name="loop",
     caused_by_lateness=True,
@@ -163,13 +163,13 @@ declare_catalogue_row(
 )
 
 declare_catalogue_row("I07", "bad live goal", ticks=1, required=2)
-FAULT_I07A = declare_fault(
+I07A_REFUSED_REQUEST = declare_fault(
     "I07a", "a live goal was refused", "A goal is out of range or not a number, and the previous goal remains",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name="goal",
     cause="The client sent a goal that the hand cannot reach or that is not a number.",
     remedy="Correct the client. The event before this one contains the wrong value and the valid values.",
 )  # fmt: skip
-FAULT_I07B = declare_fault(
+I07B_MALFORMED_REQUESTS = declare_fault(
     "I07b", "requests keep being malformed",
     f"In a second, {REFUSED_REQUESTS_LIMIT} requests are not JSON, have unknown keys, or contain no number",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_HAND, name="goal",
@@ -190,14 +190,14 @@ declare_catalogue_row(
 
 declare_catalogue_row("I11", "a stream of targets goes stale", ticks=1, ms=100, required=0,
     tested_by="tests/controller/test_target_streams.py")  # fmt: skip
-FAULT_I11A = declare_fault(
+I11A_MISSING_TARGETS = declare_fault(
     "I11a", "streamed targets are missing",
     "No target has arrived for hold_after_ms of the hand file, by default 100 ms",
     SafetyAction.HOLD, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name="stream",
     cause="The client that streams targets is busy, paused, or has ended without closing its stream.",
     remedy="The hand goes on with the next target. Send targets in time, or close the stream before a pause.",
 )  # fmt: skip
-FAULT_I11B = declare_fault(
+I11B_ENDED_STREAM = declare_fault(
     "I11b", "the stream of targets has ended",
     "No target has arrived for relax_after_ms of the hand file, by default 1000 ms",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_HAND, name="stream",

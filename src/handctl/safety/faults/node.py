@@ -110,7 +110,7 @@ _MODES_TEST_FILE = "tests/controller/test_controller_modes.py"
 
 declare_catalogue_row("N01", "reset in motion", odrive=_HEARTBEAT_TEXT, ticks=4, odrive_extra_ms=100, required=2,
     why="4 ticks if the drive is silent while it restarts (CiA 402), else 2 ticks")  # fmt: skip
-FAULT_N01 = declare_fault(
+N01_DRIVE_DROPPED_OUT = declare_fault(
     "N01", "a drive dropped out", "A drive reports that it is disabled, or has restarted",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_MOTOR,
     cause="The drive has restarted, usually because its supply voltage dropped.",
@@ -120,14 +120,14 @@ FAULT_N01 = declare_fault(
 declare_catalogue_row("N02", "silent node", ticks=1, ms=30, required=4,
     why=SILENCE_TIME_REASON + ". Joint encoders are read in every fourth tick: four readings take 85 ms at 200 Hz",
 )  # fmt: skip
-FAULT_N02 = declare_fault(
+N02_SILENT_LOAD_CELLS = declare_fault(
     "N02", "the load cells are silent", f"The sensor node sends no tension frame {_SILENCE_CONDITION_TEXT}",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON,
     caused_by_lateness=True, needs_load_cell=True,
     cause="The sensor node has lost power or its cable, or has crashed.",
     remedy="Check supply and cable of the sensor node, then start a new run.",
 )  # fmt: skip
-FAULT_N02B = declare_fault(
+N02B_SILENT_JOINT_ENCODERS = declare_fault(
     "N02b", "the joint encoders are silent", f"The sensor node sends no joint frame {_SILENCE_CONDITION_TEXT}",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_JOINT,
     caused_by_lateness=True,
@@ -140,7 +140,7 @@ declare_catalogue_row("N03", "missing at start", CHECKED_BEFORE_ARMING, tested_b
 declare_catalogue_row("N04", "encoder stuck", ticks=2, ms=500, required=22,
     why="a constant reading is a fault only after the goal moved by 0.5 mm or the tension by 8 N, and after 100 ms",
 )  # fmt: skip
-FAULT_N04 = declare_fault(
+N04_STUCK_ENCODER = declare_fault(
     "N04", "an encoder is stuck",
     f"A reading is constant for {STUCK_SENSOR_TIME_S * 1e3:g} ms, although the goal, the tension or the spool moves",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_MOTOR, FAULT_PLACE_JOINT, relax_method=RelaxMethod.OPEN_LOOP,
@@ -150,14 +150,14 @@ FAULT_N04 = declare_fault(
 )  # fmt: skip
 
 declare_catalogue_row("N05", "encoder jump", ticks=3, required=3)
-FAULT_N05A = declare_fault(
+N05A_ENCODER_JUMP = declare_fault(
     "N05a", "an encoder jumped",
     "A position changes more than a rotor can move, and the controller rejects the reading",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_MOTOR, FAULT_PLACE_JOINT,
     cause="Noise on the encoder's cable, or a loose magnet, disturbed a reading.",
     remedy="Ignore single cases. If it repeats, check cable and magnet of the encoder.",
 )  # fmt: skip
-FAULT_N05B = declare_fault(
+N05B_REPEATED_ENCODER_JUMPS = declare_fault(
     "N05b", "an encoder jumps", "Two readings in a row change more than a rotor can move",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_MOTOR, FAULT_PLACE_JOINT, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The encoder or its magnet is loose, or the drive has lost its reference.",
@@ -167,7 +167,7 @@ FAULT_N05B = declare_fault(
 declare_catalogue_row("N06", "encoder drift or slip", CHECKED_BY_FAULT_TABLE, _JOINT_ENCODERS_TEXT,
     _JOINT_ENCODERS_TEXT, _JOINT_ENCODERS_TEXT, ticks=4, ms=900, required=200,
     why="sooner than the required 1000 ms")  # fmt: skip
-FAULT_N06A = declare_fault(
+N06A_JOINT_SPOOL_MISMATCH = declare_fault(
     "N06a", "joint and spool disagree",
     f"The filtered difference of joint encoder and spool is above {SLIP_WARN_DEG:g} degrees",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_TENDON,
@@ -175,7 +175,7 @@ FAULT_N06A = declare_fault(
     cause="A tendon stretches or slips on its spool, or an encoder drifts.",
     remedy="Check the tendon's clamp and the encoder's magnet. Commission the hand again (handctl commission).",
 )  # fmt: skip
-FAULT_N06B = declare_fault(
+N06B_SLIPPING_ENCODER_OR_TENDON = declare_fault(
     "N06b", "an encoder or a tendon slips",
     f"The filtered difference of joint encoder and spool is above {SLIP_TRIP_DEG:g} degrees",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON, relax_method=RelaxMethod.OPEN_LOOP,
@@ -185,7 +185,7 @@ FAULT_N06B = declare_fault(
 )  # fmt: skip
 
 declare_catalogue_row("N07", "encoder noise", ticks=4, ms=60, required=52)
-FAULT_N07 = declare_fault(
+N07_NOISY_ENCODER = declare_fault(
     "N07", "a noisy encoder",
     f"Over 100 ms, the noise of the position has {POSITION_NOISE_FACTOR:g} times the expected variance",
     SafetyAction.HOLD, CLEARED_BY_ITSELF, FAULT_PLACE_MOTOR,
@@ -196,7 +196,7 @@ FAULT_N07 = declare_fault(
 declare_catalogue_row("N08", "the drive's watchdog fired", odrive=_HEARTBEAT_TEXT, ticks=2, odrive_extra_ms=100,
     required=2,
     robstride=f"{INDIRECTLY_VISIBLE}: by N01, because the drive reports only that it is disabled")  # fmt: skip
-FAULT_N08 = declare_fault(
+N08_WATCHDOG_FIRED = declare_fault(
     "N08", "a drive's watchdog fired", "The drive reports that its watchdog fired", SafetyAction.RELAX,
     CLEARED_BY_OPERATOR, FAULT_PLACE_MOTOR,
     caused_by_lateness=True,
@@ -207,14 +207,14 @@ FAULT_N08 = declare_fault(
 declare_catalogue_row("N09", "over-temperature", odrive=f"{VISIBLE_FAULT}: requested five times a second",
     cia402=f"{INDIRECTLY_VISIBLE}: by the drive's own limit (N11), because the PDO has no temperature",
     ticks=22, odrive_extra_ms=200, required=22)  # fmt: skip
-FAULT_N09A = declare_fault(
+N09A_WARM_DRIVE = declare_fault(
     "N09a", "a drive is warm",
     "The temperature is above the soft limit, and the controller lowers the limit of the tension",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_MOTOR, debounce_ticks=HIGH_TEMPERATURE_TICKS,
     cause="The hand holds a high tension for a long time, or the drive has too little cooling.",
     remedy="Let the hand rest, hold with less tension, or improve the cooling.",
 )  # fmt: skip
-FAULT_N09B = declare_fault(
+N09B_OVERHEATED_DRIVE = declare_fault(
     "N09b", "a drive is too hot", "The temperature is above the hard limit",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_MOTOR, debounce_ticks=HIGH_TEMPERATURE_TICKS,
     cause="The hand holds a high tension for a long time, or the drive has too little cooling.",
@@ -229,7 +229,7 @@ declare_catalogue_row(
     odrive_extra_ms=100,
     required=2,
 )
-FAULT_N10 = declare_fault(
+N10_SUPPLY_VOLTAGE = declare_fault(
     "N10", "wrong supply voltage", "The drive reports that the voltage is too low or too high",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_MOTOR,
     cause="The supply is too weak, or braking motors raise the voltage.",
@@ -239,13 +239,13 @@ FAULT_N10 = declare_fault(
 declare_catalogue_row(
     "N11", "node fault code", odrive=_HEARTBEAT_TEXT, ticks=2, odrive_extra_ms=100, required=2
 )
-FAULT_N11 = declare_fault(
+N11_DRIVE_ERROR = declare_fault(
     "N11", "a drive reports an error",
     "The feedback of the drive contains an error code", SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_MOTOR,
     cause="The drive has detected an error of its own, for example over-current or a failed encoder.",
     remedy="Look the code up in the drive's manual, remove its cause, and start the next run with --clear.",
 )  # fmt: skip
-FAULT_N11B = declare_fault(
+N11B_UNKNOWN_DRIVE_ERROR = declare_fault(
     "N11b", "a drive reports an unknown error", "The feedback contains an error code that handctl does not know",
     SafetyAction.CUT, CLEARED_BY_OPERATOR, FAULT_PLACE_MOTOR,
     cause="The drive has another firmware than handctl knows.",
@@ -258,7 +258,7 @@ declare_catalogue_row("N12", "wrong firmware or settings", CHECKED_BY_FAULT_TABL
     f"{INDIRECTLY_VISIBLE}: by objects, without serial number. {_SETTINGS_RECHECK_REASON}", ticks=4, ms=1000,
     moteus=f"{INDIRECTLY_VISIBLE}: by settings. {_SETTINGS_RECHECK_REASON}",
     robstride=f"{INDIRECTLY_VISIBLE}: by parameters. {_SETTINGS_RECHECK_REASON}")  # fmt: skip
-FAULT_N12 = declare_fault(
+N12_CHANGED_SETTINGS = declare_fault(
     "N12", "a drive is not as configured",
     "A setting that was read back is wrong, or another host has enabled the drive",
     SafetyAction.CUT, CLEARED_BY_OPERATOR, FAULT_PLACE_MOTOR, relax_method=RelaxMethod.OPEN_LOOP,
@@ -268,7 +268,7 @@ FAULT_N12 = declare_fault(
 
 declare_catalogue_row("N13", "two nodes with one id", odrive=_EXCESS_REPLIES_TEXT, ticks=4, required=2,
     why="2 ticks if the second reply has different bytes, else two replies in three ticks in a row")  # fmt: skip
-FAULT_N13 = declare_fault(
+N13_SHARED_IDENTIFIER = declare_fault(
     "N13", "two nodes with one identifier", "A node sends two replies to one request, in three ticks in a row",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_NODE, debounce_ticks=3, relax_method=RelaxMethod.OPEN_LOOP,
     cause="Two nodes on the bus have the same identifier.",
@@ -280,7 +280,7 @@ declare_catalogue_row("N14", "command not obeyed",
     ticks=22, ms=600, required=22,
     why="22 ticks if reported and commanded torque differ. Ripple that no drive reports is found by N14b",
     )  # fmt: skip
-FAULT_N14 = declare_fault(
+N14_DISOBEYED_COMMAND = declare_fault(
     "N14", "a command is not obeyed",
     f"The filtered difference of commanded and reported torque is above {TORQUE_DIFFERENCE_LIMIT_N:g} N at the "
     "tendon, or above "
@@ -291,7 +291,7 @@ FAULT_N14 = declare_fault(
     cause="The drive limits its torque, is in another mode, or its torque constant is wrong.",
     remedy="Check torque limit and torque constant of the drive, and run handctl conformance on it.",
 )  # fmt: skip
-FAULT_N14B = declare_fault(
+N14B_OSCILLATING_TENSION = declare_fault(
     "N14b", "the tension oscillates",
     f"For {OSCILLATION_DURATION_S * 1e3:g} ms, the tension oscillates about the command with {OSCILLATION_RMS_N:g} "
     f"N RMS, above {MIN_OSCILLATION_HZ:g} Hz",
@@ -302,7 +302,7 @@ FAULT_N14B = declare_fault(
 )  # fmt: skip
 
 declare_catalogue_row("N15", "slow node", odrive=_SINGLE_LOSSES_TEXT, ticks=22, required=22)
-FAULT_N15 = declare_fault(
+N15_SLOW_NODE = declare_fault(
     "N15", "a slow node",
     f"{HALF_RATE_LOSS_COUNT} of {MALFORMED_WINDOW_TICKS} replies of a node are missing, and rarely two in a row",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_NODE,
@@ -312,7 +312,7 @@ FAULT_N15 = declare_fault(
 
 declare_catalogue_row("N16", "node refuses to release", ticks=2, ms=100, required=21,
     why="in the required time of 21 ticks of 5 ms the springs open the finger")  # fmt: skip
-FAULT_N16 = declare_fault(
+N16_PULL_AFTER_CUT = declare_fault(
     "N16", "a drive does not release",
     f"The tension or the reported torque does not fall within {PULL_AFTER_CUT_TIME_S * 1e3:g} ms after the torque "
     "was cut",
@@ -325,7 +325,7 @@ FAULT_N16 = declare_fault(
 declare_catalogue_row("N17", "drives exchanged, or obeying late",
     odrive=f"{INDIRECTLY_VISIBLE}: N05, N06 or T04 in motion or with unequal tensions, because no torque is reported",
     ticks=2, ms=4000)  # fmt: skip
-FAULT_N17 = declare_fault(
+N17_EXCHANGED_TORQUE_REPORTS = declare_fault(
     "N17", "torque reports of another motor",
     f"Over {TORQUE_CORRELATION_TIME_S * 1e3:g} ms, less than {MIN_REPORTED_TORQUE_FRACTION:g} of the small changes "
     "of the command are reported",

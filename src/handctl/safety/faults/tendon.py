@@ -101,7 +101,7 @@ _TORQUE_COMPARISON_TEXT = f"{VISIBLE_FAULT}: by comparison with the commanded to
 declare_catalogue_row("T01", "snap", ticks=10, required=3,
     why="the spool of a torn tendon reaches the speed limit in three to seven ticks, and must exceed it for two ticks",
 )  # fmt: skip
-FAULT_T01 = declare_fault(
+T01_SNAPPED_TENDON = declare_fault(
     "T01", "a tendon snapped", "The tension of a tendon has disappeared, and its spool winds fast",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON, debounce_ticks=2,
     cause="The tendon has torn, or its clamp has opened.",
@@ -110,14 +110,14 @@ FAULT_T01 = declare_fault(
 
 declare_catalogue_row("T02", "slack", ticks=4, ms=110, required=12,
     why="the required 50 ms begin after a filter of 20 ms. Sudden slack is found by T01 in 10 ticks")  # fmt: skip
-FAULT_T02A = declare_fault(
+T02A_SLACK_TENDON = declare_fault(
     "T02a", "a tendon is slack",
     f"The tension is below {SLACK_TENSION_N:g} N for {SLACK_WARN_S * 1e3:g} ms, although a tension is commanded",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_TENDON,
     cause="The digit moves faster than the motor winds, or the tendon has left its spool.",
     remedy="Ignore single cases in fast motion. If it repeats, inspect the tendon.",
 )  # fmt: skip
-FAULT_T02B = declare_fault(
+T02B_LASTING_SLACK = declare_fault(
     "T02b", "a tendon stays slack",
     f"The tension is below {SLACK_TENSION_N:g} N for {SLACK_TRIP_S * 1e3:g} ms, although a tension is commanded",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON,
@@ -127,20 +127,20 @@ FAULT_T02B = declare_fault(
 
 declare_catalogue_row("T03", "over-tension", ticks=10, required=2,
     why="2 ticks from the first sample above the limit, 10 ticks from the start of a drive's failure")  # fmt: skip
-FAULT_T03 = declare_fault(
+T03_OVER_TENSION = declare_fault(
     "T03", "over-tension", "A load-cell reading is above tension_trip_N",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON, relax_method=RelaxMethod.FAST_TENSION_LOOP,
     cause="The digit is blocked or pulled from outside, or the tension command is too high.",
     remedy="Free the digit, check the task's tensions, then start a new run.",
 )  # fmt: skip
-FAULT_T03B = declare_fault(
+T03B_TENSION_ABOVE_DRIVE_LIMIT = declare_fault(
     "T03b", "tension above the drive's limit", "A load-cell reading is above drive_limit_N",
     SafetyAction.CUT, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON,
     needs_load_cell=True,
     cause="The drive makes more torque than its limit allows, or something else pulls the tendon.",
     remedy="Check the torque limit in the drive's own settings before the hand is powered again.",
 )  # fmt: skip
-FAULT_T03C = declare_fault(
+T03C_TENSION_AFTER_RELAXING = declare_fault(
     "T03c", "over-tension remains after relaxing",
     f"{RELAXING_TIME_S * 1e3:g} ms after relaxing began, the tension is above tension_trip_N or the load cell is "
     "saturated",
@@ -151,14 +151,14 @@ FAULT_T03C = declare_fault(
 
 declare_catalogue_row("T04", "load cell drifts", odrive=_TORQUE_COMPARISON_TEXT, ticks=2, ms=500, required=200,
     why="sooner than the required 1000 ms, for a drift of 60 N/s from its first newton")  # fmt: skip
-FAULT_T04A = declare_fault(
+T04A_DRIFTING_LOAD_CELL = declare_fault(
     "T04a", "a load cell drifts", f"Torque, inertia and friction do not explain {RESIDUAL_WARN_N:g} N of the tension",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_TENDON,
     needs_load_cell=True,
     cause="The load cell drifts, or the friction or the torque constant differs from the hand file.",
     remedy="Commission the hand again (handctl commission). If it repeats, identify the hand (handctl identify).",
 )  # fmt: skip
-FAULT_T04B = declare_fault(
+T04B_WRONG_LOAD_CELL = declare_fault(
     "T04b", "a load cell is wrong",
     f"Torque, inertia and friction do not explain {RESIDUAL_TRIP_N:g} N of the tension, "
     f"or the tension is {EXCESS_TENSION_TRIP_N:g} N too large over 20 ms",
@@ -172,7 +172,7 @@ FAULT_T04B = declare_fault(
 declare_catalogue_row("T05", "load cell stuck", ticks=42, required=42,
     reaction_time_start=f"the motor force has varied by {STUCK_CELL_FORCE_RANGE_N + FORCE_RANGE_ERROR_N:g} N",
 )  # fmt: skip
-FAULT_T05 = declare_fault(
+T05_STUCK_LOAD_CELL = declare_fault(
     "T05", "a load cell is stuck",
     f"{STUCK_CELL_READINGS} readings of a load cell are equal, although the torque of the motor changes",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON,
@@ -180,7 +180,7 @@ FAULT_T05 = declare_fault(
     cause="The load cell's amplifier or the sensor node repeats one value.",
     remedy="Restart the sensor node, and check the amplifier of this load cell.",
 )  # fmt: skip
-FAULT_T05B = declare_fault(
+T05B_OLD_LOAD_CELL_READINGS = declare_fault(
     "T05b", "load-cell readings are old",
     f"{MIN_REPEATED_READINGS} to {REPEAT_WINDOW} readings in a row repeat readings from some ticks before",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON, relax_method=RelaxMethod.OPEN_LOOP,
@@ -190,7 +190,7 @@ FAULT_T05B = declare_fault(
 )  # fmt: skip
 
 declare_catalogue_row("T06", "load cell saturated", ticks=4, required=4)
-FAULT_T06 = declare_fault(
+T06_SATURATED_LOAD_CELL = declare_fault(
     "T06", "a load cell is saturated",
     f"For {SATURATED_CELL_TICKS} ticks, the reading is at the end of the range, or shows a broken wire",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON, debounce_ticks=SATURATED_CELL_TICKS,
@@ -211,7 +211,7 @@ declare_catalogue_row("T08", "derailed or crossed", CHECKED_BY_FAULT_TABLE, _SLA
     _SLACK_TEXT, ticks=8, ms=400, required=4,
     why="three readings are necessary, and joints are read in turn. Below 15 degrees N06 finds the fault in 300 ms",
 )  # fmt: skip
-FAULT_T08 = declare_fault(
+T08_TENDON_OFF_PULLEY = declare_fault(
     "T08", "a tendon left its pulley",
     f"In {DERAILED_READING_COUNT} readings, joint and spool differ by more than a tendon can stretch",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON,
@@ -228,7 +228,7 @@ declare_catalogue_row(
     ms=15000,
     tested_by="tests/safety/test_tension_residuals.py",
 )
-FAULT_T09 = declare_fault(
+T09_GROWN_FRICTION = declare_fault(
     "T09", "friction has grown",
     f"Over 5 s of motion, the mean friction is {EXCESS_FRICTION_WARN_N:g} N above that of the hand file",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_TENDON,
