@@ -19,6 +19,7 @@ from handctl.programs.program import ProgramProgress, goal_to_move_to_angle
 from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.clocks.real_clock import RealClock
 from handctl.runtime.clocks.realtime_priority import keep_processors_awake, request_priority
+from handctl.runtime.clocks.rehearsal import Rehearsal
 from handctl.runtime.loop import ControlLoop
 from handctl.runtime.mailbox import STOP_REQUEST
 from handctl.session.run import make_controller
@@ -112,6 +113,8 @@ def run_loop(
         clock, plan.period_ns, [bus], begin, cut_frames, counter.requests, lambda: list(recorder.take_events()), record,
         counter, tick_priority=keep_processors_awake,
     )  # fmt: skip
+    if rate_hz and priority.is_realtime:
+        clock.rehearsal = Rehearsal(loop.rehearse_tick)
     state = loop.run(controller.initial_state())
     recorder.close("done")
     bus.close()

@@ -19,6 +19,14 @@ CANFD_PAYLOAD_BYTES = 64
 SPECIAL_COMMAND_PREFIX = b"\xff" * 7
 ENABLE_COMMAND = SPECIAL_COMMAND_PREFIX + b"\xfc"
 ENABLED_STATE = 1
+SYNC_COUNTER_VALUES = 16
+"""Number of values of the counter in SYNC frames and in the replies of the sensor node."""
+SENSOR_TURNS = 5
+"""Number of turns of the SYNC counter after which the stored replies of the sensor node repeat.
+
+The controller compares each reading with the last 64 readings. If these repeat, it reports old readings
+(fault T05b).
+"""
 HOLD_TENSION_N = 5.0
 """Tension of each tendon after its drive was enabled [N]."""
 FIRST_TORQUE_BYTE = RECORD_SIZE - CANFD_PAYLOAD_BYTES + 4
@@ -37,6 +45,7 @@ class CachedReplies:
         self.replies: dict[tuple[int, int], bytes] = {}
         self.last_commands: dict[int, bytes] = {}
         self.sync = self.rig.world.hand.sensors.sync_id
+        self.sync_count = 0
 
     def replies_to(self, frame: Frame) -> bytes:
         """Return the replies of all nodes to a frame, as frame records of the local bus."""
@@ -47,7 +56,11 @@ class CachedReplies:
             if frame.data == ENABLE_COMMAND:
                 self.pull_tendon(frame.can_id)
             return b"".join(map(pack_record, self.rig.world.receive(frame)))
-        key = (frame.can_id, frame.data[0] & 0xF if frame.can_id == self.sync else 0)
+        key = (frame.can_id, 0)
+        if frame.can_id == self.sync:
+            self.sync_count += 1
+            turn = self.sync_count // SYNC_COUNTER_VALUES % SENSOR_TURNS
+            key = (frame.can_id, SYNC_COUNTER_VALUES * turn + frame.data[0] % SYNC_COUNTER_VALUES)
         if key in self.replies:
             reply = self.replies[key]
             if frame.can_id == self.sync:

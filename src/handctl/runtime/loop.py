@@ -217,6 +217,16 @@ class ControlLoop(Generic[S]):
     take_targets: Callable[[], tuple[TickRequest, ...]] = tuple
     stats: LoopStats = field(default_factory=LoopStats)
     _k: int = 0
+    _rehearsed_inputs: tuple[S, TickIn] | None = None
+
+    def rehearse_tick(self) -> None:
+        """Execute the first two steps of the last tick again, and discard the result.
+
+        These two steps use most of the code and the data of a tick, see ``clocks.rehearsal``. Neither
+        requests nor commands are part of a rehearsal.
+        """
+        if self._rehearsed_inputs:
+            self.begin_tick(*self._rehearsed_inputs).decide(())
 
     def run(self, state: S) -> S:
         """Run ticks until the run has ended and the hand is disarmed.
@@ -344,6 +354,7 @@ class ControlLoop(Generic[S]):
             self._k = k
             entry = self._collect_tick_input(k, late_ns - skipped_ticks * self.period_ns)
             tick = self.begin_tick(last_state[0], entry)
+            self._rehearsed_inputs = last_state[0], entry
             requests = self.take_requests()
             tick.decide(requests)
             targets = self.take_targets()

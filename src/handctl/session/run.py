@@ -34,6 +34,7 @@ from handctl.runtime.clocks.realtime_priority import (
     realtime_priority,
     restore_priority,
 )
+from handctl.runtime.clocks.rehearsal import Rehearsal
 from handctl.runtime.clocks.shared_clock import ClockFile, SharedClock
 from handctl.runtime.clocks.suspend_watch import SuspendWatch
 from handctl.runtime.hold_timeout import HoldTimeout
@@ -202,6 +203,8 @@ def run_live(
             )
             request_source = _merge_requests(observer, _request_source(plan, signals, mailbox))
             loop = _build_loop(plan, controller, clock, buses, recorder, request_source, show_tick)
+            if priority.is_realtime:
+                clock.rehearsal = Rehearsal(loop.rehearse_tick)
             loop.take_targets = targets.read_targets
             loop.publish_tick = partial(_publish_tick, observations, published_state)
             cleanup_stack.pop_all()

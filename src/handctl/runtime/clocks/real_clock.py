@@ -10,6 +10,8 @@ import time
 from dataclasses import dataclass
 from typing import Protocol
 
+from handctl.runtime.clocks.rehearsal import Rehearsal
+
 BUSY_WAIT_NS = 60_000
 """Time before each deadline in which the process reads the clock in a loop [ns of wall time].
 
@@ -54,6 +56,8 @@ class RealClock:
         time_scale: seconds of the run per second of wall time.
         busy_wait: True to read the clock repeatedly before each deadline, without sleeping. This is
             useful only with real-time priority.
+        rehearsal: rehearsal of each tick before its deadline, or None. It is useful only with
+            ``busy_wait``.
         start_ns: reading of the clock at tick 0 [ns of wall time].
         pause_count: number of pauses of the clock so far. Only the shared clock can pause.
         paused_ns: total duration of these pauses [ns of wall time].
@@ -62,6 +66,7 @@ class RealClock:
     period_ns: int
     time_scale: float = 1.0
     busy_wait: bool = False
+    rehearsal: Rehearsal | None = None
     start_ns: int = 0
     pause_count: int = 0
     paused_ns: int = 0
@@ -98,9 +103,16 @@ class RealClock:
 
     def _wait_until(self, deadline_ns: int) -> int:
         """Wait until the clock reads the deadline, and return the time since then [ns of wall time]."""
-        waiting_ns = deadline_ns - self._read_clock_ns() - (BUSY_WAIT_NS if self.busy_wait else 0)
+        lead_ns = BUSY_WAIT_NS if self.busy_wait else 0
+        rehearsal = self.rehearsal
+        wall_period_ns = int(self.period_ns / self.time_scale)
+        if rehearsal:
+            lead_ns = max(lead_ns, rehearsal.lead_time_ns(wall_period_ns))
+        waiting_ns = deadline_ns - self._read_clock_ns() - lead_ns
         if waiting_ns > 0:
             time.sleep(waiting_ns / 1e9)
+        if rehearsal:
+            rehearsal.rehearse(deadline_ns - self._read_clock_ns(), wall_period_ns)
         while (
             now := self._read_clock_ns()
         ) < deadline_ns:  # sleep may return too early, so the loop reads the clock again

@@ -1,0 +1,108 @@
+"""Test the rehearsal of a tick before its deadline."""
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handctl.log.read.reader import RunLog
+from handctl.replay.controller_rebuild import rebuild_controller
+from handctl.runtime.clocks.real_clock import RealClock
+from handctl.runtime.clocks.rehearsal import MARGIN_SHARE, MAX_PERIOD_SHARE, Rehearsal
+
+PERIOD_NS = 2_000_000
+TICK_NS = 70_000
+GOLDEN_LOGS = sorted((Path(__file__).parents[2] / "logs" / "golden").glob("*.mcap"))
+
+
+class WallClock:
+    """A simulated CLOCK_MONOTONIC, which sleeps and ticks move forward."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, wake_up_delay_ns: int = 0) -> None:
+        self.now_ns = 10_000_000
+        self.wake_up_delay_ns = wake_up_delay_ns
+        self.tick_ns = TICK_NS
+        self.tick_starts_ns: list[int] = []
+        monkeypatch.setattr(time, "monotonic_ns", self.read)
+        monkeypatch.setattr(time, "sleep", self.sleep)
+
+    def read(self) -> int:
+        self.now_ns += 100
+        return self.now_ns
+
+    def sleep(self, seconds: float) -> None:
+        self.now_ns += round(seconds * 1e9) + self.wake_up_delay_ns
+
+    def execute_tick(self) -> None:
+        self.tick_starts_ns.append(self.now_ns)
+        self.now_ns += self.tick_ns
+
+
+def test_a_rehearsal_ends_shortly_before_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
+    wall = WallClock(monkeypatch)
+    clock = RealClock(PERIOD_NS, busy_wait=True, rehearsal=Rehearsal(wall.execute_tick))
+    clock.start()
+    lateness = [clock.wait(k) for k in range(400)]
+    assert max(lateness) < 1000
+    assert len(wall.tick_starts_ns) == 400, "the assumed duration of the first one fits as well"
+    last_deadline_ns = clock.start_ns + 399 * PERIOD_NS
+    time_before_deadline_ns = last_deadline_ns - wall.tick_starts_ns[-1]
+    assert time_before_deadline_ns == pytest.approx(
+        TICK_NS + MARGIN_SHARE * PERIOD_NS, abs=0.05 * TICK_NS
+    )
+
+
+def test_a_process_that_wakes_up_late_leaves_the_rehearsal_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    wall = WallClock(monkeypatch)
+    clock = RealClock(PERIOD_NS, busy_wait=True, rehearsal=Rehearsal(wall.execute_tick))
+    clock.start()
+    for k in range(400):
+        clock.wait(k)
+    rehearsals = len(wall.tick_starts_ns)
+    wall.wake_up_delay_ns = int(MARGIN_SHARE * PERIOD_NS) + 10_000
+    assert clock.wait(400) < 1000
+    assert len(wall.tick_starts_ns) == rehearsals
+
+
+@pytest.mark.parametrize("period_ns", [500_000, 1_000_000])
+def test_no_rehearsal_takes_a_large_share_of_the_period(
+    monkeypatch: pytest.MonkeyPatch, period_ns: int
+) -> None:
+    wall = WallClock(monkeypatch)
+    wall.tick_ns = int(MAX_PERIOD_SHARE * period_ns)
+    rehearsal = Rehearsal(wall.execute_tick)
+    clock = RealClock(period_ns, busy_wait=True, rehearsal=rehearsal)
+    clock.start()
+    lateness = [clock.wait(k) for k in range(10_000)]
+    assert max(lateness) < MAX_PERIOD_SHARE * period_ns
+    assert len(wall.tick_starts_ns) < 50, "sometimes the clock tries whether a rehearsal fits now"
+
+
+def test_rehearsals_begin_again_after_an_interruption(monkeypatch: pytest.MonkeyPatch) -> None:
+    wall = WallClock(monkeypatch)
+    clock = RealClock(PERIOD_NS, busy_wait=True, rehearsal=Rehearsal(wall.execute_tick))
+    clock.start()
+    for k in range(100):
+        clock.wait(k)
+    wall.tick_ns = 3 * PERIOD_NS // 4
+    clock.wait(100)
+    wall.tick_ns = TICK_NS
+    rehearsals = len(wall.tick_starts_ns)
+    assert max(clock.wait(k) for k in range(101, 501)) < 1000
+    assert len(wall.tick_starts_ns) > rehearsals + 100
+
+
+@pytest.mark.parametrize("log_path", GOLDEN_LOGS, ids=lambda path: path.stem)
+def test_a_rehearsal_changes_no_later_tick(log_path: Path) -> None:
+    """Execute the beginning of every tick a second time, and compare all states with the log."""
+    with RunLog(log_path) as log, np.errstate(all="ignore"):
+        controller = rebuild_controller(log)
+        state = controller.initial_state()
+        for logged_tick in log.ticks():
+            inputs = state, logged_tick.tick_in
+            state, tick_output = controller.tick(*inputs)
+            controller.begin_tick(*inputs).decide(())
+            assert tick_output.state_hash == logged_tick.state_hash
