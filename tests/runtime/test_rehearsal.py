@@ -1,6 +1,7 @@
 """Test the rehearsal of a tick before its deadline."""
 
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ class WallClock:
         self.wake_up_delay_ns = wake_up_delay_ns
         self.tick_ns = TICK_NS
         self.tick_starts_ns: list[int] = []
+        self.executed_steps = 0
         monkeypatch.setattr(time, "monotonic_ns", self.read)
         monkeypatch.setattr(time, "sleep", self.sleep)
 
@@ -34,19 +36,23 @@ class WallClock:
     def sleep(self, seconds: float) -> None:
         self.now_ns += round(seconds * 1e9) + self.wake_up_delay_ns
 
-    def execute_tick(self) -> None:
+    def execute_tick(self) -> Iterator[None]:
         self.tick_starts_ns.append(self.now_ns)
-        self.now_ns += self.tick_ns
+        for share in (0.6, 0.4):
+            self.now_ns += int(share * self.tick_ns)
+            self.executed_steps += 1
+            yield
 
 
 def test_a_rehearsal_ends_shortly_before_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
     wall = WallClock(monkeypatch)
     clock = RealClock(PERIOD_NS, busy_wait=True, rehearsal=Rehearsal(wall.execute_tick))
     clock.start()
-    lateness = [clock.wait(k) for k in range(400)]
+    lateness = [clock.wait(k) for k in range(1000)]
     assert max(lateness) < 1000
-    assert len(wall.tick_starts_ns) == 400, "the assumed duration of the first one fits as well"
-    last_deadline_ns = clock.start_ns + 399 * PERIOD_NS
+    assert len(wall.tick_starts_ns) == 1000, "the assumed duration of the first one fits as well"
+    assert wall.executed_steps == 2000
+    last_deadline_ns = clock.start_ns + 999 * PERIOD_NS
     time_before_deadline_ns = last_deadline_ns - wall.tick_starts_ns[-1]
     assert time_before_deadline_ns == pytest.approx(
         TICK_NS + MARGIN_SHARE * PERIOD_NS, abs=0.05 * TICK_NS
@@ -59,12 +65,26 @@ def test_a_process_that_wakes_up_late_leaves_the_rehearsal_out(
     wall = WallClock(monkeypatch)
     clock = RealClock(PERIOD_NS, busy_wait=True, rehearsal=Rehearsal(wall.execute_tick))
     clock.start()
-    for k in range(400):
+    for k in range(1000):
         clock.wait(k)
     rehearsals = len(wall.tick_starts_ns)
     wall.wake_up_delay_ns = int(MARGIN_SHARE * PERIOD_NS) + 10_000
-    assert clock.wait(400) < 1000
+    assert clock.wait(1000) < 1000
     assert len(wall.tick_starts_ns) == rehearsals
+
+
+def test_a_long_first_step_leaves_the_second_step_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    wall = WallClock(monkeypatch)
+    clock = RealClock(PERIOD_NS, busy_wait=True, rehearsal=Rehearsal(wall.execute_tick))
+    clock.start()
+    for k in range(1000):
+        clock.wait(k)
+    steps = wall.executed_steps
+    wall.tick_ns = int(
+        1.4 * TICK_NS
+    )  # the first step ends before the deadline, the second after it
+    assert clock.wait(1000) < 1000
+    assert wall.executed_steps == steps + 1
 
 
 @pytest.mark.parametrize("period_ns", [500_000, 1_000_000])
@@ -77,8 +97,8 @@ def test_no_rehearsal_takes_a_large_share_of_the_period(
     clock = RealClock(period_ns, busy_wait=True, rehearsal=rehearsal)
     clock.start()
     lateness = [clock.wait(k) for k in range(10_000)]
-    assert max(lateness) < MAX_PERIOD_SHARE * period_ns
-    assert len(wall.tick_starts_ns) < 50, "sometimes the clock tries whether a rehearsal fits now"
+    assert max(lateness) < 1000
+    assert len(wall.tick_starts_ns) < 300, "sometimes the clock tries whether a rehearsal fits now"
 
 
 def test_rehearsals_begin_again_after_an_interruption(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -219,14 +219,17 @@ class ControlLoop(Generic[S]):
     _k: int = 0
     _rehearsed_inputs: tuple[S, TickIn] | None = None
 
-    def rehearse_tick(self) -> None:
-        """Execute the first two steps of the last tick again, and discard the result.
+    def rehearse_tick(self) -> Iterator[None]:
+        """Execute the first two steps of the last tick again, and yield after each of them.
 
         These two steps use most of the code and the data of a tick, see ``clocks.rehearsal``. Neither
-        requests nor commands are part of a rehearsal.
+        requests nor commands are part of a rehearsal, and its result is discarded.
         """
         if self._rehearsed_inputs:
-            self.begin_tick(*self._rehearsed_inputs).decide(())
+            tick = self.begin_tick(*self._rehearsed_inputs)
+            yield
+            tick.decide(())
+            yield
 
     def run(self, state: S) -> S:
         """Run ticks until the run has ended and the hand is disarmed.

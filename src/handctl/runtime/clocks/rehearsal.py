@@ -7,7 +7,7 @@ tick has no side effects, so a rehearsal changes nothing.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 MARGIN_SHARE = 1 / 40
@@ -23,15 +23,17 @@ rehearsals.
 """
 INITIAL_DURATION_NS = 200_000
 """Assumed duration of the first rehearsal [ns]."""
-MAX_GROWTH = 2
+MAX_GROWTH = 1.25
 """Largest factor by which ``expected_ns`` grows after a longer rehearsal.
 
 An interruption makes a single rehearsal very long.
 """
-FALL_SHARE = 1 / 16
-"""Share of the difference by which ``expected_ns`` falls after a shorter rehearsal."""
-DECAY_SHARE = 1 / 1024
-"""Share by which ``expected_ns`` falls in each tick without a rehearsal, so that rehearsals begin again."""
+DECAY_SHARE = 1 / 512
+"""Share by which ``expected_ns`` falls in each tick.
+
+So the expected duration stays close to the longest duration of the last ticks, and hardly any rehearsal
+delays a tick.
+"""
 
 
 @dataclass
@@ -39,35 +41,40 @@ class Rehearsal:
     """Rehearsals of a run, with their expected duration.
 
     Attributes:
-        execute: function that executes the last tick again.
+        execute_steps: function that executes steps of the last tick again, and yields after each step.
         expected_ns: expected duration of the next rehearsal [ns].
     """
 
-    execute: Callable[[], None]
-    expected_ns: int = INITIAL_DURATION_NS
+    execute_steps: Callable[[], Iterator[None]]
+    expected_ns: float = INITIAL_DURATION_NS
 
     def lead_time_ns(self, period_ns: int) -> int:
         """Return the time before a deadline at which the rehearsal must begin [ns].
 
         If this time is too long for the control period ``period_ns``, return 0.
         """
-        lead_ns = self.expected_ns + int(MARGIN_SHARE * period_ns)
+        lead_ns = int(self.expected_ns + MARGIN_SHARE * period_ns)
         return lead_ns if lead_ns <= MAX_PERIOD_SHARE * period_ns else 0
 
     def rehearse(self, remaining_ns: int, period_ns: int) -> None:
-        """Execute the last tick again, if the time until the deadline is long enough.
+        """Execute steps of the last tick again, if the time until the deadline is long enough.
+
+        If another step of the same length does not fit, the remaining steps are left out.
 
         Args:
             remaining_ns: time until the deadline [ns].
             period_ns: control period [ns].
         """
-        if remaining_ns < self.expected_ns or not self.lead_time_ns(period_ns):
-            self.expected_ns -= int(DECAY_SHARE * self.expected_ns)
-            return
-        start_ns = time.monotonic_ns()
-        self.execute()
-        duration_ns = time.monotonic_ns() - start_ns
+        duration_ns = 0
+        if remaining_ns >= self.expected_ns and self.lead_time_ns(period_ns):
+            start_ns = time.monotonic_ns()
+            for _ in self.execute_steps():
+                step_ns = time.monotonic_ns() - start_ns - duration_ns
+                duration_ns += step_ns
+                if remaining_ns - duration_ns < step_ns:
+                    duration_ns += step_ns  # the steps that are left out belong to the next rehearsal
+                    break
         if duration_ns > self.expected_ns:
             self.expected_ns = min(duration_ns, MAX_GROWTH * self.expected_ns)
         else:
-            self.expected_ns += int(FALL_SHARE * (duration_ns - self.expected_ns))
+            self.expected_ns -= DECAY_SHARE * self.expected_ns
