@@ -69,20 +69,20 @@ OBSERVATION_POLL_PERIOD_S = 50e-6
 STATE_POLL_PERIOD_S = 0.2
 """Longest wait for a status line of the controller [s].
 
-After this time, the client checks that the controller still runs.
+If no status line arrives in this time, the client checks that the controller still runs.
 """
 SENDER_NAME_BYTES = 64
-"""Largest number of bytes that the name of the sender adds to a request."""
+"""Largest number of bytes that the name of the sending client adds to a request."""
 DEFAULT_LEASE_S = 2.0
 """Default lease [s].
 
-This is longer than the delays of the thread that renews the lease, on a busy machine.
+The default lease is longer than the delays, on a busy machine, of the thread that renews the lease.
 """
 SHUTDOWN_MODE_NAMES = {mode.name for mode in SHUTDOWN_MODES}
 """Modes of the hand in which the controller follows no goals."""
 RUN_OWNER = "a running handctl run"
 CONFIRMATION_OPTION = "--yes"
-"""Argument of ``handctl run`` that confirms that a hand on a real bus may move."""
+"""Argument of ``handctl run`` by which the operator allows a hand on a real bus to move."""
 _client_number_counter = itertools.count(1)
 """Counter that numbers the clients and streams of this process."""
 
@@ -96,13 +96,13 @@ def connect(
 ) -> "HandClient":
     """Return a client of the controller on a bus. If no controller runs on the bus, start one.
 
-    If this function has started the controller, the controller ends when this program ends or
-    crashes. Before its end, the controller relaxes and disarms the hand. If another process has
+    If this function has started the controller, the controller ends when the calling program ends
+    or crashes. Before the controller ends, it relaxes and disarms the hand. If another process has
     started the controller, a lease protects the hand.
 
     If the program that commands the hand is killed or suspended, it no longer renews the lease.
-    When the lease has expired, moving digits come to rest. After twice the time of the lease, the
-    hand relaxes.
+    When the lease of a client has expired, moving digits come to rest. When twice the time of the
+    lease has passed without a renewal, the hand relaxes.
 
     Args:
         hand: name of a packaged hand, or path of a hand file, for a new controller. On a real bus,
@@ -111,15 +111,15 @@ def connect(
         bus: bus as for the option ``--bus``. For a hand with several buses, give all buses. The
             first bus of the hand comes first.
         arguments: further arguments of ``handctl run``, e.g. ``"--log", "run.mcap"``. On a real
-            bus, ``"--yes"`` confirms that the hand may move. A controller that already runs has its
-            own arguments, so only ``"--yes"`` is accepted then.
+            bus, ``"--yes"`` allows the hand to move. A controller that already runs has its own
+            arguments, so a client of a running controller is allowed to give only ``"--yes"``.
         lease_s: longest time without a renewal of the lease, in the time of the hand [s], from 0.2
-            to 3600. A thread of the client renews the lease. If it is None, the hand keeps its last
-            goal without a time limit.
-        watchdog_s: longest time during which the program may neither call the client nor send a
-            target [s]. After this time, the client's thread no longer renews the lease. So a
-            program that hangs also loses its lease. If it is None, the program may be idle for any
-            time.
+            to 3600. A thread of the client renews the lease. If ``lease_s`` is None, the hand keeps
+            its last goal without a time limit.
+        watchdog_s: longest time during which the program is allowed to neither call the client nor
+            send a target [s]. After this time, the client's thread no longer renews the lease. As a
+            result, a program that hangs also loses its lease. If ``watchdog_s`` is None, the
+            program is allowed to be idle for any time.
 
     Raises:
         ConfigError: the bus, the lease or the watchdog is invalid, or the bus is real and no hand
@@ -171,15 +171,14 @@ def _check_lease(lease_s: float | None, watchdog_s: float | None) -> None:
 class HandClient:
     """Client of one hand.
 
-    Use the client as a context manager. Several threads of a program may share a client.
-
-    At any time, only one client may move the hand. Any number of clients may observe the hand. The
-    first client that moves the hand keeps this right. The client loses this right when it closes,
-    or when another client calls ``take_over``.
+    Use the client as a context manager. Several threads of a program can share a client. At any
+    time, only one client is allowed to move the hand. Any number of clients can observe the hand.
+    The first client that moves the hand keeps the right to move the hand. A client loses the right
+    to move the hand when it closes, or when another client calls ``take_over``.
 
     If the client has started the controller, the hand is relaxed and disarmed when the client
-    closes. If another process has started the controller, the hand stays armed. If this client was
-    moving the hand, the hand then comes to rest.
+    closes. If another process has started the controller, the hand stays armed. If the client was
+    moving the hand when it closed, the hand comes to rest.
 
     Attributes:
         bus: bus of the controller.
@@ -215,8 +214,10 @@ class HandClient:
         self._has_been_live = self._has_commanded = self._closed = self._error_raised = (
             self._is_hand_off
         ) = False
-        self._lock = threading.RLock()  # at any time, only one call may wait for a status line
-        # Only one call at a time may read the output of the controller.
+        self._lock = (
+            threading.RLock()
+        )  # at any time, only one call is allowed to wait for a status line
+        # Only one call at a time is allowed to read the output of the controller.
         self._output_lock = threading.RLock()
         self._observations: ObservationReader | None = None
         self._description: Hand | None = None

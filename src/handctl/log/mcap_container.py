@@ -1,9 +1,9 @@
 """Writer of files in the container format MCAP.
 
 The writer receives messages in blocks, because one Python call for each message would take too
-long. The package mcap encodes records that are rare. This module encodes chunks and message indexes
-itself, because otherwise they would take most of the time. Chunks and message indexes have these
-layouts:
+long. The package mcap encodes only the rare kinds of records. This module itself encodes chunks and
+message indexes, because the package mcap would need most of the writing time for these records.
+Chunks and message indexes have these layouts:
 
 Chunk: opcode u8, length u64, first time u64 [ns], last time u64 [ns], uncompressed size u64, CRC-32
 u32, compression as a text (u32 length), compressed size u64, compressed records. MessageIndex:
@@ -103,8 +103,8 @@ class McapContainer:
         complete_size: length of the file up to the end of the last complete record [bytes].
 
     Raises:
-        OSError: a write fails. Every method that writes to the file can raise this error. After
-            such an error, only `cut_incomplete_record` may still be called.
+        OSError: a write fails. Every method that writes to the file can raise this error. After an
+            OSError, the caller is allowed to call only `cut_incomplete_record`.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -145,7 +145,7 @@ class McapContainer:
     def cut_incomplete_record(self) -> None:
         """Cut the file off after the last complete record.
 
-        This removes the remains of a failed write.
+        The call removes the remains of a failed write.
         """
         os.ftruncate(self._fd, self.complete_size)
         os.lseek(self._fd, self.complete_size, os.SEEK_SET)

@@ -59,8 +59,8 @@ def check_count(count: int, option: str, maximum: int) -> int:
 def add_protocol_option(parser: argparse.ArgumentParser, extra_help: str = "") -> None:
     """Declare --protocol and --motor-type.
 
-    With ``--protocol``, all drives of the hand use this protocol, and not the protocol in the hand
-    file.
+    With ``--protocol``, all drives of the hand use the given protocol, and not the protocol in the
+    hand file.
     """
     text = "drives of the simulated hand (default: as in its file)" + extra_help
     parser.add_argument("--protocol", choices=tuple(PROTOCOL_TRAITS), help=text)
@@ -107,7 +107,7 @@ def add_bitrate_options(
 def _bit_rate_from_text(rate_text: str) -> int:
     """Return a bit rate from the command line [bit/s].
 
-    It must be a bit rate that a hand file could contain.
+    The bit rate must be a value that a hand file could contain.
     """
     rate = int(rate_text)
     if not MIN_BITRATE_BIT_S <= rate <= MAX_BITRATE_BIT_S:
@@ -273,7 +273,7 @@ def print_json(result: dict[str, Any]) -> None:
     text = json.dumps(_json_value(result), indent=2, allow_nan=False)
     sys.stdout.write(
         text.replace("\x7f", "\\u007f") + "\n"
-    )  # the conversion to JSON leaves this control character unescaped
+    )  # the conversion to JSON leaves the control character DEL unescaped
 
 
 def print_json_line(result: dict[str, Any]) -> None:

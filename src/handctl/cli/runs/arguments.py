@@ -1,6 +1,7 @@
 """Declaration of the arguments of the commands in this folder.
 
-The code of a command is imported only when that command runs. Therefore help texts appear fast.
+The code of a command is imported only when that command runs. Because of these late imports, help
+texts appear fast.
 """
 
 import argparse

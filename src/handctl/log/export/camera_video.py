@@ -2,9 +2,9 @@
 
 A video has one image for each frame of an episode. The program ``ffmpeg`` decodes and encodes the
 videos. Each frame of the dataset gets the latest image that the camera had recorded by the time of
-this frame. Source of the layout: LeRobot 0.4, ``datasets/lerobot_dataset.py`` and
-``video_utils.py``. Each episode has its own video file. The statistics are computed for each colour
-channel. The values of a channel are from 0 to 1.
+this frame. Source of the layout of the video files: LeRobot 0.4, ``datasets/lerobot_dataset.py``
+and ``video_utils.py``. Each episode has its own video file. The statistics of the images are
+computed for each colour channel. The values of a colour channel are from 0 to 1.
 """
 
 import shutil
@@ -25,12 +25,12 @@ FILES_PER_CHUNK = 1000
 MAX_MISSING_VIDEO_S = 0.5
 """Longest time at the start or end of an episode that may lack camera frames [s].
 
-The first or last camera frame then fills this time.
+The first or last camera frame fills the time that lacks camera frames.
 """
 STATISTICS_WIDTH = 160
 """Largest width of the images from which statistics are computed [pixels].
 
-Wider images are scaled down.
+Images that are wider than this limit are scaled down for the statistics.
 """
 PIXEL_VALUE_COUNT = 256
 """Number of different values that a colour channel can have."""

@@ -160,7 +160,7 @@ class HealthTopics:
         return np.flatnonzero(has_changed | (np.diff(periods, prepend=last_period) != 0))
 
     def _count_frames(self, batch: TickBatch, first_tick: int, tick_end: int) -> None:
-        """Count the frames and io events of the ticks whose indices are from `first_tick` to `end_tick` - 1."""
+        """Count the frames and io events of the ticks whose indices are from `first_tick` to `tick_end` - 1."""
         for direction, frames in enumerate((batch.received, batch.sent)):
             first_row, end_row = np.searchsorted(frames.tick_indexes, (first_tick, tick_end))
             bus = np.bincount(frames.frames["bus"][first_row:end_row], minlength=len(self._frames))
