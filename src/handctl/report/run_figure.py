@@ -22,7 +22,9 @@ COMMAND_COLOUR = "#444444"
 PLANT_COLOUR = "#000000"
 PHASE_MARK_COLOUR = "#999999"
 FAULT_COLOUR = "#d01c1c"
-"""Colour of fault marks. The constants above are the colours of commands, of the simulated plant and of phase marks.
+"""Colour of fault marks.
+
+The constants above are the colours of commands, of the simulated plant and of phase marks.
 """
 TENDON_OPACITIES = (1.0, 0.65, 0.4)
 """Opacity of the first, second and third tendon of a digit."""

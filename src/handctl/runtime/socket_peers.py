@@ -1,8 +1,8 @@
 """Check of the user at the other end of a Unix socket. Only the user of this process and root are trusted.
 
-The folder of the sockets already excludes other users (see ``socket_paths``). This check is a
-second protection. On Linux the kernel reports the user of a sender. On other systems every sender
-is trusted.
+The folder of the sockets already excludes other users (see ``socket_paths``). The check of the user
+at the other end is a second protection. On Linux the kernel reports the user of a sender. On other
+systems every sender is trusted.
 """
 
 import os
@@ -65,5 +65,5 @@ def is_served_by_same_user(link: socket.socket) -> bool:
 
 
 def is_trusted_user(user_id: int) -> bool:
-    """Return True if a user may send commands to the hand of this user."""
+    """Return True if a user is allowed to send commands to the hand of the user of this process."""
     return user_id in (0, os.geteuid())

@@ -27,7 +27,9 @@ from handctl.session.run_plan import bus_specs, chosen_time_scale, default_contr
 from handctl.signal_handlers import TerminationFlag, installed_handler
 
 MAX_POLL_RATE_HZ = 100.0
-"""Largest rate at which ``handctl bus watch`` polls the drives [Hz]. A high bus load can lower the poll rate further.
+"""Largest rate at which ``handctl bus watch`` polls the drives [Hz].
+
+A high bus load can lower the poll rate further.
 """
 REFRESH_PERIOD_S = 0.1
 """Time between two lines of JSON, or between two tables in a terminal [s]."""

@@ -13,7 +13,8 @@ class Colour(NamedTuple):
     def mixed_with(self, other_colour: "Colour", fraction: float) -> "Colour":
         """Return a mix of this colour and the other colour.
 
-        With the fraction 0, the result is this colour. With the fraction 1, it is the other colour.
+        With the fraction 0, the result is this colour. With the fraction 1, the result is the other
+        colour.
         """
         return Colour(
             *(round(a + fraction * (b - a)) for a, b in zip(self, other_colour, strict=True))
@@ -36,8 +37,8 @@ DIGIT_PALETTE = (
 )
 """Colours of the digits.
 
-The colours suit a dark background. People with red-green colour blindness can tell the colours
-apart.
+The colours of the digits suit a dark background. People with red-green colour blindness can
+distinguish the colours of the digits.
 """
 
 PHASE_COLOURS = {
