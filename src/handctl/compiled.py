@@ -147,7 +147,9 @@ def _make_dispatcher(function: F) -> F:
     with _use_kernel_cache(_CACHE_FOLDER):
         try:
             dispatcher: Any = njit(cache=_CACHE_FOLDER is not None, error_model="numpy")(function)
-        except RuntimeError:  # numba raises this error if it cannot write into the folder
+        except (
+            RuntimeError
+        ):  # numba raises the caught error if it cannot write into the folder of the cache
             dispatcher = njit(error_model="numpy")(function)
     return cast(F, dispatcher)
 

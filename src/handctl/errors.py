@@ -76,7 +76,7 @@ class UnconfirmedError(PowerError, BusError):
     Args:
         bus: bus of the controller.
         word: name of the request, e.g. ``stop``.
-        why: event that occurred in place of the confirmation.
+        why: event that occurred instead of the confirmation.
     """
 
     def __init__(self, bus: str, request_name: str, reason: str) -> None:

@@ -222,7 +222,7 @@ class AsyncTargetStream:
         return self.stream.status
 
     async def close(self) -> None:
-        """End the stream. The digits of the stream come to rest."""
+        """End the stream, and let the digits of the stream come to rest."""
         await asyncio.to_thread(self.stream.close)
 
 

@@ -29,9 +29,9 @@ class Fingertips:
     positions.
 
     Some digits cannot reach every position, for example a digit with one tendon for three joints.
-    The tip of such a digit comes as close to its goal as possible. Each search starts from the
-    result of the previous search, so that a continuous motion of the fingertips gives joint angles
-    without jumps.
+    The tip of a digit that cannot reach its goal comes as close to the goal as possible. Each
+    search starts from the result of the previous search, so that a continuous motion of the
+    fingertips gives joint angles without jumps.
 
     Attributes:
         digits: names of the digits.

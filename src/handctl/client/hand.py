@@ -94,7 +94,7 @@ def connect(
     lease_s: float | None = DEFAULT_LEASE_S,
     watchdog_s: float | None = None,
 ) -> "HandClient":
-    """Return a client of the controller on a bus. If no controller runs on the bus, start one.
+    """Return a client for the hand on a bus. If no controller runs on the bus, start a controller.
 
     If this function has started the controller, the controller ends when the calling program ends
     or crashes. Before the controller ends, it relaxes and disarms the hand. If another process has

@@ -58,8 +58,8 @@ class TargetStream:
 
     The hand reaches a target ``horizon_s`` after the target was sent, and then continues to the
     next target. A program with a known trajectory should send at each moment the target that the
-    hand must reach ``horizon_s`` later. With such targets, the hand follows the trajectory without
-    delay.
+    hand must reach ``horizon_s`` later. If each target is sent ``horizon_s`` in advance, the hand
+    follows the trajectory without delay.
 
     If no more targets arrive, the hand stays at the last target that has arrived. After the time
     ``hold_after_ms`` without a target, the hand holds its position. After the time
@@ -163,7 +163,7 @@ class TargetStream:
         return self._hand.observe().stream
 
     def close(self) -> None:
-        """End the stream. The digits of the stream come to rest."""
+        """End the stream, and let the digits of the stream come to rest."""
         if self._closed:
             return
         self._closed = True

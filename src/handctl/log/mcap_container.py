@@ -131,8 +131,8 @@ class McapContainer:
         start = self._at
         view = memoryview(data)
         while view:
-            # A single call may write only a part of the bytes, for example if the disk is almost
-            # full.
+            # A single call of ``os.write`` can write only a part of the bytes, for example if the
+            # disk is almost full.
             written_size = os.write(self._fd, view)
             self._at += written_size
             view = view[written_size:]

@@ -242,9 +242,9 @@ class TickBatcher:
             message: the Tick message.
             offset: offset of the phase in the message [bytes].
         """
-        # Nearly all ticks have no events. The Tick message of such a tick ends with the phase and
-        # empty lists. The last bytes of the message are the same in all ticks of one grasp phase
-        # without events. Because of the cache, equal last bytes are decoded only once.
+        # Nearly all ticks have no events. The Tick message of a tick without events ends with the
+        # phase and empty lists. The last bytes of the message are the same in all ticks of one
+        # grasp phase without events. Because of the cache, equal last bytes are decoded only once.
         tail_bytes = message[offset:]
         phase = self._phase_of_tail.get(tail_bytes)
         if phase is None:

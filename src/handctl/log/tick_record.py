@@ -1,7 +1,7 @@
 """Records that the controller writes into the pipe to the recorder.
 
-The record of a tick contains the telemetry and a `handctl_msgs/Tick` message. The message is
-encoded in the same way as in the log.
+The record of a tick contains the telemetry and a `handctl_msgs/Tick` message. The Tick message has
+the same encoding in the pipe and in the log.
 
 All numbers are little-endian.
 
@@ -82,7 +82,7 @@ TICK_HEAD_STRUCT = struct.Struct("<qqq8sBB2xI")
 FRAME_RECORD_BYTES = CLASSICAL_RECORD_BYTES
 """Size of a CAN frame in a Tick message [bytes].
 
-The size is that of the first part of a frame's record, with eight data bytes.
+The size includes eight data bytes. Further data bytes of a long frame come after the frames.
 """
 _CLASSICAL_FRAME_DTYPE = np.dtype(f"V{CLASSICAL_RECORD_BYTES}")
 """numpy type of a frame in a Tick message, as raw bytes."""
@@ -164,7 +164,7 @@ def _eventless_message_tail(phase: str) -> bytes:
     """Return the end of a Tick message without events: the phase and three empty sequences.
 
     If the offset of the end in the message is divisible by four, the bytes of the end depend only
-    on the phase. Such bytes can be cached.
+    on the phase. An end that depends only on the phase can be cached.
     """
     writer = CdrWriter()
     writer.put_string(phase)

@@ -58,9 +58,9 @@ def find_episode(
         episode_index: number of the episode, from 0.
         hand: hand that will follow the episode.
         period: control period of the hand [s].
-        speed_deg_s: limit of the speed of each joint from frame to frame [deg/s]. Higher speeds are
-            reduced to this limit. If ``speed_deg_s`` is None, an episode in which a joint is too
-            fast is refused.
+        speed_deg_s: limit of the speed of each joint from frame to frame [deg/s]. Higher speeds of
+            a joint are reduced to this limit. If ``speed_deg_s`` is None, an episode in which a
+            joint is too fast is refused.
 
     Raises:
         ConfigError: the dataset or the episode does not exist, the episode contains no angles for

@@ -39,7 +39,7 @@ def describe_damaged_log(path: Path) -> str:
 
     The hash chain shows a changed tick even if somebody has adjusted the checksums of the file. If
     all hashes of the chain are right, the damage is in topics that are computed from the ticks. If
-    the damage is in such topics, the result names the ticks of the damaged chunk.
+    the damage is in computed topics, the result names the ticks of the damaged chunk.
 
     Raises:
         LogError: the file is not a log of handctl.

@@ -80,7 +80,7 @@ class DifferenceTally:
         return merged_tally
 
     def add_tick(self, tick_differences: list[TickDifference], has_equal_decisions: bool) -> None:
-        """Add the differences of one tick.
+        """Add the differences of one tick to the tally.
 
         Args:
             tick_differences: the differences between the logged and the computed tick.

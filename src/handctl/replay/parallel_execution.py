@@ -183,7 +183,7 @@ def _state_after_tick(runner: LogRunner, tick_index: int) -> ControllerState | N
 def _start_worker(
     runner: LogRunner, log_part: LogPart, add_executed_ticks: Callable[[int], None]
 ) -> WorkerProcess:
-    """Start the execution of a part in a forked copy of this process."""
+    """Start the execution of a part of a log in a forked copy of this process."""
     return WorkerProcess(
         *run_in_forked_copy(lambda: _result_json(runner, log_part, add_executed_ticks)), log_part
     )
@@ -192,10 +192,10 @@ def _start_worker(
 def _result_json(
     runner: LogRunner, log_part: LogPart, add_executed_ticks: Callable[[int], None]
 ) -> str:
-    """Execute a part of a log, and return the result as JSON. If the log is damaged, the text is empty.
+    """Execute a part of a log, and return the result as JSON. If the log is damaged, the returned text is empty.
 
-    If the text is empty, the calling process executes the part itself, finds the damage and reports
-    the error.
+    If the returned text is empty, the calling process executes the part itself, finds the damage
+    and reports the error.
     """
     try:
         state, difference_tally = runner.execute_log_part(*log_part, None, add_executed_ticks)

@@ -11,7 +11,7 @@ from handctl.replay.run_comparison import check_same_hand, compare_runs
 PASSIVE_PHASES = frozenset(mode.name.lower() for mode in HandMode if mode != HandMode.RELAX)
 """Names of the phases in which the hand's tendons have no tension.
 
-The comparison of two runs compares only the durations of these phases.
+For phases without tension, the comparison of two runs compares only the durations.
 """
 
 

@@ -191,8 +191,8 @@ def are_outputs_equal(logged_tick: TickRecord, logged_telemetry: bytes, computed
 def are_decisions_equal(logged_tick: TickRecord, computed: TickOut) -> bool:
     """Return True if the decisions of a tick are the same in the log and in the re-execution.
 
-    The decisions are the mode, the reaction, the phase and the events. The texts of the events are
-    not compared, because they contain numbers.
+    The decisions of a tick are the mode, the reaction to faults, the grasp phase and the events.
+    The texts of the events are not compared, because they contain numbers.
     """
     logged_events, computed_events = (
         [event[:3] for event in events] for events in (logged_tick.events, computed.events)

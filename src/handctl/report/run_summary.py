@@ -289,8 +289,8 @@ def judge_tension(
 def _holding_mask(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
     """Return a mask (ticks, N) that is True where a tendon follows a tension target because the digit is in contact.
 
-    A spool pair for sideways motion is excluded, because such a pair holds a position instead. A
-    digit on which other digits are mounted, such as a wrist, is also excluded.
+    A spool pair for sideways motion is excluded, because it holds a position instead of a tension.
+    A digit on which other digits are mounted, such as a wrist, is also excluded.
     """
     slices = [hand.digit_tendons[name] for name in hand.digit_names]
     digit_of_tendon = np.repeat(
@@ -454,8 +454,8 @@ def angle_rows(angle_summaries: dict[str, dict[str, Any]]) -> list[tuple[str, st
 def tracking_text(run_summary: Mapping[str, Any]) -> tuple[float, str]:
     """Return the factor and the unit with which ``tracking_rmse_rad`` is shown to a user.
 
-    The unit is mm if all digits have only prismatic joints. Otherwise the text counts 10 mm of a
-    prismatic joint as 1 rad.
+    The unit is mm if all digits have only prismatic joints. If a digit has a hinge, the text counts
+    10 mm of a prismatic joint as 1 rad.
     """
     units = {angle.get("unit", "deg") for angle in run_summary["joint_angles"].values()}
     if units == {"mm"}:

@@ -67,7 +67,8 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
             _draw_palm(axes, hand)
         paths = tree.points(q[index])
         turned_link_rotations = link_rotations(tree.poses(q[index]))
-        # In this projection, a digit with a larger z lies behind the others, so it is drawn first.
+        # In this projection, a digit with a larger z lies behind the other digits, so it is drawn
+        # before them.
         for d in sorted(range(len(digits)), key=lambda d: -float(digits[d].mount_position[2])):
             # The object pushes the fingertip against the direction in which the digit closes, which
             # is the y axis of the last link.
@@ -186,8 +187,8 @@ def _draw_digit(
             solid_joinstyle="round",
         )
     axes.plot(*path[:-1].T, "o", color="white", markersize=3)
-    # An unknown force or angle is NaN, and this negated comparison is then true. If the force or an
-    # angle is NaN, no arrow is drawn.
+    # For an unknown force or angle, which is NaN, this negated comparison is true. If the force or
+    # an angle is NaN, no arrow is drawn.
     if not np.linalg.norm(push_force) >= MIN_ARROW_FORCE_N:
         return
     start, end = _project_points(

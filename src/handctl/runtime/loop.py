@@ -34,7 +34,7 @@ T = TypeVar("T", covariant=True)
 
 
 class TickInProgress(Protocol[T]):
-    """Interface of a begun tick, as used by the loop. See ``controller.tick.TickInProgress``."""
+    """Interface of a tick that has begun, as the control loop uses it. See ``controller.tick.TickInProgress``."""
 
     @property
     def state(self) -> T:

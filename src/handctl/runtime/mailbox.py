@@ -292,7 +292,7 @@ class StatusWatcher:
                 yield line
 
     def discard_status_lines(self) -> None:
-        """Discard the unread status lines."""
+        """Discard the status lines that have arrived but were not read."""
         self.socket.setblocking(False)
         try:
             while self.socket.recv(MAX_STATUS_BYTES):

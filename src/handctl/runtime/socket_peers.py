@@ -57,7 +57,7 @@ def receive_datagram(link: socket.socket, max_bytes: int) -> tuple[bytes, str, b
 
 
 def is_served_by_same_user(link: socket.socket) -> bool:
-    """Return True if the process at the other end of a connected stream socket belongs to this user or to root."""
+    """Return True if the process that serves a connected stream socket belongs to this user or to root."""
     if not IS_LINUX:
         return True
     raw_bytes = link.getsockopt(socket.SOL_SOCKET, SO_PEERCRED, CREDENTIALS_STRUCT.size)

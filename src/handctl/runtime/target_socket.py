@@ -6,9 +6,9 @@ The controller reads the socket without blocking. Requests arrive at a different
 targets, so that a client that sends targets too fast cannot delay a stop request from another
 client.
 
-A datagram with a target is little-endian. It contains, in this order: magic 4 bytes, process number
-of the client u32, number of the stream u32, number of values u32, number of the target i64, sending
-time of the target on CLOCK_MONOTONIC i64 [ns], values float64.
+A datagram with a target is little-endian. The datagram contains, in this order: magic 4 bytes,
+process number of the client u32, number of the stream u32, number of values u32, number of the
+target i64, sending time of the target on CLOCK_MONOTONIC i64 [ns], values float64.
 """
 
 import socket
@@ -26,7 +26,7 @@ from handctl.runtime.socket_paths import targets_path
 from handctl.runtime.socket_peers import receive_datagram, request_sender_credentials
 
 TARGET_MAGIC = b"HCT1"
-"""First bytes of every datagram with a target. These bytes include the version of the format."""
+"""First bytes of every datagram with a target. The first bytes include the version of the format."""
 HEADER_STRUCT = struct.Struct("<4sIIIqq")
 MAX_DATAGRAM_BYTES = HEADER_STRUCT.size + 8 * MAX_VALUES_PER_TARGET
 """Largest size of a datagram with a target [bytes]."""

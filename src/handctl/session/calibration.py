@@ -57,8 +57,8 @@ def find_calibration(
         buses: buses of the hand that will be armed.
 
     Returns:
-        The calibration, and an empty text. If the file has no valid calibration, the result is None
-        and a text with the reason.
+        The calibration, and an empty text. If the file has no valid calibration, the result
+        consists of None and a text with the reason.
 
     Raises:
         ConfigError: the named file exists but cannot be used, or the file comes from a simulated

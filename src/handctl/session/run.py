@@ -155,10 +155,10 @@ def run_live(
         plan: checked plan of the run.
         controller: controller that executes the program of the run.
         log: log file to write.
-        live_view: True to show the log in Rerun during the run. A separate process then sends the
-            log to the viewer.
-        observer: observer of the run, which is allowed to send requests. It is None for a run
-            without an observer.
+        live_view: True to show the log in Rerun during the run. With ``live_view``, a separate
+            process sends the log to the viewer.
+        observer: observer of the run, which is allowed to send requests. The value is None for a
+            run without an observer.
 
     Raises:
         BusError: a bus cannot be opened, or another controller uses it.

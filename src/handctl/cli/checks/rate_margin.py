@@ -16,8 +16,8 @@ MIN_UNCHECKED_RATE_WITHOUT_CELLS_HZ = 500.0
 """The rate MIN_UNCHECKED_RATE_HZ for a hand with tendons that have neither load cells nor springs to act against [Hz].
 
 Tendons without springs hold each other, and the filter without load cells has a larger phase lag.
-At 250 Hz, the tensions of such tendons oscillated in simulation, and the freely closing digits were
-taken for torn tendons (fault T01).
+In simulation at 250 Hz, the tensions of tendons without springs and load cells oscillated, and the
+safety monitor took freely closing digits for torn tendons (fault T01).
 """
 FORCE_REDUCTION_FACTOR = 0.95
 """Factor between two values of ``motion.force_N`` that are tried until the gain margin is large enough."""
@@ -29,7 +29,7 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     """Return a warning if the gain margin of a tendon's motion loop is too small at a control rate.
 
     If the load of a bus is high, the control rate must be low. At a low control rate, the tensions
-    of fingers with light links can oscillate. A run with such an oscillation ends with an
+    of fingers with light links can oscillate. If the tensions oscillate, the run ends with an
     oscillation fault (N14b) or an over-tension fault (T03).
 
     Args:
@@ -65,8 +65,8 @@ def force_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     """Return a warning if the gain margin of a tendon with a spring and without a load cell is too small.
 
     The filter of a tendon without a load cell has a larger phase lag than the filter of a tendon
-    with a load cell. With the default gains, the gain margin of the motion loop of such a tendon
-    can be only 3 dB, even at 500 Hz.
+    with a load cell. With the default gains, the gain margin of the motion loop of a tendon without
+    a load cell can be only 3 dB, even at 500 Hz.
 
     Args:
         hand: description of the hand.

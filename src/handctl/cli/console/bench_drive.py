@@ -65,7 +65,7 @@ drive, and refuses the drive.
 def parse_options(option_words: list[str]) -> dict[str, Any]:
     """Return the options of a drive from words with the form KEY=VALUE.
 
-    A value is written as in TOML, but a text is allowed to have no quotes.
+    A value is written as in TOML, but quotes around a text are optional.
 
     Raises:
         ConfigError: a word is not TOML.

@@ -74,7 +74,7 @@ class VerbParser(argparse.ArgumentParser):
     def __init__(self, **keywords: Any) -> None:
         """Create a parser with ``--verbose`` and ``--quiet``.
 
-        The keyword arguments are those of ``ArgumentParser``.
+        The keyword arguments are the same as those of ``ArgumentParser``.
         """
         super().__init__(**{"formatter_class": HelpFormatter} | keywords)
         # The options ``--verbose`` and ``--quiet`` have no default value. With a default value, the

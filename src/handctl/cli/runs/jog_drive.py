@@ -146,7 +146,8 @@ def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor
 
     Args:
         motor: description of the motor.
-        full_scale: value of the motor's register TMAX [N m]. The register keeps this value.
+        full_scale: value of the motor's register TMAX [N m]. The value in the register does not
+            change.
         torque: torque limit [N m].
     """
     options = {"current_fraction": min(1.0, torque / full_scale), **motor.options}

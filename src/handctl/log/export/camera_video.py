@@ -21,11 +21,11 @@ from handctl.printing import printable_text
 
 VIDEO_PATH_PATTERN = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 FILES_PER_CHUNK = 1000
-"""Largest number of videos in one folder. LeRobot calls such a folder a chunk."""
+"""Largest number of videos in one folder. LeRobot calls a folder of videos a chunk."""
 MAX_MISSING_VIDEO_S = 0.5
-"""Longest time at the start or end of an episode that may lack camera frames [s].
+"""Longest accepted time without camera frames at the start or end of an episode [s].
 
-The first or last camera frame fills the time that lacks camera frames.
+The first or last camera frame fills the time without camera frames.
 """
 STATISTICS_WIDTH = 160
 """Largest width of the images from which statistics are computed [pixels].

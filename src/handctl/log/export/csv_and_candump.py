@@ -101,7 +101,7 @@ def column_title(column: str, prismatic: Collection[str] = ()) -> str:
 
     If the name of the column already contains the unit, the title is the name.
 
-    The arguments are those of `column_unit`.
+    The arguments are the same as those of `column_unit`.
     """
     return column if column in INTEGER_COLUMNS else f"{column} [{column_unit(column, prismatic)}]"
 
@@ -197,7 +197,7 @@ def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
         pending_frames.sort(key=itemgetter(0))
         # Frames that the next tick reads arrive after the start of the present tick. However, the
         # kernel can deliver a frame slightly later than the frame's time stamp says. Because of
-        # such late deliveries, this function yields each frame one tick later.
+        # late deliveries by the kernel, this function yields each frame one tick later.
         ready_count = bisect_left(pending_frames, complete_until_ns, key=itemgetter(0))
         yield from pending_frames[:ready_count]
         pending_frames = pending_frames[ready_count:]

@@ -5,8 +5,8 @@ active, sampled at equal intervals of time. The files have the layout of LeRobot
 3.0. One file contains the frames of all episodes. Each episode has one video for each camera. The
 feature `observation.state` contains joint angles [rad], positions of prismatic joints [m] and
 estimated tensions [N]. The feature `action` contains commanded joint angles and tensions. While a
-digit holds a tension, its joints have no commanded angle. For the joints of such a digit, `action`
-contains the estimated angles instead.
+digit holds a tension, its joints have no commanded angle. For the joints of a digit that holds a
+tension, `action` contains the estimated angles.
 
 The name of each vector element ends in a unit, for example `index_j1.pos_rad` or
 `index_tendon.tension_N`.

@@ -89,8 +89,8 @@ def iter_messages(
 
     Args:
         content: the uncompressed chunk.
-        compressed_size: size of the compressed chunk [bytes]. This size limits the number of blocks, so that
-            a small file cannot cause a lot of work.
+        compressed_size: size of the compressed chunk [bytes]. The compressed size limits the number
+            of blocks, so that a small file cannot cause a lot of work.
         channels: ids of the channels to read. If ``channels`` is None, all channels are read.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Access to a log file that may be truncated, damaged, or malicious.
+"""Access to a log file that is possibly truncated, damaged, or malicious.
 
 The reader checks every size that the file declares before it allocates memory of this size.
 

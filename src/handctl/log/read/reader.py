@@ -1,6 +1,6 @@
 """Reader of arrays, ticks and events of a recorded run.
 
-The log file may also be incomplete or damaged.
+The reader also accepts an incomplete or damaged log file.
 """
 
 import functools
@@ -65,7 +65,7 @@ def _read_header(scan: RecordScan) -> RunHeader:
 
 
 _SEQUENCE_MASK = 0xFFFF_FFFF
-"""Mask of the low 32 bits of a tick number. These bits are the sequence number of a message."""
+"""Mask of the low 32 bits of a tick number. The low 32 bits of a tick number are the sequence number of a message."""
 
 
 class _ChunkIndex(NamedTuple):

@@ -102,8 +102,8 @@ def _changed_indexes(
 class EventTopics:
     """Topics for events and changes.
 
-    Events are written as log lines. Changes are those of the grasp phase, the mode, the reaction to
-    faults, and the gains.
+    Events are written as log lines. The other topics report changes of the grasp phase, the mode,
+    the reaction to faults, and the gains.
     """
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:

@@ -1,8 +1,8 @@
-"""Hash chain over the ticks of a log. If a byte of a tick is changed, the chain breaks at this tick.
+"""Hash chain over the ticks of a log. If a byte of a tick is changed, the hash of this tick no longer matches.
 
 The chain shows if the log was damaged, or if an attached file was replaced. The chain is not a
 signature. An attacker who changes the log can compute all hashes again. The last hash is in the end
-record of the log. If a copy of the last hash is kept in another place, any change of the log can be
+record of the log. If a copy of the last hash is kept outside the log, any change of the log can be
 detected.
 """
 

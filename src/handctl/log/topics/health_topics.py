@@ -132,7 +132,8 @@ class HealthTopics:
     def _temperature_blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return the temperature messages.
 
-        Each message has the values of the first tick in an interval.
+        A temperature message has the values of the first tick in an interval of
+        TEMPERATURE_PERIOD_NS.
         """
         periods = batch.t_ns // TEMPERATURE_PERIOD_NS
         period_starts = np.flatnonzero(np.diff(periods, prepend=self._last_temperature))

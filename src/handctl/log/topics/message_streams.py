@@ -130,8 +130,8 @@ class MessageStream:
                 times are used.
         """
         number = len(stamps.log_times)
-        # All messages begin as copies of the template. In a structured array, a single assignment
-        # then writes one field of all messages.
+        # All messages begin as copies of the template. In the structured array of the copies, a
+        # single assignment writes one field of all messages.
         rows = np.frombuffer(bytearray(self._record * number), self._dtype)
         measured_ns = stamps.log_times if measured_ns is None else measured_ns
         rows["sequence"] = stamps.sequence

@@ -73,8 +73,8 @@ def _close_other_descriptors(*descriptors: int) -> None:
     """Close all file descriptors of the forked process except the given ones.
 
     If the forked process kept other descriptors open, the controller would not notice the death of
-    the recorder. Such open descriptors would also prevent that the disk space that the recorder has
-    reserved is freed.
+    the recorder. With other open descriptors in the forked process, the disk space that the
+    recorder has reserved could also not be freed.
     """
     edges = [-1, *sorted(descriptors), _MAX_FILE_DESCRIPTORS]
     for low, high in itertools.pairwise(edges):

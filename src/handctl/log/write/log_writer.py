@@ -24,7 +24,7 @@ from handctl.log.write.disk_syncer import sync_to_disk
 CHUNK_SPAN_NS = 250_000_000
 """Longest time span of a chunk [ns].
 
-If the recorder is killed, at most the ticks of this time span are lost.
+If the recorder is killed, at most the ticks of one chunk are lost.
 """
 CHUNK_BYTES = 1 << 20
 """Total size of the collected tick records above which they are written as a chunk [bytes]."""

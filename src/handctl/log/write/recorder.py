@@ -30,8 +30,8 @@ from handctl.log.write.recorder_start import RecorderProcess, get_recorder_proce
 PIPE_BYTES = (8 << 20, 1 << 20)
 """Sizes to request for the pipe to the recorder, in order of preference [bytes].
 
-Linux grants the second size without privileges. A pipe of the second size can contain more than 250
-ticks of the largest hand.
+Linux grants a pipe of the second size to a process without privileges. A pipe of the second size
+can contain more than 250 ticks of the largest hand.
 """
 MIN_FREE_DISK_BYTES = 64 << 20
 """Free disk space below which a log is finished early [bytes].
@@ -104,8 +104,8 @@ class Recorder:
         Args:
             path: path of the new log file.
             header: header of the run.
-            min_free_bytes: smallest amount of free disk space for the recording [bytes]. If less space
-                is free, the recorder finishes the log early.
+            min_free_bytes: smallest amount of free disk space for the recording [bytes]. If less
+                space is free, the recorder finishes the log early.
 
         Raises:
             LogError: the log file cannot be created, or the recorder process does not answer.
@@ -194,8 +194,9 @@ class Recorder:
             self.dropped += self._ended
             return not self._ended
         try:
-            # If only a part of the last record was written, the rest of it must be written first.
-            # Without the rest, the recorder could not find the start of the next record.
+            # If only a part of the last record was written, the rest of this record must be written
+            # before the next record. Without the rest of the last record, the recorder could not
+            # find the start of the next record.
             if self._rest:
                 self._rest = self._rest[os.write(self._pipe, self._rest) :]
             if not self._rest:

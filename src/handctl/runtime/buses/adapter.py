@@ -63,7 +63,7 @@ def read_adapter(name: str, network_folder: Path = SYSFS_NETWORK_FOLDER) -> UsbA
 def _read_text(path: Path) -> str:
     """Return the content of a text file without its line end.
 
-    If the file cannot be read, the text is empty.
+    If the file cannot be read, the returned text is empty.
     """
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()

@@ -12,7 +12,7 @@ from handctl.runtime.buses.link_state import CanLinkState, MissingTool, read_lin
 CommandWords = tuple[str, ...]
 """A shell command as a list of words."""
 TX_QUEUE_FRAMES = 128
-"""Length of the transmit queue of an interface that these commands set up [frames].
+"""Length of the transmit queue that the set-up commands give to an interface [frames].
 
 The Linux default of 10 frames is too short for the frames that a large hand sends in one tick.
 """

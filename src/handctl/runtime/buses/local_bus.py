@@ -79,7 +79,7 @@ def connect_to_hub(name: str) -> socket.socket:
 
 
 class LocalBus:
-    """Client of a local bus. The interface ``contract.Bus`` describes its methods.
+    """Client of a local bus. The interface ``contract.Bus`` describes the methods of the class.
 
     Attributes:
         name: specification of the bus.
@@ -160,7 +160,7 @@ class LocalBus:
         return size
 
     def _report_lost_hub(self) -> None:
-        """Set the state that makes every later call of ``take_events`` report the end of the hub."""
+        """Begin the lasting state in which every call of ``take_events`` reports that the hub has ended."""
         self._closed = True
         self._events.set_persistent_event("enodev", True)
 

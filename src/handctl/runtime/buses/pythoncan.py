@@ -102,7 +102,7 @@ def open_python_can(
 
 
 class PythonCanBus:
-    """A bus of python-can. The interface ``contract.Bus`` describes its methods."""
+    """A bus of python-can. The interface ``contract.Bus`` describes the methods of the class."""
 
     def __init__(
         self,

@@ -71,7 +71,7 @@ short for all frames of a tick.
 class SocketCanBus:
     """CAN bus on a raw CAN socket of Linux.
 
-    The interface ``contract.Bus`` describes its methods.
+    The interface ``contract.Bus`` describes the methods of the class.
     """
 
     def __init__(

@@ -115,7 +115,7 @@ class RealClock:
             rehearsal.rehearse(deadline_ns - self._read_clock_ns(), wall_period_ns)
         while (
             now := self._read_clock_ns()
-        ) < deadline_ns:  # sleep may return too early, so the loop reads the clock again
+        ) < deadline_ns:  # sleep can return too early, so the loop reads the clock again
             if not self.busy_wait:
                 time.sleep((deadline_ns - now) / 1e9)
         return now - deadline_ns

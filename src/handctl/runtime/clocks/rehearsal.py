@@ -1,9 +1,10 @@
 """Rehearsal of a tick shortly before its deadline, so that the caches contain the code and the data of the tick.
 
-Between two ticks, other programs use the caches of the processor. After such a use of the caches, a
-tick takes longer than directly after another tick. In the last microseconds before a deadline, the
-clock only waits. While the clock waits, the control loop executes the beginning of the last tick
-again and discards the result. A tick has no side effects, so a rehearsal changes nothing.
+Between two ticks, other programs use the caches of the processor. When other programs have used the
+caches, a tick takes longer than directly after another tick. In the last microseconds before a
+deadline, the clock only waits. While the clock waits, the control loop executes the beginning of
+the last tick again and discards the result. A tick has no side effects, so a rehearsal changes
+nothing.
 """
 
 import time
@@ -26,7 +27,7 @@ INITIAL_DURATION_NS = 200_000
 MAX_GROWTH = 2
 """Largest factor by which ``expected_ns`` grows after a longer rehearsal.
 
-An interruption makes a single rehearsal very long.
+An interruption by the operating system can make a single rehearsal very long.
 """
 FALL_SHARE = 1 / 16
 """Share of the difference by which ``expected_ns`` falls after a shorter rehearsal."""

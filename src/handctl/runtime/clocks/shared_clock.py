@@ -146,7 +146,7 @@ class SharedClock(RealClock):
     def convert_to_run_time(self, monotonic_ns: int) -> int:
         """Convert a CLOCK_MONOTONIC time stamp to the time of the run [ns].
 
-        The result is right only for time stamps after the second-last pause.
+        The result is right only for time stamps after the pause before the latest pause.
         """
         end_ns, pause_ns = self._last_pause_ns
         paused_before_ns = self._numbers[PAUSED_INDEX] - min(

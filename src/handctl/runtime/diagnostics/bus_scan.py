@@ -1,7 +1,7 @@
 """Scan of a CAN bus that finds the drives and other nodes on the bus.
 
-The scan listens before it sends requests. It sends requests only if no other host is active on the
-bus. The scan never sends commands to drives.
+The scan listens before it sends requests. The scan sends requests only if no other host is active
+on the bus. The scan never sends commands to drives.
 """
 
 import time
@@ -36,7 +36,7 @@ MAX_SEND_TRIES = 50
 MAX_IGNORED_FRAMES = 1
 """Largest number of frames from another host that are ignored.
 
-Such frames possibly come from a host that has just ended.
+Ignored frames possibly come from a host that has just ended.
 """
 ListenFunction = Callable[[Bus, float, list[Frame]], None]
 """Function that collects the frames received on a bus during a time [s]."""

@@ -91,7 +91,8 @@ def run_checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
     """Run all checks in order, and yield each result.
 
     If a check leaves the drive in an unusable state, the remaining checks are left out. Two checks
-    turn the shaft. If the first check that turns the shaft fails, the second is left out.
+    turn the shaft. If the first check that turns the shaft fails, the second check that turns the
+    shaft is left out.
     """
     is_usable = True
     reversed_direction_failed = False
@@ -195,7 +196,8 @@ def _check_one_answer_per_request(device: DeviceUnderTest) -> str:
 def _feedback_frames(rig: DriveRig, target: DriveTarget) -> tuple[int, float]:
     """Run CHECK_DURATION_TICKS ticks, and count the received feedback frames.
 
-    Return the count and the duration [s]. The duration includes ticks that were missed.
+    Return the number of feedback frames, and the duration of the ticks [s]. The duration includes
+    the ticks that were missed.
     """
     feedback_count_before = rig.state.feedback_count
     start_ns = rig.t_ns
@@ -222,7 +224,7 @@ def _check_no_torque_when_ready(device: DeviceUnderTest) -> str:
 
 
 def _check_torque_ignored_when_disabled(device: DeviceUnderTest) -> str:
-    """Send torque commands up to the limit to a disabled drive.
+    """Send torque commands to a disabled drive, up to the torque limit of the test.
 
     If the disabled drive follows the torque commands, raise CheckFailed.
     """
@@ -359,9 +361,9 @@ def _check_disable_command(device: DeviceUnderTest) -> str:
     if rig.state.phase == DrivePhase.FAULT:
         raise CheckFailed(f"reports a fault after the disable command: {rig.state.error_text}")
     duration_text = f"after {(rig.t_ns - start) / 1e6:.0f} ms"
-    # Some drives do not report whether they are enabled. Such a drive gets torque commands after
-    # the disable command. The torque commands show whether the drive has ignored the disable
-    # command.
+    # Some drives do not report whether they are enabled. A drive that does not report its state
+    # gets torque commands after the disable command. The torque commands show whether the drive has
+    # ignored the disable command.
     rig.run_for(DriveTarget.DISABLE, 0.05)
     return f"{duration_text}; {_check_torque_ignored_when_disabled(device)}"
 
@@ -369,7 +371,7 @@ def _check_disable_command(device: DeviceUnderTest) -> str:
 def _check_watchdog(device: DeviceUnderTest) -> str:
     """Check that the watchdog disables the drive when the host sends no frames.
 
-    Also check that the drive stays disabled after the host has sent frames again.
+    Also check that the drive stays disabled when the host sends frames again.
     """
     rig = device.rig
     _enable_drive(rig)

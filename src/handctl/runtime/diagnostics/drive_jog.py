@@ -150,7 +150,7 @@ class _JogExecution:
         if not rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
             return rig.reason_not_ready()
         # The start position is read only after the drive is ready. Before the drive has got its
-        # settings, the positions that it sends may have another scale.
+        # settings, the positions that it sends possibly have another scale.
         rig.run_for(DriveTarget.POLL, HOLD_DURATION_S)
         self._start = rig.state.position
         if not math.isfinite(self._start):
@@ -186,8 +186,8 @@ class _JogExecution:
     def bring_to_rest(self) -> str:
         """Bring velocity or torque to zero along a ramp, or hold the position.
 
-        The method takes at least HOLD_DURATION_S. It returns the reason for an early stop, or an
-        empty text.
+        The method takes at least HOLD_DURATION_S. The method returns the reason for an early stop,
+        or an empty text.
         """
         ramp_s = 0.0
         if self._goal.mode == DriveMode.VELOCITY:

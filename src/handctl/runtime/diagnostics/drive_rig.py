@@ -58,8 +58,8 @@ class DriveRig:
             bus: open bus of the drive.
             clock: clock with period PERIOD_NS, not started yet.
         """
-        # This call makes numba compile the code before the first tick. A compilation in the first
-        # tick would delay the tick, and the watchdog of the drive would expire.
+        # The following call makes numba compile the code before the first tick. A compilation in
+        # the first tick would delay the tick, and the watchdog of the drive would expire.
         compile_kernels()
         self.drive = drive
         self._bus = bus

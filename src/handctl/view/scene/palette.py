@@ -11,10 +11,10 @@ class Colour(NamedTuple):
     blue: int
 
     def mixed_with(self, other_colour: "Colour", fraction: float) -> "Colour":
-        """Return a mix of this colour and the other colour.
+        """Return a mix of this colour and another colour.
 
-        With the fraction 0, the result is this colour. With the fraction 1, the result is the other
-        colour.
+        With the fraction 0, the result is this colour. With the fraction 1, the result is
+        ``other_colour``.
         """
         return Colour(
             *(round(a + fraction * (b - a)) for a, b in zip(self, other_colour, strict=True))
