@@ -17,7 +17,7 @@ from handctl.hand.hand_loading import read_toml
 from handctl.printing import similar_name
 
 EXPECTED_SEPARATOR = "; expected "
-"""Text in the error of a validator between the problem and the valid values."""
+"""Text between the problem and the valid values in the error of a validator."""
 
 
 class Document(BaseModel):

@@ -83,8 +83,8 @@ def _do_nothing() -> None:
 def _load_environment(module: str, constants: list[Any], name: str) -> Any:
     """Return the constants that the code of a function uses.
 
-    The original function of numba also imports the module of the code. Only interpreted code needs
-    the module of the code.
+    The function of numba that this function replaces also imports the module of the code. Only
+    interpreted code needs the module of the code.
 
     Args:
         module: name of the module.
@@ -129,7 +129,8 @@ def _get_executable(
 ) -> Any:
     """Return the Python function that a code library contains.
 
-    The original function of numba looks up the name of the Python function in the parsed bitcode.
+    The function of numba that this function replaces looks up the name of the Python function in
+    the parsed bitcode.
     """
     library.codegen._engine._defined_symbols.add(function.llvm_cpython_wrapper_name)
     return original_get_executable(library, function, environment)

@@ -59,8 +59,8 @@ StreamSpace = Literal["joint", "digit", "tension", "tip_force", "fingertip"]
 START_TIMEOUT_S = 300.0
 """Longest wait until a controller that the client has started accepts goals [s].
 
-This time is enough for commissioning on a slow machine. If a controller cannot start, its process
-ends much earlier, which ends the wait.
+The start timeout is enough for commissioning on a slow machine. If a controller cannot start, its
+process ends much earlier, which ends the wait.
 """
 ATTACH_TIMEOUT_S = 60.0
 """Longest wait until a controller that another process has started accepts goals [s]."""

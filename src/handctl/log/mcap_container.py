@@ -47,7 +47,7 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 MESSAGE_STRUCT = struct.Struct("<BQHIQQ")
 """Layout of the start of a Message record: opcode, length, channel, sequence, log time [ns], publish time [ns]."""
 _RECORD_STRUCT = struct.Struct("<BQ")
-"""Layout of the start of every record: opcode, length."""
+"""Layout of the start of every MCAP record: opcode, length."""
 _CHUNK_STRUCT = struct.Struct("<QQQII3sQ")
 """Layout of the fields of a Chunk record after `_RECORD_STRUCT`, for the compression "lz4"."""
 _MESSAGE_INDEX_STRUCT = struct.Struct("<BQHI")
@@ -83,7 +83,7 @@ def records_as_bytes(records: Iterable[McapRecord]) -> bytes:
 class _SummarySection:
     """Contents of the summary section of a file.
 
-    The contents are collected while the file is written.
+    The contents of the summary section are collected while the file is written.
     """
 
     schemas: list[McapRecord] = field(default_factory=list)

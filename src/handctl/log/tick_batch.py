@@ -258,8 +258,8 @@ class TickBatcher:
 
     def take_batch(self) -> TickBatch:
         """Return all ticks that were added since the last call, as one batch, and begin a new batch."""
-        # In each message, four bytes (the CDR encapsulation) come before the part whose length is
-        # constant.
+        # In each message, four bytes (the CDR encapsulation) come before the first part, whose
+        # length is constant.
         tick_heads = np.frombuffer(
             b"".join([message[4 : 4 + TICK_HEAD_STRUCT.size] for message in self._messages]),
             TICK_HEAD_DTYPE,

@@ -483,8 +483,8 @@ def _unpack_short_ticks(messages: list[bytes]) -> list[TickRecord] | None:
     """Decode Tick messages in which no payload is longer than eight bytes.
 
     Returns:
-        the ticks. None if a message has a longer payload or ends early. If the result
-        is None, the caller decodes each message with `unpack_tick`.
+        the ticks. None if a message has a payload of more than eight bytes or ends early. If the
+        result is None, the caller decodes each message with `unpack_tick`.
     """
     frame_and_length_bytes = list[bytes]()
     end_indices = [0]
@@ -504,8 +504,8 @@ def _unpack_short_ticks(messages: list[bytes]) -> list[TickRecord] | None:
         long_size_offset = start + FRAME_RECORD_BYTES * frame_count_sent
         if message[long_size_offset : long_size_offset + 4] != _NO_LONG_DATA:
             return None
-        # The frames of all messages are joined and decoded in one call. After that, they are
-        # divided again at `ends`.
+        # The frames of all messages are joined and decoded in one call. After the decoding, the
+        # frames are divided among the messages again at `ends`.
         frame_and_length_bytes += (
             message[_FRAMES_OFFSET:sent_count_offset],
             message[start:long_size_offset],

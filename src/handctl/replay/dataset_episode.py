@@ -233,7 +233,7 @@ def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Ar
     distance_beyond_range = units.to_display_units(
         np.maximum(low - angles_of_frames, angles_of_frames - high)
     )
-    # The negated comparison also finds NaN.
+    # The negated comparison is also true for NaN.
     is_beyond_limit = ~(distance_beyond_range <= MAX_CLIP_DISTANCE_DEG)
     if is_beyond_limit.any():
         frame, joint = (int(index) for index in np.argwhere(is_beyond_limit)[0])

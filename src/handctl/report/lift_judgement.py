@@ -28,7 +28,7 @@ def judge_lift(
 ) -> dict[str, Any]:
     """Return two distances: how far the table sank, and how far the object moved.
 
-    Both distances are measured in the time in which the hand held the object.
+    The distances of table and object are measured while the hand holds the object.
 
     Args:
         log: log of the run.

@@ -37,7 +37,7 @@ TENSION_ERROR_KEYS = (
     "tension_hold_error_n",
     "tension_hold_peak_error_n",
 )
-"""Keys of the tension errors in a summary. Without true values, these errors are NaN."""
+"""Keys of the tension errors in a summary. Without true values, the tension errors are NaN."""
 
 
 def summarise_run(
@@ -54,7 +54,7 @@ def summarise_run(
         offset_ns: time on the clock of the simulator at which the time of the run is 0 [ns].
 
     Returns:
-        the numbers and texts, by name.
+        the numbers and texts about the run, by name.
     """
     truth = truth if truth and truth.contains_any_time(log.t_ns + offset_ns) else None
     lateness_us = log.late_ns / 1e3

@@ -38,7 +38,7 @@ class TickInProgress(Protocol[T]):
 
     @property
     def state(self) -> T:
-        """Return the state of the controller after the steps that have been executed."""
+        """Return the state of the controller after the executed steps of the tick."""
         ...
 
     def decide(self, requests: tuple[TickRequest, ...]) -> None:
@@ -115,7 +115,7 @@ class LoopStats:
 class StopSignals:
     """Signals that end a program (SIGINT, SIGTERM, SIGHUP), converted to requests to the controller.
 
-    The first signal relaxes and stops the hand. Each later signal cuts the torque.
+    The first signal relaxes and stops the hand. Each later signal cuts the torque of the motors.
 
     SIGHUP is included, because a closed terminal would otherwise leave the hand armed. Under
     ``nohup``, SIGHUP stays ignored.
@@ -193,8 +193,8 @@ class ControlLoop(Generic[S]):
             time [ns], and the frames received since the last state. The function returns the next
             state, the frames to send, and the names of the drives that have not reported that they
             are off.
-        tick_priority: function that returns a context manager, such as real-time priority. The
-            context contains the ticks alone.
+        tick_priority: function that returns a context manager, such as real-time priority. The loop
+            executes only the ticks of the run in this context.
         take_targets: function that returns the streamed targets since its last call. The loop calls
             this function as late as possible in a tick, so that a target waits as briefly as
             possible.
@@ -300,7 +300,7 @@ class ControlLoop(Generic[S]):
         return unconfirmed_drives
 
     def _send_torque_cut(self) -> None:
-        """Send the frames that remove the torque on every bus.
+        """Send, on every bus, the frames that remove the torque of the motors.
 
         If the queue of a bus is full and refuses some of these frames, the frames are sent again.
         """

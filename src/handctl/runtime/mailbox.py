@@ -258,7 +258,7 @@ class StatusWatcher:
     def send(self, data: bytes, timeout_s: float) -> None:
         """Send a datagram to the controller.
 
-        The datagram is sent from this socket, so that the controller can answer.
+        The datagram is sent from the socket of the watcher, so that the controller can answer.
 
         Args:
             data: content of the datagram.

@@ -43,8 +43,8 @@ class SimulatedHand(LockstepSimulator, Protocol):
     Tests can inject faults into this hand.
 
     Attributes:
-        world: simulated plant and simulated nodes. Tests and rewards read true values from this
-            world directly, and not through the bus.
+        world: simulated plant and simulated nodes. Tests and rewards read true values from the
+            simulated world directly, and not through the bus.
     """
 
     world: Any

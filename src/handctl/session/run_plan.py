@@ -309,7 +309,7 @@ def check_gain_margins(hand: Hand, gains: Gains, rate_hz: float | None = None) -
 def bus_specs(hand: Hand, bus_arguments: Sequence[str]) -> tuple[str, ...]:
     """Return the specification of each bus of a hand.
 
-    The specifications come from the words after ``--bus``.
+    The bus specifications come from the words after ``--bus``.
 
     Raises:
         ConfigError: a bus is missing, given twice, or not part of the hand, or a specification is

@@ -62,8 +62,8 @@ def chunks_of_run_by_part(
 ) -> Iterator[list[Chunk]]:
     """Yield all chunks of a log in parts.
 
-    The first part has the static chunks. The later parts have the chunks of the run, in the order
-    of time.
+    The first part of the result has the static chunks. The later parts have the chunks of the run,
+    in the order of time.
 
     Args:
         path: path of the log. An incomplete log is accepted.

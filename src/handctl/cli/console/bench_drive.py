@@ -209,7 +209,7 @@ def find_drive(args: argparse.Namespace) -> DiscoveredNode:
 
 
 def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> BusScan:
-    """Listen on the bus of a drive that a scan cannot find, and return a result like that of a scan.
+    """Listen on the bus of a drive that a scan cannot find, and return a result like the result of a scan.
 
     A drive that a scan cannot find only answers commands. The function itself sends nothing. If a
     frame with the identifier of the drive arrives, another host must be sending commands to the

@@ -27,7 +27,7 @@ from handctl.session.run_plan import check_gain_margins
 from handctl.tune.gains_store import GainsStore, StoredGains
 
 GAIN_CHANGE_TIMEOUT_S = 3.0
-"""Longest time until a running controller has completed a design with new gains and uses them [s]."""
+"""Longest time until a running controller uses new gains, including the design with the new gains [s]."""
 
 
 def run(args: argparse.Namespace) -> int:

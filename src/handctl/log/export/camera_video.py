@@ -84,7 +84,7 @@ def make_cameras(
         names: name of each camera.
         paths_by_camera: video files of each camera, one for each log.
         start_times_s: time from the start of each run to the first frame of its video [s]. A single
-            value applies to all runs.
+            time applies to all runs.
         logs: number of logs.
 
     Raises:

@@ -26,7 +26,7 @@ LINEAR_SEARCH_LIMIT = 4
 The end of a longer block is found with numpy.
 """
 _RECORD_STRUCT = struct.Struct("<BQ")
-"""Layout of the start of every record: opcode, length."""
+"""Layout of the start of every MCAP record: opcode, length."""
 _CHANNEL_STRUCT = struct.Struct("<H")
 MESSAGE_OPCODE = int(Opcode.MESSAGE)
 _MESSAGE_HEAD_BYTES = 11

@@ -215,8 +215,8 @@ class RunLog:
                 with LogErrorContext(self._file.position_text(chunk.offset)):
                     if data.shape[1] < 4 + TICK_HEAD_DTYPE.itemsize:
                         raise ValueError("a tick that is too short")
-                    # In each message, four bytes (the CDR encapsulation) come before the part whose
-                    # length is constant.
+                    # In each message, four bytes (the CDR encapsulation) come before the first
+                    # part, whose length is constant.
                     index_arrays.append(
                         np.ascontiguousarray(data[:, 4 : 4 + TICK_HEAD_DTYPE.itemsize]).view(
                             TICK_HEAD_DTYPE

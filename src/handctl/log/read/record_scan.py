@@ -36,7 +36,7 @@ The same limit applies to metadata records, to unknown records, and to damaged r
 MAX_COMPRESSION_RATIO = 64
 """Largest accepted ratio of the uncompressed size of all chunks to the size of the file.
 
-The log of a hand at rest is compressed to a fifteenth, well within this limit.
+The log of a hand at rest has the ratio 15, far below this limit.
 """
 
 _RECORD_STRUCT = struct.Struct("<BQ")

@@ -235,8 +235,9 @@ class StateTopics:
             )
         for index, stream in enumerate(self._wrenches):
             force = np.zeros((len(batch.k), 3))
-            # A closing tip moves in the direction +y. A grasped object pushes the closing tip in
-            # the opposite direction. With the expression `0.0 -`, the result is never -0.0.
+            # A closing fingertip moves in the direction +y. A grasped object pushes the closing
+            # fingertip in the opposite direction. With the expression `0.0 -`, the result is never
+            # -0.0.
             force[:, 1] = 0.0 - values_of_field["tip_force"][:, index]
             blocks.append(stream.block(stamps, {"force": force}))
         blocks.append(self._values.block(stamps, {"values": batch.numbers}))

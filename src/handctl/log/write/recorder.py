@@ -53,7 +53,7 @@ milliseconds late, because no event of the recorder stops the hand.
 
 
 def _enlarge_pipe(descriptor: int) -> int:
-    """Ask the system for a larger pipe. Return the size that the system has granted [bytes]."""
+    """Ask the system for a larger pipe. Return the pipe size that the system has granted [bytes]."""
     for size in PIPE_BYTES if hasattr(fcntl, "F_SETPIPE_SZ") else ():
         with suppress(OSError):
             return fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, size)
@@ -251,8 +251,8 @@ class Recorder:
     def _pipe_level_events(self) -> list[IoEvent]:
         """Return an event if the pipe has become more than half full since the last call.
 
-        A deterministic run never gets this event, because the level in the pipe depends on the
-        machine. A deterministic run waits while the pipe is full.
+        A deterministic run never gets the event of a filling pipe, because the level in the pipe
+        depends on the machine. A deterministic run waits while the pipe is full.
         """
         if self._lossless:
             return []

@@ -39,7 +39,7 @@ After the pause, one read returns the records of several ticks. During the pause
 comes close to full.
 """
 MIN_BYTES_WITHOUT_PAUSE = 64 << 10
-"""Number of bytes below which a pause follows a read."""
+"""Number of bytes returned by a read below which a pause follows the read."""
 MAX_UNWRITTEN_S = 0.15
 """Longest time for which a tick waits to be written to the file, in real time [s].
 

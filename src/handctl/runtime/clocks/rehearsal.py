@@ -25,12 +25,12 @@ are no rehearsals.
 INITIAL_DURATION_NS = 200_000
 """Assumed duration of the first rehearsal [ns]."""
 MAX_GROWTH = 2
-"""Largest factor by which ``expected_ns`` grows after a longer rehearsal.
+"""Largest factor by which ``expected_ns`` grows after a rehearsal that took longer than expected.
 
 An interruption by the operating system can make a single rehearsal very long.
 """
 FALL_SHARE = 1 / 16
-"""Share of the difference by which ``expected_ns`` falls after a shorter rehearsal."""
+"""Share of the difference by which ``expected_ns`` falls after a rehearsal that was shorter than expected."""
 DECAY_SHARE = 1 / 1024
 """Share by which ``expected_ns`` falls in each tick without a rehearsal, so that rehearsals begin again."""
 

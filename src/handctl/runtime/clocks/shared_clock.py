@@ -48,7 +48,7 @@ With this value, the simulator can advance without limit.
 TOLERATED_LATENESS_FRACTION = 0.1
 """Largest lateness of a tick that causes no pause, as a fraction of the control period."""
 MAX_CONTROLLER_PAUSE_NS = 100_000_000
-"""Longest lateness of the controller that the clock turns into a pause [ns].
+"""Longest lateness of the controller for which the clock adds a pause [ns].
 
 If the controller wakes up even later, the ticks whose deadlines have passed count as missed.
 """

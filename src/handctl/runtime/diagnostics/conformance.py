@@ -151,7 +151,7 @@ def _check_configuration(device: DeviceUnderTest) -> str:
 def _failed_check_error(
     device: DeviceUnderTest, checked_property: DriveProperty, observed_text: str
 ) -> Exception:
-    """Return the exception for a drive that does not have a property.
+    """Return the exception for a drive that lacks a checked property.
 
     If handctl cannot check the property on this drive, the exception does not count as a failure of
     the drive.
@@ -455,4 +455,4 @@ CHECKED_REQUIREMENTS: tuple[tuple[str, RequirementCheck, bool], ...] = (
     ("is cut at once, and cleared on command only", _check_fault_clearing, False),
     ("sends only frames that can be decoded", _check_frames_decodable, False),
 )
-"""For each requirement: its words, its check, and True if the check turns the shaft."""
+"""For each checked requirement: the words of the requirement, its check, and True if the check turns the shaft."""

@@ -22,7 +22,7 @@ MAX_LISTED_IDS = 8
 MAX_SETUP_S = 3.0
 """Longest time of the set-up of a drive [s]."""
 SETUP_PHASES = (DrivePhase.SILENT, DrivePhase.CONFIGURING)
-"""Phases in which the drive has not reported whether it makes torque."""
+"""Phases of a drive's set-up in which the drive has not reported whether it makes torque."""
 VELOCITY_WINDOW_TICKS = 4
 """Number of ticks between the two positions from which the velocity is computed."""
 
@@ -47,7 +47,8 @@ class DriveRig:
         drive_events: all events of the bus so far.
         inertia: measured inertia of the shaft [kg m2], or NaN before the measurement.
         idle_command: function that takes the state of the drive, and returns the command that does
-            not move the shaft. In position mode, for example, this command is the present position.
+            not move the shaft. In position mode, for example, the idle command is the present
+            position.
     """
 
     def __init__(self, drive: Drive, bus: Bus, clock: TickClock) -> None:
@@ -90,7 +91,7 @@ class DriveRig:
     def velocity_rad_s(self) -> float:
         """Return the velocity of the shaft, computed from the latest positions [rad/s].
 
-        While there are too few positions, the result is NaN.
+        While too few positions are known, the velocity is NaN.
         """
         (first_time_ns, first_position), *_, (last_time_ns, last_position) = self._positions
         # After missed ticks, the time between two positions is longer than a tick.

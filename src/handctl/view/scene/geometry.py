@@ -79,7 +79,7 @@ def mesh_chunks(run: RunInfo) -> Iterator[Chunk]:
 def link_colour(link_name: str, run: RunInfo) -> palette.Colour:
     """Return the colour of a link.
 
-    A link has the colour of its digit, and is lighter near the tip.
+    A link has the colour of its digit. Links near the tip have a lighter colour.
     """
     colours = {
         f"{digit.name}_link{i + 1}": joint_colour
