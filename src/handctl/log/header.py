@@ -36,8 +36,9 @@ class RunHeader:
     header, even if the run ends with a crash.
 
     Attributes:
-        hand_toml: the hand description with all defaults applied. joints, tendons, motors, digits,
-            buses: names of these parts, in the order of the hand file.
+        hand_toml: the hand description with all defaults applied.
+        joints, tendons, motors, digits, buses: names of the joints, tendons, motors, digits and
+            buses of the hand, in the order of the hand file.
         period_ns: control period of the run [ns].
         offset_ns: UNIX time when the time of the run is 0 [ns]. The value is 0 for a run in
             lockstep.

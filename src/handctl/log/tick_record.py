@@ -235,8 +235,8 @@ def pack_tick(tick_in: TickIn, tick_output: TickOut) -> bytes:
         long_payload_bytes = (
             _COUNT_STRUCT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
         )
-    # The first field of a frame is an int64. Therefore CDR aligns the frames to 8 bytes. A tick
-    # without sent frames has no padding in its message.
+    # The first field of a frame is an int64. Therefore CDR aligns the frames to 8 bytes. Without
+    # sent frames, the message has no padding to 8 bytes.
     padding = b"\0\0\0\0" if len(sent_records) else b""
     message_fields = [
         ENCAPSULATION_HEADER,
@@ -316,8 +316,8 @@ def message_layout(message: bytes) -> MessageLayout:
     start = TICK_HEAD_STRUCT.size + 4
     end = TICK_HEAD_STRUCT.size + 4 + FRAME_RECORD_BYTES * received_count
     (sent_count,) = _COUNT_STRUCT.unpack_from(message, end)
-    # Before the sent frames, the message is padded to 8 bytes. A message without sent frames has no
-    # padding.
+    # Before the sent frames, the message is padded to 8 bytes. Without sent frames, the message has
+    # no padding to 8 bytes.
     sent_frames_start = end + 8 if sent_count else end + 4
     sent_frames_end = sent_frames_start + FRAME_RECORD_BYTES * sent_count
     (size,) = _COUNT_STRUCT.unpack_from(message, sent_frames_end)
