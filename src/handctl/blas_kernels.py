@@ -3,10 +3,10 @@
 With the chosen kernels, a log has the same bits on every x86 processor with AVX2 and FMA. numpy and
 scipy compute products of matrices with OpenBLAS. OpenBLAS has kernels for each family of
 processors, and the kernels of different families can round the last bit differently. The tension
-filter and the design of the controller use such products. With the kernels for AVX-512, the numbers
-in a log could therefore differ in their last bits from the numbers on a processor without AVX-512.
-The kernels for Haswell run on every processor with AVX2 and FMA. For matrices as small as those of
-a hand, they are as fast as the other kernels.
+filter and the design of the controller use products of matrices. With the kernels for AVX-512, the
+numbers in a log could therefore differ in their last bits from the numbers on a processor without
+AVX-512. The kernels for Haswell run on every processor with AVX2 and FMA. For matrices as small as
+those of a hand, the kernels for Haswell are as fast as the other kernels.
 """
 
 import os
@@ -36,7 +36,7 @@ def can_run_portable_kernels() -> bool:
     try:
         with CPU_INFO_PATH.open() as lines:
             return cpu_features(lines) >= REQUIRED_CPU_FEATURES
-    except OSError:  # only Linux has this file
+    except OSError:  # only Linux has the file ``/proc/cpuinfo``
         return False
 
 

@@ -2,14 +2,15 @@
 
 Kernels are the functions that run for every tendon, motor or joint in every tick. A kernel is a
 plain function of arrays and numbers, written with loops and ``math``. With ``NUMBA_DISABLE_JIT=1``,
-Python interprets the kernels. Compiled code does not reorder operations (no ``fastmath``). So
-interpreted and compiled kernels give the same numbers to the last bit.
+Python interprets the kernels. Interpreted and compiled kernels give the same numbers to the last
+bit, because compiled code does not reorder operations (no ``fastmath``).
 
 ``compile_kernels`` compiles all kernels before a hand is armed. One compilation serves every hand,
 because the types of a kernel's arguments do not depend on the hand. The compiled code is stored in
 a folder. The name of the folder contains a hash of the path and the content of all source files of
-kernels. A change in one of these files leads to a new folder. So no process runs the compiled code
-of another version. If no folder can be written, each process compiles the kernels itself.
+kernels. A change in a source file of kernels leads to a new folder, so that no process runs the
+compiled code of another version. If no folder for the compiled code can be written, each process
+compiles the kernels itself.
 
 A controller needs numba. Without numba, Python interprets the kernels. Programs that only read logs
 or send requests to a controller do not need numba.
@@ -54,13 +55,13 @@ KERNEL_SOURCES = (
 )  # fmt: skip
 """Files and folders of this package that contain functions and constants of kernels.
 
-A test checks that no module with constants of kernels is missing in the list. If another file
-changes, nothing is compiled again.
+A test checks that no module with constants of kernels is missing in the list. If a file that is not
+in the list changes, nothing is compiled again.
 """
 MAX_CACHE_FOLDERS = 16
 """Largest number of versions of handctl whose compiled code stays stored.
 
-The code of older versions is deleted.
+The compiled code of older versions is deleted.
 """
 MAX_COMPILER_PROCESSES = 8
 """Largest number of processes that compile kernels in parallel."""
@@ -103,9 +104,9 @@ def kernel(*arguments: str) -> Callable[[F], F]:
         arguments: type of each argument. The types real and count are numbers. The types vector,
             matrix, cube, flags and counts are arrays that the kernel reads. The types keys (int64),
             table (rows of float64), table_int and table_words (rows of uint64) are contiguous arrays
-            that the kernel reads and may borrow. The types block (float64), layout (int64), words
-            (rows of uint64) and results (rows of float64) are contiguous arrays into which the
-            kernel may write.
+            that the kernel reads and is allowed to borrow. The types block (float64), layout
+            (int64), words (rows of uint64) and results (rows of float64) are contiguous arrays into
+            which the kernel is allowed to write.
     """
 
     def register_kernel(function: F) -> F:
@@ -146,7 +147,9 @@ def _make_dispatcher(function: F) -> F:
     with _use_kernel_cache(_CACHE_FOLDER):
         try:
             dispatcher: Any = njit(cache=_CACHE_FOLDER is not None, error_model="numpy")(function)
-        except RuntimeError:  # numba raises this error if it cannot write into the folder
+        except (
+            RuntimeError
+        ):  # numba raises the caught error if it cannot write into the folder of the cache
             dispatcher = njit(error_model="numpy")(function)
     return cast(F, dispatcher)
 
@@ -168,7 +171,7 @@ def _use_kernel_cache(folder: Path | None) -> Iterator[None]:
 def _cache_folder() -> Path | None:
     """Create and return the folder for the compiled code of this version.
 
-    If it is not writable, return None.
+    If the folder is not writable, return None.
     """
     root = Path(
         os.environ.get("NUMBA_CACHE_DIR")
@@ -190,8 +193,8 @@ def _source_hash() -> str:
     """Return a hash of the package's path and of the content of all source files that contain kernels.
 
     Numba finds stored code by the path of the source file. If the hash did not contain the path,
-    two installations of the same version would share a folder. One of these installations would
-    then find code that only the other one can use.
+    two installations of the same version would share a folder. In a shared folder, one installation
+    would find code that only the other installation can use.
     """
     package_folder = Path(__file__).parent
     digest = hashlib.blake2b(os.fsencode(package_folder), digest_size=8)
@@ -241,7 +244,7 @@ def _generate_borrowed_array(typing_context: Any, flat: Any, first_index: Any, s
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         from numba.np import (
             arrayobj as _arrayobj,
-        )  # imported here, because only a compilation needs this module
+        )  # imported here, because only a compilation of kernels needs this module
 
         arrayobj: Any = _arrayobj
         source = arrayobj.make_array(signature.args[0])(context, builder, arguments[0])
@@ -333,7 +336,7 @@ def compile_kernels(progress: Callable[[int, int], None] | None = None) -> None:
         report(compiled_count, len(uncompiled_kernels))
         if _CACHE_FOLDER:
             load_kernel(uncompiled_kernel.dispatcher, uncompiled_kernel.types)
-        # The next call does nothing if the code was loaded from the disk.
+        # The next call does nothing if the code of the kernels was loaded from the disk.
         uncompiled_kernel.dispatcher.compile(uncompiled_kernel.types)
         uncompiled_kernel.dispatcher.disable_compile()
 

@@ -12,9 +12,9 @@ DIGITS_WITH_COLOUR = ("index", "middle", "ring", "thumb")
 def colour_numbers(digit_names: Sequence[str]) -> tuple[int, ...]:
     """Return the number of the colour of each digit in a palette.
 
-    The names in DIGITS_WITH_COLOUR have the first numbers. The other digits of the hand have the
-    next numbers, in the order of the hand. If no digit of the hand is in DIGITS_WITH_COLOUR, the
-    digits of the hand have the first numbers. A number may be larger than the number of colours in
+    The names in DIGITS_WITH_COLOUR have the first numbers. Digits with other names have the next
+    numbers, in the order of the hand. If no digit of the hand is in DIGITS_WITH_COLOUR, the digits
+    of the hand have the first numbers. A colour number can be larger than the number of colours in
     the palette.
     """
     other_digit_names = [name for name in digit_names if name not in DIGITS_WITH_COLOUR]

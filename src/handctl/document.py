@@ -1,9 +1,7 @@
 """Documents: validated content of TOML files, for example of task, gains and calibration files.
 
-The content cannot be changed.
-
-A mistake in a file is reported in one line with the file, the path of the key, the value and the
-expected value.
+The content of a document cannot be changed. A mistake in a TOML file is reported in one line with
+the file, the path of the key, the value and the expected value.
 """
 
 import json
@@ -19,7 +17,7 @@ from handctl.hand.hand_loading import read_toml
 from handctl.printing import similar_name
 
 EXPECTED_SEPARATOR = "; expected "
-"""Text in the error of a validator between the problem and the valid values."""
+"""Text between the problem and the valid values in the error of a validator."""
 
 
 class Document(BaseModel):
@@ -72,10 +70,10 @@ def _error_line(
 ) -> ConfigError:
     """Return the most specific of the errors that pydantic has found in a document.
 
-    A document may have both an unknown key and a missing key. In this case, the unknown key is
-    reported, because a misspelt key causes both errors. If there is no unknown key, the error at
-    the deepest place in the document is reported. In a union of several models, the deepest error
-    belongs to the model that the user meant.
+    If a document has both an unknown key and a missing key, the unknown key is reported, because a
+    misspelt key causes both errors. If a document has no unknown key, the error at the deepest
+    level of the document is reported. In a union of several models, the deepest error belongs to
+    the model that the user meant.
     """
     error_details = error.errors(include_url=False)
     deepest_error = max(
@@ -99,7 +97,8 @@ def _error_line(
             "one of " + error_detail["ctx"]["expected_tags"],
         )
     expected = error_detail["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
-    # A validator of a whole table also says what is wrong, because the table itself says nothing.
+    # The message of a validator of a whole table also describes the mistake, because the table
+    # itself does not show the mistake.
     problem_text, separator, right = expected.partition(EXPECTED_SEPARATOR)
     if separator:
         return ConfigError(problem_text, where, right)
@@ -113,7 +112,7 @@ def _without_tags(
     """Return the location of an error without the names that pydantic adds for the models of a union.
 
     All parts of the resulting location exist in the content. If the error is a missing key, the
-    last part is this key.
+    last part of the location is the missing key.
     """
     path: list[str | int] = []
     for position, key_or_index in enumerate(key_location):
@@ -167,7 +166,8 @@ def _allowed_keys(type_annotation: Any, key_location: Sequence[str | int]) -> se
             else set()
         )
     arguments = get_args(type_annotation)
-    # A list or a table adds a part to the location. A union or an annotated type adds none.
+    # A list or a table adds a part to the location of a key. A union or an annotated type adds no
+    # part.
     is_container = get_origin(type_annotation) in (tuple, list, dict)
     remaining_location = key_location[1:] if is_container else key_location
     if is_container and not key_location:

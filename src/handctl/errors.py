@@ -1,14 +1,14 @@
 """Errors that handctl reports to the user.
 
-Each error message is one line with the mistake, the place of the mistake and the expected value.
+Each error message is one line with the mistake, the location of the mistake and the expected value.
 """
 
 from handctl.printing import one_line_message
 
 REMOVE_POWER = "REMOVE POWER"
-"""Text that marks a failure after which a motor may still have torque.
+"""Text that marks a failure after which a motor possibly still has torque.
 
-Only the operator can remove the torque that the motor then has.
+Only the operator can remove the torque of a motor after such a failure.
 """
 
 
@@ -19,8 +19,8 @@ class HandctlError(Exception):
 
     Args:
         what: the mistake, together with the wrong value.
-        where: place of the mistake: the path of a key, the name of a node, or a file and an offset.
-            The text is empty if the mistake belongs to no particular place.
+        where: location of the mistake: the path of a key, the name of a node, or a file and an
+            offset. The text is empty if the mistake has no particular location.
         right: the expected value. The text is empty if no value can be suggested.
     """
 
@@ -71,12 +71,12 @@ class PowerError(DriveError):
 class UnconfirmedError(PowerError, BusError):
     """Error for a request that the controller has not confirmed.
 
-    The state of the hand is unknown.
+    If a request is not confirmed, the state of the hand is unknown.
 
     Args:
         bus: bus of the controller.
         word: name of the request, e.g. ``stop``.
-        why: event that occurred in place of the confirmation.
+        why: event that occurred instead of the confirmation.
     """
 
     def __init__(self, bus: str, request_name: str, reason: str) -> None:

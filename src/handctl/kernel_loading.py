@@ -1,16 +1,16 @@
 """Fast loading of stored kernels.
 
-Some parts of numba are needed only for a compilation. This module does not load these parts. When
-numba loads a stored function, three steps take most of the time. First, numba registers all types
-and functions that can be compiled. Second, numba imports the modules of the numba functions that
-the stored function contains. Third, numba parses the intermediate code (bitcode) of the stored
-function. The bitcode is needed only if the stored function is inlined into another function. If the
-folder contains the code of all kernels, a program compiles nothing and needs none of these steps.
-If a function is compiled after all, numba registers the types at that time. If another kernel calls
-a stored kernel, the bitcode of the stored kernel is parsed at that time.
+This module does not load the parts of numba that only a compilation needs. When numba loads a
+stored function, three steps take most of the time. First, numba registers all types and functions
+that can be compiled. Second, numba imports the modules of the numba functions that the stored
+function contains. Third, numba parses the intermediate code (bitcode) of the stored function. The
+bitcode is needed only if the stored function is inlined into another function. If the folder
+contains the code of all kernels, a program compiles nothing and needs none of these steps. If numba
+must compile a function in spite of the stored code, numba registers the types at that time. If
+another kernel calls a stored kernel, the bitcode of the stored kernel is parsed at that time.
 
-All three steps are internal to numba. This module leaves these steps out only with the versions of
-numba in ``TESTED_VERSIONS``.
+The three slow steps are internal to numba. This module leaves the three steps out only with the
+versions of numba in ``TESTED_VERSIONS``.
 """
 
 from collections.abc import Iterator
@@ -83,8 +83,8 @@ def _do_nothing() -> None:
 def _load_environment(module: str, constants: list[Any], name: str) -> Any:
     """Return the constants that the code of a function uses.
 
-    The original function of numba also imports the module of the code. Only interpreted code needs
-    this module.
+    The function of numba that this function replaces also imports the module of the code. Only
+    interpreted code needs the module of the code.
 
     Args:
         module: name of the module.
@@ -103,7 +103,7 @@ def _load_environment(module: str, constants: list[Any], name: str) -> Any:
 def _load_object_code(cls: Any, generator: Any, state: tuple[str, str, tuple[bytes, bytes]]) -> Any:
     """Return a code library made from the object code of a stored function.
 
-    The bitcode of this library is parsed only when another library links it.
+    The bitcode of the returned library is parsed only when another library links it.
     """
     name, _, (object_code, bitcode) = state
     library = generator.create_library(name)
@@ -129,7 +129,8 @@ def _get_executable(
 ) -> Any:
     """Return the Python function that a code library contains.
 
-    The original function of numba looks up the name of the Python function in the parsed bitcode.
+    The function of numba that this function replaces looks up the name of the Python function in
+    the parsed bitcode.
     """
     library.codegen._engine._defined_symbols.add(function.llvm_cpython_wrapper_name)
     return original_get_executable(library, function, environment)

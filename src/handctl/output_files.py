@@ -1,6 +1,6 @@
 """Output files that are written atomically.
 
-A reader finds either the complete old file or the complete new file.
+A program that reads the output finds either the complete old file or the complete new file.
 """
 
 import errno
@@ -15,7 +15,7 @@ from typing import Any
 from handctl.errors import ConfigError
 
 NO_HARD_LINK_ERRNOS = {errno.EPERM, errno.ENOTSUP, errno.ENOSYS}
-"""Error numbers of file systems that have no links, such as FAT on a memory stick."""
+"""Error numbers of file systems that have no hard links, such as FAT on a memory stick."""
 LOG_SUFFIX, LOG_MAGIC = ".mcap", b"\x89MCAP0\r\n"
 """Suffix and first bytes of a log. An output never overwrites a log."""
 FIGURE_SUFFIXES = {".png", ".svg", ".pdf"}
@@ -29,8 +29,8 @@ def atomic_path(path: Path, must_be_new: bool = False) -> Iterator[Path]:
     When the new content is on the disk, the temporary file is moved to ``path``.
 
     Even after a power cut, the path leads to the complete old file or the complete new file. If the
-    output fails, no temporary file remains. Links are followed. Output to an existing terminal or
-    pipe is written directly.
+    output fails, no temporary file remains. Symbolic links are followed. Output to an existing
+    terminal or pipe is written directly.
 
     Args:
         path: path of the output.
@@ -64,7 +64,7 @@ def atomic_path(path: Path, must_be_new: bool = False) -> Iterator[Path]:
 def path_with_suffix(path: Path, suffix: str) -> Path:
     """Return the path of an output file.
 
-    It is the path of the source file with another suffix.
+    The returned path is the path of the source file with another suffix.
 
     Raises:
         ConfigError: the path has no file name, e.g. ``.`` or ``/``.
@@ -97,7 +97,7 @@ def save_figure(figure: Any, path: Path, dpi: int = 110) -> None:
 
 
 def check_output_path(path: Path, output_name: str, *read_paths: Path | None) -> None:
-    """Check an output path by the rules of ``atomic_path``, before the work begins.
+    """Check an output path by the rules of ``atomic_path``, before the work of the command begins.
 
     Args:
         path: path of the output.
@@ -116,7 +116,7 @@ def check_output_path(path: Path, output_name: str, *read_paths: Path | None) ->
 
 
 def _is_same_file(target: Path, other_path: Path) -> bool:
-    """Return True if two paths lead to the same file. The file need not exist."""
+    """Return True if two paths lead to the same file. The files need not exist."""
     both_exist = target.exists() and other_path.exists()
     return (
         target.samefile(other_path) if both_exist else str(target) == os.path.realpath(other_path)
@@ -142,9 +142,10 @@ def _resolve_target(path: Path, must_be_new: bool) -> Path:
 
 @contextmanager
 def _check_pipe_reader(target: Path, path: Path) -> Iterator[None]:
-    """Raise an error if a named pipe has no reader. Otherwise opening the pipe would wait forever.
+    """Raise an error if a named pipe has no reader, because opening such a pipe would wait forever.
 
-    The pipe stays open during the block. If the function closed the pipe, the reader would end.
+    The pipe stays open during the block, because its reader would end if the function closed the
+    pipe.
     """
     if not target.is_fifo():
         yield
@@ -198,7 +199,7 @@ def _move_into_place(temporary_path: Path, target: Path, must_be_new: bool) -> N
 
 def _fsync_file(path: Path) -> None:
     """Write the content of a file, or the entries of a folder, to the disk (fsync)."""
-    with suppress(PermissionError):  # the folder may be writable although it is not readable
+    with suppress(PermissionError):  # a folder can be writable although it is not readable
         descriptor = os.open(path, os.O_RDONLY)
         try:
             os.fsync(descriptor)

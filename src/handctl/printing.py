@@ -1,8 +1,9 @@
 """Output of text in a form that is safe for a terminal.
 
-Text from files, logs and arguments must not control the terminal or fill the screen. So characters
-that are not printable are written as escape sequences, as in Python source. Examples are control
-characters, terminal escapes, marks that change the direction of text, and lone surrogates.
+Text from files, logs and arguments must not control the terminal or fill the screen. Characters
+that are not printable are therefore written as escape sequences, as in Python source. Examples of
+unprintable characters are control characters, terminal escapes, marks that change the direction of
+text, and lone surrogates.
 """
 
 import difflib
@@ -67,8 +68,8 @@ def one_line_message(text: str, max_characters: int = MAX_MESSAGE_CHARACTERS) ->
 
     Line ends become spaces. If the text is too long, the middle of the text is left out.
 
-    A message begins with the mistake and ends with the expected value. So both ends of the text are
-    kept.
+    Both ends of the text are kept, because a message begins with the mistake and ends with the
+    expected value.
     """
     # Escape sequences are never shorter than the characters that they replace.
     if len(text) > 4 * max_characters:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 
 def usable_cores() -> int:
-    """Return the number of processor cores on which this process may run."""
+    """Return the number of processor cores on which this process is allowed to run."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -27,8 +27,8 @@ def installed_handler(
 class TerminationFlag:
     """Flag that is set when the process receives SIGTERM.
 
-    A program that checks this flag between its steps can complete the present step before the
-    program ends.
+    A program that checks the flag between two steps of its work can complete the present step
+    before the program ends.
     """
 
     def __init__(self) -> None:

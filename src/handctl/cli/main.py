@@ -8,7 +8,7 @@ The module ``arguments`` of a folder declares the arguments of all verbs in the 
 a verb is in the module with the name of the verb.
 
 To print a help text, or an error in the arguments, handctl imports only the module ``arguments``.
-Therefore help texts and errors appear fast.
+Because few modules are imported, help texts and errors appear fast.
 """
 
 import errno
@@ -307,7 +307,8 @@ def _run_verb(name: str, command_words: list[str]) -> int:
 def _start_recorder_early() -> AbstractContextManager[None]:
     """Start the recorder process early.
 
-    The recorder process and this process then import their modules at the same time.
+    After the early start, the recorder process and this process import their modules at the same
+    time.
     """
     from handctl.log.write.recorder_start import (
         prestarted_recorder_process,

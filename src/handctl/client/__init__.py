@@ -1,6 +1,6 @@
 """Python client that moves and observes a running hand.
 
-The guide ``docs/how-to/python.md`` explains it.
+The guide ``docs/how-to/python.md`` explains the Python client.
 """
 
 from handctl.client.async_hand import AsyncHandClient, AsyncTargetStream, connect_async

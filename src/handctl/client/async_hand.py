@@ -1,6 +1,6 @@
 """Client of a hand for programs that use asyncio.
 
-This client offers the methods of ``HandClient`` as coroutines.
+The asyncio client offers the methods of ``HandClient`` as coroutines.
 """
 
 import asyncio
@@ -28,9 +28,10 @@ class AsyncHandClient:
     """Client of one hand, for programs that use asyncio. Use the client with ``async with``.
 
     Every method has the same effect as the ``HandClient`` method with the same name, and raises the
-    same errors. Each call runs in a thread, so that other tasks of the event loop continue.
-    ``observe`` is an ordinary method, because it returns at once. If a task is cancelled during a
-    call, the hand keeps its present goal. To bring such a hand to rest, call ``hold``.
+    same errors. Each call of a method runs in a thread, so that other tasks of the event loop
+    continue. ``observe`` is an ordinary method, because it returns at once. If a task is cancelled
+    during a call, the hand keeps its present goal. To bring the hand to rest after a cancellation,
+    call ``hold``.
 
     Attributes:
         client: the ``HandClient`` whose methods are called.
@@ -53,8 +54,9 @@ class AsyncHandClient:
     async def open(self) -> Self:
         """Wait until the hand accepts goals, as ``async with`` does. Call ``close`` at the end.
 
-        If this wait is cancelled, the client is closed. If the client stayed open, the thread would
-        arm a hand, and no part of the program would relax this hand later.
+        If the wait is cancelled, the client is closed. If the client stayed open after a
+        cancellation, its thread would arm a hand, and no part of the program would relax this hand
+        later.
         """
         try:
             await asyncio.to_thread(self.client.open)
@@ -82,7 +84,7 @@ class AsyncHandClient:
 
     @property
     def result(self) -> dict[str, Any]:
-        """Return the output of the run. The run must have been started by this client.
+        """Return the output of the run that this client has started.
 
         The output is available after the end of the run.
         """
@@ -124,7 +126,7 @@ class AsyncHandClient:
         await asyncio.to_thread(self.client.release, wait, timeout_s)
 
     async def take_over(self) -> None:
-        """Take the right to move the hand from another client."""
+        """Take over from another client the right to move the hand."""
         await asyncio.to_thread(self.client.take_over)
 
     async def stop(self) -> None:
@@ -153,7 +155,7 @@ class AsyncHandClient:
             timeout_s: longest time to wait for the next tick [s].
 
         Raises:
-            BusError: the next tick of the controller does not arrive within this time.
+            BusError: the next tick of the controller does not arrive within ``timeout_s``.
         """
         for observation in self.client.poll_observations(timeout_s):
             if observation is None:
@@ -216,11 +218,11 @@ class AsyncTargetStream:
 
     @property
     def status(self) -> StreamStatus:
-        """Return four numbers of targets: accepted, clipped and refused by the controller, and too late."""
+        """Return the numbers of targets that the controller has accepted, clipped, refused, and received too late."""
         return self.stream.status
 
     async def close(self) -> None:
-        """End the stream. The digits of the stream come to rest."""
+        """End the stream, and let the digits of the stream come to rest."""
         await asyncio.to_thread(self.stream.close)
 
 

@@ -1,7 +1,7 @@
 """Conversion of goal positions of the fingertips to goal angles of the joints.
 
-The positions are given in the palm frame. The inverse kinematics finds joint angles within the
-joint limits.
+The positions of the fingertips are given in the palm frame. The inverse kinematics finds joint
+angles within the joint limits.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,12 +29,13 @@ class Fingertips:
     positions.
 
     Some digits cannot reach every position, for example a digit with one tendon for three joints.
-    The tip of such a digit comes as close to its goal as possible. Each search starts from the
-    previous result. Therefore a continuous motion has no jumps.
+    The tip of a digit that cannot reach its goal comes as close to the goal as possible. Each
+    search starts from the result of the previous search, so that a continuous motion of the
+    fingertips gives joint angles without jumps.
 
     Attributes:
         digits: names of the digits.
-        joints: names of the joints of these digits, in order.
+        joints: names of the joints of the digits, in order.
         distances_m: (D,) distance between each fingertip and its goal that remained after the
             latest search. Before the first search, the distance is NaN.
     """
@@ -44,8 +45,8 @@ class Fingertips:
 
         Args:
             hand: description of the hand.
-            digits: names of the digits. If this argument is None, all digits that are attached to
-                the palm are used.
+            digits: names of the digits. If ``digits`` is None, all digits that are attached to the
+                palm are used.
 
         Raises:
             ConfigError: the hand has no such digit, a name is given twice, or a digit is mounted on
@@ -129,14 +130,14 @@ class Fingertips:
 
 
 class FingertipStream(TargetStream):
-    """Open stream of fingertip positions. The method ``HandClient.stream`` returns it.
+    """Open stream of fingertip positions, as the method ``HandClient.stream`` returns it.
 
-    The client computes joint angles from the positions. The controller receives these joint angles,
+    The client computes joint angles from the positions. The controller receives the joint angles,
     and limits them as in every stream.
 
     Attributes:
-        fingertips: inverse kinematics of the digits. The stream has an attribute ``distances_m``,
-            the distance between each fingertip and its latest target.
+        fingertips: inverse kinematics of the digits. Its attribute ``distances_m`` contains the
+            distance between each fingertip and its latest target.
     """
 
     def __init__(

@@ -57,32 +57,32 @@ from handctl.session.task_loading import load_task_for_hand
 StreamSpace = Literal["joint", "digit", "tension", "tip_force", "fingertip"]
 """Meaning of the values of a target, see ``HandClient.stream``."""
 START_TIMEOUT_S = 300.0
-"""Longest wait until a controller that this client started accepts goals [s].
+"""Longest wait until a controller that the client has started accepts goals [s].
 
-The time is enough for commissioning on a slow machine. If a controller cannot start, it ends much
-earlier, which ends the wait.
+The start timeout is enough for commissioning on a slow machine. If a controller cannot start, its
+process ends much earlier, which ends the wait.
 """
 ATTACH_TIMEOUT_S = 60.0
-"""Longest wait until a controller that another process started accepts goals [s]."""
+"""Longest wait until a controller that another process has started accepts goals [s]."""
 OBSERVATION_POLL_PERIOD_S = 50e-6
 """Pause between two reads of the shared memory that contains the observations [s]."""
 STATE_POLL_PERIOD_S = 0.2
 """Longest wait for a status line of the controller [s].
 
-After this time, the client checks that the controller still runs.
+If no status line arrives in this time, the client checks that the controller still runs.
 """
 SENDER_NAME_BYTES = 64
-"""Largest number of bytes that the name of the sender adds to a request."""
+"""Largest number of bytes that the name of the sending client adds to a request."""
 DEFAULT_LEASE_S = 2.0
 """Default lease [s].
 
-This is longer than the delays of the thread that renews the lease, on a busy machine.
+The default lease is longer than the delays, on a busy machine, of the thread that renews the lease.
 """
 SHUTDOWN_MODE_NAMES = {mode.name for mode in SHUTDOWN_MODES}
 """Modes of the hand in which the controller follows no goals."""
 RUN_OWNER = "a running handctl run"
 CONFIRMATION_OPTION = "--yes"
-"""Argument of ``handctl run`` that confirms that a hand on a real bus may move."""
+"""Argument of ``handctl run`` by which the operator allows a hand on a real bus to move."""
 _client_number_counter = itertools.count(1)
 """Counter that numbers the clients and streams of this process."""
 
@@ -94,15 +94,15 @@ def connect(
     lease_s: float | None = DEFAULT_LEASE_S,
     watchdog_s: float | None = None,
 ) -> "HandClient":
-    """Return a client of the controller on a bus. If no controller runs on the bus, start one.
+    """Return a client for the hand on a bus. If no controller runs on the bus, start a controller.
 
-    If this function has started the controller, the controller ends when this program ends or
-    crashes. Before its end, the controller relaxes and disarms the hand. If another process has
+    If this function has started the controller, the controller ends when the calling program ends
+    or crashes. Before the controller ends, it relaxes and disarms the hand. If another process has
     started the controller, a lease protects the hand.
 
     If the program that commands the hand is killed or suspended, it no longer renews the lease.
-    When the lease has expired, moving digits come to rest. After twice the time of the lease, the
-    hand relaxes.
+    When the lease of a client has expired, moving digits come to rest. When twice the time of the
+    lease has passed without a renewal, the hand relaxes.
 
     Args:
         hand: name of a packaged hand, or path of a hand file, for a new controller. On a real bus,
@@ -111,15 +111,15 @@ def connect(
         bus: bus as for the option ``--bus``. For a hand with several buses, give all buses. The
             first bus of the hand comes first.
         arguments: further arguments of ``handctl run``, e.g. ``"--log", "run.mcap"``. On a real
-            bus, ``"--yes"`` confirms that the hand may move. A controller that already runs has its
-            own arguments, so only ``"--yes"`` is accepted then.
+            bus, ``"--yes"`` allows the hand to move. A controller that already runs has its own
+            arguments, so a client of a running controller is allowed to give only ``"--yes"``.
         lease_s: longest time without a renewal of the lease, in the time of the hand [s], from 0.2
-            to 3600. A thread of the client renews the lease. If it is None, the hand keeps its last
-            goal without a time limit.
-        watchdog_s: longest time during which the program may neither call the client nor send a
-            target [s]. After this time, the client's thread no longer renews the lease. So a
-            program that hangs also loses its lease. If it is None, the program may be idle for any
-            time.
+            to 3600. A thread of the client renews the lease. If ``lease_s`` is None, the hand keeps
+            its last goal without a time limit.
+        watchdog_s: longest time during which the program is allowed to neither call the client nor
+            send a target [s]. After this time, the client's thread no longer renews the lease. As a
+            result, a program that hangs also loses its lease. If ``watchdog_s`` is None, the
+            program is allowed to be idle for any time.
 
     Raises:
         ConfigError: the bus, the lease or the watchdog is invalid, or the bus is real and no hand
@@ -171,15 +171,15 @@ def _check_lease(lease_s: float | None, watchdog_s: float | None) -> None:
 class HandClient:
     """Client of one hand.
 
-    Use the client as a context manager. Several threads of a program may share a client.
+    Use the client as a context manager. Several threads of a program can share a client.
 
-    At any time, only one client may move the hand. Any number of clients may observe the hand. The
-    first client that moves the hand keeps this right. The client loses this right when it closes,
-    or when another client calls ``take_over``.
+    At any time, only one client is allowed to move the hand. Any number of clients can observe the
+    hand. The first client that moves the hand keeps the right to move the hand. A client loses the
+    right to move the hand when it closes, or when another client calls ``take_over``.
 
     If the client has started the controller, the hand is relaxed and disarmed when the client
-    closes. If another process has started the controller, the hand stays armed. If this client was
-    moving the hand, the hand then comes to rest.
+    closes. If another process has started the controller, the hand stays armed. If the client was
+    moving the hand when it closed, the hand comes to rest.
 
     Attributes:
         bus: bus of the controller.
@@ -215,8 +215,10 @@ class HandClient:
         self._has_been_live = self._has_commanded = self._closed = self._error_raised = (
             self._is_hand_off
         ) = False
-        self._lock = threading.RLock()  # at any time, only one call may wait for a status line
-        # Only one call at a time may read the output of the controller.
+        self._lock = (
+            threading.RLock()
+        )  # at any time, only one call is allowed to wait for a status line
+        # Only one call at a time is allowed to read the output of the controller.
         self._output_lock = threading.RLock()
         self._observations: ObservationReader | None = None
         self._description: Hand | None = None
@@ -278,7 +280,7 @@ class HandClient:
 
         Args:
             goals: goals as a mapping, e.g. ``hand.move({"index": 30})``. Keyword arguments add more
-                goals.
+                goals to the mapping.
             duration_s: duration of the motion in the time of the hand [s].
             wait: True to return at the end of the motion, and False to return when the motion
                 begins.
@@ -287,7 +289,7 @@ class HandClient:
 
         Raises:
             ConfigError: the controller has refused the goal, e.g. because of an unknown digit. The
-                previous goal stays valid.
+                previous goal of the hand stays valid.
             DriveError: the run has ended, or it ends during the motion, e.g. because of a fault, or
                 another client takes over during the motion. The error message contains the reason.
             BusError: the controller does not answer.
@@ -312,12 +314,12 @@ class HandClient:
     ) -> None:
         """Hold a tension [N] in every tendon of a digit, as in ``hand.hold(index=12)``.
 
-        The method returns immediately, and does not wait until the tensions are reached. If no
-        goals are given, all moving digits stop at their present positions.
+        The method ``hold`` returns immediately, and does not wait until the tensions are reached.
+        If no goals are given, all moving digits stop at their present positions.
 
         Args:
             goals: goals as a mapping, e.g. ``hand.hold({"index": 12})``. Keyword arguments add
-                further goals.
+                further goals to the mapping.
             rate_N_per_s: rate at which each tension approaches its goal [N/s].
             tension_N: tension of each digit [N], by the name of the digit.
 
@@ -353,20 +355,20 @@ class HandClient:
         Args:
             rate_Hz: rate of the targets in the time of the hand [Hz], from 20 to the control rate.
             space: meaning of the values of a target. In space ``"joint"``, a target has one angle
-                for each joint. In ``"digit"``, it has one angle for each digit, and all joints of
-                the digit get this angle. In ``"tension"``, a target has a tension for each tendon
-                [N], and in ``"tip_force"`` a force for each digit [N]. In ``"fingertip"``, a target
-                has the position of each fingertip in the palm frame, (D, 3) [m], see
-                ``FingertipStream``.
-            names: joints, digits or tendons to which the values of a target belong, in order. If it
-                is None, a target has values for all joints, digits or tendons.
+                for each joint. In space ``"digit"``, a target has one angle for each digit, and all
+                joints of the digit get this angle. In space ``"tension"``, a target has a tension
+                for each tendon [N], and in space ``"tip_force"`` a force for each digit [N]. In
+                space ``"fingertip"``, a target has the position of each fingertip in the palm
+                frame, (D, 3) [m], see ``FingertipStream``.
+            names: joints, digits or tendons to which the values of a target belong, in order. If
+                ``names`` is None, a target has values for all joints, digits or tendons.
             interpolation: motion between two successive target angles. With ``"linear"`` the speed
                 is constant, and with ``"minimum_jerk"`` the motion is smooth.
             unit: unit of the target angles. For prismatic joints, ``"deg"`` means mm, and ``"rad"``
                 means m.
             stiffness_N_m_per_rad: stiffness of the streamed joints against a push, for impedance
-                control. If it is None, the gains determine the stiffness. A larger stiffness than
-                that of the gains is not allowed.
+                control. If ``stiffness_N_m_per_rad`` is None, the gains determine the stiffness. A
+                larger stiffness than the stiffness that follows from the gains is not allowed.
             damping_ratio: damping ratio of the streamed joints, divided by the damping ratio of the
                 gains, from 0.5 to 2.
 
@@ -417,7 +419,7 @@ class HandClient:
         """Execute a task up to the first hold phase, and return the observation at the start of this phase.
 
         The hold phase lasts until ``release`` is called, or until another goal is set, such as by
-        ``move``. Another goal ends the task.
+        ``move``. Another goal also ends the task.
 
         Args:
             task: packaged task, e.g. ``"grasp"``, or a task file.
@@ -470,9 +472,9 @@ class HandClient:
         self._set_goal({"do": "stream_end", "stream": name})
 
     def take_over(self) -> None:
-        """Take the right to move the hand from another client.
+        """Take over from another client the right to move the hand.
 
-        All digits come to rest. A stream of the other client ends.
+        All digits come to rest. If the other client has an open stream, this stream ends.
 
         Raises:
             DriveError, BusError: see ``move``.
@@ -501,7 +503,8 @@ class HandClient:
 
         Raises:
             DriveError: the run has ended. The error message contains the reason.
-            BusError: no tick of the controller arrives within this time, or this client is closed.
+            BusError: no tick of the controller arrives within ``timeout_s``, or this client is
+                closed.
         """
         self._record_call_time()
         reader = self._open_reader()
@@ -521,14 +524,14 @@ class HandClient:
     def observations(self, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> Iterator[Observation]:
         """Yield the observations of all ticks from now until the run ends, in order.
 
-        A program that falls more than a second behind misses ticks. If a program has missed ticks,
-        the tick number ``k`` increases by more than 1.
+        A program that reads more than a second behind the controller misses ticks. If a program has
+        missed ticks, the tick number ``k`` increases by more than 1.
 
         Args:
             timeout_s: longest time to wait for the next tick [s].
 
         Raises:
-            BusError: no tick of the controller arrives in this time.
+            BusError: no tick of the controller arrives within ``timeout_s``.
         """
         for observation in self.poll_observations(timeout_s):
             if observation is None:
@@ -539,7 +542,7 @@ class HandClient:
     def poll_observations(self, timeout_s: float) -> Iterator[Observation | None]:
         """Yield the observation of each tick. If there is no new observation yet, yield None.
 
-        The iterator never waits.
+        The returned iterator never waits.
 
         The argument and the errors are the same as in ``observations``.
         """
@@ -566,8 +569,8 @@ class HandClient:
     ) -> Observation:
         """Wait until digits are in contact or the hand is in a phase, and return the observation at that time.
 
-        If contacts and a phase are both given, the wait ends at a tick in which both conditions are
-        true.
+        If contacts and a phase are both given, the wait ends at a tick in which the digits are in
+        contact and the hand is in the phase.
 
         Args:
             contact: a digit, or several digits that must all be in contact.
@@ -603,7 +606,7 @@ class HandClient:
     def _open_reader(self) -> ObservationReader:
         """Return the reader of the observations in shared memory.
 
-        The first call opens the reader, and must come before the run ends.
+        The first call of this method opens the reader, and must come before the run ends.
         """
         if self._observations is not None:
             if not self._observations.has_run_ended:
@@ -627,7 +630,7 @@ class HandClient:
     def state(self, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> dict[str, Any]:
         """Return the present state of the hand as plain Python values.
 
-        The state is at most 20 ms old.
+        The returned state is at most 20 ms old.
 
         ``observe`` is faster and returns more values.
 
@@ -640,12 +643,12 @@ class HandClient:
             fewer tendons than joints), ``tension_N`` and ``tension_goal_N`` by tendon [N],
             ``tip_force_N`` with ``tip_force_sigma_N`` and ``contact`` (bool) by digit [N], ``t_s``
             time since the start of the run [s], ``k`` number of the tick, ``late_us`` lateness of
-            the tick [us], ``mode``, ``phase``, ``commander`` (client that commands the hand, None if any
-            client may), and ``events`` of this tick.
+            the tick [us], ``mode``, ``phase``, ``commander`` (client that commands the hand, None
+            if every client is allowed to), and ``events`` of the tick ``k``.
 
         Raises:
             DriveError: the run has ended. The error message contains the reason.
-            BusError: the controller sends no status line in this time.
+            BusError: the controller sends no status line within ``timeout_s``.
         """
         self._record_call_time()
         end = time.monotonic() + timeout_s
@@ -692,8 +695,8 @@ class HandClient:
 
         Raises:
             UnconfirmedError: the controller has not confirmed the request.
-            PowerError: a drive did not confirm that it is disabled. In this case, switch off the
-                power of the drive.
+            PowerError: a drive did not confirm that it is disabled. If this error is raised, switch
+                off the power of the drive.
         """
         with self._lock:
             line, _ = send_with_confirmation(self._watcher, {"do": "stop"}, is_repeated=True)
@@ -703,7 +706,7 @@ class HandClient:
     def close(self) -> None:
         """Close the client, as the end of the ``with`` statement does.
 
-        The attribute ``result`` is available afterwards.
+        The attribute ``result`` is available after the client is closed.
 
         Raises:
             DriveError: a fault ended the run.
@@ -741,7 +744,7 @@ class HandClient:
             if self._lease_s is None or self._heartbeat is not None or self._closed:
                 return
             time_scale = 1.0
-            with suppress(BusError, DriveError):  # the run may have ended already
+            with suppress(BusError, DriveError):  # the run has possibly ended already
                 time_scale = self._open_reader().description["time_scale"]
             self._heartbeat = Heartbeat(
                 self.bus,
@@ -751,7 +754,7 @@ class HandClient:
             )
 
     def _record_call_time(self) -> None:
-        """Store the present time. The watchdog uses it."""
+        """Store the present time for the watchdog."""
         if self._heartbeat is not None:
             self._heartbeat.record_call_time()
 
@@ -768,7 +771,7 @@ class HandClient:
         return line
 
     def _wait_as_commander(self) -> float:
-        """Check that this client may command the hand, and return the time of the next status line [s].
+        """Check that this client is allowed to command the hand, and return the time of the next status line [s].
 
         If another client commands the hand, raise an error.
         """
@@ -802,14 +805,13 @@ class HandClient:
     def _finish_command(self, raises_error: bool) -> None:
         """Stop the hand if this client has started the controller.
 
-        Otherwise give up the right of this client to move the hand.
-
-        Later calls of this method have no effect.
+        If another process has started the controller, give up the right of this client to move the
+        hand. Only the first call of this method has an effect.
 
         Args:
-            raises_error: True to raise the error that ended the run. True to raise the error that
-                ended the run. While another exception is handled, it is False, and an error is
-                raised only if a drive may still make torque.
+            raises_error: True to raise the error that ended the run. While another exception is
+                handled, ``raises_error`` is False, and an error is raised only if a drive possibly
+                still makes torque.
         """
         if self._closed:
             return
@@ -823,8 +825,8 @@ class HandClient:
                         self._watcher, {"do": "leave", "client": self.name}, is_repeated=True
                     )
         finally:
-            # Another thread may still read the shared memory or wait for a status line. The memory
-            # is unmapped after its last reader has ended.
+            # Another thread possibly still reads the shared memory or waits for a status line. The
+            # shared memory is unmapped after its last reader has ended.
             self._observations = None
             with self._lock:
                 self._watcher.close()
@@ -838,14 +840,14 @@ class HandClient:
     def _collect_result(self) -> None:
         """End the controller by closing its standard input, and read the result of the run.
 
-        If another thread already does this, wait until the result is read.
+        If another thread already ends the controller, wait until this thread has read the result.
         """
         with self._output_lock:
             if self.child is None or self.child.stdout is None or self.child.stdout.closed:
                 return
             output_text, _ = self.child.communicate()
             self._print_new_messages()
-            # if the process was killed, it leaves no output or incomplete output
+            # a controller process that was killed leaves no output or incomplete output
             with suppress(ValueError):
                 self.result = json.loads(output_text)
 
@@ -853,8 +855,8 @@ class HandClient:
         """Return the exception for the error that ended the run."""
         code = self.child.returncode if self.child else 0
         signal_text = f"killed by signal {-code}" if code < 0 else ""
-        # If no failure ended the run, the last message of the controller is a notice that explains
-        # nothing.
+        # If no failure ended the run, the last message of the controller is a notice that does not
+        # explain the error.
         message = self._last_message if code else ""
         reason = self.result.get("failure") or signal_text or message or "it was stopped"
         if code == ExitCode.REMOVE_POWER:
@@ -894,8 +896,8 @@ def _values_by_digit(do: str, goals: object, keyword_goals: Mapping[str, Any]) -
 def _convert_to_floats(values: Mapping[str, Any]) -> dict[str, Any]:
     """Convert all numbers among the given values to float, and return all values.
 
-    The numbers may have any numeric type. Other values stay unchanged, so that the error message of
-    a later check can show them.
+    The given numbers can have any numeric type. Other values stay unchanged, so that the error
+    message of a later check can show them.
     """
     converted_values = dict(values)
     for key, value in values.items():

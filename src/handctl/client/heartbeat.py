@@ -1,6 +1,6 @@
 """Signs of life that a client sends to the controller.
 
-A thread of the client sends these signs while the program runs.
+A thread of the client sends signs of life while the program runs.
 """
 
 import threading
@@ -13,7 +13,7 @@ from handctl.runtime.mailbox import RequestSender
 HEARTBEATS_PER_LEASE = 4
 """Number of signs of life that a client sends in the time of one lease.
 
-The lease survives if three successive signs are late or lost.
+The lease stays valid even if three successive signs of life are late or lost.
 """
 
 
@@ -21,8 +21,8 @@ class Heartbeat:
     """Thread that renews the lease of a client.
 
     If there is a watchdog time, the thread sends signs of life only while the program calls the
-    client often enough. Therefore a program that hangs loses the lease, even if its other threads
-    continue.
+    client often enough. With a watchdog time, a program that hangs loses the lease, even if its
+    other threads continue.
     """
 
     def __init__(self, bus: str, client: str, period_s: float, watchdog_s: float | None) -> None:
@@ -32,8 +32,8 @@ class Heartbeat:
             bus: bus of the controller.
             client: name of the client.
             period_s: time between two signs of life [s].
-            watchdog_s: longest time within which the program must call the client again [s]. If it
-                is None, the program may be idle for any time.
+            watchdog_s: longest time within which the program must call the client again [s]. If
+                ``watchdog_s`` is None, the program is allowed to be idle for any time.
         """
         self._bus = bus
         self._heartbeat_request = keep_alive_text(client).encode()
@@ -64,5 +64,5 @@ class Heartbeat:
                     or time.monotonic() - self._last_call_s <= self._watchdog_s
                 ):
                     # If the controller's mailbox is full, this sign of life is lost, and the next
-                    # one renews the lease.
+                    # sign of life renews the lease.
                     sender.send(self._heartbeat_request)

@@ -1,6 +1,6 @@
 """Observation of a hand in one tick, with the age of its values.
 
-The observation is a numpy record. The names of its fields contain the units.
+The observation is a numpy record. The names of the record's fields contain the units.
 """
 
 import time
@@ -22,8 +22,8 @@ class Observation:
     """State of the hand at one tick. Unknown numbers are NaN.
 
     Every field of ``record`` is also an attribute of the observation. The name of an attribute ends
-    with the unit. The shapes use J joints, N tendons, M motors and D digits, in the order of the
-    hand file. The method ``named`` returns the values of a field as a dict.
+    with the unit. The shapes of the attributes use J joints, N tendons, M motors and D digits, in
+    the order of the hand file. The method ``named`` returns the values of a field as a dict.
 
     Attributes:
         record: all values of the observation, as a numpy record of shape ().
@@ -132,7 +132,7 @@ class Observation:
     def names(self, field: str) -> tuple[str, ...]:
         """Return the name of each value in a field.
 
-        For ``"q_rad"``, for example, these are the names of the joints.
+        For the field ``"q_rad"``, for example, the result contains the names of the joints.
 
         Raises:
             KeyError: the observation has no array with this name.

@@ -22,8 +22,8 @@ TargetValues = (
 )
 """Values of a target, either in the order of the stream's names or by name.
 
-A name that is left out keeps its last value. A fingertip has three values. A joint, digit or tendon
-has one.
+A name that is left out keeps its last value. A target has three values for each fingertip, and one
+value for each joint, digit or tendon.
 """
 
 
@@ -57,13 +57,14 @@ class TargetStream:
     """Open stream of targets to a hand. Use the stream as a context manager.
 
     The hand reaches a target ``horizon_s`` after the target was sent, and then continues to the
-    next target. A program with a known trajectory should send the target that the hand must reach
-    ``horizon_s`` later. The hand then follows the trajectory without delay.
+    next target. A program with a known trajectory should send at each moment the target that the
+    hand must reach ``horizon_s`` later. If each target is sent ``horizon_s`` in advance, the hand
+    follows the trajectory without delay.
 
     If no more targets arrive, the hand stays at the last target that has arrived. After the time
     ``hold_after_ms`` without a target, the hand holds its position. After the time
-    ``relax_after_ms``, the hand relaxes. Both times are in the section ``[stream]`` of the hand
-    file.
+    ``relax_after_ms``, the hand relaxes. The times ``hold_after_ms`` and ``relax_after_ms`` are in
+    the section ``[stream]`` of the hand file.
 
     The controller clips targets outside the range of a joint, and limits the speed and the
     acceleration of the motion. The method ``status`` reports how many targets the controller has
@@ -133,7 +134,7 @@ class TargetStream:
         try:
             accepted = self._sender.send(self.sent, time.monotonic_ns(), target * self._unit_factor)
         except OSError:
-            self._hand.state()  # if the run has ended, this call raises an error with the reason
+            self._hand.state()  # if the run has ended, the following call raises an error with the reason
             raise DriveError("the controller no longer accepts targets", self._hand.bus) from None
         self._last = target
         self.sent += accepted
@@ -143,25 +144,26 @@ class TargetStream:
         """Sleep until the next target is due.
 
         If the program is late, the method returns at once. The next targets are due at the rate of
-        the stream. The program does not catch up on targets that were due earlier.
+        the stream. The program does not send targets that were due earlier.
         """
         time.sleep(max(0.0, self.next_due_s() - time.monotonic()))
 
     def next_due_s(self) -> float:
         """Return the time at which the next target is due, on the clock ``time.monotonic`` [s].
 
-        Each call of this function adds one period of the stream to the time.
+        Each call of this method adds one period of the stream to the time at which the next target
+        is due.
         """
         self._next_due_ns = max(self._next_due_ns + self._period_ns, float(time.monotonic_ns()))
         return self._next_due_ns / 1e9
 
     @property
     def status(self) -> StreamStatus:
-        """Return four numbers of targets: accepted, clipped and refused by the controller, and too late."""
+        """Return the numbers of targets that the controller has accepted, clipped, refused, and received too late."""
         return self._hand.observe().stream
 
     def close(self) -> None:
-        """End the stream. The digits of the stream come to rest."""
+        """End the stream, and let the digits of the stream come to rest."""
         if self._closed:
             return
         self._closed = True
@@ -171,7 +173,7 @@ class TargetStream:
     def _ordered_values(self, values: TargetValues) -> NDArray[np.float64]:
         """Return the values of a target in the order of the stream's names.
 
-        The values have the unit that the program uses.
+        The returned values have the unit that the program uses.
 
         Raises:
             ConfigError: as for ``send``.
@@ -229,7 +231,7 @@ class TargetStream:
 def _number_array(values: object) -> NDArray[np.float64]:
     """Return a copy of the values that a program gives to the stream.
 
-    The copy is necessary because the program may change its own array later.
+    The copy is necessary because the program possibly changes its own array later.
 
     Raises:
         ConfigError: the values are not numbers.

@@ -1,10 +1,9 @@
 """Base class of the Gymnasium environments.
 
-In each environment, a simulated hand runs in lockstep, and follows a stream of targets. The hand is
-already homed. An action reaches the controller as text in ``TickIn``. The targets of a client reach
-the controller in the same way. Therefore the controller checks, clips and limits the action, and
-the safety monitor reacts as on a real hand. The subclasses ``TrackEnv`` and ``GraspEnv`` define the
-rewards.
+In each environment, a simulated hand, which is already homed, runs in lockstep and follows a stream
+of targets. An action reaches the controller as text in ``TickIn``, in the same way as the targets
+of a client. The controller therefore checks, clips and limits an action, and the safety monitor
+reacts as on a real hand. The subclasses ``TrackEnv`` and ``GraspEnv`` define the rewards.
 """
 
 import json
@@ -50,7 +49,7 @@ The actual rate is the nearest rate whose period is a whole number of ticks.
 MAX_TARGET_SPEED_DEG_S = 60.0
 """Default of the largest rate of change of a target [deg/s].
 
-This rate is a fifth of the default speed limit of a stream.
+The default is a fifth of the default speed limit of a stream.
 """
 READY_TIMEOUT_S = 5.0
 """Longest simulated time from power-up until the hand accepts targets [s]."""
@@ -74,8 +73,8 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         low_deg, high_deg: (V,) angles for the action values -1 and 1 [deg, or mm of prismatic
             joints].
         units: units of the joints or digits (V,).
-        ticks: number of control ticks in a step.
-        step_s: duration of a step [s].
+        ticks: number of control ticks in a step of the environment.
+        step_s: duration of a step of the environment [s].
         horizon_s: time from an action until the hand should reach the target of the action [s].
         max_steps: largest number of steps in an episode.
     """
@@ -187,7 +186,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def evaluate_step(self) -> tuple[float, bool, dict[str, Any]]:
         """Return three results of a step: the reward, the success or failure, and further information.
 
-        The second result is True if the episode has ended by success or failure.
+        The second result is True if the hand has reached the goal of the episode or has failed.
         """
 
     def choose_scene(self) -> str | None:
@@ -279,7 +278,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def step(self, action: Float32Array) -> tuple[Float32Array, float, bool, bool, dict[str, Any]]:
         """Send the targets of an action to the hand, and simulate the hand until the next action is due.
 
-        ``gymnasium.Env`` defines the results.
+        ``gymnasium.Env`` defines the results of a step.
         """
         run = self.simulated_run
         clipped_action = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
@@ -350,7 +349,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def action_for(self, angles_deg: Vector) -> Float32Array:
         """Return the action with the given target angles (V,) [deg].
 
-        This action does not make any digit hold a tension.
+        The returned action does not make any digit hold a tension.
         """
         scaled = (
             2.0 * (np.asarray(angles_deg) - self.low_deg) / (self.high_deg - self.low_deg) - 1.0
@@ -360,7 +359,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def coordinates_of_joints(self, q: Vector) -> Vector:
         """Convert joint angles (J,) to the coordinates in which an action gives its targets (V,).
 
-        The unit of the angles does not change.
+        The conversion does not change the unit of the angles.
         """
         if self._space == "joint":
             return np.asarray(q)
@@ -371,8 +370,8 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def _step_requests(self, action_vector: Vector) -> list[TickRequest]:
         """Return all requests of a step.
 
-        This step may send targets for other joints or digits than the last step. In this case, the
-        first request opens a new stream.
+        If this step sends targets for other joints or digits than the last step, the first request
+        opens a new stream.
         """
         requests: list[TickRequest] = list(self.requests_of_action(action_vector))
         names = self.names_of_targets(action_vector)
@@ -388,7 +387,8 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def _next_target(self, action_vector: Vector) -> StreamTarget:
         """Return the next target of the stream.
 
-        This target is closer to the target of the action, and obeys the largest rate of change.
+        The next target is closer to the target of the action than the last target, and obeys the
+        largest rate of change.
         """
         change = self.angles_deg(action_vector) - self._target_deg
         self._target_deg = self._target_deg + np.clip(
@@ -431,8 +431,8 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 def _controller_of_file(path: str) -> Controller:
     """Return the controller of a hand. In the returned controller, the hand is already homed.
 
-    A controller object never changes after its creation. Therefore several environments can share
-    one controller.
+    Several environments can share one controller, because a controller object never changes after
+    its creation.
     """
     hand = load_hand(path)
     check_hand_ready(hand, path)

@@ -1,6 +1,6 @@
 """Environment ``handctl/Grasp-v0``: the hand shall grasp a cylinder.
 
-The hand shall then hold the cylinder while the table below the cylinder sinks.
+After the grasp, the hand shall hold the cylinder while the table below the cylinder sinks.
 """
 
 import json
@@ -25,7 +25,7 @@ FULL_REWARD_FORCE_N = 1.0
 SUCCESS_HOLD_S = 1.0
 """Time for which the hand must hold the object after the table begins to sink, to count as a success [s]."""
 DROP_DISTANCE_M = 0.015
-"""Largest fall at which the object does not count as dropped [m]."""
+"""Largest distance by which the object is allowed to fall before it counts as dropped [m]."""
 TENSION_RATE_N_PER_S = 40.0
 """Rate at which the tension of a digit approaches the tension in an action [N/s]."""
 SUCCESS_REWARD = 10.0
@@ -42,12 +42,13 @@ class GraspEnv(HandEnv):
     The digits shall close on a cylinder of random diameter, and hold the cylinder while the table
     below it sinks.
 
-    At least three digits, with the thumb among them, must press on the cylinder with 1 N for 1.5 s.
-    Then the table sinks. An action consists of targets, followed by one value t for each digit. If
-    t is positive, the digit holds a tension of t times the largest allowed tension. The other
-    digits follow their targets. The reward of a step is the change of a mean value during the step.
-    This value is the mean of min(force / 1 N, 1) over all digits. A success adds 10, and a drop or
-    a fault adds -1. The reward uses the true forces and the true height of the object.
+    When at least three digits, with the thumb among them, have pressed on the cylinder with 1 N for
+    1.5 s, the table sinks. An action consists of targets, followed by one value t for each digit.
+    If t is positive, the digit holds a tension of t times the largest allowed tension. Digits whose
+    value t is not positive follow their targets. The reward of a step is the change, during the
+    step, of the mean of min(force / 1 N, 1) over all digits. A success adds 10 to the reward, and a
+    drop of the object or a fault adds -1. The reward uses the true forces and the true height of
+    the object.
     """
 
     has_tensions = True
@@ -63,7 +64,7 @@ class GraspEnv(HandEnv):
         render_mode: str | None = None,
         picture_size_px: tuple[int, int] = PICTURE_SIZE_PX,
     ) -> None:
-        """Create the environment. ``HandEnv`` explains the common arguments.
+        """Create the environment. The docstring of ``HandEnv`` explains the common arguments.
 
         Args:
             hand, space, duration_s, perturb, speed_deg_s: as for ``HandEnv``.
@@ -152,7 +153,7 @@ class GraspEnv(HandEnv):
     def names_of_targets(self, action_vector: Vector) -> tuple[str, ...]:
         """Return the joints or digits of an action that follow targets.
 
-        The other digits hold a tension.
+        Digits that are not in the result hold a tension.
         """
         follows_targets = self._demanded_tensions(action_vector) <= 0.0
         return tuple(
@@ -164,7 +165,7 @@ class GraspEnv(HandEnv):
     def _demanded_tensions(self, action_vector: Vector) -> Vector:
         """Return the tension of each digit in an action (D,) [N].
 
-        A digit with a value of 0 or less follows its targets instead.
+        A digit whose value t in the action is 0 or less follows its targets instead of a tension.
         """
         tensions: Vector = np.round(action_vector[len(self.names) :] * self._max_tension_N, 3)
         return tensions

@@ -1,6 +1,7 @@
 """Observation vector of a Gymnasium environment.
 
-The vector consists of named values with fixed bounds. Most of the values come from the telemetry.
+The observation vector consists of named values with fixed bounds. Most values of the vector come
+from the telemetry.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -41,7 +42,7 @@ class ObservationLayout:
     Attributes:
         parts: parts of the vector, in order.
         names: name of every value of the vector with the unit, e.g. ``q_rad[index_j1]``.
-        space: bounds of the values of the vector, as a Gymnasium space. Values outside these bounds
+        space: bounds of the values of the vector, as a Gymnasium space. Values outside the bounds
             are clipped.
     """
 

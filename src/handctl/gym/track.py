@@ -35,8 +35,8 @@ class TrackEnv(HandEnv):
 
     Each reference is the sum of two sine waves with random periods and phases.
 
-    The reward of a step is 1 / (1 + (e / 5 deg)^2). Here e is the root mean square of the true
-    tracking errors of all joints or digits. Only a fault ends an episode early.
+    The reward of a step is 1 / (1 + (e / 5 deg)^2). The error e in the reward is the root mean
+    square of the true tracking errors of all joints or digits. Only a fault ends an episode early.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class TrackEnv(HandEnv):
         render_mode: str | None = None,
         picture_size_px: tuple[int, int] = PICTURE_SIZE_PX,
     ) -> None:
-        """Create the environment. ``HandEnv`` explains the common arguments.
+        """Create the environment. The docstring of ``HandEnv`` explains the common arguments.
 
         Args:
             hand, space, duration_s, perturb, speed_deg_s: as for ``HandEnv``.
@@ -144,7 +144,7 @@ class TrackEnv(HandEnv):
     def _reference_coordinates_at(self, q: Vector) -> Vector:
         """Return the values of the references at given joint angles (J,).
 
-        The unit of the angles does not change.
+        The conversion does not change the unit of the angles.
         """
         if self._space == "digit":
             return self.coordinates_of_joints(q)
@@ -155,7 +155,8 @@ class TrackEnv(HandEnv):
     def _joint_angles_at(self, coordinates: Vector) -> Vector:
         """Return the joint angles (J,) at given coordinates.
 
-        The unit of the angles does not change. Joints that share a coordinate have the same angle.
+        The conversion does not change the unit of the angles. Joints that share a coordinate have
+        the same angle.
         """
         rows = zip(self.model.digits, self.model.digit_coordinates, strict=True)
         return np.concatenate(

@@ -1,4 +1,4 @@
 """Log of a run in the format MCAP: recorder, topics, reader, and recovery of a damaged log.
 
-Common robotics tools open these logs without conversion.
+Common robotics tools open logs in the format MCAP without conversion.
 """

@@ -1,6 +1,6 @@
 """Mesh files of a hand that are stored in a log as attachments.
 
-With these attachments, a machine without the original files can show the meshes.
+With the attachments, a machine that lacks the original mesh files can show the meshes of the hand.
 """
 
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ from handctl.hand.formats.mesh_file import mesh_triangles
 MAX_MESH_BYTES = 4 << 20
 """Largest total size of the mesh files in a log [bytes].
 
-If the files of a hand are larger together, the log stores none of them.
+If the mesh files of a hand exceed this size in total, the log stores no mesh file.
 """
 
 

@@ -1,11 +1,11 @@
 """Writer and reader for CDR, the encoding of ROS 2 messages, and templates for messages whose layout is constant.
 
 A message begins with four bytes, called the encapsulation: 0x00, 0x01 for little-endian plain CDR,
-and two option bytes. After these bytes, the fields of the message follow in order. Numbers are
-aligned. The distance from the end of the encapsulation to a number of n bytes is a multiple of n
-bytes. A string consists of its length (uint32, including the closing NUL), its bytes, and the NUL.
-A sequence consists of its length (uint32) and its elements. An empty sequence consists only of its
-length.
+and two option bytes. After the encapsulation, the fields of the message follow in order. Numbers in
+a message are aligned. The distance from the end of the encapsulation to a number of n bytes is a
+multiple of n bytes. A string consists of its length (uint32, including the closing NUL), its bytes,
+and the NUL. A sequence consists of its length (uint32) and its elements. An empty sequence consists
+only of its length.
 
 Source: OMG CORBA 3.0, section 15.3, as implemented by the packages rosbags and mcap-ros2-support.
 """
@@ -130,7 +130,7 @@ class CdrReader:
 class MessageTemplate:
     """Encoded message whose layout never changes.
 
-    Only the listed fields differ from message to message.
+    Messages that are made from one template differ only in their variable fields.
 
     Attributes:
         data: the message with zeros in all variable fields.
@@ -145,7 +145,7 @@ class MessageTemplate:
 
 
 class TemplateWriter(CdrWriter):
-    """Builder of a template.
+    """Builder of the template of a message.
 
     The builder is a CdrWriter that can also append variable fields.
     """
@@ -159,8 +159,8 @@ class TemplateWriter(CdrWriter):
     def put_time_stamp(self) -> None:
         """Append a time stamp (builtin_interfaces/Time) as a variable field."""
         self.align(4)
-        # Offsets are counted from the start of the message. The encapsulation at the start has 4
-        # bytes.
+        # Offsets are counted from the start of the message. The encapsulation at the start of a
+        # message has 4 bytes.
         self._stamp_offsets.append(len(self.data) + 4)
         self.data += bytes(8)
 

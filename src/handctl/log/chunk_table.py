@@ -1,10 +1,11 @@
 """Compact table of the chunks in a log that is being written.
 
 A log of one day has about 350,000 chunks. After the last chunk, an MCAP file must have an index of
-all chunks. The records of the mcap package would need 2 KB of memory for each chunk. This is 30 MB
-for each hour of a run. This table needs 64 bytes for each chunk. Most chunks arrange their message
-indexes in the same way. The table stores each arrangement only once. Full blocks of the table are
-compressed to a third of their size, because successive chunks have similar numbers.
+all chunks. The records of the mcap package would need 2 KB of memory for each chunk, or 30 MB for
+each hour of a run. The compact table needs 64 bytes for each chunk. Most chunks arrange their
+message indexes in the same way. The table stores each arrangement of message indexes only once.
+Full blocks of the table are compressed to a third of their size, because successive chunks have
+similar numbers.
 """
 
 import struct
@@ -60,7 +61,7 @@ class ChunkTable:
         Args:
             chunk: position, size and times of the chunk.
             index_offsets: distance from the end of the chunk to the message index of each channel
-                [bytes], by the number of the channel.
+                [bytes], by channel id.
         """
         layout = b"".join(
             [
@@ -68,7 +69,8 @@ class ChunkTable:
                 for channel_and_offset in index_offsets.items()
             ]
         )
-        # `setdefault` gives a number to each arrangement, in the order of their first use.
+        # `setdefault` numbers the arrangements of message indexes in the order in which they are
+        # first used.
         self._latest += _CHUNK_ROW_STRUCT.pack(
             *chunk, self._layouts.setdefault(layout, len(self._layouts))
         )

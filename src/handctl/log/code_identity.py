@@ -10,7 +10,7 @@ from pathlib import Path
 CONTROL_PACKAGES = ("hand", "drives", "safety", "core", "programs", "controller")
 """Packages of handctl whose code runs when a log is re-executed."""
 UNKNOWN_IDENTITY = "?"
-"""Text that stands for the code identity of a log without one."""
+"""Text in place of the code identity, for a log that contains no code identity."""
 
 
 @functools.cache
@@ -18,8 +18,9 @@ def code_identity() -> str:
     """Return the first twelve hexadecimal digits of the SHA-256 hash over the source files of the control packages."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
-    # The paths are sorted and separated by NUL. So the hash depends only on names and contents, and
-    # not on the order in which the file system lists the files.
+    # The paths are sorted and separated by NUL. With sorted paths, the hash depends only on the
+    # names and contents of the files, and not on the order in which the file system lists the
+    # files.
     for path in sorted(
         path for name in CONTROL_PACKAGES for path in (package / name).rglob("*.py")
     ):

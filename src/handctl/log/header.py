@@ -13,7 +13,7 @@ from handctl.printing import escape_surrogates
 TRUTH_OFFSET_KEY = "truth_offset_ns"
 """Metadata key of the simulator's time at t = 0 of a lockstep run [ns].
 
-This time is not 0 if the hand was commissioned before the run.
+The simulator's time at the start of the run is not 0 if the hand was commissioned before the run.
 """
 PERIOD_RANGE_NS = (10_000, 10_000_000_000)
 """Shortest and longest accepted tick period in a log [ns]."""
@@ -32,13 +32,14 @@ MAX_NAMES_PER_LIST = 1000
 class RunHeader:
     """Header of a run's log.
 
-    The header is the first part of the log file. Therefore every log has a header, even if the run
-    ends with a crash.
+    The header is the first part of the log file. Because the header comes first, every log has a
+    header, even if the run ends with a crash.
 
     Attributes:
-        hand_toml: the hand description with all defaults applied. joints, tendons, motors, digits,
-            buses: names of these parts, in the order of the hand file.
-        period_ns: period of the tick [ns].
+        hand_toml: the hand description with all defaults applied.
+        joints, tendons, motors, digits, buses: names of the joints, tendons, motors, digits and
+            buses of the hand, in the order of the hand file.
+        period_ns: control period of the run [ns].
         offset_ns: UNIX time when the time of the run is 0 [ns]. The value is 0 for a run in
             lockstep.
         metadata: content of the metadata record `handctl`: version, bus, seed, note of the
@@ -50,7 +51,7 @@ class RunHeader:
         wall: data about the machine and the wall clock. The metadata record `handctl.wall` contains
             these data.
         deterministic: True for a run in lockstep. The recorder of a run in lockstep drops no tick
-            and reads no clock. Therefore two equal runs write equal logs.
+            and reads no clock. Therefore two equal runs in lockstep write equal logs.
     """
 
     hand_toml: str

@@ -1,9 +1,9 @@
 """Writer of files in the container format MCAP.
 
 The writer receives messages in blocks, because one Python call for each message would take too
-long. The package mcap encodes records that are rare. This module encodes chunks and message indexes
-itself, because otherwise they would take most of the time. Chunks and message indexes have these
-layouts:
+long. The package mcap encodes only the rare kinds of records. This module itself encodes chunks and
+message indexes, because the package mcap would need most of the writing time for these records.
+Chunks and message indexes have these layouts:
 
 Chunk: opcode u8, length u64, first time u64 [ns], last time u64 [ns], uncompressed size u64, CRC-32
 u32, compression as a text (u32 length), compressed size u64, compressed records. MessageIndex:
@@ -47,7 +47,7 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 MESSAGE_STRUCT = struct.Struct("<BQHIQQ")
 """Layout of the start of a Message record: opcode, length, channel, sequence, log time [ns], publish time [ns]."""
 _RECORD_STRUCT = struct.Struct("<BQ")
-"""Layout of the start of every record: opcode, length."""
+"""Layout of the start of every MCAP record: opcode, length."""
 _CHUNK_STRUCT = struct.Struct("<QQQII3sQ")
 """Layout of the fields of a Chunk record after `_RECORD_STRUCT`, for the compression "lz4"."""
 _MESSAGE_INDEX_STRUCT = struct.Struct("<BQHI")
@@ -83,7 +83,7 @@ def records_as_bytes(records: Iterable[McapRecord]) -> bytes:
 class _SummarySection:
     """Contents of the summary section of a file.
 
-    The contents are collected while the file is written.
+    The contents of the summary section are collected while the file is written.
     """
 
     schemas: list[McapRecord] = field(default_factory=list)
@@ -103,8 +103,8 @@ class McapContainer:
         complete_size: length of the file up to the end of the last complete record [bytes].
 
     Raises:
-        OSError: a write fails. Every method that writes to the file can raise this error. After
-            such an error, only `cut_incomplete_record` may still be called.
+        OSError: a write fails. Every method that writes to the file can raise this error. After an
+            OSError, the caller is allowed to call only `cut_incomplete_record`.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -131,8 +131,8 @@ class McapContainer:
         start = self._at
         view = memoryview(data)
         while view:
-            # A single call may write only a part of the bytes, for example if the disk is almost
-            # full.
+            # A single call of ``os.write`` can write only a part of the bytes, for example if the
+            # disk is almost full.
             written_size = os.write(self._fd, view)
             self._at += written_size
             view = view[written_size:]
@@ -145,7 +145,7 @@ class McapContainer:
     def cut_incomplete_record(self) -> None:
         """Cut the file off after the last complete record.
 
-        This removes the remains of a failed write.
+        The call removes the remains of a failed write.
         """
         os.ftruncate(self._fd, self.complete_size)
         os.lseek(self._fd, self.complete_size, os.SEEK_SET)

@@ -38,13 +38,14 @@ TICK_HEAD_DTYPE = np.dtype(
 )
 """Layout of the first part of a Tick message.
 
-This part has a constant length. The hash of the controller's state is stored as raw bytes (V8).
+The first part of a Tick message has a constant length. The hash of the controller's state is stored
+as raw bytes (V8).
 """
 _MAX_CACHED_MESSAGE_TAILS = 256
-"""Largest number of cached message ends.
+"""Largest number of ends of Tick messages in the cache.
 
-The end of a Tick message contains phase, io events, requests and events. Without events and
-requests, all ticks of a phase have the same message end.
+The end of a Tick message contains phase, io events, requests and events. If the ticks of one grasp
+phase have no events and no requests, their messages have the same end.
 """
 
 
@@ -241,9 +242,9 @@ class TickBatcher:
             message: the Tick message.
             offset: offset of the phase in the message [bytes].
         """
-        # Nearly all ticks have no events. The Tick message of such a tick ends with the phase and
-        # empty lists. These last bytes are the same in all ticks of one phase. Because of the
-        # cache, equal bytes are decoded only once.
+        # Nearly all ticks have no events. The Tick message of a tick without events ends with the
+        # phase and empty lists. The last bytes of the message are the same in all ticks of one
+        # grasp phase without events. Because of the cache, equal last bytes are decoded only once.
         tail_bytes = message[offset:]
         phase = self._phase_of_tail.get(tail_bytes)
         if phase is None:
@@ -256,9 +257,9 @@ class TickBatcher:
         self._phases.append(phase)
 
     def take_batch(self) -> TickBatch:
-        """Return all ticks added since the last call as a batch, and begin another batch."""
-        # In each message, four bytes (the CDR encapsulation) come before the part whose length is
-        # constant.
+        """Return all ticks that were added since the last call, as one batch, and begin a new batch."""
+        # In each message, four bytes (the CDR encapsulation) come before the first part, whose
+        # length is constant.
         tick_heads = np.frombuffer(
             b"".join([message[4 : 4 + TICK_HEAD_STRUCT.size] for message in self._messages]),
             TICK_HEAD_DTYPE,

@@ -1,7 +1,7 @@
 """Records that the controller writes into the pipe to the recorder.
 
-The record of a tick contains the telemetry and a `handctl_msgs/Tick` message. The message is
-encoded in the same way as in the log.
+The record of a tick contains the telemetry and a `handctl_msgs/Tick` message. The Tick message has
+the same encoding in the pipe and in the log.
 
 All numbers are little-endian.
 
@@ -66,13 +66,13 @@ SNAPSHOT_RECORD_KIND = 4
 FILE_RECORD_KIND = 5
 """Kind of the first record.
 
-This record gives the path of the log, and the free disk space [bytes] at which the log ends early,
-as JSON.
+The first record gives the path of the log, and the free disk space [bytes] at which the log ends
+early, as JSON.
 """
 SNAPSHOT_HEAD_STRUCT = struct.Struct("<qq")
 """Layout of the start of a snapshot record: number and time [ns] of the tick.
 
-The controller's state after this tick follows.
+In the snapshot record, the controller's state after the tick follows this start.
 """
 
 TICK_SIZES_STRUCT = struct.Struct("<IHHHH")
@@ -82,7 +82,7 @@ TICK_HEAD_STRUCT = struct.Struct("<qqq8sBB2xI")
 FRAME_RECORD_BYTES = CLASSICAL_RECORD_BYTES
 """Size of a CAN frame in a Tick message [bytes].
 
-The size is that of the first part of a frame's record, with eight data bytes.
+The size includes eight data bytes. Further data bytes of a long frame come after the frames.
 """
 _CLASSICAL_FRAME_DTYPE = np.dtype(f"V{CLASSICAL_RECORD_BYTES}")
 """numpy type of a frame in a Tick message, as raw bytes."""
@@ -115,7 +115,7 @@ A dictionary finds a member four times as fast as a call of the enumeration.
 new_tuple = tuple.__new__
 """Function that creates a named tuple.
 
-This function is faster than the constructor of the named tuple.
+The function `tuple.__new__` is faster than the constructor of the named tuple.
 """
 _COUNT_STRUCT = struct.Struct("<I")
 _NO_LONG_DATA = _COUNT_STRUCT.pack(0)
@@ -163,8 +163,8 @@ def _long_data(records: RecordArray) -> bytes:
 def _eventless_message_tail(phase: str) -> bytes:
     """Return the end of a Tick message without events: the phase and three empty sequences.
 
-    The bytes depend only on the phase, if the offset of the end in the message is divisible by
-    four. Therefore they can be cached.
+    If the offset of the end in the message is divisible by four, the bytes of the end depend only
+    on the phase. An end that depends only on the phase can be cached.
     """
     writer = CdrWriter()
     writer.put_string(phase)
@@ -179,8 +179,8 @@ def _message_end(
     """Return the end of a Tick message, which contains phase, io events, requests and events.
 
     Args:
-        start_offset: offset at which this end begins in the body of the message [bytes]. The alignment of
-            the fields depends on this offset.
+        start_offset: offset at which the end begins in the body of the message [bytes]. The
+            alignment of the fields depends on this offset.
         phase: grasp phase in the tick.
         tick_in: inputs of the tick.
         events: events of the tick.
@@ -235,8 +235,8 @@ def pack_tick(tick_in: TickIn, tick_output: TickOut) -> bytes:
         long_payload_bytes = (
             _COUNT_STRUCT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
         )
-    # The first field of a frame is an int64. Therefore CDR aligns the frames to 8 bytes. If there
-    # are no frames, there is no padding.
+    # The first field of a frame is an int64. Therefore CDR aligns the frames to 8 bytes. Without
+    # sent frames, the message has no padding to 8 bytes.
     padding = b"\0\0\0\0" if len(sent_records) else b""
     message_fields = [
         ENCAPSULATION_HEADER,
@@ -316,14 +316,14 @@ def message_layout(message: bytes) -> MessageLayout:
     start = TICK_HEAD_STRUCT.size + 4
     end = TICK_HEAD_STRUCT.size + 4 + FRAME_RECORD_BYTES * received_count
     (sent_count,) = _COUNT_STRUCT.unpack_from(message, end)
-    # Before the sent frames, the message is padded to 8 bytes. If there are no frames, there is no
-    # padding.
+    # Before the sent frames, the message is padded to 8 bytes. Without sent frames, the message has
+    # no padding to 8 bytes.
     sent_frames_start = end + 8 if sent_count else end + 4
     sent_frames_end = sent_frames_start + FRAME_RECORD_BYTES * sent_count
     (size,) = _COUNT_STRUCT.unpack_from(message, sent_frames_end)
     long_data = slice(sent_frames_end + 4, sent_frames_end + 4 + size)
-    # The payload bytes after the eighth byte may end at any offset. The text after them is aligned
-    # to 4 bytes.
+    # The payload bytes after the eighth byte can end at any offset. The text that follows the
+    # payload bytes is aligned to 4 bytes.
     return MessageLayout(
         slice(start, end),
         slice(sent_frames_start, sent_frames_end),
@@ -371,7 +371,7 @@ def _decode_frames(frame_starts: bytes, long_data: bytes) -> tuple[Frames, bytes
 def _zero_unused_bytes(records: RecordArray) -> None:
     """Set the unused data bytes of short payloads to zero.
 
-    In a bad file, these bytes may have any value.
+    In a damaged file, the unused data bytes can have any value.
     """
     words = records.getfield(_DATA_WORD_DTYPE, _DATA_OFFSET)
     words &= _DATA_MASK_BY_LENGTH[np.minimum(records["length"], _SHORT_DATA_BYTES)]
@@ -483,8 +483,8 @@ def _unpack_short_ticks(messages: list[bytes]) -> list[TickRecord] | None:
     """Decode Tick messages in which no payload is longer than eight bytes.
 
     Returns:
-        the ticks. None if a message has a longer payload or ends early. If the result
-        is None, the caller decodes each message with `unpack_tick`.
+        the ticks. None if a message has a payload of more than eight bytes or ends early. If the
+        result is None, the caller decodes each message with `unpack_tick`.
     """
     frame_and_length_bytes = list[bytes]()
     end_indices = [0]
@@ -504,8 +504,8 @@ def _unpack_short_ticks(messages: list[bytes]) -> list[TickRecord] | None:
         long_size_offset = start + FRAME_RECORD_BYTES * frame_count_sent
         if message[long_size_offset : long_size_offset + 4] != _NO_LONG_DATA:
             return None
-        # The frames of all messages are joined and decoded in one call. After that, they are
-        # divided again at `ends`.
+        # The frames of all messages are joined and decoded in one call. After the decoding, the
+        # frames are divided among the messages again at `ends`.
         frame_and_length_bytes += (
             message[_FRAMES_OFFSET:sent_count_offset],
             message[start:long_size_offset],

@@ -1,12 +1,13 @@
-"""Commands that the controller would have given in a recorded run with other gains.
+"""Commands that the controller, with other gains, would have given in a recorded run.
 
-The commands are compared with the logged commands in numbers and in a figure. The controller is
-executed on the measurements in the log. So the figure shows the new command in each tick, but not
+The new commands are compared with the logged commands in numbers and in a figure. The controller is
+executed on the measurements in the log. The figure thus shows the new command in each tick, but not
 the motion that the new commands would cause.
 
 The measurements in the log are the result of the old commands. The new commands do not fit the old
-measurements. Therefore the safety monitor may see a fault and relax the hand. After this tick, the
-commands no longer depend on the gains. So the comparison ends with this tick.
+measurements. If the commands contradict the measurements, the safety monitor can see a fault and
+relax the hand. When the safety monitor has relaxed the hand, the commands no longer depend on the
+gains, and the comparison ends.
 """
 
 from pathlib import Path

@@ -49,7 +49,7 @@ def logged_setup(log: RunLog) -> RunSetup:
 def rebuild_controller(log: RunLog, gains: Gains | None = None) -> Controller:
     """Rebuild the controller of a recorded run.
 
-    The gains are those in the log, or the given gains.
+    The controller has the gains in the log, or the given gains.
 
     Raises:
         LogError: a required record is missing from the log.

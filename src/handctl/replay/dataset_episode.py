@@ -4,8 +4,8 @@ The joint angles in the actions of the episode must pass the same checks as a tr
 
 The dataset must have the file layout of LeRobot's codebase version 3.0. An action has an element
 such as `index_j1.pos_rad` for every hinge of the hand, and `jaw_j1.pos_m` for every prismatic
-joint. The plug-in `lerobot_robot_handctl` and the command `log export --lerobot` write such
-actions. All other elements of an action, such as tensions, are ignored.
+joint. The plug-in `lerobot_robot_handctl` and the command `log export --lerobot` write actions with
+elements of these names. All other elements of an action, such as tensions, are ignored.
 """
 
 import json
@@ -33,14 +33,13 @@ VERSION_PREFIX = "v3."
 MAX_CLIP_DISTANCE_DEG = 3.0
 """Largest distance of an angle from its joint's range at which the angle is moved to the nearer limit [deg].
 
-An angle farther outside is refused.
-
-The estimated angle of a joint at a stop may lie a little outside the range.
+An angle that is farther outside of the range is refused. The estimated angle of a joint at its
+mechanical stop can lie slightly outside of the joint's range.
 """
 FRAME_RATE_RANGE_HZ = (1.0, 1000.0)
 """Lowest and highest accepted frame rate of a dataset [Hz]."""
 MAX_EPISODE_S = 3600.0
-"""Longest accepted episode [s]. A trajectory file has the same limit of its duration."""
+"""Longest accepted episode [s]. The limit of the duration of a trajectory file is the same."""
 MAX_INFO_BYTES = 1 << 24
 """Largest accepted size of `info.json` [bytes]."""
 
@@ -59,9 +58,9 @@ def find_episode(
         episode_index: number of the episode, from 0.
         hand: hand that will follow the episode.
         period: control period of the hand [s].
-        speed_deg_s: limit of the speed of each joint from frame to frame [deg/s]. Higher speeds are
-            reduced to this limit. If it is None, an episode in which a joint is too fast is
-            refused.
+        speed_deg_s: limit of the speed of each joint from frame to frame [deg/s]. Higher speeds of
+            a joint are reduced to this limit. If ``speed_deg_s`` is None, an episode in which a
+            joint is too fast is refused.
 
     Raises:
         ConfigError: the dataset or the episode does not exist, the episode contains no angles for
@@ -223,8 +222,8 @@ def _joint_angles(
 def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Array:
     """Return the angles (frames, J).
 
-    If an angle is slightly outside of the range of its joint, the angle is set to the end of the
-    range.
+    If an angle is slightly outside of the range of its joint, the angle is set to the nearer limit
+    of the range.
 
     Raises:
         ConfigError: an angle is not finite or lies far outside the range of the joint.
@@ -234,7 +233,7 @@ def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Ar
     distance_beyond_range = units.to_display_units(
         np.maximum(low - angles_of_frames, angles_of_frames - high)
     )
-    # The negated comparison also finds NaN.
+    # The negated comparison is also true for NaN.
     is_beyond_limit = ~(distance_beyond_range <= MAX_CLIP_DISTANCE_DEG)
     if is_beyond_limit.any():
         frame, joint = (int(index) for index in np.argwhere(is_beyond_limit)[0])

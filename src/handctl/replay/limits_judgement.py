@@ -1,7 +1,7 @@
 """Judgement of a recorded run by other safety limits.
 
-The result lists the ticks in which the new limits would have stopped the hand. For each of these
-ticks, it gives the reading that exceeds the limit.
+The judgement lists the ticks in which the new limits would have stopped the hand. For each listed
+tick, the judgement gives the reading that exceeds the limit.
 """
 
 from collections import Counter
@@ -56,8 +56,8 @@ class StoppingFault(NamedTuple):
         instance: motor, tendon or bus that has the fault.
         value: reading that exceeds the limit, in the unit of the limit.
         action: reaction to the fault.
-        occurs_in_logged_run: True if the fault also occurred in this tick with the limits of the run
-            itself.
+        occurs_in_logged_run: True if the fault also occurred in the same tick of the recorded run,
+            with the limits of the recorded run.
     """
 
     k: int
@@ -77,10 +77,10 @@ class LimitsJudgement:
     Attributes:
         ticks: number of judged ticks.
         stopped_tick_count: number of ticks in which the new limits demand HOLD or a more severe reaction.
-        ticks_stopped_by_old_limits: number of ticks in which the limits of the run demanded HOLD or a more
-            severe reaction.
-        stopping_faults: the fault with which each stop begins, in order.
-        stop_count_by_fault: number of stops for each fault, by the id of the fault.
+        ticks_stopped_by_old_limits: number of ticks in which the limits of the recorded run
+            demanded HOLD or a more severe reaction.
+        stopping_faults: the fault with which each stop of the hand begins, in order.
+        stop_count_by_fault: number of stops of the hand for each fault, by the id of the fault.
     """
 
     ticks: int
@@ -134,7 +134,7 @@ def load_limits(path: Path, controller: Controller) -> SafetyLimits:
 def judge_by_limits(
     log: RunLog, path: Path, progress: Callable[[int], None] | None = None
 ) -> LimitsJudgement:
-    """Judge every tick of a run by other limits, and return the effect of these limits.
+    """Judge every tick of a run by other safety limits, and return the effect of the new limits.
 
     The log itself is not changed.
 

@@ -64,7 +64,8 @@ def _check_clock(log: RunLog) -> Iterator[str]:
 def _check_frame_time_stamps(log: RunLog) -> Iterator[str]:
     """Yield a line for each CAN frame whose time stamp is later than the tick that read the frame.
 
-    The time stamp of such a frame comes from another clock than the clock of the controller.
+    A time stamp that is later than the tick comes from another clock than the clock of the
+    controller.
     """
     late_stamp_count = 0
     last_time_ns = -1
@@ -103,8 +104,8 @@ def _check_hash_chain(log: RunLog) -> Iterator[str]:
     for k, message, numbers, digest in ticks:
         if tick_hash(hash_before, message, numbers) != digest:
             broken_chunks.append(k)
-        # After a wrong hash, the check continues with the hash in the log. So a single changed tick
-        # is reported only once.
+        # After a wrong hash, the check continues with the hash in the log. As a result, a single
+        # changed tick is reported only once.
         hash_before = digest
     if broken_chunks:
         others_text = f", and {len(broken_chunks) - 1} more" if len(broken_chunks) > 1 else ""

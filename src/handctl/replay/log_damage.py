@@ -1,6 +1,6 @@
 """Search for the damage in a log that the log reader refuses to read.
 
-The search finds the first tick in which a byte was changed.
+The search finds the first tick of the log in which a byte was changed.
 """
 
 from collections.abc import Iterator
@@ -19,7 +19,7 @@ from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
 MISSING_CHANNEL_ID = -1
 """Channel number of a topic that the log lacks.
 
-Logs of earlier versions, for example, lack the hash chain.
+Logs of earlier versions of handctl, for example, lack the topic of the hash chain.
 """
 
 
@@ -35,11 +35,11 @@ class _StoredTick(NamedTuple):
 def describe_damaged_log(path: Path) -> str:
     """Return a description of the first damage and the first wrong tick of a log.
 
-    If there is no damage, the text is empty.
+    If the log has no damage, the returned text is empty.
 
     The hash chain shows a changed tick even if somebody has adjusted the checksums of the file. If
-    all hashes of the chain are right, the damage is in topics that are computed from the ticks. The
-    result then names the ticks of the damaged chunk.
+    all hashes of the chain are right, the damage is in topics that are computed from the ticks. If
+    the damage is in computed topics, the result names the ticks of the damaged chunk.
 
     Raises:
         LogError: the file is not a log of handctl.
@@ -120,7 +120,8 @@ def _chunk_ticks(
     if channels[2] == MISSING_CHANNEL_ID:
         digests = [b""] * len(messages)
     for message, values, digest in zip(messages, values_of, digests, strict=True):
-        # In the message, the tick number comes after the four bytes that CDR puts before all data.
+        # In the Tick message, the tick number comes after the four bytes that CDR puts before all
+        # data.
         k = int.from_bytes(message[4:12], "little", signed=True)
         yield _StoredTick(
             k, message, values[VALUES_START_OFFSET:VALUES_END_OFFSET], digest[-HASH_SIZE:]

@@ -3,7 +3,8 @@
 The controller is executed again on the inputs in the log, and each byte of the new output is
 compared with the log.
 
-A re-execution uses no bus, and reads no file except the log. No decision depends on a clock.
+A re-execution uses no bus, and reads no file except the log. No decision of the controller depends
+on a clock.
 """
 
 import gc
@@ -41,7 +42,7 @@ class LogExecution:
             value is None if there is no difference.
         wall_s: time that the re-execution took, without the time for the design of the gains [s].
         cpu_s: processor time of all processes together [s]. A single core without other work would
-            need this time.
+            need this processor time for the whole re-execution.
         logged_duration_s: duration of the recorded run [s].
     """
 
@@ -64,8 +65,9 @@ class LogExecution:
 def is_within_tolerance(execution: LogExecution, tolerance: float) -> bool:
     """Return True if a new execution of a run agrees with the log.
 
-    All decisions must be those in the log. No number may differ from the log by more than
-    `tolerance`. A tolerance is useful because another kind of processor may round differently.
+    All decisions of the new execution must equal the decisions in the log. No number is allowed to
+    differ from the log by more than `tolerance`. A tolerance is useful because another kind of
+    processor can round numbers differently.
     """
     largest = relative_error(execution.largest_difference) if execution.largest_difference else 0.0
     return not execution.different_decisions and largest <= tolerance
@@ -136,9 +138,8 @@ def _cpu_seconds() -> float:
 def gc_disabled() -> Iterator[None]:
     """Disable garbage collection, as the control loop does.
 
-    Also disable numpy's warnings about invalid numbers, because a log may contain such numbers.
-
-    A tick creates no reference cycles. So no garbage accumulates.
+    The context also disables numpy's warnings about invalid numbers, because a log can contain
+    invalid numbers. No garbage accumulates, because a tick creates no reference cycles.
     """
     gc.disable()
     try:

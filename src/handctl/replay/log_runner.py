@@ -56,7 +56,7 @@ def relative_error(difference: TickDifference) -> float:
 class DifferenceTally:
     """Counts of the differences that were found so far.
 
-    The class LogExecution explains the attributes.
+    The docstring of LogExecution explains the attributes of the tally.
     """
 
     ticks: int = 0
@@ -80,7 +80,7 @@ class DifferenceTally:
         return merged_tally
 
     def add_tick(self, tick_differences: list[TickDifference], has_equal_decisions: bool) -> None:
-        """Add the differences of one tick.
+        """Add the differences of one tick to the tally.
 
         Args:
             tick_differences: the differences between the logged and the computed tick.
@@ -124,8 +124,8 @@ class LogRunner:
 
         The function raises the errors of `rebuild_controller`.
         """
-        # With other gains, the states of the controller differ from the snapshots in the log. In
-        # this case, the snapshots are not used.
+        # With other gains, the states of the controller differ from the snapshots in the log. If
+        # other gains are given, the snapshots are not used.
         snapshots: Mapping[int, bytes] = {} if gains else log.snapshots
         return LogRunner(
             log, rebuild_controller(log, gains), TelemetryColumns.from_header(log.header), snapshots
@@ -184,10 +184,10 @@ class LogRunner:
         return state, difference_tally
 
     def _logged_ticks(self, first_tick: int, tick_end: int) -> Iterator[tuple[TickRecord, bytes]]:
-        """Yield the logged ticks from index `first_tick` to `end_tick` - 1, each with its telemetry."""
+        """Yield the logged ticks from index `first_tick` to `tick_end` - 1, each with its telemetry."""
         chunk_starts = self.log.first_tick_of_chunk
         # A chunk of the log is always read as a whole. The ticks of a chunk that do not belong to
-        # the part are dropped below.
+        # the requested part of the log are dropped below.
         chunk, last_chunk = np.searchsorted(chunk_starts, (first_tick, tick_end), side="right") - 1
         chunks = slice(int(chunk), int(last_chunk) + 1)
         ticks_and_telemetry = zip(
@@ -208,7 +208,7 @@ class LogRunner:
                 self.controller.derived_constants.layout, self.snapshots[logged_tick.tick_in.k]
             )
         except ValueError:
-            return None  # if another version wrote the state, its fields are different
+            return None  # if another version of handctl wrote the state, the fields of the state are different
         return state_difference(self.log.header, logged_tick, snapshot_state, state)
 
 

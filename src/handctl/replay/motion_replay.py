@@ -1,6 +1,6 @@
 """Repetition of a recorded motion.
 
-The recorded targets become a program. The two runs can be compared.
+The recorded targets become a program. The recorded run and its repetition can be compared.
 """
 
 from typing import Any
@@ -88,8 +88,8 @@ def recorded_targets(log: RunLog, period: float) -> RecordedGoals:
     count_missing_ticks(log)
     start, end = active_interval(log)
     steps = np.rint(np.arange(round((end - start) / period) + 1) * (period * 1e9))
-    # These times are equal to `log.times` in every bit. So no interpolation is necessary if both
-    # control periods are equal.
+    # If both control periods are equal, the sample times equal `log.times` in every bit, and no
+    # interpolation is necessary.
     times = np.asarray((round(start * 1e9) + steps.astype(np.int64)) * 1e-9, np.float64)
     q, dq, tension = (
         _interpolate_field(log, name, times) for name in ("q_goal", "dq_goal", "tension_goal")
@@ -107,8 +107,8 @@ def _interpolate_field(log: RunLog, name: str, sample_times: Array) -> Array:
 def _interpolate_columns(log: RunLog, values: Array, sample_times: Array) -> Array:
     """Interpolate values (ticks, n) of a log at the given times [s].
 
-    If the value before or after a given time is NaN, the result is NaN. Before the first tick and
-    after the last tick, the result is the value of the nearest tick.
+    If the value before or after a given time is NaN, the result for this time is NaN. For times
+    before the first tick or after the last tick, the result is the value of the nearest tick.
     """
     return np.column_stack([np.interp(sample_times, log.times, column) for column in values.T])
 

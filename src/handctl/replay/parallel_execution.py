@@ -1,10 +1,10 @@
 """Re-execution of a log in several processes. Each process starts from a snapshot in the log.
 
-Each process executes a part of the log. The part starts from a snapshot, and the hash of this
-snapshot is in the log. After the previous part, the state of the controller may have the same hash.
-Then a serial execution would reach the same state. In this case, the results of the two parts can
-be added. If the hashes differ, one process executes the rest of the log serially. The result is
-therefore always equal to the result of a serial execution.
+Each process executes a part of the log. A part of the log starts from a snapshot, and the hash of
+the snapshot is in the log. If the controller's state at the end of the previous part has the same
+hash as the snapshot, a serial execution would reach the same state. If the hashes are equal, the
+results of the two parts are therefore added. If the hashes differ, one process executes the rest of
+the log serially. The result is therefore always equal to the result of a serial execution.
 """
 
 import json
@@ -30,13 +30,13 @@ from handctl.replay.tick_difference import TickDifference
 MIN_TICKS_PER_PROCESS = 200
 """Smallest number of ticks for which a further process is started."""
 PROGRESS_PERIOD_S = 0.2
-"""Interval between reports of progress while the first process waits for the others [s]."""
+"""Interval between reports of progress while the first process waits for the other processes [s]."""
 
 
 class LogPart(NamedTuple):
     """Part of a log: the ticks from index `start` to `stop` - 1.
 
-    The part also has the controller's state before the first tick.
+    The object also contains the controller's state before the first tick of the part.
     """
 
     start: int
@@ -183,7 +183,7 @@ def _state_after_tick(runner: LogRunner, tick_index: int) -> ControllerState | N
 def _start_worker(
     runner: LogRunner, log_part: LogPart, add_executed_ticks: Callable[[int], None]
 ) -> WorkerProcess:
-    """Start the execution of a part in a forked copy of this process."""
+    """Start the execution of a part of a log in a forked copy of this process."""
     return WorkerProcess(
         *run_in_forked_copy(lambda: _result_json(runner, log_part, add_executed_ticks)), log_part
     )
@@ -192,10 +192,10 @@ def _start_worker(
 def _result_json(
     runner: LogRunner, log_part: LogPart, add_executed_ticks: Callable[[int], None]
 ) -> str:
-    """Execute a part of a log, and return the result as JSON. If the log is damaged, the text is empty.
+    """Execute a part of a log, and return the result as JSON. If the log is damaged, the returned text is empty.
 
-    In this case, the calling process executes the part itself, finds the damage and reports the
-    error.
+    If the returned text is empty, the calling process executes the part itself, finds the damage
+    and reports the error.
     """
     try:
         state, difference_tally = runner.execute_log_part(*log_part, None, add_executed_ticks)

@@ -11,7 +11,7 @@ from handctl.replay.run_comparison import check_same_hand, compare_runs
 PASSIVE_PHASES = frozenset(mode.name.lower() for mode in HandMode if mode != HandMode.RELAX)
 """Names of the phases in which the hand's tendons have no tension.
 
-The comparison of two runs compares only the durations of these phases.
+For phases without tension, the comparison of two runs compares only the durations.
 """
 
 
@@ -31,7 +31,8 @@ class PhaseSpan(NamedTuple):
 def phase_spans(log: RunLog) -> list[PhaseSpan]:
     """Return all phases of a run in order.
 
-    If several phases have the same name, the later ones are numbered: `hold`, `hold (2)`.
+    If several phases have the same name, every phase after the first is numbered: `hold`, `hold
+    (2)`.
     """
     changes = log.phases
     spans = []
@@ -57,9 +58,9 @@ def compare_logs(a: RunLog, b: RunLog, location: str) -> dict[str, Any]:
 
     Returns:
         The gains that differ, the phases that only one of the runs has, and a comparison of each
-        common phase. The comparison of a phase contains both durations [s] and the differences from
-        `compare_runs`. The comparison covers the shorter of the two durations. Both runs are
-        aligned at the start of the phase.
+        phase that both runs have. The comparison of a phase contains both durations [s] and the
+        differences from `compare_runs`. The comparison of a phase covers the shorter of its two
+        durations. Both runs are aligned at the start of the phase.
 
     Raises:
         IncomparableError: the two logs are of different hands.

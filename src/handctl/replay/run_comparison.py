@@ -22,15 +22,16 @@ MAX_DELAY_S = 0.2
 MIN_SIGNAL_SPAN = 0.05
 """Smallest range of a signal from which a delay is computed, as a fraction of the signal's largest value."""
 MAX_UNEXPLAINED_FRACTION = 0.1
-"""Largest fraction of the first signal's variance that may remain as a difference after the shift by the delay.
+"""Largest accepted fraction of the first signal's variance that remains as a difference after the shift by the delay.
 
-If a larger fraction remains, the delay found is a result of chance or noise.
+If a larger fraction of the variance remains, the delay that was found is a result of chance or
+noise.
 """
 MIN_REPORTED_DELAY_MS = 0.05
-"""Delay below which "in time" is printed instead of the delay [ms]."""
+"""Delay below which the text "in time" is printed instead of a number of milliseconds [ms]."""
 
 MM_PER_M = 1000.0
-"""Printed position of a prismatic joint [mm] per logged position [m]."""
+"""Factor from the logged position of a prismatic joint [m] to the printed position [mm]."""
 COMPARED_SIGNALS = {"q": ("joint", 57.29577951308232, "deg"), "tension": ("tendon", 1.0, "N")}
 """Axis, factor from the field's unit to the printed unit, and printed unit, for each compared telemetry field."""
 
@@ -84,7 +85,7 @@ def compare_signals(
 
 
 def rms_and_peak_difference(signal_difference: Array) -> dict[str, float]:
-    """Return the RMS and the peak of a difference. NaN values are ignored.
+    """Return the RMS and the peak of a difference. NaN values in the difference are ignored.
 
     If all values are NaN, the RMS and the peak are NaN.
     """
@@ -100,12 +101,12 @@ def rms_and_peak_difference(signal_difference: Array) -> dict[str, float]:
 def signal_delay(signal_before: Array, signal_after: Array, period: float) -> float:
     """Return the delay of the signal `signal_after` behind the signal `signal_before` [s].
 
-    The delay is the time shift for which the variance of the remaining difference is smallest. The
-    best shift is refined by a parabola through three neighbouring shifts.
+    The delay is the time shift of a signal for which the variance of the remaining difference is
+    smallest. The best time shift is refined by a parabola through three neighbouring shifts.
 
     Returns:
-        The result is NaN if the signal moves no more than noise, if no shift up to `MAX_DELAY_S`
-        explains the difference, or if a signal contains NaN.
+        The result is NaN if the signal moves no more than noise, if no time shift up to
+        `MAX_DELAY_S` explains the difference, or if a signal contains NaN.
     """
     if np.isnan(signal_before).any() or np.isnan(signal_after).any():
         return float("nan")
@@ -127,8 +128,9 @@ def signal_delay(signal_before: Array, signal_after: Array, period: float) -> fl
     ):
         return float("nan")
     variance_before, min_residual, variance_after = residual[best - 1 : best + 2]
-    # Here, `bend` is the second difference of the variance with respect to the shift. If `bend` is
-    # not positive, the minimum is flat, and the best shift is not refined.
+    # The variable `bend` is the second difference of the variance with respect to the shift. If
+    # `bend` is not positive, the minimum of the variance is flat, and the best time shift is not
+    # refined.
     curvature = variance_before - 2.0 * min_residual + variance_after
     return float(
         (
@@ -147,8 +149,8 @@ def resampled_field(log: RunLog, field: str, start: float, times: Array) -> Arra
         log: log to read.
         field: name of the telemetry field.
         start: time in the run that corresponds to the time 0 in `times` [s].
-        times: times after `start` [s]. For times outside the log, the result is the value at the
-            nearer end of the log.
+        times: times after `start` [s]. For times outside the log, the result is the value in the
+            first or last tick of the log, whichever is nearer.
     """
     values = log.field(field)
     return np.column_stack([np.interp(times + start, log.times, column) for column in values.T])

@@ -25,7 +25,8 @@ class TickDifference(NamedTuple):
             `tension_goal`.
         name: joint, tendon, motor or digit to which the value belongs, or an empty text.
         logged, computed: both values of the field, as numbers in SI units or as texts.
-        ulps: distance between both numbers in units in the last place, or None for texts.
+        ulps: distance between the logged and the computed number in units in the last place, or
+            None for texts.
     """
 
     k: int
@@ -83,7 +84,8 @@ def differing_fields(
 ) -> Iterator[TickDifference]:
     """Yield every field in which a logged tick and a computed tick differ.
 
-    The decisions come first, and the hash of the state comes last.
+    The decisions of the tick are compared first, and the hash of the controller's state is compared
+    last.
 
     Args:
         columns: names of the telemetry columns.
@@ -106,7 +108,7 @@ def differing_fields(
     yield from text_difference(
         "events", _events_text(logged_tick.events), _events_text(computed.events)
     )
-    # logs of earlier versions do not have the last fields
+    # logs of earlier versions of handctl do not have the last telemetry fields
     packed = computed.telemetry.to_bytes()[: len(logged_telemetry)]
     if packed != logged_telemetry:
         for column, logged_value, computed_value in _changed_telemetry_numbers(
@@ -189,8 +191,8 @@ def are_outputs_equal(logged_tick: TickRecord, logged_telemetry: bytes, computed
 def are_decisions_equal(logged_tick: TickRecord, computed: TickOut) -> bool:
     """Return True if the decisions of a tick are the same in the log and in the re-execution.
 
-    The decisions are the mode, the reaction, the phase and the events. The texts of the events are
-    not compared, because they contain numbers.
+    The decisions of a tick are the mode, the reaction to faults, the grasp phase and the events.
+    The texts of the events are not compared, because they contain numbers.
     """
     logged_events, computed_events = (
         [event[:3] for event in events] for events in (logged_tick.events, computed.events)
@@ -211,7 +213,7 @@ def _events_text(events: tuple[TickEvent, ...]) -> str:
 def _frame_text(frame: Frame) -> str:
     """Return a CAN frame as text in the format of candump.
 
-    If the time of the frame is known, the text contains it.
+    The text contains the time of the frame if this time is known.
     """
     flags = f"#{frame.flags:X}" if frame.flags else ""
     at = f" at {frame.t_ns} ns" if frame.t_ns else ""

@@ -10,15 +10,15 @@ from handctl.log.read.reader import RunLog
 class FrameCounts(NamedTuple):
     """Numbers of late frames, lost frames, and ticks without replies during a run.
 
-    Ticks without replies may explain late frames.
+    Ticks without replies can be the reason for late frames.
 
     Attributes:
         late_frames: number of load-cell frames that answer an older SYNC frame than the latest one.
         lost_frames: number of frames with tensions that never arrived, plus the number of frames
             that a bus refused to send.
-        silent_ticks: number of ticks in which no frame of any node came after a SYNC frame. In such
-            a tick, either the nodes or the host had paused. The replies then arrive late, in the
-            next tick.
+        silent_ticks: number of ticks in which no frame of any node came after a SYNC frame. In a
+            silent tick, either the nodes or the host had paused. The replies to the SYNC frame of a
+            silent tick arrive late, in the next tick.
     """
 
     late_frames: int

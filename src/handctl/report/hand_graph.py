@@ -2,8 +2,9 @@
 
 The picture contains the buses, the motors with their spools, the load cells, the tendons, and the
 joints with encoders. The picture shows each digit as a chain of links. Below the chain, the picture
-has a row for each tendon of the digit. Each row shows the bus, the motor, the spool, the load cell,
-and then the joints that the tendon crosses. The moment arm of the tendon is written at each joint.
+has a row for each tendon of the digit. The row of a tendon shows the bus, the motor, the spool, the
+load cell, and then the joints that the tendon crosses. The moment arm of the tendon is written at
+each joint.
 """
 
 from collections.abc import Iterator
@@ -32,7 +33,7 @@ LOAD_CELL_COLUMN_X = 1.5
 FIRST_JOINT_COLUMN_X = 3.0
 JOINT_SPACING = 1.7
 BUS_SPACING = 0.35
-"""Horizontal distance of two buses.
+"""Horizontal distance of two buses in the picture.
 
 The constants above are the columns of the motor, the load cell and the first joint, and the
 distance between two joints.

@@ -1,6 +1,6 @@
 """Judgement of a grasp in a scene where the table under the object sinks.
 
-The grasp succeeds if the hand still holds the object at the end.
+The grasp succeeds if the hand still holds the object at the end of the last hold phase.
 """
 
 from collections.abc import Collection
@@ -12,7 +12,7 @@ from handctl.log.read.reader import RunLog
 from handctl.report.truth_record import TruthRecord
 
 TABLE_DEPTH_COLUMN = "support"
-"""Column of the simulator's truth file that says how far the table has sunk [m].
+"""Column of the simulator's truth file with the distance by which the table has sunk [m].
 
 Only the truth files of scenes with a sinking table have this column.
 """
@@ -28,7 +28,7 @@ def judge_lift(
 ) -> dict[str, Any]:
     """Return two distances: how far the table sank, and how far the object moved.
 
-    Both distances are measured while the hand held the object.
+    The distances of table and object are measured while the hand holds the object.
 
     Args:
         log: log of the run.
@@ -75,9 +75,9 @@ def _hold_times(log: RunLog, hold_phases: Collection[str]) -> Any:
 
 
 def lift_failure(lift_result: dict[str, Any]) -> str:
-    """Return the reason why a grasp failed. The text is empty if it did not fail.
+    """Return the reason why a grasp failed. The text is empty if the grasp succeeded.
 
-    The text is also empty if there was no object.
+    The text is also empty if the scene had no object.
 
     Args:
         lift_result: result of `judge_lift`.

@@ -35,13 +35,14 @@ MARK_WIDTH_FRACTION = 0.038
 LAYOUT_PAD_INCH = 0.12
 """Horizontal padding of the axes [inch].
 
-The layout does not know the tick labels of the final height of the axes. Wider tick labels move the
-label of an axis by up to 0.05 inch to the left.
+When the layout is computed, the tick labels for the final height of the axes are not known. Wider
+tick labels move the label of an axis by up to 0.05 inch to the left.
 """
 MARK_HEIGHTS = (0.99, 0.72, 0.45)
 """Upper ends of the names of marks, as fractions of the height of the first row.
 
-A name that would overlap the previous one is written lower, and is left out if no height is free.
+The name of a mark that would overlap the previous name is written lower. If no height is free, the
+name is left out.
 """
 ROW_LABELS = ("mean joint angle [deg]", "tendon tension [N]", "contact force [N]")
 """Label of each row of the figure."""
@@ -121,7 +122,7 @@ def _add_titles_and_phases(
         bool(hand.mean_position_units(name).is_prismatic[0]) for name in hand.digit_names
     ]
     for d, axes in enumerate(axes_grid[0]):
-        # Otherwise, the label of the first digit is the label of all digits.
+        # Without separate labels, the label of the first digit would be the label of all digits.
         if d == 0 or len(set(are_prismatic)) > 1:
             axes.set_ylabel("mean joint position [mm]" if are_prismatic[d] else ROW_LABELS[0])
     for axes in (*axes_grid.flat, *lateness_axes):
@@ -142,7 +143,7 @@ def _add_titles_and_phases(
 def _fit_value_axis(axes_row: Sequence[Any], start_s: float, end_s: float) -> None:
     """Limit the value axis of a row of plots to the values that occur while the hand is active.
 
-    Later, the tendons have no tension and the joints may move far.
+    After the active time, the tendons have no tension and the joints can move far.
     """
     lines = [line.get_data() for axes in axes_row for line in axes.lines]
     visible_values = np.concatenate([y[(x >= start_s) & (x <= end_s)] for x, y in lines])
@@ -232,7 +233,7 @@ def _draw_tensions(
             _draw_command_and_truth(axes, log, goal[:, i], true_tensions)
         if len(names) > 1:
             axes.legend(loc="upper left", fontsize=6, frameon=False)
-    # If a load cell is wrong, the command and the true tension may be far above the estimated
+    # If a load cell is wrong, the command and the true tension can be far above the estimated
     # tension.
     drawn_values = np.concatenate([line.get_ydata() for axes in axes_row for line in axes.lines])
     axes_row[0].set_ylim(-2, float(np.fmax.reduce(drawn_values, initial=9.0)) * 1.15)
@@ -275,8 +276,8 @@ def _mark_phases(axes_grid: Any, log: RunLog) -> None:
     """
     error = ("error", "fault")
     faults = [event for event in log.events if (event.event.level, event.event.name) == error]
-    # The name of a fault gets its place before the names of phases. So there is always space for
-    # the fault.
+    # The name of a fault is placed in the figure before the names of phases. As a result, there is
+    # always space for the name of the fault.
     time_marks = [
         (event.t_ns / 1e9, event.event.text.partition(" ")[0], FAULT_COLOUR) for event in faults[:1]
     ]
@@ -296,9 +297,9 @@ def _mark_phases(axes_grid: Any, log: RunLog) -> None:
 def _mark_positions(
     times_s: Sequence[float], time_limits_s: tuple[float, float]
 ) -> list[tuple[float, float] | None]:
-    """Return, for each mark, the place for its name: the left end [s] and the height.
+    """Return, for each mark, the position of its name: the left end [s] and the height.
 
-    If there is no place for a name, the value for this mark is None.
+    If there is no space for the name of a mark, the position is None.
 
     Args:
         times_s: time of each mark [s], the most important mark first.

@@ -1,6 +1,6 @@
 """HTML page about a run.
 
-The page is a single file that can be attached to a paper or a bug report.
+The HTML page is a single file that can be attached to a paper or a bug report.
 """
 
 import base64
@@ -26,9 +26,9 @@ from handctl.report.svg_pictures import draw_bus_loads, draw_lateness, draw_pose
 from handctl.report.truth_record import TruthRecord
 
 MAX_LISTED_EVENTS = 500
-"""Largest number of events on the page. If a run has more, only the first events are shown."""
+"""Largest number of events on the page. If a run has more events, only the first events are shown."""
 MAX_LISTED_CONTACTS = 20
-"""Largest number of contacts on the page. If a run has more, only the first contacts are shown."""
+"""Largest number of contacts on the page. If a run has more contacts, only the first contacts are shown."""
 
 PAGE_STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: #222; background: #fff; max-width: 1100px; margin: 2em auto;

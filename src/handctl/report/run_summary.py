@@ -24,7 +24,7 @@ from handctl.report.truth_record import TruthRecord
 Array = NDArray[np.float64]
 
 SETTLING_TIME_S = 0.5
-"""Time for which the targets must have been constant in a hold before the hold is judged [s]."""
+"""Time for which the tension targets must have been constant in a hold phase before the hold is judged [s]."""
 MAX_TARGET_CHANGE_N = 1.0
 """Largest change of tension targets that still count as constant [N].
 
@@ -37,7 +37,7 @@ TENSION_ERROR_KEYS = (
     "tension_hold_error_n",
     "tension_hold_peak_error_n",
 )
-"""Keys of the tension errors in a summary. The values are NaN without true values."""
+"""Keys of the tension errors in a summary. Without true values, the tension errors are NaN."""
 
 
 def summarise_run(
@@ -48,13 +48,13 @@ def summarise_run(
     Args:
         log: log of the run.
         hand: hand of the run.
-        truth: true values from the simulator. If it is None, as on hardware, all numbers that need
-            a true value are NaN. A truth file is ignored if its times do not match the log, for
-            example if an earlier simulator wrote it.
+        truth: true values from the simulator. If ``truth`` is None, as on hardware, all numbers
+            that need a true value are NaN. A truth file is ignored if its times do not match the
+            log, for example if an earlier simulator wrote it.
         offset_ns: time on the clock of the simulator at which the time of the run is 0 [ns].
 
     Returns:
-        the numbers and texts, by name.
+        the numbers and texts about the run, by name.
     """
     truth = truth if truth and truth.contains_any_time(log.t_ns + offset_ns) else None
     lateness_us = log.late_ns / 1e3
@@ -78,7 +78,7 @@ def summarise_run(
 
 
 def _percentile(values: NDArray[Any], percent: float) -> float:
-    """Return a percentile of some values. Without values, the result is NaN."""
+    """Return a percentile of some values. If there are no values, the result is NaN."""
     return float(np.percentile(values, percent)) if len(values) else float("nan")
 
 
@@ -96,9 +96,9 @@ def hold_windows(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
 
     A mask is True where the hold is settled.
 
-    A hold is settled if two conditions are true. A digit touches an object. For SETTLING_TIME_S,
-    the tension targets of the tension-controlled tendons have been constant. A tendon that holds an
-    angle does not count, because the target tension of this tendon changes with the load.
+    A hold is settled if a digit touches an object, and if the tension targets of the
+    tension-controlled tendons have been constant for SETTLING_TIME_S. A tendon that holds an angle
+    does not count, because the target tension of this tendon changes with the load.
     """
     goal = np.where(_holding_mask(log, hand), np.nan_to_num(log.field("tension_goal")), 0.0)
     in_contact = log.field("contact").any(axis=1)
@@ -158,9 +158,9 @@ def mean_angles(hand: Hand, q: Array) -> Array:
     """Return the mean joint angle of each digit (ticks, D) [rad].
 
     The mean of the joint angles q of a digit is weighted with the moment arms r of the joints:
-    sum(r q) / sum(r). For a digit of prismatic joints, the result is in m. A digit may have both
-    kinds of joints. In this case, a prismatic joint is converted with the scale of
-    ``DisplayUnits``.
+    sum(r q) / sum(r). For a digit that has only prismatic joints, the result is in m. If a digit
+    has both hinges and prismatic joints, the position of a prismatic joint is converted with the
+    scale of ``DisplayUnits``.
     """
     columns = []
     for name in hand.digit_names:
@@ -289,8 +289,8 @@ def judge_tension(
 def _holding_mask(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
     """Return a mask (ticks, N) that is True where a tendon follows a tension target because the digit is in contact.
 
-    A spool pair for sideways motion is excluded, because such a pair holds a position instead. A
-    digit on which other digits are mounted, such as a wrist, is also excluded.
+    A spool pair for sideways motion is excluded, because it holds a position instead of a tension.
+    A digit on which other digits are mounted, such as a wrist, is also excluded.
     """
     slices = [hand.digit_tendons[name] for name in hand.digit_names]
     digit_of_tendon = np.repeat(
@@ -314,7 +314,7 @@ def judge_grasp(
 ) -> dict[str, Any]:
     """Return the motion of the object in a hold, and the forces on the fingertips: estimated and true.
 
-    If the table never sank, the object still rests on the table. The motion is then NaN.
+    If the table never sank, the object still rests on the table, and its motion is NaN.
 
     Args:
         log: log of the run.
@@ -454,8 +454,8 @@ def angle_rows(angle_summaries: dict[str, dict[str, Any]]) -> list[tuple[str, st
 def tracking_text(run_summary: Mapping[str, Any]) -> tuple[float, str]:
     """Return the factor and the unit with which ``tracking_rmse_rad`` is shown to a user.
 
-    The unit is mm if all digits have only prismatic joints. Otherwise the text counts 10 mm of a
-    prismatic joint as 1 rad.
+    The unit is mm if all digits have only prismatic joints. If a digit has a hinge, the text counts
+    10 mm of a prismatic joint as 1 rad.
     """
     units = {angle.get("unit", "deg") for angle in run_summary["joint_angles"].values()}
     if units == {"mm"}:

@@ -67,7 +67,8 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
             _draw_palm(axes, hand)
         paths = tree.points(q[index])
         turned_link_rotations = link_rotations(tree.poses(q[index]))
-        # In this projection, a digit with a larger z lies behind the others, so it is drawn first.
+        # In this projection, a digit with a larger z lies behind the other digits, so it is drawn
+        # before them.
         for d in sorted(range(len(digits)), key=lambda d: -float(digits[d].mount_position[2])):
             # The object pushes the fingertip against the direction in which the digit closes, which
             # is the y axis of the last link.
@@ -114,7 +115,7 @@ def _picture_limits(
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the limits of a picture that contains the palm and all digits at rest.
 
-    The palm is given by its corners (n, 3).
+    The argument `palm_points` contains the corners of the palm (n, 3).
     """
     digits = _project_points(np.concatenate(tree.points(np.zeros(len(tree.parent)))))
     corners = np.concatenate((digits - 20.0, digits + 10.0, _project_points(palm_points)))
@@ -150,12 +151,12 @@ def _draw_mesh(axes: Any, triangles: Array, colour: str) -> None:
         np.linalg.norm(unit_normals, axis=1, keepdims=True), np.finfo(float).tiny
     )
     brightness = 0.55 + 0.45 * np.abs(unit_normals @ LIGHT_DIRECTION)
-    # Points that are drawn at the same place of the picture differ only in z. The viewer looks
+    # Points that are drawn at the same position in the picture differ only in z. The viewer looks
     # towards positive z.
     order = np.argsort(-triangles[:, :, 2].mean(axis=1))
     faces = np.clip(brightness[order, None] * np.array(to_rgb(colour)), 0.0, 1.0)
-    # The mesh is drawn as a bitmap. As vector graphics, the triangles of eight poses would take
-    # many megabytes.
+    # The mesh is drawn as a bitmap. As vector graphics, the triangles of eight poses of the hand
+    # would take many megabytes.
     axes.add_collection(
         PolyCollection(list(_project_points(triangles[order])), facecolors=faces, edgecolors=faces, linewidths=0.2,
                        rasterized=True, zorder=1)
@@ -186,8 +187,8 @@ def _draw_digit(
             solid_joinstyle="round",
         )
     axes.plot(*path[:-1].T, "o", color="white", markersize=3)
-    # An unknown force or angle is NaN, and this negated comparison is then true. In this case, no
-    # arrow is drawn.
+    # For an unknown force or angle, which is NaN, this negated comparison is true. If the force or
+    # an angle is NaN, no arrow is drawn.
     if not np.linalg.norm(push_force) >= MIN_ARROW_FORCE_N:
         return
     start, end = _project_points(
@@ -233,7 +234,7 @@ def _middle_ticks_of_phases(log: RunLog) -> list[tuple[str, int]]:
     ]
     phases_inside = [
         (name, i) for name, i in middle_ticks if name not in PASSIVE_PHASES and i < len(log)
-    ]  # the log may contain the ticks in a different order
+    ]  # the log can contain the ticks in a different order
     return [(name, i) for name, i in phases_inside if log.mode[i] == int(HandMode.ACTIVE)][
         : 2 * POSES_PER_ROW
     ]
@@ -242,7 +243,7 @@ def _middle_ticks_of_phases(log: RunLog) -> list[tuple[str, int]]:
 def draw_lateness(log: RunLog) -> str:
     """Draw a histogram of the lateness of the ticks, with a line at a quarter of the control period.
 
-    A tick with a larger lateness counts as late.
+    A tick that is later than a quarter of the control period counts as late.
     """
     lateness_us = log.late_ns / 1e3
     if not lateness_us.any():
@@ -309,7 +310,7 @@ def draw_bus_loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
 
 def _new_figure(columns: int, width: float, height: float, rows: int = 1) -> tuple[Any, list[Any]]:
     """Create a figure with a grid of axes, and return the figure and the axes."""
-    # The import of Matplotlib is slow and few commands draw. So only this function imports
+    # The import of Matplotlib is slow and few commands draw. Therefore only `_new_figure` imports
     # Matplotlib.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -1,6 +1,6 @@
 """Reader of the truth file, in which the simulator writes the true values of a run.
 
-The controller never opens this file.
+The controller never opens the truth file.
 """
 
 import json
@@ -56,8 +56,8 @@ class TruthRecord:
                 f"no column {name!r}", "the simulator's truth", "a truth file of the same hand"
             )
         values = self.values[:, self.columns.index(name)]
-        # The difference of two int64 times is exact in float64. The times themselves are too large
-        # to be exact in float64.
+        # The difference of two int64 times is exact in float64. The two int64 times themselves are
+        # too large to be exact in float64.
         base = int(self.t_ns[0])
         return np.interp(
             (t_ns - base).astype(np.float64),
@@ -109,12 +109,13 @@ def read_truth(path: Path) -> TruthRecord:
 def copy_truth(source_path: Path, target_path: Path, start_ns: int, end_ns: int) -> int:
     """Copy the rows of a truth file that are between two times, and return the number of copied rows.
 
-    The truth file of a simulator may contain many runs. The simulator writes 1.6 GB per hour.
-    Therefore only the copied rows are read. If there are no rows between the two times, no file is
-    written.
+    The truth file of a simulator can contain many runs. Because the simulator writes 1.6 GB per
+    hour, this function reads only the rows that it copies. If there are no rows between the two
+    times, no file is written.
 
     Args:
-        source_path: truth file of a simulator, which may still write to this file.
+        source_path: truth file of a simulator. The simulator is allowed to write to this file
+            during the copy.
         target_path: new file.
         start_ns, end_ns: first and last time to copy, on the simulator's clock [ns].
 
@@ -155,9 +156,9 @@ def truth_file_path(log_path: Path) -> Path:
 def find_truth(given_file: Path | None, log_path: Path, log: RunLog) -> TruthRecord | None:
     """Return the true values of a run.
 
-    The values come from the file that the user has named. If the user has named no file, they come
-    from the file next to the log of a lockstep run. If there is no such file of this run, return
-    None.
+    The true values come from the file that the user has named. If the user has named no file, the
+    true values come from the file next to the log of a lockstep run. If there is no truth file of
+    the run, return None.
 
     Args:
         given_file: truth file that the user has named, or None if the user has named no file.
@@ -182,7 +183,7 @@ def find_truth(given_file: Path | None, log_path: Path, log: RunLog) -> TruthRec
 def _complete_rows(file_content: bytes, column_count: int) -> bytes:
     """Return the part of the data that ends with the last complete row.
 
-    If a simulator is killed, the last row in the file may be incomplete.
+    If a simulator is killed, the last row in its truth file can be incomplete.
     """
     size = 8 * (column_count + 1)
     return file_content[: len(file_content) // size * size]

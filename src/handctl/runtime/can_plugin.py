@@ -1,6 +1,6 @@
 """The local bus of a simulator, as an interface of python-can.
 
-Every program that uses python-can can open this bus.
+Every program that uses python-can can open the local bus.
 
 Examples: ``can.Bus(interface="local", channel="NAME")``, ``can.viewer -i local``.
 """
@@ -42,8 +42,8 @@ class LocalCanBus(can.BusABC):
             can_filters: filters in the format of python-can.
             receive_own_messages: True if this client also receives the messages that it has sent.
             fd: True to send and receive CAN FD frames in addition to classical frames.
-            **kwargs: options of other interfaces, such as the bit rate. This interface ignores
-                them.
+            **kwargs: options of other interfaces, such as the bit rate. The interface ``local``
+                ignores these options.
 
         Raises:
             can.CanInitializationError: no process serves a bus of this name.
@@ -52,8 +52,8 @@ class LocalCanBus(can.BusABC):
             time.time_ns() - time.monotonic_ns()
         )  # python-can stamps messages with the time of the wall clock
         try:
-            # Each read takes only one record from the socket. So a program that waits on ``fileno``
-            # can take one message and wait again.
+            # Each read takes only one record from the socket, so that a program that waits on
+            # ``fileno`` can take one message and wait again.
             self._link = LocalBus(channel, 0, lambda t_ns: t_ns + offset, max_records=1)
         except BusError as error:
             raise can.CanInitializationError(str(error)) from None
@@ -67,7 +67,7 @@ class LocalCanBus(can.BusABC):
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         """Return the next message, or None if the timeout [s] has passed.
 
-        The second value is False, which makes python-can apply its filters.
+        The second returned value is False, which makes python-can apply its filters.
         """
         if not self._waiting:
             if not self._link.early_frames:
@@ -93,8 +93,8 @@ class LocalCanBus(can.BusABC):
 
         Args:
             msg: message to send.
-            timeout: longest time to wait for free space in the queue [s]. If it is None, the wait
-                has no limit.
+            timeout: longest time to wait for free space in the queue [s]. If ``timeout`` is None,
+                the wait has no limit.
 
         Raises:
             can.CanOperationError: the queue stayed full, the hub has ended, or a CAN FD message was

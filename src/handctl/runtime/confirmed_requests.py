@@ -1,9 +1,9 @@
 """Requests to a running controller. The controller confirms each request.
 
-It is possible that no program receives a sent datagram. The controller may be paused, or its
-mailbox may be full. The socket may also belong to a killed process. Therefore every request
-contains a unique name. The controller confirms the request by a status line that contains the same
-name.
+It is possible that no program receives a sent datagram, because the controller is paused, because
+its mailbox is full, or because the socket belongs to a killed process. Every request contains a
+unique name. The controller confirms a request by a status line that contains the name of the
+request.
 """
 
 import itertools
@@ -24,19 +24,19 @@ from handctl.runtime.socket_paths import mailbox_path
 CONFIRMATION_TIMEOUT_S = 2.0
 """Longest wait for a confirmation [s].
 
-A controller that relaxes its hand after a stop may also be silent for this time.
+A controller that relaxes its hand after a stop request can also be silent for this time.
 """
 REQUEST_REPEAT_PERIOD_S = 0.25
 """Time after which a request is sent again [s].
 
-A request is repeated only if it may arrive twice without another effect.
+A request is repeated only if a second arrival of the request has no other effect.
 """
 DISABLE_TIMEOUT_S = 10.0
-"""Longest time from a stop until all drives have confirmed that they are off, in the run's time [s]."""
+"""Longest time from a stop request until all drives have confirmed that they are off, in the run's time [s]."""
 CONTROLLER_SILENT_TEXT = "the controller is silent"
 MAILBOX_FULL_TEXT = "its mailbox is full"
 _request_counter = itertools.count(1)
-"""Numbers of this process's requests. These numbers make the names of requests unique."""
+"""Counter that numbers the requests of this process, so that the names of requests are unique."""
 
 StatusLine = dict[str, Any]
 
@@ -57,9 +57,9 @@ def open_watcher(bus: str, command_word: str) -> StatusWatcher:
 def report_absent_controller(bus: str) -> Iterator[None]:
     """Raise another error in place of an UnconfirmedError if no controller of a local bus has a mailbox.
 
-    An UnconfirmedError tells the operator to switch off the power. A simulated hand does not need
-    this. If a controller was killed, its mailbox still exists. The controller of a real bus may run
-    as another user. Then the UnconfirmedError remains.
+    An UnconfirmedError tells the operator to switch off the power. The power of a simulated hand
+    need not be switched off. If a controller was killed, its mailbox still exists. For a real bus,
+    the UnconfirmedError remains, because the controller possibly runs as another user.
 
     Args:
         bus: bus to which the block sends a request.
@@ -87,12 +87,12 @@ def send_with_confirmation(
     Args:
         watcher: watcher of the controller.
         request: content of the request, without the name ``by`` of the sender.
-        is_repeated: True to send the request repeatedly, even while no controller answers yet. This is
-            allowed only if a request that arrives twice has no other effect.
+        is_repeated: True to send the request repeatedly, even while no controller answers yet.
+            Repetition is allowed only if a request that arrives twice has no other effect.
 
     Returns:
         the status line of the tick in which the controller took the request, and the texts of this
-        tick's events about the request. A text may be a refusal.
+        tick's events about the request. An event text can be a refusal of the request.
 
     Raises:
         UnconfirmedError: the controller has not confirmed the request.
@@ -130,8 +130,8 @@ def _try_send_request(
     """Send a request once.
 
     Returns:
-        True if the request was sent, and a text. The text is the reason to report to the user if no
-        confirmation follows.
+        True if the request was sent, and a text. The text is the reason that is reported to the
+        user if no confirmation of the request follows.
     """
     try:
         watcher.send(request_bytes, timeout_s)
@@ -155,7 +155,7 @@ def request_action(bus: str, command_word: str) -> StatusLine:
         the last status line of the controller.
 
     Raises:
-        BusError: no controller runs on this local bus.
+        BusError: the bus is local, and no controller runs on it.
         UnconfirmedError: the controller has not confirmed the request, or has not reported that
             every drive is disabled.
         PowerError: a drive did not confirm that it is disabled.

@@ -1,9 +1,9 @@
-"""Limit of the time for which a fault may hold the hand.
+"""Limit of the time for which a fault is allowed to hold the hand.
 
 The limit applies to runs that no operator watches. While a fault holds the hand, the time of the
 motion program does not advance. If the gains make a hand oscillate, the fault of a noisy encoder
-(N07) occurs. This fault holds the hand during the whole oscillation. Without a limit, such a run
-may never end.
+(N07) occurs. The fault N07 holds the hand during the whole oscillation. Without a limit, a run with
+an oscillation possibly never ends.
 """
 
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ from handctl.runtime.mailbox import STOP_REQUEST
 from handctl.safety.safety_action import SafetyAction
 
 MAX_HOLD_S = 5.0
-"""Longest time for which a fault may hold the hand in a run that no operator watches [s]."""
+"""Longest time for which a fault is allowed to hold the hand in a run that no operator watches [s]."""
 
 
 @dataclass

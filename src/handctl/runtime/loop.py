@@ -1,14 +1,14 @@
 """The control loop with a fixed rate.
 
-In each tick, the loop waits for the deadline, receives frames, and begins the tick. Then it reads
-requests and streamed targets, and sends commands. At the end, it concludes and records the tick.
-The same loop runs in real time and in lockstep.
+In each tick, the loop waits for the deadline, receives frames, and begins the tick. In the middle
+of a tick, the loop reads requests and streamed targets, and sends commands. At the end of a tick,
+it concludes and records the tick. The same loop runs in real time and in lockstep.
 
 If a tick is missed, the loop never executes it later. After missed deadlines, the loop skips the
-numbers of the missed ticks. The next executed tick decides whether this gap is a fault. Only this
-module of the project catches exceptions of every kind. After any error inside a tick, the loop
-disables the drives, and polls them until they report that they are disabled. Then the loop raises
-the error again.
+numbers of the missed ticks. The next executed tick decides whether the gap in the tick numbers is a
+fault. Only this module of the project catches exceptions of every kind. After any error inside a
+tick, the loop disables the drives, and polls them until they report that they are disabled. When
+the drives are disabled, the loop raises the error again.
 """
 
 import gc
@@ -34,11 +34,11 @@ T = TypeVar("T", covariant=True)
 
 
 class TickInProgress(Protocol[T]):
-    """Interface of a begun tick, as used by the loop. See ``controller.tick.TickInProgress``."""
+    """Interface of a tick that has begun, as the control loop uses it. See ``controller.tick.TickInProgress``."""
 
     @property
     def state(self) -> T:
-        """Return the state of the controller after the steps that have been executed."""
+        """Return the state of the controller after the executed steps of the tick."""
         ...
 
     def decide(self, requests: tuple[TickRequest, ...]) -> None:
@@ -55,20 +55,20 @@ class TickInProgress(Protocol[T]):
 
 
 TORQUE_CUT_ATTEMPTS = 20
-"""Number of attempts to send the torque cut after an error, if an interface refuses its frames."""
+"""Number of attempts to send the frames of the torque cut after an error, if an interface refuses these frames."""
 TORQUE_CUT_RETRY_PAUSE_S = 1e-3
 """Pause between two attempts to send the torque cut [s]. A frame takes 0.1 ms on the wire."""
 
 DISABLE_CONFIRMATION_TIMEOUT_NS = 500_000_000
 """Longest time for which the drives are polled after an error [ns].
 
-The heartbeat of a drive may come as rarely as every 100 ms.
+The heartbeat of a drive can come as rarely as every 100 ms.
 """
 
 LATENESS_RING_TICKS = 1 << 18
 """Number of ticks whose lateness stays in memory.
 
-The number is limited, because these 2 MiB of memory may be locked.
+The number of stored ticks is limited, because their 2 MiB of memory are possibly locked.
 """
 
 
@@ -115,7 +115,7 @@ class LoopStats:
 class StopSignals:
     """Signals that end a program (SIGINT, SIGTERM, SIGHUP), converted to requests to the controller.
 
-    The first signal relaxes and stops the hand. Each later signal cuts the torque.
+    The first signal relaxes and stops the hand. Each later signal cuts the torque of the motors.
 
     SIGHUP is included, because a closed terminal would otherwise leave the hand armed. Under
     ``nohup``, SIGHUP stays ignored.
@@ -137,8 +137,8 @@ class StopSignals:
     def take_request(self) -> tuple[str, ...]:
         """Return the request for the oldest unread signal.
 
-        If there is no unread signal, return an empty tuple. Each tick gets at most one such
-        request.
+        If there is no unread signal, return an empty tuple. Each tick gets at most one request from
+        a signal.
         """
         if self.converted_count == self.received_count:
             return ()
@@ -156,7 +156,7 @@ class StopSignals:
 
 
 def _skip_snapshot(entry: TickIn, state: object) -> None:
-    """Do nothing. If the run has no recorder of snapshots, this function is used in its place."""
+    """Do nothing. If the run has no recorder of snapshots, this function replaces the recorder."""
 
 
 def _skip_publication(entry: TickIn, tick_output: TickOut, state: object, sent_ns: int) -> None:
@@ -190,12 +190,14 @@ class ControlLoop(Generic[S]):
         publish_tick: function that passes the state after a tick to programs that observe the run, with
             the time at which the commands were sent [ns of CLOCK_MONOTONIC].
         disable_drives: function that disables all drives. The arguments are the last state, the
-            time [ns], and the frames received since then. The function returns the next state, the
-            frames to send, and the names of the drives that have not reported that they are off.
-        tick_priority: function that returns a context manager, such as real-time priority. The
-            context contains the ticks alone.
+            time [ns], and the frames received since the last state. The function returns the next
+            state, the frames to send, and the names of the drives that have not reported that they
+            are off.
+        tick_priority: function that returns a context manager, such as real-time priority. The loop
+            executes only the ticks of the run in this context.
         take_targets: function that returns the streamed targets since its last call. The loop calls
-            it as late as possible in a tick, so that a target waits as briefly as possible.
+            this function as late as possible in a tick, so that a target waits as briefly as
+            possible.
         stats: statistics of the run.
     """
 
@@ -281,7 +283,8 @@ class ControlLoop(Generic[S]):
         """Disable all drives after an error.
 
         Poll the drives until all of them report that they are disabled, but no longer than
-        DISABLE_CONFIRMATION_TIMEOUT_NS. Return the names of the drives that have not reported this.
+        DISABLE_CONFIRMATION_TIMEOUT_NS. Return the names of the drives that have not reported that
+        they are disabled.
         """
         if self.disable_drives is None:
             return ()
@@ -300,7 +303,7 @@ class ControlLoop(Generic[S]):
         return unconfirmed_drives
 
     def _send_torque_cut(self) -> None:
-        """Send the frames that remove the torque on every bus.
+        """Send, on every bus, the frames that remove the torque of the motors.
 
         If the queue of a bus is full and refuses some of these frames, the frames are sent again.
         """
@@ -332,8 +335,8 @@ class ControlLoop(Generic[S]):
     def _warm_up(self, state: S) -> None:
         """Execute a tick before the run, and discard the result.
 
-        This tick imports and creates everything that is needed for the first time. Otherwise the
-        first tick of the run would be late.
+        The discarded tick imports and creates everything that a tick needs for the first time.
+        Without it, the first tick of the run would be late.
         """
         tick = self.begin_tick(state, TickIn(0, 0))
         tick.decide(())
@@ -344,14 +347,14 @@ class ControlLoop(Generic[S]):
         """Run ticks until the end of the run, beginning with the state in ``last_state``.
 
         ``last_state`` has a single entry, which is the state after the last commands. After an
-        error, the drives are disabled from this state.
+        error, the disabling of the drives begins with this state.
         """
         k = 0
         mode = HandMode.SILENT
         while mode != HandMode.DONE:
             self._k = k
             late_ns = self.clock.wait(k)
-            # Ticks that were missed are skipped. They are not executed later.
+            # Ticks that were missed are skipped, and are not executed later.
             skipped_ticks = late_ns // self.period_ns
             k += skipped_ticks
             self._k = k
@@ -364,9 +367,9 @@ class ControlLoop(Generic[S]):
             if requests or targets:
                 entry = entry._replace(requests=requests + targets)
             frames = tick.command(targets)
-            # After an error, every drive that may have received an enable command must report that
-            # it is disabled. Therefore the loop stores the state before it sends the commands that
-            # belong to this state.
+            # After an error, every drive that has possibly received an enable command must report
+            # that it is disabled. Therefore the loop stores the state before it sends the commands
+            # that belong to this state.
             last_state[0] = tick.state
             self._send(frames)
             sent_ns = time.monotonic_ns()

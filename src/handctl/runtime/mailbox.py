@@ -3,11 +3,12 @@
 The mailbox is a Unix datagram socket that receives requests.
 
 The controller reads the socket without blocking. The name of the socket contains the name of the
-bus. A program may send ``{"do": "watch"}`` from its own socket. With this request, the program
-subscribes to status lines. The request is handled here, and has no effect on the tick. After any
-other request, the program gets one status line, which belongs to the tick that took the request.
-This status line is the controller's confirmation. On Linux the kernel reports the user who sends a
-datagram. Controller and program accept only datagrams from their own user and from root.
+bus. A program can send ``{"do": "watch"}`` from its own socket. With the request ``watch``, the
+program subscribes to status lines. This module handles the request ``watch``, which has no effect
+on the tick. After any other request, the program gets one status line, which belongs to the tick
+that took the request. The status line after a request is the controller's confirmation. On Linux
+the kernel reports the user who sends a datagram. Controller and program accept only datagrams from
+their own user and from root.
 """
 
 import fcntl
@@ -35,7 +36,7 @@ STOP_REQUEST, CUT_REQUEST, CLEAR_REQUEST = (
 """Requests as texts, for the modules that send them."""
 SUBSCRIBE_REQUEST = b'{"do": "watch"}'
 MAX_WATCHERS = 16
-"""Largest number of programs that may subscribe to status lines.
+"""Largest number of programs that are allowed to subscribe to status lines.
 
 Each further program gets a single status line for each ``watch`` that it sends.
 """
@@ -46,7 +47,7 @@ SEND_RETRY_PERIOD_S = 0.05
 MAX_REQUESTS_PER_TICK = 16
 """Largest number of requests that the controller reads in a tick.
 
-The limit keeps a flood of requests from delaying a tick.
+Because of the limit, a flood of requests cannot delay a tick.
 """
 RUN_FOLDER_ADVICE = "HANDCTL_RUN_DIR with a short path to a writable folder"
 
@@ -102,7 +103,7 @@ class Mailbox:
                     continue
                 if len(self.watchers) < MAX_WATCHERS:
                     self.watchers.append(sender)
-                else:  # no more programs can subscribe, so this program gets a single status line
+                else:  # no more programs can subscribe, so the sender of the request gets a single status line
                     self.askers.append(sender)
                 continue
             texts.append(data.decode("utf-8", "replace"))
@@ -133,7 +134,7 @@ class Mailbox:
 
 @contextmanager
 def bus_lock(name: str) -> Iterator[None]:
-    """Lock another bus of the hand against other controllers. These buses have no mailbox.
+    """Lock a bus of the hand that has no mailbox, so that no other controller can use the bus.
 
     Raises:
         BusError: another controller uses the bus, or the lock cannot be created.
@@ -189,7 +190,7 @@ class RequestSender:
     """Sender of requests that need no reply from the controller."""
 
     def __init__(self, name: str) -> None:
-        """Open a socket for the controller of bus ``name``. The controller may start later."""
+        """Open a socket for the controller of bus ``name``. The controller is allowed to start later."""
         self._path = str(mailbox_path(name))
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -223,7 +224,7 @@ class StatusWatcher:
     _numbers = itertools.count()
 
     def __init__(self, name: str) -> None:
-        """Bind a socket to watch the controller of bus ``name``. The controller may start later.
+        """Bind a socket to watch the controller of bus ``name``. The controller is allowed to start later.
 
         Raises:
             BusError: the socket cannot be created.
@@ -242,7 +243,7 @@ class StatusWatcher:
             ) from None
 
     def request_status_line(self, timeout_s: float) -> dict[str, Any] | None:
-        """Request a new status line from the controller, and return it.
+        """Request a new status line from the controller, and return the status line.
 
         If the status line does not arrive within the timeout [s], return None.
         """
@@ -257,7 +258,7 @@ class StatusWatcher:
     def send(self, data: bytes, timeout_s: float) -> None:
         """Send a datagram to the controller.
 
-        The datagram is sent from this socket, so that the controller can answer.
+        The datagram is sent from the socket of the watcher, so that the controller can answer.
 
         Args:
             data: content of the datagram.
@@ -270,7 +271,7 @@ class StatusWatcher:
         self.socket.sendto(data, str(mailbox_path(self.name)))
 
     def next_status_line(self, timeout_s: float) -> dict[str, Any] | None:
-        """Return the next unread status line, or None if none arrives within the timeout [s]."""
+        """Return the next unread status line, or None if no status line arrives within the timeout [s]."""
         self.socket.settimeout(timeout_s)
         try:
             data, _, is_own_user = receive_datagram(self.socket, MAX_STATUS_BYTES)
@@ -291,7 +292,7 @@ class StatusWatcher:
                 yield line
 
     def discard_status_lines(self) -> None:
-        """Discard the unread status lines."""
+        """Discard the status lines that have arrived but were not read."""
         self.socket.setblocking(False)
         try:
             while self.socket.recv(MAX_STATUS_BYTES):
@@ -302,7 +303,7 @@ class StatusWatcher:
     def close(self) -> None:
         """Remove the socket.
 
-        The controller removes this watcher when it sends the next status line.
+        The controller removes this watcher from its list when it sends the next status line.
         """
         self.socket.close()
         self.path.unlink(missing_ok=True)

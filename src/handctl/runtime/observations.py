@@ -1,15 +1,16 @@
 """Observations of a running hand in shared memory.
 
-There is one numpy record for each tick. Any number of readers can read the records.
+The shared memory contains one numpy record for each tick. Any number of programs can read the
+records.
 
 The controller writes the records into a ring. The ring is part of a file in the folder of the
 sockets. A reader maps the file and copies records, without locks or system calls. Each record has a
-counter that is odd while the controller writes the record (a seqlock). If the counter has changed
-during a copy, the reader copies the record again.
+counter that is odd while the controller writes the record (a seqlock). If the counter of a record
+has changed during a copy, the reader copies the record again.
 
 The file begins with a magic text of 8 bytes. Five u64 numbers follow: length of the description,
 size of a record, number of records in the ring, number of records written so far, and end mark.
-After these numbers, the file contains the description as JSON, and the ring.
+After the five numbers, the file contains the description as JSON, and the ring.
 """
 
 import contextlib
@@ -41,11 +42,11 @@ HEADER_STRUCT = struct.Struct("<8sQQQQQ")
 """Layout at the start of the file: magic text, and the five numbers that the module's docstring explains."""
 WRITTEN_COUNT_OFFSET = 32
 END_MARK_OFFSET = 40
-"""Two offsets in the file [bytes]: that of the number of records written so far, and that of the end mark."""
+"""Offsets in the file of the number of records written so far, and of the end mark [bytes]."""
 RING_RECORDS = 512
 """Number of records in the ring.
 
-A ring of this size lasts for about one second of a run at 500 Hz.
+A ring of this size contains about the last second of a run at 500 Hz.
 """
 PAGE_BYTES = 4096
 """Alignment of the ring in the file [bytes]."""
@@ -136,8 +137,8 @@ class ObservationWriter:
             raise BusError(
                 f"cannot write observations: {error}", str(self.path.parent), RUN_FOLDER_ADVICE
             ) from None
-        # All telemetry fields consist of 8-byte numbers without gaps. They are written together, as
-        # one vector at the end of the record.
+        # All telemetry fields consist of 8-byte numbers without gaps. The telemetry fields are
+        # written together, as one vector at the end of the record.
         count = sum(axes[TELEMETRY_AXES[name]] for name in TELEMETRY_FIELDS)
         assert kind.itemsize == _SCALAR_FIELDS_STRUCT.size + 8 * count
         slot_offsets = [self._ring_at + self._size * slot for slot in range(RING_RECORDS)]
@@ -251,13 +252,13 @@ class ObservationReader:
     def next_record(self) -> NDArray[np.void] | None:
         """Return the record after the last returned record.
 
-        If this record has not been written yet, return None. If this record has already been
-        overwritten, return the oldest usable record in the ring.
+        If the next record has not been written yet, return None. If the next record has already
+        been overwritten, return the oldest usable record in the ring.
         """
         for _ in range(MAX_COPY_ATTEMPTS):
             written_count = self.written_count
-            # The controller may overwrite the oldest record at any time. Therefore the reader does
-            # not use the oldest record.
+            # The reader does not use the oldest record in the ring, because the controller can
+            # overwrite this record at any time.
             at = max(self.last_read_number, written_count - self._records + 2)
             if at >= written_count:
                 return None

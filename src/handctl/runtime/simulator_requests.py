@@ -19,7 +19,7 @@ MAX_ANSWER_BYTES = 1 << 18
 def find_simulator(bus: str | None) -> Path:
     """Return the path of the socket on which a simulator receives requests.
 
-    If no bus is given, the path belongs to the only running simulator.
+    If ``bus`` is None, the path belongs to the only running simulator.
 
     Raises:
         BusError: ``bus`` is None, and either no simulator or more than one simulator is running.

@@ -1,14 +1,14 @@
 """Paths of the sockets and shared files of a user's runs.
 
-The paths are protected against other users.
+The paths are protected against other users of the machine.
 
-A user who can write into the folder of the sockets could replace the socket of a controller. Such a
-user would then receive the stop requests to the controller. Therefore the folder is used only if no
-other user can change this folder or any folder above it. The check begins at the root folder and
-goes down. Each folder is opened relative to its parent folder, which has just been checked. Three
-kinds of users can replace a folder: its owner, root, and every user who can write into the parent
-folder. The check makes sure that these are only root and this user. Therefore no other user can
-replace a folder after the check of this folder.
+A user who can write into the folder of the sockets could replace the socket of a controller, and
+would receive the stop requests to the controller. Therefore the folder of the sockets is used only
+if no other user can change this folder or any folder above it. The check of the folders begins at
+the root folder and goes down. Each folder is opened relative to its parent folder, which has just
+been checked. Three kinds of users can replace a folder: its owner, root, and every user who can
+write into the parent folder. The check makes sure that only root and this user can replace the
+folder. No other user can therefore replace a folder after the check of this folder.
 """
 
 import os
@@ -38,12 +38,12 @@ PRIVATE_FOLDER_TEXT = "a folder that only you can access (mode 0700); HANDCTL_RU
 
 
 def run_dir() -> Path:
-    """Return the folder for the sockets. Before, check that no other user can change the folder.
+    """Return the folder for the sockets, after a check that no other user can change the folder.
 
     A missing folder is created.
 
-    If the environment variable HANDCTL_RUN_DIR is set, it names the folder. Otherwise the folder is
-    XDG_RUNTIME_DIR/handctl if XDG_RUNTIME_DIR is set. If neither variable is set, the folder is
+    If the environment variable HANDCTL_RUN_DIR is set, it names the folder. If only XDG_RUNTIME_DIR
+    is set, the folder is XDG_RUNTIME_DIR/handctl. If neither variable is set, the folder is
     handctl-UID/handctl in the folder for temporary files.
 
     Raises:
@@ -86,8 +86,8 @@ def _private_folder(path: Path, private_path_parts: int, link_count: int = 0) ->
                     target.joinpath(*folder_names[number + 1 :]), private_path_parts, link_count + 1
                 )
             flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC if is_private else FOLDER_OPEN_FLAGS
-            # This path is relative to the parent folder that has been checked. Therefore it has no
-            # effect if somebody renames the parent folder.
+            # The folder name is relative to the parent folder that has been checked. A new name of
+            # the parent folder therefore has no effect on the opened folder.
             child_fd = os.open(folder_name, flags | os.O_NOFOLLOW, dir_fd=at)
             os.close(at)
             at = child_fd
@@ -108,8 +108,8 @@ def _stat_or_make_folder(folder_name: str, parent_fd: int) -> os.stat_result:
     """
     with suppress(FileNotFoundError):
         return os.stat(folder_name, dir_fd=parent_fd, follow_symlinks=False)
-    # Another process may create this folder at the same time. In this case, the folder is checked
-    # like any other folder.
+    # If another process creates the folder at the same time, the folder is checked like any other
+    # folder.
     with suppress(FileExistsError):
         os.mkdir(folder_name, PRIVATE_FOLDER_MODE, dir_fd=parent_fd)
     return os.stat(folder_name, dir_fd=parent_fd, follow_symlinks=False)
@@ -118,7 +118,7 @@ def _stat_or_make_folder(folder_name: str, parent_fd: int) -> os.stat_result:
 def _refuse_shared_folder(folder_path: Path, folder_fd: int) -> None:
     """Raise an error if another user owns a folder of handctl or can write into it.
 
-    If other users can only read the folder, they lose this permission.
+    If other users can only read the folder, they lose the permission to read it.
     """
     state = os.fstat(folder_fd)
     if state.st_uid != os.geteuid():
@@ -136,10 +136,10 @@ def _refuse_shared_folder(folder_path: Path, folder_fd: int) -> None:
 
 
 def _refuse_unsafe_folder(folder_path: Path, folder_fd: int) -> None:
-    """Raise an error if another user could replace the folder of handctl inside this parent folder.
+    """Raise an error if another user could replace the folder of handctl inside a given parent folder.
 
-    A parent folder with the sticky bit, such as /tmp, is safe. In such a folder, only the owner of
-    an entry can replace the entry.
+    A parent folder with the sticky bit, such as /tmp, is safe. In a folder with the sticky bit,
+    only the owner of an entry can replace the entry.
     """
     state = os.fstat(folder_fd)
     if state.st_uid not in (0, os.geteuid()):
@@ -202,7 +202,7 @@ def faults_path(spec: str) -> Path:
 def truth_path(spec: str) -> Path:
     """Return the default path of the truth file.
 
-    The simulator on a bus writes true values into this file.
+    The simulator on a bus writes the true values of the simulated hand into its truth file.
     """
     return run_dir() / f"{_file_name(spec)}.truth"
 
@@ -210,7 +210,7 @@ def truth_path(spec: str) -> Path:
 def clock_path(spec: str) -> Path:
     """Return the path of the clock file.
 
-    With this file, the simulator on a bus shares its clock with the controller.
+    With the clock file, the simulator on a bus shares its clock with the controller.
     """
     return run_dir() / f"{_file_name(spec)}.clock"
 

@@ -1,8 +1,8 @@
 """Check of the user at the other end of a Unix socket. Only the user of this process and root are trusted.
 
-The folder of the sockets already excludes other users (see ``socket_paths``). This check is a
-second protection. On Linux the kernel reports the user of a sender. On other systems every sender
-is trusted.
+The folder of the sockets already excludes other users (see ``socket_paths``). The check of the user
+at the other end is a second protection. On Linux the kernel reports the user of a sender. On other
+systems every sender is trusted.
 """
 
 import os
@@ -57,7 +57,7 @@ def receive_datagram(link: socket.socket, max_bytes: int) -> tuple[bytes, str, b
 
 
 def is_served_by_same_user(link: socket.socket) -> bool:
-    """Return True if the process at the other end of a connected stream socket belongs to this user or to root."""
+    """Return True if the process that serves a connected stream socket belongs to this user or to root."""
     if not IS_LINUX:
         return True
     raw_bytes = link.getsockopt(socket.SOL_SOCKET, SO_PEERCRED, CREDENTIALS_STRUCT.size)
@@ -65,5 +65,5 @@ def is_served_by_same_user(link: socket.socket) -> bool:
 
 
 def is_trusted_user(user_id: int) -> bool:
-    """Return True if a user may send commands to the hand of this user."""
+    """Return True if a user is allowed to send commands to the hand of the user of this process."""
     return user_id in (0, os.geteuid())

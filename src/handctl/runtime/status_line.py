@@ -13,7 +13,8 @@ def status_of_tick(
     Args:
         entry: inputs of the tick.
         tick_output: output of the tick.
-        commander_name: client that commands the hand, or None if any client may start to command it.
+        commander_name: client that commands the hand, or None if every client is allowed to start
+            to command the hand.
     """
     numbers = tick_output.telemetry
     return {

@@ -2,12 +2,13 @@
 
 Clients send the targets as binary datagrams.
 
-The controller reads the socket without blocking. Requests arrive at a different socket. Therefore a
-client that sends targets too fast cannot delay a stop request from another client.
+The controller reads the socket without blocking. Requests arrive at a different socket than
+targets, so that a client that sends targets too fast cannot delay a stop request from another
+client.
 
-A datagram is little-endian. It contains, in this order: magic 4 bytes, process number of the client
-u32, number of the stream u32, number of values u32, number of the target i64, sending time of the
-target on CLOCK_MONOTONIC i64 [ns], values float64.
+A datagram with a target is little-endian. The datagram contains, in this order: magic 4 bytes,
+process number of the client u32, number of the stream u32, number of values u32, number of the
+target i64, sending time of the target on CLOCK_MONOTONIC i64 [ns], values float64.
 """
 
 import socket
@@ -25,7 +26,7 @@ from handctl.runtime.socket_paths import targets_path
 from handctl.runtime.socket_peers import receive_datagram, request_sender_credentials
 
 TARGET_MAGIC = b"HCT1"
-"""First bytes of every datagram with a target. These bytes include the version of the format."""
+"""First bytes of every datagram with a target. The first bytes include the version of the format."""
 HEADER_STRUCT = struct.Struct("<4sIIIqq")
 MAX_DATAGRAM_BYTES = HEADER_STRUCT.size + 8 * MAX_VALUES_PER_TARGET
 """Largest size of a datagram with a target [bytes]."""
@@ -37,8 +38,8 @@ Even a client that sends ten targets in each tick stays below this limit.
 MAX_TARGETS_PER_TICK = 4
 """Largest number of targets that a tick gets.
 
-If more are waiting, the tick gets the newest. The numbers of the targets show that targets are
-missing.
+If more targets are waiting, the tick gets the newest targets. The gap in the numbers of the targets
+shows that targets are missing.
 """
 
 
@@ -58,7 +59,7 @@ class TargetReceiver:
     def __init__(self, name: str, run_time: Callable[[int], int]) -> None:
         """Bind the target socket of the controller on the bus ``name``.
 
-        Before this call, the controller must lock the bus.
+        Before the socket is bound, the controller must lock the bus.
 
         Args:
             name: bus of the controller.

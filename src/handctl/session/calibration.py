@@ -23,12 +23,12 @@ from handctl.session.run_plan import RunPlan
 from handctl.session.time_scale_advice import late_run_advice
 
 MAX_CALIBRATION_AGE_S = 24 * 3600.0
-"""Largest age of a calibration with which a hand may be armed [s].
+"""Largest age of a calibration with which arming of a hand is allowed [s].
 
 Older calibrations are wrong, because load cells drift and tendons creep.
 """
 CLOCK_TOLERANCE_S = 60.0
-"""Largest time by which a calibration may lie in the future [s], because clocks of computers differ."""
+"""Largest accepted time by which a calibration lies in the future [s], because clocks of computers differ."""
 LOCKSTEP_CALIBRATION_DATE = datetime.datetime.fromtimestamp(0, datetime.UTC)
 IdentifiedParametersByTendon = dict[str, IdentifiedParameters]
 """Identified parameters of each tendon, by name of the tendon."""
@@ -47,21 +47,22 @@ def load_calibration(path: Path, hand: Hand) -> Calibration:
 def find_calibration(
     path: Path, hand: Hand, is_file_given: bool, buses: Sequence[str] = ()
 ) -> tuple[Calibration | None, str]:
-    """Return the calibration from a file if it may be used to arm the hand.
+    """Return the calibration from a file if its use for arming the hand is allowed.
 
     Args:
-        path: path of the calibration file, which may not exist yet.
+        path: path of the calibration file, which possibly does not exist yet.
         hand: description of the hand that will be armed.
-        is_file_given: True if the operator has named the file. An invalid file is then an error.
+        is_file_given: True if the operator has named the file. An invalid file that the operator
+            has named is an error.
         buses: buses of the hand that will be armed.
 
     Returns:
-        The calibration, and an empty text. If the file has no valid calibration, the result is None
-        and a text with the reason.
+        The calibration, and an empty text. If the file has no valid calibration, the result
+        consists of None and a text with the reason.
 
     Raises:
         ConfigError: the named file exists but cannot be used, or the file comes from a simulated
-            hand although a bus may have real motors.
+            hand although a bus possibly has real motors.
     """
     if not path.exists():
         return None, f"there is no {path}"
@@ -98,7 +99,8 @@ def run_commissioning(
             is empty if the operator has requested the commissioning.
 
     Raises:
-        ConfigError: no controller can be designed with the gains. The notice is not shown in this case.
+        ConfigError: no controller can be designed with the gains. If this error is raised, the
+            notice is not shown.
         PowerError: a drive did not confirm that it is disabled.
         DriveError: a tendon, a sensor or a drive did not pass the commissioning. See
             ``RunOutcome.check_finished``.
@@ -138,14 +140,14 @@ def previous_identified_parameters(
 ) -> IdentifiedParametersByTendon:
     """Return the identified parameters of the previous calibration, by the name of the tendon.
 
-    These parameters stay valid when the load cells are tared again. The result is empty if the file
-    is missing or unusable, or if the hand now has other drives.
+    The identified parameters stay valid when the load cells are tared again. The result is empty if
+    the file is missing or unusable, or if the hand now has other drives.
 
     Args:
         path: file of the previous calibration.
         hand: description of the hand.
         drives: identities of the present drives, by the name of the motor. The mapping is empty if
-            they are unknown.
+            the identities of the drives are unknown.
         show_notice: function that shows a notice to the operator.
     """
     try:
@@ -166,11 +168,11 @@ def previous_identified_parameters(
 def identified_parameters_in_file(path: Path | None, hand: Hand) -> IdentifiedParametersByTendon:
     """Return the identified parameters in a calibration file, by tendon.
 
-    If no file is given, the result is empty.
+    If ``path`` is None, the result is empty.
 
-    A simulated run uses no other values of the file. The tares and zeros of a simulated hand are
-    valid for one seed and one start. The identified parameters of a simulated hand are valid for
-    all seeds and starts.
+    A simulated run uses no values of a calibration file except the identified parameters. The tares
+    and zeros of a simulated hand are valid for one seed and one start. The identified parameters of
+    a simulated hand are valid for all seeds and starts.
 
     Raises:
         ConfigError: the file cannot be read, is for another hand, or contains no identified

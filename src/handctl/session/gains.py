@@ -1,7 +1,7 @@
 """Gains of a run, and the source of each value.
 
 If there is a gains file, its gains replace the packaged gains of the hand. The command line
-overrides single values of the file or of the packaged gains.
+overrides single values of the gains file or of the packaged gains.
 """
 
 from collections.abc import Sequence
@@ -52,9 +52,10 @@ def gains_with_sources(
 
     Args:
         hand: description of the hand.
-        gains_file: path of the gains file. If it is None, the file ``HAND.gains.toml`` is used where it
-            exists.
-        assignment_words: words KEY=VALUE from the command line. They override the values of every file.
+        gains_file: path of the gains file. If ``gains_file`` is None, the file ``HAND.gains.toml``
+            is used where it exists.
+        assignment_words: words KEY=VALUE from the command line. The values from the command line
+            override the values of every file.
         show_notice: function that shows a notice to the operator.
 
     Raises:
@@ -77,10 +78,10 @@ def gains_with_sources(
 def read_gains_for_hand(
     hand: Hand, path: Path, show_notice: NoticeCallback = ignore_notice
 ) -> GainsFile:
-    """Read a gains file, and check that the gains belong to this hand.
+    """Read a gains file, and check that the gains belong to the given hand.
 
-    Gains for an earlier version of the hand file are accepted. In this case, a notice tells the
-    operator.
+    Gains for an earlier version of the hand file are accepted, and a notice informs the operator
+    about such gains.
 
     Raises:
         ConfigError: the file cannot be used, or is for another hand.

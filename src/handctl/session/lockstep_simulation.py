@@ -1,6 +1,6 @@
 """Simulation of a controller and a simulated hand in lockstep.
 
-All runs in lockstep begin with this module.
+This module begins all runs in lockstep.
 
 ``simulate_controller`` executes a whole run. ``SimulatedRun`` executes single ticks.
 ``SimulatorSettings.lockstep_clock`` provides the clock of runs with a log.
@@ -34,7 +34,7 @@ from handctl.runtime.clocks.lockstep import (
 )
 
 CHECKED_CONTROL_PERIOD_NS = 2_000_000
-"""Control period of a simulated hand that never runs, because it is constructed only to check its settings [ns]."""
+"""Control period of a simulated hand that is constructed only to check its settings, and never runs [ns]."""
 
 
 class SimulatedHand(LockstepSimulator, Protocol):
@@ -43,8 +43,8 @@ class SimulatedHand(LockstepSimulator, Protocol):
     Tests can inject faults into this hand.
 
     Attributes:
-        world: simulated plant and simulated nodes. Tests and rewards read true values from this
-            world directly, and not through the bus.
+        world: simulated plant and simulated nodes. Tests and rewards read true values from the
+            simulated world directly, and not through the bus.
     """
 
     world: Any
@@ -73,10 +73,10 @@ class SimulatorSettings:
         seed: random seed for the noise, the slack of the tendons, and the encoder offsets.
         perturb: factors by which parameters of the simulated plant are multiplied.
         homed: True if the hand starts with taut tendons and zero encoder readings.
-        truth: file to which the true values of the simulated hand are written. If it is None, no
-            file is written.
-        wire: words KEY=VALUE that describe a simulated wire with delays. If it is None, frames
-            arrive without delay.
+        truth: file to which the true values of the simulated hand are written. If ``truth`` is
+            None, no truth file is written.
+        wire: words KEY=VALUE that describe a simulated wire with delays. If ``wire`` is None,
+            frames arrive without delay.
         serials: serial numbers of the drives.
     """
 
@@ -135,7 +135,7 @@ class SimulatorSettings:
 
     @contextmanager
     def begin_run(self, controller: Controller) -> Iterator["SimulatedRun"]:
-        """Begin a run in which a controller controls this simulated hand.
+        """Begin a run in which a controller controls the simulated hand.
 
         See ``simulated_hand``.
         """
@@ -159,7 +159,7 @@ class SimulatorSettings:
 
 @dataclass
 class SimulatedRun:
-    """Run of a controller with a simulated hand. The caller executes this run tick by tick.
+    """Run of a controller with a simulated hand. The caller executes the run tick by tick.
 
     Attributes:
         controller, simulated_hand: controller on one side of the bus, and simulated hand on the
@@ -220,8 +220,8 @@ class SimulatedRun:
     def run_ticks(self, max_duration_s: float = math.inf) -> Iterator[tuple[TickIn, TickOut]]:
         """Run ticks until the controller is done.
 
-        Yield the input and output of each tick. When the caller gets a tick, the simulated hand is
-        still at the time of this tick.
+        Yield the input and output of each tick. When the caller gets the output of a tick, the
+        simulated hand is still at the time of this tick.
 
         Args:
             max_duration_s: longest duration of the run [s].

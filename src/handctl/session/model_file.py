@@ -20,7 +20,7 @@ The docstring of that function describes the result.
 def read_model_file(path: Path, kind: str) -> Mapping[str, Any]:
     """Read the tree of the links of a hand from a robot description.
 
-    The result consists of plain values.
+    The returned tree consists of plain Python values.
 
     Args:
         path: path of the robot description.

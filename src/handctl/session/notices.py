@@ -1,6 +1,6 @@
 """Notices and progress reports from a run to the operator.
 
-The caller of a run provides the functions that show these notices.
+The caller of a run provides the functions that show the notices and the progress.
 """
 
 from collections.abc import Callable
@@ -11,8 +11,8 @@ NoticeCallback = Callable[[str], None]
 ProgressFunction = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
 """Function that takes the name of a step, and returns a context manager that shows the progress of this step.
 
-The context yields a function. The arguments of this function are the completed count and the total
-count.
+The context manager yields a function. The arguments of the yielded function are the completed count
+and the total count of the step.
 """
 
 
@@ -21,5 +21,5 @@ def ignore_notice(text: str) -> None:
 
 
 def ignore_progress(words: str) -> AbstractContextManager[Callable[[int, int], None]]:
-    """Ignore all progress reports of a step before the run."""
+    """Ignore all progress reports of a preparation step before the run."""
     return nullcontext(lambda done, total: None)

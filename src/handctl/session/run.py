@@ -61,9 +61,9 @@ class RunOutcome:
         priority: real-time priority that the operating system granted to the control loop, or None
             in lockstep.
         offset_ns: reading of the simulator's clock at the start of the run [ns].
-        pause_count: number of pauses of the clock that the run and the simulator share. The value is 0
-            without such a clock.
-        paused_ns: total duration of these pauses in wall time [ns].
+        pause_count: number of pauses of the clock that the run and the simulator share. If there is
+            no shared clock, the value is 0.
+        paused_ns: total duration of the pauses of the shared clock in wall time [ns].
     """
 
     state: ControllerState
@@ -115,9 +115,8 @@ def make_controller(
 ) -> Controller:
     """Construct the controller of a run.
 
-    This includes the design with the gains of the plan.
-
-    If numba must compile code first, show a progress bar.
+    The function also designs the controller with the gains of the plan. If numba must compile code
+    before the design, the function shows a progress bar.
     """
     with plan.show_progress("compiling the controller, once") as report_progress:
         compile_kernels(report_progress)
@@ -156,10 +155,10 @@ def run_live(
         plan: checked plan of the run.
         controller: controller that executes the program of the run.
         log: log file to write.
-        live_view: True to show the log in Rerun during the run. A separate process then sends the
-            log to the viewer.
-        observer: observer of the run, which may send requests. It is None for a run without an
-            observer.
+        live_view: True to show the log in Rerun during the run. With ``live_view``, a separate
+            process sends the log to the viewer.
+        observer: observer of the run, which is allowed to send requests. The value is None for a
+            run without an observer.
 
     Raises:
         BusError: a bus cannot be opened, or another controller uses it.
@@ -228,8 +227,8 @@ def run_lockstep(
 ) -> RunOutcome:
     """Execute a run in virtual time.
 
-    The simulated hand is the one that the lockstep clock advances. Several runs may use the same
-    clock, one after the other. In virtual time, no operator is present to clear a fault.
+    The lockstep clock advances the simulated hand of the run. Several runs are allowed to use the
+    same clock, one after the other. In virtual time, no operator is present to clear a fault.
 
     Raises:
         DriveError: a fault made the hand hold its position for longer than allowed.
@@ -282,8 +281,8 @@ def _start_recording(
 def _real_time_clock(plan: RunPlan, stack: ExitStack) -> RealClock:
     """Return the clock of a run in real time.
 
-    If the simulator on the bus offers a shared clock, the result is the shared clock. Otherwise the
-    result is the clock CLOCK_MONOTONIC.
+    If the simulator on the bus offers a shared clock, the result is the shared clock. If there is
+    no shared clock, the result is the clock CLOCK_MONOTONIC.
 
     Raises:
         BusError: the file of the shared clock cannot be read, or has the format of another version.
@@ -309,7 +308,7 @@ def refuse_view_without_screen(view_requested: bool) -> None:
     Commands call this function before they open a bus.
 
     Raises:
-        ConfigError: this session has no screen.
+        ConfigError: the desktop session has no screen.
     """
     if view_requested:
         from handctl.view.viewer import check_screen_exists
@@ -332,7 +331,7 @@ def _start_view(log: Path) -> Callable[[], None]:
 def snapshot_recorder(recorder: Recorder) -> Callable[[TickIn, ControllerState], None]:
     """Return a function that the caller must call after each tick.
 
-    This function records a snapshot of the controller's state once per second.
+    The returned function records a snapshot of the controller's state once per second.
     """
     due_ns = SNAPSHOT_PERIOD_NS
 
@@ -389,7 +388,7 @@ def _axis_lengths(hand: Hand) -> dict[str, int]:
 def _describe_run(plan: RunPlan) -> dict[str, object]:
     """Return the constants of a run by name.
 
-    Programs that receive the observations of the run need these constants.
+    Programs that receive the observations of the run need the constants of the run.
     """
     return {
         "hand_toml": plan.hand.to_toml(),
@@ -403,8 +402,8 @@ def _request_source(
 ) -> Callable[[], tuple[TickRequest, ...]]:
     """Return a function that collects the requests for a tick.
 
-    Streamed targets are not included. If the plan requires it, the first request clears the latched
-    errors of the drives.
+    Streamed targets are not included. If the plan has ``clear_faults``, the first request clears
+    the latched errors of the drives.
     """
     pending_requests = [CLEAR_REQUEST] if plan.clear_faults else []
 
@@ -445,7 +444,8 @@ class PublishedState:
     """Part of the controller's latest state, as shown in status lines.
 
     Attributes:
-        commander: client that commands the hand, or None if any client may start to command it.
+        commander: client that commands the hand, or None if every client is allowed to start to
+            command the hand.
     """
 
     commander: str | None = None
@@ -472,7 +472,8 @@ def _status_callback(
 ) -> TickCallback:
     """Return a function that must be called after each tick.
 
-    The function updates the display, and sends status lines to the programs that observe the run.
+    The returned function updates the display, and sends status lines to the programs that observe
+    the run.
     """
     ticks_per_status = max(1, round(rate_hz / STATUS_RATE_HZ))
 
@@ -501,7 +502,7 @@ def _run_to_end(
 ) -> RunOutcome:
     """Run the control loop to its end.
 
-    Then close the display and the recorder, even if the loop raised an error.
+    After the end of the loop, close the display and the recorder, even if the loop raised an error.
     """
     reason = "controller error"
     try:

@@ -20,7 +20,7 @@ from handctl.session.run_plan import RunPlan
 LOCKSTEP_START_TIME_S = 0.0
 """UNIX time that a log gives as the start of a lockstep run [s].
 
-The time is constant, so that equal runs have equal logs.
+The start time is constant, so that equal lockstep runs have equal logs.
 """
 
 

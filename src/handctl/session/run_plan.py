@@ -31,7 +31,7 @@ from handctl.session.notices import NoticeCallback, ProgressFunction, ignore_not
 MIN_TICKS_PER_WATCHDOG_TIME = 2
 """Smallest allowed number of ticks within the watchdog time of a drive.
 
-With two ticks, a single lost frame does not disable a drive.
+With two ticks within the watchdog time, a single lost frame does not disable a drive.
 """
 
 
@@ -99,12 +99,12 @@ class RunOptions:
         bus_arguments: words after ``--bus``: ``SPEC`` for a hand with one bus, or ``NAME=SPEC`` for
             each bus. None in lockstep.
         gains_file: path of the gains file, or None for the packaged gains of the hand.
-        gain_arguments: words KEY=VALUE that set single gains. These words override the values of every
-            file.
-        rate_hz: control rate [Hz]. If it is None, the run uses the highest of the usual rates that
-            the buses allow.
-        time_scale: seconds of the run per second of wall time. If it is None, the run uses the time
-            scale of the simulator that is connected to the bus.
+        gain_arguments: words KEY=VALUE that set single gains. The values in these words override
+            the values of every file.
+        rate_hz: control rate [Hz]. If ``rate_hz`` is None, the run uses the highest of the usual
+            rates that the buses allow.
+        time_scale: seconds of the run per second of wall time. If ``time_scale`` is None, the run
+            uses the time scale of the simulator that is connected to the bus.
         log_path: log file to write, or None if the command chooses the file later.
         clear_faults: True to clear the latched errors of the drives before the run.
     """
@@ -168,12 +168,12 @@ def make_plan(
 def chosen_time_scale(requested_scale: float | None, buses: Sequence[str]) -> float:
     """Return the time scale of a run.
 
-    If the operator has chosen no scale, the simulator on the bus determines it. Without a
-    simulator, the scale is 1.
+    If the operator has chosen no time scale, the simulator on the bus determines the time scale.
+    Without a simulator, the time scale is 1.
 
     Args:
-        requested_scale: ratio of simulated time to wall time that the operator has chosen, or None if there
-            is no choice.
+        requested_scale: ratio of simulated time to wall time that the operator has chosen, or None
+            if the operator has chosen no ratio.
         buses: specification of each bus, empty in lockstep.
 
     Raises:
@@ -281,7 +281,7 @@ def default_control_rate(hand: Hand) -> float:
 def protocol_hint_lines(hand: Hand) -> tuple[str, ...]:
     """Return one line for each drive protocol that has a hint for the operator.
 
-    The line contains the names of the motors with this protocol.
+    Each line contains the names of the motors with the drive protocol.
     """
     hints = ((motor.name, PROTOCOL_TRAITS[motor.protocol].hint) for motor in hand.motor)
     return lines_by_text((name, hint) for name, hint in hints if hint)
@@ -290,7 +290,7 @@ def protocol_hint_lines(hand: Hand) -> tuple[str, ...]:
 def check_gain_margins(hand: Hand, gains: Gains, rate_hz: float | None = None) -> None:
     """Raise an error if no valid controller or filter can be designed with the gains.
 
-    Such a design may be impossible although every gain is within its bounds.
+    The design of a controller can be impossible although every gain is within its bounds.
 
     Args:
         hand: description of the hand.
@@ -309,7 +309,7 @@ def check_gain_margins(hand: Hand, gains: Gains, rate_hz: float | None = None) -
 def bus_specs(hand: Hand, bus_arguments: Sequence[str]) -> tuple[str, ...]:
     """Return the specification of each bus of a hand.
 
-    The specifications come from the words after ``--bus``.
+    The bus specifications come from the words after ``--bus``.
 
     Raises:
         ConfigError: a bus is missing, given twice, or not part of the hand, or a specification is

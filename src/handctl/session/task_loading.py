@@ -20,15 +20,15 @@ PACKAGED_TASKS_FOLDER = Path(__file__).parents[1] / "tasks"
 PACKAGED_GRASP_FILE = Path("grasp.toml")
 """Name of the packaged grasp.
 
-The packaged grasp suits hands that have the digits which this task moves.
+The packaged grasp suits hands that have all digits which the packaged grasp moves.
 """
 
 
 def load_task_for_hand(name: Path | None, hand: Hand) -> tuple[Task, bytes]:
     """Load a task by its path or its packaged name, and check that the task suits the hand.
 
-    If no name is given, the packaged grasp is loaded. For a hand with other digits, a default task
-    is generated instead.
+    If no name is given, the packaged grasp is loaded. For a hand without the digits of the packaged
+    grasp, a default task is generated.
 
     Raises:
         ConfigError: the task does not exist, or its content is wrong.

@@ -18,7 +18,7 @@ ADVISED_TIME_SCALE_FRACTION = 0.7
 def late_run_advice(plan: RunPlan, outcome: RunOutcome) -> str:
     """Return advice for a simulated run that failed because ticks or answers were late.
 
-    For any other run, the result is an empty text.
+    For a run that did not fail for this reason, the result is an empty text.
     """
     if not (plan.is_simulated and outcome.was_too_slow):
         return ""
@@ -30,8 +30,8 @@ def slower_time_scale(plan: RunPlan, outcome: RunOutcome) -> float:
     """Return a time scale at which this machine is fast enough.
 
     The result follows from the computing times of a slow run. Simulator and controller use one core
-    each. On a machine with a single core, they share this core. The simulator reports its own
-    computing time.
+    each. On a machine with a single core, simulator and controller share this core. The simulator
+    reports its own computing time.
 
     Args:
         plan: plan of the run.

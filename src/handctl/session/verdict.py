@@ -1,4 +1,4 @@
-"""Verdict on a finished run, with performance numbers and a picture."""
+"""Judgement of a finished run, with performance numbers and a picture."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -34,8 +34,8 @@ def judge_run(
 ) -> dict[str, Any]:
     """Compute numbers that describe the performance of a run, and draw a picture next to the log.
 
-    If the picture cannot be written, for example because the disk is full, a notice tells the
-    operator.
+    If the picture cannot be written, for example because the disk is full, a notice informs the
+    operator about the missing picture.
 
     Args:
         plan: plan of the run.
@@ -44,8 +44,8 @@ def judge_run(
         truth_file: truth file of the simulator, which is copied to the folder of the log. The value
             is None for a real hand.
         draws_picture: True to draw the picture.
-        task: task that the run has executed. If it is given, the grasp of the task is judged. The
-            run then counts as failed if the hand did not hold the object.
+        task: task that the run has executed. If ``task`` is given, the grasp of the task is judged.
+            A run with a task counts as failed if the hand did not hold the object.
     """
     with RunLog(log) as record:
         if truth_file:
@@ -91,7 +91,8 @@ def _copy_truth(
 ) -> Path | None:
     """Copy the true values of the run to the folder of the log, and return the path of the copy.
 
-    If the file cannot be copied, return the original path. If the file has no values of this run, return None.
+    If the file cannot be copied, return the original path. If the truth file has no values of the
+    run, return None.
 
     Args:
         log: log of the run.

@@ -56,7 +56,7 @@ def draw_recording(recording_path: Path, picture_time_s: float, picture_path: Pa
 
 
 def take_stable_screenshot(client: "ViewerClient") -> bytes:
-    """Take screenshots of the viewer until they no longer change, and return the last one.
+    """Take screenshots of the viewer until they no longer change, and return the last screenshot.
 
     On a busy machine, the viewer draws the views of the dashboard one after the other.
     """
@@ -91,7 +91,7 @@ def timeline_end(state: "ViewerState", timeline_name: str) -> int:
     """Return the end of a timeline, in the unit of the timeline.
 
     If the timeline has different ends in the recordings of the viewer, return the latest end. If
-    there are no data, the result is -1.
+    the viewer has no data on the timeline, the result is -1.
     """
     lines = [
         line
@@ -105,9 +105,9 @@ def timeline_end(state: "ViewerState", timeline_name: str) -> int:
 def wait_until_loaded(client: "ViewerClient", timeline_name: str, until_ns: int = 0) -> None:
     """Wait until a viewer shows its views, and until it has loaded a recording up to a given time.
 
-    A viewer gets a recording and the layout before it gets the first data. At this time, the viewer
-    already reports that the loading has ended. Therefore this report alone does not show that the
-    data are loaded.
+    A viewer gets a recording and the layout before it gets the first data. Before the first data
+    arrive, the viewer already reports that the loading has ended. The viewer's report about the end
+    of the loading alone therefore does not show that the data are loaded.
 
     Args:
         client: client of the viewer.

@@ -2,9 +2,9 @@
 
 Command: `python -m handctl.view.live_view LOG [ARGUMENT OF THE VIEWER ...]`.
 
-The process only reads the log, and does not depend on the controller. The process ends when the log
-ends, when the viewer is closed, or on SIGTERM. After the end of the log or SIGTERM, the viewer
-remains open.
+The process of the live view only reads the log, and does not depend on the controller. The process
+of the live view ends when the log ends, when the viewer is closed, or on SIGTERM. After the end of
+the log or SIGTERM, the viewer remains open.
 """
 
 import os
@@ -18,17 +18,17 @@ from handctl.errors import HandctlError
 from handctl.signal_handlers import TerminationFlag
 
 NICE_INCREMENT = 10
-"""Increment of the nice value, for a lower priority than the controller."""
+"""Increment of the nice value, which gives the live view a lower priority than the controller."""
 
 
 def start_live_view(log_path: Path, *viewer_arguments: str) -> "subprocess.Popen[bytes]":
     """Start a process that shows a log in a viewer while the log is being written.
 
-    A failure of this process or of the viewer has no effect on the controller. The controller's
-    process imports this module. Therefore the module imports only packages that load fast.
+    A failure of the started process or of the viewer has no effect on the controller. Because the
+    controller's process imports this module, the module imports only packages that load fast.
 
     Args:
-        log_path: path of the log. The file may be created later.
+        log_path: path of the log. The log file is allowed to be created later.
         viewer_arguments: further command-line arguments of the viewer, such as --headless.
     """
     command = [sys.executable, "-m", "handctl.view.live_view", str(log_path), *viewer_arguments]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 FIRST_SLICE_DURATION_NS = 2_000_000_000
 """Length of the part of the run that is sent first [ns].
 
-The first part is short, so that the hand appears at once.
+The first part of the run is short, so that the hand appears in the viewer at once.
 """
 FLUSH_TIMEOUT_S = 5.0
 """Longest wait until the viewer has received the last data [s]."""
@@ -48,7 +48,8 @@ def browse_log(
         the viewer, after the whole log was sent.
 
     Raises:
-        LogError: the log is damaged. The viewer then shows the part before the damage.
+        LogError: the log is damaged. If the log is damaged, the viewer shows the part before the
+            damage.
         HandctlError: the viewer does not start.
     """
     # The viewer starts on another processor core while this process imports Rerun and converts the
@@ -66,7 +67,7 @@ def browse_log(
 
 
 def _send_chunks(running_viewer: Viewer, run: RunInfo, chunks: "Iterator[Chunk]") -> None:
-    """Send chunks of Rerun data to a viewer, until all are sent or the viewer is closed."""
+    """Send chunks of Rerun data to a viewer, until all chunks are sent or the viewer is closed."""
     import rerun as rr
 
     from handctl.view.rerun_conversion import new_recording

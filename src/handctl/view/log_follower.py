@@ -1,4 +1,4 @@
-"""Live display of a run. This process reads the growing log and sends new chunks to a viewer."""
+"""Live display of a run, which reads the growing log and sends new chunks to a viewer."""
 
 import tempfile
 import time
@@ -91,7 +91,7 @@ def follow_log(
     """Open a viewer, and show a growing log until the log ends.
 
     Args:
-        log: path of the log. The file may be created later.
+        log: path of the log. The log file is allowed to be created later.
         viewer_arguments: further command-line arguments of the viewer.
         stop: flag that is set to end the display early.
 
@@ -123,7 +123,7 @@ def follow_log(
 def _follow_until_end(follower: LogFollower, running_viewer: Viewer, stop: TerminationFlag) -> None:
     """Send new chunks until the log ends or stops growing.
 
-    Also stop if the viewer is closed, or if a stop is requested.
+    Closing the viewer or a stop request also ends the loop.
     """
     last_chunk_time = time.monotonic()
     while not (follower.has_log_ended or stop.requested) and running_viewer.process.poll() is None:
@@ -132,8 +132,8 @@ def _follow_until_end(follower: LogFollower, running_viewer: Viewer, stop: Termi
             last_chunk_time = start
         elif start - last_chunk_time > NO_GROWTH_TIMEOUT_S:
             return
-        # After a slow step, the pause before the next step is shorter. Even the shortest pause
-        # leaves processor time to other programs.
+        # After a slow transfer of chunks, the pause before the next transfer is shorter. Even the
+        # shortest pause leaves processor time to other programs.
         time.sleep(max(LOG_CHECK_PERIOD_S - (time.monotonic() - start), LOG_CHECK_PERIOD_S / 4))
 
 

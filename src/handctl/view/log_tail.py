@@ -12,7 +12,8 @@ from handctl.log.read.record_scan import RecordScan, scan_records
 class LogTail:
     """Reader of a growing log, from the start to the end.
 
-    Each call continues where the last call ended.
+    Each call of ``write_new_chunks`` continues at the position in the log at which the last call
+    ended.
     """
 
     def __init__(self, path: Path) -> None:
@@ -36,7 +37,7 @@ class LogTail:
         The written file has no end mark.
 
         Args:
-            path: log file to write. The file also has the definitions of all topics.
+            path: log file to write. The written file also contains the definitions of all topics.
 
         Returns:
             the time of the first new message in the log [ns]. If no new chunk is complete, the
@@ -52,8 +53,8 @@ class LogTail:
         try:
             scan_records(file, scan)
             # If the message indexes after a chunk are incomplete, Rerun loses messages of this
-            # chunk. So the reader passes on a chunk only when the record after the message indexes
-            # exists.
+            # chunk. To avoid this loss, the reader passes on a chunk only when the record after the
+            # message indexes exists.
             end_offsets = [
                 *(chunk.offset for chunk in scan.chunks[1:]),
                 *([scan.end] if scan.is_complete else []),
@@ -63,7 +64,7 @@ class LogTail:
                 return None
             with path.open("wb") as output_file:
                 # The first chunk of the log contains the definitions of all topics. Therefore every
-                # written part begins with this chunk.
+                # written log file begins with the first chunk.
                 if self._sent_chunks:
                     output_file.write(file.read_range(0, end_offsets[0]))
                 start = new_chunks[0].offset if self._sent_chunks else 0

@@ -9,7 +9,7 @@ PICTURE_PHASE = "hold"
 def picture_time(log: RunLog) -> float:
     """Return the middle of the longest hold phase of a run [s].
 
-    In a run without a hold, return the middle of the run.
+    For a run without a hold phase, return the middle of the run.
     """
     if not len(log):
         return 0.0

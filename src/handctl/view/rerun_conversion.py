@@ -1,6 +1,6 @@
 """Conversion of a log to the chunks that Rerun shows.
 
-The chunks go to a recording file or to a viewer.
+The converted chunks go to a recording file or to a viewer.
 """
 
 import errno
@@ -30,7 +30,7 @@ from handctl.view.time_slices import SLICE_DURATION_NS, time_slices
 DISK_SPACE_FACTOR = 2
 """Free disk space that must exist before a recording is written, as a multiple of the log's size.
 
-If the disk became full, Rerun's writer would block forever.
+If the disk became full during the recording, Rerun's writer would block forever.
 """
 MESSAGE_DECODERS = ("ros2msg", "ros2_reflection", "urdf")
 """Names of the decoders with which Rerun reads the messages of a log."""
@@ -62,11 +62,11 @@ def chunks_of_run_by_part(
 ) -> Iterator[list[Chunk]]:
     """Yield all chunks of a log in parts.
 
-    The first part has the static chunks. The later parts have the chunks of the run, in the order
-    of time.
+    The first part of the result has the static chunks. The later parts have the chunks of the run,
+    in the order of time.
 
     Args:
-        path: path of the log. The log may be incomplete.
+        path: path of the log. An incomplete log is accepted.
         run: data about the run and the hand of the log.
         first_slice_duration_ns: duration of the first part of the run [ns].
         scan: list of the log's records, if the records have been scanned already.
@@ -87,9 +87,9 @@ def chunks_of_run_by_part(
 def ensure_complete_log(path: Path, folder: Path, scan: RecordScan) -> tuple[Path, RecordScan]:
     """Return the path and the list of records of a complete log.
 
-    If the log ends early, the path and the list are those of a repaired copy.
+    If the log ends early, the returned path and list belong to a repaired copy of the log.
 
-    The copy is necessary because Rerun omits parts of the last chunk of an incomplete log.
+    A repaired copy is necessary because Rerun omits parts of the last chunk of an incomplete log.
 
     Raises:
         LogError: the log has no complete chunk.
@@ -108,7 +108,7 @@ def chunks_of_log(
     """Convert topics of a log to the chunks that the dashboard needs, and yield these chunks.
 
     Args:
-        path: path of the log. The log may be incomplete.
+        path: path of the log. An incomplete log is accepted.
         converters: converters for the topics of the log.
         name: name of the log, for error messages.
         since_ns: log time [ns] from which the log is read.
@@ -121,7 +121,7 @@ def chunks_of_log(
             path, decoders=MESSAGE_DECODERS, include_topic_regex=converters.topics, recover=True
         )
         start_ns, end_ns = reader.time_bounds()
-        # The time range of the stream does not include its end, so 1 is added.
+        # The time range of the stream does not include the end of the range, so 1 is added.
         raw_chunks = (
             reader.stream(start_time_ns=max(start_ns, since_ns), end_time_ns=end_ns + 1)
             .collect()
@@ -138,7 +138,8 @@ def chunks_of_log(
 def _start_time_ns(chunk: Chunk) -> int:
     """Return the log time of the first row of a chunk [ns].
 
-    For a chunk without times, the result is -1. So such a chunk comes first.
+    For a chunk without times, the result is -1. With this result, a chunk without times comes
+    first.
     """
     return int(times_since_start(chunk, 0)[0]) if LOG_TIME_TIMELINE in chunk.timeline_names else -1
 

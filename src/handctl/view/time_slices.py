@@ -1,6 +1,6 @@
 """Division of a log into small log files by time.
 
-A viewer can show the first part before the last part is read.
+A viewer can show the first part of the run before the last part of the log is read.
 """
 
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ from handctl.log.read.record_scan import RecordScan
 SLICE_DURATION_NS = 20_000_000_000
 """Duration of the part of the run in each small log after the first one [ns].
 
-A part of this length has few chunks. The small number of chunks limits the use of memory.
+A part of this length has few chunks, which limits the use of memory.
 """
 
 
@@ -21,7 +21,7 @@ def time_slices(
 ) -> Iterator[tuple[Path, int]]:
     """Divide a complete log into parts, and yield the parts in the order of time.
 
-    Each part is a log file. The file is overwritten when the next part is requested.
+    Each part is a log file. The file of a part is overwritten when the next part is requested.
 
     Args:
         path: path of a complete log.
@@ -47,7 +47,7 @@ def time_slices(
         ) or [[]]:
             first_chunk_index = remaining_chunks.index(group[0]) if group else 0
             for chunk in group:
-                # Checks the checksum, because Rerun would show damaged data.
+                # The checksum of each chunk is checked, because Rerun would show damaged data.
                 file.chunk_content(chunk)
             # Every part begins with the head of the log file and the first chunk, which contain the
             # definitions of all topics.

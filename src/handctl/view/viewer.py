@@ -29,7 +29,7 @@ VULKAN_DRIVER_FOLDERS = (
 SOFTWARE_DRIVER_FILES = "lvp_icd*.json"
 """Pattern for the description file of Mesa's lavapipe, a Vulkan driver that draws on the processor.
 
-Pictures drawn with this driver do not depend on a graphics card.
+Pictures drawn with lavapipe do not depend on a graphics card.
 """
 VULKAN_PACKAGES = "libvulkan1 mesa-vulkan-drivers"
 VIEWER_START_TIMEOUT_S = 30.0
@@ -97,7 +97,7 @@ def check_screen_exists() -> None:
     """Raise an error if the desktop session has no screen on which a window could open.
 
     Raises:
-        ConfigError: the session has no screen.
+        ConfigError: the desktop session has no screen.
     """
     if sys.platform.startswith("linux") and not (
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
@@ -167,12 +167,13 @@ def launch_viewer(viewer_arguments: Sequence[str], environment: dict[str, str]) 
 
     The function does not wait until the viewer listens.
 
-    The system chooses the port. On Rerun's default port 9876, the viewer would also receive streams
-    from other programs. It would even receive data for a viewer that was closed earlier.
+    The operating system chooses the port of the viewer. On Rerun's default port 9876, the viewer
+    would also receive streams from other programs. On the default port, the viewer would even
+    receive data for a viewer that was closed earlier.
 
     Args:
         viewer_arguments: further arguments of the viewer's command.
-        environment: environment variables in addition to those of this process.
+        environment: environment variables in addition to the variables of this process.
     """
     viewer_program = str(viewer_path())
     settings = run_dir() / "viewer"
@@ -251,8 +252,8 @@ def _wait_for_url(process: "subprocess.Popen[bytes]", stderr_pipe: IO[bytes]) ->
     remaining = VIEWER_START_TIMEOUT_S
     while remaining > 0:
         try:
-            # This call returns early if the viewer ends. Otherwise the call is the pause between
-            # two checks of the viewer's output.
+            # The following call returns early if the viewer ends. If the viewer continues, the call
+            # is the pause between two checks of the viewer's output.
             process.wait(0.05)
         except subprocess.TimeoutExpired:
             remaining -= 0.05

@@ -31,7 +31,7 @@ from handctl.session.buses import parse_bus_arguments
 from handctl.session.exit_codes import ExitCode
 
 NO_USB_ADAPTER = UsbAdapter()
-"""Stand-in for the USB adapter of a CAN interface that has none."""
+"""Stand-in for the USB adapter, for a CAN interface that has no USB adapter."""
 BUSY_HINT = "check the load of the computer and the latency timer of the adapter; handctl doctor checks the priorities"
 SLOW_ROUND_TRIP_S = 0.005
 """Largest acceptable median of a node's round-trip times [s].
@@ -78,7 +78,7 @@ def _expected_buses(
 def _examine_bus(spec: str, expected: BusSection, hand: Hand | None) -> dict[str, Any]:
     """Return the findings about the interface of a bus.
 
-    If the interface works, also return findings about the nodes.
+    If the interface works, the result also contains findings about the nodes on the bus.
     """
     print_note(f"{spec}: looking")
     kind, _, channel = spec.partition(":")

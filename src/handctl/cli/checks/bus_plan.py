@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
 def bus_plan_report(hand: Hand, loads: tuple[BusLoad, ...], rate_hz: float) -> dict[str, Any]:
     """Return the load of each bus for the report.
 
-    If a bus is overloaded, also return a distribution of the motors over more buses.
+    If a bus is overloaded, the report also contains a distribution of the motors over more buses.
 
     Args:
         hand: description of the hand.

@@ -18,13 +18,13 @@ from handctl.session.buses import parse_bus_arguments
 from handctl.session.exit_codes import ExitCode
 
 COMMAND_TIMEOUT_S = 10.0
-"""Longest time that one of the system commands may take [s]."""
+"""Longest time that one of the system commands is allowed to take [s]."""
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the system commands that set up each CAN interface.
 
-    With ``--yes``, run these commands as root instead of printing them.
+    With ``--yes``, run the system commands as root instead of printing them.
     """
     if not args.bus:
         raise ConfigError("missing", "--bus", "the interfaces, such as --bus socketcan:can0")
@@ -77,7 +77,7 @@ def _commands_of_bus(spec: str, section: BusSection) -> tuple[CommandWords, ...]
 
 
 def _check_root_user(commands: list[CommandWords]) -> None:
-    """Raise an error if --yes is given but the user may not set up an interface.
+    """Raise an error if --yes is given but the user is not allowed to set up an interface.
 
     Raises:
         BusError: the user is not root.

@@ -27,9 +27,9 @@ from handctl.session.run_plan import bus_specs, chosen_time_scale, default_contr
 from handctl.signal_handlers import TerminationFlag, installed_handler
 
 MAX_POLL_RATE_HZ = 100.0
-"""Largest rate at which this command polls the drives [Hz].
+"""Largest rate at which ``handctl bus watch`` polls the drives [Hz].
 
-A high bus load may lower the rate further.
+A high bus load can lower the poll rate further.
 """
 REFRESH_PERIOD_S = 0.1
 """Time between two lines of JSON, or between two tables in a terminal [s]."""
@@ -41,7 +41,7 @@ MAX_WATCH_DURATION_S = 86400.0
 def run(args: argparse.Namespace) -> int:
     """Show the readings for a given time, or until the operator presses Ctrl-C.
 
-    Return 1 if a drive stopped replying before the end.
+    Return 1 if a drive stopped replying before the end of the command.
     """
     specs, hand, time_scale = _checked_arguments(args)
     drives = make_drives(hand)
@@ -103,7 +103,7 @@ def _show_readings(
 ) -> None:
     """Send a poll to every drive in every tick.
 
-    Show the readings of the drives at intervals and at the end.
+    Show the readings of the drives at intervals and at the end of the command.
     """
     start_time_s = time.monotonic()
     end = start_time_s + (math.inf if args.duration is None else args.duration)
@@ -172,9 +172,9 @@ def _joint_reading(hand: Hand, joint_index: int, value: float) -> dict[str, floa
 def _drive_fields(
     hand: Hand, tendon: str, drive: Drive, state: DriveState, age_s: float
 ) -> dict[str, Any]:
-    """Return the readings of a drive. The position and the velocity are converted to the spool.
+    """Return the readings of a drive, with the position and the velocity converted to the spool.
 
-    Values are positive for a motion that winds up the tendon.
+    Position and velocity are positive for a motion that winds up the tendon.
     """
     motor = hand.motor_of_tendon(tendon)
     values = (state.position, state.velocity, state.torque, state.temperature)

@@ -113,7 +113,8 @@ def _all_errors(args: argparse.Namespace) -> list[str]:
             )
             errors.append(located_mistake[0].error(str(path)) if hand_section_match else error)
     key_paths = [error.where for error in errors]
-    # If an error at a key causes another error at the same key, only the first of them is reported.
+    # If an error at a key of the hand file causes another error at the same key, only the first
+    # error is reported.
     return [str(error) for i, error in enumerate(errors) if error.where not in key_paths[:i]]
 
 
@@ -146,7 +147,8 @@ def _file_checks(args: argparse.Namespace, hand: Hand) -> list[Callable[[], obje
     def check_scene() -> None:
         """Check that the hand can be simulated in the scene, if the user has named a scene."""
         if args.scene:
-            # Only this check needs the module of the simulated hand, so the import is here.
+            # Only the check of the scene needs the module of the simulated hand, so this module is
+            # imported here.
             from handctl.session.lockstep_simulation import SimulatorSettings
 
             SimulatorSettings(hand, args.scene).check_hand_constructible()
@@ -265,7 +267,7 @@ def _hand_warnings(hand: Hand) -> list[str]:
 def _gains_with_sources(layers: GainsWithSources) -> list[str]:
     """Return TOML comments with the value and the origin of every gain.
 
-    A hand file contains no gains, because they belong in a separate file.
+    A hand file contains no gains, because gains belong in a separate file.
     """
     values = values_by_key(layers.gains)
     return [
@@ -334,7 +336,7 @@ def _export_hand(args: argparse.Namespace, hand: Hand) -> int:
 def _export_buses(args: argparse.Namespace, hand: Hand) -> int:
     """Write a DBC file for each bus of a hand.
 
-    If the hand has several buses, the name of each file contains the name of the bus.
+    If the hand has several buses, the name of each DBC file contains the name of its bus.
     """
     output = args.output or Path(f"{hand.name}.dbc")
     drives = make_drives(hand)
@@ -374,7 +376,7 @@ def _write_schema(args: argparse.Namespace) -> int:
 def _convert_file(args: argparse.Namespace) -> int:
     """Convert a hand file of schema 1 to schema 2, and write the new hand file."""
     from handctl.hand.file.schema_conversion import (
-        convert_to_schema_2,  # tomlkit is imported here, because only this subcommand needs it
+        convert_to_schema_2,  # tomlkit is imported here, because only this subcommand needs tomlkit
     )
 
     hand = load_hand(args.old)

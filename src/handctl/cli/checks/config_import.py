@@ -52,7 +52,7 @@ IMPORT_QUESTIONS = (
 )
 """Questions about the values that a robot description lacks, in the order of asking.
 
-If an answer is empty, the hand file marks this value as missing.
+If an answer to a question is empty, the hand file marks the requested value as missing.
 """
 
 
@@ -162,7 +162,7 @@ def read_hand_description(
 def _mesh_of_link(
     link_name: str, meshes: Sequence[Mapping[str, Any]], output_path: Path, notes: list[str]
 ) -> ModelMesh | None:
-    """Return the largest mesh of a link that a hand file can contain, or None if there is none.
+    """Return the largest mesh of a link that a hand file can contain, or None if the link has no such mesh.
 
     For each mesh that is left out, add a line to the list ``notes``.
     """
@@ -207,7 +207,7 @@ def _ask_questions(import_answers: ImportAnswers, known_keys: set[str]) -> Impor
 def _check_tendon_answers(import_answers: ImportAnswers) -> None:
     """Raise an error if a hand file cannot be written with these answers.
 
-    All other mistakes are found when the new hand file is checked.
+    The check of the new hand file finds all other mistakes in the answers.
 
     Raises:
         ConfigError: a name or a node number is wrong.
@@ -227,7 +227,7 @@ def _unexpected_mistakes(
 ) -> list[str]:
     """Return one line for each mistake in the new hand file.
 
-    Missing values do not count as mistakes.
+    Values that are missing in the new hand file do not count as mistakes.
     """
     return [
         str(mistake.error(str(output_path)))

@@ -59,7 +59,7 @@ OPTIONS_WITH_DESCRIPTION = ("first_node",)
 SCALED_DEFAULT_BY_KEY = {"palm_mm": "palm", "pulley_mm": "joint_moment_arm_mm"}
 """Attribute of the answers that computes the default of each of these fields.
 
-The default is proportional to other answers.
+The computed default is proportional to other answers.
 """
 
 

@@ -46,8 +46,8 @@ TEXT_BY_VERDICT = {
 def run(args: argparse.Namespace) -> int:
     """Run the checks of a drive, and return the exit code.
 
-    The exit code is 1 if a check failed. It is 5 if no check failed, but at least one check could
-    not be made. It is 71 if the drive does not confirm that it is disabled.
+    The exit code is 1 if a check failed. The exit code is 5 if no check failed, but at least one
+    check could not be made. The exit code is 71 if the drive does not confirm that it is disabled.
     """
     options = parse_options(args.option)
     if not (math.isfinite(args.limit) and MIN_TORQUE_LIMIT_N_M <= args.limit <= MAX_TORQUE_N_M):
@@ -119,7 +119,7 @@ def _run_checks(
             )
             if not is_off and len(results) < len(
                 CHECKED_REQUIREMENTS
-            ):  # Ctrl-C or a bug has ended the checks, and this is reported here
+            ):  # Ctrl-C or a bug has ended the checks, and this early end is reported here
                 raise PowerError(DRIVE_STILL_ON_WARNING)
     return results, is_off
 

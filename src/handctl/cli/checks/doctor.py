@@ -28,9 +28,9 @@ WAKEUP_TEST_S = 1.0
 WAKEUP_SLEEP_S = 0.001
 """Time that the measuring process sleeps before each wake-up [s]."""
 MAX_WAKEUP_LATENESS_S = 0.002
-"""Lateness of a wake-up at which this check fails [s].
+"""Lateness of a wake-up at which the check of the wake-ups fails [s].
 
-The limit is one tick at 500 Hz.
+The limit is the control period at a control rate of 500 Hz.
 """
 
 
@@ -150,10 +150,10 @@ def _check_wakeups() -> DoctorFinding:
 def _cpu_and_steal_ticks() -> tuple[int, int]:
     """Return two processor times since the start of the system, each summed over all cores.
 
-    The first value is the total time. The second value is the part that a hypervisor gave to other
-    machines. The unit of both times is the clock tick of the kernel. In ``/proc/stat``, the second
-    value is called ``steal`` (Linux ``proc_stat(5)``). On systems other than Linux, both times are
-    0.
+    The first value is the total processor time. The second value is the processor time that a
+    hypervisor gave to other virtual machines. The unit of both times is the clock tick of the
+    kernel. In ``/proc/stat``, the time that a hypervisor gave away is called ``steal`` (Linux
+    ``proc_stat(5)``). On systems other than Linux, both times are 0.
     """
     try:
         first_line = Path("/proc/stat").read_text().splitlines()[0]

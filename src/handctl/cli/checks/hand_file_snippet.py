@@ -1,7 +1,7 @@
 """Part of a hand file that describes the drives found by a scan.
 
-The part contains the values that the drives report. The values that the user must measure are
-marked in this part.
+This part of the hand file contains the values that the drives report. The values that the user must
+measure are marked in this part of the hand file.
 """
 
 from collections.abc import Mapping, Sequence
@@ -109,8 +109,8 @@ def _source_comment(key: str, settings: Mapping[str, float], hint: str) -> str:
 def _torque_source(settings: Mapping[str, float]) -> str:
     """Return the comment that the hand file contains next to the torque limit.
 
-    The torque that a drive reports is the full scale of its torque values. It is not suitable as a
-    first limit.
+    The torque that a drive reports is the full scale of its torque values. The full scale is not
+    suitable as a first torque limit.
     """
     reported_torque = settings.get("torque_max_N_m", 0.0)
     if not reported_torque:

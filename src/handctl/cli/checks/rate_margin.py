@@ -1,4 +1,4 @@
-"""Warnings about a control rate or gains at which a hand may oscillate although the buses can carry all frames."""
+"""Warnings about a control rate or gains at which a hand can oscillate although the buses can carry all frames."""
 
 import math
 
@@ -8,15 +8,16 @@ from handctl.core.hand_model import HandModel
 from handctl.hand.description import Hand
 
 MIN_UNCHECKED_RATE_HZ = 250.0
-"""Control rate at and above which the loops of a hand are not checked [Hz].
+"""Control rate at and above which the motion loops of a hand are not checked [Hz].
 
 All packaged hands and the hands of ``config init`` run at this rate.
 """
 MIN_UNCHECKED_RATE_WITHOUT_CELLS_HZ = 500.0
-"""The same rate for a hand with tendons that have neither load cells nor springs to act against [Hz].
+"""The rate MIN_UNCHECKED_RATE_HZ for a hand with tendons that have neither load cells nor springs to act against [Hz].
 
-Such tendons hold each other, and the filter without load cells has a larger phase lag. At 250 Hz, their tensions
-oscillated in simulation, and the freely closing digits were taken for torn tendons (fault T01).
+Tendons without springs hold each other, and the filter without load cells has a larger phase lag.
+In simulation at 250 Hz, the tensions of tendons without springs and load cells oscillated, and the
+safety monitor took freely closing digits for torn tendons (fault T01).
 """
 FORCE_REDUCTION_FACTOR = 0.95
 """Factor between two values of ``motion.force_N`` that are tried until the gain margin is large enough."""
@@ -28,8 +29,8 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     """Return a warning if the gain margin of a tendon's motion loop is too small at a control rate.
 
     If the load of a bus is high, the control rate must be low. At a low control rate, the tensions
-    of fingers with light links may oscillate. The run then ends with an oscillation fault (N14b) or
-    an over-tension fault (T03).
+    of fingers with light links can oscillate. If the tensions oscillate, the run ends with an
+    oscillation fault (N14b) or an over-tension fault (T03).
 
     Args:
         hand: description of the hand.
@@ -63,16 +64,16 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
 def force_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     """Return a warning if the gain margin of a tendon with a spring and without a load cell is too small.
 
-    The filter of such a tendon has a larger phase lag than the filter of a tendon with a load cell.
-    With the default gains, the gain margin of the motion loop may therefore be only 3 dB, even at
-    500 Hz.
+    The filter of a tendon without a load cell has a larger phase lag than the filter of a tendon
+    with a load cell. With the default gains, the gain margin of the motion loop of a tendon without
+    a load cell can be only 3 dB, even at 500 Hz.
 
     Args:
         hand: description of the hand.
         gains: gains of a run.
         rate_hz: control rate of a run [Hz].
     """
-    # At a lower rate, ``rate_warnings`` checks the loops of all tendons.
+    # At a lower control rate, ``rate_warnings`` checks the motion loops of all tendons.
     if rate_hz < _min_unchecked_rate(hand) or not _has_springs_without_cells(hand):
         return []
     from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB
@@ -94,8 +95,8 @@ def force_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
 def _largest_force_with_margin(hand: Hand, gains: Gains, rate_hz: float) -> float | None:
     """Try smaller values of ``motion.force_N``, and return the first value with a sufficient gain margin [N].
 
-    If no tried value has a sufficient margin, return None. The tried values are rounded down to two
-    digits.
+    If no tried value has a sufficient margin, return None. The tried values of the force are
+    rounded down to two digits.
     """
     from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB
 
@@ -141,7 +142,7 @@ def _has_springs_without_cells(hand: Hand) -> bool:
 
 
 def _min_unchecked_rate(hand: Hand) -> float:
-    """Return the lowest control rate at which the loops of a hand need not be checked [Hz]."""
+    """Return the lowest control rate at which the motion loops of a hand need not be checked [Hz]."""
     for digit in hand.digit:
         tendons = hand.digit_tendons[digit.name]
         coordinates = len(digit.joints) if digit.coupling is None else len(digit.coupling[0])

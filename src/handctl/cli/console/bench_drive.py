@@ -1,6 +1,7 @@
 """Commands that use a single drive on a bench, without a hand file.
 
-This module reads the options, scans for the drive, describes it, and opens its bus.
+This module reads the options, scans for the drive, describes the drive, and opens the bus of the
+drive.
 """
 
 import argparse
@@ -33,11 +34,11 @@ from handctl.runtime.diagnostics.bus_scan import BusScan, collect_frames, scan_b
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 
 DRIVE_STILL_ON_WARNING = "the drive does not report that it is off: REMOVE ITS POWER"
-"""Message about a drive that may still produce torque."""
+"""Message about a drive that possibly still produces torque."""
 WATCHDOG_MS = 100
 """Time without commands after which the watchdog stops the drive [ms].
 
-This time is longer than the delays of a desktop computer without real-time priority.
+The time of the watchdog is longer than the delays of a desktop computer without real-time priority.
 """
 BENCH_OPTIONS: dict[str, dict[str, Any]] = {
     "odrive": {"torque_feedback": True},
@@ -54,17 +55,17 @@ TEXT_VALUED_OPTIONS = ("firmware", "motor_type")
 UNQUOTED_VALUE_PATTERN = re.compile(r"[A-Za-z0-9][\w.-]*")
 """Pattern of an option's value that needs no quotes."""
 DEFAULT_DRIVE_OPTIONS = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
-"""Defaults of options whose values a CiA 402 drive may not report.
+"""Defaults of options whose values some CiA 402 drives do not report.
 
-If the rated torque is wrong, handctl notices this when it reads back the settings, and refuses the
-drive.
+If the rated torque is wrong, handctl notices the mistake when it reads back the settings of the
+drive, and refuses the drive.
 """
 
 
 def parse_options(option_words: list[str]) -> dict[str, Any]:
     """Return the options of a drive from words with the form KEY=VALUE.
 
-    A value is written as in TOML, but a text may be written without quotes.
+    A value is written as in TOML, but quotes around a text are optional.
 
     Raises:
         ConfigError: a word is not TOML.
@@ -104,7 +105,8 @@ def describe_drive(
 ) -> Drive:
     """Return a drive, described by the values that the drive reports.
 
-    If the command line also gives one of these values, the value of the command line is used.
+    If the command line gives a value that the drive also reports, the value of the command line is
+    used.
 
     Args:
         args: arguments with ``protocol``, ``node`` and ``limit`` [N m].
@@ -166,7 +168,7 @@ def _check_motor_type(protocol: str, options: dict[str, Any]) -> None:
 def _bench_options(protocol: str, options: dict[str, Any]) -> dict[str, Any]:
     """Return the options for a single drive on a test bench.
 
-    ODrive firmware 0.5 does not report torque, and has no such options.
+    ODrive firmware 0.5 does not report torque, and has no options for a drive on a bench.
     """
     return {} if options.get("firmware") == "0.5" else BENCH_OPTIONS.get(protocol, {})
 
@@ -207,11 +209,11 @@ def find_drive(args: argparse.Namespace) -> DiscoveredNode:
 
 
 def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> BusScan:
-    """Listen on the bus of a drive that a scan cannot find, and return a result like that of a scan.
+    """Listen on the bus of a drive that a scan cannot find, and return a result like the result of a scan.
 
-    Such a drive only answers commands. The function sends nothing. If a frame with the identifier
-    of the drive arrives, another host must be sending commands to the drive. The first check after
-    this scan shows whether the drive is present.
+    A drive that a scan cannot find only answers commands. The function itself sends nothing. If a
+    frame with the identifier of the drive arrives, another host must be sending commands to the
+    drive. The first check of the conformance test shows whether the drive is present.
     """
     seen_frames: list[Frame] = []
     collect_frames(bus, SCAN_LISTEN_S, seen_frames)
@@ -224,7 +226,7 @@ def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> BusScan:
 def with_torque_range(drive: Drive, node: DiscoveredNode) -> Drive:
     """Return a drive with the torque range that the scan has read from the real drive.
 
-    In the MIT protocol, every torque value is scaled by this range.
+    In the MIT protocol, every torque value is scaled by the torque range.
     """
     if isinstance(drive, MitDrive) and "torque_max_N_m" in node.settings:
         ranges = drive.ranges._replace(torque=node.settings["torque_max_N_m"])

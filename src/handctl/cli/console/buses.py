@@ -9,7 +9,7 @@ from handctl.session.buses import parse_bus_arguments
 def controller_bus(args: argparse.Namespace) -> str:
     """Return the bus that identifies a running controller.
 
-    This is the first ``--bus`` without its prefix ``NAME=``.
+    The result is the first ``--bus`` of the command line without its prefix ``NAME=``.
     """
     return next(iter(parse_bus_arguments(args.bus).values()))
 

@@ -1,9 +1,9 @@
 """Display of a running hand. A separate process draws the display from lines of JSON.
 
 The controller writes a short line every tenth of a second to a pipe that never blocks. If the
-display process is too slow, it misses lines. The controller never waits for it. In a terminal, the
-display redraws the state of the hand in place. If the output is not a terminal, the display prints
-one plain line per second.
+display process is too slow, it misses lines. The controller never waits for the display process. In
+a terminal, the display redraws the state of the hand in place. If the output is not a terminal, the
+display prints one plain line per second.
 """
 
 import json
@@ -91,7 +91,7 @@ class DisplayProcess:
     def show_tick(self, entry: TickIn, tick_output: TickOut) -> None:
         """Send a line about the tick to the display process.
 
-        The function sends only ticks with an event, and one tick in each period of
+        The method sends lines only about ticks with an event, and about one tick in each period of
         ``REFRESH_PERIOD_S``.
         """
         self.worst_late_ns = max(self.worst_late_ns, entry.late_ns)
@@ -133,8 +133,8 @@ class DisplayProcess:
     def _event_text(self, event: TickEvent) -> str:
         """Return the text that the display prints for an event.
 
-        At the first occurrence of a fault, a second line gives the remedy. If a gain has changed,
-        the text contains the key of the gain.
+        At the first occurrence of a fault, a second line gives the remedy for the fault. If a gain
+        has changed, the text contains the key of the gain.
         """
         if event.name == GAIN_EVENT:
             return f"{event.where} = {event.text}"
@@ -196,7 +196,7 @@ def _tension_lines(tendon_names: Sequence[str], status_fields: dict[str, Any]) -
 
 
 def _draw_panel_in_place(run_fields: dict[str, Any]) -> None:
-    """Draw the state of the hand at a fixed place in the terminal, with the package rich."""
+    """Draw the state of the hand at a fixed position in the terminal, with the package rich."""
     from rich.live import Live
 
     console = rich_console()

@@ -32,8 +32,8 @@ def announce_motion(
         args: arguments with ``yes``, ``gains`` and ``calibration``.
         plan: plan of the run.
         path: path of the calibration file.
-        calibration: content of the calibration file. If it is None, the run commissions the hand
-            first.
+        calibration: content of the calibration file. If ``calibration`` is None, the hand is
+            commissioned before the run.
 
     Raises:
         ConfigError: the operator refuses the motion, or there is no terminal on which to ask.
@@ -62,8 +62,8 @@ def announce_motion(
 def _file_text(file_kind: str, path: Path, creation_date: str) -> str:
     """Return the kind, the path and the age of a file in one text.
 
-    The age is counted from the date in the file. If the file contains no date, it is counted from
-    the last modification of the file.
+    The age is counted from the date in the file. If the file contains no date, the age is counted
+    from the last modification of the file.
     """
     modification_time_s = path.stat().st_mtime
     with suppress(ValueError):

@@ -59,8 +59,8 @@ def check_count(count: int, option: str, maximum: int) -> int:
 def add_protocol_option(parser: argparse.ArgumentParser, extra_help: str = "") -> None:
     """Declare --protocol and --motor-type.
 
-    With ``--protocol``, all drives of the hand use this protocol, and not the protocol in the hand
-    file.
+    With ``--protocol``, all drives of the hand use the given protocol, and not the protocol in the
+    hand file.
     """
     text = "drives of the simulated hand (default: as in its file)" + extra_help
     parser.add_argument("--protocol", choices=tuple(PROTOCOL_TRAITS), help=text)
@@ -107,7 +107,7 @@ def add_bitrate_options(
 def _bit_rate_from_text(rate_text: str) -> int:
     """Return a bit rate from the command line [bit/s].
 
-    It must be a bit rate that a hand file could contain.
+    The bit rate must be a value that a hand file could contain.
     """
     rate = int(rate_text)
     if not MIN_BITRATE_BIT_S <= rate <= MAX_BITRATE_BIT_S:
@@ -120,7 +120,7 @@ def _bit_rate_from_text(rate_text: str) -> int:
 def add_json_option(parser: argparse.ArgumentParser) -> None:
     """Declare --json.
 
-    With this option, standard output contains the result as JSON and no other text.
+    With ``--json``, standard output contains the result as JSON and no other text.
     """
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON on standard output"
@@ -128,7 +128,7 @@ def add_json_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_dry_run_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --dry-run. With this option, the command checks all its inputs, but opens no bus."""
+    """Declare --dry-run. With ``--dry-run``, a command checks all its inputs, but opens no bus."""
     parser.add_argument(
         "--dry-run", action="store_true", help="check all files and the bus load, open no bus"
     )
@@ -187,8 +187,8 @@ def add_output_option(
 def add_perturb_option(parser: argparse.ArgumentParser) -> None:
     """Declare --perturb.
 
-    With this option, values of the hand file are multiplied by factors. The simulated hand uses the
-    resulting values.
+    With ``--perturb``, values of the hand file are multiplied by factors, and the simulated hand
+    uses the results.
     """
     text = "change parameters of the simulated hand, e.g. stiffness=0.8 friction=1.3 (python -m firmware_sim --help)"
     parser.add_argument(
@@ -257,7 +257,7 @@ def warn_if_lossy(path: Path, warning: str) -> ExitCode:
 def add_wire_option(parser: argparse.ArgumentParser) -> None:
     """Declare --wire.
 
-    With this option, each simulated frame takes as long as a frame on a real bus.
+    With ``--wire``, each simulated frame takes as long as a frame on a real bus.
     """
     text = "the simulated bus has a bit rate, queues and errors; e.g. --wire queue=10 (python -m firmware_sim --help)"
     parser.add_argument("--wire", nargs="*", metavar="KEY=VALUE", help=text)
@@ -273,7 +273,7 @@ def print_json(result: dict[str, Any]) -> None:
     text = json.dumps(_json_value(result), indent=2, allow_nan=False)
     sys.stdout.write(
         text.replace("\x7f", "\\u007f") + "\n"
-    )  # the conversion to JSON leaves this control character unescaped
+    )  # the conversion to JSON leaves the control character DEL unescaped
 
 
 def print_json_line(result: dict[str, Any]) -> None:

@@ -103,11 +103,11 @@ def gains_with_sources(args: argparse.Namespace, hand: Hand) -> gains.GainsWithS
 
 
 def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
-    """Return the path of the calibration file of a hand. The file may not exist yet.
+    """Return the path of the calibration file of a hand. The calibration file possibly does not exist yet.
 
     Raises:
-        ConfigError: the calibration file could not be written. The path is checked before any
-            motion.
+        ConfigError: the calibration file could not be written. The path of the file is checked
+            before any motion of the hand.
     """
     path: Path = args.calibration or Path(f"{hand.name}.calibration.toml")
     check_output_path(
@@ -125,7 +125,7 @@ def find_calibration(
 ) -> tuple[Path, Calibration | None, str]:
     """Return the path of the calibration file of a hand.
 
-    If the hand may be armed with this calibration, also return the calibration.
+    If arming of the hand with the calibration in the file is allowed, also return the calibration.
 
     Args:
         args: arguments with ``--calibration``.
@@ -133,8 +133,9 @@ def find_calibration(
         buses: buses of the hand to arm.
 
     Returns:
-        the path of the file, the calibration, and a reason. If the hand may not be armed with the
-        calibration, the result contains None in its place, and the reason.
+        the path of the file, the calibration, and a reason. If arming of the hand with the
+        calibration is not allowed, the result contains None instead of the calibration, and the
+        reason.
 
     Raises:
         ConfigError: a named file exists but cannot be used, or the file cannot be written.
@@ -148,7 +149,7 @@ def find_calibration(
 
 
 def check_perturb(args: argparse.Namespace, is_simulated: bool) -> dict[str, float]:
-    """Check that a simulated hand accepts the factors of ``--perturb``, and return these factors.
+    """Check that a simulated hand accepts the factors of ``--perturb``, and return the factors.
 
     Args:
         args: arguments with the hand and ``--perturb``.
@@ -174,7 +175,7 @@ def refuse_bus_options(args: argparse.Namespace) -> None:
     """Raise an error if the user gives an option that has no effect without a bus.
 
     Raises:
-        ConfigError: such an option is given.
+        ConfigError: an option that needs a bus is given.
     """
     for option, is_set in (("--clear", args.clear), ("--time-scale", args.time_scale is not None)):
         if is_set:

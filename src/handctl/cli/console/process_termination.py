@@ -1,8 +1,8 @@
 """Orderly end of a command after a signal or an unexpected exception.
 
-While no hand runs, a signal raises an exception in the command. The command then closes its files,
-child processes and sockets. While a hand runs, the control loop handles the signals instead, see
-``runtime.loop.StopSignals``.
+While no hand runs, a signal raises an exception in the command. After the exception, the command
+closes its files, child processes and sockets. While a hand runs, the control loop handles the
+signals instead, see ``runtime.loop.StopSignals``.
 """
 
 import atexit
@@ -48,7 +48,7 @@ def install_excepthook() -> None:
     """End the process with a traceback and ``ExitCode.INTERNAL`` after an unexpected exception.
 
     All other exit handlers run first and close the resources of the command. The exit code is set
-    after these handlers have run.
+    after all other exit handlers have run.
     """
     bugs: list[BaseException] = []
 

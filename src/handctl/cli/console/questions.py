@@ -34,7 +34,7 @@ class HandQuestion(NamedTuple):
 def reader_of_choice(allowed_words: Collection[str]) -> Callable[[str], str]:
     """Return a function that accepts only the given words as an answer.
 
-    For other texts, the function raises ValueError.
+    For other texts, the returned function raises ValueError.
     """
 
     def read_choice(text: str) -> str:
@@ -57,7 +57,7 @@ TENDON_QUESTIONS = (
 read_all_or_none = reader_of_choice(("all", "none"))
 """Function that reads the answer ``all`` or ``none`` to a question about all tendons or all joints."""
 SPRING_ANSWER_FIELD = "springs"
-"""Field of the question about springs, which is left out for digits that need springs."""
+"""Field of the question about springs. The question is left out for digits that need springs."""
 DRIVE_AND_SENSOR_QUESTIONS = (
     HandQuestion("cells", "Load cells at the tendons (all, none)", read_all_or_none, "all or none"),
     HandQuestion("encoders", "Encoders at the joints (all, none)", read_all_or_none, "all or none"),
@@ -80,8 +80,8 @@ DRIVE_AND_SENSOR_QUESTIONS = (
 def write_new_hand_file(output_path: Path, text: str) -> Path:
     """Write a new hand file.
 
-    If the folder contains no JSON Schema of hand files yet, write the schema there too. Return the
-    path of the schema.
+    If the folder contains no JSON Schema of hand files yet, also write the schema into the folder.
+    Return the path of the schema.
     """
     schema = output_path.parent / SCHEMA_FILE
     write_text_atomically(output_path, text, must_be_new=True)

@@ -45,8 +45,8 @@ def rich_console(error: bool = False, min_width: int = 1) -> Any:
         def on_broken_pipe(self) -> None:
             """Raise the error that every command raises for a closed pipe.
 
-            ``main`` handles this error. If only the pipe of the progress output is closed, the
-            command continues without this output.
+            The function ``main`` handles the error of a closed pipe. If only the pipe of the
+            progress output is closed, the command continues without the progress output.
             """
             if not error:
                 raise BrokenPipeError

@@ -8,15 +8,16 @@ from io import TextIOWrapper
 def open_standard_streams() -> None:
     """Open each standard stream that is closed.
 
-    After this, standard output and standard error escape each character that the terminal cannot
-    show. If a standard stream stayed closed, the next opened file would get the file descriptor of
-    this stream.
+    After the call, standard output and standard error escape each character that the terminal
+    cannot show. If a standard stream stayed closed, the next opened file would get the file
+    descriptor of this stream.
     """
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:
-            # the file gets the lowest free descriptor, which is the one of the closed stream
+            # the opened file gets the lowest free descriptor, which is the descriptor of the closed
+            # stream
             os.open(os.devnull, os.O_RDWR)
     sys.stdout = sys.stdout or open(1, "w", closefd=False)  # noqa: SIM115
     sys.stderr = sys.stderr or open(2, "w", closefd=False)  # noqa: SIM115
@@ -41,6 +42,7 @@ def flush_stdout() -> None:
 def discard_output() -> None:
     """Discard buffered output that cannot be written to standard output.
 
-    Otherwise the process would try to write this output again at its end, and fail again.
+    Without this call, the process would try to write the buffered output again at its end, and fail
+    again.
     """
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

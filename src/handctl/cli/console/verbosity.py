@@ -46,9 +46,9 @@ def apply_verbosity(args: argparse.Namespace) -> Iterator[None]:
 
 
 def is_first_caution(text: str) -> bool:
-    """Return True if the running command has not printed this caution yet.
+    """Return True if the running command has not printed the given caution yet.
 
-    Record that it is printed now.
+    Record that the caution is printed now.
     """
     printed_cautions = _printed_cautions.get()
     if printed_cautions is None:

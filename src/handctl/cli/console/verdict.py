@@ -1,4 +1,4 @@
-"""Table of results, printed at the end of a run."""
+"""Table of the results of a run, printed at the end of the run."""
 
 from typing import Any
 
@@ -63,9 +63,9 @@ def print_summary(run_result: dict[str, Any], plan: RunPlan) -> None:
 
 
 def _no_reply_text(silent_ticks: int) -> str:
-    """Return a text that says in how many ticks no node answered.
+    """Return a text with the number of ticks in which no node answered.
 
-    Such ticks explain why frames were late.
+    Ticks without an answer are a reason for late frames.
     """
     return (
         f", bus silent for {silent_ticks} tick{'s' if silent_ticks > 1 else ''}"

@@ -1,6 +1,7 @@
-"""Declaration of the arguments of the commands in this folder.
+"""Declaration of the command-line arguments of the commands in the folder ``cli/logs``.
 
-The code of a command is imported only when that command runs. Therefore help texts appear fast.
+The code of a command is imported only when that command runs. Because the code of commands is
+imported late, help texts appear fast.
 """
 
 import argparse
@@ -18,7 +19,7 @@ from handctl.cli.parsing.parser import CommandExample, VerbParser, add_sub_verb
 def _example_with_log(command: str) -> CommandExample:
     """Return an example of a command that reads a log.
 
-    If there is no file ``run.mcap``, the example first records this log.
+    If the log ``run.mcap`` does not exist, the example records this log before the command.
     """
     return CommandExample(f"[ -e run.mcap ] || handctl demo --lockstep --log run.mcap; {command}")
 

@@ -17,7 +17,7 @@ from handctl.session.exit_codes import ExitCode
 EXPORT_UNITS = {"candump": "frames", "rrd": "bytes", "lerobot": "frames"}
 """Unit in which ``log export`` counts the exported data, by format.
 
-In the other formats, it counts rows.
+For a format that is not in this mapping, ``log export`` counts rows.
 """
 
 

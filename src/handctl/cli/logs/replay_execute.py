@@ -14,7 +14,7 @@ from handctl.processes import usable_cores
 from handctl.session.exit_codes import ExitCode
 
 MAX_PRINTED_ULPS = 10_000
-"""Largest difference that is printed in units in the last place. Such a difference comes from rounding."""
+"""Largest difference that is printed in units in the last place. A difference up to this size comes from rounding."""
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,6 +1,6 @@
 """``handctl replay safety``: list the stops of a recorded run that other safety limits would have caused.
 
-This module uses no bus.
+The command ``handctl replay safety`` uses no bus.
 """
 
 import argparse
@@ -13,7 +13,7 @@ from handctl.replay.limits_judgement import StoppingFault, judge_by_limits
 
 
 def _stop_fields(stop: StoppingFault) -> dict[str, Any]:
-    """Return the fields of the JSON output for a stop."""
+    """Return the fields of the JSON output for a stop of the hand."""
     fields = stop._asdict()
     fields["logged"] = fields.pop("occurs_in_logged_run")
     return fields

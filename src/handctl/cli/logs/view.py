@@ -133,7 +133,7 @@ def _draw_picture(
 
 
 def _show_in_viewer(log: Path, run_info: Any, record_scan: Any) -> None:
-    """Open the viewer, send the log to it, and wait until the user closes the viewer."""
+    """Open the viewer, send the log to the viewer, and wait until the user closes the viewer."""
     from handctl.view.log_browser import browse_log
 
     with browse_log(log, run_info, [], {}, record_scan) as viewer_process:

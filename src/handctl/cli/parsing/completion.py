@@ -1,8 +1,8 @@
 """Shell completion of commands and options, with the package argcomplete.
 
 The shell command ``eval "$(register-python-argcomplete handctl)"`` prepares bash or zsh. When the
-user presses the Tab key, the shell then calls ``handctl`` with the environment variable
-``_ARGCOMPLETE``.
+user of a prepared shell presses the Tab key, the shell calls ``handctl`` with the environment
+variable ``_ARGCOMPLETE``.
 """
 
 import os

@@ -1,6 +1,6 @@
 """Optional packages that each command of handctl needs.
 
-With this list, handctl can report a missing package before the command begins.
+With the list of optional packages, handctl can report a missing package before the command begins.
 """
 
 import argparse
@@ -8,7 +8,7 @@ import argparse
 VERBS_WITHOUT_CONTROLLER = frozenset({"stop", "clear", "view", "log", "bus", "scan", "doctor"})
 """Commands that neither compute a tick of the controller nor draw a picture with matplotlib.
 
-``bus plan`` and ``bus watch`` are exceptions.
+The exceptions ``bus plan`` and ``bus watch`` compute ticks of the controller.
 """
 
 
@@ -50,7 +50,7 @@ def _needs_simulator(verb: str, args: argparse.Namespace) -> bool:
         return True
     if verb == "config":
         return bool(args.what == "init" and (args.urdf or args.mjcf))
-    # If the file of results exists, the results are read from it, without a simulation.
+    # If the file of results exists, the results are read from this file, without a simulation.
     if verb == "paper":
         return not (args.quick or (args.results and args.results.exists()))
     return (verb == "fault" and args.action in ("campaign", "sequences")) or (

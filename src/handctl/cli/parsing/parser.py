@@ -1,8 +1,8 @@
 """Parser of command lines.
 
 Each error message of the parser is a single line with a suggested correction. Each help text ends
-with an example. Error messages of argparse may contain words from the command line. The parser
-escapes and shortens these messages before it prints them.
+with an example. Error messages of argparse can contain words from the command line. The parser
+escapes and shortens the messages of argparse before it prints them.
 """
 
 import argparse
@@ -68,13 +68,13 @@ class HelpFormatter(argparse.HelpFormatter):
 class VerbParser(argparse.ArgumentParser):
     """Argument parser that has the options of every command.
 
-    Parsers of subcommands belong to the same class.
+    Parsers of subcommands are also of the class VerbParser.
     """
 
     def __init__(self, **keywords: Any) -> None:
         """Create a parser with ``--verbose`` and ``--quiet``.
 
-        The keyword arguments are those of ``ArgumentParser``.
+        The keyword arguments are the same as those of ``ArgumentParser``.
         """
         super().__init__(**{"formatter_class": HelpFormatter} | keywords)
         # The options ``--verbose`` and ``--quiet`` have no default value. With a default value, the
@@ -96,7 +96,7 @@ class VerbParser(argparse.ArgumentParser):
     def add_subparsers(self, **keywords: Any) -> Any:
         """Add subcommands to this parser.
 
-        Only the parser of a subcommand knows the options of this subcommand.
+        The options of a subcommand are known only to the parser of this subcommand.
         """
         self._has_sub_verbs = True
         return super().add_subparsers(**keywords)
@@ -112,8 +112,9 @@ class VerbParser(argparse.ArgumentParser):
         for word in _option_names(args or ()):
             if new_word := new_option_name(self._verb_names(), word):
                 raise ConfigError(f"{word} has been renamed", self._verb_names(), new_word)
-            # This check comes before all others. Otherwise, when the user misspells the name of an
-            # argument, argparse would report that the argument is missing.
+            # The check for unknown options comes before all other checks. With another order,
+            # argparse would report a missing argument when the user misspells the name of an
+            # argument.
             if not (
                 self._has_sub_verbs
                 or any(option.startswith(word) for option in self._option_string_actions)
@@ -178,7 +179,7 @@ def _quote_word(word: str) -> str:
 def did_you_mean(unknown_word: str, known_words: Iterable[str]) -> str:
     """Return a question that suggests the known name most similar to a word.
 
-    If no known name is similar enough, the text is empty.
+    If no known name is similar enough, the returned text is empty.
     """
     similar_word = similar_name(unknown_word, known_words)
     return f", did you mean {similar_word}?" if similar_word else ""

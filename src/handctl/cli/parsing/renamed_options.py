@@ -1,7 +1,7 @@
 """Options of the command line that have been renamed.
 
 If a user writes the old name of an option, an error message gives the new name. The table of
-renamed options in docs/reference/command-line.md has the same rows as the table here.
+renamed options in docs/reference/command-line.md has the same rows as the table RENAMED_OPTIONS.
 """
 
 RENAMED_OPTIONS = {

@@ -1,7 +1,8 @@
 """``handctl clear``: clear the latched faults of a running controller.
 
-This command never arms a hand. If the controller has crashed, use ``handctl run --clear``. That
-command clears the latched faults of the drives before arming.
+The command ``handctl clear`` never arms a hand. If the controller has crashed, use ``handctl run
+--clear``. The command ``handctl run --clear`` clears the latched faults of the drives before
+arming.
 """
 
 import argparse

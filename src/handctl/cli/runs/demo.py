@@ -92,7 +92,7 @@ def _run_demo(args: argparse.Namespace) -> int:
         outcome = _run_in_real_time(args, plan, TaskProgram(task), log, identified)
         truth = truth_path(plan.buses[0])
     wall_time_s = time.monotonic() - start_time_s
-    # this module reads the log, so it is needed only after the run
+    # the imported module reads the log, so it is needed only after the run
     from handctl.session.verdict import judge_run
 
     result = judge_run(plan, outcome, log, truth, task=task)
@@ -157,7 +157,8 @@ def _commission_and_run(
 ) -> RunOutcome:
     """Commission the hand, and then run the program.
 
-    In this run, the controller uses parameters that were identified in an earlier run.
+    In the run of the program, the controller uses parameters that were identified in an earlier
+    run.
     """
     first_function, second_function = run_functions
     print_note(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon")
@@ -192,7 +193,7 @@ def _make_simulated_hand(args: argparse.Namespace, truth: Path | None) -> Simula
 def _speed_ratio(outcome: RunOutcome, plan: RunPlan, wall_s: float) -> dict[str, Any]:
     """Return three fields of the result: simulated time, real time, and the ratio of both.
 
-    Both times include the commissioning of the hand.
+    The simulated time and the real time include the commissioning of the hand.
     """
     simulated_s = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
     return {

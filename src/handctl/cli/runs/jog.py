@@ -58,9 +58,9 @@ def run(args: argparse.Namespace) -> int:
 def _jog_program(
     args: argparse.Namespace, names: tuple[str, ...], max_tension: float
 ) -> JogProgram:
-    """Check the goal, and return the program that moves the hand to this goal.
+    """Check the goal, and return the program that moves the hand to the goal.
 
-    The check takes place before the hand moves. An angle may be the goal of a digit or of a single
+    The goal is checked before the hand moves. An angle can be the goal of a digit or of a single
     joint.
 
     Raises:

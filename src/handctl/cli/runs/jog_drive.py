@@ -130,7 +130,7 @@ def _describe_motion(
 
     def make_jog_drive(motor: Motor) -> Drive:
         if motor.protocol in ("odrive", "cia402"):
-            # Drives with this protocol count whole turns, and report no position range.
+            # Drives with this drive protocol count whole turns, and report no position range.
             motor = motor.model_copy(update={"position_range_rad": MAX_POSITION_RANGE_RAD})
         if goal.mode == DriveMode.FORCE_POSITION and node and "torque_max_N_m" in node.settings:
             motor = _with_current_limit(motor, node.settings["torque_max_N_m"], goal.max_torque_N_m)
@@ -142,11 +142,12 @@ def _describe_motion(
 def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor:
     """Return the description of a Damiao motor with a torque limit in its commands.
 
-    A command contains the torque limit as a fraction of the full scale.
+    A command to a Damiao motor contains the torque limit as a fraction of the full scale.
 
     Args:
         motor: description of the motor.
-        full_scale: value of the motor's register TMAX [N m]. The register keeps this value.
+        full_scale: value of the motor's register TMAX [N m]. The value in the register does not
+            change.
         torque: torque limit [N m].
     """
     options = {"current_fraction": min(1.0, torque / full_scale), **motor.options}
@@ -184,7 +185,7 @@ def _move_drive(
     Return the result, and True if the drive has confirmed that it is disabled.
 
     If a fault or a limit stops the motion, the drive keeps its latched fault and its mode.
-    Otherwise the drive ends in torque mode.
+    After a motion without a fault or a limit, the drive is in torque mode.
     """
     result: JogResult | None = None
     with open_drive_rig(args, drive) as (rig, bus):
@@ -205,7 +206,7 @@ def _move_drive(
                 if is_complete
                 else rig.confirm_disabled(watchdog_s)
             )
-            # Ctrl-C or a bug has ended the motion, and this is reported here
+            # Ctrl-C or a bug has ended the motion, and this early end is reported here
             if not is_off and result is None:
                 raise PowerError(DRIVE_STILL_ON_WARNING)
     return result, is_off

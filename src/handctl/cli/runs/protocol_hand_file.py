@@ -1,6 +1,6 @@
 """Hand file in which the drives of a packaged hand are replaced by drives with another protocol.
 
-The file describes a simulated hand. The fault campaign also uses such hands.
+The hand file describes a simulated hand. The fault campaign also uses hands with replaced drives.
 """
 
 import argparse
@@ -66,7 +66,7 @@ def write_protocol_hand(args: argparse.Namespace) -> Path:
 def _hand_text(args: argparse.Namespace) -> str:
     """Return the text of the hand file with drives of ``args.protocol``."""
     from handctl.campaign.run_stages import (
-        hand_with_protocol,  # this import is slow, because it loads the whole controller
+        hand_with_protocol,  # the import of this module is slow, because it loads the whole controller
     )
 
     hand = hand_with_protocol(args.hand, args.protocol, args.motor_type)

@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     controller = make_controller(plan, program, calibration, arm_at_once=True)
     stdin_watch = StdinWatch() if args.until_eof else None
     outcome = run_live(plan, controller, log, live_view=args.view, observer=stdin_watch)
-    # this module reads the log, so it is needed only after the run
+    # the imported module reads the log, so it is needed only after the run
     from handctl.session.verdict import judge_run
 
     truth = args.truth or truth_path(plan.buses[0])

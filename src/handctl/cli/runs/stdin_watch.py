@@ -1,7 +1,7 @@
 """End of a run at the end of standard input, for the option ``--until-eof``.
 
-When standard input ends, the run ends too. Standard input ends when the program that started the
-run ends.
+A run with ``--until-eof`` ends when standard input ends. Standard input ends when the program that
+started the run ends.
 """
 
 import os

@@ -6,7 +6,7 @@ from handctl.cli.console.options import print_json
 from handctl.runtime.simulator_requests import ask_simulator, find_simulator
 
 MAX_PRINTED_INSTANCES = 8
-"""Largest number of components whose names are printed in one line."""
+"""Largest number of components whose names the command prints in one line."""
 
 
 def run(args: argparse.Namespace) -> int:

@@ -24,9 +24,9 @@ from handctl.session.run_header import run_header
 from handctl.session.run_plan import RunPlan, default_control_rate
 
 QUICK_FAULT_FREE_S = 4.0
-"""Simulated time without faults for each protocol, in a campaign with ``--quick`` [s]."""
+"""Simulated time without faults for each drive protocol, in a campaign with ``--quick`` [s]."""
 FAULT_FREE_S = 60.0
-"""Simulated time without faults for each protocol, in a campaign without ``--quick`` [s]."""
+"""Simulated time without faults for each drive protocol, in a campaign without ``--quick`` [s]."""
 MAX_JOBS = 64
 FIRST_PROGRESS_LABEL = "bringing the hand to its stages"
 MAX_FAULT_FREE_S = 86_400.0

@@ -63,8 +63,8 @@ def run(args: argparse.Namespace) -> int:
 def _load_or_measure_results(path: Path | None, worker_count: int) -> dict[str, Any]:
     """Return the results of the experiments.
 
-    If the file of results exists, read the results from this file. Otherwise run the experiments,
-    and save their results in this file.
+    If the file of results exists, read the results from this file. If it does not exist, run the
+    experiments, and save their results in this file.
 
     Raises:
         ConfigError: the file contains no results, or the file cannot be written.
@@ -83,7 +83,8 @@ def _load_or_measure_results(path: Path | None, worker_count: int) -> dict[str, 
 def _check_writable(report_file: Path | None, *folders: Path | None) -> None:
     """Check that the report and the folders can be written.
 
-    This check comes before the experiments, which take a long time.
+    The report and the folders are checked before the experiments, because the experiments take a
+    long time.
     """
     if report_file:
         check_output_path(report_file, "--output")
@@ -130,7 +131,7 @@ def _measure_all_results(jobs: int) -> dict[str, Any]:
 
 
 def _print_table(shown_sections: tuple[PageSection, ...]) -> None:
-    """Print the items about the paper as tables, and then the number of items with each verdict."""
+    """Print the items about the paper as tables, and then the number of items with each verdict on the paper."""
     from rich.table import Table
     from rich.text import Text
 

@@ -1,6 +1,7 @@
-"""Declaration of the arguments of the commands in this folder.
+"""Declaration of the command-line arguments of the commands in the folder ``cli/tuning``.
 
-The code of a command is imported only when that command runs. Therefore help texts appear fast.
+The code of a command is imported only when that command runs. Because the code of commands is
+imported late, help texts appear fast.
 """
 
 import argparse

@@ -27,7 +27,7 @@ from handctl.session.run_plan import check_gain_margins
 from handctl.tune.gains_store import GainsStore, StoredGains
 
 GAIN_CHANGE_TIMEOUT_S = 3.0
-"""Longest time until a running controller has completed a design with new gains and uses them [s]."""
+"""Longest time until a running controller uses new gains, including the design with the new gains [s]."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -83,13 +83,13 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
 def gain_meaning(gain: GainBounds) -> str:
     """Return the meaning and the unit of a gain.
 
-    Both come from the first line of the gain's description.
+    The meaning and the unit come from the first line of the gain's description.
     """
     return gain.meaning.partition("\n")[0]
 
 
 def _provenance_text(provenance: GainsProvenance) -> str:
-    """Return a phrase about the origin of gains: the number, the time and the sources."""
+    """Return a phrase about the origin of gains: their number in the history, their time and their sources."""
     sources = [*provenance.log, *filter(None, (provenance.fit, provenance.study, provenance.note))]
     number = f", number {provenance.number}" if provenance.number else ""
     date_text = f", made {provenance.made}" if provenance.made else ""
@@ -123,7 +123,8 @@ def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
 def _gains_to_compare(gains_name: str, hand: Hand) -> Gains:
     """Return the set of gains with the name ``gains_name``.
 
-    This name is "packaged", "present", a number in the history, a log, or a gains file.
+    The name of a set of gains is "packaged", "present", a number in the history, a log, or a gains
+    file.
 
     Raises:
         ConfigError: the history contains no entry with this number.
@@ -173,8 +174,8 @@ def _apply_file(args: argparse.Namespace, hand: Hand) -> int:
 def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
     """Restore earlier gains of the hand from the history.
 
-    If no number is given and the file of the present gains cannot be used, restore the newest entry
-    of the history.
+    If the command line gives no number and the file of the present gains cannot be used, restore
+    the newest entry of the history.
     """
     store = GainsStore(hand.name, hand.identity)
     entries = store.history_entries()
@@ -184,7 +185,7 @@ def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _rename_unusable_gains(store: GainsStore) -> bool:
-    """Rename the file of the present gains if it is unusable, and report its new name.
+    """Rename the file of the present gains if it is unusable, and report the new name of the file.
 
     Return True if a file was renamed.
     """

@@ -62,8 +62,8 @@ BLOCKED_DIGIT_HINT = (
 def run(args: argparse.Namespace) -> int:
     """Excite a hand with a series of motions, or read logs of such motions.
 
-    Then fit the parameters of the hand to the data, report the parameters, and save them. Return
-    the exit code.
+    The command then fits the parameters of the hand to the data, reports the parameters, and saves
+    them. Return the exit code.
     """
     source_count = sum(map(bool, (args.bus, args.lockstep, args.logs)))
     if source_count != 1:
@@ -305,7 +305,7 @@ def _report_results(
 def _print_rejected_parameters(
     blocked_digits: dict[str, str], reason_of_tendon: dict[str, str], incoherent_tendons: list[str]
 ) -> None:
-    """Print the parameters that are not kept, and the reason for each.
+    """Print the parameters that are not kept, and the reason for each rejected parameter.
 
     Args:
         blocked_digits: for each digit that was blocked, the event that reports the blocking.
@@ -333,7 +333,7 @@ def _print_rejected_parameters(
 def _search_command(args: argparse.Namespace, path: Path) -> str:
     """Return the command line that tunes gains for the identified hand.
 
-    The options of this command line select the same hand.
+    The options of the returned command line select the same hand.
     """
     words = ["handctl", "tune", "search", "--hand", str(args.hand), "--calibration", str(path)]
     return shlex.join(words + hand_arguments(args))

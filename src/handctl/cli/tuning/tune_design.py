@@ -24,7 +24,7 @@ from handctl.session.exit_codes import ExitCode
 from handctl.session.run_plan import control_rate
 
 TABLE_WIDTH = 100
-"""Width at which the table of margins cuts no number [columns]."""
+"""Width of the terminal at which no number in the table of margins is cut off [columns]."""
 MIN_POLE_HZ = 0.01
 MAX_DAMPING = 100.0
 
@@ -184,13 +184,13 @@ def _print_design(gain_design: Any, rate_hz: float, plant_count: int) -> None:
 def _margin_cells(margins_before: Any, margins_after: Any, missing_margin_text: str) -> list[str]:
     """Return the cells of a row of the table.
 
-    The row contains each margin twice: with the old gains and with the new gains.
+    A row of the table contains each margin twice: with the old gains and with the new gains.
 
     Args:
         margins_before: stability margins with the old gains.
         margins_after: stability margins with the designed gains.
-        missing_margin_text: text in the first cell if a loop has no margins. The other cells then contain a
-            dash.
+        missing_margin_text: text in the first cell if a loop has no margins. The other cells of a
+            loop without margins contain a dash.
     """
     from handctl.tune.loops.margins import MAX_DELAY_S, MAX_GAIN_DB
 

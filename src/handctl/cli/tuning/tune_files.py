@@ -49,7 +49,7 @@ def ensemble_of_tuned_hand(
     The plants form an ensemble around the best estimate of the hand. Without a calibration, the
     hand at the centre of the ensemble has the parameters of the hand file, multiplied by the
     factors of ``--perturb``. The identified values in a calibration already contain the effect of
-    these factors. With a calibration, the factors are therefore not applied again.
+    the factors of ``--perturb``. With a calibration, the factors are therefore not applied again.
 
     Raises:
         ConfigError: the number of plants is too small or too large, or ``--perturb`` is wrong.
@@ -101,8 +101,8 @@ class TunedHand(NamedTuple):
         hand: hand with the parameters of the hand file. A gains file contains the name and the
             identity of this hand.
         identified_hand: hand with identified parameters in place of the parameters in the file.
-            This hand is the model of the controller, as in a run with the same calibration. This
-            hand is also the centre of the ensemble of simulated plants.
+            The identified hand is the model of the controller, as in a run with the same
+            calibration. The identified hand is also the centre of the ensemble of simulated plants.
         half_width_by_factor: half width of the ensemble for each parameter, from the identification, see
             ``sample_ensemble``.
     """

@@ -104,7 +104,8 @@ def _designed_gains(
 ) -> tuple[Gains, ...]:
     """Return the gains that ``tune design`` finds for the same simulated plants.
 
-    The search also starts from these gains. If the design fails, return an empty tuple.
+    The gains of the design are one of the starting points of the search. If the design fails,
+    return an empty tuple.
     """
     from handctl.tune.loops.gain_design import design_gains, linear_factors
 

@@ -1,6 +1,6 @@
 """``handctl tune verify``: test new gains on the hand, in rounds of rising amplitude.
 
-If a round fails, the hand returns to its old gains.
+If the hand fails a test round, it returns to its old gains.
 """
 
 import argparse
@@ -156,10 +156,10 @@ def _judge_run(
 def _stop_reason(failure: str, verify_observer: Any, round_count: int) -> str:
     """Return the reason why a test run did not pass all of its rounds.
 
-    If the run passed all rounds, the text is empty.
+    If the run passed all rounds, the returned text is empty.
 
     A blocked digit comes before all other reasons, because a blocked digit explains most of the
-    others.
+    other reasons.
     """
     if verify_observer.blocked:
         return str(verify_observer.blocked)
@@ -262,7 +262,7 @@ def _print_rounds(
     if result.get("columns"):
         _print_columns(result)
     console.print(f"log: {result['log']}\npicture: {result['picture']}", soft_wrap=True)
-    # The last line is the verdict, even if a run has ended early.
+    # The last line of the report says whether the new gains passed, even if a run has ended early.
     if result["verified"]:
         words = ("handctl", "gains", "apply", str(args.candidate), "--hand", str(args.hand))
         apply = shlex.join(words)

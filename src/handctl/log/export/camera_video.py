@@ -2,9 +2,9 @@
 
 A video has one image for each frame of an episode. The program ``ffmpeg`` decodes and encodes the
 videos. Each frame of the dataset gets the latest image that the camera had recorded by the time of
-this frame. Source of the layout: LeRobot 0.4, ``datasets/lerobot_dataset.py`` and
-``video_utils.py``. Each episode has its own video file. The statistics are computed for each colour
-channel. The values of a channel are from 0 to 1.
+this frame. Source of the layout of the video files: LeRobot 0.4, ``datasets/lerobot_dataset.py``
+and ``video_utils.py``. Each episode has its own video file. The statistics of the images are
+computed for each colour channel. The values of a colour channel are from 0 to 1.
 """
 
 import shutil
@@ -21,16 +21,16 @@ from handctl.printing import printable_text
 
 VIDEO_PATH_PATTERN = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 FILES_PER_CHUNK = 1000
-"""Largest number of videos in one folder. LeRobot calls such a folder a chunk."""
+"""Largest number of videos in one folder. LeRobot calls a folder of videos a chunk."""
 MAX_MISSING_VIDEO_S = 0.5
-"""Longest time at the start or end of an episode that may lack camera frames [s].
+"""Longest accepted time without camera frames at the start or end of an episode [s].
 
-The first or last camera frame then fills this time.
+The first or last camera frame fills the time without camera frames.
 """
 STATISTICS_WIDTH = 160
 """Largest width of the images from which statistics are computed [pixels].
 
-Wider images are scaled down.
+Images that are wider than this limit are scaled down for the statistics.
 """
 PIXEL_VALUE_COUNT = 256
 """Number of different values that a colour channel can have."""
@@ -84,7 +84,7 @@ def make_cameras(
         names: name of each camera.
         paths_by_camera: video files of each camera, one for each log.
         start_times_s: time from the start of each run to the first frame of its video [s]. A single
-            value applies to all runs.
+            time applies to all runs.
         logs: number of logs.
 
     Raises:

@@ -45,7 +45,7 @@ PRISMATIC_UNITS = {"rad": "m", "rad/s": "m/s", "N m": "N"}
 VARIANT_SUFFIX = re.compile("_(goal|raw|sigma)$")
 """Suffixes in the names of telemetry fields.
 
-The unit of a field is the same with and without such a suffix.
+A telemetry field has the same unit with a suffix such as `_raw` and without a suffix.
 """
 
 
@@ -85,7 +85,8 @@ def column_unit(column: str, prismatic: Collection[str] = ()) -> str:
 
     Args:
         column: name of the column.
-        prismatic: names of the prismatic joints of the hand. Their positions are in m.
+        prismatic: names of the prismatic joints of the hand. The positions of prismatic joints are
+            in m.
     """
     if column in INTEGER_COLUMNS:
         return INTEGER_COLUMNS[column]
@@ -100,7 +101,7 @@ def column_title(column: str, prismatic: Collection[str] = ()) -> str:
 
     If the name of the column already contains the unit, the title is the name.
 
-    The arguments are those of `column_unit`.
+    The arguments are the same as those of `column_unit`.
     """
     return column if column in INTEGER_COLUMNS else f"{column} [{column_unit(column, prismatic)}]"
 
@@ -132,8 +133,9 @@ def table_blocks(log: RunLog) -> Iterator[TableBlock]:
 def export_csv(log: RunLog, path: Path) -> int:
     """Write a log as CSV with one row for each tick, and return the number of rows.
 
-    The numbers are written with enough digits to restore the same bits. NaN becomes an empty field.
-    The first row contains the titles of the columns with their units: `tension/index_tendon [N]`.
+    Each number is written with enough digits to restore its exact value. NaN becomes an empty
+    field. The first row contains the titles of the columns with their units: `tension/index_tendon
+    [N]`.
 
     Raises:
         OSError: the file already exists or cannot be written.
@@ -179,9 +181,10 @@ def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
     """Yield the time [ns], the direction (R or T) and the content of all CAN frames, in the order of their times.
 
     The time of a received frame is its arrival. The time of a sent frame is the start of its tick.
-    If the tick has read a frame that arrived after this start, the time of the latest such frame is
-    used instead. On a local bus, this happens in every tick that reads a frame. There, the arrival
-    of a frame is the moment at which the tick reads the frame.
+    If a tick has read frames that arrived after the start of the tick, the sent frames of the tick
+    get the arrival time of the latest of these received frames. On a local bus, a received frame
+    always arrives after the start of the tick, because it arrives at the moment at which the tick
+    reads it.
     """
     pending_frames: list[tuple[int, str, Frame]] = []
     complete_until_ns = 0
@@ -193,8 +196,8 @@ def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
         pending_frames += [(max(start_ns, sent_ns), "T", frame) for frame in tick.frames]
         pending_frames.sort(key=itemgetter(0))
         # Frames that the next tick reads arrive after the start of the present tick. However, the
-        # kernel may deliver a frame slightly later than the frame's time stamp says. Therefore each
-        # frame is yielded one tick later.
+        # kernel can deliver a frame slightly later than the frame's time stamp says. Because of
+        # late deliveries by the kernel, this function yields each frame one tick later.
         ready_count = bisect_left(pending_frames, complete_until_ns, key=itemgetter(0))
         yield from pending_frames[:ready_count]
         pending_frames = pending_frames[ready_count:]

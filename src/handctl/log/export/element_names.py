@@ -1,7 +1,7 @@
 """Names of joint positions in LeRobot datasets. Each name contains the unit.
 
-The same names are used by the export of datasets, by the reader of datasets, and by the plug-in
-``lerobot_robot_handctl``.
+The export of datasets, the reader of datasets, and the plug-in ``lerobot_robot_handctl`` use the
+same names of joint positions.
 """
 
 from collections.abc import Collection, Iterable
@@ -19,7 +19,7 @@ def position_names(joints: Iterable[str], prismatic: Collection[str]) -> tuple[s
 
     Args:
         joints: names of the joints, in order.
-        prismatic: names of the prismatic joints among them.
+        prismatic: names of those joints that are prismatic.
     """
     return tuple(
         f"{joint}{PRISMATIC_SUFFIX if joint in prismatic else ANGLE_SUFFIX}" for joint in joints

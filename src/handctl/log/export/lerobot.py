@@ -5,15 +5,15 @@ active, sampled at equal intervals of time. The files have the layout of LeRobot
 3.0. One file contains the frames of all episodes. Each episode has one video for each camera. The
 feature `observation.state` contains joint angles [rad], positions of prismatic joints [m] and
 estimated tensions [N]. The feature `action` contains commanded joint angles and tensions. While a
-digit holds a tension, its joints have no commanded angle. For the joints of such a digit, `action`
-contains the estimated angles instead.
+digit holds a tension, its joints have no commanded angle. For the joints of a digit that holds a
+tension, `action` contains the estimated angles.
 
 The name of each vector element ends in a unit, for example `index_j1.pos_rad` or
 `index_tendon.tension_N`.
 
 The file `meta/stats.json` contains the statistics of the whole dataset. Columns of `meta/episodes`
-contain the statistics of each episode. LeRobot needs these statistics to split a dataset or to
-delete episodes.
+contain the statistics of each episode. LeRobot needs the statistics of each episode to split a
+dataset or to delete episodes.
 
 Source of the file paths and of the names of the fields: LeRobot 0.4 and 0.6, `datasets/utils.py`
 and `dataset_metadata.py`.
@@ -61,7 +61,7 @@ Array = NDArray[np.float64]
 FeatureStatistics = dict[str, dict[str, list[Any]]]
 """Values of each statistic of each feature.
 
-The first key is the name of the feature, the second that of the statistic.
+The first key is the name of the feature, and the second key is the name of the statistic.
 """
 
 
@@ -94,14 +94,14 @@ def export_lerobot(
     Args:
         logs: one or more logs of one hand at one control rate.
         path: folder of the dataset, which must not exist yet.
-        fps: frame rate of the dataset, at most the control rate [Hz]. If it is None, the control
-            rate is used.
+        fps: frame rate of the dataset, at most the control rate [Hz]. If ``fps`` is None, the
+            control rate is used.
         cameras: cameras, each with a video for each log.
 
     Raises:
         ConfigError: the frame rate is out of range.
-        LogError: the hand was never active in some log, the logs belong to different hands or
-            control rates, or a video does not cover a whole episode.
+        LogError: the hand was never active in some log, the logs have different hands or control
+            rates, or a video does not cover a whole episode.
         OSError: the folder already exists or cannot be written.
     """
     first_log = logs[0]
@@ -178,8 +178,8 @@ def _write_videos(
     """Write the videos of a camera, one for each episode.
 
     Raises:
-        LogError: a video does not cover the whole episode, or its images have another size than
-            those of the first video.
+        LogError: a video does not cover the whole episode, or its images have another size than the
+            images of the first video.
     """
     episode_videos = list[EpisodeVideo]()
     for number, episode in enumerate(episodes):
@@ -255,7 +255,8 @@ def _check_same_hand_and_rate(
 def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
     """Return, for each frame of the dataset, the index of the tick from which the frame takes its values.
 
-    It is the last tick at or before the time of the frame, even if ticks are missing in the log.
+    A frame takes its values from the last tick at or before its time, even if ticks are missing in
+    the log.
 
     Raises:
         LogError: the hand was never active, or the ticks are out of order.
@@ -267,8 +268,8 @@ def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
     start = int(log.t_ns[active[0]])
     end = int(log.t_ns[active[-1]])
     frames = (end - start) * fps // 10**9 + 1
-    # The times are integers, rounded to the nearest nanosecond. With integers, the times of the
-    # frames stay exact over hours.
+    # The times of the frames are integers, rounded to the nearest nanosecond. With integers, the
+    # times of the frames stay exact over hours.
     grid = start + (np.arange(frames) * 10**9 + fps // 2) // fps
     return np.asarray(np.searchsorted(log.t_ns, grid, "right") - 1, np.intp)
 
@@ -316,8 +317,8 @@ def _standard_deviation_name(name: str) -> str:
 def _fill_missing_values(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
     """Return a telemetry field (frames, n) in which each NaN is replaced by a number.
 
-    A NaN is replaced by the last number above it in the same column. If there is no number above,
-    the first number below takes its place. A column without any number becomes zero.
+    A NaN is replaced by the last number above it in the same column. If there is no number above
+    the NaN, the first number below the NaN replaces it. A column without any number becomes zero.
     """
     values = log.field(name)[rows]
     for column in values.T:
@@ -416,8 +417,8 @@ def _episode_table(
 def _task_table(tasks: list[str]) -> pa.Table:
     """Return the table with the descriptions of all tasks.
 
-    The descriptions are the index of this table. Metadata in the schema tell pandas to use this
-    column as the index.
+    The column with the descriptions is the index of the table. Metadata in the schema of the table
+    tell pandas to use the column with the descriptions as the index.
     """
     table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": tasks})
     columns = [
@@ -478,7 +479,7 @@ def _info_content(
 def _feature_statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
     """Return the statistics of a feature of the dataset over all given frames.
 
-    With these statistics, LeRobot normalises the feature.
+    LeRobot normalises a feature with the statistics of the feature.
     """
     table = np.asarray(values, np.float64).reshape(len(values), -1)
     statistics = {

@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 MAX_CHANNELS = 1000
 """Largest accepted number of schemas in a chunk, and largest accepted number of channels."""
 MIN_BLOCK_LIMIT = 128
-"""Number of message blocks that a chunk of any size may have."""
+"""Number of message blocks that a chunk of any size is allowed to have."""
 BYTES_PER_BLOCK = 16
-"""A chunk may have one further message block for each such number of compressed bytes."""
+"""Number of compressed bytes of a chunk for which the chunk is allowed to have one further message block."""
 LINEAR_SEARCH_LIMIT = 4
 """Largest number of records of a block that are compared one by one.
 
 The end of a longer block is found with numpy.
 """
 _RECORD_STRUCT = struct.Struct("<BQ")
-"""Layout of the start of every record: opcode, length."""
+"""Layout of the start of every MCAP record: opcode, length."""
 _CHANNEL_STRUCT = struct.Struct("<H")
 MESSAGE_OPCODE = int(Opcode.MESSAGE)
 _MESSAGE_HEAD_BYTES = 11
@@ -89,9 +89,9 @@ def iter_messages(
 
     Args:
         content: the uncompressed chunk.
-        compressed_size: size of the compressed chunk [bytes]. This size limits the number of blocks, so that
-            a small file cannot cause a lot of work.
-        channels: ids of the channels to read. If it is None, all channels are read.
+        compressed_size: size of the compressed chunk [bytes]. The compressed size limits the number
+            of blocks, so that a small file cannot cause a lot of work.
+        channels: ids of the channels to read. If ``channels`` is None, all channels are read.
 
     Raises:
         ValueError: the chunk is damaged.
@@ -146,8 +146,9 @@ def _count_similar_records(content: bytes, offset: int, size: int) -> int:
             return count
         count += 1
         next_offset += size
-    # Each step compares four times as many records as the step before. So a long block needs few
-    # comparisons. An `ndarray` with a stride reads only the first bytes of each record.
+    # Each pass of the loop compares four times as many records as the pass before. As a result, a
+    # long block of records needs few comparisons. An `ndarray` with a stride reads only the first
+    # bytes of each record.
     while count < max_count:
         number = min(step, max_count - count)
         record_heads = np.ndarray(

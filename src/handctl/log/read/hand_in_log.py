@@ -34,8 +34,9 @@ def described_hand(header: RunHeader, location: str) -> Hand:
 def prismatic_joints(header: RunHeader) -> frozenset[str]:
     """Return the names of the prismatic joints in a log.
 
-    The positions of these joints are in m. If the log contains no valid description of the hand,
-    all joints count as hinges. So such a log can still be exported.
+    The positions of prismatic joints are in m. If the log contains no valid description of the
+    hand, all joints count as hinges. A log without a valid description of the hand can thus be
+    exported.
     """
     with suppress(ConfigError, LogError):
         return described_hand(header, "hand.toml in the log").prismatic_joints

@@ -1,6 +1,6 @@
-"""Access to a log file that may be truncated, damaged, or malicious.
+"""Access to a log file that is possibly truncated, damaged, or malicious.
 
-Before memory is allocated, every size that the file declares is checked.
+The reader checks every size that the file declares before it allocates memory of this size.
 
 Source: the faults of damaged and of malicious log files (I08, I09) in the catalogue of faults.
 """
@@ -33,8 +33,8 @@ class LogErrorContext:
     """Context `with LogErrorContext(where)`.
 
     If a bad file causes an exception in the context, a LogError with the position in the file is
-    raised instead. A log is read in thousands of pieces, and each piece needs a context. Therefore
-    this context is a class, because a generator would be slower.
+    raised instead. A log is read in thousands of pieces, and each piece needs a context. The
+    context is a class, because a context that is made from a generator function would be slower.
     """
 
     __slots__ = ("where",)
@@ -143,7 +143,7 @@ class LogFile:
     def range_crc(self, start: int, end: int, value: int = 0) -> int:
         """Return the CRC-32 of a part of the file.
 
-        The calculation can continue the CRC-32 of the bytes before this part.
+        The calculation can continue the CRC-32 of the bytes before this part of the file.
 
         Args:
             start: start of the part [bytes].
@@ -189,8 +189,8 @@ def _decompress_chunk(packed: bytes, chunk: ChunkLocation) -> bytes:
 
     The result has at most one byte more than the chunk declares.
     """
-    # If a chunk is longer than it declares, the additional byte shows this. In this case, the rest
-    # of the chunk need not be decompressed.
+    # One additional byte shows that a chunk is longer than it declares. The rest of a chunk that is
+    # too long need not be decompressed.
     if chunk.compression == "lz4":
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=chunk.size + 1))
     if chunk.compression == "zstd":

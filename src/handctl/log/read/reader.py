@@ -1,6 +1,6 @@
 """Reader of arrays, ticks and events of a recorded run.
 
-The log file may also be incomplete or damaged.
+The reader also accepts an incomplete or damaged log file.
 """
 
 import functools
@@ -40,7 +40,7 @@ from handctl.printing import printable_text
 Array = NDArray[np.float64]
 
 _MAX_CACHED_MESSAGE_TAILS = 1000
-"""Largest number of cached message ends. The cache has only ends without events."""
+"""Largest number of ends of Tick messages in the cache. The cache contains only message ends without events."""
 VALUES_START_OFFSET = 4 + 8 + 8 + 8
 """Offset of the values in a StatisticsValues message [bytes].
 
@@ -65,14 +65,14 @@ def _read_header(scan: RecordScan) -> RunHeader:
 
 
 _SEQUENCE_MASK = 0xFFFF_FFFF
-"""Mask of the low 32 bits of a tick number. These bits are the sequence number of a message."""
+"""Mask of the low 32 bits of a tick number. The low 32 bits of a tick number are the sequence number of a message."""
 
 
 class _ChunkIndex(NamedTuple):
     """Index of the chunks of a log.
 
     Attributes:
-        tick_heads: (ticks,) first part of each Tick message. This part has a constant length.
+        tick_heads: (ticks,) first part of each Tick message. The first part has a constant length.
         first_tick_of_chunk: (chunks + 1,) index of the first tick in each chunk. The last element is the
             number of all ticks.
         snapshots: index of the chunk that contains each snapshot. The keys are the sequence numbers
@@ -131,8 +131,8 @@ class RunLog:
                 checksum of each chunk is checked when the chunk is read.
 
         Raises:
-            LogError: the file is not a log of handctl, is damaged, or exceeds a limit. But a file
-                that ends early is accepted.
+            LogError: the file is not a log of handctl, is damaged, or exceeds a limit. A log file
+                that ends early causes no error.
         """
         self._file = LogFile(path)
         self._latest: tuple[ChunkLocation, dict[int, list[MessageRows]]] | None = None
@@ -215,8 +215,8 @@ class RunLog:
                 with LogErrorContext(self._file.position_text(chunk.offset)):
                     if data.shape[1] < 4 + TICK_HEAD_DTYPE.itemsize:
                         raise ValueError("a tick that is too short")
-                    # In each message, four bytes (the CDR encapsulation) come before the part whose
-                    # length is constant.
+                    # In each message, four bytes (the CDR encapsulation) come before the first
+                    # part, whose length is constant.
                     index_arrays.append(
                         np.ascontiguousarray(data[:, 4 : 4 + TICK_HEAD_DTYPE.itemsize]).view(
                             TICK_HEAD_DTYPE
@@ -229,7 +229,7 @@ class RunLog:
 
     @property
     def _tick_heads(self) -> NDArray[np.void]:
-        """Return the first part of each Tick message (ticks,). The length of this part is constant."""
+        """Return the first part of each Tick message (ticks,). All first parts have the same length."""
         return self._chunk_index.tick_heads
 
     def __len__(self) -> int:
@@ -296,7 +296,9 @@ class RunLog:
                 "one of " + ", ".join(TELEMETRY_FIELDS),
             )
         slices = columns_of_fields(self.header, self.fields)
-        if name not in slices:  # the version that wrote this log did not have this field
+        if (
+            name not in slices
+        ):  # the version of handctl that wrote the log did not have the requested field
             return np.full((len(self), len(self.names(name))), np.nan)
         if 8 * self._telemetry_column_count * len(self) <= _CACHE_BYTES:
             return self._all_telemetry[:, slices[name]]
@@ -390,7 +392,8 @@ class RunLog:
     def clock_pairs(self) -> list[ClockPair]:
         """Return all readings of the wall clock and the monotonic clock in the log.
 
-        The recorder reads both clocks at the same moment, every ten seconds.
+        The recorder reads the wall clock and the monotonic clock at the same moment, every ten
+        seconds.
 
         The log of a lockstep run has no readings of clocks.
         """
@@ -475,7 +478,7 @@ class RunLog:
         for index, (chunk, message) in enumerate(self._located_messages()):
             with LogErrorContext(self._file.position_text(chunk.offset)):
                 # All ticks of one phase without events end with the same bytes: the phase and empty
-                # lists. Because of the cache, these bytes are not decoded again.
+                # lists. Because of the cache, equal ends of messages are decoded only once.
                 tail_bytes = message[message_layout(message).tail_offset :]
                 phase = phase_of_tail.get(tail_bytes)
                 if phase is None:

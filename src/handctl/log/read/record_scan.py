@@ -36,7 +36,7 @@ The same limit applies to metadata records, to unknown records, and to damaged r
 MAX_COMPRESSION_RATIO = 64
 """Largest accepted ratio of the uncompressed size of all chunks to the size of the file.
 
-The log of a hand at rest is compressed to a fifteenth, well within this limit.
+The log of a hand at rest has the ratio 15, far below this limit.
 """
 
 _RECORD_STRUCT = struct.Struct("<BQ")
@@ -113,8 +113,8 @@ def scan_records(
 ) -> None:
     """Read the outermost records of a file, and add their content to a scan.
 
-    If the file ends early, no error is raised. In this case, `scan` contains all complete records,
-    and `scan.problem` describes the place where the file ends.
+    If the file ends early, no error is raised. If the file ends early, `scan` contains all complete
+    records, and `scan.problem` gives the position of the file's end.
 
     Args:
         file: the MCAP file.
@@ -122,8 +122,8 @@ def scan_records(
             shorter. An earlier scan continues at ``scan.end``. If an error is raised, the scan
             contains the records before the damage.
         is_checked: True to read the whole file and to check the checksum of the data section.
-        skip_chunk_content: True to skip damaged records if their ends are known. If it is False, a damaged record
-            raises an error.
+        skip_chunk_content: True to skip damaged records if their ends are known. If
+            ``skip_chunk_content`` is False, a damaged record raises an error.
 
     Raises:
         LogError: the file is not an MCAP file, is damaged before the end, or exceeds a limit.
@@ -136,15 +136,16 @@ def scan_records(
         and file.read_range(file.size - len(MCAP_MAGIC), len(MCAP_MAGIC)) == MCAP_MAGIC
     )
     scan.end = max(scan.end, len(MCAP_MAGIC))
-    # If no records were skipped, the only problem that a continued scan can have is the end of the
-    # shorter file.
+    # If the earlier scan skipped no records, its only possible problem is the early end of the
+    # file, which was shorter at that time.
     scan.problem = scan.problem if scan.skipped_ranges else ""
     unpacked = sum(chunk.size for chunk in scan.chunks)
     while scan.end + _RECORD_STRUCT.size <= file.size:
         at = scan.end
         code, length = _RECORD_STRUCT.unpack(file.read_range(at, _RECORD_STRUCT.size))
         end = at + _RECORD_STRUCT.size + length
-        # The opcode 0 is never valid. But after a power failure, a file may end with zeros.
+        # The opcode 0 is never valid. However, after a power failure, a log file can end with
+        # zeros.
         if code == 0 or end > file.size:
             if is_finished:
                 raise LogError(

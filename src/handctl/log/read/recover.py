@@ -22,7 +22,7 @@ from handctl.output_files import atomic_path
 class RecoveryStatus(enum.IntEnum):
     """Result of the recovery of a log.
 
-    The number of the result is also the exit code of ``handctl log recover``.
+    The integer value of a status is also the exit code of ``handctl log recover``.
     """
 
     WHOLE = 0

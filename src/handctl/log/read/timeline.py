@@ -10,9 +10,9 @@ from handctl.core.tick_types import TickEvent
 from handctl.errors import LogError
 
 MAX_RUN_PERIODS = 1_000_000
-"""Number of tick periods that a run may last, even if its log has few ticks."""
+"""Number of tick periods that a run is allowed to last, even if its log has few ticks."""
 EXTRA_RUN_PERIODS_PER_TICK = 10
-"""Number of tick periods by which each tick in the log extends this limit."""
+"""Number of tick periods by which each tick in the log extends the limit MAX_RUN_PERIODS."""
 
 
 class LoggedEvent(NamedTuple):
@@ -55,7 +55,8 @@ def phase_of_each_tick(
 def check_tick_times(t_ns: NDArray[np.int64], period_ns: int) -> None:
     """Raise an error if the times of the ticks cannot belong to a run with a constant period.
 
-    Without this check, a log with wrong times could require a table that does not fit into memory.
+    Without the check of the tick times, a log with wrong times could require a table that does not
+    fit into memory.
 
     Args:
         t_ns: (ticks,) times of the ticks [ns].

@@ -16,7 +16,7 @@ from handctl.log.topics.message_streams import (
 )
 
 _ID_MASK = 0x1FFF_FFFF
-"""The 29 identifier bits of can_id. The three bits above them are flags, as in SocketCAN."""
+"""The 29 identifier bits of can_id. The three bits above the identifier are flags, as in SocketCAN."""
 
 
 def can_frame_template(bus: str) -> MessageTemplate:
@@ -127,7 +127,7 @@ class _DirectionTopics:
         log = stamps.log_times.tolist()
         times = measured_ns.tolist()
         # `rest` contains the payload bytes after the eighth byte of those frames that have not been
-        # encoded yet. Classical frames have no such bytes.
+        # encoded yet. Classical frames have at most eight payload bytes.
         for index, (can_id, length) in enumerate(zip(*columns, strict=True)):
             extra_bytes = max(length - 8, 0)
             payload = data[8 * index : 8 * index + min(length, 8)] + bytes(

@@ -1,8 +1,9 @@
 """Topic with readings of the wall clock and the monotonic clock.
 
-Both clocks are read at the same moment, every ten seconds. These readings show whether the wall
-clock was set during the run. The recorder reads these clocks. The controller does not. The log of a
-run in lockstep contains no such readings, because its messages depend only on the ticks.
+Both clocks are read at the same moment, every ten seconds. The readings of both clocks show whether
+the wall clock was set during the run. The recorder, and not the controller, reads both clocks. The
+log of a run in lockstep contains no readings of clocks, because its messages depend only on the
+ticks.
 """
 
 import struct
@@ -20,7 +21,7 @@ MIN_STEP_NS = 50_000_000
 """Smallest step of the wall clock that is reported [ns].
 
 A gradual adjustment (slewing) shifts the wall clock by at most 5 ms in ten seconds (adjtimex: 500
-ppm). Therefore it is not reported.
+ppm). Therefore a gradual adjustment of the wall clock is not reported.
 """
 _CLOCK_PAIR_STRUCT = struct.Struct("<4xII8xqq")
 """Layout of a message: encapsulation, stamp, empty frame_id with padding, readings of both clocks."""

@@ -68,7 +68,7 @@ def _append_parameter(writer: CdrWriter, name: str, value: str) -> None:
 def encode_parameter_event(
     t_ns: int, new_gains: dict[str, str], changed_gains: dict[str, str]
 ) -> bytes:
-    """Encode gains that are new or have changed as rcl_interfaces/ParameterEvent.
+    """Encode new and changed gains as rcl_interfaces/ParameterEvent.
 
     A gain whose text is a number is written as a double.
     """
@@ -102,8 +102,8 @@ def _changed_indexes(
 class EventTopics:
     """Topics for events and changes.
 
-    Events are written as log lines. Changes are those of the grasp phase, the mode, the reaction to
-    faults, and the gains.
+    Events are written as log lines. The other topics report changes of the grasp phase, the mode,
+    the reaction to faults, and the gains.
     """
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
@@ -184,7 +184,8 @@ def _rosout_lines(tick: TickRecord) -> Iterator[tuple[str, str, str]]:
         number = f" ({io_event.number})" if io_event.number != 1 else ""
         yield "warn", "io", " ".join(filter(None, (io_event.kind, io_event.where))) + number
     for request in tick.tick_in.requests:
-        # Streamed targets are not among these lines, because they have a topic of their own.
+        # The log lines do not contain the targets that clients stream, because these targets have a
+        # topic of their own.
         if not is_routine_request(request):
             yield "info", "request", request_text(request)
     for event in tick.events:

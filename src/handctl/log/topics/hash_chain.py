@@ -1,8 +1,8 @@
-"""Hash chain over the ticks of a log. If a byte of a tick is changed, the chain breaks at this tick.
+"""Hash chain over the ticks of a log. If a byte of a tick is changed, the hash of this tick no longer matches.
 
 The chain shows if the log was damaged, or if an attached file was replaced. The chain is not a
-signature. After a change, an attacker can compute all hashes again. The last hash is in the end
-record of the log. If a copy of the last hash is kept in another place, any change of the log can be
+signature. An attacker who changes the log can compute all hashes again. The last hash is in the end
+record of the log. If a copy of the last hash is kept outside the log, any change of the log can be
 detected.
 """
 
@@ -36,8 +36,8 @@ def first_hash(
         for group, table in (("m", metadata), ("g", gains))
         for name, text in table.items()
     }
-    # Each text follows after its name and its length. So different sets of texts never give the
-    # same bytes.
+    # The hashed bytes contain the name and the length of each text before the text. As a result,
+    # different sets of texts never give the same bytes.
     for name, data in sorted(
         (texts | {f"a.{name}": data for name, data in attachments.items()}).items()
     ):

@@ -132,7 +132,8 @@ class HealthTopics:
     def _temperature_blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return the temperature messages.
 
-        Each message has the values of the first tick in an interval.
+        A temperature message has the values of the first tick in an interval of
+        TEMPERATURE_PERIOD_NS.
         """
         periods = batch.t_ns // TEMPERATURE_PERIOD_NS
         period_starts = np.flatnonzero(np.diff(periods, prepend=self._last_temperature))
@@ -160,7 +161,7 @@ class HealthTopics:
         return np.flatnonzero(has_changed | (np.diff(periods, prepend=last_period) != 0))
 
     def _count_frames(self, batch: TickBatch, first_tick: int, tick_end: int) -> None:
-        """Count the frames and io events of the ticks whose indices are from `first_tick` to `end_tick` - 1."""
+        """Count the frames and io events of the ticks whose indices are from `first_tick` to `tick_end` - 1."""
         for direction, frames in enumerate((batch.received, batch.sent)):
             first_row, end_row = np.searchsorted(frames.tick_indexes, (first_tick, tick_end))
             bus = np.bincount(frames.frames["bus"][first_row:end_row], minlength=len(self._frames))

@@ -74,7 +74,7 @@ class MessageStamps:
     sequence: NDArray[np.uint32]
 
     def select(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "MessageStamps":
-        """Return the log times and sequence numbers of some of these messages."""
+        """Return the log times and sequence numbers of the messages that `index` selects."""
         return MessageStamps(self.log_times[index], self.sequence[index])
 
 
@@ -126,12 +126,12 @@ class MessageStream:
         Args:
             stamps: log times and sequence numbers of the messages.
             values: values of the variable fields by name, each (n, size of the field).
-            measured_ns: (n,) times at which the values were measured [ns]. By default, they are equal
-                to the log times.
+            measured_ns: (n,) times at which the values were measured [ns]. By default, the log
+                times are used.
         """
         number = len(stamps.log_times)
-        # All messages begin as copies of the template. In a structured array, a single assignment
-        # then writes one field of all messages.
+        # All messages begin as copies of the template. In the structured array of the copies, a
+        # single assignment writes one field of all messages.
         rows = np.frombuffer(bytearray(self._record * number), self._dtype)
         measured_ns = stamps.log_times if measured_ns is None else measured_ns
         rows["sequence"] = stamps.sequence

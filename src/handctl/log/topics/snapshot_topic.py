@@ -1,6 +1,6 @@
 """Topic with a snapshot of the controller's state for each second of a run.
 
-With a snapshot, the controller can execute the later part of the log again.
+With a snapshot, the controller can execute the ticks after the snapshot again.
 """
 
 import struct

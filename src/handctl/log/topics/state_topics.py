@@ -235,8 +235,9 @@ class StateTopics:
             )
         for index, stream in enumerate(self._wrenches):
             force = np.zeros((len(batch.k), 3))
-            # A closing tip moves in the direction +y. The object pushes it in the opposite
-            # direction. With the expression `0.0 -`, the result is never -0.0.
+            # A closing fingertip moves in the direction +y. A grasped object pushes the closing
+            # fingertip in the opposite direction. With the expression `0.0 -`, the result is never
+            # -0.0.
             force[:, 1] = 0.0 - values_of_field["tip_force"][:, index]
             blocks.append(stream.block(stamps, {"force": force}))
         blocks.append(self._values.block(stamps, {"values": batch.numbers}))
@@ -255,8 +256,8 @@ class StateTopics:
     def _tendon_torque(self, tension: FloatArray, q: FloatArray) -> FloatArray:
         """Return the joint torques R^T f (n, J) from the tensions f at joint angles q [N m].
 
-        The sum is computed in a fixed order. In a matrix product, the order of the additions may
-        depend on n. The rounding of the result may then depend on n, too.
+        The sum is computed in a fixed order. In a matrix product, the order of the additions can
+        depend on n. The rounding of a matrix product can therefore depend on n.
         """
         torque = np.zeros((len(tension), self._arms.shape[1]))
         arms = (
@@ -296,7 +297,8 @@ class StateTopics:
         previous_start = np.concatenate([[first_start], start[:-1]])
         period = np.where(previous_start < 0, np.nan, (start - previous_start) * 1e-9)
         missed_ticks = np.clip(np.diff(batch.k, prepend=first_k) - 1, 0, 2**32 - 1)
-        # If no reply arrived in a tick, this time is the smallest int64. It is converted to NaN.
+        # If no reply of a drive arrived in a tick, the time of the last reply is the smallest
+        # int64. This function converts the smallest int64 to NaN.
         last_times_ns = np.full(len(start), np.iinfo(np.int64).min)
         np.maximum.at(last_times_ns, batch.received.tick_indexes, batch.received.frames["t_ns"])
         is_received = (last_times_ns > np.iinfo(np.int64).min) & (previous_start >= 0)

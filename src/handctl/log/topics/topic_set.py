@@ -27,7 +27,7 @@ TICK_TOPIC = "/tick"
 VALUES_TOPIC = "/controller/values"
 """Names of the two topics that the log reader needs: ticks and telemetry.
 
-Nearly all other topics can be computed from these topics and from the header.
+Nearly all other topics can be computed from the ticks, the telemetry and the header of the log.
 """
 
 
@@ -122,8 +122,8 @@ class TopicSet:
             variable_length_block(self._tick, stamps, batch.messages),
             *self._chain.blocks(batch, stamps),
         ]
-        # If the controller has failed, its numbers may overflow in these calculations. The log
-        # contains the results nevertheless.
+        # If the controller has failed, its numbers can overflow in the calculations of the
+        # messages. The log contains the results nevertheless.
         with np.errstate(all="ignore"):
             for topic_writer in self._parts:
                 blocks += topic_writer.blocks(batch, stamps)

@@ -17,7 +17,7 @@ from handctl.log.tick_batch import TickBatch, columns_of_fields
 from handctl.log.topics.message_streams import MessageStamps, MessageStream, TopicRegistry
 
 TRANSFORM_PERIOD_NS = 20_000_000
-"""Interval between messages with transforms [ns]. This rate of 50 Hz is enough for a viewer."""
+"""Interval between messages with transforms [ns]. A rate of 50 Hz is enough for a viewer."""
 ROOT_FRAME = "palm"
 """Name of the frame to which all link frames lead back."""
 DEFAULT_JOINT_AXIS = (0.0, 0.0, 1.0)

@@ -1,9 +1,9 @@
 """Sync of a file to disk.
 
-The caller does not wait for the sync. On a busy machine, a sync may take so long that the pipe to
-the recorder becomes full. A process that is forked from the recorder therefore calls fdatasync. In
-the forked process, only the log file and two pipes are open. The forked process ends when the
-recorder ends.
+The caller does not wait for the sync. On a busy machine, a sync can take so long that the pipe to
+the recorder becomes full. Instead of the recorder, a process that the recorder has forked calls
+fdatasync. In the forked process, only the log file and two pipes are open. The forked process ends
+when the recorder ends.
 """
 
 import itertools
@@ -13,7 +13,7 @@ from contextlib import suppress
 _MAX_READ_BYTES = 1 << 10
 """Largest number of waiting sync requests that one read takes. Each request is one byte."""
 _MAX_FILE_DESCRIPTORS = 1 << 16
-"""Upper limit of the file descriptors that are closed. All open descriptors are below it."""
+"""Upper limit of the file descriptors that are closed. All open descriptors are below this limit."""
 
 
 def sync_to_disk(descriptor: int) -> None:
@@ -38,7 +38,8 @@ class DiskSyncer:
     def __call__(self, descriptor: int) -> None:
         """Request a sync of the file to disk.
 
-        While a sync is running, new requests may arrive. The next sync serves all of them.
+        While a sync is running, new requests for a sync can arrive. The next sync serves all new
+        requests.
 
         Raises:
             OSError: an earlier sync failed.
@@ -71,8 +72,9 @@ class DiskSyncer:
 def _close_other_descriptors(*descriptors: int) -> None:
     """Close all file descriptors of the forked process except the given ones.
 
-    If this process kept other descriptors open, the controller would not notice the death of the
-    recorder. In addition, the disk space that the recorder has reserved could not be freed.
+    If the forked process kept other descriptors open, the controller would not notice the death of
+    the recorder. With other open descriptors in the forked process, the disk space that the
+    recorder has reserved could also not be freed.
     """
     edges = [-1, *sorted(descriptors), _MAX_FILE_DESCRIPTORS]
     for low, high in itertools.pairwise(edges):

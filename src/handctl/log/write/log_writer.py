@@ -24,14 +24,14 @@ from handctl.log.write.disk_syncer import sync_to_disk
 CHUNK_SPAN_NS = 250_000_000
 """Longest time span of a chunk [ns].
 
-If the recorder is killed, at most the ticks of this time are lost.
+If the recorder is killed, at most the ticks of one chunk are lost.
 """
 CHUNK_BYTES = 1 << 20
 """Total size of the collected tick records above which they are written as a chunk [bytes]."""
 RESERVED_BYTES = 512 << 10
 """Disk space that is reserved for the summary and footer of a log [bytes].
 
-This space is used if the disk becomes full.
+The writer uses the reserved disk space if the disk becomes full.
 """
 LOG_SCHEMA_VERSION = 1
 """Version of the topics and records of a log. The reader refuses logs of other versions."""
@@ -63,8 +63,8 @@ def _create_file(path: Path) -> int:
 class _ReservedDiskSpace:
     """Disk space that is reserved for the end of a log.
 
-    A file without a name occupies this space on the disk. If the recorder is killed, this file
-    disappears.
+    A file without a name occupies the reserved space on the disk. If the recorder is killed, the
+    file without a name disappears.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -124,8 +124,8 @@ class LogWriter:
             sync_file: function that takes a file descriptor, and syncs the file to the disk.
 
         Raises:
-            OSError: the file cannot be created. Later failures raise no error. Instead, `report` is
-                called with such failures.
+            OSError: the file cannot be created. A failure after the creation of the file raises no
+                error. Instead, the writer calls `report`.
         """
         self._clocks = clocks
         self._next_pair_ns = 0
@@ -230,7 +230,8 @@ class LogWriter:
         if self.closed or not self.has_pending_ticks:
             return
         batch = self._batcher.take_batch()
-        # Each tick number that does not occur counts as a missed tick, even between two chunks.
+        # Each tick number that does not occur in the log counts as a missed tick, even between two
+        # chunks.
         first_tick = self._last_k + 1 if self._last_k >= 0 else int(batch.k[0])
         self._missed += max(int(batch.k[-1]) - first_tick + 1 - len(batch.k), 0)
         self._last_k = int(batch.k[-1])

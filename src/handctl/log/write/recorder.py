@@ -30,13 +30,13 @@ from handctl.log.write.recorder_start import RecorderProcess, get_recorder_proce
 PIPE_BYTES = (8 << 20, 1 << 20)
 """Sizes to request for the pipe to the recorder, in order of preference [bytes].
 
-Linux grants the second size without privileges. A pipe of this size can contain more than 250 ticks
-of the largest hand.
+Linux grants a pipe of the second size to a process without privileges. A pipe of the second size
+can contain more than 250 ticks of the largest hand.
 """
 MIN_FREE_DISK_BYTES = 64 << 20
 """Free disk space below which a log is finished early [bytes].
 
-The recorder warns when the free space is below four times this value.
+The recorder warns when the free space is below four times MIN_FREE_DISK_BYTES.
 """
 START_TIMEOUT_S = 60.0
 """Longest wait until the recorder is ready at the start of a run [s]."""
@@ -45,15 +45,15 @@ CLOSE_TIMEOUT_S = 20.0
 LOCKSTEP_TIMEOUT_S = 60.0
 """Longest wait until the recorder accepts one record of a lockstep run [s]."""
 CALLS_PER_PROCESS_CHECK = 8
-"""Number of calls of ``Recorder.take_events`` from one look at the recorder process to the next.
+"""Number of calls of ``Recorder.take_events`` from one check of the recorder process to the next.
 
-A look needs two system calls. Events of the recorder may be some milliseconds late, because no
-event of the recorder stops the hand.
+A check of the recorder process needs two system calls. Events of the recorder can be some
+milliseconds late, because no event of the recorder stops the hand.
 """
 
 
 def _enlarge_pipe(descriptor: int) -> int:
-    """Ask the system for a larger pipe. Return the size that the system has granted [bytes]."""
+    """Ask the system for a larger pipe. Return the pipe size that the system has granted [bytes]."""
     for size in PIPE_BYTES if hasattr(fcntl, "F_SETPIPE_SZ") else ():
         with suppress(OSError):
             return fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, size)
@@ -61,7 +61,7 @@ def _enlarge_pipe(descriptor: int) -> int:
 
 
 class Recorder:
-    """Connection of the controller to a running recorder process. The method `start` creates it.
+    """Connection of the controller to a running recorder process. The method `start` creates the connection.
 
     Attributes:
         dropped: number of records that were lost because the pipe was full or the recorder process
@@ -99,13 +99,13 @@ class Recorder:
     ) -> Self:
         """Start recording, and wait until the log file contains the header.
 
-        If a recorder process has already been started in advance, this process is used.
+        If a recorder process has been started in advance, the connection uses this process.
 
         Args:
             path: path of the new log file.
             header: header of the run.
-            min_free_bytes: smallest amount of free disk space for the recording [bytes]. If less space
-                is free, the recorder finishes the log early.
+            min_free_bytes: smallest amount of free disk space for the recording [bytes]. If less
+                space is free, the recorder finishes the log early.
 
         Raises:
             LogError: the log file cannot be created, or the recorder process does not answer.
@@ -118,7 +118,7 @@ class Recorder:
         return recorder
 
     def _send_header(self, header: bytes) -> None:
-        """Send the header of the run to the recorder process, and wait for the answer."""
+        """Send the header of the run to the recorder process, and wait until the recorder has confirmed the header."""
         os.set_blocking(self._pipe, False)
         try:
             if not self._send(header, START_TIMEOUT_S):
@@ -157,8 +157,8 @@ class Recorder:
         """Write all bytes to the pipe, but wait at most `timeout_s` [s].
 
         Returns:
-            True if all bytes were written. If the result is False, no further record may be sent,
-            because the last record in the pipe is incomplete.
+            True if all bytes were written. If the result is False, the caller must not send further
+            records, because the last record in the pipe is incomplete.
         """
         end = time.monotonic() + timeout_s
         view = memoryview(data)
@@ -177,7 +177,8 @@ class Recorder:
     def send_record(self, data: bytes) -> bool:
         """Send one record.
 
-        A real-time run does not wait for a full pipe. A deterministic run waits.
+        If the pipe is full, a real-time run does not wait. A deterministic run waits until the pipe
+        has space.
 
         Args:
             data: encoded record, for example from `record.pack_tick_record`.
@@ -193,8 +194,9 @@ class Recorder:
             self.dropped += self._ended
             return not self._ended
         try:
-            # If only a part of the last record was written, the rest of it must be written first.
-            # Otherwise the recorder could not find the start of the next record.
+            # If only a part of the last record was written, the rest of this record must be written
+            # before the next record. Without the rest of the last record, the recorder could not
+            # find the start of the next record.
             if self._rest:
                 self._rest = self._rest[os.write(self._pipe, self._rest) :]
             if not self._rest:
@@ -212,13 +214,13 @@ class Recorder:
 
         Only one of every `CALLS_PER_PROCESS_CHECK` calls asks the recorder process for its events.
 
-        All these events have the kind "recorder".
+        All events of the recorder have the kind "recorder".
 
         `where` is one of:
             dropped: records were dropped. Value: number of dropped records.
             gone: the recorder process has ended.
-            filling: the pipe to the recorder has become more than half full. Value: bytes in it.
-            disk_low: little disk space is left. Value: number of free bytes.
+            filling: the pipe to the recorder has become more than half full. Value: number of bytes
+            in the pipe. disk_low: little disk space is left. Value: number of free bytes.
             disk_full: the log was finished early, because the disk is full. Value: number of free
                 bytes, or errno.
             error: a write to the log file has failed. Value: errno.
@@ -249,8 +251,8 @@ class Recorder:
     def _pipe_level_events(self) -> list[IoEvent]:
         """Return an event if the pipe has become more than half full since the last call.
 
-        A deterministic run never gets this event, because the level in the pipe depends on the
-        machine. Such a run waits while the pipe is full.
+        A deterministic run never gets the event of a filling pipe, because the level in the pipe
+        depends on the machine. A deterministic run waits while the pipe is full.
         """
         if self._lossless:
             return []
@@ -291,7 +293,7 @@ class Recorder:
         """End the recording of the run, and wait until the log file is complete.
 
         Args:
-            end_reason: reason why the run ended. The log contains it.
+            end_reason: reason why the run ended, which is written to the log.
             final_metadata: facts for the log that are known only at the end of the run, by the name of the
                 fact.
 

@@ -39,12 +39,12 @@ After the pause, one read returns the records of several ticks. During the pause
 comes close to full.
 """
 MIN_BYTES_WITHOUT_PAUSE = 64 << 10
-"""Number of bytes below which a pause follows a read."""
+"""Number of bytes returned by a read below which a pause follows the read."""
 MAX_UNWRITTEN_S = 0.15
 """Longest time for which a tick waits to be written to the file, in real time [s].
 
-The pause, the write and the delays of a busy machine add to this time. In all, a recorder that is
-killed loses less than 0.25 s of ticks.
+The pause after a read, the write to the file and the delays of a busy machine add to this time. If
+the recorder is killed, less than 0.25 s of ticks are lost in all.
 """
 SYNC_PERIOD_S = 1.0
 """Interval between two requests to sync the file to disk [s]."""
@@ -52,7 +52,7 @@ RECORDER_NICE_VALUE = -10
 """Nice value of the recorder process.
 
 If the system permits it, the recorder has a higher priority than other programs. The control loop
-has real-time priority, which is higher still.
+has real-time priority, which is higher than the priority of the recorder.
 """
 
 
@@ -73,7 +73,7 @@ def report_event(event: str, number: int) -> None:
 class RecordSplitter:
     """Splitter that divides a byte stream into records.
 
-    The splitter keeps an incomplete record until its rest arrives.
+    The splitter keeps an incomplete record until the missing bytes of the record arrive.
     """
 
     def __init__(self) -> None:
@@ -108,7 +108,7 @@ class RecorderSession:
     """
 
     def __init__(self) -> None:
-        """Create a session without a log file. The first records name the file and open it."""
+        """Create a session without a log file. The first records name the log file and open this file."""
         self.path = Path()
         self._floor = 0
         self._splitter = RecordSplitter()
@@ -133,8 +133,9 @@ class RecorderSession:
             now = time.monotonic()
             if self._writer and self._wall_flush and now >= last_flushed + MAX_UNWRITTEN_S:
                 self._writer.flush()
-            # `last_flushed` is the last time at which no tick was waiting to be written to the file. So
-            # MAX_UNWRITTEN_S counts from the arrival of the oldest tick that waits.
+            # `last_flushed` is the last time at which no tick was waiting to be written to the
+            # file. With `last_flushed`, MAX_UNWRITTEN_S counts from the arrival of the oldest tick
+            # that waits.
             if not (self._writer and self._writer.has_pending_ticks):
                 last_flushed = now
             if self._writer and now >= next_sync_time:

@@ -3,8 +3,8 @@
 A process that is started in advance does not know yet which run it will record. The recorder
 process needs half a second for its imports. If a command records a run, the command starts the
 recorder process before the command imports other modules (`prestarted_recorder_process`).
-Both processes then import modules at the same time, each on one core. Therefore this module itself
-imports only a few modules.
+The command and the recorder process import modules at the same time, each on one core. This module
+itself imports only a few modules, so that the command can start the recorder process early.
 """
 
 import os
@@ -38,7 +38,7 @@ class RecorderProcess(NamedTuple):
 _started_ahead: list[RecorderProcess] = []
 """Recorder process that `prestarted_recorder_process` has started, until a recorder takes it.
 
-The list has at most this one element.
+The list has at most one element.
 """
 
 
@@ -63,9 +63,8 @@ def start_recorder_process() -> RecorderProcess:
 def prestarted_recorder_process() -> Iterator[None]:
     """Start a recorder process in advance.
 
-    The first recorder that is created in this block uses this process.
-
-    If no recorder has used the process, it is ended at the end of the block.
+    The first recorder that is created in the `with` block uses the process. If no recorder has used
+    the process, it is ended at the end of the `with` block.
     """
     _started_ahead.append(start_recorder_process())
     try:
@@ -78,6 +77,6 @@ def prestarted_recorder_process() -> Iterator[None]:
 def get_recorder_process() -> RecorderProcess:
     """Return the recorder process that `prestarted_recorder_process` has started.
 
-    If there is none, start a recorder process.
+    If no recorder process was started in advance, start a recorder process.
     """
     return _started_ahead.pop() if _started_ahead else start_recorder_process()

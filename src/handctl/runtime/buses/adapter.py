@@ -11,7 +11,7 @@ SYSFS_NETWORK_FOLDER = Path("/sys/class/net")
 FULL_SPEED_MBIT_S = 12
 """Data rate of USB full speed [Mbit/s].
 
-Full speed has one USB frame per millisecond. High speed has one micro-frame per 125 us.
+USB full speed has one USB frame per millisecond. USB high speed has one micro-frame per 125 us.
 """
 
 
@@ -21,7 +21,8 @@ class UsbAdapter(NamedTuple):
     Attributes:
         driver: name of the adapter's Linux driver, or an empty text if it is unknown.
         usb_speed_mbit_s: speed of the USB device [Mbit/s], or 0 for an adapter without USB.
-        serial: serial number of the USB device, or an empty text if there is none.
+        serial: serial number of the USB device, or an empty text if the device has no serial
+            number.
     """
 
     driver: str = ""
@@ -32,7 +33,7 @@ class UsbAdapter(NamedTuple):
     def is_full_speed(self) -> bool:
         """Return True if the adapter runs at USB full speed.
 
-        At full speed, an adapter exchanges CAN frames only once per millisecond.
+        At USB full speed, an adapter exchanges CAN frames only once per millisecond.
         """
         return 0.0 < self.usb_speed_mbit_s <= FULL_SPEED_MBIT_S
 
@@ -48,8 +49,8 @@ def read_adapter(name: str, network_folder: Path = SYSFS_NETWORK_FOLDER) -> UsbA
     if not device.exists():
         return None
     driver = device / "driver"
-    # For a USB adapter, this path leads to the USB interface, and the parent folder is the USB
-    # device.
+    # For a USB adapter, the path ``device`` leads to the USB interface, and the parent folder is
+    # the USB device.
     usb_device = device.resolve().parent
     speed = _read_text(usb_device / "speed")
     return UsbAdapter(
@@ -62,7 +63,7 @@ def read_adapter(name: str, network_folder: Path = SYSFS_NETWORK_FOLDER) -> UsbA
 def _read_text(path: Path) -> str:
     """Return the content of a text file without its line end.
 
-    If the file cannot be read, the text is empty.
+    If the file cannot be read, the returned text is empty.
     """
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()

@@ -11,9 +11,9 @@ Kinds:
 - ``error_frame``, ``error_warning``, ``error_passive``, ``error_active``, ``bus_off``,
   ``restarted``: states reported by the CAN controller of the interface
 
-Some states last: ``bus_off``, ``error_passive`` and ``enodev``. Every call of ``take_events``
-reports such a state again, until the state ends. The fault detectors count the ticks in which such
-a state lasts.
+The states ``bus_off``, ``error_passive`` and ``enodev`` are lasting states. Every call of
+``take_events`` reports a lasting state again, until the state ends. The fault detectors count the
+ticks in which a lasting state is present.
 """
 
 import errno
@@ -61,7 +61,7 @@ ERROR_CLASS_NAMES = (
     "bus error",
     "restarted",
 )
-"""Names of these classes of errors, in the order of their bits. The lowest bit comes first."""
+"""Names of the classes of errors in an error frame, in the order of their bits. The lowest bit comes first."""
 OVERFLOW_MASK, TX_OVERFLOW_MASK, WARNING_MASK, PASSIVE_MASK, ACTIVE_MASK = (
     0x03,
     0x02,
@@ -79,7 +79,7 @@ transmit bit of OVERFLOW_MASK. Source: Linux ``can/error.h``.
 class BusEvents:
     """Events of one bus with their counts, and the lasting states.
 
-    Events are counted from the last call of ``take_events``.
+    The counts of events begin at the last call of ``take_events``.
     """
 
     def __init__(self, bus_name: str) -> None:
@@ -158,7 +158,7 @@ class BusEvents:
             self.set_persistent_event("error_passive", bool(status & PASSIVE_MASK))
 
     def take_events(self) -> list[BusEvent]:
-        """Return the events since the last call, followed by the lasting states."""
+        """Return the events since the last call of this method, followed by the lasting states."""
         if not self._counts and not self._lasting:
             return []
         events = [(kind, location, number) for (kind, location), number in self._counts.items()]

@@ -17,19 +17,20 @@ SIMULATED_PREFIXES = (
 )
 """Prefixes in the specifications of buses that cannot have real motors.
 
-On such a bus the time of a run may be scaled, and motion needs no confirmation by the operator.
+On a simulated bus, scaling of the time of a run is allowed, and motion needs no confirmation by the
+operator.
 """
 
 
 def real_buses(specs: Sequence[str]) -> list[str]:
-    """Return the specifications of buses that may have real motors."""
+    """Return the specifications of buses that possibly have real motors."""
     return [spec for spec in specs if not spec.startswith(SIMULATED_PREFIXES)]
 
 
 def _identity_conversion(t_ns: int) -> int:
     """Return an unchanged CLOCK_MONOTONIC time.
 
-    Programs without a run use this function, because they have no time of a run.
+    Programs that execute no run use this function, because they have no time of a run.
     """
     return t_ns
 

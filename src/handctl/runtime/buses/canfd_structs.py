@@ -2,8 +2,9 @@
 
     can_id 32 | length 8 | flags 8 | reserved 16 | data 64 x 8
 
-The local bus sends this struct. For a classical frame, a CAN socket fills only the first 16 bytes
-of the struct. Source: Linux ``can.h``. ``drives.frame_records`` describes the record.
+The local bus sends ``struct canfd_frame``. For a classical frame, a CAN socket fills only the first
+16 bytes of the struct. Source: Linux ``can.h``. The module ``drives.frame_records`` describes the
+record of a frame.
 """
 
 from typing import Any
@@ -39,7 +40,7 @@ MAX_CLASSICAL_PAYLOAD_BYTES = 8
 """Payload of the longest classical frame [bytes]."""
 PAYLOAD_WORDS = MAX_PAYLOAD_BYTES // 8
 """Number of words of eight bytes in the payload of a struct, and of a record."""
-# Lowest bits of the fields of a struct in its first word.
+# Positions of the lowest bits of the struct's fields in the first word of the struct.
 STRUCT_LENGTH_SHIFT = 32
 STRUCT_FLAGS_SHIFT = 40
 STRUCT_RESERVED_BIT = 48
@@ -117,7 +118,7 @@ def write_structs(records: WordRows, structs: WordRows, struct_sizes: WordRows) 
     """Convert records to structs. The flags of a classical frame become 0.
 
     Return the index of the first record with a payload that is too long for the kind of its frame.
-    If there is no such record, return the number of records.
+    If no payload is too long, return the number of records.
 
     Args:
         records: (n, WORDS_PER_RECORD) words of the records.
@@ -166,7 +167,7 @@ class FrameStructs:
     ) -> tuple[Frames, bool]:
         """Return the first ``count`` structs as frames.
 
-        The second value is True if one of them is an error frame.
+        The second returned value is True if one of these frames is an error frame.
 
         Args:
             count: number of structs to read.
@@ -185,8 +186,8 @@ class FrameStructs:
         Payload bytes after the end of a frame are set to zero.
 
         Returns:
-            (n,) number of bytes to send of each struct. It is the size of ``can_frame`` or of
-            ``canfd_frame``.
+            (n,) number of bytes to send of each struct. This number is the size of ``can_frame`` or
+            of ``canfd_frame``.
 
         Raises:
             ValueError: a payload is longer than its kind of frame can carry.

@@ -1,13 +1,14 @@
 """Offset between the wall clock and the clock CLOCK_MONOTONIC.
 
-This offset converts the reception times of CAN frames.
+The offset converts the reception times of CAN frames.
 
 The Linux kernel stamps received frames with the time of the wall clock. A run uses CLOCK_MONOTONIC.
 
-Both clocks run at the same rate. The offset changes only when the wall clock is set. A bus requests
-a new measurement when a frame has an impossible time stamp. In user-mode Linux, each clock reading
-is a system call. There, two readings in each tick would take as much time as the exchange of
-frames. Therefore each measurement is used many times.
+The wall clock and CLOCK_MONOTONIC run at the same rate. The offset between them changes only when
+the wall clock is set. A bus requests a new measurement of the offset when a frame has an impossible
+time stamp. In user-mode Linux, each clock reading is a system call. In user-mode Linux, two clock
+readings in each tick would take as much time as the exchange of frames, so each measured offset is
+used many times.
 Source: man 2 clock_gettime, man 7 vdso.
 """
 
@@ -16,10 +17,10 @@ import time
 CONVERSIONS_PER_MEASUREMENT = 256
 """Number of times that each measured offset is used before the next measurement.
 
-After a small step of the wall clock, at most this number of uses has the wrong offset.
+After a small step of the wall clock, at most this number of conversions uses the wrong offset.
 """
 READINGS_PER_MEASUREMENT = 3
-"""Number of clock readings in one measurement. The result is that of the fastest reading."""
+"""Number of clock readings in one measurement. The measurement uses the fastest reading."""
 
 
 class ClockOffset:
@@ -38,14 +39,14 @@ class ClockOffset:
         return self._offset_ns
 
     def request_measurement(self) -> None:
-        """Request a new measurement before the next use."""
+        """Request a new measurement of the offset before the next use."""
         self._uses_left = 0
 
     def _measure_offset(self) -> None:
         """Measure the offset between the clocks.
 
-        The result comes from the fastest of several readings, because the operating system may
-        interrupt the others.
+        The result comes from the fastest of several readings, because the operating system possibly
+        interrupts the other readings.
         """
         readings = [
             (time.monotonic_ns(), time.time_ns(), time.monotonic_ns())

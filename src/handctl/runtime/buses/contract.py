@@ -15,7 +15,7 @@ The function is linear, with a positive slope.
 
 
 class Bus(Protocol):
-    """CAN bus whose methods never block. No event on the wire makes a method raise an error."""
+    """CAN bus whose methods never block. No event on the wire of the bus makes a method raise an error."""
 
     @property
     def name(self) -> str:
@@ -35,12 +35,12 @@ class Bus(Protocol):
     def send(self, frames: Sequence[Frame]) -> int:
         """Send a batch of frames.
 
-        Return the number of accepted frames, which are the first frames of the batch. The other
-        frames are dropped, because a command must not be sent too late.
+        Return the number of accepted frames, which are the first frames of the batch. Frames that
+        the bus does not accept are dropped, because a command must not be sent too late.
 
         Args:
             frames: frames to send. A ``Frames`` object, as the control loop uses, is sent directly.
-                Other sequences are converted first.
+                Any other sequence of frames is converted to ``Frames`` before it is sent.
 
         Raises:
             ValueError: a payload is longer than a frame of its kind can carry.
@@ -50,7 +50,7 @@ class Bus(Protocol):
     def take_events(self) -> list[BusEvent]:
         """Return the events of the bus that have occurred since the last call.
 
-        The module ``events`` explains these events.
+        The module ``bus_events`` explains the events of a bus.
         """
         ...
 
@@ -67,7 +67,7 @@ class Bus(Protocol):
 
 
 def check_payload_size(frame: Frame) -> None:
-    """Raise an error if a frame of this kind cannot carry a payload of this length.
+    """Raise an error if the payload of a frame is too long for the kind of the frame.
 
     Raises:
         ValueError: the payload is longer than 8 bytes in a classical frame, or longer than 64 bytes

@@ -1,8 +1,8 @@
-"""Many datagrams in one system call.
+"""Sending and receiving of many datagrams in one system call.
 
 The module uses ``sendmmsg`` and ``recvmmsg`` of Linux with reused buffers. The ``socket`` module of
-Python has no such call. With one system call for each frame, these calls would take longer than all
-other work of an exchange.
+Python offers neither of these two calls. With one system call for each frame, the system calls
+would take longer than all other work of an exchange of frames.
 Source: man 2 recvmmsg, man 7 socket (SO_TIMESTAMPNS, SO_RXQ_OVFL), man 3 cmsg.
 """
 
@@ -18,7 +18,7 @@ SO_RCVBUFFORCE = 33
 SO_TIMESTAMPNS = 35
 SO_RXQ_OVFL = 40
 _SOL_SOCKET = int(socket.SOL_SOCKET)
-"""Level of the socket options above. Source of their numbers: Linux ``asm-generic/socket.h``."""
+"""Level of the socket options above. Source of the numbers of the socket options: Linux ``asm-generic/socket.h``."""
 
 
 class _Iovec(ctypes.Structure):
@@ -56,7 +56,7 @@ CONTROL_MESSAGES_STRUCT = struct.Struct("@NiillNiiI12x")
 TIME_STAMP_OFFSET = struct.calcsize("@Nii")
 """Offset of the time stamp's seconds in the control messages [bytes].
 
-The nanoseconds follow them.
+The nanoseconds of the time stamp follow its seconds.
 """
 TIME_STAMP_CONTROL_BYTES = struct.calcsize("@Niill")
 """Length of the control messages if they have a time stamp and no loss counter [bytes].
@@ -101,7 +101,8 @@ NS_PER_SECOND = np.int64(1_000_000_000)
 Datagram = tuple[int, int, int]
 """Received datagram: size [bytes], CLOCK_REALTIME [ns] (0 if missing), number of datagrams lost so far, modulo 2**32.
 
-The kernel omits the loss counter until the first loss. A missing counter counts as 0.
+The kernel omits the loss counter until the first loss of a datagram. A missing loss counter counts
+as 0.
 """
 
 
@@ -162,10 +163,10 @@ class DatagramSlots:
         """Return the common size of the first ``count`` datagrams [bytes].
 
         If each datagram must be read separately, return 0. The datagrams have a common size if all
-        have the same length and a time stamp, and if no loss counter has a new value. After the
-        first lost datagram, the kernel adds the loss counter to every datagram. In every tick, the
-        kernel usually writes the same bytes into the headers. Therefore the result for the last
-        bytes is kept in a cache.
+        of them have the same length and a time stamp, and if no loss counter has a new value. After
+        the first lost datagram, the kernel adds the loss counter to every datagram. The result for
+        the last bytes of the headers is kept in a cache, because the kernel usually writes the same
+        bytes into the headers in every tick.
 
         Args:
             count: number of received datagrams.
@@ -218,7 +219,7 @@ class DatagramSlots:
     def reception_stamps(self, count: int) -> NDArray[np.int64]:
         """Return the CLOCK_REALTIME stamps of the first ``count`` datagrams [ns].
 
-        All of these datagrams must have a time stamp.
+        Each of the first ``count`` datagrams must have a time stamp.
         """
         times: NDArray[np.int64] = self._seconds[:count] * NS_PER_SECOND
         times += self._nanoseconds[:count]

@@ -1,6 +1,6 @@
 """Shell commands that set up a CAN interface for a hand, and checks of the bit rates of an interface.
 
-The module ``link`` reads the state of an interface.
+The module ``link_state`` reads the state of a CAN interface.
 """
 
 import shlex
@@ -12,7 +12,7 @@ from handctl.runtime.buses.link_state import CanLinkState, MissingTool, read_lin
 CommandWords = tuple[str, ...]
 """A shell command as a list of words."""
 TX_QUEUE_FRAMES = 128
-"""Length of the transmit queue of an interface that these commands set up [frames].
+"""Length of the transmit queue that the set-up commands give to an interface [frames].
 
 The Linux default of 10 frames is too short for the frames that a large hand sends in one tick.
 """
@@ -30,15 +30,15 @@ def interface_setup_commands(
 ) -> tuple[CommandWords, ...]:
     """Return the shell commands that set up an interface for a hand.
 
-    Only root can run these commands.
+    Only root can run the returned commands.
 
     Args:
         channel: name of the interface. If the name begins with ``vcan``, the interface is virtual.
         bitrate: bit rate in the hand file [bit/s].
         data_bitrate: bit rate of the data phase in the hand file [bit/s], or None for a classical
             bus.
-        interface_exists: True if the interface exists. If a virtual interface does not exist, the commands
-            add it.
+        interface_exists: True if the interface exists. If a virtual interface does not exist, the
+            returned commands add this interface.
     """
     link = ("ip", "link", "set", channel)
     queue = (*link, "txqueuelen", str(TX_QUEUE_FRAMES))
@@ -59,7 +59,7 @@ def interface_setup_text(
 ) -> str:
     """Return the commands of ``interface_setup_commands`` in one line.
 
-    A user who is not root can run this line.
+    A user who is not root can run the returned line.
     """
     commands = interface_setup_commands(channel, bitrate, data_bitrate, interface_exists)
     return " && ".join(f"sudo {shlex.join(command)}" for command in commands)
@@ -68,7 +68,7 @@ def interface_setup_text(
 def wrong_bit_rate_text(channel: str, bitrate: int, data_bitrate: int | None) -> str:
     """Return a message if an interface has a wrong bit rate.
 
-    If all bit rates are right or unknown, the message is empty.
+    If all bit rates of the interface are right or unknown, the message is empty.
 
     Args:
         channel: name of the interface.
@@ -88,7 +88,7 @@ def bit_rate_mismatch_text(
 ) -> str:
     """Return a message if a bit rate in ``link`` is wrong.
 
-    If the bit rates are right or unknown, the message is empty.
+    If the bit rates in ``link`` are right or unknown, the message is empty.
     """
     if link.bitrate is None:
         return ""

@@ -30,8 +30,8 @@ class CanLinkState(NamedTuple):
             without a CAN controller.
         tx_error_counter: transmit error counter of the CAN controller.
         rx_error_counter: receive error counter of the CAN controller.
-        restart_ms: delay after which the interface restarts from bus-off [ms]. It is 0 if a person
-            must restart the interface, and None if there is no CAN controller.
+        restart_ms: delay after which the interface restarts from bus-off [ms]. The delay is 0 if a
+            person must restart the interface, and None if there is no CAN controller.
         event_counts: number of events since the interface was created, by kind: bus_error, error_passive,
             bus_off, tx_dropped, ...
     """

@@ -1,13 +1,14 @@
 """The local bus ``local:NAME``: a Unix stream socket to the hub.
 
-The hub is the part of the simulator that serves the bus. Each CAN frame is one record on the
-socket. A batch of frames is sent or read with a single system call.
+The hub is the part of the simulator that serves the bus. Each CAN frame is one record on the socket
+of the bus. A batch of frames is sent or read with a single system call.
 
     can_id 32 | length 8 | flags 8 | dropped 16 | data 64 x 8
 
 A record has 72 bytes, in the layout of ``struct canfd_frame`` of Linux. The two reserved bytes of a
-record count the frames that the hub has dropped for this receiver. The socket reports no times of
-reception. Therefore each frame gets the time at which the host read it.
+record count the frames that the hub has dropped for the receiver of the record. A Unix socket
+reports no times of reception. Therefore each frame on the local bus gets the time at which the host
+read it.
 """
 
 import socket
@@ -39,15 +40,15 @@ INITIAL_SEND_CAPACITY_RECORDS = 64
 QUEUE_REPORT_ID = 0xE0000000
 """Identifier of a queue report.
 
-With it, the hub reports the transmit queue of a simulated wire to its client. A hub that simulates
-no wire sends no queue report, and limits no queue.
+With a queue report, the hub informs a client about the client's transmit queue on a simulated wire.
+A hub that simulates no wire sends no queue report, and limits no transmit queue.
 """
 QUEUE_REPORT_STRUCT = struct.Struct("<II")
 """Payload of a queue report: number of a client's frames that have left the queue (modulo 2**32), queue capacity."""
 MAX_READS_PER_DRAIN = 4
 """Largest number of reads in one ``drain``.
 
-The limit keeps a flood of frames from delaying a tick.
+Because of the limit, a flood of frames cannot delay a tick.
 """
 CONNECT_TIMEOUT_S = 2.0
 """Longest wait for the hub to accept the connection [s]."""
@@ -57,7 +58,7 @@ def connect_to_hub(name: str) -> socket.socket:
     """Connect to the hub that serves ``local:NAME``, and return the socket.
 
     Raises:
-        NoSimulatorError: no process serves this bus.
+        NoSimulatorError: no process serves the bus ``local:NAME``.
         BusError: the hub belongs to another user.
     """
     path = local_bus_path(name)
@@ -78,11 +79,12 @@ def connect_to_hub(name: str) -> socket.socket:
 
 
 class LocalBus:
-    """Client of a local bus. The interface ``contract.Bus`` describes its methods.
+    """Client of a local bus. The interface ``contract.Bus`` describes the methods of the class.
 
     Attributes:
         name: specification of the bus.
-        early_frames: frames read during a ``send``. The next ``drain`` returns these first.
+        early_frames: frames read during a ``send``. The next ``drain`` returns these frames before
+            all others.
     """
 
     def __init__(
@@ -98,8 +100,8 @@ class LocalBus:
             channel: name of the bus.
             index: index of the bus in the list of the hand's buses.
             convert_time: function that converts a CLOCK_MONOTONIC time to the time of the run [ns].
-            max_records: largest number of records per read. If it is 1, the socket stays readable
-                as long as a frame waits to be read.
+            max_records: largest number of records per read. If ``max_records`` is 1, the socket
+                stays readable as long as a frame waits to be read.
 
         Raises:
             BusError: no process serves a bus of this name.
@@ -158,7 +160,7 @@ class LocalBus:
         return size
 
     def _report_lost_hub(self) -> None:
-        """Set the state that makes every later call of ``take_events`` report the end of the hub."""
+        """Begin the lasting state in which every call of ``take_events`` reports that the hub has ended."""
         self._closed = True
         self._events.set_persistent_event("enodev", True)
 
@@ -188,7 +190,7 @@ class LocalBus:
     def receive_one(self) -> Frame | None:
         """Return the next frame as an object, or None if no frame has arrived.
 
-        This method is for programs that process one frame at a time.
+        The method ``receive_one`` is for programs that process one frame at a time.
         """
         if self.early_frames:
             frame = self.early_frames[0]
@@ -212,29 +214,26 @@ class LocalBus:
     def _count_dropped_frames(self, hub_drop_count: int) -> None:
         """Count the frames that the hub has dropped since the last record.
 
-        Here, ``hub_drop_count`` is the counter of the hub, modulo 65536.
+        The argument ``hub_drop_count`` is the hub's counter of dropped frames, modulo 65536.
         """
         if hub_drop_count != self._dropped:
             self._events.add_event("dropped", (hub_drop_count - self._dropped) & 0xFFFF)
             self._dropped = hub_drop_count
 
     def _take_control(self, can_id: int, data: bytes) -> None:
-        """Process a frame that contains no data.
-
-        It is a queue report from the hub, or an error frame.
-        """
+        """Process a frame that is a queue report from the hub, or an error frame."""
         if can_id == QUEUE_REPORT_ID:
             self._transmitted_count, self._queue_frames = QUEUE_REPORT_STRUCT.unpack(data)
         else:
             self._events.add_error_frame(can_id, data)
 
     def _frames_fitting_queue(self, frames: Sequence[Frame]) -> Sequence[Frame]:
-        """Return the frames from the first to the last one for which the queue has room.
+        """Return the first frames of a batch, as many as the transmit queue has room for.
 
-        All other frames count as refused.
+        All other frames of the batch count as refused.
         """
         if len(frames) > self._free_queue_places():
-            # The hub may have reported a change of its queue since the last read.
+            # The hub has possibly reported a change of the transmit queue since the last read.
             self.early_frames = self.drain()
         free_queue_places = self._free_queue_places()
         if len(frames) > free_queue_places:
@@ -292,7 +291,7 @@ class LocalBus:
     ) -> int:
         """Store the rest of a partly sent record for the next call.
 
-        All later records are dropped.
+        All records after the partly sent record are dropped.
 
         Args:
             unsent_bytes: unsent part of the previous batch, followed by this batch.

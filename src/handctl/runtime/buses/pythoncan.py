@@ -1,8 +1,8 @@
 """CAN buses of all interfaces supported by python-can.
 
 Examples: ``virtual:x``, ``slcan:/dev/ttyACM0@115200``, ``pcan:PCAN_USBBUS1``. In each interface of
-python-can, time stamps start at a different zero. Therefore a frame gets the time at which the host
-has read it.
+python-can, time stamps start at a different zero. Therefore a frame from python-can gets the time
+at which the host has read it.
 """
 
 import time
@@ -20,7 +20,7 @@ from handctl.runtime.buses.contract import TimeConversion, check_payload_size
 MAX_FRAMES_PER_DRAIN = 4096
 """Largest number of frames in one ``drain``.
 
-The limit keeps a flood of frames from delaying a tick.
+Because of the limit, a flood of frames cannot delay a tick.
 """
 IDENTIFIER_MASK = 0x1FFFFFFF
 """Mask of the 29 bits of an identifier, without flag bits."""
@@ -102,7 +102,7 @@ def open_python_can(
 
 
 class PythonCanBus:
-    """A bus of python-can. The interface ``contract.Bus`` describes its methods."""
+    """A bus of python-can. The interface ``contract.Bus`` describes the methods of the class."""
 
     def __init__(
         self,
@@ -144,7 +144,7 @@ class PythonCanBus:
             except (
                 ValueError,
                 IndexError,
-            ):  # slcan raises these errors if it cannot decode the received characters
+            ):  # the interface slcan raises these errors if it cannot decode the received characters
                 self._events.add_event("error_frame", 1, "garbled")
                 continue
             if message is None:
@@ -155,7 +155,7 @@ class PythonCanBus:
     def _take_message(self, frames: list[Frame], message: can.Message) -> None:
         """Append a received message to ``frames``.
 
-        If it is an error frame, count it as an event instead.
+        If the message is an error frame, count it as an event of the bus instead.
         """
         if message.is_error_frame:
             self._events.add_error_frame(message.arbitration_id, bytes(message.data))
@@ -194,10 +194,10 @@ class PythonCanBus:
 
 
 def _error_number(error: Exception) -> int | None:
-    """Return the errno of an error from python-can, or None if there is none.
+    """Return the errno of an error from python-can, or None if the error has no errno.
 
-    The errno may be in the error itself, in the attribute ``error_code``, or in the cause of the
-    error.
+    The errno can be in the error itself, in the attribute ``error_code`` of the error, or in the
+    cause of the error.
     """
     code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
     if code is None and isinstance(error.__cause__, OSError):

@@ -32,23 +32,24 @@ MAX_FRAMES_PER_CALL = 128
 MAX_READS_PER_DRAIN = 64
 """Largest number of reads in one ``drain``.
 
-The limit keeps a flood of frames from delaying a tick.
+Because of the limit, a flood of frames cannot delay a tick.
 """
 RECEIVE_BUFFER_BYTES = 4 << 20
 """Size of the receive buffer requested from the kernel [bytes]."""
 SEND_BUFFER_BYTES = 32 << 10
 """Size of the send buffer [bytes].
 
-About 80 frames fit in it. The buffer is small, because a command must not be sent late.
+About 80 frames fit into the send buffer. The send buffer is small, because a command must not be
+sent late.
 """
 MAX_STAMP_STEP_NS = 20_000_000
 """Largest step from one time stamp to the next that is accepted without a reading of the clock [ns].
 
 A larger step means that the bus was silent or that the wall clock was set. If the wall clock is set
-by a smaller step, the next measurement of the clock offset detects it.
+by a smaller step, the next measurement of the clock offset detects the step.
 """
 CAN_RAW_ERR_FILTER, ALL_ERRORS = 2, 0x1FFFFFFF
-"""Socket option that selects error frames, and the mask of all their classes.
+"""Socket option that selects error frames, and the mask of all classes of error frames.
 
 Source: Linux ``can/raw.h``, ``can/error.h``.
 """
@@ -63,14 +64,14 @@ MIN_QUEUE_FRAMES = 32
 """Shortest accepted transmit queue [frames].
 
 A tick sends the frames of 11 motors and a SYNC together. The default queue of 10 frames is too
-short for them.
+short for all frames of a tick.
 """
 
 
 class SocketCanBus:
     """CAN bus on a raw CAN socket of Linux.
 
-    The interface ``contract.Bus`` describes its methods.
+    The interface ``contract.Bus`` describes the methods of the class.
     """
 
     def __init__(
@@ -122,8 +123,8 @@ class SocketCanBus:
         """Convert the received datagrams to frames.
 
         Usually all datagrams are of the same kind (classical or CAN FD), have similar time stamps,
-        and follow no lost frame. Such datagrams are converted as one batch. Otherwise each datagram
-        is converted separately.
+        and follow no lost frame. Datagrams with these properties are converted as one batch. If the
+        datagrams lack one of these properties, each datagram is converted separately.
         """
         size = self._in.common_datagram_size(count, self._dropped)
         frames = (
@@ -139,8 +140,8 @@ class SocketCanBus:
     def _convert_uniform_batch(self, count: int, fd_flag: int) -> Frames | None:
         """Return the frames of a batch with datagrams of one kind.
 
-        If the batch contains an error frame or a doubtful time stamp, return None. The caller then
-        converts each frame separately.
+        If the batch contains an error frame or a doubtful time stamp, return None. If the result is
+        None, the caller converts each frame separately.
         """
         frames, has_error_frames = self._structs.read(
             count, 0, self._index, ALL_FLAGS if fd_flag else 0, fd_flag
@@ -159,7 +160,7 @@ class SocketCanBus:
         start = convert_time(first_index)
         if (
             convert_time(last_index) - start == last_index - first_index
-        ):  # between these time stamps, the time of the run is neither scaled nor paused
+        ):  # between the time stamps of a batch, the time of the run is neither scaled nor paused
             times += start - first_index
         else:
             times = np.array([convert_time(t_ns) for t_ns in receive_times])
@@ -172,7 +173,7 @@ class SocketCanBus:
     ) -> Frames:
         """Convert datagrams of any kind, one after the other, and return their frames.
 
-        Error frames and lost frames are counted as events instead.
+        Error frames and lost frames are not returned, but counted as events of the bus.
         """
         convert_time = self._convert_time
         min_stamp_ns = self._latest
@@ -184,7 +185,7 @@ class SocketCanBus:
         for i, ((size, wall_time_ns, dropped_count), frame) in enumerate(
             zip(datagrams, frames, strict=True)
         ):
-            # The value 0 means that the kernel has reported no count.
+            # The loss counter 0 means that the kernel has reported no lost frames.
             if dropped_count != self._dropped and dropped_count:
                 self._events.add_event("dropped", (dropped_count - self._dropped) & 0xFFFFFFFF)
                 self._dropped = dropped_count
@@ -242,7 +243,7 @@ def _set_socket_options(can_socket: socket.socket) -> None:
     can_socket.setsockopt(socket.SOL_SOCKET, datagram_batches.SO_TIMESTAMPNS, 1)
     can_socket.setsockopt(socket.SOL_SOCKET, datagram_batches.SO_RXQ_OVFL, 1)
     can_socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
-    try:  # only root may request a buffer that is larger than net.core.rmem_max
+    try:  # only root is allowed to request a buffer that is larger than net.core.rmem_max
         can_socket.setsockopt(
             socket.SOL_SOCKET, datagram_batches.SO_RCVBUFFORCE, RECEIVE_BUFFER_BYTES
         )
@@ -265,7 +266,7 @@ def open_socketcan(
 
     Raises:
         BusError: the kernel has no SocketCAN, or the interface is missing or down, is not in CAN FD
-            mode although the hand needs it, has another bit rate, or has too short a transmit
+            mode although the hand needs CAN FD, has another bit rate, or has too short a transmit
             queue.
     """
     name = f"socketcan:{channel}"

@@ -2,10 +2,10 @@
 
 The control loop advances the simulator tick by tick, and never sleeps.
 
-The simulator is called the peer. The peer is an object with the method ``step(t_ns, frames) ->
-frames``. The name of the peer's class is given as text, because no module of handctl imports a
-simulator. If the peer also has the method ``exchange(t_ns, records) -> records``, the loop calls
-this method instead. ``exchange`` needs no object for each frame.
+In lockstep, the simulator is called the peer. The peer is an object with the method ``step(t_ns,
+frames) -> frames``. The name of the peer's class is given as text, because no module of handctl
+imports a simulator. If the peer also has the method ``exchange(t_ns, records) -> records``, the
+loop calls ``exchange`` instead of ``step``. The method ``exchange`` needs no object for each frame.
 """
 
 import importlib
@@ -44,7 +44,8 @@ class LockstepSimulator(Protocol):
 def _exchange_objects(peer: LockstepSimulator, t_ns: int, records: RecordArray) -> RecordArray:
     """Exchange records with a simulator that does not have the method ``exchange``.
 
-    The records are converted to frame objects and back.
+    The records of the host are converted to frame objects, and the answers are converted back to
+    records.
     """
     return frames_as_records(
         Frame(*reply) for reply in peer.step(t_ns, list(Frames(records)))
@@ -118,9 +119,10 @@ class LockstepClock:
     def restart(self) -> None:
         """Begin another run.
 
-        The run begins one tick after the last frames of the previous run were sent. The simulator
-        still receives these frames, because they disable the drives. The answers of the simulator
-        are discarded, because no bus is open between two runs.
+        The new run begins one tick after the last frames of the previous run were sent. The
+        simulator still receives the last frames of the previous run, because they disable the
+        drives. The simulator's answers to these frames are discarded, because no bus is open
+        between two runs.
         """
         if self.frames_to_simulator:
             self.wait(self.k + 1)
@@ -129,7 +131,7 @@ class LockstepClock:
         self.frames_from_simulator = []
 
     def start(self) -> None:
-        """Do nothing. The simulator's time begins with the first step."""
+        """Do nothing. The simulator's time begins with the first call of ``wait``."""
 
     def wait(self, k: int) -> int:
         """Advance the simulator from the previous tick to tick k, and return 0.
@@ -170,11 +172,11 @@ class LockstepBus:
         self._events: dict[int, BusEvents] = {}
 
     def drain(self) -> Frames:
-        """Return the answers of the simulator. Error frames become events."""
+        """Return the answers of the simulator. Error frames among the answers become events of the bus."""
         frames = concatenate_frames(self.clock.frames_from_simulator)
         self.clock.frames_from_simulator = []
-        # The bitwise OR of all identifiers shows whether any frame is an error frame. Usually there
-        # is no error frame. In this case, the frames need not be examined one by one.
+        # The bitwise OR of all identifiers shows whether any frame is an error frame. If there is
+        # no error frame, as usual, the frames need not be examined one by one.
         if not len(frames) or not int(np.bitwise_or.reduce(frames.records["can_id"])) & ERROR_FLAG:
             return frames
         frames, errors = data_and_error_frames(frames.records)
@@ -184,7 +186,7 @@ class LockstepBus:
         return frames
 
     def send(self, frames: Sequence[Frame]) -> int:
-        """Keep frames for the next step of the simulator, and return their number."""
+        """Keep frames for the next step of the simulator, and return the number of frames."""
         self.clock.frames_to_simulator.append(frames_as_records(frames))
         return len(frames)
 

@@ -1,6 +1,6 @@
 """Real time of a run.
 
-Each tick has an absolute deadline on CLOCK_MONOTONIC. The time of the run may be slower or faster
+Each tick has an absolute deadline on CLOCK_MONOTONIC. The time of the run can be slower or faster
 than wall time.
 
 The virtual time of lockstep is in the module ``lockstep``.
@@ -15,13 +15,13 @@ from handctl.runtime.clocks.rehearsal import Rehearsal
 BUSY_WAIT_NS = 60_000
 """Time before each deadline in which the process reads the clock in a loop [ns of wall time].
 
-A process with real-time priority does this, because ``time.sleep`` returns about 50 us late, even
-under SCHED_FIFO.
+Only a process with real-time priority reads the clock in a loop. The loop is necessary because
+``time.sleep`` returns about 50 us late, even under SCHED_FIFO.
 """
 
 
 class TickClock(Protocol):
-    """Clock of the control loop. Times are times of the run, unless a text says wall time."""
+    """Clock of the control loop. All times of the class are times of the run, unless a docstring says wall time."""
 
     def start(self) -> None:
         """Start the time of the run. The next tick is tick 0."""
@@ -54,13 +54,13 @@ class RealClock:
     Attributes:
         period_ns: control period [ns of the time of the run].
         time_scale: seconds of the run per second of wall time.
-        busy_wait: True to read the clock repeatedly before each deadline, without sleeping. This is
-            useful only with real-time priority.
-        rehearsal: rehearsal of each tick before its deadline, or None. It is useful only with
-            ``busy_wait``.
+        busy_wait: True to read the clock repeatedly before each deadline, without sleeping. These
+            readings are useful only with real-time priority.
+        rehearsal: rehearsal of each tick before its deadline, or None. A rehearsal is useful only
+            with ``busy_wait``.
         start_ns: reading of the clock at tick 0 [ns of wall time].
         pause_count: number of pauses of the clock so far. Only the shared clock can pause.
-        paused_ns: total duration of these pauses [ns of wall time].
+        paused_ns: total duration of the clock's pauses [ns of wall time].
     """
 
     period_ns: int
@@ -102,7 +102,7 @@ class RealClock:
         return self.start_ns + int(k * self.period_ns / self.time_scale)
 
     def _wait_until(self, deadline_ns: int) -> int:
-        """Wait until the clock reads the deadline, and return the time since then [ns of wall time]."""
+        """Wait until the clock reads the deadline, and return the time since the deadline [ns of wall time]."""
         lead_ns = BUSY_WAIT_NS if self.busy_wait else 0
         rehearsal = self.rehearsal
         wall_period_ns = int(self.period_ns / self.time_scale)
@@ -115,7 +115,7 @@ class RealClock:
             rehearsal.rehearse(deadline_ns - self._read_clock_ns(), wall_period_ns)
         while (
             now := self._read_clock_ns()
-        ) < deadline_ns:  # sleep may return too early, so the loop reads the clock again
+        ) < deadline_ns:  # sleep can return too early, so the loop reads the clock again
             if not self.busy_wait:
                 time.sleep((deadline_ns - now) / 1e9)
         return now - deadline_ns

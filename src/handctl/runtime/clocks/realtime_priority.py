@@ -1,6 +1,6 @@
 """Real-time priority and locked memory for the process of the controller.
 
-The module can also keep idle processors awake.
+The functions of this module can also keep idle processors awake.
 """
 
 import os
@@ -49,7 +49,7 @@ def request_priority(level: int = 60) -> GrantedPriority:
     The result says which of the two requests the system has refused. A refusal raises no error.
     """
     # The memory is locked before SCHED_FIFO is requested. Locking the memory fills hundreds of MB.
-    # Under SCHED_FIFO, no other process on the same core could run during this time.
+    # Under SCHED_FIFO, no other process on the same core could run while the memory is locked.
     is_memory_locked = _lock_memory()
     return GrantedPriority(_set_fifo_scheduling(level), is_memory_locked)
 
@@ -58,8 +58,8 @@ def prepare_priority() -> GrantedPriority:
     """Lock the memory, and test whether the system will grant SCHED_FIFO.
 
     The function :func:`realtime_priority` requests SCHED_FIFO later. The start of a control loop
-    takes a quarter of a second. During this time, the process has no real-time priority, so that
-    other processes can use the core.
+    takes a quarter of a second. During the start of the control loop, the process has no real-time
+    priority, so that other processes can use the core.
     """
     is_memory_locked = _lock_memory()
     with realtime_priority() as granted_priority, keep_processors_awake() as are_processors_awake:
@@ -83,9 +83,10 @@ def realtime_priority(level: int = 60) -> Iterator[bool]:
 def keep_processors_awake() -> Iterator[bool]:
     """Keep idle processors awake during a ``with`` block.
 
-    Yield True if the system permits it. Otherwise an idle processor sleeps. An idle processor may
-    take a millisecond to wake up, above all in a virtual machine. Idle processors stay awake as
-    long as a process keeps ``CPU_LATENCY_FILE`` open after writing a latency of 0.
+    Yield True if the system permits that processors stay awake. If the system does not permit it,
+    idle processors sleep. A sleeping processor can take a millisecond to wake up, above all in a
+    virtual machine. Idle processors stay awake as long as a process keeps ``CPU_LATENCY_FILE`` open
+    after writing a latency of 0.
     Source: Linux, Documentation/power/pm_qos_interface.
     """
     try:
@@ -139,7 +140,7 @@ MCL_FUTURE = 2
 def _lock_memory() -> bool:
     """Lock all present and future memory pages of this process.
 
-    Return True if the system allows this.
+    Return True if the system allows the process to lock its memory.
     """
     if not sys.platform.startswith("linux"):
         return False

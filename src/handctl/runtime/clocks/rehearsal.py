@@ -1,9 +1,10 @@
-"""Rehearsal of a tick shortly before its deadline, so that the caches hold its code and its data.
+"""Rehearsal of a tick shortly before its deadline, so that the caches contain the code and the data of the tick.
 
-Between two ticks, other programs use the caches of the processor. A tick then takes longer than
-directly after another tick. In the last microseconds before a deadline, the clock only waits. In
-this time, the control loop executes the beginning of the last tick again and discards the result. A
-tick has no side effects, so a rehearsal changes nothing.
+Between two ticks, other programs use the caches of the processor. When other programs have used the
+caches, a tick takes longer than directly after another tick. In the last microseconds before a
+deadline, the clock only waits. While the clock waits, the control loop executes the beginning of
+the last tick again and discards the result. A tick has no side effects, so a rehearsal changes
+nothing.
 """
 
 import time
@@ -13,20 +14,20 @@ from dataclasses import dataclass
 MARGIN_SHARE = 1 / 40
 """Time between the expected end of a rehearsal and the deadline, as a share of the control period.
 
-A process that wakes up late uses this time.
+A process that wakes up late uses this time between rehearsal and deadline.
 """
 MAX_PERIOD_SHARE = 1 / 8
 """Largest share of a control period that is reserved for a rehearsal and its margin.
 
-On a slow processor or at a high rate, a rehearsal takes longer than this share. Then there are no
-rehearsals.
+If a rehearsal takes longer than this share, as on a slow processor or at a high control rate, there
+are no rehearsals.
 """
 INITIAL_DURATION_NS = 200_000
 """Assumed duration of the first rehearsal [ns]."""
 MAX_GROWTH = 1.25
-"""Largest factor by which ``expected_ns`` grows after a longer rehearsal.
+"""Largest factor by which ``expected_ns`` grows after a rehearsal that took longer than expected.
 
-An interruption makes a single rehearsal very long.
+An interruption by the operating system can make a single rehearsal very long.
 """
 DECAY_SHARE = 1 / 512
 """Share by which ``expected_ns`` falls in each tick.
@@ -51,7 +52,7 @@ class Rehearsal:
     def lead_time_ns(self, period_ns: int) -> int:
         """Return the time before a deadline at which the rehearsal must begin [ns].
 
-        If this time is too long for the control period ``period_ns``, return 0.
+        If the lead time is too long for the control period ``period_ns``, return 0.
         """
         lead_ns = int(self.expected_ns + MARGIN_SHARE * period_ns)
         return lead_ns if lead_ns <= MAX_PERIOD_SHARE * period_ns else 0

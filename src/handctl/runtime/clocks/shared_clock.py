@@ -2,28 +2,30 @@
 
 The clock pauses when the machine is too slow.
 
-A simulated hand and its controller are two processes on one machine. The operating system may stop
-either process for many milliseconds. With real hardware, it can only stop the controller, and a
-late tick is a fault. In a simulation, such a stop tells nothing about the hand or the controller.
-Therefore the shared clock pauses in two cases:
+A simulated hand and its controller are two processes on one machine. The operating system can
+interrupt either process for many milliseconds. With real hardware, it can interrupt only the
+controller, and a late tick is a fault. In a simulation, a late tick after an interruption tells
+nothing about the hand or the controller. To prevent faults because of interruptions, the shared
+clock pauses in two cases:
 
-- The controller wakes up too late. The clock then continues from a time shortly after the deadline.
-- The simulator has not yet answered the frames of the previous tick. The clock then stands still
-  until the answers have arrived.
+- The controller wakes up too late. The clock continues from a time shortly after the deadline of
+  the tick.
+- The simulator has not yet answered the frames of the previous tick. The clock stands still until
+  the answers of the simulator have arrived.
 
 The time in both processes is CLOCK_MONOTONIC minus the sum of all pauses. The gate is the time at
-which the clock pauses. It is shortly after the next deadline. The controller moves the gate in
-every tick, and the simulator never advances beyond the gate. Both kinds of pauses are limited to a
-fraction of a second. Therefore a process that was killed or stopped leads to a fault, as on a real
-bus.
+which the shared clock pauses. The gate is shortly after the deadline of the next tick. The
+controller moves the gate in every tick, and the simulator never advances beyond the gate. Each
+pause is limited to a fraction of a second, so that a process that was killed or stopped leads to a
+fault, as on a real bus.
 
-The simulator creates a file with six 64-bit integers, and both processes map it:
+The simulator creates a file with six 64-bit integers, and both processes map this file into memory:
 
     version | gate [ns] | sum of the pauses [ns] | ticks sent | ticks answered | reached [ns]
 
-In this file, the controller writes the second, third and fourth integer. The simulator writes the
-others. The gate and the reached time are CLOCK_MONOTONIC minus the pauses, without the time scale.
-No lock is needed, because a 64-bit integer is written in one operation.
+The controller writes the second, third and fourth integer of the file. The simulator writes the
+other integers. The gate and the reached time are CLOCK_MONOTONIC minus the pauses, without the time
+scale. No lock is needed, because a 64-bit integer is written in one operation.
 """
 
 import mmap
@@ -41,25 +43,25 @@ CLOCK_FILE_INTEGER_COUNT = 6
 OPEN_GATE_NS = 2**63 - 1
 """Value of the gate while no controller uses the clock.
 
-The simulator may then advance without limit.
+With this value, the simulator can advance without limit.
 """
 TOLERATED_LATENESS_FRACTION = 0.1
 """Largest lateness of a tick that causes no pause, as a fraction of the control period."""
 MAX_CONTROLLER_PAUSE_NS = 100_000_000
-"""Longest lateness of the controller that the clock turns into a pause [ns].
+"""Longest lateness of the controller for which the clock adds a pause [ns].
 
-If the controller wakes up even later, the ticks in between count as missed.
+If the controller wakes up even later, the ticks whose deadlines have passed count as missed.
 """
 MAX_SIMULATOR_WAIT_NS = 250_000_000
 """Longest wait of the clock for the simulator [ns].
 
-After this time, the run continues without the frames of the simulator. These frames count as
-missing, as on a real bus.
+After this time, the run continues without the frames of the simulator. Frames that the simulator
+has not sent in time count as missing, as on a real bus.
 """
 SIMULATOR_POLL_PERIOD_S = 50e-6
 """Time between two checks of the simulator's progress [s]."""
 MAX_SIMULATOR_LAG_NS = 1_500_000
-"""Time by which a simulator may be behind the clock and still be on time [ns of the run's time].
+"""Time by which a simulator can be behind the shared clock and still count as on time [ns of the run's time].
 
 The simulator advances in steps of a millisecond.
 """
@@ -89,9 +91,9 @@ class ClockFile:
             raise ValueError(f"{path}: version {self.numbers[0]}; expected {CLOCK_FILE_VERSION}")
 
     def close(self) -> None:
-        """Open the gate, and unmap the file.
+        """Open the gate of the clock, and unmap the file.
 
-        The simulator then continues without the controller.
+        After this call, the simulator continues without the controller.
         """
         self.numbers[GATE_INDEX] = OPEN_GATE_NS
         self.numbers.release()
@@ -144,7 +146,7 @@ class SharedClock(RealClock):
     def convert_to_run_time(self, monotonic_ns: int) -> int:
         """Convert a CLOCK_MONOTONIC time stamp to the time of the run [ns].
 
-        The result is right only for time stamps after the second-last pause.
+        The result is right only for time stamps after the pause before the latest pause.
         """
         end_ns, pause_ns = self._last_pause_ns
         paused_before_ns = self._numbers[PAUSED_INDEX] - min(
@@ -160,24 +162,24 @@ class SharedClock(RealClock):
         return self.file.numbers
 
     def _move_gate(self, k: int) -> None:
-        """Move the gate, so that the simulator may advance until shortly after the deadline of tick k."""
+        """Move the gate of the clock, so that the simulator can advance until shortly after the deadline of tick k."""
         self._numbers[GATE_INDEX] = self._deadline_ns(k) + int(
             TOLERATED_LATENESS_FRACTION * self.period_ns / self.time_scale
         )
 
     def _pause_at_gate(self) -> None:
-        """Add a pause if the clock has passed the gate. The clock then reads the time of the gate.
+        """Add a pause if the clock has passed its gate, so that the clock reads the time of the gate.
 
-        The simulator has never seen a time after the gate. Therefore no jump back in time occurs in
-        the simulator.
+        No jump back in time occurs in the simulator, because the simulator has never seen a time
+        after the gate.
         """
         self._numbers[PAUSED_INDEX] += max(0, self._read_clock_ns() - self._numbers[GATE_INDEX])
 
     def _wait_for_simulator(self, deadline_ns: int) -> None:
-        """Stop the clock at the gate until the simulator has answered the frames of the previous tick.
+        """Stop the clock at its gate until the simulator has answered the frames of the previous tick.
 
         After ``MAX_SIMULATOR_WAIT_NS`` without an answer, the clock continues. In later ticks, the
-        clock does not wait. When the simulator has answered again, the clock waits again.
+        clock does not wait until the simulator has answered again.
         """
         numbers = self._numbers
         if numbers[ANSWERED_INDEX] == self._answer_count_at_timeout:

@@ -11,7 +11,7 @@ from handctl.core.tick_types import IoEvent
 MIN_SUSPEND_NS = 20_000_000
 """Shortest suspend that is reported [ns]."""
 MAX_READ_DURATION_NS = 1_000_000
-"""Longest time that a reading of both clocks may take [ns].
+"""Longest accepted duration of a reading of both clocks [ns].
 
 A reading that takes longer has been interrupted, and is discarded.
 """
@@ -27,7 +27,7 @@ def read_boot_clock_ns() -> int:
 
 
 class SuspendWatch:
-    """Detector of suspends of the machine. Each call of ``take_events`` compares the two clocks."""
+    """Detector of suspends of the machine. Each call of ``take_events`` compares two clocks."""
 
     def __init__(
         self,

@@ -1,7 +1,7 @@
 """Scan of a CAN bus that finds the drives and other nodes on the bus.
 
-The scan listens first. It sends requests only if no other host is active on the bus. The scan never
-sends commands to drives.
+The scan listens before it sends requests. The scan sends requests only if no other host is active
+on the bus. The scan never sends commands to drives.
 """
 
 import time
@@ -22,12 +22,12 @@ from handctl.runtime.buses.contract import Bus
 MAX_BURST_FRAMES = 4
 """Largest number of frames that are sent in each BURST_PAUSE_S.
 
-The queue of an interface may be as short as 10 frames.
+The transmit queue of an interface can be as short as 10 frames.
 """
 BURST_PAUSE_S = 0.003
-"""Time in which MAX_BURST_FRAMES frames may be sent [s].
+"""Time in which the scan is allowed to send MAX_BURST_FRAMES frames [s].
 
-This is also the pause after a refused frame.
+The pause after a refused frame is equally long.
 """
 MAX_SEND_TRIES = 50
 """Number of attempts to send a frame that the interface refuses."""
@@ -36,7 +36,7 @@ MAX_SEND_TRIES = 50
 MAX_IGNORED_FRAMES = 1
 """Largest number of frames from another host that are ignored.
 
-A host that has just ended may have sent them.
+Ignored frames possibly come from a host that has just ended.
 """
 ListenFunction = Callable[[Bus, float, list[Frame]], None]
 """Function that collects the frames received on a bus during a time [s]."""
@@ -47,8 +47,8 @@ class BusScan(NamedTuple):
 
     Attributes:
         found_nodes: discovered drives and other nodes, by protocol and number.
-        foreign_frames: frames received from another host. If there are any, the scan has sent no
-            requests.
+        foreign_frames: frames received from another host. If another host has sent frames, the scan
+            has sent no requests.
         omitted_requests: requests that the scan has not sent, because a drive on the bus would have
             obeyed them as commands.
         bus_events: events of the bus during the scan.
@@ -118,8 +118,8 @@ def _requests_of_round(
 ) -> list[Frame]:
     """Return the requests of all protocols for a round of the scan.
 
-    A drive with another protocol might execute such a request as a command. Requests with this risk
-    are left out, and appended to ``omitted_frames``.
+    A request that a drive with another protocol might execute as a command is left out, and
+    appended to ``omitted_frames``.
     """
     requests: list[Frame] = []
     for name, discovery in DISCOVERY_BY_PROTOCOL.items():
@@ -147,8 +147,8 @@ def _commands_of_other_hosts(name: str, seen_frames: list[Frame]) -> list[frozen
 def _foreign_frames(seen_frames: list[Frame]) -> tuple[Frame, ...]:
     """Return the received frames from another host.
 
-    Under the rules of one protocol, a frame from a drive with another protocol may look like a
-    frame from another host. Such frames are not part of the result.
+    Under the rules of one protocol, a frame from a drive with another protocol can look like a
+    frame from another host. Frames from drives are not part of the result.
     """
     foreign_frames: list[Frame] = []
     for name, discovery in DISCOVERY_BY_PROTOCOL.items():
@@ -164,7 +164,7 @@ def _foreign_frames(seen_frames: list[Frame]) -> tuple[Frame, ...]:
 def _send_with_retries(
     bus: Bus, frame: Frame, seen_frames: list[Frame], listen_function: ListenFunction
 ) -> bool:
-    """Send a frame, and receive frames in the pause after it.
+    """Send a frame, and receive frames in the pause after the sent frame.
 
     If the interface has refused the frame ``MAX_SEND_TRIES`` times, return False.
     """

@@ -1,7 +1,7 @@
 """Readings of the drives, load cells and joint encoders of a hand, while no drive makes torque.
 
-Every drive is polled as in the mode READY of a run. The drive is configured, its settings are read
-back, and its feedback is requested. No function in this module requests the state ENABLE.
+Every drive is polled as in the mode READY of a run. The poll configures the drive, reads its
+settings back, and requests its feedback. No function in this module requests the state ENABLE.
 ``DriveTarget.POLL`` disables a drive that is enabled.
 """
 
@@ -57,7 +57,8 @@ class BusWatch:
         drives: drives of the hand.
         sensors: sensor node of the hand. A hand without sensors has a sensor node without frames.
         buses: open buses, in the order of the hand file.
-        clock: clock that has been started. In each period of the clock, all nodes are polled once.
+        clock: clock that has been started. The host polls all nodes once in each period of the
+            clock.
         period_ns: period of the clock [ns].
         states: state of each drive.
         amplifiers: state of each load-cell amplifier.
@@ -95,7 +96,7 @@ class BusWatch:
     ) -> str:
         """Listen for a time [s], and return the identifier of the first frame from another host.
 
-        If no other host has sent a frame, the text is empty.
+        If no other host has sent a frame, the returned text is empty.
         """
         own_identifiers = {
             (drive.bus, can_id) for drive in self.drives for can_id in drive.host_ids
@@ -116,7 +117,8 @@ class BusWatch:
     def run_tick(self) -> None:
         """Wait for the next tick, process all received frames, and send the requests of the tick.
 
-        If the host is late and misses ticks, these ticks are skipped. They are not executed later.
+        If the host is late and misses ticks, the host skips the missed ticks, and does not execute
+        them later.
         """
         self.k += self.clock.wait(self.k) // self.period_ns
         for bus in self.buses:
@@ -138,7 +140,7 @@ class BusWatch:
     def send_release(self) -> None:
         """Send the frames that announce the end of this host to the drives.
 
-        After these frames, the host sends no more frames.
+        After the frames of this method, the host sends no more frames.
         """
         pairs = zip(self.drives, self.states, strict=True)
         self._send([frame for drive, state in pairs for frame in drive.release_frames(state)])
@@ -163,7 +165,7 @@ class BusWatch:
     def _receive(self, frame: Frame) -> None:
         """Pass a received frame to the load-cell amplifiers.
 
-        Afterwards pass it to the sensor readings or to the drives.
+        After the amplifiers, the sensor readings or the drives get the frame.
         """
         group = self._group.get(frame.can_id, -1) if frame.bus == self.sensors.bus else -1
         for i, amplifier in enumerate(self.sensors.amplifiers):
@@ -182,8 +184,8 @@ class BusWatch:
         table = self._tables[group]
         kinds = [signal.quantity for signal in table.message.signals]
         kinds_and_values = zip(kinds, table.unpack(frame.data), strict=True)
-        # If the load is too large, an amplifier may send NaN. The reading is then set to the low
-        # end of the range, so that it counts as saturated.
+        # If the load is too large, an amplifier possibly sends NaN. A reading of NaN is set to the
+        # low end of the range of the load cell, so that it counts as saturated.
         low = self.sensors.cell_range[0]
         values = [
             low if math.isnan(value) else value

@@ -2,10 +2,9 @@
 
 The library ``canopen`` reads the objects of the drive one by one.
 
-This module is not used while a controller runs.
-
-The library opens the bus with python-can, and starts threads. After ``identify_nodes`` has
-returned, the bus is closed and the threads have ended.
+This module is not used while a controller runs. The library ``canopen`` opens the bus with
+python-can, and starts threads. After ``identify_nodes`` has returned, the bus is closed and the
+threads have ended.
 """
 
 import logging
@@ -62,7 +61,7 @@ def identify_nodes(spec: str, bitrate: int, nodes: Sequence[int]) -> dict[int, C
     level_before = logger.level
     logger.setLevel(
         logging.CRITICAL
-    )  # otherwise the library would log an error for each object that a drive does not have
+    )  # without this filter, the library would log an error for each object that a drive does not have
     try:
         network.connect()
         return {number: _read_identity(network, number) for number in nodes}

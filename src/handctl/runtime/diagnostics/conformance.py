@@ -1,8 +1,8 @@
 """Conformance checks of a real drive.
 
-The checks run one after the other, and keep the torque within a given limit. The shaft may turn.
-Two checks raise the torque until the shaft has moved a little or the torque limit is reached. Then
-they brake the shaft.
+The checks run one after the other, and keep the torque within a given limit. The shaft of the drive
+can turn during the checks. Two checks raise the torque until the shaft has moved a little or the
+torque limit is reached, and then brake the shaft.
 """
 
 import math
@@ -22,7 +22,7 @@ from handctl.runtime.diagnostics.torque_step import (
 MAX_FEEDBACK_AGE_NS = 50_000_000
 """Largest age at which feedback still counts as fresh [ns]."""
 MAX_LATE_TICKS_PER_100 = 5
-"""Number of ticks in 100 in which the feedback may be older, because other processes delay this process."""
+"""Number of ticks in 100 in which older feedback is allowed, because other processes delay this process."""
 HOST_SILENCE_S = 0.3
 """Shortest time for which the check of the watchdog sends no commands [s]."""
 CHECK_DURATION_TICKS = 60
@@ -37,7 +37,7 @@ OBEYED_TORQUE_FRACTION = 0.3
 
 
 class CheckVerdict(Enum):
-    """Verdict of a conformance check of a drive."""
+    """Result of a conformance check of a drive: passed, failed, or not checked."""
 
     PASSED = "passed"
     FAILED = "failed"
@@ -59,11 +59,11 @@ class ConformanceCheck(NamedTuple):
 
 
 class CheckFailed(Exception):  # noqa: N818 - a verdict, not an error; never leaves this module
-    """Raised if a drive does not meet a requirement. The text describes the observation."""
+    """Raised if a drive does not meet a requirement. The text of the exception describes the observation."""
 
 
 class CheckNotPossible(Exception):  # noqa: N818 - a verdict, not an error; never leaves this module
-    """Raised if a requirement cannot be checked. The text gives the reason."""
+    """Raised if a requirement cannot be checked. The text of the exception gives the reason."""
 
 
 class DeviceUnderTest(NamedTuple):
@@ -91,7 +91,8 @@ def run_checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
     """Run all checks in order, and yield each result.
 
     If a check leaves the drive in an unusable state, the remaining checks are left out. Two checks
-    turn the shaft. If the first of these checks fails, the second is left out.
+    turn the shaft. If the first check that turns the shaft fails, the second check that turns the
+    shaft is left out.
     """
     is_usable = True
     reversed_direction_failed = False
@@ -113,8 +114,8 @@ def _result_of_omitted_check(
 ) -> ConformanceCheck:
     """Return the result of a check that is left out after the failure of an earlier check.
 
-    If the drive is still enabled, the check of the disable command counts as failed. In this case,
-    an earlier check has already sent this command.
+    If the drive is still enabled, the check of the disable command counts as failed, because an
+    earlier check has already sent the disable command.
     """
     if requirement is _check_disable_command and device.rig.state.phase == DrivePhase.ENABLED:
         return ConformanceCheck(
@@ -150,7 +151,7 @@ def _check_configuration(device: DeviceUnderTest) -> str:
 def _failed_check_error(
     device: DeviceUnderTest, checked_property: DriveProperty, observed_text: str
 ) -> Exception:
-    """Return the exception for a drive that does not have a property.
+    """Return the exception for a drive that lacks a checked property.
 
     If handctl cannot check the property on this drive, the exception does not count as a failure of
     the drive.
@@ -170,7 +171,7 @@ def _enable_drive(rig: DriveRig) -> None:
 def _check_one_answer_per_request(device: DeviceUnderTest) -> str:
     """Check that each request to the drive gets exactly one answer.
 
-    A second drive with the same node number would send another answer.
+    If the bus has a second drive with the same node number, the second drive sends another answer.
     """
     rig = device.rig
     drive = rig.drive
@@ -195,7 +196,8 @@ def _check_one_answer_per_request(device: DeviceUnderTest) -> str:
 def _feedback_frames(rig: DriveRig, target: DriveTarget) -> tuple[int, float]:
     """Run CHECK_DURATION_TICKS ticks, and count the received feedback frames.
 
-    Return the count and the duration [s]. The duration includes ticks that were missed.
+    Return the number of feedback frames, and the duration of the ticks [s]. The duration includes
+    the ticks that were missed.
     """
     feedback_count_before = rig.state.feedback_count
     start_ns = rig.t_ns
@@ -222,9 +224,9 @@ def _check_no_torque_when_ready(device: DeviceUnderTest) -> str:
 
 
 def _check_torque_ignored_when_disabled(device: DeviceUnderTest) -> str:
-    """Send torque commands up to the limit to a disabled drive.
+    """Send torque commands to a disabled drive, up to the torque limit of the test.
 
-    If the drive follows these commands, raise CheckFailed.
+    If the disabled drive follows the torque commands, raise CheckFailed.
     """
     rig = device.rig
     if not rig.drive.torque_frames(0.0):
@@ -244,8 +246,8 @@ def _check_torque_ignored_when_disabled(device: DeviceUnderTest) -> str:
             raise CheckFailed(
                 f"follows torque commands while disabled: {torque:+.3f} N m turned it by {position_change:+.3f} rad"
             )
-    # A drive may store the last command, and follow it when it is enabled later. Therefore the last
-    # command is a torque of zero.
+    # The last command is a torque of zero, because a drive possibly stores the last command and
+    # follows it when it is enabled later.
     rig.run_tick(DriveTarget.POLL, extra_frames=rig.drive.torque_frames(0.0))
     mean = sum(reported_torques[len(reported_torques) // 2 :]) / (
         len(reported_torques) - len(reported_torques) // 2
@@ -256,7 +258,7 @@ def _check_torque_ignored_when_disabled(device: DeviceUnderTest) -> str:
 
 
 def _check_enable_command(device: DeviceUnderTest) -> str:
-    """Check that the drive can be enabled, and measure how long this takes."""
+    """Check that the drive can be enabled, and measure the time until it is enabled."""
     start = device.rig.t_ns
     _enable_drive(device.rig)
     return f"after {(device.rig.t_ns - start) / 1e6:.0f} ms"
@@ -359,8 +361,9 @@ def _check_disable_command(device: DeviceUnderTest) -> str:
     if rig.state.phase == DrivePhase.FAULT:
         raise CheckFailed(f"reports a fault after the disable command: {rig.state.error_text}")
     duration_text = f"after {(rig.t_ns - start) / 1e6:.0f} ms"
-    # Some drives do not report whether they are enabled. Such a drive gets torque commands after
-    # the disable command. They show whether the drive has ignored the disable command.
+    # Some drives do not report whether they are enabled. A drive that does not report its state
+    # gets torque commands after the disable command. The torque commands show whether the drive has
+    # ignored the disable command.
     rig.run_for(DriveTarget.DISABLE, 0.05)
     return f"{duration_text}; {_check_torque_ignored_when_disabled(device)}"
 
@@ -368,7 +371,7 @@ def _check_disable_command(device: DeviceUnderTest) -> str:
 def _check_watchdog(device: DeviceUnderTest) -> str:
     """Check that the watchdog disables the drive when the host sends no frames.
 
-    Also check that the drive then stays disabled.
+    Also check that the drive stays disabled when the host sends frames again.
     """
     rig = device.rig
     _enable_drive(rig)
@@ -419,14 +422,14 @@ def release_drive(rig: DriveRig, watchdog_s: float, original_drive: Drive | None
 
     Return True if the drive reports that it is disabled.
 
-    After these frames, the next program can use the drive. The drive also knows that its host has
-    ended. Therefore it does not report the loss of its host.
+    After the frames that end a run, the next program can use the drive. With these frames, the
+    drive knows that its host has ended, and does not report the loss of its host.
 
     Args:
         rig: test rig with a drive in any state.
         watchdog_s: timeout of the drive's watchdog [s].
-        original_drive: description of the drive with the settings to restore. If it is None, the drive
-            keeps its present settings.
+        original_drive: description of the drive with the settings to restore. If ``original_drive``
+            is None, the drive keeps its present settings.
     """
     if not rig.confirm_disabled(watchdog_s):
         return False
@@ -452,4 +455,4 @@ CHECKED_REQUIREMENTS: tuple[tuple[str, RequirementCheck, bool], ...] = (
     ("is cut at once, and cleared on command only", _check_fault_clearing, False),
     ("sends only frames that can be decoded", _check_frames_decodable, False),
 )
-"""For each requirement: its words, its check, and True if the check turns the shaft."""
+"""For each checked requirement: the words of the requirement, its check, and True if the check turns the shaft."""

@@ -2,7 +2,7 @@
 
 The host and the drive both limit the motion. The host changes the command along a ramp. The host
 stops the drive if the shaft turns too fast or leaves the permitted travel. Too much torque and
-missing feedback also stop the drive. After such a stop, the drive is not enabled again.
+missing feedback also stop the drive. After a stop by the host, the drive is not enabled again.
 """
 
 import math
@@ -30,9 +30,9 @@ OVERTORQUE_FACTOR = 1.5
 MAX_TICKS_BEYOND_LIMIT = 4
 """Number of consecutive ticks with too much speed or torque after which the jog stops."""
 MAX_MISSED_TICKS = 10
-"""Largest number of ticks in a row that a late host may miss before the jog stops.
+"""Largest number of ticks in a row that a late host is allowed to miss before the jog stops.
 
-After such a gap, the command takes the steps of the missed ticks at once.
+After missed ticks, the command takes the steps of the missed ticks at once.
 """
 SILENCE_TIMEOUT_NS = 100_000_000
 """Age of the latest feedback above which the jog stops [ns]."""
@@ -45,8 +45,8 @@ class JogGoal(NamedTuple):
 
     Attributes:
         mode: mode of the drive: torque, position or velocity.
-        target: target in this mode: torque [N m], velocity [rad/s], or position relative to the
-            start [rad].
+        target: target in the mode of the drive: torque [N m], velocity [rad/s], or position
+            relative to the start [rad].
         duration_s: duration of the motion [s].
         limits: largest speed and largest acceleration of the shaft.
         max_torque_N_m: torque limit of the drive [N m].
@@ -67,7 +67,7 @@ class JogResult(NamedTuple):
     Attributes:
         failure: reason why the motion stopped early, in one line. The text is empty if the motion
             was complete.
-        moved_rad: angle of the shaft at the end, relative to its start [rad].
+        moved_rad: angle of the shaft at the end of the jog, relative to its start [rad].
         max_speed_rad_s: largest measured speed [rad/s].
         max_torque_N_m: largest reported torque [N m], or NaN if the drive reports no torque.
         final_speed_rad_s: measured speed shortly before the drive is disabled at the end [rad/s].
@@ -109,7 +109,7 @@ def distance_at(t_s: float, distance: float, speed: float, acceleration: float) 
 class _JogExecution:
     """Execution of a jog.
 
-    It computes the commands, checks the limits, and collects the result.
+    The object computes the commands, checks the limits, and collects the result of the jog.
     """
 
     def __init__(self, rig: DriveRig, goal: JogGoal) -> None:
@@ -134,8 +134,8 @@ class _JogExecution:
     def hold_command(self, state: DriveState) -> float:
         """Return the command that keeps the shaft still.
 
-        In position mode, the command is the last position. In the other modes, it is zero velocity
-        or zero torque.
+        In position mode, the command is the last position. In the other modes, the command is zero
+        velocity or zero torque.
         """
         if not self._is_position_mode:
             return 0.0
@@ -150,7 +150,7 @@ class _JogExecution:
         if not rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
             return rig.reason_not_ready()
         # The start position is read only after the drive is ready. Before the drive has got its
-        # settings, the positions that it sends may have another scale.
+        # settings, the positions that it sends possibly have another scale.
         rig.run_for(DriveTarget.POLL, HOLD_DURATION_S)
         self._start = rig.state.position
         if not math.isfinite(self._start):
@@ -176,8 +176,8 @@ class _JogExecution:
         start_ns = self._command_t_ns = self._rig.t_ns - PERIOD_NS
         t_s = 0.0
         while t_s < self._goal.duration_s:
-            # Even if ticks were missed before, the last command is the one that belongs to the end
-            # of the motion.
+            # Even if ticks were missed before, the last command is the command for the end of the
+            # motion.
             t_s = min((self._rig.t_ns - start_ns) / 1e9, self._goal.duration_s)
             if problem := self._run_tick(self._command_at(t_s)):
                 return problem
@@ -186,7 +186,8 @@ class _JogExecution:
     def bring_to_rest(self) -> str:
         """Bring velocity or torque to zero along a ramp, or hold the position.
 
-        This takes at least HOLD_DURATION_S. Returns the reason for an early stop, or an empty text.
+        The method takes at least HOLD_DURATION_S. The method returns the reason for an early stop,
+        or an empty text.
         """
         ramp_s = 0.0
         if self._goal.mode == DriveMode.VELOCITY:
@@ -213,8 +214,8 @@ class _JogExecution:
     def _ramped_command(self, target_value: float) -> float:
         """Return the next command of a ramp to a target velocity or torque.
 
-        The step from the last command depends on the time since this command. This time includes
-        missed ticks.
+        The step from the last command is proportional to the time since the last command, which
+        includes missed ticks.
         """
         goal = self._goal
         rate = goal.max_torque_N_m / TORQUE_RAMP_S
@@ -244,7 +245,7 @@ class _JogExecution:
     def _violated_limit(self, state: DriveState) -> str:
         """Return the reason to stop if speed, torque or travel exceed their limits.
 
-        Otherwise return an empty text.
+        If no limit is exceeded, return an empty text.
         """
         goal = self._goal
         speed = abs(self._rig.velocity_rad_s)

@@ -18,11 +18,11 @@ from handctl.runtime.clocks.real_clock import TickClock
 PERIOD_NS = 5_000_000
 """Period of a tick [ns]."""
 MAX_LISTED_IDS = 8
-"""Largest number of identifiers in a message. The replies of a RobStride motor have a thousand."""
+"""Largest number of identifiers in a message. The replies of a RobStride motor can have a thousand identifiers."""
 MAX_SETUP_S = 3.0
 """Longest time of the set-up of a drive [s]."""
 SETUP_PHASES = (DrivePhase.SILENT, DrivePhase.CONFIGURING)
-"""Phases in which the drive has not reported whether it makes torque."""
+"""Phases of a drive's set-up in which the drive has not reported whether it makes torque."""
 VELOCITY_WINDOW_TICKS = 4
 """Number of ticks between the two positions from which the velocity is computed."""
 
@@ -30,7 +30,7 @@ VELOCITY_WINDOW_TICKS = 4
 def _zero_torque_command(state: DriveState) -> float:
     """Return a torque of zero.
 
-    In torque mode, this command does not move the shaft.
+    In torque mode, a torque of zero does not move the shaft.
     """
     return 0.0
 
@@ -47,7 +47,8 @@ class DriveRig:
         drive_events: all events of the bus so far.
         inertia: measured inertia of the shaft [kg m2], or NaN before the measurement.
         idle_command: function that takes the state of the drive, and returns the command that does
-            not move the shaft. In position mode, for example, this command is the present position.
+            not move the shaft. In position mode, for example, the idle command is the present
+            position.
     """
 
     def __init__(self, drive: Drive, bus: Bus, clock: TickClock) -> None:
@@ -58,8 +59,8 @@ class DriveRig:
             bus: open bus of the drive.
             clock: clock with period PERIOD_NS, not started yet.
         """
-        # This call makes numba compile the code before the first tick. Otherwise the compilation
-        # would delay the first tick, and the watchdog of the drive would expire.
+        # The following call makes numba compile the code before the first tick. A compilation in
+        # the first tick would delay the tick, and the watchdog of the drive would expire.
         compile_kernels()
         self.drive = drive
         self._bus = bus
@@ -76,7 +77,7 @@ class DriveRig:
     def replace_drive(self, drive: Drive) -> None:
         """Use another description of the same drive from now on.
 
-        The drive then starts again in its initial state.
+        With the other description, the drive starts again in its initial state.
         """
         self.drive = drive
         self.state = drive.initial_state()
@@ -90,7 +91,7 @@ class DriveRig:
     def velocity_rad_s(self) -> float:
         """Return the velocity of the shaft, computed from the latest positions [rad/s].
 
-        While there are too few positions, the result is NaN.
+        While too few positions are known, the velocity is NaN.
         """
         (first_time_ns, first_position), *_, (last_time_ns, last_position) = self._positions
         # After missed ticks, the time between two positions is longer than a tick.
@@ -101,15 +102,15 @@ class DriveRig:
     def run_tick(
         self, target: DriveTarget, command: float | None = None, extra_frames: Sequence[Frame] = ()
     ) -> DriveState:
-        """Run one tick, and return the state of the drive after it.
+        """Run one tick, and return the state of the drive after this tick.
 
-        If the host is late by whole periods, the missed ticks are skipped. They are not executed
+        If the host is late by whole periods, the missed ticks are skipped, and are not executed
         later.
 
         Args:
             target: requested state of the drive.
-            command: command to the enabled drive, in the unit of ``Drive.command_limit``. If it is
-                None, ``idle_command`` computes the command.
+            command: command to the enabled drive, in the unit of ``Drive.command_limit``. If
+                ``command`` is None, ``idle_command`` computes the command.
             extra_frames: further frames to send in this tick.
         """
         self.missed_ticks = self._clock.wait(self.k) // PERIOD_NS
@@ -133,8 +134,9 @@ class DriveRig:
     ) -> bool:
         """Run ticks with the idle command until ``is_condition_met`` returns True for the state of the drive.
 
-        Returns False if this does not happen within the time ``timeout_s`` [s]. Only executed ticks
-        count as time. Otherwise the drive of a late host would have too few ticks for its answers.
+        Returns False if ``is_condition_met`` does not return True within the time ``timeout_s``
+        [s]. Only executed ticks count as time, because the drive of a late host would otherwise
+        have too few ticks for its answers.
         """
         return any(
             is_condition_met(self.run_tick(target))
@@ -148,7 +150,7 @@ class DriveRig:
     def reason_not_ready(self) -> str:
         """Return the reason why the drive has not reached the phase READY.
 
-        The reason is an error, missing answers, or the phase of the drive.
+        The reason is an error, missing answers, or the present phase of the drive's set-up.
         """
         if self.state.error_text:
             return self.state.error_text
@@ -188,9 +190,10 @@ class DriveRig:
     def confirm_disabled(self, watchdog_s: float) -> bool:
         """Disable the drive, and return True if the drive reports that it is disabled.
 
-        If no frame of the drive was ever received, the drive does not count as disabled. Another
-        host may have enabled it. If the drive does not obey, the host sends no frames until the
-        watchdog of the drive has expired. After that, the host disables the drive again.
+        If no frame of the drive was ever received, the drive does not count as disabled. A drive
+        without received frames was possibly enabled by another host. If the drive does not obey the
+        disable command, the host sends no frames until the watchdog of the drive has expired. After
+        the watchdog has expired, the host disables the drive again.
         """
         for silence_s in (0.0, 3.0 * watchdog_s + 0.2):
             self.run_for(DriveTarget.LISTEN, silence_s)
@@ -202,7 +205,8 @@ class DriveRig:
         """Set up a drive from the beginning, and disable it.
 
         Return True if the drive reports that it is disabled. A CiA 402 drive reports its power
-        state in a process data object. The content of this object is known only after the set-up.
+        state in a process data object. The content of the process data object is known only after
+        the set-up.
         """
         self.replace_drive(self.drive)
         return self.run_until(

@@ -12,7 +12,7 @@ from handctl.runtime.buses.interface_setup import (
 from handctl.runtime.buses.link_state import CanLinkState
 from handctl.runtime.buses.socketcan import MIN_QUEUE_FRAMES
 
-# Rules for udev. With such a rule, the setting is made again after each restart of the machine.
+# Rules for udev. With a udev rule, the setting is made again after each restart of the machine.
 # Source: man 7 udev.
 UDEV_QUEUE_RULE = 'SUBSYSTEM=="net", ACTION=="add", KERNEL=="{0}", ATTR{{tx_queue_len}}="{1}"'
 UDEV_NAME_RULE = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="THE ADAPTER\'S", NAME="{0}"'
@@ -41,7 +41,7 @@ class LinkFinding(NamedTuple):
 
     Attributes:
         observation: text that describes the observation.
-        is_good: True if the finding is no problem.
+        is_good: True if the finding is not a problem.
         remedy: command or advice that corrects the problem.
         is_bus_unusable: True if the bus cannot be used.
     """

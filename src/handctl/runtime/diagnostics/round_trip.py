@@ -1,7 +1,7 @@
 """Round-trip time of a node.
 
-This is the time from the sending of a request to the arrival of the answer. The request has no
-effect on the node.
+The round-trip time is the time from the sending of a request to the arrival of the answer. The
+request has no effect on the node.
 """
 
 import math
@@ -29,8 +29,8 @@ class RoundTrip(NamedTuple):
         shortest_s: shortest round-trip time [s], NaN without an answer.
         median_s: median round-trip time [s], NaN without an answer.
         longest_s: longest round-trip time [s], NaN without an answer.
-        duplicate_answer_count: number of requests with more than one answer. Such answers show that two
-            drives have the same node number.
+        duplicate_answer_count: number of requests with more than one answer. Duplicate answers show
+            that two drives have the same node number.
     """
 
     answers: int
@@ -44,7 +44,7 @@ class RoundTrip(NamedTuple):
     def is_node_number_shared(self) -> bool:
         """Return True if more than one answer arrived for most requests.
 
-        Then two drives have the same node number.
+        If the result is True, two drives have the same node number.
         """
         return self.duplicate_answer_count > self.requests / 2
 
@@ -81,7 +81,7 @@ def _measure_round_trip(bus: Bus, node: DiscoveredNode) -> tuple[float | None, b
     If no answer arrives, the time is None.
     """
     discovery = DISCOVERY_BY_PROTOCOL[node.protocol]
-    bus.drain()  # a late answer to the previous request must not count as an answer to this request
+    bus.drain()  # a late answer to the previous request must not count as an answer to the new request
     start = time.perf_counter()
     bus.send((discovery.ping(node),))
     first_answer_s = None

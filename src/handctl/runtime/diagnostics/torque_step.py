@@ -2,10 +2,10 @@
 
 The shaft of a drive is turned a little and brought to rest, with torques below a limit.
 
-The test also measures the inertia of the shaft. A shaft without a load may have an inertia of only
-1e-4 kg m2, and then accelerates fast. The measured velocity of the shaft is about 30 ms old. With a
-fixed gain of the brake, such a shaft would oscillate. Therefore the gain of the brake depends on
-the inertia.
+The test also measures the inertia of the shaft. A shaft without a load can have an inertia of only
+1e-4 kg m2, with which it accelerates fast. The measured velocity of the shaft is about 30 ms old.
+With a fixed gain of the brake, a shaft of low inertia would oscillate. Therefore the gain of the
+brake depends on the inertia.
 """
 
 import math
@@ -29,7 +29,7 @@ MAX_BRAKE_S = 4.0
 BRAKE_TIME_CONSTANT_S = 0.2
 """Time constant with which the brake reduces the velocity [s].
 
-This time is far longer than the delay of the measured velocity.
+The time constant is far longer than the delay of the measured velocity.
 """
 
 
@@ -53,7 +53,7 @@ class TorqueStep(NamedTuple):
 def apply_torque_step(rig: DriveRig, motion_sign: int, torque_limit: float) -> TorqueStep:
     """Raise the torque until the shaft has moved by MIN_MOTION_RAD, or until the torque reaches its limit.
 
-    Then let the shaft coast.
+    After the torque ramp, let the shaft coast.
 
     Args:
         rig: rig with an enabled drive.

@@ -24,19 +24,20 @@ BACKGROUND_RGB = (17, 21, 27)
 CAMERA_POSITION = (1.5, -0.75, 1.0)
 """Position of the camera relative to the hand, in lengths of the longest digit.
 
-The camera is in front of the palm, on the thumb side, and above.
+The camera is in front of the palm, on the side of the thumb, and above the hand.
 """
 
 
 def dashboard_layout(run: RunInfo, is_live: bool = False) -> rrb.Blueprint:
     """Return the layout of the dashboard.
 
-    The left side shows the hand, the timing and the log lines. The right side shows forces, joint
-    angles and states. All plots share one time axis.
+    The left side of the dashboard shows the hand, the timing and the log lines. The right side of
+    the dashboard shows forces, joint angles and states. All plots share one time axis.
 
     Args:
         run: data about the run and the hand to show.
-        is_live: True to show only the last seconds of the run. The time axis then moves with the run.
+        is_live: True to show only the last seconds of the run. In the live view, the time axis
+            moves with the run.
     """
     window = [LIVE_TIME_RANGE] if is_live else None
     left_column = rrb.Vertical(

@@ -14,8 +14,8 @@ MAX_PAYLOAD_BYTES = 64
 BUS_LOAD_WINDOW_NS = 100_000_000
 """Length of the time window for which the load is computed [ns].
 
-The reply to a command of one tick may be read in the next tick. So the load in a single tick means
-little.
+The window covers several ticks, because the controller often reads the reply to a command only in
+the next tick.
 """
 
 
@@ -78,8 +78,8 @@ class BusLoadCalculator:
     def _bus_occupancy_ns(self, frames: pa.ListArray) -> NDArray[np.int64]:
         """Return for how long the frames of each tick occupy each bus (n, buses) [ns].
 
-        The times are integers. Therefore the sum of several times does not depend on the order of
-        the additions.
+        The times are integers. As integers, the times have a sum that does not depend on the order
+        of the additions.
         """
         counts: NDArray[np.int64] = np.diff(np.asarray(frames.offsets))
         tick = np.repeat(np.arange(len(frames)), counts)

@@ -63,8 +63,8 @@ def chunk_with_run_times(chunk: Chunk, offset_ns: int) -> Chunk:
                 column.type,
                 metadata=field.metadata | {b"rerun:index_name": RUN_TIME_TIMELINE.encode()},
             )
-        # Rerun marks the column of each timeline as an index. All timelines except the timeline of
-        # the run are removed.
+        # Rerun marks the column of each timeline as an index. This function removes all timelines
+        # except the timeline of the run.
         elif (field.metadata or {}).get(b"rerun:kind") == _INDEX_KIND:
             continue
         fields.append(field)

@@ -71,7 +71,8 @@ def _band_style(
 def _tension_styles(run: RunInfo) -> Iterator[Chunk]:
     """Yield the styles of the tension plot.
 
-    Estimates have the colours of the digits, commands are dimmed, and limits are red.
+    Lines of estimates have the colours of the digits, lines of commands are dimmed, and lines of
+    limits are red.
     """
     names = run.hand.tendon_names
     # The tendons of each digit are one slice of the list of tendons. Each digit has its own colour,

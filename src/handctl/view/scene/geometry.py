@@ -37,7 +37,7 @@ def solid_shape_chunks(chunk: Chunk, run: RunInfo) -> Iterator[Chunk]:
     The shape of the part comes from the URDF in the log. For a link with a mesh, nothing is
     yielded.
 
-    Without these chunks, Rerun would draw the shapes of a URDF as wire frames.
+    Without the chunks of this function, Rerun would draw the shapes of a URDF as wire frames.
     """
     path = entity_path(chunk.entity_path)
     link = path.split("/")[2]
@@ -79,7 +79,7 @@ def mesh_chunks(run: RunInfo) -> Iterator[Chunk]:
 def link_colour(link_name: str, run: RunInfo) -> palette.Colour:
     """Return the colour of a link.
 
-    It is the colour of the digit, and is lighter for links near the tip.
+    A link has the colour of its digit. Links near the tip have a lighter colour.
     """
     colours = {
         f"{digit.name}_link{i + 1}": joint_colour

@@ -91,7 +91,7 @@ def _object_pose(
 def _table_pose(truth: TruthRecord, table_shape: Mapping[str, Any], times: Any) -> tuple[Any, Any]:
     """Return the position [m] and the quaternion of the table, with one row for each time.
 
-    The table only moves down, and does not turn.
+    The simulated table only moves down, and does not turn.
     """
     position = np.tile(np.array(table_shape["position_m"], np.float64), (len(times), 1))
     if truth.has_column("support"):

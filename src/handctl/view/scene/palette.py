@@ -11,9 +11,10 @@ class Colour(NamedTuple):
     blue: int
 
     def mixed_with(self, other_colour: "Colour", fraction: float) -> "Colour":
-        """Return a mix of this colour and the other colour.
+        """Return a mix of this colour and another colour.
 
-        With the fraction 0, the result is this colour. With the fraction 1, it is the other colour.
+        With the fraction 0, the result is this colour. With the fraction 1, the result is
+        ``other_colour``.
         """
         return Colour(
             *(round(a + fraction * (b - a)) for a, b in zip(self, other_colour, strict=True))
@@ -36,8 +37,8 @@ DIGIT_PALETTE = (
 )
 """Colours of the digits.
 
-The colours suit a dark background. People with red-green colour blindness can tell the colours
-apart.
+The colours of the digits suit a dark background. People with red-green colour blindness can
+distinguish the colours of the digits.
 """
 
 PHASE_COLOURS = {

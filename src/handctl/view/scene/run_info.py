@@ -64,7 +64,7 @@ class RunInfo:
 
     @property
     def application_id(self) -> str:
-        """Return the application id for Rerun. Rerun stores one layout for each id."""
+        """Return the application id for Rerun. Rerun stores one layout of the dashboard for each application id."""
         return f"handctl_{self.hand.name}"
 
     def split_telemetry(self, telemetry_table: FloatArray) -> dict[str, FloatArray]:
@@ -74,8 +74,8 @@ class RunInfo:
             telemetry_table: (n, columns) rows of the topic.
 
         Returns:
-            an array (n, names) for each field of the telemetry. If an older version wrote the log
-            and did not know a field, the array of this field is NaN.
+            an array (n, names) for each field of the telemetry. If an older version of handctl
+            wrote the log and did not know a telemetry field, the array of this field is NaN.
         """
         slices = columns_of_fields(
             self.header, row_field_names(self.header, telemetry_table.shape[1])

@@ -109,8 +109,8 @@ class TopicConverters:
             factor = self._run.hand.display_units.factor[joints]
             angle = factor * values_of_field["q"][:, joints]
             # Without an encoder, the standard deviation of a joint angle is about 20 deg. A band of
-            # this width would cover the plot. So the plot of the angles shows no band. The plot of
-            # the signal q_sigma shows the standard deviation instead.
+            # 20 deg would cover the plot, so the plot of the angles shows no band. The plot of the
+            # signal q_sigma shows the standard deviation of each joint angle.
             yield temporal_chunk(f"/angle/{digit}/estimate", times, plot_lines(angle))
             yield temporal_chunk(
                 f"/angle/{digit}/command",
