@@ -1,4 +1,4 @@
-"""A hand file that ``config init`` writes from a few valid answers always passes `config check`."""
+"""Test that each hand file that ``config init`` writes from a few valid answers passes `config check`."""
 
 import itertools
 import json
@@ -130,8 +130,9 @@ def test_sensors_springs_and_protocol_are_asked_for(
 ) -> None:
     """Reproduce a defect.
 
-    The last question was that about the breaking force. The command then wrote the protocol `mit` and a
-    load cell for every tendon, and did not report this.
+    After the question about the breaking force, ``config init`` asked no more questions. Without a
+    message, the command wrote the drive protocol `mit` and a load cell for every tendon into the hand
+    file.
     """
     answers = iter(
         [

@@ -63,7 +63,7 @@ def test_exports_have_the_units_of_prismatic_joints(
 ) -> None:
     """Reproduce a defect: in all exports, positions in m had the unit rad, and forces in N had the unit N m.
 
-    The documentation promises the unit of every exported value.
+    The documentation states the unit of every exported value.
     """
     assert main(["demo", "--lockstep", "--hand", hand_file, "--log", "run.mcap"]) == 0
     for form in ("--csv", "--parquet", "--lerobot"):
@@ -150,7 +150,7 @@ HAND_FILE_MISTAKES = {
     ),
     "a noise in millimetres": ("joint_noise_m = 2e-5", "joint_noise_m = 0.02", "joint_noise_m: 0.02; expected"),
 }  # fmt: skip
-"""Each case: a text in the gripper's file, a wrong text that replaces it, and a part of the error line."""
+"""For each mistake: a text in the gripper's hand file, a wrong text that replaces it, and a part of the error line."""
 
 
 @pytest.mark.parametrize("mistake_name", HAND_FILE_MISTAKES)

@@ -29,7 +29,9 @@ def run_at_terminal(command_words: tuple[str, ...], work_folder: Path) -> tuple[
         try:
             while output_bytes := os.read(master_side, 4096):
                 error_output += output_bytes
-        except OSError:  # the command has closed its end of the terminal
+        except (
+            OSError
+        ):  # the command has closed the terminal, so that nothing more can be read from it
             pass
         assert process.stdout
         out = process.stdout.read()

@@ -1,7 +1,7 @@
-"""After wrong input, every command prints one line on standard error and exits with code 2, before it opens a bus.
+"""Test that, after wrong input, every command prints one error line and exits with code 2 before it opens a bus.
 
-In these tests, no process serves the bus. A command that tried to open the bus would therefore exit
-with code 1 instead of 2.
+No other process uses the bus of these tests, so a command that tried to open the bus would exit with
+code 1 instead of 2.
 """
 
 import socket
@@ -315,8 +315,8 @@ REQUEST_COMMANDS = (("stop",), ("stop", "--cut"), ("clear",), ("gains", "set", "
 def test_a_local_bus_without_a_controller_needs_no_power_switch(capsys, command_words):
     """Reproduce a defect.
 
-    The command exited with code 71, and asked the user to switch off the power. The hand was a
-    simulated hand that did not run.
+    The command exited with code 71, and asked the user to switch off the motor power. However, the hand
+    was a simulated hand, and its simulator did not run.
     """
     assert main([*command_words, *ABSENT_BUS_OPTION]) == 1
     assert capsys.readouterr() == (
@@ -333,7 +333,7 @@ def test_a_local_bus_without_a_controller_needs_no_power_switch(capsys, command_
 def test_an_unconfirmed_request_is_reported_as_failed(capsys, command_words, controller_was_killed):
     """Reproduce a defect: the command sent the request and exited with code 0 before the request was confirmed.
 
-    The mailbox file of a killed controller still exists.
+    The mailbox file of a controller still exists after the controller was killed.
     """
     bus = "local:killed" if controller_was_killed else "socketcan:does-not-exist"
     if controller_was_killed:

@@ -1,4 +1,4 @@
-"""A calibration belongs to a single hand.
+"""Test that a calibration is used only for the hand that it belongs to.
 
 The serial numbers of the hand's drives identify the hand.
 """
@@ -164,8 +164,8 @@ def test_a_calibration_of_an_earlier_version_is_accepted_with_a_notice(work_fold
 def test_a_calibration_is_used_for_a_day(work_folder, hours, reason):
     """Reproduce a defect.
 
-    The clock of a computer was wrong, so the date of a calibration was in the future. Therefore
-    handctl never treated this calibration as too old.
+    The clock of a computer was wrong, so the date of a calibration was in the future. handctl never
+    treated a calibration with a future date as too old.
     """
     bench = CalibratedBench(work_folder, "jamia")
     path = work_folder / "c.toml"
