@@ -29,9 +29,7 @@ def run_at_terminal(command_words: tuple[str, ...], work_folder: Path) -> tuple[
         try:
             while output_bytes := os.read(master_side, 4096):
                 error_output += output_bytes
-        except (
-            OSError
-        ):  # the command has closed the terminal, so that nothing more can be read from it
+        except OSError:  # the command has closed the terminal
             pass
         assert process.stdout
         out = process.stdout.read()

@@ -150,9 +150,7 @@ def run_at_terminal(typed_answer: str) -> tuple[int, str]:
     while time.monotonic() < end and select.select([controlling_side], [], [], 60.0)[0]:
         try:
             read_text = os.read(controlling_side, 4096).decode()
-        except (
-            OSError
-        ):  # the command has closed the terminal, so that nothing more can be read from it
+        except OSError:  # the command has closed the terminal
             break
         terminal_output += read_text
         if "[y/N]" in terminal_output and not answered:

@@ -1,6 +1,6 @@
 """Test the tensions that are allocated for joint torques.
 
-The expected tensions come from scipy's bounded least-squares solver.
+The bounded least-squares solver of scipy computes the expected tensions.
 """
 
 import numpy as np
@@ -26,8 +26,8 @@ EXTENSOR_MOMENT_ARMS = np.array(
 )
 """Moment arms of four tendons on three joints [m].
 
-The last tendon opens all joints, with moment arms in the ratio 3:2:1. The digit has one tendon more
-than joints.
+The last of the four tendons opens all joints, with moment arms in the ratio 3:2:1. The digit with these
+moment arms has one tendon more than joints.
 """
 
 

@@ -1,6 +1,7 @@
 """Test hands without return springs in the simulator: commissioning, tracking, grasp and release.
 
-In these hands, a digit with n joints has n + 1 tendons. Only one kind of thumb has 2 n tendons.
+In hands without return springs, a digit with n joints has n + 1 tendons. Only one kind of thumb has 2 n
+tendons.
 """
 
 import os
@@ -41,7 +42,7 @@ def n_plus_1_hand() -> Hand:
 
 @cache
 def hand_without_encoders() -> Hand:
-    """Return the hand without joint encoders. The motor zeros refer to the lower joint limits."""
+    """Return the n + 1 hand without joint encoders. The zeros of its motors refer to the lower joint limits."""
     content = hand_content("n_plus_1")
     return hand_from_content(
         content | {"sensor_node": content["sensor_node"] | {"joints": []}}, "no encoders"
@@ -52,7 +53,7 @@ def hand_without_encoders() -> Hand:
 def two_n_hand() -> Hand:
     """Return the hand with n + 1 tendons per finger, but with another thumb.
 
-    At each joint of this thumb, there are two tendons: a flexor and an extensor.
+    Each joint of the other thumb has two tendons: a flexor and an extensor.
     """
     content = hand_content("n_plus_1")
     base = content["tendon"][-1]
@@ -79,14 +80,14 @@ def two_n_hand() -> Hand:
 
 @cache
 def antagonist_model() -> HandModel:
-    """Return the model of the hand at the control rate of these tests."""
+    """Return the model of a hand at the control rate of the tests in this file."""
     return HandModel.from_hand(n_plus_1_hand(), Gains(), RATE_HZ)
 
 
 def task_of_moves(*digit_and_thumb_angles_deg: tuple[float, float]) -> Task:
-    """Return a task with one move for each pair.
+    """Return a task with one move for each pair of an angle and a duration.
 
-    A pair contains one angle for all joints [deg] and the duration of the move [s].
+    A pair contains one target angle for all joints [deg] and the duration of the move [s].
     """
     phases = [
         {"kind": "move", "name": f"move {i}", "angle_deg": angle, "duration_s": duration}
@@ -106,7 +107,7 @@ def begin_run(
 ) -> tuple[SimulatedRun, Iterator[None]]:
     """Begin a run of a program at tick ``first_tick``.
 
-    An earlier run may already have moved the simulated hand.
+    The simulated hand has possibly been moved by an earlier run.
     """
     controller = make_controller(
         hand or n_plus_1_hand(), Gains(), RATE_HZ, program, calibration, arm_at_once=True
