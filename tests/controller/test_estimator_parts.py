@@ -77,8 +77,8 @@ def tension_explained_by_contact(
 ) -> np.ndarray:
     """Return the part of each tension that a contact explains [N].
 
-    All tendons have a tension of 20 N and move with the speed ``tendon_speed`` [m/s]. In this test,
-    the filter gets no readings.
+    All tendons have a tension of 20 N and move with the speed ``tendon_speed`` [m/s]. The filter gets
+    no sensor readings.
     """
     stretch = (
         20.0 + model.tendon_constants.damping * tendon_speed
@@ -108,7 +108,7 @@ def test_a_slack_tendon_bears_no_contact_wherever_its_digit_is(model: HandModel)
 def used_measurements(model: HandModel, state: FilterState, measured: SensorReadings) -> np.ndarray:
     """Return the measurements (N, 3) that the filter uses in a given state.
 
-    An unused measurement is NaN.
+    A measurement that the filter does not use is NaN.
     """
     run = state_with_filter(model, state)
     write_readings(run, measured)
@@ -172,7 +172,7 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
 
     The length is known if the tendon was taut before.
 
-    After the tendon has become taut, the filter counts its evidence from zero again.
+    After a tendon has become taut, the filter resets its evidence for a change of the regime to zero.
     """
     n = model.tendon_count
     lower_tension = next(

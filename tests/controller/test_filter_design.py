@@ -1,7 +1,7 @@
 """Test the filter design.
 
-Compare the discrete model with the differential equations of a tendon. Compare the gains with the
-gains of a second solver.
+Compare the discrete model with the differential equations of a tendon. Compare the filter gains with
+the gains that a second solver computes.
 """
 
 import itertools
@@ -175,7 +175,7 @@ def test_the_transition_of_all_tendons_is_that_of_its_blocks(
 
 
 def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
-    """The kernels get all parts of the filter design, and variances that were computed from these parts."""
+    """The kernels get all arrays of the filter design, and variances that were computed from these arrays."""
     design = constant_tables_of(model).design
     assert design.shape == (model.tendon_count, h.FILTER_DESIGN_COUNT, h.FILTER_DESIGN_SIZE)
     offset_by_matrix = {

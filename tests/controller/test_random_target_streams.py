@@ -1,9 +1,9 @@
-"""Random streamed targets cause no fault that stops the hand.
+"""Test that random streamed targets cause no fault that stops the hand.
 
-The targets stay within the range of each joint or tendon, reach both ends of this range, and change
-at any speed. In one test, a client streams tensions to one digit of each packaged hand with
-springs. In another test, a client streams angles to all digits of each packaged hand, so that
-digits touch each other. The warning T02a (a tendon is slack) is no failure of the test.
+The random targets stay within the range of each joint or tendon, reach both ends of this range, and
+change at any speed. In one test, a client streams tensions to one digit of each packaged hand with
+springs. In another test, a client streams angles to all digits of each packaged hand, so that digits
+touch each other. The warning T02a (a tendon is slack) is no failure of the test.
 """
 
 import os
@@ -27,7 +27,7 @@ FloatArray = NDArray[np.float64]
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 STREAM_DURATION_S = 3.0
 STREAM_RATE_HZ = 100.0
-"""Rate of the streamed targets [Hz]. A control loop with a lower rate gets one target per tick."""
+"""Rate of the streamed targets [Hz]. If the control rate is lower, the controller gets one target per tick."""
 
 
 @cache
@@ -43,7 +43,7 @@ def white_noise_targets(
     highest_targets: FloatArray,
     times: FloatArray,
 ) -> FloatArray:
-    """Return targets of white noise. Some of these targets exceed the limits."""
+    """Return targets of white noise. Some of the returned targets exceed the limits of the targets."""
     range_excess = 0.1 * (highest_targets - lowest_targets)
     return rng.uniform(
         lowest_targets - range_excess,
@@ -87,7 +87,7 @@ def random_walk_targets(
     highest_targets: FloatArray,
     times: FloatArray,
 ) -> FloatArray:
-    """Return targets that walk at random within the limits.
+    """Return targets that change as a random walk within the limits of the targets.
 
     The random walk takes 50 steps per second.
     """
@@ -161,7 +161,7 @@ def test_random_targets_cause_no_fault(
 ) -> None:
     """Reproduce a defect: random streams ended within 45 ms with the fault T01 (a tendon snapped).
 
-    There were two causes. While a digit moved freely, the tension setpoint was far ahead of the
+    The fault T01 had two causes. While a digit moved freely, the tension setpoint was far ahead of the
     tension. While a digit was in contact, the reference angle was far ahead of the joint angle.
 
     Reproduce another defect: 12 of 60 streams of tensions to n_plus_1 ended with the faults T01, T02b
