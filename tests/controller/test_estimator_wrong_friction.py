@@ -1,4 +1,4 @@
-"""Test that a wrong friction in the hand file makes the tension estimate no worse than the raw load-cell reading."""
+"""Test that a tension estimate with wrong friction parameters is no worse than the raw load-cell reading."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Test the beginning of a run, in which the controller searches and configures all drives.
+"""Test the beginning of a run, in which the controller finds and configures all drives.
 
 The controller waits until every drive and every load cell has replied with a first reading.
 """

@@ -33,9 +33,9 @@ OPTIONS_BY_PROTOCOL = {
 
 
 def hand_file(hand_folder: Path, protocols: tuple[str, ...], bus_count: int = 1) -> str:
-    """Write the file of a packaged hand with drives of other protocols, and return its path.
+    """Write the hand file of a packaged hand with drives of other protocols, and return the path of the hand file.
 
-    If ``bus_count`` is 2, two drives are on the second bus.
+    If ``bus_count`` is 2, two drives of the hand are on the second bus.
     """
     text = described("jamia").to_toml()
     head, *motors = text.split("[[motor]]")
@@ -165,7 +165,7 @@ def frames_of_ticks(
 ) -> Iterator[list[Frame]]:
     """Yield the frames of each tick: first the set-up of the drives, and then commands.
 
-    Some frames are disturbed, unless the seed is 0.
+    If the seed is not 0, some of the frames are disturbed.
     """
     rng = random.Random(seed)
     drives = [
@@ -205,7 +205,9 @@ def test_the_kernel_answers_as_the_nodes_do(
     simulated_hands = [
         LockstepHand(hand, seed=3, truth_path=str(tmp_path / name)) for name in ("kernel", "nodes")
     ]
-    simulated_hands[1].world.faults.in_frames = True  # use the Python nodes for every frame
+    simulated_hands[
+        1
+    ].world.faults.in_frames = True  # process every frame with the Python code of the nodes
     count = 0
     for k, frames in enumerate(frames_of_ticks(protocols, 400, seed, bus_count)):
         answers, nodes = (rig.step(k * TICK_NS, frames) for rig in simulated_hands)

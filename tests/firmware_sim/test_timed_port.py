@@ -1,6 +1,6 @@
 """Test a local bus with the timing of a real wire, on a clock whose time the test sets.
 
-One end of the bus is a bus client of handctl, and the other end is a simulated hand.
+The local bus connects a bus client of handctl with a simulated hand.
 """
 
 import select

@@ -30,18 +30,18 @@ GRASP_PARAMETERS = {
 }
 """Two numbers of a scripted grasp for each packaged hand.
 
-The first number is the step after which the digits are close to the object. The second number is
-the tension action that holds the object.
+The first number of a scripted grasp is the episode step after which the digits are close to the object.
+The second number is the tension action that holds the object.
 """
 DIAMETER_OPTIONS = {"t42": {"diameter_mm": (33.4, 35.0)}}
 """Range of the object's diameter for the hand t42 [mm].
 
-The two fingers of this hand would squeeze out a smaller object.
+The two fingers of the hand t42 would squeeze out a smaller object.
 """
 
 
 def make_env(environment_id: str, **environment_options: Any) -> Any:
-    """Return an environment without wrappers."""
+    """Return a Gymnasium environment without wrappers."""
     return gymnasium.make(environment_id, **environment_options).unwrapped
 
 
@@ -58,7 +58,7 @@ def action_towards_reference(environment: Any, observation: Any) -> Any:
 
 
 def closing_action(environment: Any, step_index: int) -> Any:
-    """Return the action of a scripted grasp in a given step.
+    """Return the action of a scripted grasp in the given step of an episode.
 
     The scripted grasp first closes the hand, and then holds the object.
     """
@@ -205,7 +205,9 @@ def test_several_processes_give_the_episodes_of_one_process() -> None:
         return gymnasium.make("handctl.gym:handctl/Track-v0", duration_s=0.2)
 
     rng = np.random.default_rng(0)
-    actions = rng.uniform(-1.0, 1.0, (15, 2, 4)).astype(np.float32)  # longer than one episode
+    actions = rng.uniform(-1.0, 1.0, (15, 2, 4)).astype(
+        np.float32
+    )  # 15 steps are longer than one episode
     rows = []
     for kind in (SyncVectorEnv, AsyncVectorEnv):
         vector_environment = kind([made, made])

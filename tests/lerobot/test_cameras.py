@@ -33,7 +33,7 @@ BRIGHTNESS_PER_S = 40.0
 def ffmpeg_on_path(tmp_path_factory, monkeypatch):
     """Add the program ffmpeg from the package imageio to PATH.
 
-    If PATH already contains an ffmpeg, this ffmpeg has priority.
+    If PATH already contains a program ffmpeg, the program in PATH has priority.
     """
     from imageio_ffmpeg import get_ffmpeg_exe
 
@@ -43,9 +43,9 @@ def ffmpeg_on_path(tmp_path_factory, monkeypatch):
 
 
 def write_video(video_path, duration_s, width_px=IMAGE_WIDTH_PX):
-    """Write a video whose images become brighter with time, and return its path.
+    """Write a video whose images become brighter with time, and return the path of the video.
 
-    The brightness of an image therefore shows the time at which it was taken.
+    A test can compute the time of an image in the video from the brightness of the image.
     """
     import imageio
 
@@ -64,9 +64,9 @@ def write_video(video_path, duration_s, width_px=IMAGE_WIDTH_PX):
 
 
 def active_time_range(run_log):
-    """Return start and end [s] of the part of a log in which the hand is active.
+    """Return start time and end time [s] of the period of a log in which the hand is active.
 
-    This part becomes an episode.
+    The export of the log makes an episode from the period in which the hand is active.
     """
     active = run_log.t_ns[run_log.mode == int(HandMode.ACTIVE)] / 1e9
     return active[0], active[-1]

@@ -1,6 +1,6 @@
-"""Invented results of experiments.
+"""Provide invented results of the paper's experiments.
 
-In tests of pages and figures, these results take the place of simulated results.
+Tests of pages and figures use the invented results instead of simulated results.
 """
 
 from pathlib import Path
@@ -19,7 +19,8 @@ from handctl.paper.figures.all_figures import draw_all_figures
 def measured_results() -> dict[str, Any]:
     """Return generated results of tendon tests and load tests.
 
-    There are two tendons with noise, and one load test for each combination of diameter and axis.
+    The generated results cover two tendons with noise, and one load test for each combination of object
+    diameter and load axis.
     """
     chance = np.random.default_rng(11)
     ropes = []

@@ -1,9 +1,9 @@
 """Pytest plugin that uses Eq. 10 of the paper in the dynamics of handctl.
 
-The equation has its misprints, or it is corrected.
+The plugin uses Eq. 10 either with the misprints of the paper, or in its corrected form.
 
-``test_literal.py`` runs the tests of the model with this plugin. The environment variable
-HANDCTL_EQ10 selects one of the two versions of the equation.
+``test_literal.py`` runs the tests of the model with this plugin. The environment variable HANDCTL_EQ10
+selects the printed or the corrected form of Eq. 10.
 """
 
 import os

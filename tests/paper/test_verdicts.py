@@ -1,4 +1,4 @@
-"""The verdict on a printed number follows from its decimal places and from the exact value."""
+"""Test how a number in the paper is judged, such as rounded or wrong, from its decimal places and the exact value."""
 
 from decimal import ROUND_DOWN, ROUND_HALF_EVEN, Decimal
 from fractions import Fraction
