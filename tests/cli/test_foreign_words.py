@@ -1,6 +1,6 @@
 """Test that texts from files, logs and arguments are escaped and shortened before they are printed on a terminal.
 
-The tests also check that JSON output is encoded in UTF-8.
+JSON output must be encoded in UTF-8.
 """
 
 import io

@@ -1,7 +1,7 @@
 """Test the hands that ``handctl identify`` refuses.
 
 ``identify`` refuses a hand without the necessary sensors or springs, and prints one error line.
-``identify`` refuses such a hand before it opens a bus.
+``identify`` refuses a hand without these sensors or springs before it opens a bus.
 """
 
 from pathlib import Path

@@ -47,7 +47,7 @@ SAMPLE_CASES = [
     (2, "24,16", "each", 0),
     (1, "50,30,20", "each", 1),
 ]
-"""Reproduce defects of four hands. Two hands dropped the cylinder. The other two reported the faults N04 and T02b.
+"""Reproduce defects of four hands. Two of the four dropped the cylinder, and two reported a fault (N04 or T02b).
 
 The first two hands dropped the cylinder because its size did not depend on the hand, so the fingertips
 touched each other. In the third hand, friction held a motor at rest, while the motor of another tendon

@@ -21,8 +21,8 @@ DEMO_CASES = [
 SAMPLE_CASES = [("jamia11", "mit", 7), ("t42", "mit", 3)]
 """Hand, drive protocol and seed of the demos that an ordinary test run executes.
 
-In an earlier version, the first of these demos ended during commissioning with the fault N04 (a stuck
-encoder). The hand of the second demo has two digits.
+In an earlier version, the demo of jamia11 ended during commissioning with the fault N04 (a stuck
+encoder). The hand t42 has two digits.
 
 CiA 402 drives are tested in ordinary test runs by tests/runtime/test_lockstep_again.py.
 """

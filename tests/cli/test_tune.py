@@ -663,7 +663,7 @@ def test_parameters_identified_in_lockstep_are_tuned_verified_and_applied_in_loc
 ):
     """Each command of this test was proposed in the output of the previous command.
 
-    Only the number of trials of the search for gains is reduced.
+    The test changes only the number of trials of the search for gains in the proposed commands.
     """
     words = "identify --lockstep --digits index --seed 7 --perturb stiffness=0.8 friction=1.2 --log id.mcap"
     assert main(words.split()) == 0

@@ -133,7 +133,7 @@ def test_interpreted_kernels_give_the_same_ticks_of_random_hands(
 ) -> None:
     """Compiled and interpreted kernels give the same state, telemetry, frames and events in every tick.
 
-    In these ticks, received frames can be lost, duplicated, late or corrupt.
+    Frames that the random hands send can be lost, duplicated, late or corrupt.
     """
     with run_without_compiler(
         "-m", "tests.contracts.random_hands", *[f"{n}:{seed}" for n, seed in seeds_and_lengths]
@@ -189,8 +189,8 @@ def test_interpreted_kernels_begin_the_same_motions() -> None:
 def test_a_prepared_kernel_refuses_other_argument_types() -> None:
     """A prepared kernel raises an exception if one of its arguments has another array type.
 
-    Without this exception, the kernel would be compiled for the new array type in the middle of a tick.
-    The compilation would take a second.
+    Without this exception, a call with a new array type would compile the kernel in the middle of a
+    tick, which would take a second.
     """
 
     @kernel("vector", "real")

@@ -25,7 +25,7 @@ PATHS_WITH_OPTIONAL_IMPORTS = (
 )  # fmt: skip
 """Folders and files of the source that are allowed to import optional packages of extras other than ``controller``."""
 PACKAGES_OF_DEPENDENCIES = {"pydantic_core"}
-"""Packages that another package installs, which is a dependency of handctl.
+"""Packages that belong to a dependency of handctl and are installed with this dependency.
 
 The dependency that installs the package also fixes the version of the package.
 """

@@ -1,7 +1,7 @@
 """Test the soak run, a long run of a controller that searches for memory leaks.
 
-The soak run must report a memory leak. It must not report memory that a process frees and allocates
-again. The soak run must be able to start a controller.
+The soak run must report a memory leak. The soak run must not report memory that a process frees and
+allocates again. The soak run must be able to start a controller.
 """
 
 import random

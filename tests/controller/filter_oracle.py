@@ -1,6 +1,6 @@
 """Compute the model and the filter gain of a tendon independently of handctl.
 
-This second implementation covers the differential equations of a tendon and the steady-state Kalman
+The independent implementation covers the differential equations of a tendon and the steady-state Kalman
 gain.
 """
 

@@ -95,7 +95,8 @@ STATE_FIELD_BY_ATTRIBUTE = {
 }  # fmt: skip
 """Field of the state block for each attribute of ``FilterState``.
 
-The seven filter states and the covariance have no entry in this table.
+The attributes for the seven filter states and for the covariance have no entry in
+``STATE_FIELD_BY_ATTRIBUTE``.
 """
 
 

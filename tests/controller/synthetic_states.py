@@ -133,7 +133,7 @@ def constant_args_of(model: HandModel) -> tuple[BlockArray, TableOffsets]:
 def constant_tables_of(model: HandModel) -> ConstantTables:
     """Return the tables that contain the constants of a hand.
 
-    The functions that ``uncompiled_function`` returns take the constants of a hand in this form.
+    The functions that ``uncompiled_function`` returns get the constants of a hand as tables.
     """
     return uncompiled_function(constant_tables)(*constant_args_of(model))
 

@@ -166,8 +166,8 @@ def test_a_load_cell_that_does_not_answer_is_named(model: HandModel) -> None:
 def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> None:
     """Tension in the second tendon also changes the reading of the first load cell.
 
-    Such crosstalk has two possible causes: the two tendons touch each other, or one load cell is
-    connected to two channels.
+    Crosstalk of two load cells has two possible causes: their tendons touch each other, or one load
+    cell is connected to two channels.
     """
 
     def tensions_during_pull(i: int) -> np.ndarray:
@@ -194,8 +194,8 @@ def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(
 ) -> None:
     """In this test, the load cells drift twice as fast as those of packaged hands.
 
-    At the end of commissioning, the load cells have drifted by 0.9 N rms. Commissioning accepts
-    crosstalk of at most this size.
+    At the end of commissioning, the load cells have drifted by 0.9 N rms. The limit for crosstalk of
+    load cells during commissioning is also 0.9 N.
     """
     progress = run_commissioning(
         fifteen_motor_model,

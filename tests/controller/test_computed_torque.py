@@ -40,7 +40,8 @@ def test_a_saturated_law_asks_no_drive_for_more_than_its_limit(torque_gain: floa
     After the division, a later computation multiplies the quotient by the spool radius and by the
     torque gain.
 
-    Without a correction, rounding could make the commanded torque exceed the torque limit by one bit.
+    Without a correction of the torque limit, rounding could make the commanded torque exceed this limit
+    by one bit.
     """
     hand = load_hand("jamia")
     gains = None if torque_gain is None else np.full(len(hand.tendon), torque_gain)

@@ -104,7 +104,7 @@ def readings_of(
 
 
 def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandModel) -> None:
-    """At the start of a run, load cells may reply before encoders.
+    """At the start of a run, load cells possibly reply before motor encoders.
 
     A drive sends its position only after the controller has read the drive's registers.
     """
@@ -164,7 +164,7 @@ def test_slack_ends_by_tension_and_not_by_noise(model: HandModel) -> None:
 def test_a_small_tension_ends_slack_after_a_few_ticks(model: HandModel) -> None:
     """A slowly wound tendon counts as taut before its tension reaches five standard deviations of the load-cell noise.
 
-    The filter needs a few ticks to detect such a small tension.
+    The filter needs a few ticks to detect a tension below five standard deviations.
     """
     regimes_by_tick = regimes_of_readings(model, [0.2, 0.9, 1.2, 1.6, 1.7, 1.7])
     assert regimes_by_tick[2] == {TendonRegime.SLACK}

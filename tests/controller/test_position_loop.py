@@ -127,9 +127,9 @@ def sent_stiffness(run: SimulatedRun) -> np.ndarray:
 def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
     """Return the RMS error along each tendon (N,) [deg], and the largest true tension [N].
 
-    Both values are measured while the hand moves. The error along a tendon is the error of the mean
-    angle of the joints that the tendon passes. In the hand ``jamia``, the springs determine how the
-    single joints of a digit share the error along a tendon.
+    The RMS error and the largest tension are measured while the hand moves. The error along a tendon is
+    the error of the mean angle of the joints that the tendon passes. In the hand ``jamia``, the springs
+    determine how the single joints of a digit share the error along a tendon.
     """
     errors, peak = list[np.ndarray](), 0.0
     with start_back_and_forth_run(hand, seed, move_count=2) as run:
@@ -337,7 +337,8 @@ def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(
 ) -> None:
     """When the host dies, a moteus drive continues to move its position target until its watchdog fires after 50 ms.
 
-    Without the torque limit in the last command, the drive would pull with 70 N in this test.
+    Without the torque limit in the last command of the host, the moteus drive would pull with 70 N in
+    this test.
     """
     with start_back_and_forth_run(hand_with_position_loop(protocol="moteus"), seed) as run:
         for _ in range(round((0.1 + 0.06 * seed) * RATE_HZ)):

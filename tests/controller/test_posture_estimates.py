@@ -311,8 +311,8 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
 def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed: int) -> None:
     """The estimator fuses one encoder after the other.
 
-    One update with all encoders in matrix form gives the same result. Both computations leave out
-    encoder readings from frames that are too old.
+    One update with all encoders in matrix form gives the same result as successive updates with one
+    encoder. Both kinds of update leave out encoder readings from frames that are too old.
     """
     model = HandModel.from_hand(load_hand(str(hand_file_with_encoders(tmp_path))), Gains(), RATE_HZ)
     rng, constants, state = (

@@ -177,7 +177,8 @@ def test_a_growing_load_removes_the_object_only_without_slip_reaction(
 ) -> None:
     """The two runs of this test, with and without slip reaction, have the same load, hand and seed.
 
-    The two runs differ only in the key of the task that permits a higher grip force.
+    The runs with and without slip reaction differ only in the key of the task that permits a higher
+    grip force.
     """
     scene, motion, tension = (
         PULLED_CYLINDER_SCENE.format(friction=object_friction, rate=load_rate),

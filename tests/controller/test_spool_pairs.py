@@ -47,7 +47,7 @@ SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
 def spool_finger() -> Hand:
     """Return a hand with one finger that has two joints.
 
-    At each joint, two antagonistic tendons share one motor.
+    At each joint of the finger, two antagonistic tendons share one motor.
     """
     return load_hand(SPOOL_FINGER_FILE)
 

@@ -417,8 +417,8 @@ def test_integers_beyond_64_bits_do_not_end_the_run(
 ) -> None:
     """Reproduce a defect.
 
-    An integer of more than 64 bits in the text of a target raised OverflowError in the tick. The
-    controller then disabled all motors.
+    An integer of more than 64 bits in the text of a target raised OverflowError in the tick. After the
+    exception, the controller disabled all motors.
     """
     with live_client(jamia) as client:
         client.open_stream()

@@ -150,7 +150,7 @@ def test_a_digit_with_a_tendon_more_than_joints_takes_an_angle_per_joint(tmp_pat
 def hand_with_an_extensor() -> Hand:
     """Return the hand jamia11 with a third tendon in its thumb.
 
-    The third tendon opens both joints of the thumb.
+    The third tendon of the thumb opens both joints of the thumb.
     """
     content = hand_content("jamia11")
     motor = {
@@ -242,7 +242,7 @@ def test_an_empty_table_of_digits_is_accepted(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("phase_name", [TARE_PHASE, "start"])
 def test_a_phase_may_not_have_a_reserved_name(refusal, phase_name: str) -> None:  # type: ignore[no-untyped-def]
-    """No phase may have the name tare or start, because the controller uses these names itself."""
+    """No phase of a task is allowed to have the name tare or start, because the controller uses these names itself."""
     assert "must not be named" in refusal(
         VALID_TASK.replace('kind = "hold"', f'kind = "hold"\nname = "{phase_name}"')
     )

@@ -76,8 +76,8 @@ def run_against_palm(
 ) -> tuple[str, PlantRun]:
     """Return the name of a hand and the record of a run of this hand.
 
-    In the run, the index finger moves towards 100 degrees, but touches the palm before it reaches this
-    angle.
+    In the recorded run, the index finger moves towards 100 degrees, but touches the palm before it
+    reaches this angle.
     """
     move = JogProgram(MoveDigitsRequest(do="move", angle_deg={"index": 100.0}, duration_s=1.0), 1.6)
     return request.param, run_on_plant(

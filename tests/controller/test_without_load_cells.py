@@ -105,7 +105,7 @@ class RunWithoutCells:
     object_height: float = 0.0
 
     def normalized_errors(self, *phase_names: str) -> np.ndarray:
-        """Return the errors of the tension estimate in some task phases, divided by the estimated standard deviation."""
+        """Return the errors of the tension estimate in some task phases, divided by the standard deviation."""
         rows = np.isin(self.phase_name, phase_names)
         return (np.array(self.tension)[rows] - np.array(self.true_tension)[rows]) / np.array(
             self.sigma

@@ -1,8 +1,8 @@
 """Test that a reader finds the answer to a frequent question after few clicks and few words.
 
-A reader takes two minutes for 400 words. The last click opens a page or a heading of a page. The test
-counts the words from the beginning of this page or heading to the answer. A reader reads fewer words
-than the test counts, because readers skip rows of a table.
+A reader takes two minutes for 400 words. The last click of a reader opens a page or a heading of a
+page. The test counts the words from the opened page or heading to the answer. A reader reads fewer
+words than the test counts, because readers skip rows of a table.
 """
 
 import re

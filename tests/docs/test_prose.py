@@ -59,7 +59,7 @@ def test_no_paragraph_is_long(path: Path) -> None:
 )
 def test_a_second_paragraph_of_a_list_entry_is_indented_by_four(path: Path) -> None:
     # If the text of a list entry is indented by fewer than four spaces, the site ends the list. After
-    # such an early end of the list, the site shows the marks of later list entries as text.
+    # an early end of the list, the site shows the marks of later list entries as text.
     text = FENCE_PATTERN.sub("", path.read_text(encoding="utf-8"))
     assert re.findall(r"\n\n {1,3}\S.*", text) == []
 

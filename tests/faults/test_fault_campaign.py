@@ -65,8 +65,7 @@ def test_only_existing_load_cells_fail():
     """Reproduce a defect.
 
     The campaign let a load cell of a spool pair saturate, although spool pairs have no load cells.
-
-    The campaign then ended with a traceback.
+    Because of the load cell that does not exist, the campaign ended with a traceback.
     """
     for hand in (mount_on_wrist("jamia"), load_hand("orca_like")):
         cells = set(hand.sensor_node.tendons)
@@ -121,8 +120,8 @@ def test_fault_free_run_alone_continues_its_seeds():
 def alarms_of_run(last_phase, *event_texts):
     """Return the false alarms of a run without injected faults.
 
-    In the run, the hand stays in one phase of its task for eight seconds, and reports the given faults
-    in each second.
+    In the run without injected faults, the hand stays in one phase of its task for eight seconds, and
+    reports the given faults in each second.
     """
     events = tuple(TickEvent("warn", "fault", "", text) for text in event_texts)
     out = SimpleNamespace(mode=HandMode.ACTIVE, phase=last_phase, events=events)
@@ -354,8 +353,8 @@ def test_a_drive_without_torque_feedback_that_switches_off_is_reported_by_its_ow
 def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
     """Check that tensions stay below 40 N if drives are exchanged or late in a hand without load cells.
 
-    Earlier defect: drives of the thumb were exchanged or reacted late. In this defect, the spools
-    became faster and faster, and the tendons pulled with 208 to 230 N.
+    Earlier defect: drives of the thumb were exchanged or reacted late. With exchanged or late drives,
+    the spools became faster and faster, and the tendons pulled with 208 to 230 N.
     """
     results = results_of_hand("orca_like", seed, {FREE_MOTION_STAGE: ("swap", "cross", "late")})
     assert len(results) == 6
@@ -476,7 +475,7 @@ def test_a_stall_of_the_host_is_a_stall_at_every_control_rate():
 
 
 def test_a_time_limit_of_a_filter_stays_the_same_time_at_a_fast_control_rate():
-    """At 500 Hz and below, each limit is ``max_ticks``. At 1 kHz, only limits with ``scales_with_period`` are higher."""
+    """At 500 Hz and below, each limit is ``max_ticks``. At 1 kHz, limits with ``scales_with_period`` are higher."""
     for row in FAULT_MATRIX:
         fixed_row = row._replace(max_extra_ms=0.0, extra_ms_by_protocol={}, extra_ticks={})
         slow = [fixed_row.reaction_limit_ticks("mit", period_ms) for period_ms in (5.0, 2.5, 2.0)]
@@ -505,9 +504,9 @@ def test_a_drive_of_a_weak_hand_that_does_not_obey_is_found_as_soon_as_one_of_a_
 ):
     """Compare drives with torque limits of 110 N and 160 N.
 
-    Reproduce two defects. In both defects, the weak hand had the fault threshold of the strong hand.
-    The controller found a drive without torque after 23 ticks, but the limit is 22 ticks. At 1 kHz, the
-    controller found a drive that runs away after 11 ticks, but the limit is 10 ticks.
+    Reproduce two defects in which a weak hand had the fault threshold of a strong hand. The controller
+    found a drive without torque after 23 ticks, but the limit is 22 ticks. At 1 kHz, the controller
+    found a drive that runs away after 11 ticks, but the limit is 10 ticks.
     """
     faults = {FREE_MOTION_STAGE: ("runaway",), GRASP_STAGE: ("disobey",)}
     for seed in (0, 12):

@@ -1,6 +1,6 @@
 """Test the environments of ``handctl.gym``: their interface, determinism and safety.
 
-Also test that the tasks of both environments can be solved.
+Test that the tasks of both environments can be solved.
 """
 
 import re
@@ -205,9 +205,7 @@ def test_several_processes_give_the_episodes_of_one_process() -> None:
         return gymnasium.make("handctl.gym:handctl/Track-v0", duration_s=0.2)
 
     rng = np.random.default_rng(0)
-    actions = rng.uniform(-1.0, 1.0, (15, 2, 4)).astype(
-        np.float32
-    )  # 15 steps are longer than one episode
+    actions = rng.uniform(-1.0, 1.0, (15, 2, 4)).astype(np.float32)  # longer than one episode
     rows = []
     for kind in (SyncVectorEnv, AsyncVectorEnv):
         vector_environment = kind([made, made])

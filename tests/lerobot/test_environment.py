@@ -16,7 +16,7 @@ LEROBOT_REQUIREMENT = "lerobot==0.4.4"
 LEROBOT_PYTHON_PATH = os.environ.get("HANDCTL_LEROBOT_PYTHON", "")
 """Path of the Python interpreter of an existing environment with LeRobot.
 
-If this path is empty, the test creates a new environment.
+If ``LEROBOT_PYTHON_PATH`` is empty, the test creates a new environment.
 """
 INSTALL_TIMEOUT_S = 3600.0
 TESTS_TIMEOUT_S = 1800.0

@@ -250,7 +250,7 @@ def test_a_printed_number_of_the_abstract_is_judged_once(printed_number: str) ->
 def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> None:
     """The test computes the expected value tau_1 = g sum(m x) itself, without the dynamics code.
 
-    Here x is the distance of each centre of mass from joint 1.
+    In this formula, x is the distance of each centre of mass from joint 1.
     """
     digit = motion.upright_digit("index")
     base = np.concatenate(([0.0], np.cumsum(digit.lengths)[:-1]))

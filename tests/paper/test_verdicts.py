@@ -1,4 +1,4 @@
-"""Test how a number in the paper is judged, such as rounded or wrong, from its decimal places and the exact value."""
+"""Test that decimal places and exact value decide if a printed number counts as equal, rounded, truncated or wrong."""
 
 from decimal import ROUND_DOWN, ROUND_HALF_EVEN, Decimal
 from fractions import Fraction
