@@ -24,7 +24,7 @@ def test_the_packaged_hand_fits_at_its_rate(capsys: pytest.CaptureFixture[str]) 
         "commands, answers, tensions, SYNC"
     )
     settings_bus_load = 4 * 2 * 135e-6 * 2.0
-    """Bus load that repeated reading of the drives' settings causes.
+    """Bus load due to the settings that the controller repeatedly reads from the drives.
 
     The controller reads a setting of each drive twice a second. The request frame takes 135 us on the
     bus, and the reply frame takes the same time.
@@ -132,8 +132,8 @@ def test_a_bus_too_slow_for_the_watchdogs_is_refused(
 ) -> None:
     """handctl refuses a run if a bus is too slow for the watchdogs of the drives.
 
-    The slow bus of this test can carry at most 20 ticks per second, so one tick takes 50 ms. The
-    watchdog time of a drive is also 50 ms.
+    The slow bus of this test can carry the frames of at most 20 ticks per second, so one tick takes 50
+    ms. The watchdog time of a drive is also 50 ms.
     """
     slow = tmp_path / "slow.toml"
     slow.write_text(hand_path("jamia11").read_text().replace("1_000_000", "125_000"))
@@ -151,7 +151,7 @@ def test_a_bus_too_slow_for_the_watchdogs_is_refused(
 def test_real_motors_are_not_run_in_slow_motion(
     bus_text: str, exit_code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Slow motion with real motors is refused.
+    """handctl refuses to run real motors in slow motion.
 
     The gains of the controller are designed for one tick every 2 ms. With one tick every 20 ms, the
     hand would oscillate.

@@ -71,7 +71,7 @@ MEASURED_VALUES = {
 }
 """Values of the tripod that must be measured, because neither its description nor an option contains these values."""
 JOINT_KEYS = ("joint_armature_kg_m2", "spring_stiffness_N_m_per_rad", "spring_preload_rad")
-"""Keys that a digit has in a hand file, but not in an exported URDF."""
+"""Keys of a digit that a hand file contains, but that an exported URDF does not contain."""
 FILE_BY_OPTION = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
 
 

@@ -230,7 +230,7 @@ def test_existing_file_is_not_overwritten_by_config_init(
 def test_a_motor_type_is_taken_from_its_option_or_asked_for(
     work_folder: Path, monkeypatch: pytest.MonkeyPatch, protocol: str, motor_type: str
 ) -> None:
-    """Reproduce a defect: `--protocol cubemars` was not accepted as a choice."""
+    """Reproduce a defect: `config init` did not accept `--protocol cubemars`."""
     words = ["config", "init", "--protocol", protocol, "--output"]
     assert main([*words, "option.toml", "--yes", "--motor-type", motor_type]) == 0
     questions: list[str] = []

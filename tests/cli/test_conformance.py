@@ -160,7 +160,7 @@ def test_an_odrive_without_endpoint_options_is_not_checked_and_names_them():
 @pytest.mark.nightly
 @pytest.mark.realtime
 def test_a_drive_that_never_answers_is_not_called_off():
-    """Reproduce a defect: the command reported that a CubeMars motor is off, although no frame of the motor arrived."""
+    """Reproduce a defect: `conformance` reported that a CubeMars motor is off, although the motor sent no frame."""
     words = ["--protocol", "cubemars", "--node", "1", "--option", "motor_type=ak80-6", "--yes"]
     with run_simulated_drives("local:c", "cubemars", "--ids", "1", "--broken", "mute"):
         done = run_handctl(*CONFORMANCE_OPTIONS, *words, "--json")

@@ -127,8 +127,8 @@ def _table_lines(table_name, table_content):
 def content_without_key(file_content, key_path, renamed_value=None):
     """Return a copy of the content of a file without one key.
 
-    If the value ``renamed_value`` is given, store this value under the name of the removed key with
-    ``_x`` at its end.
+    If ``renamed_value`` is given, the copy contains this value under the name of the removed key plus
+    ``_x``.
     """
     file_content = content_with_value(file_content, key_path, None)
     parent = file_content
@@ -190,7 +190,7 @@ def text_with_mistake(file_content, key_path, mistake_kind):
 
 
 class BusOpenedError(Exception):
-    """Error that is raised when the command opens a bus."""
+    """Error that a test raises when the tested command opens a bus."""
 
 
 @pytest.fixture(autouse=True)
@@ -205,7 +205,7 @@ def refuse_to_open_buses(monkeypatch):
 def refusal_of_file(capsys, file_option, file_name):
     """Return the error line of `run` for a file.
 
-    Return an empty text if the command accepts the file and opens the bus.
+    Return an empty text if `run` accepts the file and opens the bus.
     """
     task_options = [] if {"--task", "--trajectory"} & {*file_option} else ["--task", "grasp"]
     try:

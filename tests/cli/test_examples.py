@@ -1,4 +1,4 @@
-"""The example at the end of the help of each command works in a shell, exactly as printed."""
+"""Test that the example at the end of the help of each command works in a shell, exactly as printed."""
 
 import importlib
 import os

@@ -196,7 +196,7 @@ def test_quiet_hides_notices_and_shows_cautions(capsys):
 
 
 def test_a_command_prints_each_caution_once(capsys):
-    """Reproduce a defect: a run that first commissions the hand printed all cautions twice."""
+    """Reproduce a defect: ``run`` printed all cautions twice if it commissioned the hand before the task."""
     from handctl.cli.console.plan import print_notice
     from handctl.cli.console.verbosity import apply_verbosity
 

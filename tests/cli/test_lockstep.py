@@ -1,7 +1,7 @@
 """Test ``handctl demo`` in virtual time.
 
-Two equal demos write files with equal bytes. All checks of a demo pass, and other tools can read
-the log of a demo.
+Two demos with equal options write files with equal bytes. All checks of a demo pass, and other tools
+can read the log of a demo.
 """
 
 import json
@@ -72,8 +72,8 @@ def run_demos(result_folder, *hand_names, task_file=""):
 def equal_demos(tmp_path_factory):
     """Return the folders and the results of two equal demos.
 
-    In an ordinary test run, the demos execute a short motion. In a nightly run, the demos execute a
-    grasp.
+    In an ordinary test run, the two equal demos execute a short motion. In a nightly test run, the two
+    equal demos execute a grasp.
     """
     return run_demos(
         tmp_path_factory.mktemp("equal_demos"),

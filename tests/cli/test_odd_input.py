@@ -1,4 +1,4 @@
-"""For an invalid file or number, every command prints one error line and exits with code 2."""
+"""Test that every command prints one error line and exits with code 2 for an invalid file or number."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Test commands with prismatic hands: grasps, re-execution, mistakes, export, import."""
+"""Test commands with hands that have prismatic joints: grasps, re-execution, mistakes, export and import."""
 
 import json
 import shutil
@@ -61,7 +61,7 @@ def test_a_gripper_grasps_holds_releases_and_is_re_executed(
 def test_exports_have_the_units_of_prismatic_joints(
     gripper_hand_files: Path, capsys: pytest.CaptureFixture[str], hand_file: str
 ) -> None:
-    """Reproduce a defect: in all exports, positions in m had the unit rad, and forces in N had the unit N m.
+    """Reproduce a defect: all exports stated the unit rad for positions in m, and the unit N m for forces in N.
 
     The documentation states the unit of every exported value.
     """

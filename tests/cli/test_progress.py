@@ -1,4 +1,4 @@
-"""A command shows its progress on a terminal, but never in output that a program reads."""
+"""Test that a command shows its progress on a terminal, but never in output that a program reads."""
 
 import os
 import pty

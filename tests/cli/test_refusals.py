@@ -186,7 +186,7 @@ def test_existing_log_is_not_overwritten(work_folder, capsys, cli_verb, log_name
 
 
 def write_hand_on_two_buses():
-    """Write the hand file of jamia, with the thumb's drive on a second bus."""
+    """Write a hand file of jamia in which the thumb's drive is on a second bus."""
     content = jamia_hand_content()
     content["bus"].append({"name": "thumb", "bitrate": 1_000_000})
     content["motor"][3]["bus"] = "thumb"

@@ -115,8 +115,8 @@ def test_interpreted_kernels_convert_frames_to_the_same_bytes() -> None:
 DAILY_RANDOM_HANDS = [(1, 0), (2, 0), (5, 1), (5, 2), (6, 5), (11, 1), (23, 3), (24, 0)]
 """Number of tendons and seed of each random hand that is tested in ordinary test runs.
 
-In the hands (5, 2), (6, 5) and (11, 1), drives close position loops. The hand (6, 5) has moteus
-drives. In ticks of the hand (23, 3), values of the state are NaN.
+In the random hands (5, 2), (6, 5) and (11, 1), drives close position loops. The hand (6, 5) has moteus
+drives. In some ticks of the random hand with 23 tendons and seed 3, values of the state are NaN.
 """
 
 
@@ -287,9 +287,9 @@ def run_copied_kernel(package_folder: Path, cache_folder: Path) -> tuple[bool, b
 def test_a_constant_changed_in_another_file_compiles_again(
     package_copy: Path, tmp_path: Path
 ) -> None:
-    """The kernel is compiled again if a constant in another file changes.
+    """A kernel is compiled again if a constant in another source file changes.
 
-    numba itself checks only the file of the kernel.
+    The cache of numba checks only if the source file of the kernel has changed.
     """
     cache_folder = tmp_path / "cache"
     assert run_copied_kernel(package_copy, cache_folder) == (True, False, True)
@@ -346,7 +346,7 @@ class KernelSources:
     """
 
     def __init__(self) -> None:
-        """Start with an empty set of modules."""
+        """Create an empty set of modules."""
         self.modules = set[str]()
         self._seen = set[tuple[str, str]]()
         self._trees: dict[str, ast.Module] = {}
@@ -368,9 +368,9 @@ class KernelSources:
                         self.add_modules_of_name(module_name, used.id)
 
     def _follow_import(self, module_name: str, name: str) -> None:
-        """Follow an imported name.
+        """Add all modules that define an imported name.
 
-        If a module is imported, follow all names of this module.
+        If the imported name is a module, add all names of this module.
         """
         inner = f"{module_name}.{name}"
         if inner not in sys.modules:

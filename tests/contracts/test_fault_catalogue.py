@@ -127,7 +127,7 @@ N01 2 N02 4 N04 22 N05 3 N06 200 N07 52 N08 2 N09 22 N10 2 N11 2 N13 2 N14 22 N1
 T01 3 T02 12 T03 2 T04 200 T05 42 T06 4 T08 4
 H01 1 H02 1 H03 1 H04 1 H05 3 H06 1 H07 1 H08 200 H09 640 H10 1 H13 2 I07 2
 """
-"""Longest required reaction time of faults [ticks]. Source: FAULTS, sections 2.1 to 2.5."""
+"""Longest permitted reaction time of the controller to each fault [ticks]. Source: FAULTS, sections 2.1 to 2.5."""
 
 
 def test_a_reaction_later_than_required_has_a_reason() -> None:

@@ -1,4 +1,4 @@
-"""Test which slow tests are left out of an incomplete test run."""
+"""Test which slow tests pytest leaves out of an incomplete test run."""
 
 import re
 import subprocess

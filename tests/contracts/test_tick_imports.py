@@ -56,7 +56,7 @@ print(*sorted(set(sys.modules) - before))
 
 
 def run_script(program_text: str, hand_name: str) -> list[str]:
-    """Run a program in a process of its own, and return the words that it prints."""
+    """Run a program in a separate process, and return the words that the program prints."""
     result = subprocess.run(
         [sys.executable, "-c", program_text, hand_name], capture_output=True, text=True, check=False
     )

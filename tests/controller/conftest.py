@@ -13,7 +13,7 @@ from handctl.programs.live_session import LiveProgram
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 DEFAULT_RATES = {"jamia": 500.0, "jamia11": 200.0}
-"""Default control rate of each hand [Hz]. All frames of the hand fit on its bus at this rate."""
+"""Default control rate of each hand [Hz]. At this rate, the bus of the hand can carry all of its frames."""
 
 
 @pytest.fixture(scope="session")

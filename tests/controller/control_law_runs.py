@@ -146,7 +146,7 @@ def run_control_law_tick(
 
 
 def control_law_state_of(state: ControllerState) -> ControlLawState:
-    """Return the state of the control law after a tick."""
+    """Return the state of the control law from a controller's state after a tick."""
     block_values = {
         name: state.view(name).copy()
         for name in ControlLawState._fields
@@ -180,8 +180,8 @@ def _tension_limits(
 def tension_limits_of(model: HandModel, state: ControllerState) -> np.ndarray:
     """Return the tension limits (N,) [N] that a controller's state contains.
 
-    For a tendon without a limit, the value is infinity. The function does not include the tension
-    limits of the hand file.
+    For a tendon without a tension limit, the returned value is infinity. The function does not include
+    the tension limits of the hand file.
     """
     return _tension_limits(state.block, state.layout.offsets, *constant_args_of(model))
 

@@ -64,7 +64,7 @@ class ToyHand:
         self.motor_force = [0.0] * n
 
     def step(self, t_ns: int, frames: list[Frame]) -> list[Frame]:
-        """Reply to the frames of a tick, and advance the tendons to the next tick."""
+        """Return the replies of the simple hand to the frames of a tick, and advance its tendons to the next tick."""
         answers: list[Frame] = []
         for sent_frame in frames:
             frame = Frame(*sent_frame)
@@ -90,7 +90,7 @@ class ToyHand:
         self.tendon_stiffness[tendon_index] = self.tendon_damping[tendon_index] = 0.0
 
     def close(self) -> None:
-        """Do nothing, because the scripted hand has no file or connection to close."""
+        """Do nothing, because the simple hand has no file or connection to close."""
 
     def _feedback_codes(self, tendon_index: int) -> tuple[int, int, int]:
         angle, speed = (
@@ -239,14 +239,14 @@ class ControllerBench:
         )
 
     def run(self, duration_s: float) -> TickOut:
-        """Run ticks for a given duration."""
+        """Run ticks of the controller for a given duration."""
         for _ in range(round(duration_s / self.controller.model.period)):
             out = self.tick()
         return out
 
     @property
     def mode_history(self) -> list[HandMode]:
-        """Return the modes of the controller so far, in order."""
+        """Return all modes that the controller has had so far, in their order."""
         modes: list[HandMode] = []
         for _, _, out in self.tick_history:
             if not modes or modes[-1] != out.mode:

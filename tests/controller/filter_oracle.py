@@ -108,7 +108,7 @@ def integrate_one_period(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return transition matrix F, input matrix B and noise covariance of one control period, in scaled units.
 
-    A Runge-Kutta method integrates the differential equations over the period.
+    A Runge-Kutta method integrates the differential equations of the tendon over the control period.
     """
     A, B = differential_equation_matrices(model, tendon_index, regime)
     A, B = A * FILTER_STATE_UNITS / FILTER_STATE_UNITS[:, None], B / FILTER_STATE_UNITS[:, None]
@@ -168,7 +168,7 @@ def covariance_by_doubling(
 def assumed_measurements(block: FilterBlock, regime: TendonRegime) -> np.ndarray:
     """Return the measurement matrix H (2, 7) that the design of the filter gain assumes.
 
-    H has an entry for the load-cell error only if the tendon is slack.
+    The measurement matrix H has an entry for the load-cell error only if the tendon is slack.
     """
     H = block.H[:2].copy()
     H[1, E] = float(regime == TendonRegime.SLACK)
@@ -195,7 +195,7 @@ def joseph_update(
 
 
 def assert_same_covariance(computed: np.ndarray, expected: np.ndarray) -> None:
-    """Assert that covariances (..., n, n) agree.
+    """Assert that two arrays of covariances (..., n, n) agree.
 
     The permitted difference of an element is 1e-9 times the product of the standard deviations of its
     two states.

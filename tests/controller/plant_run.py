@@ -20,7 +20,7 @@ LOST_OBJECT_DISTANCE_M = 0.05
 
 @cache
 def model_of(hand_name: str) -> HandModel:
-    """Return the model of a packaged hand.
+    """Return the controller's model of a packaged hand.
 
     The gains of each hand model are designed once, and later calls return the same model.
     """

@@ -52,7 +52,8 @@ class SensorReadings(NamedTuple):
 class SyntheticEstimate(NamedTuple):
     """Estimate of the present state of a hand.
 
-    The attributes have the same names as those of ``handctl.core.hand_estimate.HandEstimate``.
+    The attributes of this class have the same names as the attributes of
+    ``handctl.core.hand_estimate.HandEstimate``.
     """
 
     tension: np.ndarray
@@ -117,7 +118,8 @@ def uncompiled_function(kernel: Callable[..., Any]) -> Callable[..., Any]:
 def active_state(model: HandModel) -> ControllerState:
     """Return the state of an active hand with a running filter.
 
-    Every tendon is taut. No digit touches an object, and no digit rests at its stop.
+    In the returned state, every tendon is taut. No digit touches an object, and no digit rests at its
+    mechanical stop.
     """
     return _active_state_template(model).copy()
 
@@ -159,7 +161,7 @@ def estimate_of(state: ControllerState) -> SyntheticEstimate:
 
 
 class StaticTendonForces(NamedTuple):
-    """Known forces along each tendon (N,) [N].
+    """Forces along each tendon (N,) that the filter knows [N].
 
     Attributes:
         resistance: tension that balances springs and gravity.
@@ -270,7 +272,7 @@ def estimate_from_states(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
 def balanced_state(model: HandModel, joint_angle: float) -> np.ndarray:
     """Return filter states (N, 7) in which the tensions balance springs and weight.
 
-    All joints are at ``joint_angle`` [rad].
+    In the returned filter states, all joints are at ``joint_angle`` [rad].
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):

@@ -35,7 +35,8 @@ SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
 def n_plus_1_hand() -> Hand:
     """Return a hand with two fingers and a thumb.
 
-    A finger has three joints and four tendons. The thumb has two joints and three tendons.
+    Each finger of the hand has three joints and four tendons. The thumb of the hand has two joints and
+    three tendons.
     """
     return load_hand(ANTAGONIST_HAND)
 
@@ -105,7 +106,7 @@ def begin_run(
     first_tick: int,
     hand: Hand | None = None,
 ) -> tuple[SimulatedRun, Iterator[None]]:
-    """Begin a run of a program at tick ``first_tick``.
+    """Begin a run of a program on a simulated hand at tick ``first_tick``.
 
     The simulated hand has possibly been moved by an earlier run.
     """
@@ -136,9 +137,9 @@ HAND_FACTORY_BY_KIND = {
 def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
     hand_kind: str, seed: int
 ) -> None:
-    """Commissioning finds the true motor zeros of the simulated hand.
+    """The commissioning program finds the true motor zeros of the simulated hand.
 
-    The joints follow their goals within one degree.
+    The joints of the commissioned hand follow their goals within one degree.
     """
     hand = HAND_FACTORY_BY_KIND[hand_kind]()
     period_ns = round(1e9 / RATE_HZ)
@@ -153,9 +154,9 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
         )
         for row in calibration.tendon.values():
             assert row.answer_N == pytest.approx(PULL_TENSION_N, abs=0.8)
-        # The measured offset is the reading of the motor encoder when the digit is open and the
-        # tendon is just taut. An offset error of 0.1 mm of tendon turns the joints of a finger by
-        # one degree.
+        # The measured zero of a motor is the reading of the motor encoder when the digit is open and
+        # the tendon is just taut. An error of the motor zero by 0.1 mm of tendon turns the joints of a
+        # finger by one degree.
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
         travel_errors = (
             calibration.motor_zeros(hand) - offset

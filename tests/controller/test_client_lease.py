@@ -95,7 +95,7 @@ def test_targets_of_a_stream_are_signs_of_life(jamia: HandModel) -> None:
 
 @pytest.mark.parametrize("event_after_lease", ["no lease", "leave", "another"])
 def test_a_lease_ends(jamia: HandModel, event_after_lease: str) -> None:
-    """A client's lease ends when this client sends a command without a lease.
+    """The lease of a client ends when this client sends a command that requests no lease.
 
     A client's lease also ends when the client gives up the right to command the hand, or when another
     client takes over this right.

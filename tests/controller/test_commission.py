@@ -41,8 +41,8 @@ from tests.hand.many_motor_hands import fifteen_motor_hand
 def jamia() -> HandModel:
     """Return the model of ``jamia`` at a low control rate.
 
-    The low rate makes the tests fast. All times in the commissioning program are in seconds, and do
-    not depend on the rate.
+    The low rate makes the tests fast. All times in the commissioning program are in seconds, and do not
+    depend on the control rate.
     """
     return HandModel.from_hand(load_hand("jamia"), Gains(), 50.0)
 
@@ -75,7 +75,7 @@ def run_commissioning(
     cell_drift_N: float = 0.0,
     seed: int = 7,
 ) -> ProgramProgress:
-    """Run the commissioning program.
+    """Run the commissioning program with scripted tensions.
 
     The tendon ``slack_tendon`` stays slack. In a fraction ``lost_reading_fraction`` of the ticks, no
     frames arrive.
@@ -194,8 +194,8 @@ def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(
 ) -> None:
     """In this test, the load cells drift twice as fast as those of packaged hands.
 
-    At the end of commissioning, the load cells have drifted by 0.9 N rms. The limit for crosstalk of
-    load cells during commissioning is also 0.9 N.
+    At the end of the commissioning, the zeros of the load cells have drifted by 0.9 N rms. The limit
+    for crosstalk of load cells during commissioning is also 0.9 N.
     """
     progress = run_commissioning(
         fifteen_motor_model,

@@ -1,4 +1,4 @@
-"""Test the control law.
+"""Test the control law of the controller.
 
 The torque of the control law is bounded for any input. The torque has no step when the control law
 switches between its motion loop and its tension loop. With an exact model and estimate, the hand
@@ -247,13 +247,14 @@ class ClosedLoopPlant:
 
     Attributes:
         tendon_states: (N, 7) true states of the tendons.
-        digits_fixed: True if the digits cannot move.
+        digits_fixed: True if the digits of the simulation cannot move.
     """
 
     STEPS_PER_TICK = 40
-    """Number of integration steps in a tick.
+    """Number of integration steps that the simulation makes in a tick.
 
-    Small steps are necessary because capstan friction reverses within 1 mm/s of tendon speed.
+    Small integration steps are necessary because capstan friction reverses within 1 mm/s of tendon
+    speed.
     """
 
     def __init__(self, model: HandModel, filter_states: np.ndarray, digits_are_fixed: bool) -> None:
@@ -305,7 +306,7 @@ class ClosedLoopPlant:
 def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> None:
     """The filter gets the motor force minus the mean friction over the control period.
 
-    The test finds the expected friction by integrating the motion of the rotor in small steps. At a
+    The test integrates the motion of the rotor in small steps to find the expected mean friction. At a
     slow control rate, friction stops the rotor within one control period. If the filter assumed
     constant friction over the period, it would predict that the rotor reverses.
     """

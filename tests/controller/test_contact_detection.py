@@ -46,7 +46,7 @@ drop_when = "never"
 """
 """Scene file with a wall that is so heavy that a hand cannot move it.
 
-Only the last links of the fingers reach the wall.
+Only the last links of the fingers reach the wall in this scene.
 """
 OPEN_ANGLES_DEG = {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}
 
@@ -72,7 +72,8 @@ def test_a_tip_without_lever_has_no_tip_force(hand: str) -> None:
 def test_contact_with_a_wall_is_detected_20_ms_after_1_newton(hand: str, tmp_path: Path) -> None:
     """The controller is also allowed to detect a contact with the wall at a force below 1 N.
 
-    The benchmark ``benchmarks.grasp`` tests other closing speeds and other positions of the object.
+    The benchmark ``benchmarks.grasp`` measures contacts with other closing speeds and other positions
+    of the object.
     """
     closing = {
         "kind": "close",
@@ -135,8 +136,8 @@ def test_drifted_load_cells_cause_no_contact_where_a_digit_stops(
     """Reproduce a defect: a load-cell error of 1 to 2 N made the computed friction wrong at the end of a motion.
 
     The load-cell error makes the estimated speed of the spool wrong, and the filter sums up such speeds
-    to compute the friction state. Within 30 ms of the end of the trajectory, the unexplained tension
-    looked like a contact.
+    to compute the friction state. Within 30 ms of the end of the trajectory, the tension that the model
+    did not explain looked like a contact.
     """
     assert count_contacts_in_free_motion(hand, 60.0, seed, tmp_path) == 0
 

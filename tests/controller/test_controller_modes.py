@@ -193,7 +193,7 @@ def test_a_second_stop_does_not_lengthen_the_first(hand_bench: ControllerBench) 
 
 
 def command_of_other_host(hand_bench: ControllerBench) -> Frame:
-    """Return a torque command to the first motor.
+    """Return a frame with a torque command to the first motor.
 
     The controller under test does not send the returned command frame, so only a second controller
     could have sent this frame.
@@ -330,7 +330,7 @@ def test_a_motor_that_does_not_confirm_disabling_needs_its_power_removed(
 def test_a_motor_that_keeps_its_torque_needs_its_power_removed_at_once(
     hand_bench: ControllerBench,
 ) -> None:
-    """The motor still reports a torque 0.1 s after it was disabled.
+    """In this test, a motor still reports a torque 0.1 s after it was disabled.
 
     If a motor still makes torque after the disable command, this is the fault N16 (a drive does not
     release).

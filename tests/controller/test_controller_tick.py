@@ -1,4 +1,4 @@
-"""Test that a tick is a pure function.
+"""Test that a tick of the controller is a pure function.
 
 With any received frames, equal inputs give equal outputs, and a tick does not change its inputs.
 """
@@ -22,7 +22,7 @@ from tests.controller.controller_bench import ControllerBench, make_controller_b
 
 
 def run_session(hand_name: str) -> ControllerBench:
-    """Return a bench after a whole run.
+    """Return a bench whose controller has executed a whole run.
 
     In the run, the hand was armed, moved, held a tension and relaxed. In addition, a frame was lost and
     a fault occurred.
@@ -66,7 +66,7 @@ def comparable_outputs(tick_output: TickOut) -> tuple[object, ...]:
 
 
 def test_equal_inputs_give_equal_outputs(session_bench: ControllerBench) -> None:
-    """Each tick of a run is executed again from its previous state.
+    """Each tick of a run is executed again from the state before this tick.
 
     All bytes of the outputs of a tick are equal in both executions.
     """
@@ -124,7 +124,7 @@ def test_frames_with_unknown_identifiers_change_no_decision(session_bench: Contr
 
 
 def test_the_origin_of_time_does_not_matter() -> None:
-    """A run that starts 2560 ticks later has the same modes, phases, actions and events.
+    """A run with a start time that is 2560 ticks later has the same modes, phases, actions and events.
 
     The later run is allowed to differ only in the SYNC counter and in the order in which registers are
     read.

@@ -1,4 +1,4 @@
-"""Test the limits of tension.
+"""Test the limits that the controller sets on tensions.
 
 The tension limit of a warm drive falls linearly as the drive gets warmer. While the safety monitor
 holds the hand (HOLD), no tension rises and no goal moves.
@@ -30,7 +30,7 @@ from tests.controller.synthetic_states import active_state, estimate_under_tensi
 def tension_limits_at(model: HandModel, temperatures_degC: tuple[float, ...]) -> np.ndarray:
     """Return the tension limits (N,) [N] of drives that have given temperatures [degC].
 
-    The limit of a drive that is not warm is infinite.
+    The tension limit of a drive that is not warm is infinite.
     """
     state = active_state(model)
     state.view("temperature")[...] = temperatures_degC
@@ -181,7 +181,7 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
 
 
 def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
-    """The safety monitor holds the hand while more than 20 of the last 100 replies are lost.
+    """The safety monitor holds the hand (HOLD) while more than 20 of the last 100 replies of a drive are lost.
 
     During the HOLD, the state of the control law contains a flag of the HOLD.
     """

@@ -128,10 +128,10 @@ def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandMode
 
 
 def regimes_of_readings(model: HandModel, cell_readings: list[float]) -> list[set[int]]:
-    """Return the set of the regimes of all tendons, for each tick.
+    """Return, for each tick, the set of the regimes that the tendons have.
 
-    The motors are at rest. In each tick, all load cells read the next tension in ``cell_readings``
-    [N].
+    In all ticks, the motors are at rest. In each tick, all load cells read the next tension in
+    ``cell_readings`` [N].
     """
     n = model.tendon_count
     x = np.zeros((n, STATE_COUNT))
@@ -366,7 +366,7 @@ def test_the_filter_step_changes_none_of_its_arguments(model: HandModel) -> None
 
 
 def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None:
-    """In this test, friction holds a digit just before the stop of its open end.
+    """In this test, friction holds a digit just before the mechanical stop at its open end.
 
     If the filter assumed that the digit is at its stop, each return of the digit would add an error to
     its estimated angle.
@@ -386,9 +386,10 @@ def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None
 
 
 def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandModel) -> None:
-    """When a digit comes to rest at the stop of its open end, the estimated excursion becomes zero.
+    """When a digit comes to rest at the mechanical stop of its open end, the estimated excursion becomes zero.
 
-    The filter adds its previous estimate of the excursion to the stretch offset of the tendon.
+    When a digit comes to rest at this stop, the filter adds its previous estimate of the excursion to
+    the stretch offset.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S], x[:, O], x[:, W] = 1.5e-5, -4e-5, 1e-3

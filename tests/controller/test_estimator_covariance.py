@@ -83,7 +83,7 @@ MissingMeasurements = Callable[[int, np.random.Generator], np.ndarray]
 class FilterRun(NamedTuple):
     """Errors of a settled filter's estimates, and the standard deviations that the filter computes.
 
-    Each array has the shape (ticks, N).
+    Each array of errors or standard deviations has the shape (ticks, N).
     """
 
     estimate_error: np.ndarray
@@ -102,8 +102,8 @@ def run_monte_carlo(
 ) -> FilterRun:
     """Draw a random true trajectory from the filter's model in one tendon regime, and run the filter on it.
 
-    ``missing_measurements`` is a function that returns a mask (2, N) for each tick. The first row marks missing
-    encoder readings, and the second row marks missing load-cell readings.
+    ``missing_measurements`` is a function that returns a mask (2, N) for each tick. The first row of
+    the mask marks missing encoder readings, and the second row marks missing load-cell readings.
     """
     rng, n = np.random.default_rng(seed), model.tendon_count
     design_arrays_by_tendon = [integrate_one_period(model, i, regime) for i in range(n)]
@@ -373,7 +373,7 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
 def test_covariance_grows_over_skipped_ticks(
     model: HandModel, missed_ticks: int, prediction_time_s: float | None
 ) -> None:
-    """In missed ticks, the covariance grows.
+    """In missed ticks, the covariance of the filter grows.
 
     The covariance grows at most for the time for which the motors hold the last command.
     """

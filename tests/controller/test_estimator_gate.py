@@ -58,7 +58,7 @@ class HandAtConstantTension:
         return estimate
 
     def settle(self) -> "HandAtConstantTension":
-        """Return the hand after 200 readings without errors."""
+        """Return this hand after its filter got 200 readings without errors."""
         for _ in range(200):
             self.run_tick_with_tension(HOLD_TENSION_N)
         return self
@@ -112,7 +112,7 @@ def test_a_saturated_cell_is_no_measurement(model: HandModel) -> None:
 def slack_tendon_estimate(
     hand: HandAtConstantTension, cell_error_N: float, slack_length_m: float, duration_s: float
 ) -> SyntheticEstimate:
-    """Return the estimate of slack tendons.
+    """Return the estimate of a hand whose tendons are slack.
 
     The load cell of tendon 0 reads ``cell_error_N`` [N], although tendon 0 has no tension.
     """
@@ -223,7 +223,8 @@ def test_the_filter_predicts_every_tick_that_was_skipped(
 def state_while_winding(model: HandModel) -> tuple[FilterState, np.ndarray]:
     """Return a filter state, and motor forces that balance the tensions [N].
 
-    The digits are half closed, and their rotors turn. All tendons have a tension of 20 N.
+    In the returned filter state, the digits are half closed, and the rotors turn. All tendons have a
+    tension of 20 N.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), 0.5)

@@ -66,7 +66,7 @@ def run_with_friction(
 
 
 def estimate_and_cell_rmse(run: PlantRun) -> tuple[float, float]:
-    """Return the tension RMSE [N] of the estimate and of the raw load cell.
+    """Return the RMSE [N] of the estimated tension, and the RMSE of the raw load-cell reading.
 
     The RMSE includes only taut tendons, and only the time while the hand moves.
     """

@@ -1,4 +1,4 @@
-"""Test the exercise program: the goals of each digit in each of its stages."""
+"""Test the goals of each digit in each stage of the exercise program."""
 
 import pytest
 
@@ -65,8 +65,9 @@ def test_a_wrist_keeps_its_angle_while_the_other_digits_exercise(hand_name: str)
 def test_only_digits_without_springs_close_with_a_slow_rise(hand_name: str) -> None:
     """Reproduce a defect: the tension of closed digits without springs rose with 200 N/s to 30 N.
 
-    A digit that friction had stopped early then closed so fast that fault T01 (a tendon snapped)
-    ended the run. During a hold of the exercise program, tensions change at the default rate.
+    When the tension rose, a digit that friction had stopped early closed so fast that the fault T01 (a
+    tendon snapped) ended the run. During a hold of the exercise program, tensions change at the default
+    rate.
     """
     model = HandModel.from_hand(load_hand(hand_name), packaged_gains(hand_name), 400.0)
     default_rate = model.gains.tension.rate_N_per_s

@@ -1,4 +1,4 @@
-"""Test the filter design.
+"""Test the design of the tension filter.
 
 Compare the discrete model with the differential equations of a tendon. Compare the filter gains with
 the gains that a second solver computes.
@@ -36,7 +36,7 @@ from tests.controller.synthetic_states import constant_tables_of
 
 
 class FilterDesigns:
-    """Filter designs of the packaged hands at any control rate."""
+    """Filter designs of the packaged hands at a chosen control rate."""
 
     def __init__(self, model_by_hand: dict[str, HandModel]) -> None:
         self.models = model_by_hand
@@ -249,9 +249,9 @@ def rng() -> np.random.Generator:
 
 
 def test_tendons_that_are_alike_share_a_design(jamia11: HandModel) -> None:
-    """Tendons of equal fingers share one design.
+    """Tendons of equal fingers share one filter design.
 
-    The tendons of the thumb have other designs, because a thumb tendon moves another mass.
+    The tendons of the thumb have other filter designs, because a thumb tendon moves another mass.
     """
     blocks = dict(zip(jamia11.hand.tendon_names, jamia11.filter_design.blocks, strict=True))
     assert blocks["index_t1"] is blocks["ring_t1"]

@@ -1,7 +1,6 @@
 """Test how friction changes a tension when a digit reverses its motion.
 
-One part of the tests checks the computation of the friction band alone, and another part runs the
-simulator.
+Some tests check only the computation of the friction band, and other tests run the simulator.
 """
 
 from pathlib import Path

@@ -114,7 +114,7 @@ def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
 
 
 def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
-    """A change of gains is refused during the commissioning.
+    """The controller refuses a change of gains during the commissioning.
 
     The run after the commissioning would not use gains that were changed during the commissioning.
     """
@@ -325,7 +325,7 @@ def test_every_key_has_bounds_and_its_default_is_within(jamia: HandModel) -> Non
 def test_every_corner_of_the_live_bounds_can_be_designed(
     jamia: HandModel, uses_upper_bound: bool
 ) -> None:
-    """The test sets one gain at a time to its bound. The other gains keep their defaults.
+    """The test sets one gain at a time to its bound. All gains except the gain at its bound keep their defaults.
 
     Some gains must be greater than their lower bound. For such a gain, the test uses the lower bound
     plus one hundredth of the gain's default.

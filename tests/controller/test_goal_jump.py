@@ -33,7 +33,7 @@ def targets_after_command(
     joint_angle: float,
     excursions: float | Vector = np.nan,
 ) -> ControllerState:
-    """Return the state after a command of one angle for all joints [rad].
+    """Return the state after a command that moves all joints to ``joint_angle`` [rad].
 
     The argument ``excursions`` contains the present excursions of the tendons [m].
     """

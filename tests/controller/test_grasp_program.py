@@ -92,7 +92,7 @@ class ProgramRun:
         return events
 
     def run_until_contact(self, estimate: SyntheticEstimate) -> None:
-        """Run ticks with the same estimate for as long as the detection of a contact takes."""
+        """Run ticks with the same estimate until the program can have detected a contact."""
         for _ in range(
             round(5 * TIP_FORCE_TIME_CONSTANT_S / self.model.period)
             + self.model.gains.contact.ticks
@@ -180,7 +180,7 @@ def test_a_tendon_that_stays_loose_ends_the_run_with_its_name(model: HandModel) 
 
 
 def test_tightening_must_last(model: HandModel, taut_estimate: SyntheticEstimate) -> None:
-    """A slack tendon delays the end of the phase that tightens the tendons, but only up to a time limit."""
+    """A slack tendon delays the end of the phase ``tighten``, but only up to a time limit."""
     run = ProgramRun(model)
     run.run_until_phase("tighten", taut_estimate)
     for seconds, estimate in (

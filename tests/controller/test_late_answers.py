@@ -1,6 +1,7 @@
 """Test replies of a node that arrive together in one tick, after a pause of the host or the simulator.
 
-The controller must not regard late replies as those of a second node with the same identifier.
+The controller must not regard late replies of a node as replies of a second node with the same
+identifier.
 """
 
 import pytest

@@ -1,4 +1,4 @@
-"""Test each term of the control law: how the estimate and the trajectory change the motor force."""
+"""Test how each term of the control law makes the motor force depend on the estimate and on the trajectory."""
 
 from dataclasses import replace
 

@@ -100,7 +100,7 @@ def test_slow_rates_are_stable_too(model: HandModel, rate_hz: float) -> None:
 
 @pytest.mark.parametrize("rate_hz", CONTROL_RATES_HZ)
 def test_the_gains_are_optimal(model: HandModel, rate_hz: float) -> None:
-    """Small changes of the designed gains do not reduce the LQR cost, from any of several initial states.
+    """Small changes of the LQR gains do not reduce the LQR cost of a motion from any of several initial states.
 
     The LQR cost of a motion is summed over the ticks of the motion.
     """

@@ -105,7 +105,7 @@ def start_back_and_forth_run(
 ) -> Iterator[SimulatedRun]:
     """Yield the run of a simulated hand that moves to and fro.
 
-    The yielded run has just reached the start of the first move.
+    The yielded run has just reached the first tick of its first move.
     """
     controller = make_controller(
         hand,
@@ -148,8 +148,8 @@ def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
 def moteus_command(payload: bytes) -> tuple[float, ...]:
     """Return the values in the payload of a moteus command.
 
-    The values are position [rad], velocity [rad/s], torque [N m], the fractions of kp and kd, and
-    the torque limit [N m].
+    A moteus command contains position [rad], velocity [rad/s], torque [N m], the fractions of kp and
+    kd, and the torque limit [N m].
     """
     assert len(payload) == 48
     assert (payload[:5], payload[17:19], payload[31:36]) == (
@@ -262,9 +262,9 @@ def test_a_stiff_drive_follows_twice_as_well(seed: int) -> None:
 
 
 LARGEST_ERROR_RATIO = {"jamia": 0.75, "jamia11": 0.85, "t42": 1.01}
-"""Largest permitted ratio of the tracking error with position loops to the error with torque commands.
+"""Largest permitted tracking error with position loops, divided by the tracking error with torque commands.
 
-The springs determine the tracking error of ``t42``.
+The springs of the hand ``t42`` determine its tracking error in both cases.
 """
 
 
@@ -412,8 +412,8 @@ EXPECTED_FAULTS = {
     "stuck encoder=index_motor": {"N04"},
     "swap node=index_motor with=thumb_motor": {"N05b", "N14", "N17", "T04b"},
     "cross node=index_motor with=thumb_motor": {"N14", "N17", "N04", "T04b", "N05b"},
-    # With the fault "replay", old replies of a moteus drive arrive again, in addition to the
-    # present replies.
+    # With the fault "replay", a moteus drive sends its old replies again, in addition to its present
+    # replies.
     "replay node=index_motor size=16": {"N05b", "N14", "N17", "N04", "B06", "N13"},
     "disobey node=index_motor size=0.4": {"N14", "N17"},
     "offset encoder=index_motor size=-0.5": {"N05b", "T02a", "T03", "N14"},

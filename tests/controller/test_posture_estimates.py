@@ -68,7 +68,7 @@ def packaged_task(task_name: str) -> Path:
 
 
 def hand_file_with_encoders(folder: Path, joints_with_encoders: int | None = None) -> Path:
-    """Write a hand file of jamia with encoders at all or at the first ``joints_with_encoders`` joints.
+    """Write a hand file of jamia with encoders at all joints, or at the first ``joints_with_encoders`` joints.
 
     Return the path of the hand file.
     """
@@ -84,7 +84,7 @@ def hand_file_with_encoders(folder: Path, joints_with_encoders: int | None = Non
 def run_grasp(
     hand_file: Path, task_name: str, scene_name: str, seed: int
 ) -> Iterator[GraspPostureSample]:
-    """Yield the values of each tick of a simulated grasp."""
+    """Yield one ``GraspPostureSample`` for each tick of a simulated grasp."""
     model = HandModel.from_hand(load_hand(str(hand_file)), Gains(), RATE_HZ)
     program = TaskProgram(load_task_for_hand(Path(task_name), model.hand)[0])
     with SimulatorSettings(hand_file, scene_name, seed, homed=True).begin_run(
@@ -256,7 +256,7 @@ def state_after_fusion(
     encoder_sigma: np.ndarray,
     t_ns: int,
 ) -> ControllerState:
-    """Return a state after the readings of joint encoders were fused with the estimate.
+    """Return the state after the filter has fused readings of joint encoders with the estimate.
 
     ``encoder_angles`` (C, J) and ``encoder_sigma`` (J, N) determine the covariance before the fusion.
     """

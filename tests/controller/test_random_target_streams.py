@@ -58,7 +58,7 @@ def step_targets(
     highest_targets: FloatArray,
     times: FloatArray,
 ) -> FloatArray:
-    """Return targets that step from one limit to the other."""
+    """Return targets that jump between the lowest and the highest target."""
     hold = int(rng.integers(5, 40))
     is_at_highest = rng.integers(0, 2, (len(times), len(lowest_targets)))[
         np.arange(len(times)) // hold
@@ -89,7 +89,7 @@ def random_walk_targets(
 ) -> FloatArray:
     """Return targets that change as a random walk within the limits of the targets.
 
-    The random walk takes 50 steps per second.
+    The targets make 50 steps of the random walk per second.
     """
     steps_of_walk = (
         rng.normal(0.0, 0.125, (len(times), len(lowest_targets)))
@@ -106,7 +106,7 @@ def random_walk_targets(
 def target_limits(
     hand_name: str, target_space: str, digit: str
 ) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
-    """Return the names of the values of a stream, with the lowest and the highest target of each [deg or N]."""
+    """Return the names of the joints, digits or tendons of a stream, and their lowest and highest targets [deg or N]."""
     hand = load_hand(hand_name)
     if target_space == "tension":
         tendons = hand.tendon[hand.digit_tendons[digit]]
@@ -193,7 +193,7 @@ def test_random_targets_cause_no_fault(
 def test_a_spool_pair_that_turns_around_does_not_count_as_torn() -> None:
     """Reproduce a defect: 6 of 60 streams of angles to orca_like ended with the fault T01.
 
-    The targets reversed the motion of a spool pair that has no load cell. The estimated tension
-    lagged behind the command.
+    The targets reversed the motion of a spool pair that has no load cell. The estimated tension of the
+    spool pair lagged behind the commanded tension.
     """
     test_random_targets_cause_no_fault("digit", "orca_like", random_walk_targets, 2)

@@ -30,7 +30,7 @@ HOLD_TENSION_N = 20.0
 
 
 class GripRun:
-    """A grasp in which every digit except the last one holds the object.
+    """Grasp in which every digit except the last digit holds an object.
 
     The grasp program runs tick by tick with generated estimates.
     """

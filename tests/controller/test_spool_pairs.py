@@ -1,6 +1,6 @@
 """Test hands in which two antagonistic tendons share one motor (a spool pair).
 
-The tests cover hand file, controller and simulator.
+The tests of spool pairs cover the hand file, the controller and the simulator.
 """
 
 import os
@@ -127,7 +127,7 @@ def begin_run(
     calibration: Calibration | None,
     first_tick: int,
 ) -> SimulatedRun:
-    """Begin a run of a program at tick ``first_tick``.
+    """Begin a run of a program on a simulated hand at tick ``first_tick``.
 
     The simulated hand has possibly been moved by an earlier run.
     """
@@ -156,9 +156,10 @@ MOVES_TASK = Task.model_validate(
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
-    """Commissioning finds the true motor zeros of the simulated hand.
+    """The commissioning program finds the true motor zeros of the simulated hand.
 
-    The joints follow their goals within one degree, and no tendon exceeds its tension limit.
+    The joints of the commissioned hand follow their goals within one degree, and no tendon exceeds its
+    tension limit.
     """
     hand = spool_finger()
     with SimulatorSettings(hand, None, seed).simulated_hand(round(1e9 / RATE_HZ)) as peer:

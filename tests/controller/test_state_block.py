@@ -127,7 +127,7 @@ def state(request: pytest.FixtureRequest) -> ControllerState:
     No two integers and no two floats in the returned state are equal.
     """
     model: HandModel = request.getfixturevalue(request.param)
-    # A drive of the hand closes a position loop, so that no table of the state is empty.
+    # A drive of this hand closes a position loop, so that no table of the state block is empty.
     axes = layout_of_state(model, 3).axes | {"servo": model.tendon_count}
     layout, rng = STATE_SCHEMA.layout(axes), np.random.default_rng(5)
     block = layout.initial.copy()
@@ -148,7 +148,7 @@ def constants_by_field(constant_module: Any) -> dict[str, str]:
     """Return the name of a module constant for each field.
 
     The module constant of a field contains the index of the first row of this field in its table. The
-    function reads the names from the source text of a module.
+    function reads the names of the constants from the source text of a module.
     """
     constant_by_field = {}
     for node in ast.parse(inspect.getsource(constant_module)).body:

@@ -60,12 +60,12 @@ class StreamClient:
         return self.run.k * self.run.period_ns
 
     def tick(self, *requests: TickRequest) -> TickOut:
-        """Run a tick in which given requests arrive, and return the output of the tick."""
+        """Run a tick in which the given requests arrive, and return the output of the tick."""
         self.tick_outputs.append(self.run.run_tick(requests=requests))
         return self.tick_outputs[-1]
 
     def wait(self, duration_s: float) -> None:
-        """Run ticks without requests for a given time."""
+        """Run ticks in which no requests arrive, for ``duration_s``."""
         for _ in range(round(duration_s / self.model.period)):
             self.tick()
 
@@ -289,7 +289,7 @@ def test_a_jump_is_bounded_in_speed_acceleration_and_range(
 def test_a_random_stream_never_leaves_the_limits(jamia: HandModel) -> None:
     """The streamed targets are random angles at random times, such as a faulty policy would send.
 
-    The test runs with twenty seeds.
+    The test of random targets runs with twenty seeds.
     """
     limits, period = jamia.hand.stream, jamia.period
     with live_client(jamia) as client:
@@ -473,7 +473,7 @@ def test_targets_between_the_deadline_and_a_late_tick_are_in_order(jamia: HandMo
 
 
 def test_a_jittering_stream_is_smooth(jamia: HandModel) -> None:
-    """Targets arrive up to 8 ms late, and some are lost.
+    """In this test, targets arrive up to 8 ms late, and some targets are lost.
 
     In spite of late and lost targets, the reference angle follows the streamed motion, and no fault
     occurs.
@@ -790,7 +790,7 @@ def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
 def test_targets_that_tendons_cannot_hold_are_moved_to_the_nearest_posture(
     jamia11: HandModel,
 ) -> None:
-    """The outer joint cannot bend alone, because a tendon of an inner joint would have to push.
+    """The outer joint of a finger cannot bend alone, because a tendon of an inner joint would have to push.
 
     Earlier defect: the safety monitor reported the tendon that would have to push as slack, and relaxed
     the hand.

@@ -1,4 +1,4 @@
-"""Test minimum-jerk trajectories: their start, their end and their derivatives.
+"""Test the start, the end and the derivatives of minimum-jerk trajectories.
 
 No other trajectory with the same start and end has a smaller integral of the squared jerk.
 """

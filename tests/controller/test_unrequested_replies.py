@@ -116,12 +116,12 @@ def is_load_cell_frame(active_bench: ControllerBench, frame: Frame) -> bool:
 
 
 def frame_with_older_counter(cell_frame: Frame) -> Frame:
-    """Return a load-cell frame whose counter is that of another SYNC frame."""
+    """Return a copy of a load-cell frame with the counter of another SYNC frame."""
     return cell_frame._replace(data=bytes([cell_frame.data[0] ^ 1]) + cell_frame.data[1:])
 
 
 def frame_with_other_tension(cell_frame: Frame) -> Frame:
-    """Return a load-cell frame with the same counter, but with another tension."""
+    """Return a copy of a load-cell frame with the same counter, but with another tension."""
     return cell_frame._replace(data=bytes([cell_frame.data[0] ^ 0x10]) + cell_frame.data[1:])
 
 

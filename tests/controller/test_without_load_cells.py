@@ -145,8 +145,8 @@ def run_without_sensors(
 def assert_no_check_of_a_missing_cell(hand: Hand, events: list[TickEvent]) -> None:
     """Check that the commissioning reports no check for which a load cell is missing.
 
-    Earlier defect: for a hand without load cells, the commissioning printed "answers 2.99 N, others
-    0.00 N".
+    Earlier defect: for a hand without load cells, the commissioning program printed "answers 2.99 N,
+    others 0.00 N".
     """
     texts = {event.where: event.text for event in events if event.name == "commission"}
     assert set(texts) == set(hand.tendon_names)

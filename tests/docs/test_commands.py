@@ -2,8 +2,9 @@
 
 For each page, the test executes the command blocks in an empty folder.
 
-A block with "not run" in its title is not executed, because it needs hardware, root rights or a
-screen. A block with "stays open" in its title continues to run while the later blocks run.
+The test does not execute a block with "not run" in its title, because this block needs hardware, root
+rights or a screen. A command block with "stays open" in its title continues to run while later blocks
+of the page run.
 """
 
 from collections.abc import Iterator

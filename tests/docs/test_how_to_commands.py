@@ -141,8 +141,8 @@ def test_the_commands_of_the_readme_run() -> None:
     assert len(simulators) == 1
     assert len(lines) == 6
     commands = [FencedBlock("sh", "", line) for line in lines if line.strip() not in simulators]
-    # Use a smaller time scale, as the README recommends for a slow machine. The machine of the test
-    # is slow while other tests run.
+    # Use a smaller time scale, as the README recommends for a slow machine. The machine that runs this
+    # test is slow while other tests run.
     run_code_blocks(
         commands, partial(prepare_folder, "jamia-grasp"), [f"{simulators[0]} --time-scale 0.3"]
     )

@@ -18,7 +18,7 @@ LOOKUPS_PAGE = DOCS_FOLDER / "evidence" / "lookups.md"
 MOST_CLICKS, MOST_WORDS, TOLERANCE_WORDS = 3, 400, 50
 """Largest permitted number of clicks to an answer, and largest permitted number of words above the answer.
 
-The third number limits the difference between the counted words and the number of words that the
+``TOLERANCE_WORDS`` limits the difference between the counted words and the number of words that the
 evidence page states.
 """
 ANSWER_BY_QUESTION = {
@@ -32,7 +32,7 @@ ANSWER_BY_QUESTION = {
     "How do I add a motor type?": ("how-to/adding-a-drive.md", "add-a-motor-type", r"\| Damiao \|"),
     "Why did my run end?": ("how-to/why-a-run-ended.md", "", r"\*\*The terminal\.\*\*"),
 }  # fmt: skip
-"""For each question: the page, the anchor of a heading, and the beginning of the answer."""
+"""For each frequent question: the page, the anchor of a heading, and the beginning of the answer."""
 
 
 def section_lines(page: str, heading_anchor: str) -> str:

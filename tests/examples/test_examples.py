@@ -135,8 +135,8 @@ def test_stream_sine(attempt_time_scale):
     accepted = re.search(r"accepted=(\d+), clipped=0", out)
     assert accepted
     assert 100 < int(accepted[1]) <= 301, "missed times are left out"
-    # The test compares with the ideal sine of the program. For this reason, targets that the program
-    # sends too late count as an error.
+    # The test compares the motion with the ideal sine of the example program. For this reason, targets
+    # that the program sends too late count as an error.
     assert numbers_in(out.splitlines()[-1])[0] < 1.5
     check_picture("sine.png")
 

@@ -184,7 +184,7 @@ def test_every_hand_with_every_protocol_has_a_rate_at_which_faults_are_found_in_
     replaced = hand_with_protocol(hand, protocol)
     assert default_control_rate(replaced) >= MIN_CONTROL_RATE_HZ
     assert {motor.bus for motor in replaced.motor} <= set(replaced.bus_names)
-    # The hand file that `demo --protocol` writes describes the same hand.
+    # The hand file that `demo --protocol` writes must describe the same hand as ``replaced``.
     assert hand_from_content(tomllib.loads(replaced.to_toml()), "hand") == replaced
 
 
@@ -278,10 +278,10 @@ def test_the_offset_of_a_load_cell_exceeds_the_limits_of_its_tendon():
 
 @pytest.mark.parametrize("joint", ["index_j1", "thumb_j2"])
 def test_silent_joint_encoders_are_detected(joint):
-    """Four missing frames in a row of a joint encoder are a fault.
+    """If four successive frames of a joint encoder are missing, this is a fault.
 
-    Three missing frames in a row cause no fault: neither N06 (encoder drift or slip) nor T08 (a
-    tendon left its pulley).
+    Three successive missing frames of a joint encoder cause no fault: neither N06 (encoder drift or
+    slip) nor T08 (a tendon left its pulley).
     """
     joint_decimation = hand_with_protocol("jamia11", "mit").sensor_node.joint_decimation
     for frames, detected_fault in ((3, ""), (4, f"N02b {joint}")):
@@ -300,7 +300,7 @@ def test_silent_joint_encoders_are_detected(joint):
 def results_of_hand(
     hand_name: str, seed: int, faults_by_stage: dict[str, tuple[str, ...]], protocol: str = "mit"
 ) -> dict[str, ScenarioResult]:
-    """Return the results of a hand's scenarios by name.
+    """Run the fault scenarios of a hand, and return their results by scenario name.
 
     ``faults_by_stage`` contains the faults that are injected in each stage of the campaign.
     """
@@ -353,8 +353,8 @@ def test_a_drive_without_torque_feedback_that_switches_off_is_reported_by_its_ow
 def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
     """Check that tensions stay below 40 N if drives are exchanged or late in a hand without load cells.
 
-    Earlier defect: drives of the thumb were exchanged or reacted late. With exchanged or late drives,
-    the spools became faster and faster, and the tendons pulled with 208 to 230 N.
+    Earlier defect: when drives of the thumb were exchanged or reacted late, their spools became faster
+    and faster, and pulled with 208 to 230 N.
     """
     results = results_of_hand("orca_like", seed, {FREE_MOTION_STAGE: ("swap", "cross", "late")})
     assert len(results) == 6
@@ -543,11 +543,11 @@ def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
 def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
     """If a drive runs away against a grasped object, the tension has an upper bound.
 
-    The bound of the tension follows from the force limit and the momentum of the drive. The drive pulls
-    its rotor against the tendon with at most the force F. Seen at the tendon, the rotor has the mass m
-    and the initial speed v. The tendon has the stiffness k and the initial tension T. Without friction,
-    the tension rises to F + sqrt((F - T)^2 + k m v^2). The reaction of the controller can only lower
-    the final tension.
+    The bound of the tension follows from the force limit and the momentum of the drive. The runaway
+    drive pulls its rotor against the tendon with at most the force F. Seen at the tendon, the rotor has
+    the mass m and the initial speed v. The tendon has the stiffness k and the initial tension T.
+    Without friction, the tension rises to F + sqrt((F - T)^2 + k m v^2). The reaction of the controller
+    can only lower the final tension.
     """
     hand = hand_with_protocol("jamia", "mit")
     with homed_run(hand, RATE_HZ, 0) as simulation:

@@ -44,7 +44,7 @@ EMPTY_CALLBACKS = {
 
 @pytest.fixture(scope="module")
 def arming_simulation():
-    """Yield the simulation of a hand that is being armed, at a low control rate.
+    """Yield the simulation of a hand at a low control rate. The controller is just arming the hand.
 
     Each test uses a copy of the yielded simulation.
     """

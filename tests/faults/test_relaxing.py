@@ -1,7 +1,7 @@
 """Test that a hand that relaxes never raises a tension.
 
-The tests choose hands, simulated parameters, faults, and times of the faults at random. The tests
-check the true tensions in the simulator.
+The tests choose hands, simulated parameters, faults, and times of the faults at random. The tests check
+the true tensions of the simulated hand.
 """
 
 import math
@@ -86,7 +86,8 @@ def tension_bound(
     The bound of a tension follows from the motion of the rotors and the stretch of the tendons. Seen at
     the tendon, a rotor has the mass m and the speed v. A force of at most F pulls the rotor against the
     stiffness k of the tendon. From a tension T, the tension rises to at most F + sqrt((F - T)^2 + k m
-    v^2). While the finger moves freely, the force also increases the speed of the rotor.
+    v^2). While the finger of the tendon moves freely, the force F also increases the speed of the
+    rotor.
     """
     space = simulation.controller.model.tendon_constants
     largest = np.maximum(motor_force, 0.0)
@@ -180,9 +181,9 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
 ) -> None:
     """Reproduce a defect.
 
-    The tension loop was unstable. The hand began to relax from the last command of the unstable tension
-    loop, which was 160 N. During the relaxing, the tension of a tendon that had been slack reached 317
-    N.
+    In an earlier version, the tension loop of the hand was unstable. The hand began to relax from the
+    last command of the unstable tension loop, which was 160 N. During the relaxing, the tension of a
+    tendon that had been slack reached 317 N.
     """
     hand = hand_with_protocol("jamia", "odrive")
     with homed_run(hand, 400.0, seed, task=hidden_faults.rising_hold_task()) as simulation:

@@ -48,7 +48,7 @@ def test_an_mit_motor_has_the_manufacturers_ranges_and_no_watchdog(motor_type: s
 def test_an_mit_motor_reads_the_gear_ratio_of_its_type(
     motor_type: str, expected_ratio: int
 ) -> None:
-    """Reproduce a defect: motors of every type reported the gear ratio 16.
+    """Reproduce a defect: simulated MIT motors of every type reported the gear ratio 16.
 
     Because of the wrong gear ratio, the client i2rt refused all simulated MIT motors.
     """
@@ -98,7 +98,7 @@ def test_an_odrive_follows_positions_and_velocities() -> None:
 def run_at_torque(
     protocol: str, torque: float, motor_type: str = "", inertia: float | None = None
 ) -> tuple[SimulatedDriveBench, float]:
-    """Command a torque [N m] for five seconds.
+    """Command a torque [N m] of a simulated drive for five seconds.
 
     Return the bench with the simulated drive, and the final speed of its shaft [rad/s].
     """

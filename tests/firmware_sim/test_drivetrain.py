@@ -20,8 +20,8 @@ from firmware_sim.truth_file import TruthWriter, read_truth, truth_columns
 def closing_hand(hand_name: str, uses_mj_step: bool = True, is_compiled: bool = True) -> Plant:
     """Build a simulated hand that closes on a cylinder.
 
-    At the start, the tendons are slack. The tendons become taut while the hand closes. Each motor
-    follows a torque, a position, or a moving position.
+    At the start, the tendons are slack. The tendons become taut while the hand closes. Each motor of
+    the hand follows a commanded torque, a commanded position, or a commanded moving position.
     """
     plant = Plant(load_hand(hand_name), load_scene("cylinder"), seed=3, is_compiled=is_compiled)
     if not uses_mj_step:
@@ -137,7 +137,7 @@ def test_the_world_steps_in_blocks_between_events() -> None:
 def test_a_divided_step_ends_where_the_whole_step_ends() -> None:
     """The simulator can divide a simulation step into two steps to read a sensor at an exact time.
 
-    The division of a step changes the motion only slightly.
+    The division of a simulation step changes the simulated motion only slightly.
     """
     undivided, divided = (Plant(load_hand("jamia"), load_scene(None), homed=True) for _ in range(2))
     for plant in (undivided, divided):

@@ -1,7 +1,7 @@
 """Test the compiled kernel that processes all frames of a tick in one call.
 
-The frames are packed records. The kernel gives the same result as the Python code of the simulated
-nodes, which process one frame after the other.
+The kernel gets the frames as packed records. The kernel gives the same result as the Python code of the
+simulated nodes, which process one frame after the other.
 """
 
 import random
@@ -116,8 +116,7 @@ def frames_of_tick(protocol: str, node: int, tick_index: int) -> list[tuple[int,
 def disturb_frame(frame: Frame, rng: random.Random) -> list[Frame]:
     """Return the frames that arrive when one frame is sent on a disturbed bus.
 
-    In rare cases, the frame is lost, repeated or changed. In most cases, the frame arrives
-    unchanged.
+    The disturbed bus rarely loses, repeats or changes a frame. Most frames arrive unchanged.
     """
     can_id, data, flags, bus, t_ns = frame
     disturbed_frames = [

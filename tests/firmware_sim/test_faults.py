@@ -1,4 +1,4 @@
-"""Test scheduled faults.
+"""Test faults that are scheduled in the simulator.
 
 The tests parse the text of a fault, check the times of its start and end, and count its effects.
 Two scheduled faults with equal seeds disturb the hand in the same way.
@@ -121,7 +121,7 @@ def test_every_fault_has_an_effect_and_ends(fault_text):
 
 @pytest.mark.parametrize("fault_text", FAULTS_OF_LAST_COMPONENTS)
 def test_no_size_of_any_fault_ends_the_simulator(fault_text):
-    """The test tries each kind of fault with sizes from small to absurd.
+    """The test injects each kind of fault with very small to very large values of ``size``.
 
     Each fault acts on the last motor, tendon or node of the hand that can have this fault.
     """

@@ -1,7 +1,7 @@
 """Test the hub of the local bus.
 
-The hub forwards the frames of each client to all other clients, as records of bytes. The hub
-completes every record that it has begun to send, and never waits for a client.
+The hub forwards the frames of each client to all other clients, as records of bytes. The hub completes
+every record that it has begun to send to a client, but never waits for a client.
 """
 
 import os
@@ -51,7 +51,7 @@ def hub() -> Iterator[BusHub]:
 def serve_until_idle(hub: BusHub) -> bytes:
     """Let the hub serve its clients until no socket is ready.
 
-    Return the records that the hub passes to the simulator.
+    Return the records of frames that the hub passes to the simulator.
     """
     received = b""
     while ready := select.select(hub.read_sockets(), [], [], 0.0)[0]:

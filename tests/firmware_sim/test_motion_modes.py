@@ -21,7 +21,7 @@ TURN_RAD = math.tau
 def sample_each_ms(
     bench: SimulatedDriveBench, duration_s: float, read_value: Callable[[], float]
 ) -> list[float]:
-    """Advance a bench by some time.
+    """Advance a bench by ``duration_s``.
 
     Return the value of the function ``read_value`` in each simulated millisecond.
     """
@@ -109,7 +109,7 @@ def test_the_ramps_of_a_damiao_motor_act_in_position_velocity_mode(motion_sign: 
     assert speeds[500] == pytest.approx(4.0 * 0.5, rel=0.1)
     assert max(speeds) <= 1.02 * 3.0
     assert min(speeds) > -0.1
-    # The motor reaches 3 rad/s after 0.75 s, when it has turned by 1.125 rad. From this speed, it
+    # The motor reaches 3 rad/s after 0.75 s, when it has turned by 1.125 rad. From 3 rad/s, the motor
     # brakes for 1.5 s and turns by 2.25 rad.
     assert sample_each_ms(bench, 1.0, lambda: motion_sign * motor.theta)[-1] == pytest.approx(
         6.0, abs=0.01
@@ -175,7 +175,7 @@ def test_a_blocked_damiao_motor_holds_the_current_of_force_position_mode() -> No
 
 
 def test_a_damiao_motor_changes_its_mode_while_enabled() -> None:
-    """A change of mode discards the old setpoint.
+    """A change of the control mode discards the old setpoint of the motor.
 
     After a change of mode, the motor turns freely until it gets a command for the new mode.
     """
@@ -292,7 +292,7 @@ def test_a_trajectory_of_an_odrive_has_ramps_and_says_when_it_is_done() -> None:
     motor = bench.motors[0]
     send_messages(bench, (0x0C, struct.pack("<fhh", 3.0, 0, 0)))
     # The drive accelerates for 1 s over 0.5 turns, moves 1.5 turns at full speed, and brakes for 2
-    # s over 1 turn. In total, the trajectory takes 4.5 s.
+    # s over 1 turn. The whole trajectory of the drive takes 4.5 s.
     speeds = sample_each_ms(bench, 1.0, lambda: motor.omega / TURN_RAD)
     assert speeds[499] == pytest.approx(0.5, rel=0.05)
     assert next_heartbeat(bench)[2] == 0

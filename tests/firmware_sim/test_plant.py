@@ -157,7 +157,7 @@ def link_frames(plant: Plant) -> Any:
 def test_forward_kinematics_of_the_links() -> None:
     """The fingers flex towards -y, and the thumb flexes towards +y.
 
-    All digits move in planes of constant z.
+    All digits of the hand move in planes of constant z.
     """
     plant = plant_without_object()
     q = [0.3, 0.4, 0.1] * 3 + [0.5, 0.2]
@@ -209,8 +209,8 @@ def closing_hand(
 ) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     """Raise all tensions of an empty hand to 12 N within 0.4 s.
 
-    The argument ``step_s`` [s] is the time step of the simulation. Return the joint angles after
-    every 5 ms.
+    The argument ``step_s`` [s] is the time step of the simulator. Return the joint angles of the hand
+    after every 5 ms.
     """
     monkeypatch.setattr("firmware_sim.plant.plant.STEP_S", step_s)
     monkeypatch.setattr(
@@ -230,7 +230,7 @@ def closing_hand(
 
 
 def test_the_step_is_short_enough(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tendons, friction and rotors are integrated with a first-order method.
+    """The simulator integrates tendons, friction and rotors with a first-order method.
 
     The error of the first-order method is small, and becomes smaller with a smaller time step.
     """

@@ -1,6 +1,6 @@
 """Test the simulated sensor node.
 
-The bits of the simulated frames must equal bits that were written by hand, and the simulated noise
+The bits of the simulated frames must equal bits that a developer wrote by hand. The simulated noise
 must have the right statistics.
 """
 

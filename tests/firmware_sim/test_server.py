@@ -32,7 +32,7 @@ STATE_ENABLED, STATE_LOST = 1, 0xD
 
 
 class FakePort:
-    """A fake port of a bus.
+    """Fake port through which the simulator server receives and sends frames.
 
     A test adds received frames to the port, and reads the frames that the server has sent through the
     port.

@@ -43,7 +43,7 @@ class TendonOnSpool:
     ) -> float:
         """Compute one simulation step of the tendon, and return its tension.
 
-        Add the torques of the pulleys to ``torque``. The function leaves out the torque term that
+        Write the torques of the pulleys to ``torque``. The function leaves out the torque term that
         compensates the damping.
         """
         self.motor.theta, self.motor.omega = theta, omega

@@ -1,6 +1,7 @@
 """Test the camera videos in an exported dataset.
 
-LeRobot's loader reads the exported videos. The tests are skipped if LeRobot is not installed.
+The loader of LeRobot reads the exported camera videos. The tests are skipped if LeRobot is not
+installed.
 """
 
 import json
@@ -26,7 +27,7 @@ VIDEO_FRAMES_PER_S = 50
 CAMERA_HZ = 30
 IMAGE_WIDTH_PX, IMAGE_HEIGHT_PX = 64, 48
 BRIGHTNESS_PER_S = 40.0
-"""Increase of the brightness in a test video per second [1/s]. The maximum brightness is 255."""
+"""Increase of the brightness in a test video per second [1/s]. The maximum brightness of an image is 255."""
 
 
 @pytest.fixture(autouse=True)
@@ -81,7 +82,9 @@ def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
     decoders = pytest.importorskip("torchcodec.decoders", reason="LeRobot needs torchcodec")
     try:
         decoders.VideoDecoder(str(write_video(tmp_path / "any.mp4", 0.2)))
-    except RuntimeError as error:  # only test_environment.py provides the FFmpeg libraries
+    except (
+        RuntimeError
+    ) as error:  # only the test in test_environment.py provides the FFmpeg libraries
         pytest.skip(f"torchcodec finds no FFmpeg libraries: {str(error).splitlines()[0]}")
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 

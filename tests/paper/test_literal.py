@@ -21,7 +21,7 @@ TESTS_OF_EQUATION_10 = {
 def run_with_equation(equation_form: str) -> tuple[set[str], str]:
     """Run the tests of the dynamic model with the printed or with the corrected Eq. 10.
 
-    Return the names of the failed tests, and the last line of the output.
+    Return the names of the failed tests, and the last line of the output of pytest.
     """
     command = [
         sys.executable,
