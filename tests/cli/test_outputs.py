@@ -1,6 +1,6 @@
 """Test that a command writes an output file either completely or not at all.
 
-An output file never replaces a log, a folder or a device.
+An output file of a command never replaces a log, a folder or a device.
 """
 
 import os

@@ -41,7 +41,7 @@ GOLDEN_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 @pytest.fixture(autouse=True)
 def input_files(work_folder, monkeypatch):
-    """Create the files that commands read before they open the bus.
+    """Create the input files that commands read before they open a bus.
 
     Replace standard input by a stream that is no terminal.
     """

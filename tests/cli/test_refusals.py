@@ -308,7 +308,7 @@ def test_unknown_verb_is_refused(capsys):
 
 
 REQUEST_COMMANDS = (("stop",), ("stop", "--cut"), ("clear",), ("gains", "set", "motion.force_N=20"))
-"""Commands that send a request to a running controller."""
+"""Words of the commands that send a request to a running controller."""
 
 
 @pytest.mark.parametrize("command_words", REQUEST_COMMANDS, ids=" ".join)
@@ -331,7 +331,7 @@ def test_a_local_bus_without_a_controller_needs_no_power_switch(capsys, command_
     "controller_was_killed", [False, True], ids=["real bus", "killed controller"]
 )
 def test_an_unconfirmed_request_is_reported_as_failed(capsys, command_words, controller_was_killed):
-    """Reproduce a defect: the command sent the request and exited with code 0 before the request was confirmed.
+    """Reproduce a defect: a command exited with code 0 before the controller had confirmed the request of the command.
 
     The mailbox file of a controller still exists after the controller was killed.
     """
@@ -376,7 +376,7 @@ def test_the_output_of_config_show_is_the_same_hand(work_folder, capsys, hand_na
 
 @pytest.mark.parametrize("task_name", ["grasps/grasp.toml", "grasp.json", "pinch.v2", "grap"])
 def test_a_missing_task_file_is_not_replaced_by_a_packaged_task(work_folder, capsys, task_name):
-    """Reproduce a defect: if a task file was missing, the packaged task of the same name was executed."""
+    """Reproduce a defect: if a task file was missing, ``run`` executed the packaged task of the same name."""
     words = ("demo", "--lockstep", "--dry-run", "--task")
     expected_text = (
         "expected a task file, or one of grasp.toml, hook.toml, pinch-joints.toml, pinch.toml"

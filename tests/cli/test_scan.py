@@ -214,7 +214,8 @@ def test_scan_only_listens_if_another_host_is_active(foreign_frames):
 def test_scan_reports_no_firmware_if_another_host_is_active():
     """While another host is active on the bus, a scan sends no request frames.
 
-    Earlier defect: if an ODrive with firmware 0.6 did not reply, the scan reported firmware 0.5.
+    Earlier defect: if an ODrive with firmware 0.6 did not reply to a request, the scan reported
+    firmware 0.5.
     """
     request = Frame(3 << 5 | 0x09 | REMOTE_FLAG, b"")
     result, _, bus = scan_bench(("odrive", 3), foreign_frames=[request])
@@ -301,7 +302,7 @@ def test_unrequested_frames_of_an_odrive_are_no_other_host():
 def test_no_scan_request_enables_torque():
     """Send every request frame of a scan to drives that are enabled with zero torque.
 
-    No drive makes torque after the scan requests.
+    No enabled drive makes torque after it has received all request frames of a scan.
     """
     bench = SimulatedDriveBench(
         [drive_spec("mit", node) for node in (1, 2)]

@@ -24,7 +24,7 @@ SAMPLE_CASES = [("jamia11", "mit", 7), ("t42", "mit", 3)]
 In an earlier version, the demo of jamia11 ended during commissioning with the fault N04 (a stuck
 encoder). The hand t42 has two digits.
 
-CiA 402 drives are tested in ordinary test runs by tests/runtime/test_lockstep_again.py.
+In ordinary test runs, tests/runtime/test_lockstep_again.py tests CiA 402 drives.
 """
 
 

@@ -1,4 +1,4 @@
-"""Test commands with a faulty standard stream, and commands that get a signal.
+"""Test commands with a faulty standard stream, and commands that get a signal of the operating system.
 
 A faulty standard stream is a closed pipe, is on a full disk, or is missing.
 """

@@ -1,6 +1,6 @@
 """Test ``handctl tune`` and ``handctl identify`` with command lines that a user or a program would use.
 
-In most tests, fake functions replace the computations.
+In most tests, fake functions replace the computations of ``tune`` and ``identify``.
 """
 
 import json
@@ -329,7 +329,8 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, ca
 def result_of_digit(digit_name, spring_stiffness, blocked="", met="", names=("tendon_stiffness",)):
     """Return an invented result for the identification of the parameters of a tendon.
 
-    ``blocked`` and ``met`` are texts about contacts of the tendon's digit during the excitation.
+    ``blocked`` and ``met`` are texts about contacts of the tendon's digit while the identification
+    moves the tendon.
     """
     from handctl.tune.identify.fit_tendon import PARAMETER_NAMES
     from handctl.tune.identify.identify import TendonResult
@@ -468,7 +469,7 @@ def test_a_fit_of_a_blocked_digit_is_not_written(work_folder, capsys, monkeypatc
 )
 @pytest.mark.parametrize("tune_command", ["design", "search"])
 def test_gains_and_picture_are_two_files(work_folder, capsys, tune_command, command_words):
-    """The gains and the picture need different file names, because the picture would overwrite the gains."""
+    """With equal file names, the picture would overwrite the gains, so the command refuses equal file names."""
     assert "the name of the picture" in refusal_line(
         capsys, "tune", tune_command, "--plants", "1", *command_words
     )
@@ -548,9 +549,9 @@ COMMANDS_WITH_PERTURB_OPTION = [
     ("tune", "verify", "new.toml", "--lockstep", "--dry-run"),
     ("demo", "--lockstep", "--dry-run"),
 ]
-"""Commands that simulate the hand in their own process.
+"""Commands with the option ``--perturb`` that simulate the hand in their own process.
 
-The command ``sim`` has its own test, because it starts a simulator.
+The command ``sim`` is not in this list, because it starts a simulator and has its own test.
 """
 
 

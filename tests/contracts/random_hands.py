@@ -50,8 +50,8 @@ RandomGenerator = np.random.Generator
 def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
     """Return a random hand with ``tendons`` tendons.
 
-    A digit with n joints has one tendon, n tendons, or n + 1 tendons. Some digits are mounted on
-    other digits.
+    A digit with n joints has one tendon, n tendons, or n + 1 tendons. Some digits of the random hand
+    are mounted on other digits.
     """
     raw = hand_content("jamia11")
     finger, tendon, motor = raw["digit"][0], raw["tendon"][0], raw["motor"][0]
@@ -224,7 +224,7 @@ class RandomHand:
         self.pull = 20.0 if any(motor.closes_position_loop for motor in hand.motor) else 0.0
 
     def received_frames(self, t_ns: int) -> tuple[Frame, ...]:
-        """Return the frames that arrive in a tick.
+        """Return the random frames that the controller receives in a tick.
 
         The motor angles and tensions in the frames change from tick to tick. Some of the frames are
         lost, duplicated or corrupted.
@@ -307,7 +307,7 @@ class RandomHand:
     def hash_ticks(self) -> Iterator[str]:
         """Run all ticks, and yield a hash after each tick.
 
-        The hash covers the state, the telemetry, the frames and the events of the tick.
+        The hash of a tick covers the state, the telemetry, the frames and the events of the tick.
         """
         k = 0
         for i in range(TICKS_PER_HAND):

@@ -1,4 +1,4 @@
-"""Test the kernels.
+"""Test the compiled kernels of the controller.
 
 Compiled and interpreted kernels give equal bytes. No kernel is compiled during a tick, and no outdated
 machine code is loaded.
@@ -115,8 +115,8 @@ def test_interpreted_kernels_convert_frames_to_the_same_bytes() -> None:
 DAILY_RANDOM_HANDS = [(1, 0), (2, 0), (5, 1), (5, 2), (6, 5), (11, 1), (23, 3), (24, 0)]
 """Number of tendons and seed of each random hand that is tested in ordinary test runs.
 
-In the random hands (5, 2), (6, 5) and (11, 1), drives close position loops. The hand (6, 5) has moteus
-drives. In some ticks of the random hand with 23 tendons and seed 3, values of the state are NaN.
+In the random hands (5, 2), (6, 5) and (11, 1), drives close position loops. The random hand (6, 5) has
+moteus drives. In some ticks of the random hand with 23 tendons and seed 3, values of the state are NaN.
 """
 
 
@@ -251,7 +251,7 @@ print(bool(misses(block, layout.offsets)), len(before), folder is not None)
 def package_copy(tmp_path: Path) -> Path:
     """Return the path of a copy of the package handctl that also contains the kernel ``PROBE_MODULE_TEXT``.
 
-    The added kernel detects a node that is silent in every second tick.
+    The kernel ``PROBE_MODULE_TEXT`` detects a node that is silent in every second tick.
     """
     package = tmp_path / "handctl"
     shutil.copytree(PACKAGE_FOLDER, package, ignore=shutil.ignore_patterns("__pycache__"))

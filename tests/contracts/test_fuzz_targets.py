@@ -74,9 +74,7 @@ def test_a_changed_field_of_a_log_is_found_by_its_check(
         if record[0] == Opcode.MESSAGE
     )
     part_index, record_index = next(messages)
-    number = (
-        22 + 4
-    )  # the number of the tick follows 22 bytes of message header and 4 bytes of encoding
+    number = 22 + 4  # the tick number follows 22 bytes of message header and 4 bytes of encoding
     replaced, anywhere, given_value, one_byte = 3, 1, 0, 0
     mutation_choices = (part_index, record_index, replaced, number, anywhere, given_value, one_byte)
     assert not target(b"".join(n.to_bytes(2, "little") for n in mutation_choices) + b"\x07")

@@ -106,7 +106,7 @@ def random_walk_targets(
 def target_limits(
     hand_name: str, target_space: str, digit: str
 ) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
-    """Return the names of the joints, digits or tendons of a stream, and their lowest and highest targets [deg or N]."""
+    """Return the names of the joints, digits or tendons of a stream, with their lowest and highest targets [deg, N]."""
     hand = load_hand(hand_name)
     if target_space == "tension":
         tendons = hand.tendon[hand.digit_tendons[digit]]

@@ -82,9 +82,7 @@ def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
     decoders = pytest.importorskip("torchcodec.decoders", reason="LeRobot needs torchcodec")
     try:
         decoders.VideoDecoder(str(write_video(tmp_path / "any.mp4", 0.2)))
-    except (
-        RuntimeError
-    ) as error:  # only the test in test_environment.py provides the FFmpeg libraries
+    except RuntimeError as error:  # only test_environment.py provides the FFmpeg libraries
         pytest.skip(f"torchcodec finds no FFmpeg libraries: {str(error).splitlines()[0]}")
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
