@@ -26,8 +26,8 @@ def test_the_packaged_hand_fits_at_its_rate(capsys: pytest.CaptureFixture[str]) 
     settings_bus_load = 4 * 2 * 135e-6 * 2.0
     """Bus load due to the settings that the controller repeatedly reads from the drives.
 
-    The controller reads a setting of each drive twice a second. The request frame takes 135 us on the
-    bus, and the reply frame takes the same time.
+    The controller reads a setting of each drive twice a second. The request frame takes 135 us on
+    the bus, and the reply frame takes the same time.
     """
     assert bus["load"] == pytest.approx(bus["tick_us"] * 500e-6 + settings_bus_load)
 
@@ -84,8 +84,8 @@ EXPECTED_BUS_LOADS = [
 ]
 """Test cases with bus loads that were calculated independently of handctl.
 
-The last three entries of each test case are the bus time per tick [us], the bus loads at control rates
-of 250, 500 and 1000 Hz [%], and the control rate at a bus load of 80 % [Hz].
+The last three entries of each test case are the bus time per tick [us], the bus loads at control
+rates of 250, 500 and 1000 Hz [%], and the control rate at a bus load of 80 % [Hz].
 """
 
 
@@ -132,8 +132,8 @@ def test_a_bus_too_slow_for_the_watchdogs_is_refused(
 ) -> None:
     """handctl refuses a run if a bus is too slow for the watchdogs of the drives.
 
-    The slow bus of this test can carry the frames of at most 20 ticks per second, so one tick takes 50
-    ms. The watchdog time of a drive is also 50 ms.
+    The slow bus of this test can carry the frames of at most 20 ticks per second, so one tick takes
+    50 ms. The watchdog time of a drive is also 50 ms.
     """
     slow = tmp_path / "slow.toml"
     slow.write_text(hand_path("jamia11").read_text().replace("1_000_000", "125_000"))

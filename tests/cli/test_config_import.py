@@ -1,7 +1,7 @@
 """Test ``handctl config init --urdf`` and ``--mjcf``.
 
-Both options import the links from a robot description. handctl refuses the resulting hand file until a
-user has filled in its missing values.
+Both options import the links from a robot description. handctl refuses the resulting hand file
+until a user has filled in its missing values.
 """
 
 import itertools

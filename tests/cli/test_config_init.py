@@ -131,8 +131,8 @@ def test_sensors_springs_and_protocol_are_asked_for(
     """Reproduce a defect.
 
     After the question about the breaking force, ``config init`` asked no more questions. Without a
-    message, the command wrote the drive protocol `mit` and a load cell for every tendon into the hand
-    file.
+    message, the command wrote the drive protocol `mit` and a load cell for every tendon into the
+    hand file.
     """
     answers = iter(
         [

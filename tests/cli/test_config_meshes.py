@@ -209,8 +209,8 @@ def test_exported_meshes_come_back_to_their_places(
     )
     assert "warning" not in capsys.readouterr().out
     content = hand_content("mine/mine.toml")
-    # The imported hand file has missing values, so it cannot be loaded. Load the packaged hand with the
-    # meshes of the imported hand file instead.
+    # The imported hand file has missing values, so it cannot be loaded. Load the packaged hand with
+    # the meshes of the imported hand file instead.
     known_content = hand.content
     digits = [
         {key: value for key, value in digit.items() if "mesh" not in key}

@@ -1,7 +1,7 @@
 """Test typical mistakes in a hand file of schema 2.
 
-For each mistake, the command prints one error line. The error line spells the wrong key exactly as in
-the hand file.
+For each mistake, the command prints one error line. The error line spells the wrong key exactly as
+in the hand file.
 """
 
 import json

@@ -208,8 +208,8 @@ def test_missing_drive_is_reported(capsys):
 def test_drive_of_another_host_is_not_commanded(capsys):
     """The command ``conformance`` detects another host that controls the drive.
 
-    A CubeMars motor replies only to command frames. ``conformance`` must listen to the bus before it
-    sends its own first command frame.
+    A CubeMars motor replies only to command frames. ``conformance`` must listen to the bus before
+    it sends its own first command frame.
     """
     with run_simulated_drives("local:c", "cubemars", "--ids", "33"):
         other_local_bus, over = LocalBus("c", 0, int), threading.Event()

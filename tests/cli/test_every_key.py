@@ -2,8 +2,8 @@
 
 For each bad value, the command prints one error line, exits with code 2, and opens no bus.
 
-An ordinary test run covers a sample of all pairs of key and value. A nightly test run covers all pairs
-of key and value.
+An ordinary test run covers a sample of all pairs of key and value. A nightly test run covers all
+pairs of key and value.
 """
 
 import os
@@ -127,8 +127,8 @@ def _table_lines(table_name, table_content):
 def content_without_key(file_content, key_path, renamed_value=None):
     """Return a copy of the content of a file without one key.
 
-    If ``renamed_value`` is given, the copy contains this value under the name of the removed key plus
-    ``_x``.
+    If ``renamed_value`` is given, the copy contains this value under the name of the removed key
+    plus ``_x``.
     """
     file_content = content_with_value(file_content, key_path, None)
     parent = file_content
@@ -249,9 +249,9 @@ def test_every_wrong_key_is_refused(work_folder, capsys, content_name, key_path,
         assert key_path_text(content, key_path) in line
         assert "expected" in line
     elif line.startswith(("handctl: grasp: phase", "handctl: gains: filter: no controller")):
-        # Each value is in its range, but the hand is too small for the angles of the task, or no filter
-        # can be designed for hand and gains. In these cases, the error line names the task or the
-        # gains.
+        # Each value is in its range, but the hand is too small for the angles of the task, or no
+        # filter can be designed for hand and gains. In these cases, the error line names the task
+        # or the gains.
         assert option in (("--hand",), ("--gains",))
         assert "expected" in line
     elif line:

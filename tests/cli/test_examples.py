@@ -72,8 +72,8 @@ def test_an_example_works_in_one_terminal(run_in_shell, command_words):
 def start_in_background(run_in_shell):
     """Yield a function that starts a command and returns before the command ends.
 
-    The function starts the command as a user does in another terminal. After the test, the fixture ends
-    all commands that were started in this way.
+    The function starts the command as a user does in another terminal. After the test, the fixture
+    ends all commands that were started in this way.
     """
     children = []
 

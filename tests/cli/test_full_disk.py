@@ -1,7 +1,7 @@
 """Test commands that cannot write the files beside the log, because the disk is full.
 
-For each file that cannot be written, the command prints one error line. All files of the run that can
-be written are complete.
+For each file that cannot be written, the command prints one error line. All files of the run that
+can be written are complete.
 """
 
 import json

@@ -212,8 +212,8 @@ def test_set_on_a_running_hand_is_in_its_log(work_folder, attempt_time_scale):
             assert run.wait(30.0) == 0
         finally:
             hand.terminate()
-    # While a controller starts, it possibly executes a request late, and does not reply to the command
-    # that sent the request.
+    # While a controller starts, it possibly executes a request late, and does not reply to the
+    # command that sent the request.
     assert json.loads(captured.stdout)["set"] in ({"motion.force_N": "26.0"}, {})
     with RunLog(log) as record:
         events = [event.event for event in record.events if event.event.name == "gain"]

@@ -174,8 +174,8 @@ def test_verbose_and_quiet_exclude_each_other(capsys):
 def test_quiet_leaves_the_findings_that_need_a_repair(capsys, monkeypatch):
     from handctl.cli.checks import doctor
 
-    # Replace the measurement of late wake-ups by a fixed result. Two measurements on the same computer
-    # would give different delays, and the command would print different lines.
+    # Replace the measurement of late wake-ups by a fixed result. Two measurements on the same
+    # computer would give different delays, and the command would print different lines.
     finding = doctor._check_wakeups()
     monkeypatch.setattr(doctor, "_check_wakeups", lambda: finding)
     main(["doctor"])

@@ -31,8 +31,8 @@ def test_hands_without_return_springs_are_not_refused(
 ) -> None:
     """Reproduce a defect: ``identify`` refused two hands that it should accept.
 
-    One of the two refused hands has no springs. The other refused hand has no load cells, and two of
-    its spools share one motor.
+    One of the two refused hands has no springs. The other refused hand has no load cells, and two
+    of its spools share one motor.
     """
     assert main(["identify", "--hand", hand, "--lockstep", "--dry-run"]) == 0
     assert f"would move {len(load_hand(hand).digit)} digits" in capsys.readouterr().out

@@ -1,7 +1,7 @@
 """Test the hand files that `config init` writes.
 
-A hand with a hand file from `config init` can grasp, hold and release an object in a lockstep run. An
-ordinary test run covers only a sample of these hand files.
+A hand with a hand file from `config init` can grasp, hold and release an object in a lockstep run.
+An ordinary test run covers only a sample of these hand files.
 """
 
 import itertools
@@ -49,10 +49,10 @@ SAMPLE_CASES = [
 ]
 """Reproduce defects of four hands. Two of the four dropped the cylinder, and two reported a fault (N04 or T02b).
 
-The first two hands dropped the cylinder because its size did not depend on the hand, so the fingertips
-touched each other. In the third hand, friction held a motor at rest, while the motor of another tendon
-changed the tension (fault N04). In the last hand, the position feedback paid out a slack tendon while
-the hand opened (fault T02b).
+The first two hands dropped the cylinder because its size did not depend on the hand, so the
+fingertips touched each other. In the third hand, friction held a motor at rest, while the motor of
+another tendon changed the tension (fault N04). In the last hand, the position feedback paid out a
+slack tendon while the hand opened (fault T02b).
 """
 MAX_SLIP_MM = 5.0
 
@@ -122,8 +122,8 @@ THREE_LINK_CASES = [
     # The commissioning ended with a tendon that had left its pulley (fault T08), because the rotor
     # of the released extensor turned back.
     ("18,12,10", ("each", "none", "none", "all"), 0),
-    # The opening of the hand ended with a tendon that stays slack (fault T02b), because the motor paid
-    # out more and more of this tendon.
+    # The opening of the hand ended with a tendon that stays slack (fault T02b), because the motor
+    # paid out more and more of this tendon.
     ("55,40,25", ("each", "all", "none", "none"), 1),
     # The hold ended with a snapped tendon (fault T01), because the tensions oscillated at 250 Hz.
     ("55,40,25", ("each", "none", "none", "none"), 1),

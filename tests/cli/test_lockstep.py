@@ -1,7 +1,7 @@
 """Test ``handctl demo`` in virtual time.
 
-Two demos with equal options write files with equal bytes. All checks of a demo pass, and other tools
-can read the log of a demo.
+Two demos with equal options write files with equal bytes. All checks of a demo pass, and other
+tools can read the log of a demo.
 """
 
 import json
@@ -29,8 +29,8 @@ RESULT_KEYS = {
 def run_demos(result_folder, *hand_names, task_file=""):
     """Run lockstep demos of hands in parallel processes, and return the folder and the result of each.
 
-    If ``task_file`` is not empty, each demo executes the task in ``task_file`` instead of the default
-    grasp.
+    If ``task_file`` is not empty, each demo executes the task in ``task_file`` instead of the
+    default grasp.
     """
     running = []
     for number, hand in enumerate(hand_names):
@@ -72,8 +72,8 @@ def run_demos(result_folder, *hand_names, task_file=""):
 def equal_demos(tmp_path_factory):
     """Return the folders and the results of two equal demos.
 
-    In an ordinary test run, the two equal demos execute a short motion. In a nightly test run, the two
-    equal demos execute a grasp.
+    In an ordinary test run, the two equal demos execute a short motion. In a nightly test run, the
+    two equal demos execute a grasp.
     """
     return run_demos(
         tmp_path_factory.mktemp("equal_demos"),

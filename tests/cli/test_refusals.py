@@ -1,7 +1,7 @@
 """Test that, after wrong input, every command prints one error line and exits with code 2 before it opens a bus.
 
-No other process uses the bus of these tests, so a command that tried to open the bus would exit with
-code 1 instead of 2.
+No other process uses the bus of these tests, so a command that tried to open the bus would exit
+with code 1 instead of 2.
 """
 
 import socket
@@ -315,8 +315,8 @@ REQUEST_COMMANDS = (("stop",), ("stop", "--cut"), ("clear",), ("gains", "set", "
 def test_a_local_bus_without_a_controller_needs_no_power_switch(capsys, command_words):
     """Reproduce a defect.
 
-    The command exited with code 71, and asked the user to switch off the motor power. However, the hand
-    was a simulated hand, and its simulator did not run.
+    The command exited with code 71, and asked the user to switch off the motor power. However, the
+    hand was a simulated hand, and its simulator did not run.
     """
     assert main([*command_words, *ABSENT_BUS_OPTION]) == 1
     assert capsys.readouterr() == (

@@ -1,7 +1,7 @@
 """Test commands after a run in which a drive does not confirm that it is disabled.
 
-If a drive does not confirm that it is disabled, every command exits with code 71, even if other errors
-occurred.
+If a drive does not confirm that it is disabled, every command exits with code 71, even if other
+errors occurred.
 """
 
 import pytest

@@ -90,8 +90,8 @@ def test_a_design_tells_why_the_old_gains_do_not_come_to_rest(
 ):
     """Reproduce a defect.
 
-    The table of ``tune design`` showed "none" as gain margin and as phase margin of the old gains, and
-    no line of the output gave the reason.
+    The table of ``tune design`` showed "none" as gain margin and as phase margin of the old gains,
+    and no line of the output gave the reason.
     """
     oscillation_message = "the plant with 0.5 of the friction swings by 2.3 N held"
     reasons = {7e-4: f": {oscillation_message}"}
@@ -359,8 +359,8 @@ def result_of_digit(digit_name, spring_stiffness, blocked="", met="", names=("te
 def _replace_identification(monkeypatch, calibration, digit_results):
     """Replace the identification of ``handctl identify --lockstep`` by given results.
 
-    ``identify`` then uses the argument ``calibration`` as its calibration, and ``digit_results`` as the
-    results of the digits.
+    ``identify`` then uses the argument ``calibration`` as its calibration, and ``digit_results`` as
+    the results of the digits.
     """
     outcome = SimpleNamespace(raise_if_not_finished=lambda where: None)
     monkeypatch.setattr(
@@ -406,8 +406,8 @@ def test_the_reason_why_no_calibration_is_written_is_true(
 ):
     """Reproduce a defect: the output gave a wrong reason why no calibration is written.
 
-    The output gave the reason "there is no own.toml: handctl commission first", although the hand was
-    commissioned.
+    The output gave the reason "there is no own.toml: handctl commission first", although the hand
+    was commissioned.
     """
     calibration = jamia_calibration()
     write_calibration(work_folder / "own.toml", calibration)

@@ -50,8 +50,8 @@ RandomGenerator = np.random.Generator
 def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
     """Return a random hand with ``tendons`` tendons.
 
-    A digit with n joints has one tendon, n tendons, or n + 1 tendons. Some digits of the random hand
-    are mounted on other digits.
+    A digit with n joints has one tendon, n tendons, or n + 1 tendons. Some digits of the random
+    hand are mounted on other digits.
     """
     raw = hand_content("jamia11")
     finger, tendon, motor = raw["digit"][0], raw["tendon"][0], raw["motor"][0]
@@ -169,8 +169,8 @@ def _message_payload(
 ) -> bytes:
     """Return the payload of a message with given values.
 
-    If a message has several status signals, the first of these signals contains the highest bits of the
-    drive status.
+    If a message has several status signals, the first of these signals contains the highest bits of
+    the drive status.
     """
     values, remaining_bits = (
         [],
@@ -197,8 +197,8 @@ def _message_payload(
 class RandomHand:
     """A random hand, and random frames for it.
 
-    The motors of the random hand make torque. The random frames are frames that the nodes of the hand
-    could send.
+    The motors of the random hand make torque. The random frames are frames that the nodes of the
+    hand could send.
     """
 
     def __init__(self, tendons: int, seed: int) -> None:

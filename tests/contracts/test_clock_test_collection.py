@@ -1,6 +1,7 @@
 """Test which files pytest imports in the stages of `make test` that run only the tests on the real clock.
 
-A stage of `make test` with only tests on the real clock imports only the files that contain such tests.
+A stage of `make test` with only tests on the real clock imports only the files that contain such
+tests.
 """
 
 import re

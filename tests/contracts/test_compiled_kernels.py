@@ -1,7 +1,7 @@
 """Test the compiled kernels of the controller.
 
-Compiled and interpreted kernels give equal bytes. No kernel is compiled during a tick, and no outdated
-machine code is loaded.
+Compiled and interpreted kernels give equal bytes. No kernel is compiled during a tick, and no
+outdated machine code is loaded.
 """
 
 import ast
@@ -90,8 +90,8 @@ def test_interpreted_kernels_give_the_same_bytes(name: str) -> None:
 def hash_of_frame_conversions() -> str:
     """Convert random structs of CAN frames to records and back, and return a hash of the results.
 
-    The structs contain frames of all kinds, lengths and flags. Some of these frames are impossible. The
-    times of reception of the frames are positive and negative.
+    The structs contain frames of all kinds, lengths and flags. Some of these frames are impossible.
+    The times of reception of the frames are positive and negative.
     """
     digest = hashlib.sha256()
     for seed in range(20):
@@ -115,8 +115,9 @@ def test_interpreted_kernels_convert_frames_to_the_same_bytes() -> None:
 DAILY_RANDOM_HANDS = [(1, 0), (2, 0), (5, 1), (5, 2), (6, 5), (11, 1), (23, 3), (24, 0)]
 """Number of tendons and seed of each random hand that is tested in ordinary test runs.
 
-In the random hands (5, 2), (6, 5) and (11, 1), drives close position loops. The random hand (6, 5) has
-moteus drives. In some ticks of the random hand with 23 tendons and seed 3, values of the state are NaN.
+In the random hands (5, 2), (6, 5) and (11, 1), drives close position loops. The random hand (6, 5)
+has moteus drives. In some ticks of the random hand with 23 tendons and seed 3, values of the state
+are NaN.
 """
 
 

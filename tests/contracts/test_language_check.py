@@ -1,6 +1,7 @@
 """Test that the language check counts the words and phrases that its documentation describes.
 
-The tests also check that the language check refuses limits that are higher than the previous limits.
+The tests also check that the language check refuses limits that are higher than the previous
+limits.
 """
 
 import importlib.util

@@ -35,7 +35,8 @@ MAX_HELP_TIME_S = 0.3
 MAX_HELP_TIME_RATIO = 10
 """Longest permitted run time of ``handctl --help`` on a slow or busy machine.
 
-The longest permitted run time is given in units of the start-up time of an empty Python interpreter.
+The longest permitted run time is given in units of the start-up time of an empty Python
+interpreter.
 """
 HELP_SCRIPT = (
     "from handctl.cli.main import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"

@@ -68,8 +68,8 @@ def run_script(program_text: str, hand_name: str) -> list[str]:
 def test_no_tick_imports_a_module(hand: str) -> None:
     """Reproduce a defect.
 
-    A task with a phase ``follow`` imported 202 modules of scipy in the first tick of this phase. The
-    import of these modules took 0.3 s.
+    A task with a phase ``follow`` imported 202 modules of scipy in the first tick of this phase.
+    The import of these modules took 0.3 s.
     """
     assert run_script(IMPORT_CHECK_SCRIPT, hand) == []
 

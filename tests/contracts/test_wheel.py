@@ -2,8 +2,8 @@
 
 The new Python environment is outside of the repository.
 
-Each test installs further extras in the same environment, so the tests run in the order of this file. A
-test cannot use the packages of extras that a later test installs.
+Each test installs further extras in the same environment, so the tests run in the order of this
+file. A test cannot use the packages of extras that a later test installs.
 """
 
 import os

@@ -38,13 +38,14 @@ class ControlLawState(NamedTuple):
             force: commanded motor force, without friction [N].
         planned: tension that is planned for the next tick, for tendons of moving digits [N]. rate:
             planned rate of change of the tension until the next tick [N/s].
-        trim: force that compensates the step of the command at a change of gains [N]. The value is None
-            after the force has decayed.
+        trim: force that compensates the step of the command at a change of gains [N]. The value is
+            None after the force has decayed.
         held: tension limit while the safety monitor holds the hand [N]. None at other times.
-        friction_state: friction of each tendon as a fraction of its full friction, from 1 (winding up)
-            to -1 (paying out). NaN if the fraction is unknown, and None before the first command.
-        friction_slider: travel at which the friction element of each tendon has no tension [m]. NaN if
-            this travel is unknown, and None before the first command.
+        friction_state: friction of each tendon as a fraction of its full friction, from 1 (winding
+            up) to -1 (paying out). NaN if the fraction is unknown, and None before the first
+            command.
+        friction_slider: travel at which the friction element of each tendon has no tension [m]. NaN
+            if this travel is unknown, and None before the first command.
     """
 
     setpoint: np.ndarray
@@ -119,8 +120,8 @@ def run_control_law_tick(
     """Run one tick of the control law for all digits of a hand.
 
     Args:
-        model: model of the hand. law: state of the control law after the last tick. estimate: estimate
-            of the hand at time t. goals: one per digit. t: time [s].
+        model: model of the hand. law: state of the control law after the last tick. estimate:
+            estimate of the hand at time t. goals: one per digit. t: time [s].
         temperature_limit_N: (N,) tension limit that the temperature of each drive causes [N].
         held_limit_N: (N,) tension limit while the safety monitor holds the hand [N].
     """
@@ -180,8 +181,8 @@ def _tension_limits(
 def tension_limits_of(model: HandModel, state: ControllerState) -> np.ndarray:
     """Return the tension limits (N,) [N] that a controller's state contains.
 
-    For a tendon without a tension limit, the returned value is infinity. The function does not include
-    the tension limits of the hand file.
+    For a tendon without a tension limit, the returned value is infinity. The function does not
+    include the tension limits of the hand file.
     """
     return _tension_limits(state.block, state.layout.offsets, *constant_args_of(model))
 

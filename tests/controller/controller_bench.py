@@ -1,8 +1,8 @@
 """A simple simulated hand, and a bench in which a controller runs with this hand.
 
-The simple hand ``ToyHand`` is fast because it models much less than the simulator. All digits of the
-simple hand stay fully open, and each rotor winds an elastic tendon. A test can drop, change or add
-frames on their way from and to the controller.
+The simple hand ``ToyHand`` is fast because it models much less than the simulator. All digits of
+the simple hand stay fully open, and each rotor winds an elastic tendon. A test can drop, change or
+add frames on their way from and to the controller.
 """
 
 from collections.abc import Callable
@@ -147,8 +147,8 @@ def _pack_channels(
 ) -> list[Frame]:
     """Pack load-cell channels into frames.
 
-    The lowest 4 bits of each frame are a counter. Up to five load-cell channels of 12 bits follow the
-    counter.
+    The lowest 4 bits of each frame are a counter. Up to five load-cell channels of 12 bits follow
+    the counter.
     """
     frames = []
     for group, start in enumerate(range(0, len(channel_readings), 5)):

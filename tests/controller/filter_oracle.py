@@ -1,7 +1,7 @@
 """Compute the model and the filter gain of a tendon independently of handctl.
 
-The independent implementation covers the differential equations of a tendon and the steady-state Kalman
-gain.
+The independent implementation covers the differential equations of a tendon and the steady-state
+Kalman gain.
 """
 
 import numpy as np
@@ -77,8 +77,8 @@ def process_noise_density(model: HandModel, tendon_index: int, regime: TendonReg
     """Return the spectral density of the process noise (STATES, STATES).
 
     The density of a Gauss-Markov state with standard deviation sigma and time constant tau is 2
-    sigma^2 / tau. The density of a random walk is sigma^2 / tau. A digit without contact follows the
-    spool of its tendon, so the noise of the spool speed also acts on the digit.
+    sigma^2 / tau. The density of a random walk is sigma^2 / tau. A digit without contact follows
+    the spool of its tendon, so the noise of the spool speed also acts on the digit.
     """
     space, gains = model.tendon_constants, model.gains.filter
     disturbance, lasts, shaking = unknown_motor_force(model, regime)
@@ -108,7 +108,8 @@ def integrate_one_period(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return transition matrix F, input matrix B and noise covariance of one control period, in scaled units.
 
-    A Runge-Kutta method integrates the differential equations of the tendon over the control period.
+    A Runge-Kutta method integrates the differential equations of the tendon over the control
+    period.
     """
     A, B = differential_equation_matrices(model, tendon_index, regime)
     A, B = A * FILTER_STATE_UNITS / FILTER_STATE_UNITS[:, None], B / FILTER_STATE_UNITS[:, None]
@@ -182,9 +183,9 @@ def joseph_update(
 
     ``is_missing`` (2,) marks missing readings of encoder and load cell.
 
-    Only in a slack tendon can the filter distinguish an error of the load cell from tension. In a taut
-    tendon, the filter does not correct the estimate of the load-cell error, but takes the variance of
-    the load-cell error into account.
+    Only in a slack tendon can the filter distinguish an error of the load cell from tension. In a
+    taut tendon, the filter does not correct the estimate of the load-cell error, but takes the
+    variance of the load-cell error into account.
     """
     H, R = block.H[:2].copy(), np.diag(block.R * np.where(is_missing, 1e12, 1.0))
     H[1, E] = float(block.is_cell_error_observable)
@@ -197,8 +198,8 @@ def joseph_update(
 def assert_same_covariance(computed: np.ndarray, expected: np.ndarray) -> None:
     """Assert that two arrays of covariances (..., n, n) agree.
 
-    The permitted difference of an element is 1e-9 times the product of the standard deviations of its
-    two states.
+    The permitted difference of an element is 1e-9 times the product of the standard deviations of
+    its two states.
     """
     sigma = np.sqrt(np.diagonal(expected, axis1=-2, axis2=-1))
     size = sigma[..., :, None] * sigma[..., None, :]

@@ -37,8 +37,8 @@ class FilterState(NamedTuple):
         is_length_known: True if the length of the tendon is known.
         normalised_cell_innovation: last load-cell innovation, divided by its standard deviation.
         nis_mean, nis_fast_average: slow and fast average of the normalised innovation squared.
-        is_doubtful: True if the innovations are too large for the model of the tendon, so the filter
-            trusts this model less.
+        is_doubtful: True if the innovations are too large for the model of the tendon, so the
+            filter trusts this model less.
         doubt_time_s: remaining time for which the filter trusts its model of the tendon less [s].
         covariance: (N, 7, 7) covariance of the filter states while measurements are missing. The
             value is None if the covariance is the steady-state covariance.

@@ -31,9 +31,9 @@ def model_of(hand_name: str) -> HandModel:
 class PlantRun:
     """Record of a run: the values of each tick, and all events.
 
-    The values of a tick are the time [s], the position of the object [m], and the contact force on each
-    digit [N]. For each tendon, the record also contains the estimated, the measured and the true
-    tension [N].
+    The values of a tick are the time [s], the position of the object [m], and the contact force on
+    each digit [N]. For each tendon, the record also contains the estimated, the measured and the
+    true tension [N].
     """
 
     time_s: list[float] = field(default_factory=list)

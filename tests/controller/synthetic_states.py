@@ -2,9 +2,9 @@
 
 Tests use the generated estimates instead of results of the tension filter.
 
-``ControllerState`` contains all numbers of a tick. ``SyntheticEstimate`` and ``SensorReadings`` are the
-parts of a controller's state that a test generates. ``state_with_estimate`` writes an estimate into a
-controller's state, and ``estimate_of`` reads the estimate from a controller's state.
+``ControllerState`` contains all numbers of a tick. ``SyntheticEstimate`` and ``SensorReadings`` are
+the parts of a controller's state that a test generates. ``state_with_estimate`` writes an estimate
+into a controller's state, and ``estimate_of`` reads the estimate from a controller's state.
 """
 
 import functools
@@ -36,8 +36,8 @@ class SensorReadings(NamedTuple):
     """Measurements of one tick, with one value for each tendon (N,). A missing measurement is NaN.
 
     Attributes:
-        travel: spool travel, from the motor encoder [m]. tension: load-cell reading minus the tare of
-            the load cell [N]. excursion: tendon excursion, from the joint encoders [m].
+        travel: spool travel, from the motor encoder [m]. tension: load-cell reading minus the tare
+            of the load cell [N]. excursion: tendon excursion, from the joint encoders [m].
         joints: (J,) joint angles, read by the joint encoders [rad]. saturated_tendons: tendons whose load
             cell is at an end of its range.
     """
@@ -110,7 +110,8 @@ def _active_state_template(model: HandModel) -> ControllerState:
 def uncompiled_function(kernel: Callable[..., Any]) -> Callable[..., Any]:
     """Return the Python function from which a kernel was compiled.
 
-    Tests call the Python function directly, because only other kernels can call the compiled kernel.
+    Tests call the Python function directly, because only other kernels can call the compiled
+    kernel.
     """
     return getattr(kernel, "py_func", kernel)
 
@@ -118,8 +119,8 @@ def uncompiled_function(kernel: Callable[..., Any]) -> Callable[..., Any]:
 def active_state(model: HandModel) -> ControllerState:
     """Return the state of an active hand with a running filter.
 
-    In the returned state, every tendon is taut. No digit touches an object, and no digit rests at its
-    mechanical stop.
+    In the returned state, every tendon is taut. No digit touches an object, and no digit rests at
+    its mechanical stop.
     """
     return _active_state_template(model).copy()
 
@@ -167,8 +168,8 @@ class StaticTendonForces(NamedTuple):
         resistance: tension that balances springs and gravity.
         driving_force: tension minus friction, if the direction of friction always follows from the tendon
             speed at the spool.
-        force_at_joints: tension minus friction. The friction follows from ``friction_state`` if this
-            value is known, and from the tendon speed at the spool if it is unknown.
+        force_at_joints: tension minus friction. The friction follows from ``friction_state`` if
+            this value is known, and from the tendon speed at the spool if it is unknown.
     """
 
     resistance: np.ndarray
@@ -224,7 +225,8 @@ def _winding_efficiency(
 def winding_efficiency_of(model: HandModel, q: np.ndarray) -> np.ndarray:
     """Return the fractions (N,) of the tensions that reach the joints at the angles ``q`` (J,) [rad].
 
-    Friction takes the rest of each tension. The fractions apply while the motors wind up the tendons.
+    Friction takes the rest of each tension. The fractions apply while the motors wind up the
+    tendons.
     """
     return np.asarray(
         _winding_efficiency(
@@ -317,8 +319,8 @@ def detect_contacts(
     The function also writes flags of the closing digits into the state.
 
     Args:
-        model: model of the hand. state: state of the last tick. The function writes the values of the
-            present tick into this state. estimate: estimate of the present tick.
+        model: model of the hand. state: state of the last tick. The function writes the values of
+            the present tick into this state. estimate: estimate of the present tick.
     """
     for name, value in estimate._asdict().items():
         if name not in (*DERIVED_ATTRIBUTES, "grown"):

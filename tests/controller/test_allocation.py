@@ -26,8 +26,8 @@ EXTENSOR_MOMENT_ARMS = np.array(
 )
 """Moment arms of four tendons of a digit, each at three joints [m].
 
-The last of the four tendons opens all joints, with moment arms in the ratio 3:2:1. The digit with these
-moment arms has one tendon more than joints.
+The last of the four tendons opens all joints, with moment arms in the ratio 3:2:1. The digit with
+these moment arms has one tendon more than joints.
 """
 
 

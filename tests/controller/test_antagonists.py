@@ -1,7 +1,7 @@
 """Test hands without return springs in the simulator: commissioning, tracking, grasp and release.
 
-In hands without return springs, a digit with n joints has n + 1 tendons. Only one kind of thumb has 2 n
-tendons.
+In hands without return springs, a digit with n joints has n + 1 tendons. Only one kind of thumb has
+2 n tendons.
 """
 
 import os
@@ -35,8 +35,8 @@ SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
 def n_plus_1_hand() -> Hand:
     """Return a hand with two fingers and a thumb.
 
-    Each finger of the hand has three joints and four tendons. The thumb of the hand has two joints and
-    three tendons.
+    Each finger of the hand has three joints and four tendons. The thumb of the hand has two joints
+    and three tendons.
     """
     return load_hand(ANTAGONIST_HAND)
 
@@ -154,9 +154,9 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
         )
         for row in calibration.tendon.values():
             assert row.answer_N == pytest.approx(PULL_TENSION_N, abs=0.8)
-        # The measured zero of a motor is the reading of the motor encoder when the digit is open and
-        # the tendon is just taut. An error of the motor zero by 0.1 mm of tendon turns the joints of a
-        # finger by one degree.
+        # The measured zero of a motor is the reading of the motor encoder when the digit is open
+        # and the tendon is just taut. An error of the motor zero by 0.1 mm of tendon turns the
+        # joints of a finger by one degree.
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
         travel_errors = (
             calibration.motor_zeros(hand) - offset

@@ -1,7 +1,7 @@
 """Test the lease of a client that commands a hand in lockstep.
 
-If the client stops sending, the digits that it commands come to rest. If the client stays silent for
-longer, the whole hand relaxes.
+If the client stops sending, the digits that it commands come to rest. If the client stays silent
+for longer, the whole hand relaxes.
 """
 
 import json
@@ -97,8 +97,8 @@ def test_targets_of_a_stream_are_signs_of_life(jamia: HandModel) -> None:
 def test_a_lease_ends(jamia: HandModel, event_after_lease: str) -> None:
     """The lease of a client ends when this client sends a command that requests no lease.
 
-    A client's lease also ends when the client gives up the right to command the hand, or when another
-    client takes over this right.
+    A client's lease also ends when the client gives up the right to command the hand, or when
+    another client takes over this right.
     """
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": 20.0}, duration_s=0.3, lease_s=LEASE_S)

@@ -41,8 +41,8 @@ from tests.hand.many_motor_hands import fifteen_motor_hand
 def jamia() -> HandModel:
     """Return the model of ``jamia`` at a low control rate.
 
-    The low rate makes the tests fast. All times in the commissioning program are in seconds, and do not
-    depend on the control rate.
+    The low rate makes the tests fast. All times in the commissioning program are in seconds, and do
+    not depend on the control rate.
     """
     return HandModel.from_hand(load_hand("jamia"), Gains(), 50.0)
 
@@ -77,8 +77,8 @@ def run_commissioning(
 ) -> ProgramProgress:
     """Run the commissioning program with scripted tensions.
 
-    The tendon ``slack_tendon`` stays slack. In a fraction ``lost_reading_fraction`` of the ticks, no
-    frames arrive.
+    The tendon ``slack_tendon`` stays slack. In a fraction ``lost_reading_fraction`` of the ticks,
+    no frames arrive.
 
     The zero of each load cell drifts as a random walk of ``cell_drift_N`` [N] rms in 100 s.
     """
@@ -194,8 +194,8 @@ def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(
 ) -> None:
     """In this test, the load cells drift twice as fast as those of packaged hands.
 
-    At the end of the commissioning, the zeros of the load cells have drifted by 0.9 N rms. The limit
-    for crosstalk of load cells during commissioning is also 0.9 N.
+    At the end of the commissioning, the zeros of the load cells have drifted by 0.9 N rms. The
+    limit for crosstalk of load cells during commissioning is also 0.9 N.
     """
     progress = run_commissioning(
         fifteen_motor_model,
@@ -255,8 +255,8 @@ def test_crosstalk_is_found_while_load_cells_drift(fifteen_motor_model: HandMode
 def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandModel) -> None:
     """In this test, the tension of a tendon falls slowly, by 2 N/s, after its own pull.
 
-    The load cell of the pulled tendon still reads 1.4 N just before the pull of the next tendon, and 0
-    N during the pull of the next tendon.
+    The load cell of the pulled tendon still reads 1.4 N just before the pull of the next tendon,
+    and 0 N during the pull of the next tendon.
     """
     tension_held_by_friction = np.zeros(jamia.tendon_count)
 
@@ -276,8 +276,8 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
 def test_a_load_cell_that_falls_below_its_tare_in_another_pull_is_refused(jamia: HandModel) -> None:
     """A load cell must not fall below its tare while another tendon is pulled.
 
-    When a tendon relaxes, its load-cell reading falls at most by the tension that remained from its own
-    pull.
+    When a tendon relaxes, its load-cell reading falls at most by the tension that remained from its
+    own pull.
     """
 
     def tensions_during_pull(i: int) -> np.ndarray:
@@ -316,8 +316,8 @@ def test_load_cells_that_were_never_tared_are_no_hindrance(
 ) -> None:
     """After the load cells are tared, the tension loop uses load-cell readings minus their tares.
 
-    With raw load-cell readings, the bias of a load cell would change the tension with which a tendon is
-    pulled.
+    With raw load-cell readings, the bias of a load cell would change the tension with which a
+    tendon is pulled.
     """
     commissioning_bench.toy_hand.cell_bias[:] = np.array([1.0, -1.0, 0.5, 0.0]) + cell_bias_N
     commissioning_bench.run_until_mode(HandMode.DONE, 30.0)

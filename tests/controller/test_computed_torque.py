@@ -40,8 +40,8 @@ def test_a_saturated_law_asks_no_drive_for_more_than_its_limit(torque_gain: floa
     After the division, a later computation multiplies the quotient by the spool radius and by the
     torque gain.
 
-    Without a correction of the torque limit, rounding could make the commanded torque exceed this limit
-    by one bit.
+    Without a correction of the torque limit, rounding could make the commanded torque exceed this
+    limit by one bit.
     """
     hand = load_hand("jamia")
     gains = None if torque_gain is None else np.full(len(hand.tendon), torque_gain)
@@ -306,9 +306,9 @@ class ClosedLoopPlant:
 def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> None:
     """The filter gets the motor force minus the mean friction over the control period.
 
-    The test integrates the motion of the rotor in small steps to find the expected mean friction. At a
-    slow control rate, friction stops the rotor within one control period. If the filter assumed
-    constant friction over the period, it would predict that the rotor reverses.
+    The test integrates the motion of the rotor in small steps to find the expected mean friction.
+    At a slow control rate, friction stops the rotor within one control period. If the filter
+    assumed constant friction over the period, it would predict that the rotor reverses.
     """
     rng, n, steps = np.random.default_rng(8), model.tendon_count, 400
     space, dt = model.tendon_constants, model.period / 400

@@ -72,8 +72,8 @@ def test_a_tip_without_lever_has_no_tip_force(hand: str) -> None:
 def test_contact_with_a_wall_is_detected_20_ms_after_1_newton(hand: str, tmp_path: Path) -> None:
     """The controller is also allowed to detect a contact with the wall at a force below 1 N.
 
-    The benchmark ``benchmarks.grasp`` measures contacts with other closing speeds and other positions
-    of the object.
+    The benchmark ``benchmarks.grasp`` measures contacts with other closing speeds and other
+    positions of the object.
     """
     closing = {
         "kind": "close",
@@ -135,9 +135,9 @@ def test_drifted_load_cells_cause_no_contact_where_a_digit_stops(
 ) -> None:
     """Reproduce a defect: a load-cell error of 1 to 2 N made the computed friction wrong at the end of a motion.
 
-    The load-cell error makes the estimated speed of the spool wrong, and the filter sums up such speeds
-    to compute the friction state. Within 30 ms of the end of the trajectory, the tension that the model
-    did not explain looked like a contact.
+    The load-cell error makes the estimated speed of the spool wrong, and the filter sums up such
+    speeds to compute the friction state. Within 30 ms of the end of the trajectory, the tension
+    that the model did not explain looked like a contact.
     """
     assert count_contacts_in_free_motion(hand, 60.0, seed, tmp_path) == 0
 
@@ -169,8 +169,8 @@ def closing_hand(
 ) -> ControllerState:
     """Return the state of a hand whose first digits close, with the given force at each tip [N].
 
-    The first ``closing_digit_count`` digits close. ``earlier_fields`` sets other fields of the state
-    that earlier ticks would have written.
+    The first ``closing_digit_count`` digits close. ``earlier_fields`` sets other fields of the
+    state that earlier ticks would have written.
     """
     state, unit = (
         active_state(model),
@@ -198,8 +198,8 @@ def closing_hand(
 def test_a_contact_force_counts_from_its_usual_negative_value(jamia: HandModel) -> None:
     """Near the end of a free motion, the force estimate at the thumb's tip is -0.35 N.
 
-    In contact, the force estimate at the thumb's tip rises only to 0.2 N. For this reason, the contact
-    detection uses the increase of the force estimate.
+    In contact, the force estimate at the thumb's tip rises only to 0.2 N. For this reason, the
+    contact detection uses the increase of the force estimate.
     """
     for mean_force, counts in ((-0.35, 0.55), (0.1, 0.2), (np.nan, 0.2)):
         state = closing_hand(jamia, 0.2, felt=0.2, usual=mean_force, drift=np.nan)

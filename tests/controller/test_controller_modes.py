@@ -40,8 +40,8 @@ ENABLE_PAYLOAD, DISABLE_PAYLOAD = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfd"
 def jamia_at_low_rate() -> HandModel:
     """Return a hand model at a low control rate.
 
-    The low control rate makes the tests fast. All times in the tests are in seconds, and do not depend
-    on the control rate.
+    The low control rate makes the tests fast. All times in the tests are in seconds, and do not
+    depend on the control rate.
     """
     return HandModel.from_hand(load_hand("jamia"), Gains(), 200.0)
 

@@ -24,8 +24,8 @@ from tests.controller.controller_bench import ControllerBench, make_controller_b
 def run_session(hand_name: str) -> ControllerBench:
     """Return a bench whose controller has executed a whole run.
 
-    In the run, the hand was armed, moved, held a tension and relaxed. In addition, a frame was lost and
-    a fault occurred.
+    In the run, the hand was armed, moved, held a tension and relaxed. In addition, a frame was lost
+    and a fault occurred.
     """
     rate = {"jamia": 200.0, "jamia11": 200.0}[hand_name]
     run = make_controller_bench(
@@ -126,8 +126,8 @@ def test_frames_with_unknown_identifiers_change_no_decision(session_bench: Contr
 def test_the_origin_of_time_does_not_matter() -> None:
     """A run with a start time that is 2560 ticks later has the same modes, phases, actions and events.
 
-    The later run is allowed to differ only in the SYNC counter and in the order in which registers are
-    read.
+    The later run is allowed to differ only in the SYNC counter and in the order in which registers
+    are read.
     """
     model = HandModel.from_hand(load_hand("jamia"), Gains(), 200.0)
     runs = []
@@ -315,8 +315,8 @@ def test_no_request_event_or_delay_can_stop_the_tick(
 def test_a_hand_armed_under_tension_is_not_jerked() -> None:
     """The tension loop starts at the tension that the tendons have when the hand is armed.
 
-    For example, the tendons of a hand that already holds an object are under tension when the hand is
-    armed.
+    For example, the tendons of a hand that already holds an object are under tension when the hand
+    is armed.
     """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()

@@ -368,8 +368,8 @@ def test_the_filter_step_changes_none_of_its_arguments(model: HandModel) -> None
 def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None:
     """In this test, friction holds a digit just before the mechanical stop at its open end.
 
-    If the filter assumed that the digit is at its stop, each return of the digit would add an error to
-    its estimated angle.
+    If the filter assumed that the digit is at its stop, each return of the digit would add an error
+    to its estimated angle.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = 1e-5
@@ -388,8 +388,8 @@ def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None
 def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandModel) -> None:
     """When a digit comes to rest at the mechanical stop of its open end, the estimated excursion becomes zero.
 
-    When a digit comes to rest at this stop, the filter adds its previous estimate of the excursion to
-    the stretch offset.
+    When a digit comes to rest at this stop, the filter adds its previous estimate of the excursion
+    to the stretch offset.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S], x[:, O], x[:, W] = 1.5e-5, -4e-5, 1e-3

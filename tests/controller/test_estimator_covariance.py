@@ -102,8 +102,8 @@ def run_monte_carlo(
 ) -> FilterRun:
     """Draw a random true trajectory from the filter's model in one tendon regime, and run the filter on it.
 
-    ``missing_measurements`` is a function that returns a mask (2, N) for each tick. The first row of
-    the mask marks missing encoder readings, and the second row marks missing load-cell readings.
+    ``missing_measurements`` is a function that returns a mask (2, N) for each tick. The first row
+    of the mask marks missing encoder readings, and the second row marks missing load-cell readings.
     """
     rng, n = np.random.default_rng(seed), model.tendon_count
     design_arrays_by_tendon = [integrate_one_period(model, i, regime) for i in range(n)]
@@ -127,8 +127,8 @@ def run_monte_carlo(
     regimes = set()
     tension_rows = np.array([blocks[regime].tension_row for blocks in model.filter_design.blocks])
     for k in range(tick_count):
-        # The motor of this test holds the tendon as a controller would. The planned rate of change of
-        # the tension prevents a drift of the tension.
+        # The motor of this test holds the tendon as a controller would. The planned rate of change
+        # of the tension prevents a drift of the tension.
         tension = (tension_rows * truth).sum(axis=1)
         travel_error = (
             truth[:, X]
@@ -193,7 +193,8 @@ def test_consistent_with_its_own_model_though_measurements_are_missing(
 ) -> None:
     """The errors of the filter are as large as its covariance predicts.
 
-    The permitted difference between errors and covariance is the statistical uncertainty of the run.
+    The permitted difference between errors and covariance is the statistical uncertainty of the
+    run.
     """
     missing = SPARSE_MEASUREMENTS[missing_pattern]
     filter_run = run_monte_carlo(

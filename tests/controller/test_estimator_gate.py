@@ -191,8 +191,8 @@ def test_the_filter_predicts_every_tick_that_was_skipped(
 ) -> None:
     """When ticks are skipped, the filter predicts the state with a constant motor force for up to 50 ms.
 
-    When ticks are skipped, the filter applies the planned change of the tension for only one control
-    period.
+    When ticks are skipped, the filter applies the planned change of the tension for only one
+    control period.
     """
     state, force = state_while_winding(model)
     rate, contact_flags = np.full(model.tendon_count, 50.0), (False,) * len(model.digits)
@@ -223,8 +223,8 @@ def test_the_filter_predicts_every_tick_that_was_skipped(
 def state_while_winding(model: HandModel) -> tuple[FilterState, np.ndarray]:
     """Return a filter state, and motor forces that balance the tensions [N].
 
-    In the returned filter state, the digits are half closed, and the rotors turn. All tendons have a
-    tension of 20 N.
+    In the returned filter state, the digits are half closed, and the rotors turn. All tendons have
+    a tension of 20 N.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), 0.5)

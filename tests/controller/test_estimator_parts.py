@@ -77,8 +77,8 @@ def tension_explained_by_contact(
 ) -> np.ndarray:
     """Return the part of each tension that a contact explains [N].
 
-    All tendons have a tension of 20 N and move with the speed ``tendon_speed`` [m/s]. The filter gets
-    no sensor readings.
+    All tendons have a tension of 20 N and move with the speed ``tendon_speed`` [m/s]. The filter
+    gets no sensor readings.
     """
     stretch = (
         20.0 + model.tendon_constants.damping * tendon_speed
@@ -172,7 +172,8 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
 
     The length of a tendon is known if the tendon was taut before.
 
-    After a tendon has become taut, the filter resets its evidence for a change of the regime to zero.
+    After a tendon has become taut, the filter resets its evidence for a change of the regime to
+    zero.
     """
     n = model.tendon_count
     lower_tension = next(

@@ -101,7 +101,8 @@ def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
 def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
     """After large innovations, the filter assumes more noise, which makes the same innovations look normal.
 
-    To decide about the warning, the filter uses the noise that it assumed before the large innovations.
+    To decide about the warning, the filter uses the noise that it assumed before the large
+    innovations.
     """
     model = model_of(hand)
     x, force = state_at_rest(model, 20.0, 0.5)
@@ -144,8 +145,8 @@ def nis_average_and_doubt_time(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the average NIS and the remaining doubt time of each tendon (N,) after one tick.
 
-    The average NIS is the average of the normalised innovation squared that the filter computes. The
-    doubt time is the time for which the filter still assumes additional noise [s].
+    The average NIS is the average of the normalised innovation squared that the filter computes.
+    The doubt time is the time for which the filter still assumes additional noise [s].
     """
     state, n = active_state(model), model.tendon_count
     state.view("nis_lately")[...], state.view("wary")[...] = recent_nis, doubt_time_s

@@ -40,8 +40,8 @@ def exercise_stages(model: HandModel) -> list[StageRecord]:
 def test_a_wrist_keeps_its_angle_while_the_other_digits_exercise(hand_name: str) -> None:
     """Reproduce a defect: the exercise moved the wrist fast, and then closed the wrist with a constant tension.
 
-    The heavy wrist moved by 9 deg in 0.1 s. The fast motion of the wrist ended the step test of `tune
-    design` with the fault T01 (a tendon snapped).
+    The heavy wrist moved by 9 deg in 0.1 s. The fast motion of the wrist ended the step test of
+    `tune design` with the fault T01 (a tendon snapped).
     """
     hand = load_hand(hand_name) if hand_name == "orca_like" else mount_on_wrist(hand_name)
     model = HandModel.from_hand(hand, packaged_gains(hand_name), 400.0)
@@ -65,9 +65,9 @@ def test_a_wrist_keeps_its_angle_while_the_other_digits_exercise(hand_name: str)
 def test_only_digits_without_springs_close_with_a_slow_rise(hand_name: str) -> None:
     """Reproduce a defect: the tension of closed digits without springs rose with 200 N/s to 30 N.
 
-    When the tension rose, a digit that friction had stopped early closed so fast that the fault T01 (a
-    tendon snapped) ended the run. During a hold of the exercise program, tensions change at the default
-    rate.
+    When the tension rose, a digit that friction had stopped early closed so fast that the fault T01
+    (a tendon snapped) ended the run. During a hold of the exercise program, tensions change at the
+    default rate.
     """
     model = HandModel.from_hand(load_hand(hand_name), packaged_gains(hand_name), 400.0)
     default_rate = model.gains.tension.rate_N_per_s

@@ -1,7 +1,7 @@
 """Test the design of the tension filter.
 
-Compare the discrete model with the differential equations of a tendon. Compare the filter gains with
-the gains that a second solver computes.
+Compare the discrete model with the differential equations of a tendon. Compare the filter gains
+with the gains that a second solver computes.
 """
 
 import itertools

@@ -154,8 +154,8 @@ RecordedControlLawCall = tuple[Controller, ControllerState, ControllerState, Saf
 def record_control_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[RecordedControlLawCall]:
     """Return a list that records each call of the control law.
 
-    An entry of the list contains the controller, its states before and after the call, the action of
-    the safety monitor, and the number of ticks.
+    An entry of the list contains the controller, its states before and after the call, the action
+    of the safety monitor, and the number of ticks.
     """
     calls, real = list[RecordedControlLawCall](), Controller._compute_torques
 
@@ -214,8 +214,8 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
 ) -> None:
     """The controller limits the torque commands with old and with new gains in the same way.
 
-    If only one of the two commands were limited, their difference would become a trim force that makes
-    the tendon slack.
+    If only one of the two commands were limited, their difference would become a trim force that
+    makes the tendon slack.
     """
     bench = noiseless_hand(jamia)
     bench.tick(MOVE_REQUEST)
@@ -327,8 +327,8 @@ def test_every_corner_of_the_live_bounds_can_be_designed(
 ) -> None:
     """The test sets one gain at a time to its bound. All gains except the gain at its bound keep their defaults.
 
-    Some gains must be greater than their lower bound. For such a gain, the test uses the lower bound
-    plus one hundredth of the gain's default.
+    Some gains must be greater than their lower bound. For such a gain, the test uses the lower
+    bound plus one hundredth of the gain's default.
     """
     for key, bound in gain_bounds().items():
         if bound.is_changeable_live:

@@ -19,7 +19,8 @@ def hand_with_equal_readings(
 ) -> ControllerState:
     """Return the state of a hand whose tendons have the targets ``target_travel`` [m].
 
-    In the returned state, the readings of the motor encoders have not changed for ``tick_count`` ticks.
+    In the returned state, the readings of the motor encoders have not changed for ``tick_count``
+    ticks.
     """
     state = active_state(model)
     state.view("followed")[...] = target_travel

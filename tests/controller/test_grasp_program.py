@@ -126,8 +126,8 @@ def hand_in_contact(
 ) -> SyntheticEstimate:
     """Return the estimate of a hand with taut tendons.
 
-    ``external_tension_by_digit`` contains the tension [N] that an object causes, for each digit that
-    touches the object.
+    ``external_tension_by_digit`` contains the tension [N] that an object causes, for each digit
+    that touches the object.
     """
     estimate = estimate_under_tension(model, tension, 0.5)
     force = np.zeros(model.tendon_count)
@@ -353,8 +353,9 @@ def test_a_digit_that_touches_later_joins_the_grasp(
 def test_a_wrist_never_touches_and_keeps_its_motion(hand_name: str, wrist_force: float) -> None:
     """Reproduce a defect: a heavy wrist counted as a digit in contact.
 
-    A wrist that counted as in contact got a constant tension instead of its motion, and left its angle.
-    In this test, the force along the wrist tendon has the same sign as the moment arm of this tendon.
+    A wrist that counted as in contact got a constant tension instead of its motion, and left its
+    angle. In this test, the force along the wrist tendon has the same sign as the moment arm of
+    this tendon.
     """
     hand = load_hand(hand_name) if hand_name == "orca_like" else mount_on_wrist(hand_name)
     model = HandModel.from_hand(hand, Gains(), 500.0)

@@ -91,8 +91,8 @@ def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(
 ) -> None:
     """The replies to the commands of three ticks arrive in one tick.
 
-    At about the time at which the replies arrive, the controller forgets the requests of the earlier
-    ticks.
+    At about the time at which the replies arrive, the controller forgets the requests of the
+    earlier ticks.
     """
     run = bench_without_time_stamps()
     waiting: list[Frame] = []
@@ -135,7 +135,8 @@ def second_node_reports(tick_output: TickOut) -> list[str]:
 def test_replies_may_be_in_time_again_after_many_late_ones() -> None:
     """At the start of this test, the drives reply just after the deadline of each tick.
 
-    Later, the drives reply faster, so that a late reply and a reply in time arrive in the same tick.
+    Later, the drives reply faster, so that a late reply and a reply in time arrive in the same
+    tick.
     """
     run = bench_without_time_stamps()
     held_frames: list[list[Frame]] = [[]]

@@ -1,7 +1,7 @@
 """Test control rates whose period is no multiple of the simulator's time step.
 
-At any control rate, the simulated readings have no jitter, and the innovations of the filter have the
-predicted variance.
+At any control rate, the simulated readings have no jitter, and the innovations of the filter have
+the predicted variance.
 """
 
 from functools import cache
@@ -44,8 +44,8 @@ def make_back_and_forth_controller(hand_name: str, rate_hz: float) -> Controller
 def mean_nis_and_events(hand_name: str, rate_hz: float, seed: int) -> tuple[float, list[TickEvent]]:
     """Return the mean NIS during a free motion, and the events that concern estimates and faults.
 
-    The mean NIS is averaged over all tendons and ticks. NIS is the normalised innovation squared per
-    degree of freedom.
+    The mean NIS is averaged over all tendons and ticks. NIS is the normalised innovation squared
+    per degree of freedom.
     """
     nis: list[np.ndarray] = []
     events: list[TickEvent] = []

@@ -23,8 +23,8 @@ SIMULATOR_SEEDS = range(20) if NIGHTLY else range(1)
 TRACKING_LIMITS_DEG = {"jamia": 0.6, "n_plus_1": 0.6, "jamia11": 1.3}
 """Limit of the tracking error of each hand [deg].
 
-If the tendons pass through the axis of the wrist, the tracking errors of the three hands are 0.3, 0.15
-and 1.0 deg.
+If the tendons pass through the axis of the wrist, the tracking errors of the three hands are 0.3,
+0.15 and 1.0 deg.
 """
 TESTED_HANDS = tuple(TRACKING_LIMITS_DEG) if NIGHTLY else ("jamia", "n_plus_1")
 WAVE_ANGLES_DEG = ((30.0, 0.0), (45.0, 20.0), (45.0, -20.0), (20.0, 10.0), (50.0, 10.0))
@@ -99,8 +99,8 @@ def simulate_control_errors(
 def test_a_digit_follows_while_the_wrist_turns(hand_name: str, seed: int) -> None:
     """A digit follows its goal even while the wrist turns.
 
-    The tracking error becomes more than four times as large if the controller assumes that the tendons
-    pass through the axis of the wrist.
+    The tracking error becomes more than four times as large if the controller assumes that the
+    tendons pass through the axis of the wrist.
     """
     hand = mount_on_wrist(hand_name)
     errors_with_wrist_model = simulate_control_errors(hand, hand, seed)

@@ -1,7 +1,7 @@
 """Test commands, tracking errors, tensions and faults of hands whose drives close the position loops.
 
-The command ``python -m tests.controller.test_position_loop moteus 10`` prints the tracking errors of
-ten seeds.
+The command ``python -m tests.controller.test_position_loop moteus 10`` prints the tracking errors
+of ten seeds.
 """
 
 import json
@@ -127,9 +127,10 @@ def sent_stiffness(run: SimulatedRun) -> np.ndarray:
 def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
     """Return the RMS error along each tendon (N,) [deg], and the largest true tension [N].
 
-    The RMS error and the largest tension are measured while the hand moves. The error along a tendon is
-    the error of the mean angle of the joints that the tendon passes. In the hand ``jamia``, the springs
-    determine how the single joints of a digit share the error along a tendon.
+    The RMS error and the largest tension are measured while the hand moves. The error along a
+    tendon is the error of the mean angle of the joints that the tendon passes. In the hand
+    ``jamia``, the springs determine how the single joints of a digit share the error along a
+    tendon.
     """
     errors, peak = list[np.ndarray](), 0.0
     with start_back_and_forth_run(hand, seed, move_count=2) as run:
@@ -148,8 +149,8 @@ def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
 def moteus_command(payload: bytes) -> tuple[float, ...]:
     """Return the values in the payload of a moteus command.
 
-    A moteus command contains position [rad], velocity [rad/s], torque [N m], the fractions of kp and
-    kd, and the torque limit [N m].
+    A moteus command contains position [rad], velocity [rad/s], torque [N m], the fractions of kp
+    and kd, and the torque limit [N m].
     """
     assert len(payload) == 48
     assert (payload[:5], payload[17:19], payload[31:36]) == (
@@ -170,8 +171,8 @@ def moteus_command(payload: bytes) -> tuple[float, ...]:
 def test_a_moteus_command_makes_the_predicted_torque(motor_direction: int) -> None:
     """A moteus drive moves its position target with the commanded velocity.
 
-    The average of the position target over a control period is ahead of the commanded position by the
-    motion in half a control period.
+    The average of the position target over a control period is ahead of the commanded position by
+    the motion in half a control period.
     """
     hand = hand_with_position_loop(protocol="moteus")
     motors = tuple(
@@ -337,8 +338,8 @@ def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(
 ) -> None:
     """When the host dies, a moteus drive continues to move its position target until its watchdog fires after 50 ms.
 
-    Without the torque limit in the last command of the host, the moteus drive would pull with 70 N in
-    this test.
+    Without the torque limit in the last command of the host, the moteus drive would pull with 70 N
+    in this test.
     """
     with start_back_and_forth_run(hand_with_position_loop(protocol="moteus"), seed) as run:
         for _ in range(round((0.1 + 0.06 * seed) * RATE_HZ)):
@@ -412,8 +413,8 @@ EXPECTED_FAULTS = {
     "stuck encoder=index_motor": {"N04"},
     "swap node=index_motor with=thumb_motor": {"N05b", "N14", "N17", "T04b"},
     "cross node=index_motor with=thumb_motor": {"N14", "N17", "N04", "T04b", "N05b"},
-    # With the fault "replay", a moteus drive sends its old replies again, in addition to its present
-    # replies.
+    # With the fault "replay", a moteus drive sends its old replies again, in addition to its
+    # present replies.
     "replay node=index_motor size=16": {"N05b", "N14", "N17", "N04", "B06", "N13"},
     "disobey node=index_motor size=0.4": {"N14", "N17"},
     "offset encoder=index_motor size=-0.5": {"N05b", "T02a", "T03", "N14"},
@@ -477,7 +478,8 @@ def test_a_report_is_predicted_within_the_limit_of_its_command(force_sign: int) 
         )
         run.state.view("servo_position")[1] += 2.0 * force_sign
         run.run_tick()
-        # The torque report that arrives in tick k is the drive's reply to the command of tick k - 2.
+        # The torque report that arrives in tick k is the drive's reply to the command of tick k -
+        # 2.
         run.run_tick()
         assert run.state.view("servo_report")[1] == pytest.approx(force_sign * limit)
         assert (
@@ -518,8 +520,8 @@ def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(
 ) -> None:
     """A moteus command contains fractions of the gains kp and kd, which are limited to 1.
 
-    For a moteus drive that makes less torque than commanded, the controller would need fractions of kp
-    and kd above 1.
+    For a moteus drive that makes less torque than commanded, the controller would need fractions of
+    kp and kd above 1.
     """
     hand = hand_with_position_loop(protocol="moteus")
     model = HandModel.from_hand(hand, packaged_gains("jamia"), rate_hz, np.full(4, gain_value))
@@ -591,8 +593,8 @@ def test_a_hand_without_position_loops_has_no_servo_table_and_keeps_its_identity
 def print_tracking_errors(protocol: str, seed_count: int) -> None:
     """Print a line for each hand and each control mode of the drives.
 
-    Each printed line contains the mean tracking error, the range of the tracking error over the seeds,
-    and the largest tension.
+    Each printed line contains the mean tracking error, the range of the tracking error over the
+    seeds, and the largest tension.
     """
     for name in LARGEST_ERROR_RATIO:
         hands = {

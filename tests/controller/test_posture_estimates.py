@@ -51,8 +51,8 @@ class GraspPostureSample(NamedTuple):
     """Values of one tick of a grasp: the phase, joint angles (J,) [rad], and the contact force on each digit [N].
 
     The joint angles are the true angles, the estimated angles with their standard deviations, and
-    ``angles_of_free_hand``. ``angles_of_free_hand`` are the angles that the digits would have without
-    contact.
+    ``angles_of_free_hand``. ``angles_of_free_hand`` are the angles that the digits would have
+    without contact.
     """
 
     phase: str
@@ -111,10 +111,11 @@ def root_mean_square(errors: np.ndarray) -> float:
 def test_the_truth_is_within_two_sigma_in_a_grasp(task_name: str, scene_name: str) -> None:
     """For at least 95 % of the joints and ticks, the true joint angle is within two standard deviations.
 
-    While a hand holds an object, the error of each joint angle is nearly constant. For this reason, a
-    run of the hand with eleven joints is a sample of only eleven errors. One error above two standard
-    deviations does not show that a standard deviation is wrong. The limit of 95 % applies to the runs
-    with all seeds together. In a single run, one joint is allowed to have a larger error.
+    While a hand holds an object, the error of each joint angle is nearly constant. For this reason,
+    a run of the hand with eleven joints is a sample of only eleven errors. One error above two
+    standard deviations does not show that a standard deviation is wrong. The limit of 95 % applies
+    to the runs with all seeds together. In a single run, one joint is allowed to have a larger
+    error.
 
     During the hold of an object, joint angles that are computed without regard to the contact have
     larger errors.
@@ -276,8 +277,8 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
     """In this test, only one joint has an encoder.
 
     The filter weights the estimated angle and the encoder reading of this joint according to their
-    covariances. The filter corrects the angles of the other joints through their correlation with the
-    angle of the joint with an encoder.
+    covariances. The filter corrects the angles of the other joints through their correlation with
+    the angle of the joint with an encoder.
     """
     model = HandModel.from_hand(
         load_hand(str(hand_file_with_encoders(tmp_path, joints_with_encoders=1))), Gains(), RATE_HZ

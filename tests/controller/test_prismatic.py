@@ -126,8 +126,8 @@ def test_thresholds_count_10_mm_as_1_rad() -> None:
         for name in ("joint_scale", "arms_sum", "encoder_variance")
     }
     np.testing.assert_allclose(view["joint_scale"], [0.01, 0.01, 1.0])
-    # The order of the tendons is jaw_close, jaw_open, finger_slide, finger_bend. The tendon finger_bend
-    # has a moment arm of 10 mm.
+    # The order of the tendons is jaw_close, jaw_open, finger_slide, finger_bend. The tendon
+    # finger_bend has a moment arm of 10 mm.
     np.testing.assert_allclose(view["arms_sum"], [0.01, 0.01, 0.01, 0.015])
     np.testing.assert_allclose(view["encoder_variance"][0], 4e-10 + 25e-10 / 12.0)
 

@@ -2,8 +2,8 @@
 
 The random targets stay within the range of each joint or tendon, reach both ends of this range, and
 change at any speed. In one test, a client streams tensions to one digit of each packaged hand with
-springs. In another test, a client streams angles to all digits of each packaged hand, so that digits
-touch each other. The warning T02a (a tendon is slack) is no failure of the test.
+springs. In another test, a client streams angles to all digits of each packaged hand, so that
+digits touch each other. The warning T02a (a tendon is slack) is no failure of the test.
 """
 
 import os
@@ -161,8 +161,8 @@ def test_random_targets_cause_no_fault(
 ) -> None:
     """Reproduce a defect: random streams ended within 45 ms with the fault T01 (a tendon snapped).
 
-    The fault T01 had two causes. While a digit moved freely, the tension setpoint was far ahead of the
-    tension. While a digit was in contact, the reference angle was far ahead of the joint angle.
+    The fault T01 had two causes. While a digit moved freely, the tension setpoint was far ahead of
+    the tension. While a digit was in contact, the reference angle was far ahead of the joint angle.
 
     Reproduce another defect: 12 of 60 streams of tensions to n_plus_1 ended with the faults T01, T02b
     or N14b. The integral of the tension error moved the free finger, and slack tendons were taken up
@@ -193,7 +193,7 @@ def test_random_targets_cause_no_fault(
 def test_a_spool_pair_that_turns_around_does_not_count_as_torn() -> None:
     """Reproduce a defect: 6 of 60 streams of angles to orca_like ended with the fault T01.
 
-    The targets reversed the motion of a spool pair that has no load cell. The estimated tension of the
-    spool pair lagged behind the commanded tension.
+    The targets reversed the motion of a spool pair that has no load cell. The estimated tension of
+    the spool pair lagged behind the commanded tension.
     """
     test_random_targets_cause_no_fault("digit", "orca_like", random_walk_targets, 2)

@@ -101,7 +101,8 @@ def test_over_tension_is_relaxed_four_times_as_fast(
 ) -> None:
     """From the tick in which a load cell reads a tension that is too high, the tension falls four times as fast.
 
-    The tension also falls faster if the hand was already relaxing before the high load-cell reading.
+    The tension also falls faster if the hand was already relaxing before the high load-cell
+    reading.
     """
     run = bench_holding_hand(jamia_at_low_rate)
     run.tick('{"do": "hold", "tension_N": {"index": 60}, "rate_N_per_s": 1000}')
@@ -166,8 +167,8 @@ def test_a_run_with_its_own_goals_refuses_goals_of_clients(
 ) -> None:
     """The controller refuses the goals of a client while the hand is commissioned.
 
-    A goal could tension a tendon while its load cell is tared. With a wrong tare, all readings of the
-    load cell would be wrong in later runs.
+    A goal could tension a tendon while its load cell is tared. With a wrong tare, all readings of
+    the load cell would be wrong in later runs.
     """
     run = make_controller_bench(jamia_at_low_rate, CommissionProgram())
     run.run_until_mode(HandMode.ACTIVE)

@@ -1,7 +1,7 @@
 """Test the detection of an object that slips out of a hand, and the reaction of the grasp program to the slip.
 
-The grasp program detects slip when the object pushes a digit open. After slip, the grasp program raises
-the grip force up to the force limit of the task.
+The grasp program detects slip when the object pushes a digit open. After slip, the grasp program
+raises the grip force up to the force limit of the task.
 """
 
 import json

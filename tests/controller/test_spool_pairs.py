@@ -158,8 +158,8 @@ MOVES_TASK = Task.model_validate(
 def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
     """The commissioning program finds the true motor zeros of the simulated hand.
 
-    The joints of the commissioned hand follow their goals within one degree, and no tendon exceeds its
-    tension limit.
+    The joints of the commissioned hand follow their goals within one degree, and no tendon exceeds
+    its tension limit.
     """
     hand = spool_finger()
     with SimulatorSettings(hand, None, seed).simulated_hand(round(1e9 / RATE_HZ)) as peer:
@@ -226,8 +226,8 @@ class PullProgram:
 def test_it_pulls_both_ways_and_never_above_the_limit(tension: float) -> None:
     """When a joint rests at its mechanical stop, the net tension of its spool pair reaches its goal.
 
-    The controller lowers a goal above the tension limit of the hand. The new goal is the tension limit
-    minus a margin for the standard deviation of the estimated tension.
+    The controller lowers a goal above the tension limit of the hand. The new goal is the tension
+    limit minus a margin for the standard deviation of the estimated tension.
     """
     hand = spool_finger()
     limit = hand.tendon[0].tension_max_N

@@ -147,8 +147,8 @@ def state(request: pytest.FixtureRequest) -> ControllerState:
 def constants_by_field(constant_module: Any) -> dict[str, str]:
     """Return the name of a module constant for each field.
 
-    The module constant of a field contains the index of the first row of this field in its table. The
-    function reads the names of the constants from the source text of a module.
+    The module constant of a field contains the index of the first row of this field in its table.
+    The function reads the names of the constants from the source text of a module.
     """
     constant_by_field = {}
     for node in ast.parse(inspect.getsource(constant_module)).body:
@@ -210,8 +210,8 @@ def test_a_copy_is_another_block_of_the_same_numbers(state: ControllerState) -> 
 def test_a_difference_names_its_field(state: ControllerState, field: BlockField) -> None:
     """The reported difference of two states names the first field that differs, in the order of the schema.
 
-    The reported difference also contains the index of the first element that differs, and both values
-    of this element.
+    The reported difference also contains the index of the first element that differs, and both
+    values of this element.
     """
     other_state = state.copy()
     values = other_state.view(field.name).reshape(-1)
@@ -248,8 +248,8 @@ def test_nan_is_the_same_as_nan_and_zero_is_not_minus_zero(state: ControllerStat
 def random_hand(seed: int) -> HandModel:
     """Return the model of a random hand.
 
-    The random hand has some digits of a packaged hand, or of a hand with 15 motors. The function varies
-    the masses, springs and friction of the digits at random.
+    The random hand has some digits of a packaged hand, or of a hand with 15 motors. The function
+    varies the masses, springs and friction of the digits at random.
     """
     rng = random.Random(seed)
     raw: dict[str, Any] = fifteen_motor_hand()

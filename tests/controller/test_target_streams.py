@@ -144,8 +144,8 @@ def true_angle(run: SimulatedRun) -> float:
 def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None:
     """In this test, the client knows the motion in advance.
 
-    Because the client knows the motion, it sends the angle that the hand should have after the delay of
-    the stream (``horizon_s``).
+    Because the client knows the motion, it sends the angle that the hand should have after the
+    delay of the stream (``horizon_s``).
     """
     errors = {}
     for interpolation in ("linear", "minimum_jerk"):
@@ -417,8 +417,8 @@ def test_integers_beyond_64_bits_do_not_end_the_run(
 ) -> None:
     """Reproduce a defect.
 
-    An integer of more than 64 bits in the text of a target raised OverflowError in the tick. After the
-    exception, the controller disabled all motors.
+    An integer of more than 64 bits in the text of a target raised OverflowError in the tick. After
+    the exception, the controller disabled all motors.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -459,9 +459,10 @@ def test_a_target_from_the_future_counts_as_sent_now(jamia: HandModel) -> None:
 def test_targets_between_the_deadline_and_a_late_tick_are_in_order(jamia: HandModel) -> None:
     """If a tick is late, a client can send a target after the scheduled time of the tick.
 
-    A target that was sent after the scheduled time of its tick counts as sent at the scheduled time.
-    Earlier defect: the controller refused the next target, because the late tick's target seemed to be
-    newer.
+    A target that was sent after the scheduled time of its tick counts as sent at the scheduled
+    time.
+    Earlier defect: the controller refused the next target, because the late tick's target seemed to
+    be newer.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -523,8 +524,8 @@ def test_a_stream_goes_on_from_a_moving_digit(jamia: HandModel) -> None:
 def test_goals_with_a_long_horizon_move_the_hand(jamia: HandModel) -> None:
     """Reproduce a defect: each new goal began a trajectory that started at the estimated angle with zero speed.
 
-    A hand that got 50 goals per second did not move, because each trajectory started again with zero
-    speed.
+    A hand that got 50 goals per second did not move, because each trajectory started again with
+    zero speed.
     """
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": SINE_MIDDLE_DEG})
@@ -631,7 +632,8 @@ def test_streams_that_do_not_suit_the_hand_are_refused(jamia: HandModel) -> None
 def test_joint_angles_become_coordinates(model: HandModel) -> None:
     """A stream of angles of single joints moves the digits.
 
-    Coupled joints turn to those angles that satisfy the coupling and are nearest to the target angles.
+    Coupled joints turn to those angles that satisfy the coupling and are nearest to the target
+    angles.
     """
     names = model.hand.joints
     where = mapping_of_stream(model, "joint", names)
@@ -792,8 +794,8 @@ def test_targets_that_tendons_cannot_hold_are_moved_to_the_nearest_posture(
 ) -> None:
     """The outer joint of a finger cannot bend alone, because a tendon of an inner joint would have to push.
 
-    Earlier defect: the safety monitor reported the tendon that would have to push as slack, and relaxed
-    the hand.
+    Earlier defect: the safety monitor reported the tendon that would have to push as slack, and
+    relaxed the hand.
     """
     digit = jamia11.digits[0]
     floor = jamia11.floor[digit.tendons]

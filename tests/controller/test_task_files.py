@@ -1,7 +1,7 @@
 """Test task files.
 
-Each packaged task is valid for all packaged hands that have the necessary digits and tendons. The error
-line for a wrong task file names the wrong key.
+Each packaged task is valid for all packaged hands that have the necessary digits and tendons. The
+error line for a wrong task file names the wrong key.
 """
 
 from pathlib import Path

@@ -96,8 +96,8 @@ def test_move_stays_between_its_ends_and_below_its_peak_speed(
 def test_no_admissible_bump_has_less_jerk() -> None:
     """A disturbance that is added to a minimum-jerk move increases the integral of the squared jerk.
 
-    The added disturbance has zero position, speed and acceleration at the start and at the end of the
-    move.
+    The added disturbance has zero position, speed and acceleration at the start and at the end of
+    the move.
     """
     move, t = MinimumJerk(np.array([0.0]), np.array([1.0]), 1.0), np.linspace(0.0, 1.0, 20001)
     acceleration = np.array([move.motion_at(time_s)[2][0] for time_s in t])

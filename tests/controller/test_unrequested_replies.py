@@ -1,6 +1,7 @@
 """Test replies for which the controller sent no request.
 
-The tests check the fault that unrequested replies cause, and which frames count as replies of a motor.
+The tests check the fault that unrequested replies cause, and which frames count as replies of a
+motor.
 """
 
 import pytest
@@ -148,8 +149,8 @@ def test_only_replies_in_excess_are_compared_with_the_expected_reply(
 def copies_of_motor_reply(motor_reply: Frame, reply_variants: str) -> list[Frame]:
     """Return one copy of a motor's reply for each letter of ``reply_variants``.
 
-    For the letter A, the copy is unchanged. For the letter B, the copy has another temperature. Each
-    reply of another motor is returned once and unchanged.
+    For the letter A, the copy is unchanged. For the letter B, the copy has another temperature.
+    Each reply of another motor is returned once and unchanged.
     """
     if motor_reply.can_id != 0x11:
         return [motor_reply]

@@ -92,9 +92,9 @@ CYLINDER_TASK = Task.model_validate(
 class RunWithoutCells:
     """Record of a run without load cells: the values of each tick, and all events.
 
-    The values of a tick are the phase of the task and, for each tendon (N,), the estimated tension with
-    its standard deviation, and the true tension [N]. The record also contains the last height of the
-    object.
+    The values of a tick are the phase of the task and, for each tendon (N,), the estimated tension
+    with its standard deviation, and the true tension [N]. The record also contains the last height
+    of the object.
     """
 
     phase_name: list[str] = field(default_factory=list)
@@ -121,8 +121,8 @@ def run_without_sensors(
 ) -> RunWithoutCells:
     """Run a program on a hand without load cells and encoders.
 
-    The controller knows the motor zeros. Each text in ``fault_commands`` describes an injected fault
-    and contains the time of the fault.
+    The controller knows the motor zeros. Each text in ``fault_commands`` describes an injected
+    fault and contains the time of the fault.
     """
     rows = RunWithoutCells()
     with SimulatorSettings(hand_without_cells(), scene, seed, homed=True).begin_run(
@@ -145,8 +145,8 @@ def run_without_sensors(
 def assert_no_check_of_a_missing_cell(hand: Hand, events: list[TickEvent]) -> None:
     """Check that the commissioning reports no check for which a load cell is missing.
 
-    Earlier defect: for a hand without load cells, the commissioning program printed "answers 2.99 N,
-    others 0.00 N".
+    Earlier defect: for a hand without load cells, the commissioning program printed "answers 2.99
+    N, others 0.00 N".
     """
     texts = {event.where: event.text for event in events if event.name == "commission"}
     assert set(texts) == set(hand.tendon_names)

@@ -69,8 +69,8 @@ def run_code_blocks(
     """Execute the commands of a documentation page in an empty folder.
 
     Args:
-        code_blocks: blocks of the page. The function writes the file blocks of the page to files before
-            it executes commands.
+        code_blocks: blocks of the page. The function writes the file blocks of the page to files
+            before it executes commands.
         prepare: function that writes further files into the folder.
         parallel_commands: further commands, which run during the commands of the page.
     """

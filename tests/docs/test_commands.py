@@ -2,9 +2,9 @@
 
 For each page, the test executes the command blocks in an empty folder.
 
-The test does not execute a block with "not run" in its title, because this block needs hardware, root
-rights or a screen. A command block with "stays open" in its title continues to run while later blocks
-of the page run.
+The test does not execute a block with "not run" in its title, because this block needs hardware,
+root rights or a screen. A command block with "stays open" in its title continues to run while later
+blocks of the page run.
 """
 
 from collections.abc import Iterator
@@ -42,8 +42,8 @@ The title of a block that is written to a file is the name of the file.
 PAGES_WITH_LONG_COMMANDS = ("start/first-hand.md", "tutorials/policy.md", "tutorials/tune-gains.md")
 """Pages whose commands run only in nightly test runs.
 
-The commands of each page in ``PAGES_WITH_LONG_COMMANDS`` take a minute. Ordinary test runs execute the
-same commands on other pages.
+The commands of each page in ``PAGES_WITH_LONG_COMMANDS`` take a minute. Ordinary test runs execute
+the same commands on other pages.
 """
 
 

@@ -2,8 +2,8 @@
 
 A simulated hand runs beside each command block that needs a hand.
 
-The pages use files and hands that belong to the reader. The tests replace the reader's files and hands
-by packaged files and hands.
+The pages use files and hands that belong to the reader. The tests replace the reader's files and
+hands by packaged files and hands.
 """
 
 import re
@@ -44,8 +44,8 @@ EXECUTED_BLOCKS_BY_PAGE = {
 PAGES_WITH_SHORT_COMMANDS = ("how-to/logs.md", "how-to/other-tools.md")
 """Pages whose commands run in ordinary test runs.
 
-The commands of pages that are not in this list run in nightly test runs, because each page takes from
-ten seconds to minutes.
+The commands of pages that are not in this list run in nightly test runs, because each page takes
+from ten seconds to minutes.
 """
 SIMULATED_HAND = "handctl sim --hand jamia --bus local:lab --time-scale 0.5"
 SIMULATOR_COMMANDS = {
@@ -141,8 +141,8 @@ def test_the_commands_of_the_readme_run() -> None:
     assert len(simulators) == 1
     assert len(lines) == 6
     commands = [FencedBlock("sh", "", line) for line in lines if line.strip() not in simulators]
-    # Use a smaller time scale, as the README recommends for a slow machine. The machine that runs this
-    # test is slow while other tests run.
+    # Use a smaller time scale, as the README recommends for a slow machine. The machine that runs
+    # this test is slow while other tests run.
     run_code_blocks(
         commands, partial(prepare_folder, "jamia-grasp"), [f"{simulators[0]} --time-scale 0.3"]
     )

@@ -20,8 +20,8 @@ HANDS_FOLDER = REPOSITORY_ROOT / "examples" / "hands"
 OBJECT_MOTION_MM = (1.5, 3.5)
 """Bounds of the motion of the object while ``shadow_like`` holds it [mm].
 
-The digits of ``shadow_like`` yield sideways, so the object moves by 2.4 mm. If the object moves less
-than the lower bound, the page docs/evidence/hands.md is out of date.
+The digits of ``shadow_like`` yield sideways, so the object moves by 2.4 mm. If the object moves
+less than the lower bound, the page docs/evidence/hands.md is out of date.
 """
 
 

@@ -135,8 +135,8 @@ def test_stream_sine(attempt_time_scale):
     accepted = re.search(r"accepted=(\d+), clipped=0", out)
     assert accepted
     assert 100 < int(accepted[1]) <= 301, "missed times are left out"
-    # The test compares the motion with the ideal sine of the example program. For this reason, targets
-    # that the program sends too late count as an error.
+    # The test compares the motion with the ideal sine of the example program. For this reason,
+    # targets that the program sends too late count as an error.
     assert numbers_in(out.splitlines()[-1])[0] < 1.5
     check_picture("sine.png")
 
@@ -146,8 +146,9 @@ def test_retarget(attempt_time_scale):
     with simulated_hand(attempt_time_scale, "--scene", "none", name="jamia11") as options:
         out = run_example("retarget.py", *options)
     assert "accepted=300" in out
-    # The limit of the error was 6 mm in an earlier version of the test. In that version, the program
-    # computed each target from a counter, and its motion lagged 0.2 s behind on a busy machine.
+    # The limit of the error was 6 mm in an earlier version of the test. In that version, the
+    # program computed each target from a counter, and its motion lagged 0.2 s behind on a busy
+    # machine.
     assert numbers_in(out.splitlines()[-1])[0] < 2.5
     check_picture("retarget.png")
     # The second row of the picture shows the distances of the fingertips, in one diagram per digit.

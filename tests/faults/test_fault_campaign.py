@@ -1,7 +1,7 @@
 """Test the fault matrix in lockstep.
 
-Each injected fault has an effect, and all reactions of the controller are in time. No tension is larger
-than drives and rotors can cause.
+Each injected fault has an effect, and all reactions of the controller are in time. No tension is
+larger than drives and rotors can cause.
 """
 
 import contextlib
@@ -120,8 +120,8 @@ def test_fault_free_run_alone_continues_its_seeds():
 def alarms_of_run(last_phase, *event_texts):
     """Return the false alarms of a run without injected faults.
 
-    In the run without injected faults, the hand stays in one phase of its task for eight seconds, and
-    reports the given faults in each second.
+    In the run without injected faults, the hand stays in one phase of its task for eight seconds,
+    and reports the given faults in each second.
     """
     events = tuple(TickEvent("warn", "fault", "", text) for text in event_texts)
     out = SimpleNamespace(mode=HandMode.ACTIVE, phase=last_phase, events=events)
@@ -353,8 +353,8 @@ def test_a_drive_without_torque_feedback_that_switches_off_is_reported_by_its_ow
 def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
     """Check that tensions stay below 40 N if drives are exchanged or late in a hand without load cells.
 
-    Earlier defect: when drives of the thumb were exchanged or reacted late, their spools became faster
-    and faster, and pulled with 208 to 230 N.
+    Earlier defect: when drives of the thumb were exchanged or reacted late, their spools became
+    faster and faster, and pulled with 208 to 230 N.
     """
     results = results_of_hand("orca_like", seed, {FREE_MOTION_STAGE: ("swap", "cross", "late")})
     assert len(results) == 6
@@ -366,7 +366,8 @@ def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
 def test_faults_of_a_hand_without_load_cells_are_found_in_a_grasp():
     """A tendon that tears while it pulls is detected within 75 ms.
 
-    A drive without torque is detected within 22 ticks. Earlier defect: the controller detected a torn
+    A drive without torque is detected within 22 ticks. Earlier defect: the controller detected a
+    torn
     tendon and a drive without torque too late. Earlier defect: a drive that kept its torque was not
     reported.
     """
@@ -420,8 +421,8 @@ def test_a_noisy_encoder_is_reported_as_such(seed):
 def test_an_odrive_that_does_not_release_is_found_although_it_reports_rarely(seed):
     """Reproduce a defect: the fault N16 (a drive does not release) was not detected.
 
-    The ODrive sends its torque rarely. Between two torque reports, the estimated speed of the spool hid
-    the fault.
+    The ODrive sends its torque rarely. Between two torque reports, the estimated speed of the spool
+    hid the fault.
     """
     results = results_of_hand("t42", seed, {GRASP_STAGE: ("hold_on",)}, "odrive")
     assert len(results) == 2
@@ -448,8 +449,8 @@ def test_only_missing_sensors_extend_a_time_limit():
 def test_torque_after_a_cut_needs_a_load_cell_or_torque_in_each_reply(protocol, is_judged):
     """For the fault N16 (a drive does not release), the campaign and `config check` agree.
 
-    An ODrive sends its torque in a separate frame. After the action CUT, an ODrive sends no more torque
-    frames.
+    An ODrive sends its torque in a separate frame. After the action CUT, an ODrive sends no more
+    torque frames.
     """
     hand = hand_with_drives(load_hand("orca_like"), protocol)
     rows = {scenario.row.id for scenario in scenarios_of_hand(hand, protocol, 5.0)}
@@ -460,9 +461,9 @@ def test_torque_after_a_cut_needs_a_load_cell_or_torque_in_each_reply(protocol, 
 def test_a_stall_of_the_host_is_a_stall_at_every_control_rate():
     """The scenario of the fault H03 (the host stalled) misses more ticks at a faster control rate.
 
-    Reproduce a defect: the scenario of H03 missed 14 ticks at every control rate. At 1 kHz, 14 missed
-    ticks last 14 ms, which is no stall of the host. At 200 Hz, 14 missed ticks last longer than the
-    watchdog time of the drives.
+    Reproduce a defect: the scenario of H03 missed 14 ticks at every control rate. At 1 kHz, 14
+    missed ticks last 14 ms, which is no stall of the host. At 200 Hz, 14 missed ticks last longer
+    than the watchdog time of the drives.
     """
     hand = hand_with_protocol("t42", "mit")
     watchdog_s = min(motor.watchdog_ms for motor in hand.motor) * 1e-3
@@ -504,9 +505,9 @@ def test_a_drive_of_a_weak_hand_that_does_not_obey_is_found_as_soon_as_one_of_a_
 ):
     """Compare drives with torque limits of 110 N and 160 N.
 
-    Reproduce two defects in which a weak hand had the fault threshold of a strong hand. The controller
-    found a drive without torque after 23 ticks, but the limit is 22 ticks. At 1 kHz, the controller
-    found a drive that runs away after 11 ticks, but the limit is 10 ticks.
+    Reproduce two defects in which a weak hand had the fault threshold of a strong hand. The
+    controller found a drive without torque after 23 ticks, but the limit is 22 ticks. At 1 kHz, the
+    controller found a drive that runs away after 11 ticks, but the limit is 10 ticks.
     """
     faults = {FREE_MOTION_STAGE: ("runaway",), GRASP_STAGE: ("disobey",)}
     for seed in (0, 12):
@@ -544,10 +545,10 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
     """If a drive runs away against a grasped object, the tension has an upper bound.
 
     The bound of the tension follows from the force limit and the momentum of the drive. The runaway
-    drive pulls its rotor against the tendon with at most the force F. Seen at the tendon, the rotor has
-    the mass m and the initial speed v. The tendon has the stiffness k and the initial tension T.
-    Without friction, the tension rises to F + sqrt((F - T)^2 + k m v^2). The reaction of the controller
-    can only lower the final tension.
+    drive pulls its rotor against the tendon with at most the force F. Seen at the tendon, the rotor
+    has the mass m and the initial speed v. The tendon has the stiffness k and the initial tension
+    T. Without friction, the tension rises to F + sqrt((F - T)^2 + k m v^2). The reaction of the
+    controller can only lower the final tension.
     """
     hand = hand_with_protocol("jamia", "mit")
     with homed_run(hand, RATE_HZ, 0) as simulation:

@@ -1,7 +1,7 @@
 """Test random sequences of faults.
 
-The same seed gives the same sequence of faults. No sequence of faults violates a safety rule. The test
-can detect a violation of each safety rule.
+The same seed gives the same sequence of faults. No sequence of faults violates a safety rule. The
+test can detect a violation of each safety rule.
 """
 
 import os
@@ -85,9 +85,9 @@ def test_sequence_violates_no_rule():
 def test_a_sequence_that_breaks_a_rule_names_it(copy_of_arming_simulation, monkeypatch):
     """In the fault sequence of this test, a drive runs away.
 
-    The safety rule about high tensions usually accepts a runaway drive as the reason of a high tension.
-    This test changes the rule so that it does not accept a runaway drive. The fault sequence must
-    violate the changed rule.
+    The safety rule about high tensions usually accepts a runaway drive as the reason of a high
+    tension. This test changes the rule so that it does not accept a runaway drive. The fault
+    sequence must violate the changed rule.
     """
     results = []
     sequence = FaultSequence(0, ARMING_STAGE, (FaultStep(20, "runaway node=index_motor"),))

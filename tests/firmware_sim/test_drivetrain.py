@@ -20,8 +20,8 @@ from firmware_sim.truth_file import TruthWriter, read_truth, truth_columns
 def closing_hand(hand_name: str, uses_mj_step: bool = True, is_compiled: bool = True) -> Plant:
     """Build a simulated hand that closes on a cylinder.
 
-    At the start, the tendons are slack. The tendons become taut while the hand closes. Each motor of
-    the hand follows a commanded torque, a commanded position, or a commanded moving position.
+    At the start, the tendons are slack. The tendons become taut while the hand closes. Each motor
+    of the hand follows a commanded torque, a commanded position, or a commanded moving position.
     """
     plant = Plant(load_hand(hand_name), load_scene("cylinder"), seed=3, is_compiled=is_compiled)
     if not uses_mj_step:
@@ -54,8 +54,8 @@ def state_as_hex(plant: Plant) -> list[str]:
 def test_all_ways_to_step_are_equal_to_the_bit(hand: str) -> None:
     """Four ways to compute simulation steps give results that are equal to the last bit.
 
-    The four ways are a block of simulation steps, single steps, steps by MuJoCo's Python bindings, and
-    steps in Python.
+    The four ways are a block of simulation steps, single steps, steps by MuJoCo's Python bindings,
+    and steps in Python.
     """
     block, single = closing_hand(hand), closing_hand(hand)
     bindings, plain_closing_hand = (
@@ -164,8 +164,8 @@ def test_a_divided_step_ends_where_the_whole_step_ends() -> None:
 def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: str) -> None:
     """The simulated encoder readings have no jitter, even if the control period is no multiple of the simulation step.
 
-    At a spool speed of 3 rad/s, an encoder reading from the end of the last whole simulation step would
-    be wrong by 5 counts.
+    At a spool speed of 3 rad/s, an encoder reading from the end of the last whole simulation step
+    would be wrong by 5 counts.
     """
     for rate_hz in (300.0, 333.0, 450.0, 640.0):
         world = SimulatedWorld(load_hand(hand), load_scene(None), seed=2)

@@ -1,7 +1,7 @@
 """Test the hub of the local bus.
 
-The hub forwards the frames of each client to all other clients, as records of bytes. The hub completes
-every record that it has begun to send to a client, but never waits for a client.
+The hub forwards the frames of each client to all other clients, as records of bytes. The hub
+completes every record that it has begun to send to a client, but never waits for a client.
 """
 
 import os

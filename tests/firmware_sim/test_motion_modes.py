@@ -109,8 +109,8 @@ def test_the_ramps_of_a_damiao_motor_act_in_position_velocity_mode(motion_sign: 
     assert speeds[500] == pytest.approx(4.0 * 0.5, rel=0.1)
     assert max(speeds) <= 1.02 * 3.0
     assert min(speeds) > -0.1
-    # The motor reaches 3 rad/s after 0.75 s, when it has turned by 1.125 rad. From 3 rad/s, the motor
-    # brakes for 1.5 s and turns by 2.25 rad.
+    # The motor reaches 3 rad/s after 0.75 s, when it has turned by 1.125 rad. From 3 rad/s, the
+    # motor brakes for 1.5 s and turns by 2.25 rad.
     assert sample_each_ms(bench, 1.0, lambda: motion_sign * motor.theta)[-1] == pytest.approx(
         6.0, abs=0.01
     )
@@ -279,8 +279,8 @@ def test_the_position_filter_of_an_odrive_does_not_overshoot() -> None:
     write_endpoint(bench, 207, 4.0)
     send_messages(bench, (0x0C, struct.pack("<fhh", 1.0, 0, 0)))
     angles = sample_each_ms(bench, 4.0, lambda: bench.motors[0].theta / TURN_RAD)
-    # The input filter is critically damped with the time constant 1 / bandwidth, here 1/4 s. With the
-    # time constant 1/4 s, the step response of the filter is 1 - (1 + 4 t) exp(-4 t).
+    # The input filter is critically damped with the time constant 1 / bandwidth, here 1/4 s. With
+    # the time constant 1/4 s, the step response of the filter is 1 - (1 + 4 t) exp(-4 t).
     assert angles[499] == pytest.approx(1.0 - 3.0 * math.exp(-2.0), abs=0.03)
     assert max(angles) < 1.02
     assert angles[-1] == pytest.approx(1.0, abs=0.005)

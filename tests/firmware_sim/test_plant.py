@@ -60,8 +60,8 @@ def test_the_springs_hold_the_free_hand_open() -> None:
 def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
     """Without friction, each joint obeys r f = k (q + q0).
 
-    The moment arm r, the stiffness k and the preload angle q0 are the same for all joints, so all joint
-    angles q are equal.
+    The moment arm r, the stiffness k and the preload angle q0 are the same for all joints, so all
+    joint angles q are equal.
 
     Gravity has no effect on the joints, because it is parallel to the hinges.
     """
@@ -209,8 +209,8 @@ def closing_hand(
 ) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     """Raise all tensions of an empty hand to 12 N within 0.4 s.
 
-    The argument ``step_s`` [s] is the time step of the simulator. Return the joint angles of the hand
-    after every 5 ms.
+    The argument ``step_s`` [s] is the time step of the simulator. Return the joint angles of the
+    hand after every 5 ms.
     """
     monkeypatch.setattr("firmware_sim.plant.plant.STEP_S", step_s)
     monkeypatch.setattr(
@@ -258,7 +258,8 @@ def hand_with_coupled_fingers(joint_coupling: list[list[float]], path: Path) -> 
 
     Args:
         joint_coupling: value of the key ``joint_coupling`` for each finger, with one row for each of the three
-            joints. With one column in ``joint_coupling``, a single spool pair turns all three joints.
+            joints. With one column in ``joint_coupling``, a single spool pair turns all three
+            joints.
         path: path at which the hand file is written.
     """
     content = json.loads(json.dumps(hand_content("orca_like")))
@@ -291,9 +292,9 @@ def test_coupled_joints_of_spool_pairs_keep_their_coupling(
 ) -> None:
     """Reproduce a defect: the joints of a digit with spool pairs could turn freely against each other.
 
-    A digit with spool pairs has no springs. While the fingers closed, the joint angles deviated from
-    the coupling by 49 to 74 deg. The simulator now has tendons that couple the joints, so the joint
-    angles deviate from the coupling by at most 1.4 deg.
+    A digit with spool pairs has no springs. While the fingers closed, the joint angles deviated
+    from the coupling by 49 to 74 deg. The simulator now has tendons that couple the joints, so the
+    joint angles deviate from the coupling by at most 1.4 deg.
     """
     hand = hand_with_coupled_fingers(joint_coupling, tmp_path / "coupled.toml")
     plant = plant_without_object(hand=hand)

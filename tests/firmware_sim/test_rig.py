@@ -52,8 +52,8 @@ def close_hand(
 ) -> list[list[Frame]]:
     """Enable all motors, raise the tension of all tendons in a ramp to ``tension`` [N], and keep this tension.
 
-    The commanded torques are proportional to the tension of the ramp. The function uses no feedback.
-    Return the replies of each tick.
+    The commanded torques are proportional to the tension of the ramp. The function uses no
+    feedback. Return the replies of each tick.
     """
     answers = [rig.step(0, [frame_tuple(motor, ENABLE_PAYLOAD) for motor in MOTOR_NODES])]
     for k in range(1, round(duration_s * 500)):
@@ -217,8 +217,8 @@ def test_the_load_cell_reads_the_present_true_tension(tmp_path: Path) -> None:
         (int.from_bytes(tick[0].data, "little") >> 4 & 0xFFF) * 0.0625 - 6.0 for tick in answers[1:]
     ]
     error = np.array(read) - tension[2::2][: len(read)]
-    # The permitted error is half a count of the load cell, plus the largest drift of the load cell's
-    # zero in one second.
+    # The permitted error is half a count of the load cell, plus the largest drift of the load
+    # cell's zero in one second.
     assert np.abs(error).max() < 0.03125 + 0.6
     assert np.std(np.diff(error)) < 0.05
 

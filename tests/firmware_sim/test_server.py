@@ -34,8 +34,8 @@ STATE_ENABLED, STATE_LOST = 1, 0xD
 class FakePort:
     """Fake port through which the simulator server receives and sends frames.
 
-    A test adds received frames to the port, and reads the frames that the server has sent through the
-    port.
+    A test adds received frames to the port, and reads the frames that the server has sent through
+    the port.
     """
 
     due_ns = 1 << 62
@@ -95,8 +95,8 @@ def test_the_plant_follows_the_clock_in_whole_steps(bench: SimulatorServerBench)
 def test_a_frame_samples_the_plant_at_its_exact_time(bench: SimulatorServerBench) -> None:
     """When a frame arrives, the server reads the simulated sensors at exactly the time of arrival.
 
-    The simulation advances in steps of 0.5 ms. When the server reads a sensor between two steps, the
-    times of the steps do not change.
+    The simulation advances in steps of 0.5 ms. When the server reads a sensor between two steps,
+    the times of the steps do not change.
     """
     bench.turn(3.7, Frame(1, ENABLE_PAYLOAD))
     assert bench.world.t_ns == START_NS + round(3.7 * NS_PER_MS)

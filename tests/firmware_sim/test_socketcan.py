@@ -1,7 +1,7 @@
 """Test the bytes of frames on a Linux CAN socket.
 
-The tests also cover a CAN interface that refuses frames. The tests in the folder tests/vcan use real
-CAN interfaces.
+The tests also cover a CAN interface that refuses frames. The tests in the folder tests/vcan use
+real CAN interfaces.
 """
 
 import errno

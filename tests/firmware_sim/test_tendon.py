@@ -70,8 +70,9 @@ def test_linear_up_to_the_knee_then_softer_without_a_kink() -> None:
     assert stiffness[:7000].max() == pytest.approx(1e5, rel=1e-6)
     assert np.abs(np.diff(stiffness)).max() < 200.0, "the stiffness jumps"
     assert stiffness[-1] == pytest.approx(0.4e5, rel=1e-3)
-    # Above a tension of 200 N, the tendon is softer. If a tendon with a tension of 200 N is stretched
-    # further by x, its tension is 200 + k2 x + (k - k2) w (1 - exp(-x/w)). In this test, x is 1 mm.
+    # Above a tension of 200 N, the tendon is softer. If a tendon with a tension of 200 N is
+    # stretched further by x, its tension is 200 + k2 x + (k - k2) w (1 - exp(-x/w)). In this test,
+    # x is 1 mm.
     assert elastic_tension(3e-3) == pytest.approx(
         200.0 + 40.0 + 6e4 * 0.3e-3 * (1 - math.exp(-1 / 0.3))
     )

@@ -30,8 +30,8 @@ GRASP_PARAMETERS = {
 }
 """Step and tension action of a scripted grasp for each packaged hand.
 
-The first number of a scripted grasp is the episode step after which the digits are close to the object.
-The second number is the tension action that holds the object.
+The first number of a scripted grasp is the episode step after which the digits are close to the
+object. The second number is the tension action that holds the object.
 """
 DIAMETER_OPTIONS = {"t42": {"diameter_mm": (33.4, 35.0)}}
 """Range of the object's diameter for the hand t42 [mm].
@@ -48,8 +48,8 @@ def make_env(environment_id: str, **environment_options: Any) -> Any:
 def action_towards_reference(environment: Any, observation: Any) -> Any:
     """Return the action that makes the hand follow the reference angles in an observation.
 
-    The targets in the action are the reference angles at the time at which the hand will reach these
-    targets.
+    The targets in the action are the reference angles at the time at which the hand will reach
+    these targets.
     """
     first_element = environment.layout.names.index(f"reference_ahead_rad[{environment.names[0]}]")
     return environment.action_for(

@@ -135,7 +135,7 @@ def test_the_script_of_lerobot_teleoperates_the_hand_by_a_log(robot_options, wor
             if row.event.name == "fault" and row.event.level == "error"
         ]
         goal = np.degrees(np.nanmax(log.field("q_goal")[:, :9]))
-        # In this test, the leader hand closes its fingers on an object. All coupled joints of a finger
-        # of the follower hand get the same angle. The common angle of coupled joints is the angle
-        # nearest to their angles in the leader hand.
+        # In this test, the leader hand closes its fingers on an object. All coupled joints of a
+        # finger of the follower hand get the same angle. The common angle of coupled joints is the
+        # angle nearest to their angles in the leader hand.
         assert 20.0 < goal < np.degrees(leader_log.field("q").max()) + 1.0

@@ -19,8 +19,8 @@ from handctl.paper.figures.all_figures import draw_all_figures
 def measured_results() -> dict[str, Any]:
     """Return invented results of tendon tests and load tests.
 
-    The invented results cover two tendons with noise, and one load test for each combination of object
-    diameter and load axis.
+    The invented results cover two tendons with noise, and one load test for each combination of
+    object diameter and load axis.
     """
     chance = np.random.default_rng(11)
     ropes = []

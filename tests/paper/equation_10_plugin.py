@@ -2,8 +2,8 @@
 
 The plugin uses Eq. 10 either with the misprints of the paper, or in its corrected form.
 
-``test_literal.py`` runs the tests of the model with this plugin. The environment variable HANDCTL_EQ10
-selects the printed or the corrected form of Eq. 10.
+``test_literal.py`` runs the tests of the model with this plugin. The environment variable
+HANDCTL_EQ10 selects the printed or the corrected form of Eq. 10.
 """
 
 import os

@@ -1,7 +1,7 @@
 """Test the pictures that ``handctl paper`` draws of the source paper's results.
 
-No figure is empty, the axes of each figure have names, and the figures mark the numbers that the paper
-prints.
+No figure is empty, the axes of each figure have names, and the figures mark the numbers that the
+paper prints.
 """
 
 import re
