@@ -1,4 +1,4 @@
-"""Test the soak run, a long run of a controller that searches for memory leaks.
+"""Test the soak run: a long run of a controller, during which the memory of its processes is measured.
 
 The soak run must report a memory leak. The soak run must not report memory that a process frees and
 allocates again. The soak run must be able to start a controller.

@@ -194,8 +194,8 @@ def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(
 ) -> None:
     """In this test, the load cells drift twice as fast as those of packaged hands.
 
-    At the end of the commissioning, the zeros of the load cells have drifted by 0.9 N rms. The
-    limit for crosstalk of load cells during commissioning is also 0.9 N.
+    At the end of the commissioning, the zeros of the load cells have drifted by 0.9 N rms.
+    Commissioning accepts crosstalk of load cells of at most 0.9 N.
     """
     progress = run_commissioning(
         fifteen_motor_model,
