@@ -4,7 +4,7 @@ from handctl.cli.main import main
 
 
 def refusal_line(capsys, *command_words):
-    """Return the only error line that a command prints when it refuses its input."""
+    """Return the error line of a command that refuses its input and prints exactly one error line."""
     lines = refusal_lines(capsys, *command_words)
     assert len(lines) == 1, lines
     return lines[0]
@@ -13,7 +13,7 @@ def refusal_line(capsys, *command_words):
 def refusal_lines(capsys, *command_words):
     """Return the error lines that a command prints when it refuses its input.
 
-    Each mistake in the input has its own line.
+    The command prints one error line for each mistake in its input.
     """
     assert main(command_words) == 2
     out, err = capsys.readouterr()

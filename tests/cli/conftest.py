@@ -11,7 +11,7 @@ import pytest
 def work_folder(tmp_path, monkeypatch):
     """Change to an empty folder.
 
-    The sockets are in another folder, because the path of a Unix socket must be short.
+    Unix sockets are in the second folder, because the path of a Unix socket must be short.
     """
     sockets = Path(tempfile.mkdtemp(prefix="h-"))
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(sockets))

@@ -1,4 +1,4 @@
-"""A command with ``--view`` is refused before the run starts if the machine has no screen."""
+"""If the machine has no screen, handctl refuses a command with ``--view`` before the run starts."""
 
 import sys
 

@@ -1,6 +1,6 @@
 """Test ``handctl bus plan``: the computed bus load, and the proposed buses.
 
-The buses that the command proposes can carry the frames of all motors.
+The buses that ``bus plan`` proposes can carry the frames of all motors.
 """
 
 import json
@@ -24,10 +24,10 @@ def test_the_packaged_hand_fits_at_its_rate(capsys: pytest.CaptureFixture[str]) 
         "commands, answers, tensions, SYNC"
     )
     settings_bus_load = 4 * 2 * 135e-6 * 2.0
-    """Bus load that repeated reading of the drives' settings causes.
+    """Bus load due to the settings that the controller repeatedly reads from the drives.
 
-    The controller reads a setting of each drive twice a second. The request takes 135 us, and so
-    does the reply.
+    The controller reads a setting of each drive twice a second. The request frame takes 135 us on
+    the bus, and the reply frame takes the same time.
     """
     assert bus["load"] == pytest.approx(bus["tick_us"] * 500e-6 + settings_bus_load)
 
@@ -82,10 +82,10 @@ EXPECTED_BUS_LOADS = [
     ("ODrive, torque and encoder", False, 4, 1055, (26, 53, 106), 758),
     ("ODrive, with torque feedback", False, 4, 1755, (44, 88, 176), 456),
 ]
-"""Cases with bus loads that were calculated independently of handctl.
+"""Test cases with bus loads that were calculated independently of handctl.
 
-The last three entries of a row are the time per tick [us], the loads at 250, 500 and 1000 Hz [%],
-and the rate at a load of 80 % [Hz].
+The last three entries of each test case are the bus time per tick [us], the bus loads at control
+rates of 250, 500 and 1000 Hz [%], and the control rate at a bus load of 80 % [Hz].
 """
 
 
@@ -130,10 +130,10 @@ def test_run_refuses_an_overloaded_bus(capsys: pytest.CaptureFixture[str]) -> No
 def test_a_bus_too_slow_for_the_watchdogs_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A run is refused if a bus is too slow for the watchdogs of the drives.
+    """handctl refuses a run if a bus is too slow for the watchdogs of the drives.
 
-    The slow bus of this test can carry at most 20 ticks per second, so one tick takes 50 ms. The
-    watchdog time of a drive is also 50 ms.
+    The slow bus of this test can carry the frames of at most 20 ticks per second, so one tick takes
+    50 ms. The watchdog time of a drive is also 50 ms.
     """
     slow = tmp_path / "slow.toml"
     slow.write_text(hand_path("jamia11").read_text().replace("1_000_000", "125_000"))
@@ -151,10 +151,10 @@ def test_a_bus_too_slow_for_the_watchdogs_is_refused(
 def test_real_motors_are_not_run_in_slow_motion(
     bus_text: str, exit_code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Slow motion with real motors is refused.
+    """handctl refuses to run real motors in slow motion.
 
-    The gains are designed for one tick every 2 ms. With one tick every 20 ms, the hand would
-    oscillate.
+    The gains of the controller are designed for one tick every 2 ms. With one tick every 20 ms, the
+    hand would oscillate.
     """
     assert (
         main(["run", "--hand", "jamia", "--bus", bus_text, "--time-scale", "0.1", "--dry-run"])

@@ -1,4 +1,4 @@
-"""Test ``handctl bus up``: the commands for each kind of interface, and the inputs that it refuses."""
+"""Test ``handctl bus up``: its commands for each kind of bus interface, and the inputs that it refuses."""
 
 import json
 import os

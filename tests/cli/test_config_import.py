@@ -1,7 +1,7 @@
 """Test ``handctl config init --urdf`` and ``--mjcf``.
 
-Both options import the links from a robot description. The resulting hand file is refused until its
-missing values are given.
+Both options import the links from a robot description. handctl refuses the resulting hand file
+until a user has filled in its missing values.
 """
 
 import itertools
@@ -71,12 +71,12 @@ MEASURED_VALUES = {
 }
 """Values of the tripod that must be measured, because neither its description nor an option contains these values."""
 JOINT_KEYS = ("joint_armature_kg_m2", "spring_stiffness_N_m_per_rad", "spring_preload_rad")
-"""Keys that a digit has in a hand file, but not in an exported URDF."""
+"""Keys of a digit that a hand file contains, but that an exported URDF does not contain."""
 FILE_BY_OPTION = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
 
 
 def replace_todo_values(hand_file_text: str) -> str:
-    """Return the text of a hand file after each TODO was replaced by a value."""
+    """Replace each TODO in the text of a hand file by a value, and return the new text."""
     return re.sub(
         r'^(\w+) = "TODO".*$',
         lambda line: f"{line[1]} = {MEASURED_VALUES[line[1]]}",
@@ -88,7 +88,7 @@ def replace_todo_values(hand_file_text: str) -> str:
 def import_description(
     format_option: str, description_file: Path | str, *other_options: str
 ) -> str:
-    """Import a description into the hand file mine.toml, and return the text of this file."""
+    """Import a robot description into the hand file mine.toml, and return the text of this hand file."""
     Path("mine.toml").unlink(missing_ok=True)
     assert (
         main(
@@ -111,7 +111,7 @@ def import_description(
 def reimport_packaged_hand(format_option: str, hand_name: str) -> Hand:
     """Export a packaged hand, import it again, and return the resulting hand.
 
-    Tendons, springs and buses come from the packaged hand.
+    The resulting hand has the tendons, springs and buses of the packaged hand.
     """
     exported_file = Path(FILE_BY_OPTION[format_option])
     exported_file.unlink(missing_ok=True)
@@ -205,7 +205,7 @@ def test_links_in_any_frames_have_the_dynamics_of_pinocchio(work_folder: Path) -
     tree = LinkTree.from_hand(load_hand("full.toml"))
     model = pinocchio.buildModelFromUrdf(str(TRIPOD_URDF))
     data = model.createData()
-    # The first finger of the description flexes towards negative angles.
+    # The first finger of the imported robot description flexes towards negative angles.
     signs = np.array([-1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
     assert [name for name in model.names if name != "universe"][:2] == [
         "finger_a_joint_1",
@@ -306,7 +306,7 @@ def urdf_of(joint_text: str, link_text: str = INERTIAL_URDF, other_elements: str
 
 
 def mjcf_of(body_text: str, other_elements: str = "") -> str:
-    """Return an MJCF text with one body."""
+    """Return the MJCF text of a robot that has one body."""
     return (
         f'<mujoco><worldbody><body name="a">{body_text}</body></worldbody>{other_elements}</mujoco>'
     )
@@ -337,7 +337,7 @@ BAD_DESCRIPTIONS = [
     ("--mjcf", mjcf_of(HINGE_MJCF, '<equality><joint name="e" joint1="j"/></equality>'), "the equality e closes"),
     ("--mjcf", mjcf_of(f'<joint name="k"/>{HINGE_MJCF}'), "body a has 2 joints; expected one joint for each body"),
 ]  # fmt: skip
-"""For each text that is no description of a hand: the option, the text, and a part of the error."""
+"""For each text that describes no hand: the option of ``config init``, the text, and a part of the error message."""
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""A hand file that ``config init`` writes from a few valid answers always passes `config check`."""
+"""Test that each hand file that ``config init`` writes from a few valid answers passes `config check`."""
 
 import itertools
 import json
@@ -130,8 +130,9 @@ def test_sensors_springs_and_protocol_are_asked_for(
 ) -> None:
     """Reproduce a defect.
 
-    The last question was that about the breaking force. The command then wrote the protocol `mit` and a
-    load cell for every tendon, and did not report this.
+    After the question about the breaking force, ``config init`` asked no more questions. Without a
+    message, the command wrote the drive protocol `mit` and a load cell for every tendon into the
+    hand file.
     """
     answers = iter(
         [
@@ -229,7 +230,7 @@ def test_existing_file_is_not_overwritten_by_config_init(
 def test_a_motor_type_is_taken_from_its_option_or_asked_for(
     work_folder: Path, monkeypatch: pytest.MonkeyPatch, protocol: str, motor_type: str
 ) -> None:
-    """Reproduce a defect: `--protocol cubemars` was not accepted as a choice."""
+    """Reproduce a defect: `config init` did not accept `--protocol cubemars`."""
     words = ["config", "init", "--protocol", protocol, "--output"]
     assert main([*words, "option.toml", "--yes", "--motor-type", motor_type]) == 0
     questions: list[str] = []

@@ -1,7 +1,7 @@
 """Test the commands with meshes.
 
-Each mistake gives one error line. The tests also cover the export, and runs in which a mesh is
-missing.
+For each mistake in a mesh, the command prints one error line. The tests also cover the export of
+meshes, and runs in which a mesh is missing.
 """
 
 import shutil
@@ -38,12 +38,12 @@ from tests.hand.mesh_files import (
 from tools.meshes.solids import stl
 
 LINK_MESH_LINE = 'link_mesh = ["t42/inner.stl", "t42/outer.stl"]'
-"""Line of t42.toml with the mesh files of a finger's two links. Both fingers share this line."""
+"""Line of t42.toml with the mesh files of a finger's two links. Both fingers use this line of t42.toml."""
 
 
 @pytest.fixture
 def copy_t42_with_meshes(work_folder: Path) -> Path:
-    """Copy the hand t42 with its meshes to mine/hand.toml, and return the path."""
+    """Copy the hand file t42.toml with its meshes to mine/hand.toml, and return the path of the copy."""
     (work_folder / "mine").mkdir()
     shutil.copytree(PACKAGED_HANDS_FOLDER / "t42", work_folder / "mine" / "t42")
     shutil.copy(PACKAGED_HANDS_FOLDER / "t42.toml", work_folder / "mine" / "hand.toml")
@@ -51,7 +51,7 @@ def copy_t42_with_meshes(work_folder: Path) -> Path:
 
 
 def replace_once(text_file: Path, original_text: str, replacement_text: str) -> None:
-    """In a file, replace a text that occurs exactly once."""
+    """Replace a text that occurs exactly once in a file."""
     text = text_file.read_text()
     assert text.count(original_text) == 1
     text_file.write_text(text.replace(original_text, replacement_text))
@@ -209,8 +209,8 @@ def test_exported_meshes_come_back_to_their_places(
     )
     assert "warning" not in capsys.readouterr().out
     content = hand_content("mine/mine.toml")
-    # The imported file has missing values, so it cannot be loaded. Load the packaged hand with the
-    # meshes of the imported file instead.
+    # The imported hand file has missing values, so it cannot be loaded. Load the packaged hand with
+    # the meshes of the imported hand file instead.
     known_content = hand.content
     digits = [
         {key: value for key, value in digit.items() if "mesh" not in key}

@@ -1,6 +1,7 @@
 """Test typical mistakes in a hand file of schema 2.
 
-Each mistake gives one error line. The line spells the wrong key exactly as in the hand file.
+For each mistake, the command prints one error line. The error line spells the wrong key exactly as
+in the hand file.
 """
 
 import json
@@ -113,7 +114,7 @@ HAND_FILE_MISTAKES = {
         "bus[main].data_bitrate: 500000; expected at least bitrate = 1000000",
     ),
 }  # fmt: skip
-"""For each mistake: the replaced text of jamia11.toml, the wrong text, and the beginning of the error line."""
+"""For each mistake: the original text in jamia11.toml, the wrong text, and the beginning of the error line."""
 
 
 def write_changed_jamia11(work_folder: Path, *text_replacements: tuple[str, str]) -> None:

@@ -57,7 +57,7 @@ def test_a_good_drive_in_another_process_passes(protocol, protocol_options):
 @pytest.mark.realtime
 @pytest.mark.parametrize("protocol", ["odrive", "cia402"])
 def test_conformance_leaves_no_error_in_a_drive(protocol):
-    """Reproduce a defect: after the checks, a drive had a latched error, so `commission` refused the hand."""
+    """Reproduce a defect: `conformance` left a latched error in a drive, so `commission` refused the hand."""
     protocol_options = ENDPOINT_OPTIONS if protocol == "odrive" else []
     with run_simulated_drives("local:c", protocol, "--ids", "33"):
         done = run_handctl(
@@ -101,9 +101,9 @@ def test_a_text_option_needs_no_quotes(option_words, parsed_options):
 
 
 def test_an_odrive_of_firmware_05_needs_no_option(capsys):
-    """Reproduce a defect: the command set the option torque_feedback by default.
+    """Reproduce a defect: by default, ``conformance`` set the option torque_feedback of an ODrive.
 
-    Firmware 0.5 refuses this option.
+    An ODrive with firmware 0.5 refuses the option ``torque_feedback``.
     """
     words = ["--protocol", "odrive", "--node", "3", "--option", "firmware=0.5", "--dry-run"]
     assert main([*CONFORMANCE_OPTIONS, *words]) == 0
@@ -122,10 +122,10 @@ def test_a_broken_drive_fails_and_its_line_says_why():
 
 @pytest.mark.realtime
 def test_a_new_robstride_motor_in_mit_mode_needs_no_host_number():
-    """Reproduce a defect: the command expected replies with the identifier 0x11.
+    """Reproduce a defect: ``conformance`` expected replies of RobStride motors with the identifier 0x11.
 
-    A new motor has the host number 0. The simulated motor had no fault, but it failed the first
-    check. Therefore no check of its motion was done.
+    In a new RobStride motor, the identifier of the host is 0. Although the simulated motor had no
+    fault, it failed the first check, so ``conformance`` did not check its motion.
     """
     words = ["--protocol", "robstride_mit", "--node", "1", "--option", "motor_type=rs05", "--yes"]
     with run_simulated_drives("local:c", "robstride_mit", "--ids", "1"):
@@ -144,7 +144,7 @@ def test_a_new_robstride_motor_in_mit_mode_needs_no_host_number():
 
 @pytest.mark.realtime
 def test_an_odrive_without_endpoint_options_is_not_checked_and_names_them():
-    """Reproduce a defect: the check of the watchdog failed, although the drive has no fault."""
+    """Reproduce a defect: the check of an ODrive's watchdog failed, although the ODrive has no fault."""
     with run_simulated_drives("local:c", "odrive", "--ids", "3"):
         done = run_handctl(*CONFORMANCE_OPTIONS, "--protocol", "odrive", "--node", "3", "--yes")
     assert done.returncode == ExitCode.NOT_CHECKED
@@ -160,7 +160,7 @@ def test_an_odrive_without_endpoint_options_is_not_checked_and_names_them():
 @pytest.mark.nightly
 @pytest.mark.realtime
 def test_a_drive_that_never_answers_is_not_called_off():
-    """Reproduce a defect: the command reported that a CubeMars motor is off, although no frame of the motor arrived."""
+    """Reproduce a defect: `conformance` reported that a CubeMars motor is off, although the motor sent no frame."""
     words = ["--protocol", "cubemars", "--node", "1", "--option", "motor_type=ak80-6", "--yes"]
     with run_simulated_drives("local:c", "cubemars", "--ids", "1", "--broken", "mute"):
         done = run_handctl(*CONFORMANCE_OPTIONS, *words, "--json")
@@ -208,8 +208,8 @@ def test_missing_drive_is_reported(capsys):
 def test_drive_of_another_host_is_not_commanded(capsys):
     """The command ``conformance`` detects another host that controls the drive.
 
-    A CubeMars motor replies only to commands. The command must therefore listen before it sends its
-    first command.
+    A CubeMars motor replies only to command frames. ``conformance`` must listen to the bus before
+    it sends its own first command frame.
     """
     with run_simulated_drives("local:c", "cubemars", "--ids", "33"):
         other_local_bus, over = LocalBus("c", 0, int), threading.Event()

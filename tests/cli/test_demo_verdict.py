@@ -1,6 +1,6 @@
 """Test the conditions for the success of ``handctl demo``.
 
-The hands of these tests differ slightly from packaged hands.
+The tests use hands that differ slightly from packaged hands.
 """
 
 import json

@@ -11,9 +11,9 @@ RATE_HZ = 500.0
 
 
 def test_the_first_line_of_a_fault_is_followed_by_its_remedy(capfd) -> None:
-    """When a drive loses its power during a motion, several faults are latched.
+    """When a drive loses its power during a motion, the controller latches several faults.
 
-    The terminal shows the remedy for each of these faults once.
+    The terminal shows the remedy for each latched fault once.
     """
     hand = load_hand("jamia")
     with homed_run(hand, RATE_HZ, 1) as simulation:
@@ -46,7 +46,7 @@ def test_the_first_line_of_a_fault_is_followed_by_its_remedy(capfd) -> None:
 
 
 def test_only_a_fault_has_a_remedy(capfd) -> None:
-    """An event that is no fault has no remedy, even if the text of the event starts with the id of a fault."""
+    """An event that is no fault has no remedy, even if the text of the event starts with the identifier of a fault."""
     display = DisplayProcess(("index_tendon",), (80.0,), RATE_HZ, 0.5)
     try:
         fault = next(fault for fault in FAULT_BY_ID.values() if fault.remedy)

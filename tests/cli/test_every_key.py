@@ -2,8 +2,8 @@
 
 For each bad value, the command prints one error line, exits with code 2, and opens no bus.
 
-In an ordinary test run, a sample of the cases is tested. In a nightly test run, all cases are
-tested.
+An ordinary test run covers a sample of all pairs of key and value. A nightly test run covers all
+pairs of key and value.
 """
 
 import os
@@ -28,7 +28,7 @@ SAMPLE_STEP = 1 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 199
 
 
 class UnrepresentableNumber(float):
-    """A number that a TOML file may contain, but that is too large for a float."""
+    """A number that a TOML file can contain, but that is too large for a float."""
 
     def __repr__(self):
         return "1e400"
@@ -42,16 +42,16 @@ INVALID_NUMBERS = {
     "text": "12",
     "list": [[1.0]],
 }
-"""Values that no number in an input file may have."""
+"""Values that are forbidden for every number in an input file."""
 NUMBER_CHANGE_BY_NAME = {
     "-0.0": lambda x: -0.0,
     "negative": lambda x: -abs(x),
     "x1000": lambda x: 1000 * x,
     "/1000": lambda x: x / 1000,
 }
-"""Changes of a number whose result may still be in range.
+"""Changes of a number whose result is possibly still within the limits of its key.
 
-If the changed value is refused, the error line names its key.
+If handctl refuses a changed number, the error line names the key of the number.
 """
 KEY_MISTAKES = ("missing", "renamed", "twice")
 
@@ -101,7 +101,7 @@ VALID_INPUT_FILES = {
     "pinch-joints": (task_content("pinch-joints"), ("--hand", "jamia11", "--task")),
     "trajectory": (trajectory_content(), ("--trajectory",)),
 }
-"""For each kind of file, a valid content, and the words of `handctl run` that precede the name of the file."""
+"""For each kind of input file: a valid content, and the words of `handctl run` that precede the name of the file."""
 
 
 def toml_text_of(file_content):
@@ -127,8 +127,8 @@ def _table_lines(table_name, table_content):
 def content_without_key(file_content, key_path, renamed_value=None):
     """Return a copy of the content of a file without one key.
 
-    If the value ``renamed_value`` is given, store this value under the name of the removed key with
-    ``_x`` at its end.
+    If ``renamed_value`` is given, the copy contains this value under the name of the removed key
+    plus ``_x``.
     """
     file_content = content_with_value(file_content, key_path, None)
     parent = file_content
@@ -161,7 +161,8 @@ def text_with_repeated_key(text, key):
 def text_with_mistake(file_content, key_path, mistake_kind):
     """Return the content as TOML text with one mistake.
 
-    The mistake is of the given kind, and is at the given key.
+    ``mistake_kind`` is the kind of the mistake, and ``key_path`` is the key at which the mistake is
+    made.
     """
     if mistake_kind in KEY_MISTAKES:
         original_value = file_content
@@ -189,7 +190,7 @@ def text_with_mistake(file_content, key_path, mistake_kind):
 
 
 class BusOpenedError(Exception):
-    """Error that is raised when the command opens a bus."""
+    """Error that a test raises when the tested command opens a bus."""
 
 
 @pytest.fixture(autouse=True)
@@ -204,7 +205,7 @@ def refuse_to_open_buses(monkeypatch):
 def refusal_of_file(capsys, file_option, file_name):
     """Return the error line of `run` for a file.
 
-    Return an empty text if the command accepts the file and opens the bus.
+    Return an empty text if `run` accepts the file and opens the bus.
     """
     task_options = [] if {"--task", "--trajectory"} & {*file_option} else ["--task", "grasp"]
     try:
@@ -248,8 +249,9 @@ def test_every_wrong_key_is_refused(work_folder, capsys, content_name, key_path,
         assert key_path_text(content, key_path) in line
         assert "expected" in line
     elif line.startswith(("handctl: grasp: phase", "handctl: gains: filter: no controller")):
-        # Each value is in its range, but the hand is too small for the angles of the task, or no filter can be
-        # designed for hand and gains. The line then names the task or the gains.
+        # Each value is in its range, but the hand is too small for the angles of the task, or no
+        # filter can be designed for hand and gains. In these cases, the error line names the task
+        # or the gains.
         assert option in (("--hand",), ("--gains",))
         assert "expected" in line
     elif line:

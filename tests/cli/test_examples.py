@@ -1,4 +1,4 @@
-"""The example at the end of the help of each command works in a shell, exactly as printed."""
+"""Test that the example at the end of the help of each command works in a shell, exactly as printed."""
 
 import importlib
 import os
@@ -23,7 +23,7 @@ EXAMPLE_BY_COMMAND = {
     ).COMMAND_EXAMPLES.items()
 }
 DIAGNOSTIC_COMMANDS = {"doctor", "bus doctor"}
-"""Commands that may exit with code 1, because they may find a defect of the machine that runs the test."""
+"""Commands that exit with code 1 if they find a defect of the machine that runs the test."""
 EXAMPLES_WITHOUT_OTHER_PROCESS = sorted(
     words for words, example in EXAMPLE_BY_COMMAND.items() if not example.parallel_commands
 )
@@ -38,7 +38,7 @@ EXAMPLES_WITH_RUNNING_HAND = sorted(
     if RUN_COMMAND_EXAMPLE in example.parallel_commands
 )
 READY_TIMEOUT_S = 60.0
-"""Longest time that the start of simulator and controller may take [s], including compilation."""
+"""Longest permitted time from the start of simulator and controller until they are ready [s], including compilation."""
 
 
 @pytest.fixture(scope="module")
@@ -70,9 +70,10 @@ def test_an_example_works_in_one_terminal(run_in_shell, command_words):
 
 @pytest.fixture
 def start_in_background(run_in_shell):
-    """Yield a function that starts a command and does not wait for its end.
+    """Yield a function that starts a command and returns before the command ends.
 
-    In this way, a user starts a command in another terminal. End all such commands after the test.
+    The function starts the command as a user does in another terminal. After the test, the fixture
+    ends all commands that were started in this way.
     """
     children = []
 
@@ -114,11 +115,11 @@ def test_examples_work_beside_a_simulator_and_a_running_hand(
             run_example(run_in_shell, words)
     for words in sorted(
         EXAMPLES_WITH_RUNNING_HAND, key=lambda example_name: example_name == "stop"
-    ):  # ``stop`` is last
+    ):  # the command ``stop`` is the last one
         if words == EXAMPLES_WITH_RUNNING_HAND[0]:
             start_in_background(run)
             repeat_until_success(
                 run_in_shell, "handctl gains set motion.force_N=11 --bus local:demo"
-            )  # the controller refuses this command until the hand is commissioned
+            )  # the controller refuses ``gains set`` until the hand is commissioned
         run_example(run_in_shell, words)
     run_example(run_in_shell, "fault inject")

@@ -1,6 +1,6 @@
-"""On a terminal, texts from files, logs and arguments are escaped, and their length is limited.
+"""Test that texts from files, logs and arguments are escaped and shortened before they are printed on a terminal.
 
-JSON output is UTF-8.
+JSON output must be encoded in UTF-8.
 """
 
 import io
@@ -166,7 +166,7 @@ COMMAND_BY_FILE_KIND = {
 def test_texts_of_files_are_escaped_and_shortened(work_folder, capsys, file_kind, mistake_name):
     (work_folder / "odd.toml").write_text(TEXT_BY_MISTAKE[mistake_name])
     lines = refusal_lines(capsys, *COMMAND_BY_FILE_KIND[file_kind])
-    assert len(lines) == 1 or file_kind == "hand"  # a hand file may cause several error lines
+    assert len(lines) == 1 or file_kind == "hand"  # a hand file can cause several error lines
     for line in lines:
         assert line[:-1].isprintable()
         assert len(line) < MAX_MESSAGE_CHARACTERS + 20

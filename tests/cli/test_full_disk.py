@@ -1,6 +1,7 @@
-"""Test commands on a full disk that cannot store the files beside the log.
+"""Test commands that cannot write the files beside the log, because the disk is full.
 
-Each file that cannot be written causes one error line. All other files of the run are complete.
+For each file that cannot be written, the command prints one error line. All files of the run that
+can be written are complete.
 """
 
 import json

@@ -18,7 +18,7 @@ from tests.runtime.processes import make_time_scale_options
 
 PACKAGED_FORCE_N = Gains().motion.force_N
 UNCHANGED_GAIN = f"tension.force_N={Gains().tension.force_N}"
-"""Argument that sets a gain to its present value. The command must report no change."""
+"""Argument that sets a gain to its present value. ``handctl gains`` must report that no gain changes."""
 
 
 @pytest.fixture
@@ -212,7 +212,8 @@ def test_set_on_a_running_hand_is_in_its_log(work_folder, attempt_time_scale):
             assert run.wait(30.0) == 0
         finally:
             hand.terminate()
-    # While a controller starts, it may execute a request late, without a reply to the command.
+    # While a controller starts, it possibly executes a request late, and does not reply to the
+    # command that sent the request.
     assert json.loads(captured.stdout)["set"] in ({"motion.force_N": "26.0"}, {})
     with RunLog(log) as record:
         events = [event.event for event in record.events if event.event.name == "gain"]

@@ -24,7 +24,7 @@ OTHER_NAMES_OF_OPTION = {
     "--picture": {"--png"},
     "--calibration": {"--fit"},
 }
-"""For each option that several commands share, the names that no command may use in its place."""
+"""For each option that several commands share: other names that no command is allowed to use for the same option."""
 
 
 def sub_parsers(parser: VerbParser) -> dict[str, VerbParser]:
@@ -174,8 +174,8 @@ def test_verbose_and_quiet_exclude_each_other(capsys):
 def test_quiet_leaves_the_findings_that_need_a_repair(capsys, monkeypatch):
     from handctl.cli.checks import doctor
 
-    # Replace the measurement of late wake-ups by a fixed finding. Two measurements on the same
-    # computer would give different delays, and thus different lines.
+    # Replace the measurement of late wake-ups by a fixed result. Two measurements on the same
+    # computer would give different delays, and the command would print different lines.
     finding = doctor._check_wakeups()
     monkeypatch.setattr(doctor, "_check_wakeups", lambda: finding)
     main(["doctor"])
@@ -196,7 +196,7 @@ def test_quiet_hides_notices_and_shows_cautions(capsys):
 
 
 def test_a_command_prints_each_caution_once(capsys):
-    """Reproduce a defect: a run that first commissions the hand printed all cautions twice."""
+    """Reproduce a defect: ``run`` printed all cautions twice if it commissioned the hand before the task."""
     from handctl.cli.console.plan import print_notice
     from handctl.cli.console.verbosity import apply_verbosity
 

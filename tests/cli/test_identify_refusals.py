@@ -1,7 +1,7 @@
 """Test the hands that ``handctl identify`` refuses.
 
-The command refuses a hand without the necessary sensors or springs, and prints one error line. The
-command refuses the hand before it opens a bus.
+``identify`` refuses a hand without the necessary sensors or springs, and prints one error line.
+``identify`` refuses a hand without these sensors or springs before it opens a bus.
 """
 
 from pathlib import Path
@@ -13,7 +13,7 @@ from handctl.hand.hand_loading import hand_path, load_hand
 
 
 def jamia_without_load_cell(hand_folder: Path) -> str:
-    """Write the file of jamia without the load cell of its first tendon, and return its path."""
+    """Write the hand file of jamia without the load cell of the first tendon, and return the path of the hand file."""
     text = hand_path("jamia").read_text()
     assert 'tendons = "all"' in text
     path = hand_folder / "bare.toml"
@@ -29,10 +29,10 @@ def jamia_without_load_cell(hand_folder: Path) -> str:
 def test_hands_without_return_springs_are_not_refused(
     hand: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Reproduce a defect: the command refused two hands for which it should work.
+    """Reproduce a defect: ``identify`` refused two hands that it should accept.
 
-    One hand has no springs. In the other hand, two spools share one motor, and there are no load
-    cells.
+    One of the two refused hands has no springs. The other refused hand has no load cells, and two
+    of its spools share one motor.
     """
     assert main(["identify", "--hand", hand, "--lockstep", "--dry-run"]) == 0
     assert f"would move {len(load_hand(hand).digit)} digits" in capsys.readouterr().out

@@ -1,7 +1,7 @@
 """Test the hand files that `config init` writes.
 
-A hand of such a file can grasp, hold and release an object in a lockstep run. In an ordinary test run, only a
-sample of such hands is tested.
+A hand with a hand file from `config init` can grasp, hold and release an object in a lockstep run.
+An ordinary test run covers only a sample of these hand files.
 """
 
 import itertools
@@ -47,22 +47,23 @@ SAMPLE_CASES = [
     (2, "24,16", "each", 0),
     (1, "50,30,20", "each", 1),
 ]
-"""Reproduce defects of four hands. The first two dropped the cylinder, and the others reported N04 and T02b.
+"""Reproduce defects of four hands. Two of the four dropped the cylinder, and two reported a fault (N04 or T02b).
 
-The size of the cylinder did not depend on the hand, so the fingertips touched each other. In the third
-hand, friction held a motor at rest, while the motor of another tendon changed the tension (N04). In the
-last hand, the position feedback paid out a slack tendon while the hand opened (T02b).
+The first two hands dropped the cylinder because its size did not depend on the hand, so the
+fingertips touched each other. In the third hand, friction held a motor at rest, while the motor of
+another tendon changed the tension (fault N04). In the last hand, the position feedback paid out a
+slack tendon while the hand opened (fault T02b).
 """
 MAX_SLIP_MM = 5.0
 
 
 def write_initial_hand(*init_options: str) -> None:
-    """Run `config init` with the given options. The command writes the hand file mine.toml."""
+    """Write the hand file mine.toml by running `config init` with the given options."""
     assert main(["config", "init", "--yes", *init_options, "--output", "mine.toml"]) == 0
 
 
 def check_grasp(capsys: pytest.CaptureFixture[str], seed: int) -> None:
-    """Run the demo of mine.toml, and check that the hand holds the object while the table sinks."""
+    """Run ``handctl demo`` with mine.toml, and check that the hand holds the object while the table sinks."""
     words = ["--hand", "mine.toml", "--log", "run.mcap", "--seed", str(seed), "--json"]
     code = main(["demo", "--lockstep", *words])
     out, err = capsys.readouterr()
@@ -99,7 +100,7 @@ def test_new_hand_grasps_holds_and_releases(
     truth = read_truth(work_folder / "run.truth")
     forces = [name for name in truth.columns if name.startswith("contact_force/")]
     assert forces
-    # At the end the object lies on the table, and no digit touches it.
+    # At the end of the demo, the object lies on the table, and no digit touches the object.
     assert abs(truth.interpolated_columns(forces, truth.t_ns[-1:])).max() == 0.0
 
 
@@ -121,13 +122,13 @@ THREE_LINK_CASES = [
     # The commissioning ended with a tendon that had left its pulley (fault T08), because the rotor
     # of the released extensor turned back.
     ("18,12,10", ("each", "none", "none", "all"), 0),
-    # The opening ended with a tendon that stays slack (fault T02b), because its motor paid out more
-    # and more of it.
+    # The opening of the hand ended with a tendon that stays slack (fault T02b), because the motor
+    # paid out more and more of this tendon.
     ("55,40,25", ("each", "all", "none", "none"), 1),
     # The hold ended with a snapped tendon (fault T01), because the tensions oscillated at 250 Hz.
     ("55,40,25", ("each", "none", "none", "none"), 1),
 ]
-"""Three defects, each with the link lengths [mm], the answers as in ``SENSOR_CASES``, and the seed."""
+"""For each of three defects: the link lengths [mm], the answers in the format of ``SENSOR_CASES``, and the seed."""
 NIGHTLY_THREE_LINK_CASES = [
     (links, case, seed)
     for links in ("18,12,10", "50,30,20", "55,40,25")
@@ -188,7 +189,7 @@ def test_no_bus_is_slower_than_250_hz(
 @pytest.mark.parametrize("cells", ["all", "none"])
 @pytest.mark.parametrize("protocol", VERIFIABLE_PROTOCOLS)
 def test_a_hand_of_any_protocol_is_valid(work_folder: Path, protocol: str, cells: str) -> None:
-    """Without load cells, the file has the options with which the drives report their torque."""
+    """In a hand file without load cells, the drives have the options with which they report their torque."""
     write_initial_hand("--protocol", protocol, "--cells", cells)
     assert main(["config", "check", "--hand", "mine.toml"]) == 0
 
@@ -218,7 +219,7 @@ def test_a_rate_that_leaves_no_margin_is_a_warning(
 def test_gains_that_leave_no_margin_without_load_cells_are_a_warning(
     work_folder: Path, capsys: pytest.CaptureFixture[str], link_lengths_mm: str, margin_db: float
 ) -> None:
-    """Reproduce a defect: at 400 Hz, `config check` did not check hands that have springs but no load cells."""
+    """Reproduce a defect: at 400 Hz, `config check` did not check a hand that has springs but no load cells."""
     words = ["--fingers", "1", "--links", link_lengths_mm, "--tendons", "each", "--cells"]
     write_initial_hand(*words, "none")
     assert main(["config", "check", "--hand", "mine.toml"]) == 0
@@ -240,7 +241,7 @@ def test_gains_that_leave_no_margin_without_load_cells_are_a_warning(
 def test_antagonists_without_load_cells_need_a_higher_rate(
     work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Reproduce a defect: at 250 Hz, a tendon was reported as snapped (T01) while its digit closed freely."""
+    """Reproduce a defect: at 250 Hz, a freely closing digit caused the fault T01 (a tendon snapped)."""
     words = ["--fingers", "1", "--links", "55,40,25", "--tendons", "each", "--springs", "none"]
     write_initial_hand(*words, "--cells", "none")
     hand = load_hand("mine.toml")

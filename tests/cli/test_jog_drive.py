@@ -1,6 +1,7 @@
 """Test ``handctl jog --mode`` on simulated drives.
 
-The drives run in another process. The tests also cover the inputs that the command refuses.
+The simulated drives run in another process. The tests also cover the inputs that ``jog --mode``
+refuses.
 """
 
 import json

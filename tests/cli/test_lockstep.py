@@ -1,7 +1,7 @@
 """Test ``handctl demo`` in virtual time.
 
-Two equal demos write files with equal bytes. All checks of a demo pass, and other tools can read
-the log of a demo.
+Two demos with equal options write files with equal bytes. All checks of a demo pass, and other
+tools can read the log of a demo.
 """
 
 import json
@@ -29,7 +29,8 @@ RESULT_KEYS = {
 def run_demos(result_folder, *hand_names, task_file=""):
     """Run lockstep demos of hands in parallel processes, and return the folder and the result of each.
 
-    If ``task_file`` is not empty, this task replaces the grasp.
+    If ``task_file`` is not empty, each demo executes the task in ``task_file`` instead of the
+    default grasp.
     """
     running = []
     for number, hand in enumerate(hand_names):
@@ -71,8 +72,8 @@ def run_demos(result_folder, *hand_names, task_file=""):
 def equal_demos(tmp_path_factory):
     """Return the folders and the results of two equal demos.
 
-    In an ordinary test run, the demos execute a short motion. In a nightly run, the demos execute a
-    grasp.
+    In an ordinary test run, the two equal demos execute a short motion. In a nightly test run, the
+    two equal demos execute a grasp.
     """
     return run_demos(
         tmp_path_factory.mktemp("equal_demos"),
@@ -162,7 +163,7 @@ def meets_requirements(demo_result):
 
 @pytest.mark.nightly
 def test_the_demo_meets_its_requirements(default_demo):
-    """The demo with the default hand stays within all limits. tests/cli/test_seeds.py tests the hand jamia11."""
+    """The demo of the default hand stays within all limits. The file tests/cli/test_seeds.py tests the hand jamia11."""
     result = default_demo[1]
     meets_requirements(result)
     assert result["tension_rmse_n"] < result["tension_raw_rmse_n"]
@@ -193,7 +194,7 @@ def test_rerun_finds_the_moving_hand(equal_demos):
 
 
 def test_a_report_aligns_the_log_with_the_truth_file(equal_demos, capsys):
-    """Reproduce a defect: without ``--truth``, the report did not use the truth file next to the log."""
+    """Reproduce a defect: without ``--truth``, ``handctl report`` did not use the truth file next to the log."""
     demo_folder, result = equal_demos[0]
     tension = f"{result['tension_rmse_n']:.2f} N rms"
     for words in (("--truth", str(demo_folder / "run.truth")), ()):

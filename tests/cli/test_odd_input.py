@@ -1,4 +1,4 @@
-"""For an invalid file or number, every command prints one error line and exits with code 2."""
+"""Test that every command prints one error line and exits with code 2 for an invalid file or number."""
 
 import json
 import os
@@ -125,7 +125,7 @@ def test_invalid_number_is_refused(capsys, command_words):
 def test_campaign_of_rows_without_scenarios_is_refused(capsys):
     """`handctl campaign` must not report success if no scenario was executed.
 
-    The row N09 (the temperature of a drive) has no scenario for CiA 402 drives, because these
+    The fault N09 (the temperature of a drive) has no scenario for CiA 402 drives, because CiA 402
     drives report no temperature.
     """
     words = (

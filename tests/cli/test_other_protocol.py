@@ -1,7 +1,8 @@
 """Test the option --protocol.
 
-With the option ``--protocol``, a simulated hand has drives of another protocol. The option works in
-``handctl demo``. The option also works if simulator and controller are two processes.
+With the option ``--protocol``, a simulated hand has drives of another protocol. The option
+``--protocol`` works in ``handctl demo``. The option also works if simulator and controller are two
+processes.
 """
 
 import argparse
@@ -65,7 +66,7 @@ def test_an_unknown_protocol_is_refused(capsys: pytest.CaptureFixture[str]) -> N
 def test_a_simulated_hand_can_have_motors_without_guards(
     work_folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Reproduce a defect: `cubemars` was not accepted as a choice of `sim --protocol`."""
+    """Reproduce a defect: `handctl sim` did not accept `--protocol cubemars`."""
     monkeypatch.setattr(os, "execv", lambda program, command: 0)
     words = ["sim", "--hand", "jamia", *ABSENT_BUS_OPTION, "--motor-type", "ak60-6"]
     assert main([*words, "--protocol", "cubemars", "--dry-run"]) == 0

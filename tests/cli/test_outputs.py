@@ -1,6 +1,6 @@
-"""A command writes an output file either completely or not at all.
+"""Test that a command writes an output file either completely or not at all.
 
-An output file never replaces a log, a folder or a device.
+An output file of a command never replaces a log, a folder or a device.
 """
 
 import os
@@ -50,7 +50,7 @@ OUTPUT_COMMAND_BY_KIND = {
 def existing_files(work_folder):
     """Create some files before the test.
 
-    After the test, check that the command has not changed these files.
+    After the test, check that the command has not changed the files that existed before the test.
     """
     for name in ("folder", "folder.rrd"):
         (work_folder / name).mkdir()
@@ -72,7 +72,7 @@ UNWRITABLE_CASES = [
     for output_kind in OUTPUT_COMMAND_BY_KIND
     for name in ("folder", "no-folder/x", "file/x", "other.mcap")
 ]
-UNWRITABLE_CASES.remove(("save", "other.mcap"))  # ``save`` writes to other.mcap.rrd
+UNWRITABLE_CASES.remove(("save", "other.mcap"))  # the function ``save`` writes to other.mcap.rrd
 
 
 @pytest.mark.parametrize(("command_kind", "output_name"), UNWRITABLE_CASES)

@@ -1,4 +1,4 @@
-"""Test commands with prismatic hands: grasps, re-execution, mistakes, export, import."""
+"""Test commands with hands that have prismatic joints: grasps, re-execution, mistakes, export and import."""
 
 import json
 import shutil
@@ -61,9 +61,9 @@ def test_a_gripper_grasps_holds_releases_and_is_re_executed(
 def test_exports_have_the_units_of_prismatic_joints(
     gripper_hand_files: Path, capsys: pytest.CaptureFixture[str], hand_file: str
 ) -> None:
-    """Reproduce a defect: in all exports, positions in m had the unit rad, and forces in N had the unit N m.
+    """Reproduce a defect: all exports stated the unit rad for positions in m, and the unit N m for forces in N.
 
-    The documentation promises the unit of every exported value.
+    The documentation states the unit of every exported value.
     """
     assert main(["demo", "--lockstep", "--hand", hand_file, "--log", "run.mcap"]) == 0
     for form in ("--csv", "--parquet", "--lerobot"):
@@ -150,7 +150,7 @@ HAND_FILE_MISTAKES = {
     ),
     "a noise in millimetres": ("joint_noise_m = 2e-5", "joint_noise_m = 0.02", "joint_noise_m: 0.02; expected"),
 }  # fmt: skip
-"""Each case: a text in the gripper's file, a wrong text that replaces it, and a part of the error line."""
+"""For each mistake: a text in the gripper's hand file, a wrong text that replaces it, and a part of the error line."""
 
 
 @pytest.mark.parametrize("mistake_name", HAND_FILE_MISTAKES)

@@ -1,4 +1,4 @@
-"""A command shows its progress on a terminal, but never in output that a program reads."""
+"""Test that a command shows its progress on a terminal, but never in output that a program reads."""
 
 import os
 import pty
@@ -29,7 +29,7 @@ def run_at_terminal(command_words: tuple[str, ...], work_folder: Path) -> tuple[
         try:
             while output_bytes := os.read(master_side, 4096):
                 error_output += output_bytes
-        except OSError:  # the command has closed its end of the terminal
+        except OSError:  # the command has closed the terminal
             pass
         assert process.stdout
         out = process.stdout.read()

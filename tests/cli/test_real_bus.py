@@ -1,7 +1,7 @@
-"""Test commands on a bus that may have real motors.
+"""Test commands on a bus to which real motors are possibly connected.
 
-Such commands have no default hand, ask for a confirmation before a motion, and list the files that
-they use.
+Commands for real motors have no default hand, ask for a confirmation before a motion, and list the
+files that they use.
 """
 
 import datetime
@@ -41,7 +41,7 @@ GOLDEN_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 @pytest.fixture(autouse=True)
 def input_files(work_folder, monkeypatch):
-    """Create the files that commands read before they open the bus.
+    """Create the input files that commands read before they open a bus.
 
     Replace standard input by a stream that is no terminal.
     """
@@ -101,8 +101,8 @@ def test_without_a_terminal_a_hand_moves_only_with_yes(command_words, capsys):
 def test_the_calibration_of_a_simulated_hand_arms_no_real_hand(work_folder, capsys):
     """Reproduce a defect.
 
-    A real hand was armed with the calibration of a simulated hand. This happened if neither hand
-    had serial numbers, or if both hands had the same serial numbers.
+    A real hand was armed with the calibration of a simulated hand if neither hand had serial
+    numbers, or if both hands had the same serial numbers.
     """
     hand = load_hand("jamia")
     path = work_folder / "jamia.calibration.toml"
@@ -124,7 +124,7 @@ def test_the_calibration_of_a_simulated_hand_arms_no_real_hand(work_folder, caps
 
 
 def run_at_terminal(typed_answer: str) -> tuple[int, str]:
-    """Run ``handctl run`` in a terminal, and answer its question.
+    """Run ``handctl run`` in a terminal, and type an answer to the question that the command asks.
 
     Return the exit code and the text on the terminal.
     """
@@ -150,7 +150,7 @@ def run_at_terminal(typed_answer: str) -> tuple[int, str]:
     while time.monotonic() < end and select.select([controlling_side], [], [], 60.0)[0]:
         try:
             read_text = os.read(controlling_side, 4096).decode()
-        except OSError:  # the command has closed its end of the terminal
+        except OSError:  # the command has closed the terminal
             break
         terminal_output += read_text
         if "[y/N]" in terminal_output and not answered:

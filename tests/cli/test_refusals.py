@@ -1,6 +1,6 @@
-"""After wrong input, every command prints one line on standard error and exits with code 2, before it opens a bus.
+"""Test that, after wrong input, every command prints one error line and exits with code 2 before it opens a bus.
 
-In these tests, no process serves the bus. A command that tried to open the bus would therefore exit
+No other process uses the bus of these tests, so a command that tried to open the bus would exit
 with code 1 instead of 2.
 """
 
@@ -186,7 +186,7 @@ def test_existing_log_is_not_overwritten(work_folder, capsys, cli_verb, log_name
 
 
 def write_hand_on_two_buses():
-    """Write the hand file of jamia, with the thumb's drive on a second bus."""
+    """Write a hand file of jamia in which the thumb's drive is on a second bus."""
     content = jamia_hand_content()
     content["bus"].append({"name": "thumb", "bitrate": 1_000_000})
     content["motor"][3]["bus"] = "thumb"
@@ -308,15 +308,15 @@ def test_unknown_verb_is_refused(capsys):
 
 
 REQUEST_COMMANDS = (("stop",), ("stop", "--cut"), ("clear",), ("gains", "set", "motion.force_N=20"))
-"""Commands that send a request to a running controller."""
+"""Words of the commands that send a request to a running controller."""
 
 
 @pytest.mark.parametrize("command_words", REQUEST_COMMANDS, ids=" ".join)
 def test_a_local_bus_without_a_controller_needs_no_power_switch(capsys, command_words):
     """Reproduce a defect.
 
-    The command exited with code 71, and asked the user to switch off the power. The hand was a
-    simulated hand that did not run.
+    The command exited with code 71, and asked the user to switch off the motor power. However, the
+    hand was a simulated hand, and its simulator did not run.
     """
     assert main([*command_words, *ABSENT_BUS_OPTION]) == 1
     assert capsys.readouterr() == (
@@ -331,9 +331,9 @@ def test_a_local_bus_without_a_controller_needs_no_power_switch(capsys, command_
     "controller_was_killed", [False, True], ids=["real bus", "killed controller"]
 )
 def test_an_unconfirmed_request_is_reported_as_failed(capsys, command_words, controller_was_killed):
-    """Reproduce a defect: the command sent the request and exited with code 0 before the request was confirmed.
+    """Reproduce a defect: a command exited with code 0 before the controller had confirmed the request of the command.
 
-    The mailbox file of a killed controller still exists.
+    The mailbox file of a controller still exists after the controller was killed.
     """
     bus = "local:killed" if controller_was_killed else "socketcan:does-not-exist"
     if controller_was_killed:
@@ -376,7 +376,7 @@ def test_the_output_of_config_show_is_the_same_hand(work_folder, capsys, hand_na
 
 @pytest.mark.parametrize("task_name", ["grasps/grasp.toml", "grasp.json", "pinch.v2", "grap"])
 def test_a_missing_task_file_is_not_replaced_by_a_packaged_task(work_folder, capsys, task_name):
-    """Reproduce a defect: if a task file was missing, the packaged task of the same name was executed."""
+    """Reproduce a defect: if a task file was missing, ``run`` executed the packaged task of the same name."""
     words = ("demo", "--lockstep", "--dry-run", "--task")
     expected_text = (
         "expected a task file, or one of grasp.toml, hook.toml, pinch-joints.toml, pinch.toml"

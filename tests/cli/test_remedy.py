@@ -1,4 +1,4 @@
-"""handctl advises a slower time scale only if the computer was too slow for a simulated hand."""
+"""Test that handctl advises a slower time scale only if the computer was too slow for a simulated hand."""
 
 import shutil
 from pathlib import Path
@@ -24,7 +24,7 @@ LATE_FAULTS, TORN_TENDON_FAULTS = ("B03b", "N02"), ("T01",)
 def run_with_faults(*fault_ids: str, cpu_s: float = 0.0) -> RunOutcome:
     """Return the outcome of a run that ended with the given faults.
 
-    The control loop of the run used ``cpu_s`` of CPU time [s].
+    The control loop of the returned run used a CPU time of ``cpu_s`` [s].
     """
     latched = [SimpleNamespace(id=row) for row in fault_ids]
     state = SimpleNamespace(latched_faults=latched, failure="fault" if fault_ids else "", k=1000)
@@ -74,7 +74,7 @@ def test_the_advised_pace_is_measured(
     advised_scale: float | None,
     number: float,
 ) -> None:
-    """The advised time scale follows from measurements in the run.
+    """handctl computes the advised time scale from measurements in the run.
 
     The run in this test has 1000 ticks at 500 Hz.
 
@@ -131,7 +131,7 @@ def test_a_missing_simulator_is_named_with_the_hand_of_the_command(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Reproduce a defect: the message recommended the hand jamia, whichever hand was used."""
+    """Reproduce a defect: for every hand, the error message about a missing simulator named the hand jamia."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
     shutil.copy(hand_path("t42"), "ak hand.toml")

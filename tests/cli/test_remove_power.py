@@ -1,6 +1,7 @@
 """Test commands after a run in which a drive does not confirm that it is disabled.
 
-After such a run, every command exits with code 71, even if other errors occurred.
+If a drive does not confirm that it is disabled, every command exits with code 71, even if other
+errors occurred.
 """
 
 import pytest
@@ -20,7 +21,7 @@ FAILURE_TEXT = "fault B17 index_motor; REMOVE POWER: not confirmed disabled: ind
 
 
 def outcome_with_enabled_motor(plan, controller, log_path):
-    """Return the outcome of a run after which a motor may still make torque."""
+    """Return the outcome of a run after which a motor possibly still makes torque."""
     state = controller.initial_state()
     state.decide(failure=FAILURE_TEXT, unconfirmed_motors=("index_motor",))
     return RunOutcome(state, LoopStats(), {}, None, 0)

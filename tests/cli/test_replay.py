@@ -72,8 +72,9 @@ def test_the_comparison_ends_at_a_fault_that_the_log_does_not_have(
 ) -> None:
     """Reproduce a defect.
 
-    The ticks of a log were executed again with other gains. This run ended with a fault, and the
-    hand relaxed. The comparison of the two runs wrongly included the time after this fault.
+    The ticks of a log were executed again with other gains. The re-execution ended with a fault,
+    and the hand relaxed. The comparison of recorded and repeated ticks wrongly included the time
+    after the fault.
     """
     gains = tmp_path / "gains.toml"
     gains.write_text("[motion]\nposition_error_m = 3e-5\nspeed_error_m_s = 3e-3\n")

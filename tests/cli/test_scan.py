@@ -1,7 +1,7 @@
 """Test ``handctl scan``.
 
-A scan finds the nodes of a bus and moves no motor. A scan sends no frame that a drive of another
-protocol would execute as a command.
+A scan of a bus finds the nodes of the bus and moves no motor. A scan sends no frame that a drive of
+another drive protocol would execute as a command.
 """
 
 import json
@@ -212,9 +212,10 @@ def test_scan_only_listens_if_another_host_is_active(foreign_frames):
 
 
 def test_scan_reports_no_firmware_if_another_host_is_active():
-    """While another host is active, a scan sends no requests.
+    """While another host is active on the bus, a scan sends no request frames.
 
-    Earlier defect: if an ODrive with firmware 0.6 did not reply, the scan reported firmware 0.5.
+    Earlier defect: if an ODrive with firmware 0.6 did not reply to a request, the scan reported
+    firmware 0.5.
     """
     request = Frame(3 << 5 | 0x09 | REMOTE_FLAG, b"")
     result, _, bus = scan_bench(("odrive", 3), foreign_frames=[request])
@@ -258,8 +259,8 @@ def test_two_motors_that_answer_on_one_identifier_are_found():
 def test_a_torque_too_large_for_a_hand_file_is_not_taken_from_the_drive():
     """A DM-J8009 motor reports a torque of 54 N m as its full scale.
 
-    A hand file permits at most 50 N m. The printed part of a hand file contains this limit, and a
-    comment with the torque that the drive reports.
+    A hand file permits a torque of at most 50 N m. The part of a hand file that ``scan`` prints
+    contains the limit 50 N m, and a comment with the torque that the drive reports.
     """
     result, _, _ = scan_bench(("mit", 1, "dm8009"))
     text = hand_file_snippet({"a": result.found_nodes}, 1_000_000, None)
@@ -299,9 +300,9 @@ def test_unrequested_frames_of_an_odrive_are_no_other_host():
 
 
 def test_no_scan_request_enables_torque():
-    """Send every request of a scan to drives that are enabled with zero torque.
+    """Send every request frame of a scan to drives that are enabled with zero torque.
 
-    No drive makes torque after the scan requests.
+    No enabled drive makes torque after it has received all request frames of a scan.
     """
     bench = SimulatedDriveBench(
         [drive_spec("mit", node) for node in (1, 2)]
@@ -344,7 +345,7 @@ def test_scan_reads_two_buses_and_prints_a_part_of_a_hand_file(capsys):
 
 
 def test_a_repeated_frame_of_another_host_is_printed_once(capsys):
-    """Reproduce a defect: the output showed the same frame eight times, and no other frame."""
+    """Reproduce a defect: ``scan`` printed one frame of another host eight times, and none of its other frames."""
     foreign_frames = [Frame(0x6E, bytes(8)), Frame(0x67, bytes(8))]
     result, _, _ = scan_bench(("odrive", 3), foreign_frames=foreign_frames)
     _print_scans({"main": "local:s"}, {"main": result}, "")

@@ -1,6 +1,6 @@
 """Test ``handctl demo`` in lockstep with every packaged hand, every drive protocol and 20 seeds.
 
-In an ordinary test run, only a sample of these combinations is tested.
+An ordinary test run covers only a sample of the combinations of hand, drive protocol and seed.
 """
 
 import os
@@ -19,12 +19,12 @@ DEMO_CASES = [
     for seed in range(20)
 ]
 SAMPLE_CASES = [("jamia11", "mit", 7), ("t42", "mit", 3)]
-"""Hand, protocol and seed of the cases that are tested in ordinary test runs.
+"""Hand, drive protocol and seed of the demos that an ordinary test run executes.
 
-Regression: the first case ended in commissioning with the fault of a stuck encoder (N04). The hand
-of the second case has two digits.
+In an earlier version, the demo of jamia11 ended during commissioning with the fault N04 (a stuck
+encoder). The hand t42 has two digits.
 
-CiA 402 drives are tested in ordinary test runs by tests/runtime/test_lockstep_again.py.
+In ordinary test runs, tests/runtime/test_lockstep_again.py tests CiA 402 drives.
 """
 
 

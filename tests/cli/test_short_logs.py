@@ -1,4 +1,4 @@
-"""Every command handles logs without ticks, with few ticks, and with ticks in a wrong order."""
+"""Test that every command handles logs without ticks, with few ticks, and with ticks in a wrong order."""
 
 import struct
 from collections.abc import Sequence

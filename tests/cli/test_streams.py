@@ -1,6 +1,6 @@
-"""Test commands with a faulty standard stream, and commands that get a signal.
+"""Test commands with a faulty standard stream, and commands that get a signal of the operating system.
 
-The stream may be a closed pipe, may be on a full disk, or may be missing.
+A faulty standard stream is a closed pipe, is on a full disk, or is missing.
 """
 
 import json

@@ -1,6 +1,7 @@
 """Test gains with a separate force weight for one tendon.
 
-The tests cover the gain file, the bounds, the design, and changes during a run.
+The tests cover the gain file, the bounds of the gains, the design of the controller, and changes of
+gains during a run.
 """
 
 from pathlib import Path

@@ -1,6 +1,6 @@
 """Test ``handctl tune`` and ``handctl identify`` with command lines that a user or a program would use.
 
-In most tests, fake functions replace the computations.
+In most tests, fake functions replace the computations of ``tune`` and ``identify``.
 """
 
 import json
@@ -35,7 +35,7 @@ CANDIDATE_ARGS = Namespace(candidate="new.toml", hand="jamia")
 def fake_search(monkeypatch):
     """Replace the search for gains by a fake search that returns at once.
 
-    Return the list of the trials that the fake search has made.
+    Return the list to which the fake search adds each of its trials.
     """
     trials = []
     monkeypatch.setattr(
@@ -90,8 +90,8 @@ def test_a_design_tells_why_the_old_gains_do_not_come_to_rest(
 ):
     """Reproduce a defect.
 
-    The table showed "none" as gain margin and as phase margin of the old gains. No line gave the
-    reason.
+    The table of ``tune design`` showed "none" as gain margin and as phase margin of the old gains,
+    and no line of the output gave the reason.
     """
     oscillation_message = "the plant with 0.5 of the friction swings by 2.3 N held"
     reasons = {7e-4: f": {oscillation_message}"}
@@ -178,7 +178,7 @@ def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(
 def test_the_last_line_of_a_verification_is_its_verdict(
     capsys, failure_text, rollback, blocked, expected_reason
 ):
-    """Reproduce a defect: `tune verify` printed no verdict if the run returned to the old gains."""
+    """Reproduce a defect: `tune verify` printed no result of the test if the run returned to the old gains."""
     from handctl.cli.tuning.tune_verify import _report_verification, _stop_reason
 
     amplitudes = (0.3, 1.0, 0.3, 0.6, 1.0)
@@ -327,9 +327,10 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, ca
 
 
 def result_of_digit(digit_name, spring_stiffness, blocked="", met="", names=("tendon_stiffness",)):
-    """Return an invented result for the identification of a tendon.
+    """Return an invented result for the identification of the parameters of a tendon.
 
-    ``blocked`` and ``met`` are texts about contacts of the tendon's digit during the excitation.
+    ``blocked`` and ``met`` are texts about contacts of the tendon's digit while the identification
+    moves the tendon.
     """
     from handctl.tune.identify.fit_tendon import PARAMETER_NAMES
     from handctl.tune.identify.identify import TendonResult
@@ -358,7 +359,8 @@ def result_of_digit(digit_name, spring_stiffness, blocked="", met="", names=("te
 def _replace_identification(monkeypatch, calibration, digit_results):
     """Replace the identification of ``handctl identify --lockstep`` by given results.
 
-    The command then uses the given calibration and the given results of the digits.
+    ``identify`` then uses the argument ``calibration`` as its calibration, and ``digit_results`` as
+    the results of the digits.
     """
     outcome = SimpleNamespace(raise_if_not_finished=lambda where: None)
     monkeypatch.setattr(
@@ -373,7 +375,7 @@ def _replace_identification(monkeypatch, calibration, digit_results):
 
 
 def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(work_folder, capsys, monkeypatch):
-    """One line of the output names the digit, the parameters that are not written, the reason, and the next step."""
+    """One output line names the digit, the parameters that are not written, the reason, and the user's next command."""
     hand, path = load_hand("jamia"), work_folder / "own.toml"
     calibration = jamia_calibration()
     names, why = ("tendon_stiffness", "spring_stiffness", "capstan"), "from 14 deg on it takes more"
@@ -402,10 +404,10 @@ def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(work_folder, c
 def test_the_reason_why_no_calibration_is_written_is_true(
     work_folder, capsys, monkeypatch, result_fields, expected_reason
 ):
-    """Reproduce a defect: the output named a wrong reason.
+    """Reproduce a defect: the output gave a wrong reason why no calibration is written.
 
-    The reason was "there is no own.toml: handctl commission first", although the hand was
-    commissioned.
+    The output gave the reason "there is no own.toml: handctl commission first", although the hand
+    was commissioned.
     """
     calibration = jamia_calibration()
     write_calibration(work_folder / "own.toml", calibration)
@@ -417,7 +419,7 @@ def test_the_reason_why_no_calibration_is_written_is_true(
 
 @pytest.mark.parametrize("coherence", [0.08, 0.18, 0.25])
 def test_values_of_a_low_coherence_are_not_kept(work_folder, capsys, monkeypatch, coherence):
-    """Reproduce a defect: values that were identified at a coherence of only 0.08 were written."""
+    """Reproduce a defect: ``identify`` stored parameters that it had identified at a coherence of only 0.08."""
     hand, path = load_hand("jamia"), work_folder / "own.toml"
     calibration = jamia_calibration()
     names = ("tendon_stiffness", "motor_inertia", "delay")
@@ -436,7 +438,7 @@ def test_values_of_a_low_coherence_are_not_kept(work_folder, capsys, monkeypatch
 def test_a_fit_of_a_blocked_digit_is_not_written(work_folder, capsys, monkeypatch, blocked_digits):
     """Reproduce a defect: while fingers touched each other, a spring parameter of 3.05 was identified and stored.
 
-    The true value of this parameter is 1.2.
+    The true value of the spring parameter is 1.2.
     """
     hand, path = load_hand("jamia"), work_folder / "own.toml"
     calibration = jamia_calibration()
@@ -467,7 +469,7 @@ def test_a_fit_of_a_blocked_digit_is_not_written(work_folder, capsys, monkeypatc
 )
 @pytest.mark.parametrize("tune_command", ["design", "search"])
 def test_gains_and_picture_are_two_files(work_folder, capsys, tune_command, command_words):
-    """The gains and the picture need different file names, because the picture would overwrite the gains."""
+    """With equal file names, the picture would overwrite the gains, so the command refuses equal file names."""
     assert "the name of the picture" in refusal_line(
         capsys, "tune", tune_command, "--plants", "1", *command_words
     )
@@ -547,9 +549,9 @@ COMMANDS_WITH_PERTURB_OPTION = [
     ("tune", "verify", "new.toml", "--lockstep", "--dry-run"),
     ("demo", "--lockstep", "--dry-run"),
 ]
-"""Commands that simulate the hand in their own process.
+"""Commands with the option ``--perturb`` that simulate the hand in their own process.
 
-The command ``sim`` has its own test, because it starts a simulator.
+The command ``sim`` is not in this list, because it starts a simulator and has its own test.
 """
 
 
@@ -660,9 +662,9 @@ def test_plants_are_perturbed_unless_the_perturbed_hand_was_identified(calibrati
 def test_parameters_identified_in_lockstep_are_tuned_verified_and_applied_in_lockstep(
     work_folder, capsys
 ):
-    """Each command of this test was proposed by the command before it.
+    """Each command of this test was proposed in the output of the previous command.
 
-    Only the number of trials is reduced.
+    The test changes only the number of trials of the search for gains in the proposed commands.
     """
     words = "identify --lockstep --digits index --seed 7 --perturb stiffness=0.8 friction=1.2 --log id.mcap"
     assert main(words.split()) == 0

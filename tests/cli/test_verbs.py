@@ -1,4 +1,4 @@
-"""Every example in the help text of a command runs as printed.
+"""Test that every example in the help text of a command runs exactly as printed.
 
 JSON output is valid, a dry run opens no bus, and the exit codes of the log commands depend on the
 state of the log.
@@ -24,7 +24,7 @@ GOLDEN_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 HEAVY_MODULES = {"numpy", "numba", "scipy", "mcap", "handctl.hand.description"}
-"""Modules that no help of a command may import, because the import would delay the help noticeably."""
+"""Modules that a command must not import when it prints its help, because the import would delay the help."""
 
 
 def test_help_imports_nothing_that_only_a_run_needs():
@@ -67,7 +67,7 @@ def test_every_verb_prints_json_without_hardware(capsys, verb):
     code, printed_json = json_output(
         capsys, *verb.split(), *ARGUMENTS_BY_VERB[verb], *dry_run_option
     )
-    # doctor exits with 1 if it has a bad finding
+    # doctor exits with code 1 if it has found a problem
     assert code in ((0, 1) if verb == "doctor" else (0,))
     assert printed_json
 

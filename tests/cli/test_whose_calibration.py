@@ -1,4 +1,4 @@
-"""A calibration belongs to a single hand.
+"""Test that a calibration is used only for the hand that it belongs to.
 
 The serial numbers of the hand's drives identify the hand.
 """
@@ -79,8 +79,8 @@ def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibrati
 ):
     """Reproduce a defect: a hand was armed with the calibration of another hand of the same design.
 
-    Both hands were used in the same folder. The second hand got the load-cell tares and encoder
-    zeros of the first hand.
+    Both hands of the same design were used in the same folder. The second hand got the load-cell
+    tares and encoder zeros of the first hand.
     """
     hand = hand_file(work_folder, protocols)
     first_bench, second_bench = (
@@ -164,8 +164,8 @@ def test_a_calibration_of_an_earlier_version_is_accepted_with_a_notice(work_fold
 def test_a_calibration_is_used_for_a_day(work_folder, hours, reason):
     """Reproduce a defect.
 
-    The clock of a computer was wrong, so the date of a calibration was in the future. Therefore
-    handctl never treated this calibration as too old.
+    The clock of a computer was wrong, so the date of a calibration was in the future. handctl never
+    treated a calibration with a future date as too old.
     """
     bench = CalibratedBench(work_folder, "jamia")
     path = work_folder / "c.toml"

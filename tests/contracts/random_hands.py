@@ -1,6 +1,6 @@
-"""Run ticks of random hands with generated frames, and compute a hash of each tick.
+"""Run the controller with random hands and generated frames, and compute a hash of each tick.
 
-A hand may have any number of tendons.
+A random hand can have any number of tendons.
 """
 
 import hashlib
@@ -34,23 +34,24 @@ from handctl.programs.live_session import LiveProgram
 RATE_HZ, TICKS_PER_HAND = 200.0, 40
 """Control rate [Hz] and number of ticks of each random hand."""
 LAST_TICKS_WITH_FAULTS = 10
-"""Number of ticks at the end of a run in which faults may end the motion.
+"""Number of ticks at the end of a run in which a fault is allowed to end the motion.
 
-In all earlier ticks the hand is kept active in spite of faults.
+In all ticks before the last ``LAST_TICKS_WITH_FAULTS`` ticks, the hand is kept active in spite of
+faults.
 """
 LOST_FRACTION, DUPLICATE_FRACTION, CORRUPT_FRACTION, SKIPPED_FRACTION = 0.03, 0.02, 0.02, 0.03
-"""Fractions of frames that are lost, duplicate or corrupt, and fraction of ticks that are skipped."""
+"""Fractions of received frames that are lost, duplicate or corrupt, and fraction of ticks that are skipped."""
 BUS_NAMES, MOTORS_PER_BUS = ("main", "second"), 12
 CARRIED_DIGIT_FRACTION = 0.3
-"""Fraction of digits that are mounted on another digit, which carries them."""
+"""Fraction of digits that are mounted on another digit."""
 RandomGenerator = np.random.Generator
 
 
 def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
     """Return a random hand with ``tendons`` tendons.
 
-    A digit with n joints has one tendon, n tendons, or n + 1 tendons. Some digits are mounted on
-    other digits.
+    A digit with n joints has one tendon, n tendons, or n + 1 tendons. Some digits of the random
+    hand are mounted on other digits.
     """
     raw = hand_content("jamia11")
     finger, tendon, motor = raw["digit"][0], raw["tendon"][0], raw["motor"][0]
@@ -126,8 +127,8 @@ def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
 def _motors_with_position_loop(hand: Hand, rng: RandomGenerator) -> set[str]:
     """Return the motors whose drives close a position loop.
 
-    About half of the allowed motors are chosen at random. A motor is allowed if the digit of its
-    tendon has no antagonist.
+    About half of the suitable motors are chosen at random. A motor is suitable if it drives a digit
+    without antagonist.
     """
     if hand.motor[0].protocol not in ("mit", "robstride", "moteus"):
         return set()
@@ -168,8 +169,8 @@ def _message_payload(
 ) -> bytes:
     """Return the payload of a message with given values.
 
-    If a message has several status signals, the first of them contains the highest bits of the
-    status.
+    If a message has several status signals, the first of these signals contains the highest bits of
+    the drive status.
     """
     values, remaining_bits = (
         [],
@@ -196,7 +197,8 @@ def _message_payload(
 class RandomHand:
     """A random hand, and random frames for it.
 
-    The motors of the hand make torque. The nodes of the hand might send these frames.
+    The motors of the random hand make torque. The random frames are frames that the nodes of the
+    hand could send.
     """
 
     def __init__(self, tendons: int, seed: int) -> None:
@@ -218,14 +220,14 @@ class RandomHand:
         self.speed = self.random.normal(0.0, 2.0, tendons)
         self.angle = np.zeros(len(hand.joints))
         self.digits = hand.digit_names
-        # A drive of such a hand closes its position loop only while its tendon is taut.
+        # A drive with a position loop closes this loop only while its tendon is taut.
         self.pull = 20.0 if any(motor.closes_position_loop for motor in hand.motor) else 0.0
 
     def received_frames(self, t_ns: int) -> tuple[Frame, ...]:
-        """Return the frames that arrive in a tick.
+        """Return the random frames that the controller receives in a tick.
 
-        In these frames, motor angles and tensions change. Some frames are lost, duplicated or
-        corrupted.
+        The motor angles and tensions in the frames change from tick to tick. Some of the frames are
+        lost, duplicated or corrupted.
         """
         rng, period = self.random, 1.0 / RATE_HZ
         self.speed = 0.9 * self.speed + rng.normal(0.0, 1.0, len(self.speed))
@@ -280,7 +282,7 @@ class RandomHand:
         return tuple(out)
 
     def requests_of_tick(self, i: int) -> tuple[str, ...]:
-        """Return the requests that arrive in the i-th tick: a move of a digit, a tension of a digit, or none."""
+        """Return the requests that arrive in tick i: one request to move or to tension a digit, or no request."""
         if self.pull and i == 2:
             return (
                 json.dumps(
@@ -305,7 +307,7 @@ class RandomHand:
     def hash_ticks(self) -> Iterator[str]:
         """Run all ticks, and yield a hash after each tick.
 
-        The hash covers the state, the telemetry, the frames and the events of the tick.
+        The hash of a tick covers the state, the telemetry, the frames and the events of the tick.
         """
         k = 0
         for i in range(TICKS_PER_HAND):

@@ -1,6 +1,7 @@
-"""Some stages of `make test` run only the tests on the real clock.
+"""Test which files pytest imports in the stages of `make test` that run only the tests on the real clock.
 
-These stages import only the files that have such tests.
+A stage of `make test` with only tests on the real clock imports only the files that contain such
+tests.
 """
 
 import re

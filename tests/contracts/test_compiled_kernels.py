@@ -1,7 +1,7 @@
-"""Test the kernels.
+"""Test the compiled kernels of the controller.
 
-Compiled and interpreted code give equal bytes, no kernel is compiled in a tick, and no outdated
-code is loaded.
+Compiled and interpreted kernels give equal bytes. No kernel is compiled during a tick, and no
+outdated machine code is loaded.
 """
 
 import ast
@@ -69,7 +69,7 @@ def run_without_compiler(*python_arguments: str) -> subprocess.Popen[str]:
 
 
 DAILY_LOGS = ("jamia-grasp.mcap", "jamia-lost.mcap")
-"""Logs that are executed in ordinary test runs. The random hands below cover faults and other numbers of tendons."""
+"""Logs for ordinary test runs. ``DAILY_RANDOM_HANDS`` covers faults and other numbers of tendons."""
 
 
 @pytest.mark.parametrize(
@@ -91,7 +91,7 @@ def hash_of_frame_conversions() -> str:
     """Convert random structs of CAN frames to records and back, and return a hash of the results.
 
     The structs contain frames of all kinds, lengths and flags. Some of these frames are impossible.
-    The times of reception are positive and negative.
+    The times of reception of the frames are positive and negative.
     """
     digest = hashlib.sha256()
     for seed in range(20):
@@ -115,8 +115,9 @@ def test_interpreted_kernels_convert_frames_to_the_same_bytes() -> None:
 DAILY_RANDOM_HANDS = [(1, 0), (2, 0), (5, 1), (5, 2), (6, 5), (11, 1), (23, 3), (24, 0)]
 """Number of tendons and seed of each random hand that is tested in ordinary test runs.
 
-In the hands (5, 2), (6, 5) and (11, 1), drives close position loops. The hand (6, 5) has moteus
-drives. In ticks of the hand (23, 3), values of the state are NaN.
+In the random hands (5, 2), (6, 5) and (11, 1), drives close position loops. The random hand (6, 5)
+has moteus drives. In some ticks of the random hand with 23 tendons and seed 3, values of the state
+are NaN.
 """
 
 
@@ -133,7 +134,7 @@ def test_interpreted_kernels_give_the_same_ticks_of_random_hands(
 ) -> None:
     """Compiled and interpreted kernels give the same state, telemetry, frames and events in every tick.
 
-    Received frames may be lost, duplicated, late or corrupt.
+    Frames that the random hands send can be lost, duplicated, late or corrupt.
     """
     with run_without_compiler(
         "-m", "tests.contracts.random_hands", *[f"{n}:{seed}" for n, seed in seeds_and_lengths]
@@ -157,7 +158,7 @@ def test_interpreted_kernels_give_the_same_ticks_of_random_hands(
 
 
 def hash_of_motion_segments() -> str:
-    """Return a hash of the state blocks after the start of 200 random motions to streamed targets."""
+    """Start 200 random motions to streamed targets, and return one hash of all resulting state blocks."""
     digest = hashlib.blake2b(digest_size=16)
     draw = np.random.default_rng(0)
     axes = ("tendon", "joint", "digit", "coordinate", "node", "group", "instance", "run")
@@ -187,10 +188,10 @@ def test_interpreted_kernels_begin_the_same_motions() -> None:
 
 
 def test_a_prepared_kernel_refuses_other_argument_types() -> None:
-    """An argument of another array type raises an exception.
+    """A prepared kernel raises an exception if one of its arguments has another array type.
 
-    Otherwise, the kernel would be compiled for this type in the middle of a tick. This would take a
-    second.
+    Without this exception, a call with a new array type would compile the kernel in the middle of a
+    tick, which would take a second.
     """
 
     @kernel("vector", "real")
@@ -205,7 +206,7 @@ def test_a_prepared_kernel_refuses_other_argument_types() -> None:
 
 
 def test_only_a_contiguous_array_can_be_borrowed() -> None:
-    """A kernel refuses an array that is not contiguous, because it would also read the gaps."""
+    """A kernel refuses an array that is not contiguous, because it would also read the gaps between the elements."""
 
     @njit
     def third_value(values: np.ndarray) -> float:
@@ -229,7 +230,7 @@ from handctl.core import state_block as s
 def misses(block, at):
     return frame_losses.misses_every_second_reply(state_tables(block, at), 0)
 """
-"""Source of a kernel that calls a function of a second file. This function uses a constant of a third file."""
+"""Source text of a kernel that calls a function in a second file. That function uses a constant in a third file."""
 RUN_PROBE_SCRIPT = """
 from handctl import compiled
 from handctl.core import state_block as s
@@ -249,9 +250,9 @@ print(bool(misses(block, layout.offsets)), len(before), folder is not None)
 
 @pytest.fixture
 def package_copy(tmp_path: Path) -> Path:
-    """Return a copy of the package to which the kernel ``PROBE_MODULE_TEXT`` was added.
+    """Return the path of a copy of the package handctl that also contains the kernel ``PROBE_MODULE_TEXT``.
 
-    The added kernel detects a node that is silent in every second tick.
+    The kernel ``PROBE_MODULE_TEXT`` detects a node that is silent in every second tick.
     """
     package = tmp_path / "handctl"
     shutil.copytree(PACKAGE_FOLDER, package, ignore=shutil.ignore_patterns("__pycache__"))
@@ -287,9 +288,9 @@ def run_copied_kernel(package_folder: Path, cache_folder: Path) -> tuple[bool, b
 def test_a_constant_changed_in_another_file_compiles_again(
     package_copy: Path, tmp_path: Path
 ) -> None:
-    """The kernel is compiled again if a constant in another file changes.
+    """A kernel is compiled again if a constant in another source file changes.
 
-    numba itself checks only the file of the kernel.
+    The cache of numba checks only if the source file of the kernel has changed.
     """
     cache_folder = tmp_path / "cache"
     assert run_copied_kernel(package_copy, cache_folder) == (True, False, True)
@@ -313,7 +314,7 @@ def test_a_constant_changed_in_another_file_compiles_again(
 def test_two_installations_of_one_version_store_their_code_apart(
     package_copy: Path, tmp_path: Path
 ) -> None:
-    """If two installations used one folder, each could load the stored code of the other."""
+    """If two installations used one cache folder, each could load the stored machine code of the other."""
     cache_folder, other_copy = tmp_path / "cache", tmp_path / "other" / package_copy.name
     shutil.copytree(package_copy, other_copy)
     for package in (package_copy, other_copy):
@@ -340,13 +341,13 @@ def test_without_a_writable_cache_each_process_compiles(
 
 
 class KernelSources:
-    """Modules of handctl that can change a kernel when their source text changes.
+    """Modules of handctl whose source text can change the machine code of a kernel.
 
-    These modules define the names that the kernel uses, directly or indirectly.
+    The modules define all names that the kernel uses, directly or indirectly.
     """
 
     def __init__(self) -> None:
-        """Start with an empty set of modules."""
+        """Create an empty set of modules."""
         self.modules = set[str]()
         self._seen = set[tuple[str, str]]()
         self._trees: dict[str, ast.Module] = {}
@@ -368,9 +369,9 @@ class KernelSources:
                         self.add_modules_of_name(module_name, used.id)
 
     def _follow_import(self, module_name: str, name: str) -> None:
-        """Follow an imported name.
+        """Add all modules that define an imported name.
 
-        If a module is imported, follow all names of this module.
+        If the imported name is a module, add all names of this module.
         """
         inner = f"{module_name}.{name}"
         if inner not in sys.modules:

@@ -1,4 +1,4 @@
-"""The recipes of CONTRIBUTING.md work, and the files that it names exist."""
+"""Test that the recipes in CONTRIBUTING.md work, and that the files that CONTRIBUTING.md names exist."""
 
 import json
 import os

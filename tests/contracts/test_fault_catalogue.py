@@ -1,4 +1,4 @@
-"""The fault catalogue, the fault table, the campaign, the tests and the documents agree.
+"""Test that the fault catalogue, the fault table, the campaign, the tests and the documents agree.
 
 The catalogue covers the communication faults of AUTOSAR and the failure kinds of PX4.
 """
@@ -33,7 +33,7 @@ CATALOGUE_IDS = [
     for letter, size in FAULT_COUNT_BY_LETTER.items()
     for number in range(1, size + 1)
 ]
-"""Identifiers of all faults: 68 from the first catalogue, and the later ones N17 and I11."""
+"""Identifiers of all faults: 68 identifiers from the first fault catalogue, and the later identifiers N17 and I11."""
 CATALOGUE_ENTRY_BY_ID = {entry.id: entry for entry in FAULT_CATALOGUE}
 
 AUTOSAR_FAULTS = {
@@ -41,7 +41,7 @@ AUTOSAR_FAULTS = {
     "wrong address": "B10 N13", "wrong sequence": "B07", "corruption": "B08 B09", "asymmetric information": "B17",
     "subset of receivers": "B17", "blocked access": "B11 B12",
 }  # fmt: skip
-"""Communication faults that AUTOSAR lists, each with the corresponding faults of this catalogue.
+"""Communication faults that AUTOSAR lists, each with the corresponding faults of the fault catalogue of handctl.
 
 Source: FAULTS, section 2.6.
 """
@@ -56,9 +56,10 @@ PX4_FAULTS_BY_QUANTITY = {
     "voltage": ("-the drive judges it", "-the drive judges it", "N10", "N10", "-the drive judges it",
                 "-the drive judges it", "-the drive judges it"),
 }  # fmt: skip
-"""Fault of this catalogue for each failure kind of PX4 and each measured quantity.
+"""Fault in the fault catalogue of handctl for each failure kind of PX4 and each measured quantity.
 
-An entry that starts with - does not apply, and gives the reason.
+An entry that starts with - gives the reason why the failure kind does not apply to the measured
+quantity.
 """
 
 
@@ -126,7 +127,7 @@ N01 2 N02 4 N04 22 N05 3 N06 200 N07 52 N08 2 N09 22 N10 2 N11 2 N13 2 N14 22 N1
 T01 3 T02 12 T03 2 T04 200 T05 42 T06 4 T08 4
 H01 1 H02 1 H03 1 H04 1 H05 3 H06 1 H07 1 H08 200 H09 640 H10 1 H13 2 I07 2
 """
-"""Longest required reaction time of faults [ticks]. Source: FAULTS, sections 2.1 to 2.5."""
+"""Longest permitted reaction time of the controller to each fault [ticks]. Source: FAULTS, sections 2.1 to 2.5."""
 
 
 def test_a_reaction_later_than_required_has_a_reason() -> None:

@@ -1,6 +1,6 @@
-"""Fuzz tests start from valid inputs, which handctl accepts.
+"""Test that fuzz tests start from valid inputs, which handctl accepts.
 
-If handctl refuses a changed input, the change is therefore the reason.
+Because the original input is valid, the change is the reason if handctl refuses a changed input.
 """
 
 import functools
@@ -18,7 +18,7 @@ from fuzz.targets import TARGET_FACTORIES, seed_inputs
 from handctl.drives.contract import DrivePhase
 
 DOCUMENT_TARGETS = ("hand", "task", "trajectory", "gains", "calibration", "log")
-"""Fuzz targets that change a document. An empty fuzz input leaves the document unchanged."""
+"""Names of the fuzz tests that change a valid document. An empty fuzz input leaves the document unchanged."""
 
 
 @pytest.mark.parametrize("target_name", DOCUMENT_TARGETS)

@@ -1,6 +1,6 @@
-"""Stored machine code of a kernel is loaded without the compiler of numba.
+"""Test that stored machine code of a kernel is loaded without the compiler of numba.
 
-Other compiled functions can call a loaded kernel.
+The tests also check that other compiled functions can call a kernel that was loaded from a file.
 """
 
 import subprocess
@@ -58,6 +58,6 @@ def test_other_versions_of_numba_load_in_their_own_way() -> None:
 
 
 def test_the_installed_version_is_known() -> None:
-    """This test fails for a new version of numba until a developer has checked ``kernel_loading`` with it."""
+    """Fail for a new version of numba until a developer has checked ``kernel_loading`` with this version."""
     version: object = numba.version_info
     assert getattr(version, "short", None) in kernel_loading.TESTED_VERSIONS

@@ -1,6 +1,7 @@
 """Test that the language check counts the words and phrases that its documentation describes.
 
-The check refuses limits that are higher than before.
+The tests also check that the language check refuses limits that are higher than the previous
+limits.
 """
 
 import importlib.util
@@ -54,11 +55,11 @@ def test_the_script_counts_names_docstrings_and_shape(
     tally = language_check.count_all_folders(source_tree)["src"]
     count_by_kind = {count: tally.counts[count] for count in language_check.QUANTITY_PER_COUNT}
     assert count_by_kind == {
-        "names": 5,  # the words are: told twice, most, Wishes twice
+        "names": 5,  # the counted words are: told twice, most, Wishes twice
         "openers": 1,
         "what": 1,
         "semicolons": 1,
-        "pronouns": 3,  # somebody, it, what
+        "pronouns": 3,  # the counted pronouns are: somebody, it, what
         "riddles": 1,
         "ropes": 1,
         "tuples": 1,

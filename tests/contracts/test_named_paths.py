@@ -8,9 +8,9 @@ import pytest
 REPOSITORY = Path(__file__).parents[2]
 CHECKED_FOLDERS_PATTERN = "benchmarks|docs|examples|firmware_sim|fuzz|logs|src|tests|tools"
 PATH_PATTERN = re.compile(rf"(?<![\w/.-])(?:{CHECKED_FOLDERS_PATTERN})/[\w/.*-]*[\w*]")
-"""A path in a text. The path may contain the wildcard of a shell."""
+"""Pattern of a file path in a text. The path can contain the wildcard of a shell."""
 PLACEHOLDER_PATTERN = re.compile(r"[A-Z]{3,}|[.]{3}|RUN")
-"""A path with a word in capital letters, such as NAME, is a pattern for the reader."""
+"""Pattern of a placeholder in a file path: a word in capital letters, such as NAME, or three dots."""
 DOCUMENTS = [
     REPOSITORY / "pyproject.toml",
     REPOSITORY / "Makefile",
@@ -18,7 +18,7 @@ DOCUMENTS = [
     *(REPOSITORY / "docs").rglob("*.md"),
 ]
 HISTORY_DOCUMENT = "CHANGELOG.md"
-"""Document that also names files of earlier versions."""
+"""Document that also names files that existed only in earlier versions."""
 
 
 def missing_paths(document_text: str) -> list[str]:
@@ -30,7 +30,7 @@ def missing_paths(document_text: str) -> list[str]:
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_every_named_file_exists(document: Path) -> None:
-    """Reproduce a defect: the settings of mutation testing named two files whose names had changed."""
+    """Reproduce a defect: the settings of the mutation tests named two files that had been renamed."""
     if document.name != HISTORY_DOCUMENT:
         assert missing_paths(document.read_text()) == []
 

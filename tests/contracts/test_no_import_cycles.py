@@ -1,4 +1,4 @@
-"""No module imports itself through other modules, neither at its top nor within a function."""
+"""Test that no module imports itself through other modules, neither at its top nor within a function."""
 
 import ast
 from pathlib import Path
@@ -10,7 +10,7 @@ ImportGraph = dict[str, set[str]]
 
 
 def module_files() -> dict[str, Path]:
-    """Return every module of handctl and firmware_sim, with its file.
+    """Return the name and the file of every module of handctl and firmware_sim.
 
     The file of a package is its `__init__.py`, which contains no code.
     """

@@ -1,4 +1,4 @@
-"""A command that needs a missing optional package names this package in one line, before it does any work."""
+"""Test that a command names a missing optional package that it needs in one error line, before it does any work."""
 
 import ast
 import json
@@ -23,11 +23,11 @@ PATHS_WITH_OPTIONAL_IMPORTS = (
     "src/handctl/gym/", "src/handctl/view/", "src/handctl/log/export/", "src/handctl/replay/dataset_episode.py",
     "src/handctl/tune/search/",
 )  # fmt: skip
-"""Folders and files of the source that may import optional packages, except those of the extra ``controller``."""
+"""Folders and files of the source that are allowed to import optional packages of extras other than ``controller``."""
 PACKAGES_OF_DEPENDENCIES = {"pydantic_core"}
-"""Packages that are part of a dependency.
+"""Packages that belong to a dependency of handctl and are installed with this dependency.
 
-The dependency itself pins the version of such a package.
+The dependency that installs the package also fixes the version of the package.
 """
 
 
@@ -193,7 +193,7 @@ try:
 except MissingExtraError as error:
     print(error)
 """
-"""Program of a client of a controller, in an environment without extras."""
+"""Text of a client program that a test runs in an environment without extras."""
 
 
 def test_a_client_and_a_reader_of_logs_need_no_extra() -> None:
@@ -216,14 +216,14 @@ COMMANDS_WITHOUT_EXTRA = [
     ("bus plan --hand jamia", 2, "handctl: bus needs numba: pip install 'handctl[controller]'"),
     ("scan --bus local:no-such-bus", 1, "no simulator serves this bus"),
 ]
-"""Command lines in an environment without extras, each with exit code and part of the output."""
+"""Command lines for an environment without extras, each with its exit code and a part of its output."""
 
 
 @pytest.mark.parametrize(("words", "exit_code", "text"), COMMANDS_WITHOUT_EXTRA)
 def test_verbs_for_logs_and_buses_need_no_controller(
     words: str, exit_code: int | None, text: str, tmp_path: Path
 ) -> None:
-    """The exit code of ``doctor`` depends on the machine, so it is not checked."""
+    """The exit code of ``doctor`` depends on the machine, so the test does not check this exit code."""
     log = REPOSITORY / "logs" / "golden" / "jamia-grasp.mcap"
     code = f"{HIDE_EXTRAS_SCRIPT}from handctl.cli.main import main\nsys.exit(main(sys.argv[1:]))"
     command = words.format(log=log, folder=tmp_path).split()

@@ -1,4 +1,4 @@
-"""The README is short and agrees with the code.
+"""Test that the README is short and agrees with the code.
 
 The README states the limits of the project before it shows commands.
 """

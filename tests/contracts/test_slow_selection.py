@@ -1,4 +1,4 @@
-"""Test which slow tests are left out of an incomplete test run."""
+"""Test which slow tests pytest leaves out of an incomplete test run."""
 
 import re
 import subprocess
@@ -30,9 +30,9 @@ def test_a_file_keeps_its_cheapest_test_unless_it_takes_long() -> None:
 
 
 def test_each_listed_function_exists() -> None:
-    """A renamed test would run in every `make test`, because its old name stays in the list.
+    """A renamed slow test would run in every `make test`, because the list of slow tests contains only its old name.
 
-    Earlier defect: 36 lines of the list named functions that had been renamed.
+    Earlier defect: 36 lines of the list of slow tests named functions that had been renamed.
     """
     listed = {re.split(r"\[", test, maxsplit=1)[0] for test in read_slow_test_costs()}
     missing = []
@@ -63,7 +63,7 @@ def test_only_a_sample_leaves_slow_tests_out(
 ) -> None:
     """Collect the tests of this file with pytest.
 
-    The list of slow tests contains two of these tests.
+    The list of slow tests contains two tests of this file.
     """
     code = (
         "import sys, pathlib, pytest, tests.slow_tests; tests.slow_tests.SLOW_TESTS_FILE = pathlib.Path(sys.argv[1]); "

@@ -1,7 +1,7 @@
-"""Test the long soak run.
+"""Test the soak run: a long run of a controller, during which the memory of its processes is measured.
 
-The soak run must report a memory leak. It must not report memory that a process frees and allocates
-again. The soak run must be able to start a controller.
+The soak run must report a memory leak. The soak run must not report memory that a process frees and
+allocates again. The soak run must be able to start a controller.
 """
 
 import random
@@ -33,7 +33,7 @@ def test_a_controller_gets_a_calibration_of_its_hand(
 ) -> None:
     """Reproduce a defect: the soak run wrote a hand file to the path of the calibration.
 
-    The run therefore ended before it started a controller.
+    Because of the wrong file, the soak run ended before it started a controller.
     """
     monkeypatch.chdir(tmp_path)
     done = subprocess.Popen([sys.executable, "-c", ""])

@@ -77,7 +77,8 @@ def test_only_the_loop_catches_all_exceptions_and_once() -> None:
 def test_only_one_module_builds_the_simulated_hand() -> None:
     """Only the module ``session.lockstep_simulation`` builds a simulated hand in lockstep.
 
-    The module of the lockstep clock defines the parts of this simulated hand.
+    The module ``clocks.lockstep`` defines the parts from which a simulated hand in lockstep is
+    built.
     """
     building_modules = {
         str(path.relative_to(REPOSITORY))

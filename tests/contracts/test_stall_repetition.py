@@ -1,6 +1,6 @@
-"""Test that a stall of the machine is detected.
+"""Test that pytest detects a stall of the machine.
 
-A failed test on the real clock is repeated only if the machine stalled.
+If a test on the real clock fails, pytest repeats this test only if the machine stalled.
 """
 
 import os

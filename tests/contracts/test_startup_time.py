@@ -1,4 +1,4 @@
-"""``handctl --help`` replies at once, because the libraries of a command are imported only when the command runs."""
+"""Test that ``handctl --help`` starts fast: the libraries of a command are imported only when the command runs."""
 
 import importlib.util
 import subprocess
@@ -33,9 +33,10 @@ UNUSED_SCIPY_PACKAGES = (
 """Packages of scipy that a run does not import if its hand has springs."""
 MAX_HELP_TIME_S = 0.3
 MAX_HELP_TIME_RATIO = 10
-"""Limit of the time that ``--help`` may take on a slow or busy machine.
+"""Longest permitted run time of ``handctl --help`` on a slow or busy machine.
 
-The unit is the start-up time of an empty Python interpreter.
+The longest permitted run time is given in units of the start-up time of an empty Python
+interpreter.
 """
 HELP_SCRIPT = (
     "from handctl.cli.main import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"

@@ -1,4 +1,4 @@
-"""No module is imported during a tick.
+"""Test that no module is imported during a tick.
 
 An import takes up to 0.3 s. A tick with an import would be so long that the run would end with the
 fault H03 (the host stalled).
@@ -56,7 +56,7 @@ print(*sorted(set(sys.modules) - before))
 
 
 def run_script(program_text: str, hand_name: str) -> list[str]:
-    """Run a program in a process of its own, and return the words that it prints."""
+    """Run a program in a separate process, and return the words that the program prints."""
     result = subprocess.run(
         [sys.executable, "-c", program_text, hand_name], capture_output=True, text=True, check=False
     )
@@ -68,8 +68,8 @@ def run_script(program_text: str, hand_name: str) -> list[str]:
 def test_no_tick_imports_a_module(hand: str) -> None:
     """Reproduce a defect.
 
-    A task with a phase ``follow`` imported 202 modules of scipy in the tick that began this phase.
-    This import took 0.3 s.
+    A task with a phase ``follow`` imported 202 modules of scipy in the first tick of this phase.
+    The import of these modules took 0.3 s.
     """
     assert run_script(IMPORT_CHECK_SCRIPT, hand) == []
 
@@ -78,6 +78,7 @@ def test_no_tick_imports_a_module(hand: str) -> None:
 def test_no_tick_of_a_grasp_imports_a_module(hand: str) -> None:
     """Reproduce a defect: a tick of a closing hand imported daqp.
 
-    The first bounded allocation of tensions caused this import.
+    The package daqp was imported when the tensions of tendons were allocated within limits for the
+    first time.
     """
     assert run_script(GRASP_SCRIPT, hand) == []

@@ -1,9 +1,9 @@
-"""``handctl demo`` runs after a wheel of handctl was installed into a new environment.
+"""Test that ``handctl demo`` runs after a wheel of handctl was installed into a new Python environment.
 
-This environment is outside of the repository.
+The new Python environment is outside of the repository.
 
-Each test installs further extras, so the tests run in the order of this file. A test cannot use the
-packages of extras that are installed later.
+Each test installs further extras in the same environment, so the tests run in the order of this
+file. A test cannot use the packages of extras that a later test installs.
 """
 
 import os
@@ -66,7 +66,7 @@ class WheelEnvironment:
         return wheel
 
     def run(self, *program_arguments: str, exit_code: int = 0) -> subprocess.CompletedProcess[str]:
-        """Run a program of the environment and check its exit code."""
+        """Run a program of the Python environment, and check the exit code of the program."""
         variables = {
             name: value for name, value in os.environ.items() if not name.startswith("PYTHON")
         }
@@ -81,7 +81,7 @@ class WheelEnvironment:
         return result
 
     def install_wheel(self, extra_names: str = "") -> None:
-        """Install the wheel with extras, in the versions of the lock file."""
+        """Install the wheel with extras. The versions of all packages are those in the lock file."""
         self.run(
             "python",
             "-m",
@@ -94,7 +94,7 @@ class WheelEnvironment:
         )
 
     def installed_megabytes(self) -> float:
-        """Return the size of the installed packages, except pip and setuptools [MB]."""
+        """Return the size of all packages in the environment, except pip and setuptools [MB]."""
         where = self.run("python", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))")
         packages = Path(where.stdout.strip())
         packaging_tools = {"pip", "setuptools", "pkg_resources"}

@@ -1,6 +1,6 @@
-"""Models of packaged hands.
+"""Provide models of packaged hands to the tests of the controller.
 
-The models are computed once for all tests, because the design of a model's gains takes long.
+Each hand model is computed once for all tests, because the design of its gains takes long.
 """
 
 import pytest
@@ -13,7 +13,7 @@ from handctl.programs.live_session import LiveProgram
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 DEFAULT_RATES = {"jamia": 500.0, "jamia11": 200.0}
-"""Default control rate of each hand [Hz]. All frames of the hand fit on its bus at this rate."""
+"""Default control rate of each hand [Hz]. At this rate, the bus of the hand can carry all of its frames."""
 
 
 @pytest.fixture(scope="session")
@@ -26,7 +26,7 @@ def jamia() -> HandModel:
 def jamia11() -> HandModel:
     """Return the model of ``jamia11`` at its default rate.
 
-    This hand has a tendon and an encoder at each joint.
+    The hand ``jamia11`` has a tendon and an encoder at each joint.
     """
     return HandModel.from_hand(load_hand("jamia11"), Gains(), DEFAULT_RATES["jamia11"])
 
@@ -43,7 +43,7 @@ def model(request: pytest.FixtureRequest) -> HandModel:
 
 @pytest.fixture(scope="module")
 def active_bench() -> ControllerBench:
-    """Return a bench whose hand is active and holds a tension."""
+    """Return a bench of a controller and a simple hand. The hand is active and holds a tension."""
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()
     )

@@ -1,6 +1,6 @@
 """Run single ticks of the control law in tests.
 
-Read the state of the control law and its commands from the controller's state.
+This module also reads the state of the control law and its commands from the controller's state.
 """
 
 from dataclasses import replace
@@ -39,13 +39,13 @@ class ControlLawState(NamedTuple):
         planned: tension that is planned for the next tick, for tendons of moving digits [N]. rate:
             planned rate of change of the tension until the next tick [N/s].
         trim: force that compensates the step of the command at a change of gains [N]. The value is
-            None after it has decayed.
+            None after the force has decayed.
         held: tension limit while the safety monitor holds the hand [N]. None at other times.
-        friction_state: friction of each tendon as a fraction of its full amount, from 1 (winding
+        friction_state: friction of each tendon as a fraction of its full friction, from 1 (winding
             up) to -1 (paying out). NaN if the fraction is unknown, and None before the first
             command.
         friction_slider: travel at which the friction element of each tendon has no tension [m]. NaN
-            if it is unknown, and None before the first command.
+            if this travel is unknown, and None before the first command.
     """
 
     setpoint: np.ndarray
@@ -87,7 +87,7 @@ class ControlLawCommand(NamedTuple):
 def temperatures_for_limits(model: HandModel, tension_limit: np.ndarray) -> np.ndarray:
     """Return the drive temperatures (N,) [degC] at which the tension limits are ``tension_limit`` [N].
 
-    Each limit must be between the lowest and the highest tension that the hand allows.
+    Each tension limit must be between the lowest and the highest tension that the hand allows.
     """
     limits = controller_of(model).derived_constants.limits
     fraction = (tension_limit - model.floor) / (model.ceiling - model.floor)
@@ -120,8 +120,8 @@ def run_control_law_tick(
     """Run one tick of the control law for all digits of a hand.
 
     Args:
-        model: the hand. law: state of the control law after the last tick. estimate: estimate of
-            the hand at time t. goals: one per digit. t: time [s].
+        model: model of the hand. law: state of the control law after the last tick. estimate:
+            estimate of the hand at time t. goals: one per digit. t: time [s].
         temperature_limit_N: (N,) tension limit that the temperature of each drive causes [N].
         held_limit_N: (N,) tension limit while the safety monitor holds the hand [N].
     """
@@ -147,7 +147,7 @@ def run_control_law_tick(
 
 
 def control_law_state_of(state: ControllerState) -> ControlLawState:
-    """Return the state of the control law after a tick."""
+    """Return the state of the control law from a controller's state after a tick."""
     block_values = {
         name: state.view(name).copy()
         for name in ControlLawState._fields
@@ -181,8 +181,8 @@ def _tension_limits(
 def tension_limits_of(model: HandModel, state: ControllerState) -> np.ndarray:
     """Return the tension limits (N,) [N] that a controller's state contains.
 
-    For a tendon without a limit, the value is infinity. Tension limits of the hand file are not
-    included.
+    For a tendon without a tension limit, the returned value is infinity. The function does not
+    include the tension limits of the hand file.
     """
     return _tension_limits(state.block, state.layout.offsets, *constant_args_of(model))
 
@@ -203,7 +203,7 @@ def _required_tensions(
 def required_tensions_of(
     model: HandModel, goals: tuple[DigitGoal, ...], motion: np.ndarray
 ) -> np.ndarray:
-    """Return the tensions (N,) [N] that moving digits need for a joint motion (3, J)."""
+    """Return the tensions (N,) [N] that moving digits need for a motion of the joints (3, J)."""
     state = active_state(model)
     write_goals(model, state.layout, state.block, goals)
     unsolved_digits = _required_tensions(

@@ -1,8 +1,8 @@
 """A simple simulated hand, and a bench in which a controller runs with this hand.
 
-The simple hand models much less than the simulator and is therefore fast. All its digits stay fully
-open, and each rotor winds an elastic tendon. A test can drop, change or add frames on their way
-from and to the controller.
+The simple hand ``ToyHand`` is fast because it models much less than the simulator. All digits of
+the simple hand stay fully open, and each rotor winds an elastic tendon. A test can drop, change or
+add frames on their way from and to the controller.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ INITIAL_SLACK_M = 0.3e-3
 
 
 class ToyHand:
-    """The simulated hand. A controller in lockstep calls ``step`` of this hand once in each tick.
+    """Simple simulated hand. A controller in lockstep calls the method ``step`` of the hand once in each tick.
 
     Attributes:
         motors: the scripted motors, one per tendon.
@@ -64,7 +64,7 @@ class ToyHand:
         self.motor_force = [0.0] * n
 
     def step(self, t_ns: int, frames: list[Frame]) -> list[Frame]:
-        """Reply to the frames of a tick, and advance the tendons to the next tick."""
+        """Return the replies of the simple hand to the frames of a tick, and advance its tendons to the next tick."""
         answers: list[Frame] = []
         for sent_frame in frames:
             frame = Frame(*sent_frame)
@@ -83,14 +83,14 @@ class ToyHand:
         return [answer._replace(t_ns=t_ns + 100_000 + i) for i, answer in enumerate(answers)]
 
     def snap_tendon(self, tendon_index: int) -> None:
-        """Tear tendon i.
+        """Tear the tendon with the index ``tendon_index``.
 
-        A torn tendon has no tension, at any speed of its spool.
+        A torn tendon has no tension, whatever the speed of its spool is.
         """
         self.tendon_stiffness[tendon_index] = self.tendon_damping[tendon_index] = 0.0
 
     def close(self) -> None:
-        """Do nothing, because the scripted hand has no file or connection to close."""
+        """Do nothing, because the simple hand has no file or connection to close."""
 
     def _feedback_codes(self, tendon_index: int) -> tuple[int, int, int]:
         angle, speed = (
@@ -147,7 +147,8 @@ def _pack_channels(
 ) -> list[Frame]:
     """Pack load-cell channels into frames.
 
-    In its lowest bits, each frame has a counter of 4 bits. Up to five channels of 12 bits follow.
+    The lowest 4 bits of each frame are a counter. Up to five load-cell channels of 12 bits follow
+    the counter.
     """
     frames = []
     for group, start in enumerate(range(0, len(channel_readings), 5)):
@@ -207,7 +208,7 @@ class ControllerBench:
         missed_ticks: int = 0,
         extra_frames: tuple[Frame, ...] = (),
     ) -> TickOut:
-        """Run one tick of the controller, after the controller has missed ``missed_ticks`` ticks."""
+        """Let the controller miss ``missed_ticks`` ticks, then run one tick of the controller."""
         for _ in range(missed_ticks):
             self.frames_on_bus += self.toy_hand.step(self.k * self.period_ns, [])
             self.k += 1
@@ -238,14 +239,14 @@ class ControllerBench:
         )
 
     def run(self, duration_s: float) -> TickOut:
-        """Run ticks for a given duration."""
+        """Run ticks of the controller for a given duration."""
         for _ in range(round(duration_s / self.controller.model.period)):
             out = self.tick()
         return out
 
     @property
     def mode_history(self) -> list[HandMode]:
-        """Return the modes of the controller so far, in order."""
+        """Return all modes that the controller has had so far, in their order."""
         modes: list[HandMode] = []
         for _, _, out in self.tick_history:
             if not modes or modes[-1] != out.mode:
@@ -261,7 +262,7 @@ class ControllerBench:
 def make_controller_bench(
     model: HandModel, program: Program, arms_at_start: bool = True
 ) -> ControllerBench:
-    """Return a bench that connects a controller with a simple hand ``ToyHand`` without faults."""
+    """Return a bench that connects a controller with a ``ToyHand``, a simple hand without faults."""
     return ControllerBench(
         uncommissioned_controller(model, program, arms_at_start),
         ToyHand(model.hand, round(model.period * 1e9)),

@@ -18,7 +18,7 @@ def moving_goals(
 ) -> tuple[DigitGoal, ...]:
     """Return goals that move every digit from ``start_angle`` to ``end_angle`` [rad].
 
-    ``duration_s`` [s] is one number for all digits, or a tuple that has one number for each digit.
+    ``duration_s`` [s] is one duration for all digits, or a tuple with one duration for each digit.
     """
     durations_s = duration_s if isinstance(duration_s, tuple) else (duration_s,) * len(model.digits)
     sizes = [digit.coupling.shape[1] for digit in model.digits]

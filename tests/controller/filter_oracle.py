@@ -1,7 +1,7 @@
-"""Compute the model and the filter gain of a tendon a second time.
+"""Compute the model and the filter gain of a tendon independently of handctl.
 
-This implementation is independent of the first one in handctl. It covers the differential equations
-of a tendon and the steady-state Kalman gain.
+The independent implementation covers the differential equations of a tendon and the steady-state
+Kalman gain.
 """
 
 import numpy as np
@@ -22,7 +22,7 @@ from handctl.core.hand_model import HandModel
 FILTER_STATE_UNITS = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
 """Unit of each of the seven filter states.
 
-In these units, the values of all states are of the order of one.
+In the units of ``FILTER_STATE_UNITS``, the values of all filter states are of the order of one.
 """
 
 
@@ -34,7 +34,7 @@ def rates_of_change(
     motor_force: float,
     planned_rate: float,
 ) -> np.ndarray:
-    """Return the time derivatives of the seven filter states of tendon i."""
+    """Return the time derivatives of the seven filter states of the tendon ``tendon_index``."""
     space, gains = model.tendon_constants, model.gains.filter
     x, v, s, w, d, e, o = tendon_state
     f = 0.0
@@ -78,7 +78,7 @@ def process_noise_density(model: HandModel, tendon_index: int, regime: TendonReg
 
     The density of a Gauss-Markov state with standard deviation sigma and time constant tau is 2
     sigma^2 / tau. The density of a random walk is sigma^2 / tau. A digit without contact follows
-    the spool of its tendon. The noise of the spool speed therefore also acts on the digit.
+    the spool of its tendon, so the noise of the spool speed also acts on the digit.
     """
     space, gains = model.tendon_constants, model.gains.filter
     disturbance, lasts, shaking = unknown_motor_force(model, regime)
@@ -106,9 +106,10 @@ def process_noise_density(model: HandModel, tendon_index: int, regime: TendonReg
 def integrate_one_period(
     model: HandModel, tendon_index: int, regime: TendonRegime
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return F, B and the noise covariance for one control period, in scaled units.
+    """Return transition matrix F, input matrix B and noise covariance of one control period, in scaled units.
 
-    A Runge-Kutta method integrates the differential equations over the period.
+    A Runge-Kutta method integrates the differential equations of the tendon over the control
+    period.
     """
     A, B = differential_equation_matrices(model, tendon_index, regime)
     A, B = A * FILTER_STATE_UNITS / FILTER_STATE_UNITS[:, None], B / FILTER_STATE_UNITS[:, None]
@@ -137,7 +138,7 @@ def integrate_one_period(
 
 
 def measurement_noise(model: HandModel, tendon_index: int) -> np.ndarray:
-    """Return the standard deviations that the gain design assumes for encoder and load cell."""
+    """Return the standard deviations of encoder and load cell that the design of the filter gain assumes."""
     space, gains = model.tendon_constants, model.gains.filter
     return np.array(
         [
@@ -166,9 +167,9 @@ def covariance_by_doubling(
 
 
 def assumed_measurements(block: FilterBlock, regime: TendonRegime) -> np.ndarray:
-    """Return the measurement matrix H (2, 7) of the gain design.
+    """Return the measurement matrix H (2, 7) that the design of the filter gain assumes.
 
-    H has an entry for the load-cell error only if the tendon is slack.
+    The measurement matrix H has an entry for the load-cell error only if the tendon is slack.
     """
     H = block.H[:2].copy()
     H[1, E] = float(regime == TendonRegime.SLACK)
@@ -180,11 +181,11 @@ def joseph_update(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the Kalman gain (7, 2), and the covariance after an update with the readings of encoder and load cell.
 
-    ``is_missing`` (2,) marks absent measurements.
+    ``is_missing`` (2,) marks missing readings of encoder and load cell.
 
     Only in a slack tendon can the filter distinguish an error of the load cell from tension. In a
-    taut tendon, the filter does not correct the estimate of this error, but takes the variance of
-    the error into account.
+    taut tendon, the filter does not correct the estimate of the load-cell error, but takes the
+    variance of the load-cell error into account.
     """
     H, R = block.H[:2].copy(), np.diag(block.R * np.where(is_missing, 1e12, 1.0))
     H[1, E] = float(block.is_cell_error_observable)
@@ -195,9 +196,10 @@ def joseph_update(
 
 
 def assert_same_covariance(computed: np.ndarray, expected: np.ndarray) -> None:
-    """Assert that covariances (..., n, n) agree.
+    """Assert that two arrays of covariances (..., n, n) agree.
 
-    An element may differ by 1e-9 times the product of the standard deviations of its two states.
+    The permitted difference of an element is 1e-9 times the product of the standard deviations of
+    its two states.
     """
     sigma = np.sqrt(np.diagonal(expected, axis1=-2, axis2=-1))
     size = sigma[..., :, None] * sigma[..., None, :]

@@ -1,4 +1,4 @@
-"""States, sensor readings and single ticks for tests of the tension filter.
+"""Make states and sensor readings, and run single ticks, for tests of the tension filter.
 
 ``FilterState`` is the part of the controller's state that belongs to the filter.
 ``run_filter_tick_without_plan`` runs one tick of the filter on a ``FilterState``.
@@ -37,9 +37,9 @@ class FilterState(NamedTuple):
         is_length_known: True if the length of the tendon is known.
         normalised_cell_innovation: last load-cell innovation, divided by its standard deviation.
         nis_mean, nis_fast_average: slow and fast average of the normalised innovation squared.
-        is_doubtful: True if the innovations are too large for the model, so the filter trusts its
-            model less.
-        doubt_time_s: remaining time for which the filter trusts its model less [s].
+        is_doubtful: True if the innovations are too large for the model of the tendon, so the
+            filter trusts this model less.
+        doubt_time_s: remaining time for which the filter trusts its model of the tendon less [s].
         covariance: (N, 7, 7) covariance of the filter states while measurements are missing. The
             value is None if the covariance is the steady-state covariance.
         started: True if every sensor has been read once.
@@ -95,7 +95,8 @@ STATE_FIELD_BY_ATTRIBUTE = {
 }  # fmt: skip
 """Field of the state block for each attribute of ``FilterState``.
 
-The seven filter states and the covariance have no entry.
+The attributes for the seven filter states and for the covariance have no entry in
+``STATE_FIELD_BY_ATTRIBUTE``.
 """
 
 
@@ -149,11 +150,11 @@ def run_filter_tick(
 ) -> tuple[FilterState, SyntheticEstimate]:
     """Correct the filter with the measurements of one tick, and predict the present state.
 
-    The function calls the same stages as a tick of the controller.
+    The function calls the same stages of the filter as a tick of the controller.
 
     Args:
-        model: the hand. state: state of the filter after the last tick. measured: readings that the
-            sensors took at the last tick.
+        model: model of the hand. state: state of the filter after the last tick. measured: readings
+            that the sensors took at the last tick.
         motor_force: (N,) motor force on each tendon since the last tick, with motor friction already subtracted [N].
         planned_rate: (N,) planned rate of change of the tension of each tendon [N/s].
         digit_contact: for each digit, True if the digit is known to touch an object.
@@ -222,7 +223,7 @@ def noiseless_readings(
 def state_in_regime(model: HandModel, regime: TendonRegime, x: np.ndarray) -> FilterState:
     """Return a filter state in which every tendon has the same regime.
 
-    In this state, no digit rests at the mechanical stop of its open end.
+    In the returned filter state, no digit rests at the mechanical stop of its open end.
     """
     return FilterState.tendons_in_regime(x.ravel(), regime, stopped=False)
 
@@ -237,8 +238,8 @@ def state_after_first_readings(
 ) -> FilterState:
     """Return the filter state after the first readings of the encoders.
 
-    The argument ``travel`` [m] gives these readings. If ``with_load_cells`` is True, the load cells
-    have also been read.
+    The argument ``travel`` [m] contains the first readings of the motor encoders. If
+    ``with_load_cells`` is True, the load cells have also been read.
     """
     controller_state = state_with_filter(model, state)
     controller_state.mode = HandMode.SILENT
@@ -255,7 +256,7 @@ def corrected_state(
 ) -> ControllerState:
     """Return a controller's state between the correction and the prediction of the filter.
 
-    In this state, no digit is in contact.
+    In the returned state, no digit is in contact.
     """
     controller_state = state_with_filter(model, state)
     write_readings(controller_state, measured)
@@ -270,7 +271,7 @@ def state_with_filter(model: HandModel, filter_state: FilterState) -> Controller
     controller_state = active_state(model)
     controller_state.mode = (
         HandMode.ARMING
-    )  # in this mode, the filter takes contacts from the plan, and detects none itself
+    )  # in the mode ARMING, the filter takes contacts from the plan, and detects none itself
     write_filter_state(controller_state, filter_state)
     return controller_state
 

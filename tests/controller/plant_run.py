@@ -20,19 +20,20 @@ LOST_OBJECT_DISTANCE_M = 0.05
 
 @cache
 def model_of(hand_name: str) -> HandModel:
-    """Return the model of a packaged hand.
+    """Return the controller's model of a packaged hand.
 
-    The gains of each model are designed once, for all calls.
+    The gains of each hand model are designed once, and later calls return the same model.
     """
     return HandModel.from_hand(load_hand(hand_name), Gains(), CONTROL_RATE_HZ)
 
 
 @dataclass
 class PlantRun:
-    """Record of a run: a row for each tick, and all events.
+    """Record of a run: the values of each tick, and all events.
 
-    A row contains the time [s], the position of the object [m], and the contact force on each digit
-    [N]. For each tendon, a row also contains the estimated, the measured and the true tension [N].
+    The values of a tick are the time [s], the position of the object [m], and the contact force on
+    each digit [N]. For each tendon, the record also contains the estimated, the measured and the
+    true tension [N].
     """
 
     time_s: list[float] = field(default_factory=list)
@@ -44,7 +45,7 @@ class PlantRun:
     events: list[tuple[float, TickEvent]] = field(default_factory=list)
 
     def events_named(self, event_name: str) -> list[tuple[float, str]]:
-        """Return the time [s] and the place (for example the digit) of each event with a given name."""
+        """Return the time [s] of each event with a given name, and the hand part (such as a digit) that it concerns."""
         return [(time_s, event.where) for time_s, event in self.events if event.name == event_name]
 
 

@@ -1,10 +1,10 @@
 """Generate estimates, measurements and states of a hand.
 
-Tests use them in place of results of the tension filter.
+Tests use the generated estimates instead of results of the tension filter.
 
 ``ControllerState`` contains all numbers of a tick. ``SyntheticEstimate`` and ``SensorReadings`` are
-the parts of a state that a test generates. ``state_with_estimate`` writes an estimate into a state,
-and ``estimate_of`` reads the estimate from a state.
+the parts of a controller's state that a test generates. ``state_with_estimate`` writes an estimate
+into a controller's state, and ``estimate_of`` reads the estimate from a controller's state.
 """
 
 import functools
@@ -36,8 +36,8 @@ class SensorReadings(NamedTuple):
     """Measurements of one tick, with one value for each tendon (N,). A missing measurement is NaN.
 
     Attributes:
-        travel: spool travel, read by the motor encoder [m]. tension: tension, read by the load cell
-            and reduced by its tare [N]. excursion: tendon excursion, read by joint encoders [m].
+        travel: spool travel, from the motor encoder [m]. tension: load-cell reading minus the tare
+            of the load cell [N]. excursion: tendon excursion, from the joint encoders [m].
         joints: (J,) joint angles, read by the joint encoders [rad]. saturated_tendons: tendons whose load
             cell is at an end of its range.
     """
@@ -52,7 +52,8 @@ class SensorReadings(NamedTuple):
 class SyntheticEstimate(NamedTuple):
     """Estimate of the present state of a hand.
 
-    The attributes have the same names as those of ``handctl.core.hand_estimate.HandEstimate``.
+    The attributes of this class have the same names as the attributes of
+    ``handctl.core.hand_estimate.HandEstimate``.
     """
 
     tension: np.ndarray
@@ -90,7 +91,8 @@ DERIVED_ATTRIBUTES = ("is_slack", "grip_opening", "grip_travel")
 def controller_of(model: HandModel) -> Controller:
     """Return a controller that waits for requests.
 
-    The first call for a model constructs the controller, and later calls return the same object.
+    The first call for a hand model constructs the controller, and later calls return the same
+    controller.
     """
     return uncommissioned_controller(model, LiveProgram())
 
@@ -108,7 +110,8 @@ def _active_state_template(model: HandModel) -> ControllerState:
 def uncompiled_function(kernel: Callable[..., Any]) -> Callable[..., Any]:
     """Return the Python function from which a kernel was compiled.
 
-    Tests call this function directly. Only other kernels can call the compiled kernel.
+    Tests call the Python function directly, because only other kernels can call the compiled
+    kernel.
     """
     return getattr(kernel, "py_func", kernel)
 
@@ -116,15 +119,16 @@ def uncompiled_function(kernel: Callable[..., Any]) -> Callable[..., Any]:
 def active_state(model: HandModel) -> ControllerState:
     """Return the state of an active hand with a running filter.
 
-    Every tendon is taut. No digit touches an object, and no digit rests at its stop.
+    In the returned state, every tendon is taut. No digit touches an object, and no digit rests at
+    its mechanical stop.
     """
     return _active_state_template(model).copy()
 
 
 def constant_args_of(model: HandModel) -> tuple[BlockArray, TableOffsets]:
-    """Return the constants of a hand, and the layout of these constants.
+    """Return the constants of a hand model, and the memory layout of these constants.
 
-    Every stage of a tick has these two objects as its last arguments.
+    The constants and their layout are the last two arguments of every stage of a tick.
     """
     return controller_of(model).derived_constants.kernel_constants
 
@@ -132,7 +136,7 @@ def constant_args_of(model: HandModel) -> tuple[BlockArray, TableOffsets]:
 def constant_tables_of(model: HandModel) -> ConstantTables:
     """Return the tables that contain the constants of a hand.
 
-    Functions from ``uncompiled_function`` take the constants as such tables.
+    The functions that ``uncompiled_function`` returns get the constants of a hand as tables.
     """
     return uncompiled_function(constant_tables)(*constant_args_of(model))
 
@@ -158,14 +162,14 @@ def estimate_of(state: ControllerState) -> SyntheticEstimate:
 
 
 class StaticTendonForces(NamedTuple):
-    """Known forces along each tendon (N,) [N].
+    """Forces along each tendon (N,) that the filter knows [N].
 
     Attributes:
         resistance: tension that balances springs and gravity.
         driving_force: tension minus friction, if the direction of friction always follows from the tendon
             speed at the spool.
-        force_at_joints: tension minus friction. The friction follows from ``friction_state`` where this is
-            known, and from the tendon speed at the spool otherwise.
+        force_at_joints: tension minus friction. The friction follows from ``friction_state`` if
+            this value is known, and from the tendon speed at the spool if it is unknown.
     """
 
     resistance: np.ndarray
@@ -193,7 +197,7 @@ def static_tendon_forces(
 ) -> StaticTendonForces:
     """Return the known forces that the filter assumes for states (N, 7) with given tensions [N].
 
-    The stretch offset of each tendon is chosen so that the tendon has its given tension.
+    The function chooses the stretch offset of each tendon so that the tendon has its given tension.
     """
     state, space = active_state(model), model.tendon_constants
     state.tendon[s.SPOOL_TRAVEL : s.SPOOL_TRAVEL + STATE_COUNT] = table.T
@@ -221,7 +225,8 @@ def _winding_efficiency(
 def winding_efficiency_of(model: HandModel, q: np.ndarray) -> np.ndarray:
     """Return the fractions (N,) of the tensions that reach the joints at the angles ``q`` (J,) [rad].
 
-    Friction takes the rest. The fractions apply while the motors wind up the tendons.
+    Friction takes the rest of each tension. The fractions apply while the motors wind up the
+    tendons.
     """
     return np.asarray(
         _winding_efficiency(
@@ -233,7 +238,7 @@ def winding_efficiency_of(model: HandModel, q: np.ndarray) -> np.ndarray:
 def estimate_from_states(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
     """Return an estimate that corresponds exactly to filter states (N, 7).
 
-    In this estimate, all tendons are taut and no digit touches an object.
+    In the returned estimate, all tendons are taut and no digit touches an object.
     """
     n = model.tendon_count
     q, dq = np.zeros(len(model.hand.joints)), np.zeros(len(model.hand.joints))
@@ -269,7 +274,7 @@ def estimate_from_states(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
 def balanced_state(model: HandModel, joint_angle: float) -> np.ndarray:
     """Return filter states (N, 7) in which the tensions balance springs and weight.
 
-    All joints are at ``joint_angle`` [rad].
+    In the returned filter states, all joints are at ``joint_angle`` [rad].
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
@@ -311,12 +316,11 @@ def detect_contacts(
 ) -> SyntheticEstimate:
     """Detect contacts, write them into the state, and return the estimate with the contact forces.
 
-    The function also writes into the state which digits are closing.
+    The function also writes flags of the closing digits into the state.
 
     Args:
-        model: the hand. state: state of the last tick. The function writes the present tick into
-            it.
-            estimate: estimate of the present tick.
+        model: model of the hand. state: state of the last tick. The function writes the values of
+            the present tick into this state. estimate: estimate of the present tick.
     """
     for name, value in estimate._asdict().items():
         if name not in (*DERIVED_ATTRIBUTES, "grown"):

@@ -1,6 +1,6 @@
-"""Test the tensions that are allocated for joint torques.
+"""Test the tensions that the allocation chooses for given joint torques.
 
-The expected tensions come from scipy's bounded least-squares solver.
+The bounded least-squares solver of scipy computes the expected tensions.
 """
 
 import numpy as np
@@ -24,10 +24,10 @@ DIGIT_BY_CASE = {
 EXTENSOR_MOMENT_ARMS = np.array(
     [[9e-3, 0.0, 0.0], [3e-3, 6e-3, 0.0], [3e-3, 3e-3, 3e-3], [-9e-3, -6e-3, -3e-3]]
 )
-"""Moment arms of four tendons on three joints [m].
+"""Moment arms of four tendons of a digit, each at three joints [m].
 
-The last tendon opens all joints, with moment arms in the ratio 3:2:1. The digit has one tendon more
-than joints.
+The last of the four tendons opens all joints, with moment arms in the ratio 3:2:1. The digit with
+these moment arms has one tendon more than joints.
 """
 
 
@@ -64,9 +64,9 @@ def test_feasible_torques_are_made_exactly(digit_case: str) -> None:
 def allocation_cost(
     arms: np.ndarray, torque: np.ndarray, floor: np.ndarray, tension: np.ndarray
 ) -> float:
-    """Return the cost function of the allocation.
+    """Return the cost that the allocation assigns to given tensions.
 
-    The docstring of the allocation module defines this cost function.
+    The docstring of the allocation module defines the cost of tensions.
     """
     r = np.abs(arms).mean()
     return float(

@@ -1,6 +1,7 @@
 """Test hands without return springs in the simulator: commissioning, tracking, grasp and release.
 
-In these hands, a digit with n joints has n + 1 tendons. Only one kind of thumb has 2 n tendons.
+In hands without return springs, a digit with n joints has n + 1 tendons. Only one kind of thumb has
+2 n tendons.
 """
 
 import os
@@ -34,14 +35,15 @@ SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
 def n_plus_1_hand() -> Hand:
     """Return a hand with two fingers and a thumb.
 
-    A finger has three joints and four tendons. The thumb has two joints and three tendons.
+    Each finger of the hand has three joints and four tendons. The thumb of the hand has two joints
+    and three tendons.
     """
     return load_hand(ANTAGONIST_HAND)
 
 
 @cache
 def hand_without_encoders() -> Hand:
-    """Return the hand without joint encoders. The motor zeros refer to the lower joint limits."""
+    """Return the n + 1 hand without joint encoders. The zeros of its motors refer to the lower joint limits."""
     content = hand_content("n_plus_1")
     return hand_from_content(
         content | {"sensor_node": content["sensor_node"] | {"joints": []}}, "no encoders"
@@ -52,7 +54,7 @@ def hand_without_encoders() -> Hand:
 def two_n_hand() -> Hand:
     """Return the hand with n + 1 tendons per finger, but with another thumb.
 
-    At each joint of this thumb, there are two tendons: a flexor and an extensor.
+    Each joint of the other thumb has two tendons: a flexor and an extensor.
     """
     content = hand_content("n_plus_1")
     base = content["tendon"][-1]
@@ -79,14 +81,14 @@ def two_n_hand() -> Hand:
 
 @cache
 def antagonist_model() -> HandModel:
-    """Return the model of the hand at the control rate of these tests."""
+    """Return the model of a hand at the control rate of the tests in this file."""
     return HandModel.from_hand(n_plus_1_hand(), Gains(), RATE_HZ)
 
 
 def task_of_moves(*digit_and_thumb_angles_deg: tuple[float, float]) -> Task:
-    """Return a task with one move for each pair.
+    """Return a task with one move for each pair of an angle and a duration.
 
-    A pair contains one angle for all joints [deg] and the duration of the move [s].
+    A pair contains one target angle for all joints [deg] and the duration of the move [s].
     """
     phases = [
         {"kind": "move", "name": f"move {i}", "angle_deg": angle, "duration_s": duration}
@@ -104,9 +106,9 @@ def begin_run(
     first_tick: int,
     hand: Hand | None = None,
 ) -> tuple[SimulatedRun, Iterator[None]]:
-    """Begin a run of a program at tick ``first_tick``.
+    """Begin a run of a program on a simulated hand at tick ``first_tick``.
 
-    An earlier run may already have moved the simulated hand.
+    The simulated hand has possibly been moved by an earlier run.
     """
     controller = make_controller(
         hand or n_plus_1_hand(), Gains(), RATE_HZ, program, calibration, arm_at_once=True
@@ -135,9 +137,9 @@ HAND_FACTORY_BY_KIND = {
 def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
     hand_kind: str, seed: int
 ) -> None:
-    """Commissioning finds the true motor zeros of the simulated hand.
+    """The commissioning program finds the true motor zeros of the simulated hand.
 
-    The joints follow their goals within one degree.
+    The joints of the commissioned hand follow their goals within one degree.
     """
     hand = HAND_FACTORY_BY_KIND[hand_kind]()
     period_ns = round(1e9 / RATE_HZ)
@@ -152,9 +154,9 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
         )
         for row in calibration.tendon.values():
             assert row.answer_N == pytest.approx(PULL_TENSION_N, abs=0.8)
-        # The measured offset is the reading of the motor encoder when the digit is open and the
-        # tendon is just taut. An offset error of 0.1 mm of tendon turns the joints of a finger by
-        # one degree.
+        # The measured zero of a motor is the reading of the motor encoder when the digit is open
+        # and the tendon is just taut. An error of the motor zero by 0.1 mm of tendon turns the
+        # joints of a finger by one degree.
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
         travel_errors = (
             calibration.motor_zeros(hand) - offset

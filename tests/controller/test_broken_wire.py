@@ -37,7 +37,7 @@ def bench_with_saturated_cell(model: HandModel) -> ControllerBench:
     run = make_controller_bench(model, LiveProgram())
     run.run_until_mode(HandMode.ACTIVE)
     run.toy_hand.cell_bias[:] = (
-        60.0  # all load cells continue to read a high tension, so RELAX does not end
+        60.0  # all load cells continue to read a high tension, so the action RELAX does not end
     )
     run.toy_hand.cell_bias[1] = 300.0
     run.run_until_mode(HandMode.RELAX)
@@ -45,7 +45,7 @@ def bench_with_saturated_cell(model: HandModel) -> ControllerBench:
 
 
 def test_a_cell_that_stays_at_its_rail_while_the_hand_relaxes_cuts(jamia: HandModel) -> None:
-    """The hand is disabled, because the saturated load cell may be the only evidence that a drive does not obey."""
+    """The controller disables the hand: possibly only the saturated load cell shows that a drive does not obey."""
     run = bench_with_saturated_cell(jamia)
     mode_start_s = run.state.mode_start_time
     run.run_until_mode(HandMode.CUT)

@@ -1,6 +1,7 @@
 """Test the first run after a controller has died and the watchdogs of its drives have latched a fault.
 
-The drives stay disabled until the operator sends a request to clear the faults.
+Drives with latched watchdog faults stay disabled until the operator sends a request to clear the
+faults.
 """
 
 import pytest
@@ -18,7 +19,7 @@ CLEAR_REQUEST = '{"do": "clear"}'
 
 @pytest.fixture
 def hand_after_crash() -> ControllerBench:
-    """Return a bench whose hand was armed when its previous controller died."""
+    """Return a bench with a hand that was armed when an earlier controller of the hand died."""
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()
     )

@@ -1,7 +1,7 @@
 """Test the lease of a client that commands a hand in lockstep.
 
-If the client stops sending, the digits under its command come to rest. If the client remains
-silent, the whole hand relaxes.
+If the client stops sending, the digits that it commands come to rest. If the client stays silent
+for longer, the whole hand relaxes.
 """
 
 import json
@@ -25,7 +25,7 @@ LEASE_S = 0.5
 
 
 def lease_events(client: StreamClient) -> list[str]:
-    """Return the texts of all events so far about the lease of a client."""
+    """Return the texts of all events about the lease of a client that the controller has emitted so far."""
     return [
         event.text for out in client.tick_outputs for event in out.events if event.name == "lease"
     ]
@@ -34,14 +34,14 @@ def lease_events(client: StreamClient) -> list[str]:
 def run_with_client_heartbeats(
     client: StreamClient, duration_s: float, heartbeat_period_s: float = 0.1
 ) -> None:
-    """Run ticks for some seconds. The client sends a sign of life every ``heartbeat_period_s``."""
+    """Run ticks for ``duration_s``. The client sends a sign of life every ``heartbeat_period_s``."""
     for _ in range(round(duration_s / heartbeat_period_s)):
         client.tick(keep_alive_text(client.name))
         client.wait(heartbeat_period_s - client.model.period)
 
 
 def test_a_hand_relaxes_if_its_client_is_silent_after_a_hold(jamia: HandModel) -> None:
-    """Reproduce a defect: after a hold, the hand continued to pull without a time limit."""
+    """Reproduce a defect: when the client was silent after a hold, the hand continued to pull without a time limit."""
     with live_client(jamia) as client:
         client.send_command("hold", tension_N={"index": 30.0}, rate_N_per_s=500.0, lease_s=LEASE_S)
         run_with_client_heartbeats(client, 3.0 * LEASE_S)
@@ -95,10 +95,10 @@ def test_targets_of_a_stream_are_signs_of_life(jamia: HandModel) -> None:
 
 @pytest.mark.parametrize("event_after_lease", ["no lease", "leave", "another"])
 def test_a_lease_ends(jamia: HandModel, event_after_lease: str) -> None:
-    """A client's lease ends when this client sends a command without a lease.
+    """The lease of a client ends when this client sends a command that requests no lease.
 
-    A lease also ends when the client gives up the right to command, or when another client takes
-    over this right.
+    A client's lease also ends when the client gives up the right to command the hand, or when
+    another client takes over this right.
     """
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": 20.0}, duration_s=0.3, lease_s=LEASE_S)
@@ -140,7 +140,7 @@ def test_a_task_goes_on_to_its_hold_before_the_hand_relaxes(jamia: HandModel) ->
 def test_the_ticks_of_a_lost_client_repeat_to_the_last_bit(jamia: HandModel) -> None:
     """Recorded ticks give equal results when they are executed again.
 
-    The second execution starts at the start of the run, or at a snapshot in the middle of the run.
+    The re-execution begins at the start of the run, or at a snapshot in the middle of the run.
     """
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": 50.0}, duration_s=1.0, lease_s=LEASE_S)

@@ -1,4 +1,4 @@
-"""Test the commissioning program with scripted tensions: its results, and its response to each fault of a tendon."""
+"""Test the results of the commissioning program with scripted tensions, and its reaction to each fault of a tendon."""
 
 import os
 import re
@@ -42,7 +42,7 @@ def jamia() -> HandModel:
     """Return the model of ``jamia`` at a low control rate.
 
     The low rate makes the tests fast. All times in the commissioning program are in seconds, and do
-    not depend on the rate.
+    not depend on the control rate.
     """
     return HandModel.from_hand(load_hand("jamia"), Gains(), 50.0)
 
@@ -56,9 +56,9 @@ CELL_BIAS_N, TAUT_TRAVEL_M = 0.7, 1.2e-3
 NOISE_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 4)
 
 TensionsDuringPull = Callable[[int], np.ndarray]
-"""Function that returns the tension at each load cell while tendon i is pulled.
+"""Function of the index i that returns the tension at each load cell while tendon i is pulled.
 
-With i = -1 no tendon is pulled.
+For i = -1, the function returns the tensions while no tendon is pulled.
 """
 
 
@@ -75,9 +75,9 @@ def run_commissioning(
     cell_drift_N: float = 0.0,
     seed: int = 7,
 ) -> ProgramProgress:
-    """Run the commissioning program.
+    """Run the commissioning program with scripted tensions.
 
-    The tendon ``slack_tendon`` does not become taut. In a fraction ``lost_reading_fraction`` of the ticks,
+    The tendon ``slack_tendon`` stays slack. In a fraction ``lost_reading_fraction`` of the ticks,
     no frames arrive.
 
     The zero of each load cell drifts as a random walk of ``cell_drift_N`` [N] rms in 100 s.
@@ -166,8 +166,8 @@ def test_a_load_cell_that_does_not_answer_is_named(model: HandModel) -> None:
 def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> None:
     """Tension in the second tendon also changes the reading of the first load cell.
 
-    There are two possible causes: the two tendons touch each other, or one load cell is connected
-    to two channels.
+    Crosstalk of two load cells has two possible causes: their tendons touch each other, or one load
+    cell is connected to two channels.
     """
 
     def tensions_during_pull(i: int) -> np.ndarray:
@@ -194,8 +194,8 @@ def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(
 ) -> None:
     """In this test, the load cells drift twice as fast as those of packaged hands.
 
-    At the end of commissioning, the load cells have drifted by 0.9 N rms. Commissioning accepts
-    crosstalk of at most this size.
+    At the end of the commissioning, the zeros of the load cells have drifted by 0.9 N rms.
+    Commissioning accepts crosstalk of load cells of at most 0.9 N.
     """
     progress = run_commissioning(
         fifteen_motor_model,
@@ -255,8 +255,8 @@ def test_crosstalk_is_found_while_load_cells_drift(fifteen_motor_model: HandMode
 def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandModel) -> None:
     """In this test, the tension of a tendon falls slowly, by 2 N/s, after its own pull.
 
-    The load cell of this tendon still reads 1.4 N just before the pull of the next tendon, and 0 N
-    during that pull.
+    The load cell of the pulled tendon still reads 1.4 N just before the pull of the next tendon,
+    and 0 N during the pull of the next tendon.
     """
     tension_held_by_friction = np.zeros(jamia.tendon_count)
 
@@ -276,7 +276,8 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
 def test_a_load_cell_that_falls_below_its_tare_in_another_pull_is_refused(jamia: HandModel) -> None:
     """A load cell must not fall below its tare while another tendon is pulled.
 
-    A tendon that relaxes can lose only the tension that remained from its own pull.
+    When a tendon relaxes, its load-cell reading falls at most by the tension that remained from its
+    own pull.
     """
 
     def tensions_during_pull(i: int) -> np.ndarray:
@@ -313,9 +314,10 @@ def commissioning_bench(jamia_at_200_hz: HandModel) -> ControllerBench:
 def test_load_cells_that_were_never_tared_are_no_hindrance(
     commissioning_bench: ControllerBench, cell_bias_N: float
 ) -> None:
-    """After the tare, the tension loop uses load-cell readings minus their tares.
+    """After the load cells are tared, the tension loop uses load-cell readings minus their tares.
 
-    With raw readings, the bias of a load cell would change the tension of the pull.
+    With raw load-cell readings, the bias of a load cell would change the tension with which a
+    tendon is pulled.
     """
     commissioning_bench.toy_hand.cell_bias[:] = np.array([1.0, -1.0, 0.5, 0.0]) + cell_bias_N
     commissioning_bench.run_until_mode(HandMode.DONE, 30.0)
@@ -351,7 +353,7 @@ def test_a_load_cell_beyond_taring_is_named(commissioning_bench: ControllerBench
 def test_a_tare_too_near_to_an_end_of_the_range_is_refused(
     model: HandModel, tare_N: float, is_refused: bool
 ) -> None:
-    """The message names the load cell that is nearest to an end of its range, even if another load cell reads more."""
+    """The message names the load cell that is nearest to an end of its range, even if another cell reads more."""
 
     def tensions_during_pull(i: int) -> np.ndarray:
         tension = tensions_without_fault(model)(i) - CELL_BIAS_N
@@ -437,8 +439,8 @@ def test_exchanged_drives_are_refused_and_both_tendons_named(
 ) -> None:
     """Reproduce a defect: the commissioning succeeded, although the encoders of two drives were exchanged.
 
-    In the simulator, this is the fault ``swap``. The result of the commissioning had the zeros of
-    the wrong motors.
+    In the simulator, an exchange of two encoders is the fault ``swap``. The resulting calibration
+    assigned the zeros to the wrong motors.
     """
     hand = hand_with_protocol(name, protocol)
     rate = default_control_rate(hand)

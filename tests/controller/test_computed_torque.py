@@ -1,8 +1,8 @@
-"""Test the control law.
+"""Test the control law of the controller.
 
-The torque of the control law is bounded for any input. The control law switches between its motion
-loop and its tension loop without a step. With an exact model and estimate, the hand follows the
-commanded motion and tension.
+The torque of the control law is bounded for any input. The torque has no step when the control law
+switches between its motion loop and its tension loop. With an exact model and estimate, the hand
+follows the commanded motion and tension.
 """
 
 import math
@@ -35,11 +35,13 @@ from tests.controller.synthetic_states import (
 
 @pytest.mark.parametrize("torque_gain", [None, 0.5, 1.0, 1.7])
 def test_a_saturated_law_asks_no_drive_for_more_than_its_limit(torque_gain: float | None) -> None:
-    """In the control law, the torque limit is divided by the spool radius and the gain.
+    """The control law divides the torque limit of a motor by the spool radius and by the torque gain.
 
-    A later step multiplies the quotient by the spool radius and the gain.
+    After the division, a later computation multiplies the quotient by the spool radius and by the
+    torque gain.
 
-    Without a correction, rounding could make the commanded torque exceed the limit by one bit.
+    Without a correction of the torque limit, rounding could make the commanded torque exceed this
+    limit by one bit.
     """
     hand = load_hand("jamia")
     gains = None if torque_gain is None else np.full(len(hand.tendon), torque_gain)
@@ -245,13 +247,14 @@ class ClosedLoopPlant:
 
     Attributes:
         tendon_states: (N, 7) true states of the tendons.
-        digits_fixed: True if the digits cannot move.
+        digits_fixed: True if the digits of the simulation cannot move.
     """
 
     STEPS_PER_TICK = 40
-    """Number of integration steps in a tick.
+    """Number of integration steps that the simulation makes in a tick.
 
-    Small steps are necessary because capstan friction reverses within 1 mm/s of tendon speed.
+    Small integration steps are necessary because capstan friction reverses within 1 mm/s of tendon
+    speed.
     """
 
     def __init__(self, model: HandModel, filter_states: np.ndarray, digits_are_fixed: bool) -> None:
@@ -301,11 +304,11 @@ class ClosedLoopPlant:
 
 
 def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> None:
-    """The force that the filter gets is the motor force minus the mean friction over the period.
+    """The filter gets the motor force minus the mean friction over the control period.
 
-    The test finds the expected friction by integrating the motion of the rotor in small steps. At a
-    slow control rate, friction stops the rotor within one period. If the filter assumed constant
-    friction over this period, it would predict that the rotor reverses.
+    The test integrates the motion of the rotor in small steps to find the expected mean friction.
+    At a slow control rate, friction stops the rotor within one control period. If the filter
+    assumed constant friction over the period, it would predict that the rotor reverses.
     """
     rng, n, steps = np.random.default_rng(8), model.tendon_count, 400
     space, dt = model.tendon_constants, model.period / 400
@@ -400,10 +403,10 @@ def test_a_goal_without_values_leaves_the_digit_limp(jamia: HandModel, goal_kind
 
 
 def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
-    """The control law has no feedforward of digit torque, inertia and friction.
+    """In this test, the control law has no feedforward of digit torque, inertia and friction.
 
-    In this test, the tension feedback is also switched off. The control law then commands only the
-    feedback of angle and rate.
+    The tension feedback is also switched off, so that the control law commands only the feedback of
+    angle and rate.
     """
     zero_vector = {
         "inertia_share": 0.0,

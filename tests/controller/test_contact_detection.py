@@ -44,9 +44,9 @@ position_m = [0.045, 0.0, 0.0]
 [support]
 drop_when = "never"
 """
-"""Scene with a wall that is too heavy to move.
+"""Scene file with a wall that is so heavy that a hand cannot move it.
 
-Only the last links of the fingers reach the wall.
+Only the last links of the fingers reach the wall in this scene.
 """
 OPEN_ANGLES_DEG = {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}
 
@@ -70,9 +70,10 @@ def test_a_tip_without_lever_has_no_tip_force(hand: str) -> None:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_contact_with_a_wall_is_detected_20_ms_after_1_newton(hand: str, tmp_path: Path) -> None:
-    """A contact with a wall may also be detected at a force below 1 N.
+    """The controller is also allowed to detect a contact with the wall at a force below 1 N.
 
-    The benchmark ``benchmarks.grasp`` tests other closing speeds and other positions of the object.
+    The benchmark ``benchmarks.grasp`` measures contacts with other closing speeds and other
+    positions of the object.
     """
     closing = {
         "kind": "close",
@@ -107,8 +108,8 @@ def count_contacts_in_free_motion(
     planned = 1.0
     while planned < duration_s:
         speed, goal = chance.uniform(20.0, 100.0), {"index": chance.uniform(25, 50)}
-        # Either the middle finger or the thumb closes in a phase, because the two would otherwise
-        # touch.
+        # In each phase, either the middle finger or the thumb closes, because the two digits would
+        # touch each other if both closed.
         if chance.random() < 0.6:
             goal |= {"middle": chance.uniform(12, 25), "ring": chance.uniform(25, 50)}
         else:
@@ -134,8 +135,9 @@ def test_drifted_load_cells_cause_no_contact_where_a_digit_stops(
 ) -> None:
     """Reproduce a defect: a load-cell error of 1 to 2 N made the computed friction wrong at the end of a motion.
 
-    This error makes the estimated speed of the spool wrong, and the friction state is a sum of such
-    speeds. Within 30 ms of the end of the trajectory, the unexplained tension looked like a contact.
+    The load-cell error makes the estimated speed of the spool wrong, and the filter sums up such
+    speeds to compute the friction state. Within 30 ms of the end of the trajectory, the tension
+    that the model did not explain looked like a contact.
     """
     assert count_contacts_in_free_motion(hand, 60.0, seed, tmp_path) == 0
 
@@ -148,7 +150,7 @@ FREE_MOTION_CASES = [
     for hand in ("jamia", "jamia11")
     for seed in range(10)
 ]
-"""Hands and seeds of 20 minutes of free motion. One of these minutes has a false contact."""
+"""Hands and seeds of 20 runs with one minute of free motion each. One of these runs has a false contact."""
 
 
 @pytest.mark.nightly
@@ -167,8 +169,8 @@ def closing_hand(
 ) -> ControllerState:
     """Return the state of a hand whose first digits close, with the given force at each tip [N].
 
-    ``closing_digit_count`` digits close. ``earlier_fields`` sets other fields of the state, which
-    earlier ticks would have written.
+    The first ``closing_digit_count`` digits close. ``earlier_fields`` sets other fields of the
+    state that earlier ticks would have written.
     """
     state, unit = (
         active_state(model),
@@ -196,8 +198,8 @@ def closing_hand(
 def test_a_contact_force_counts_from_its_usual_negative_value(jamia: HandModel) -> None:
     """Near the end of a free motion, the force estimate at the thumb's tip is -0.35 N.
 
-    In contact, this estimate rises only to 0.2 N. The contact detection therefore uses the increase
-    of the estimate.
+    In contact, the force estimate at the thumb's tip rises only to 0.2 N. For this reason, the
+    contact detection uses the increase of the force estimate.
     """
     for mean_force, counts in ((-0.35, 0.55), (0.1, 0.2), (np.nan, 0.2)):
         state = closing_hand(jamia, 0.2, felt=0.2, usual=mean_force, drift=np.nan)
@@ -205,9 +207,9 @@ def test_a_contact_force_counts_from_its_usual_negative_value(jamia: HandModel) 
 
 
 def test_drift_of_all_closing_digits_is_no_contact_force(jamia: HandModel) -> None:
-    """If the force estimates of all closing digits stay positive for a long time, load cells drift.
+    """If the contact-force estimates of all closing digits stay positive for a long time, their load cells drift.
 
-    A load cell may drift by 0.5 N in half a minute.
+    The zero of a load cell can drift by 0.5 N in half a minute.
     """
     for drift, counts in ((0.2, 0.15), (-0.2, 0.35)):
         state = closing_hand(jamia, 0.35, felt=0.35, usual=0.2, drift=drift)
@@ -217,7 +219,7 @@ def test_drift_of_all_closing_digits_is_no_contact_force(jamia: HandModel) -> No
 def test_means_of_a_closing_digit_follow_with_their_time_constants(jamia: HandModel) -> None:
     """Test two averages of the force at the tip of a closing digit.
 
-    The averages are the mean tip force and the drift. Each average has its own time constant. A
+    The two averages of the tip force are its mean and its drift, each with its own time constant. A
     digit that does not close has no mean tip force.
     """
     state = closing_hand(

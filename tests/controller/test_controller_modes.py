@@ -40,8 +40,8 @@ ENABLE_PAYLOAD, DISABLE_PAYLOAD = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfd"
 def jamia_at_low_rate() -> HandModel:
     """Return a hand model at a low control rate.
 
-    The low rate makes the tests fast. All times in this test are in seconds, and do not depend on
-    the rate.
+    The low control rate makes the tests fast. All times in the tests are in seconds, and do not
+    depend on the control rate.
     """
     return HandModel.from_hand(load_hand("jamia"), Gains(), 200.0)
 
@@ -193,9 +193,10 @@ def test_a_second_stop_does_not_lengthen_the_first(hand_bench: ControllerBench) 
 
 
 def command_of_other_host(hand_bench: ControllerBench) -> Frame:
-    """Return a torque command to the first motor.
+    """Return a frame with a torque command to the first motor.
 
-    The controller under test does not send this frame, so a second controller has sent it.
+    The controller under test does not send the returned command frame, so only a second controller
+    could have sent this frame.
     """
     return Frame(
         hand_bench.toy_hand.motors[0].node_id, bytes(8), t_ns=hand_bench.k * hand_bench.period_ns
@@ -329,9 +330,10 @@ def test_a_motor_that_does_not_confirm_disabling_needs_its_power_removed(
 def test_a_motor_that_keeps_its_torque_needs_its_power_removed_at_once(
     hand_bench: ControllerBench,
 ) -> None:
-    """The motor still reports a torque 0.1 s after it was disabled.
+    """In this test, a motor still reports a torque 0.1 s after it was disabled.
 
-    A torque after the disable command is the fault N16 (a drive does not release).
+    If a motor still makes torque after the disable command, this is the fault N16 (a drive does not
+    release).
     """
     hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.toy_hand.motors[3].ignored_commands.add(0xFD)
@@ -354,7 +356,7 @@ def test_a_motor_that_reports_disabled_and_pulls_needs_its_power_removed(
     hand_bench.run(1.0)
     hand_bench.tick(STOP_REQUEST)
     hand_bench.run_until_mode(HandMode.DISARM)
-    # The motor reports that it is disabled, but its tendon still has this tension.
+    # The motor reports that it is disabled, but the load cell of its tendon still reads 30 N.
     hand_bench.toy_hand.cell_bias[3] = 30.0
     hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.state.failure == "REMOVE POWER: still pulling after the cut: thumb_motor"

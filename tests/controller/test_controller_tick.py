@@ -1,4 +1,4 @@
-"""Test that a tick is a pure function.
+"""Test that a tick of the controller is a pure function.
 
 With any received frames, equal inputs give equal outputs, and a tick does not change its inputs.
 """
@@ -22,10 +22,10 @@ from tests.controller.controller_bench import ControllerBench, make_controller_b
 
 
 def run_session(hand_name: str) -> ControllerBench:
-    """Return a bench after a whole run.
+    """Return a bench whose controller has executed a whole run.
 
-    In this run, the hand was armed, moved, held a tension and relaxed. During the run, a frame was
-    lost and a fault occurred.
+    In the run, the hand was armed, moved, held a tension and relaxed. In addition, a frame was lost
+    and a fault occurred.
     """
     rate = {"jamia": 200.0, "jamia11": 200.0}[hand_name]
     run = make_controller_bench(
@@ -66,9 +66,9 @@ def comparable_outputs(tick_output: TickOut) -> tuple[object, ...]:
 
 
 def test_equal_inputs_give_equal_outputs(session_bench: ControllerBench) -> None:
-    """Each tick of a run is executed again from its previous state.
+    """Each tick of a run is executed again from the state before this tick.
 
-    All bytes of its outputs are equal both times.
+    All bytes of the outputs of a tick are equal in both executions.
     """
     for state_before, entry, out in session_bench.tick_history[::3]:
         digest = state_before.digest()
@@ -124,9 +124,10 @@ def test_frames_with_unknown_identifiers_change_no_decision(session_bench: Contr
 
 
 def test_the_origin_of_time_does_not_matter() -> None:
-    """A run that starts 2560 ticks later has the same modes, phases, actions and events.
+    """A run with a start time that is 2560 ticks later has the same modes, phases, actions and events.
 
-    Only the SYNC counter and the order in which registers are read may differ.
+    The later run is allowed to differ only in the SYNC counter and in the order in which registers
+    are read.
     """
     model = HandModel.from_hand(load_hand("jamia"), Gains(), 200.0)
     runs = []
@@ -181,7 +182,7 @@ def test_telemetry_has_the_declared_shapes_and_its_fields_change(
 def test_old_values_have_no_new_time_stamp() -> None:
     """In a tick without frames, the telemetry contains NaN for every measurement.
 
-    The ages of the last measurements grow.
+    The telemetry of a tick without frames also contains the growing ages of the last measurements.
     """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()
@@ -226,8 +227,8 @@ def test_missed_ticks_are_reported_and_many_of_them_relax() -> None:
 def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
     """The channels of the sensor node are in reverse order in this test.
 
-    In this test, the second frame of the sensor node is lost. The fault names exactly the tendons
-    whose channels are in this frame.
+    In this test, the second frame of the sensor node is lost. The resulting fault names exactly the
+    tendons whose channels are in the lost frame.
     """
     content = hand_content("jamia11")
     content["sensor_node"]["tendons"] = content["sensor_node"]["tendons"][::-1]
@@ -272,7 +273,7 @@ def test_no_frame_can_stop_the_tick(
 ) -> None:
     """No received frame makes a tick of an active hand raise an exception.
 
-    All torques are finite and within their limits.
+    With any received frames, all commanded torques are finite and within their limits.
     """
     state, k = active_bench.state, active_bench.k
     for some in frames_by_tick:
@@ -314,7 +315,8 @@ def test_no_request_event_or_delay_can_stop_the_tick(
 def test_a_hand_armed_under_tension_is_not_jerked() -> None:
     """The tension loop starts at the tension that the tendons have when the hand is armed.
 
-    For example, a hand that holds an object has tensions when it is armed.
+    For example, the tendons of a hand that already holds an object are under tension when the hand
+    is armed.
     """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()

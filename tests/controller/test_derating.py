@@ -1,4 +1,4 @@
-"""Test the limits of tension.
+"""Test the limits that the controller sets on tensions.
 
 The tension limit of a warm drive falls linearly as the drive gets warmer. While the safety monitor
 holds the hand (HOLD), no tension rises and no goal moves.
@@ -30,7 +30,7 @@ from tests.controller.synthetic_states import active_state, estimate_under_tensi
 def tension_limits_at(model: HandModel, temperatures_degC: tuple[float, ...]) -> np.ndarray:
     """Return the tension limits (N,) [N] of drives that have given temperatures [degC].
 
-    The limit of a drive that is not warm is infinite.
+    The tension limit of a drive that is not warm is infinite.
     """
     state = active_state(model)
     state.view("temperature")[...] = temperatures_degC
@@ -120,7 +120,7 @@ def warm_grasp():
 def test_derating_affects_the_warm_drive_only(warm_grasp) -> None:
     """The tension limit of a drive falls while the drive warms from 70 to 85 degC.
 
-    At 84 degC, the limit is 14 N instead of 24 N.
+    At a drive temperature of 84 degC, the tension limit of the drive is 14 N instead of 24 N.
     """
     tension_before = warm_grasp.simulated_hand.truth()["tension"]
     warm_grasp.simulated_hand.inject("hot node=index_motor size=84 for=800ms")
@@ -141,7 +141,7 @@ def test_derating_affects_the_warm_drive_only(warm_grasp) -> None:
 def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
     """While the safety monitor holds the hand (HOLD), no tension exceeds the value that it had when the HOLD began.
 
-    This limit ends with the HOLD.
+    The limit of the tensions ends when the HOLD ends.
     """
     state, controller = warm_grasp.state.copy(), warm_grasp.controller
     tension = np.array(warm_grasp.simulated_hand.truth()["tension"])
@@ -181,9 +181,9 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
 
 
 def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
-    """The safety monitor holds the hand while more than 20 of the last 100 replies are lost.
+    """The safety monitor holds the hand (HOLD) while more than 20 of the last 100 replies of a drive are lost.
 
-    The state of the control law then contains the HOLD.
+    During the HOLD, the state of the control law contains a flag of the HOLD.
     """
     warm_grasp.simulated_hand.inject("drop node=thumb_motor p=0.25 seed=3 for=700ms")
     tension_before, actions_and_holds = warm_grasp.simulated_hand.truth()["tension"], []

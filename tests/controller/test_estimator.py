@@ -104,7 +104,7 @@ def readings_of(
 
 
 def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandModel) -> None:
-    """At the start of a run, load cells may reply before encoders.
+    """At the start of a run, load cells possibly reply before motor encoders.
 
     A drive sends its position only after the controller has read the drive's registers.
     """
@@ -128,10 +128,10 @@ def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandMode
 
 
 def regimes_of_readings(model: HandModel, cell_readings: list[float]) -> list[set[int]]:
-    """Return the set of the regimes of all tendons, for each tick.
+    """Return, for each tick, the set of the regimes that the tendons have.
 
-    The motors are at rest. In each tick, all load cells read the next tension in ``cell_readings``
-    [N].
+    In all ticks, the motors are at rest. In each tick, all load cells read the next tension in
+    ``cell_readings`` [N].
     """
     n = model.tendon_count
     x = np.zeros((n, STATE_COUNT))
@@ -162,9 +162,9 @@ def test_slack_ends_by_tension_and_not_by_noise(model: HandModel) -> None:
 
 
 def test_a_small_tension_ends_slack_after_a_few_ticks(model: HandModel) -> None:
-    """A tendon that is wound slowly counts as taut before its tension reaches five standard deviations.
+    """A slowly wound tendon counts as taut before its tension reaches five standard deviations of the load-cell noise.
 
-    The standard deviation is that of the load-cell noise.
+    The filter needs a few ticks to detect a tension below five standard deviations.
     """
     regimes_by_tick = regimes_of_readings(model, [0.2, 0.9, 1.2, 1.6, 1.7, 1.7])
     assert regimes_by_tick[2] == {TendonRegime.SLACK}
@@ -207,7 +207,7 @@ def test_becoming_taut_takes_the_tension_from_the_load_cell(model: HandModel) ->
 def test_a_stretch_offset_is_kept(model: HandModel) -> None:
     """In a hand that was not commissioned, the tendons have stretch offsets of several millimetres.
 
-    These offsets must not change the estimated excursions.
+    The stretch offsets must not change the estimated excursions of the tendons.
     """
     n = model.tendon_count
     x, cell = np.zeros((n, STATE_COUNT)), np.full(n, 4.0)
@@ -293,7 +293,7 @@ def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
 def test_joint_encoders_distinguish_excursion_from_offset(jamia11: HandModel) -> None:
     """Motor encoder and load cell measure only the sum of excursion and stretch offset.
 
-    Joint encoders separate the excursion from the stretch offset.
+    With joint encoders, the filter can separate the excursion from the stretch offset.
     """
     x, _ = state_at_rest(jamia11, 20.0, 0.7)
     balance = static_tendon_forces(jamia11, x, np.zeros(len(x))).resistance
@@ -318,7 +318,7 @@ def test_joint_encoders_distinguish_excursion_from_offset(jamia11: HandModel) ->
 def excursion_of(model: HandModel, joint_angles: np.ndarray) -> np.ndarray:
     """Return tendon excursions (N,), computed from joint encoder readings (J,) [rad].
 
-    A missing reading gives NaN.
+    The excursion of a tendon is NaN if the reading of one of its joint encoders is missing.
     """
     state = active_state(model)
     state.mode = HandMode.SILENT
@@ -366,10 +366,10 @@ def test_the_filter_step_changes_none_of_its_arguments(model: HandModel) -> None
 
 
 def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None:
-    """In this test, friction holds a digit just before the stop of its open end.
+    """In this test, friction holds a digit just before the mechanical stop at its open end.
 
-    If the filter assumed that the digit is at its stop, each return would add an error to the
-    estimated angle of the digit.
+    If the filter assumed that the digit is at its stop, each return of the digit would add an error
+    to its estimated angle.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = 1e-5
@@ -386,9 +386,10 @@ def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None
 
 
 def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandModel) -> None:
-    """When a digit comes to rest at the stop of its open end, the estimated excursion becomes zero.
+    """When a digit comes to rest at the mechanical stop of its open end, the estimated excursion becomes zero.
 
-    The filter adds its previous estimate of the excursion to the stretch offset of the tendon.
+    When a digit comes to rest at this stop, the filter adds its previous estimate of the excursion
+    to the stretch offset.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S], x[:, O], x[:, W] = 1.5e-5, -4e-5, 1e-3

@@ -1,6 +1,7 @@
 """Test the tension filter with data that the model of the filter generates.
 
-The covariance matches the actual errors, even while measurements are missing.
+The covariance of the filter matches the actual errors of its estimates, even while measurements are
+missing.
 """
 
 from collections.abc import Callable
@@ -80,9 +81,9 @@ MissingMeasurements = Callable[[int, np.random.Generator], np.ndarray]
 
 
 class FilterRun(NamedTuple):
-    """Errors and standard deviations of the estimates of a filter, after the filter has settled.
+    """Errors of a settled filter's estimates, and the standard deviations that the filter computes.
 
-    Each array has the shape (ticks, N).
+    Each array of errors or standard deviations has the shape (ticks, N).
     """
 
     estimate_error: np.ndarray
@@ -101,8 +102,8 @@ def run_monte_carlo(
 ) -> FilterRun:
     """Draw a random true trajectory from the filter's model in one tendon regime, and run the filter on it.
 
-    ``missing_measurements`` is a function that returns a mask (2, N) for each tick. The first row marks missing
-    encoder readings, and the second row marks missing load-cell readings.
+    ``missing_measurements`` is a function that returns a mask (2, N) for each tick. The first row
+    of the mask marks missing encoder readings, and the second row marks missing load-cell readings.
     """
     rng, n = np.random.default_rng(seed), model.tendon_count
     design_arrays_by_tendon = [integrate_one_period(model, i, regime) for i in range(n)]
@@ -127,7 +128,7 @@ def run_monte_carlo(
     tension_rows = np.array([blocks[regime].tension_row for blocks in model.filter_design.blocks])
     for k in range(tick_count):
         # The motor of this test holds the tendon as a controller would. The planned rate of change
-        # keeps the tension from drifting.
+        # of the tension prevents a drift of the tension.
         tension = (tension_rows * truth).sum(axis=1)
         travel_error = (
             truth[:, X]
@@ -192,7 +193,8 @@ def test_consistent_with_its_own_model_though_measurements_are_missing(
 ) -> None:
     """The errors of the filter are as large as its covariance predicts.
 
-    The tolerance is the statistical uncertainty of the run.
+    The permitted difference between errors and covariance is the statistical uncertainty of the
+    run.
     """
     missing = SPARSE_MEASUREMENTS[missing_pattern]
     filter_run = run_monte_carlo(
@@ -262,7 +264,7 @@ def test_missing_measurement_is_detected_in_each_regime(
 def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: HandModel) -> None:
     """In a tick without encoder readings, the first digit comes into contact.
 
-    The last digit of the hand stays without contact.
+    In this test, only the first digit touches an object, and the last digit stays without contact.
     """
     x, force = state_at_rest(model, 25.0, 0.6)
     state, digit_contact = (
@@ -331,7 +333,7 @@ MISSING_SAMPLES: dict[str, MissingMeasurements] = {
 def test_the_covariance_is_that_of_a_plain_joseph_update(
     model: HandModel, regime: TendonRegime, missing_pattern: str
 ) -> None:
-    """The covariances of the filter agree with a computation with numpy.
+    """The covariances of the filter agree with a Joseph update that numpy computes.
 
     For a slack tendon, the filter updates the covariance only while encoder readings are missing.
     """
@@ -372,9 +374,9 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
 def test_covariance_grows_over_skipped_ticks(
     model: HandModel, missed_ticks: int, prediction_time_s: float | None
 ) -> None:
-    """In missed ticks, the covariance grows.
+    """In missed ticks, the covariance of the filter grows.
 
-    It grows at most for the time for which the motors hold the last command.
+    The covariance grows at most for the time for which the motors hold the last command.
     """
     x, force = state_at_rest(model, 25.0, 0.6)
     measured, zero_vector = noiseless_readings(model, x, force), np.zeros(model.tendon_count)
@@ -408,9 +410,9 @@ def test_covariance_grows_over_skipped_ticks(
 
 
 def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
-    """The second filter of this test computes each tendon with plain loops.
+    """The second filter of this test computes the estimates of each tendon with plain loops.
 
-    The second filter has no row in its update for a missing measurement.
+    The measurement matrix of the second filter has no row for a missing measurement.
     """
     rng, n = np.random.default_rng(3), model.tendon_count
     x, force = state_at_rest(model, 25.0, 0.6)

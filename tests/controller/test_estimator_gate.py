@@ -22,7 +22,7 @@ HOLD_TENSION_N = 20.0
 class HandAtConstantTension:
     """A hand whose tendons have a constant tension.
 
-    The filter of this hand gets one reading in each call.
+    Each call of ``run_tick_with_tension`` gives one reading of every sensor to the tension filter.
     """
 
     def __init__(self, model: HandModel, regime: TendonRegime = TendonRegime.HELD) -> None:
@@ -58,7 +58,7 @@ class HandAtConstantTension:
         return estimate
 
     def settle(self) -> "HandAtConstantTension":
-        """Return the hand after 200 readings without errors."""
+        """Return this hand after its filter got 200 readings without errors."""
         for _ in range(200):
             self.run_tick_with_tension(HOLD_TENSION_N)
         return self
@@ -82,9 +82,9 @@ def test_single_outlier_is_rejected(model: HandModel) -> None:
 
 @pytest.mark.parametrize("tension_jump_N", [-8.0, 6.0, 30.0])
 def test_two_outliers_in_a_row_are_accepted(model: HandModel, tension_jump_N: float) -> None:
-    """Two equal outliers in a row show a real impact instead of a sensor error.
+    """Two successive equal outliers of a load cell show a real impact instead of a sensor error.
 
-    The filter therefore follows the second outlier at once.
+    The filter follows the second of two equal outliers at once.
     """
     hand = HandAtConstantTension(model).settle()
     hand.run_tick_with_tension(HOLD_TENSION_N + tension_jump_N)
@@ -112,9 +112,9 @@ def test_a_saturated_cell_is_no_measurement(model: HandModel) -> None:
 def slack_tendon_estimate(
     hand: HandAtConstantTension, cell_error_N: float, slack_length_m: float, duration_s: float
 ) -> SyntheticEstimate:
-    """Return the estimate of slack tendons.
+    """Return the estimate of a hand whose tendons are slack.
 
-    The load cell of tendon 0 reads ``cell_error_N`` [N] although the tendon has no tension.
+    The load cell of tendon 0 reads ``cell_error_N`` [N], although tendon 0 has no tension.
     """
     model = hand.model
     x = np.zeros((model.tendon_count, STATE_COUNT))
@@ -189,9 +189,10 @@ def test_a_model_that_does_not_fit_is_reported_once(model: HandModel) -> None:
 def test_the_filter_predicts_every_tick_that_was_skipped(
     model, missed_ticks: int, expected_prediction_s: float | None
 ) -> None:
-    """Over skipped ticks, the filter predicts with a constant motor force for up to 50 ms.
+    """When ticks are skipped, the filter predicts the state with a constant motor force for up to 50 ms.
 
-    The filter applies the planned change of the tension for only one period.
+    When ticks are skipped, the filter applies the planned change of the tension for only one
+    control period.
     """
     state, force = state_while_winding(model)
     rate, contact_flags = np.full(model.tendon_count, 50.0), (False,) * len(model.digits)
@@ -222,7 +223,8 @@ def test_the_filter_predicts_every_tick_that_was_skipped(
 def state_while_winding(model: HandModel) -> tuple[FilterState, np.ndarray]:
     """Return a filter state, and motor forces that balance the tensions [N].
 
-    The digits are half closed, and their rotors turn. All tendons have a tension of 20 N.
+    In the returned filter state, the digits are half closed, and the rotors turn. All tendons have
+    a tension of 20 N.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), 0.5)
@@ -236,9 +238,10 @@ def state_while_winding(model: HandModel) -> tuple[FilterState, np.ndarray]:
 def test_occasional_positions_do_not_make_the_filter_oscillate(
     jamia: HandModel, ticks_per_position: int
 ) -> None:
-    """The gains of the filter assume a measured position in every tick.
+    """The design of the filter gains assumes that each drive sends its position in every tick.
 
-    A drive may send its position less often, for example only in every 11th tick after a reset.
+    However, a drive can send its position less often, for example only in every 11th tick after a
+    reset.
     """
     held_hand = HandAtConstantTension(jamia).settle()
     chance = np.random.default_rng(7)

@@ -64,7 +64,7 @@ def test_a_digit_is_on_its_stop_below_its_limits_and_not_at_them(was_at_stop: bo
 def filter_state(model: HandModel, regime: TendonRegime, **state_values: float) -> FilterState:
     """Return a filter state in which every tendon has the same regime and no digit is at its stop.
 
-    Keyword arguments set columns of the tendon states by name.
+    Each keyword argument sets one of the seven states of all tendons to a value.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     for name, value in state_values.items():
@@ -77,8 +77,8 @@ def tension_explained_by_contact(
 ) -> np.ndarray:
     """Return the part of each tension that a contact explains [N].
 
-    All tendons have a tension of 20 N and move with the speed ``tendon_speed`` [m/s]. In this test,
-    the filter gets no readings.
+    All tendons have a tension of 20 N and move with the speed ``tendon_speed`` [m/s]. The filter
+    gets no sensor readings.
     """
     stretch = (
         20.0 + model.tendon_constants.damping * tendon_speed
@@ -108,7 +108,7 @@ def test_a_slack_tendon_bears_no_contact_wherever_its_digit_is(model: HandModel)
 def used_measurements(model: HandModel, state: FilterState, measured: SensorReadings) -> np.ndarray:
     """Return the measurements (N, 3) that the filter uses in a given state.
 
-    An unused measurement is NaN.
+    A measurement that the filter does not use is NaN.
     """
     run = state_with_filter(model, state)
     write_readings(run, measured)
@@ -126,7 +126,7 @@ def test_slack_length_is_digit_excursion_minus_spool_travel(
 ) -> None:
     """The slack length is the excursion of the digit minus the travel of the spool.
 
-    The load cell of a slack tendon reads only its own error.
+    The load cell of a slack tendon reads only the error of the load cell.
     """
     n = model.tendon_count
     measured = empty_readings(model)._replace(travel=np.zeros(n), tension=np.full(n, 0.3))
@@ -150,7 +150,7 @@ def test_slack_length_is_digit_excursion_minus_spool_travel(
 def regimes_after_sample(model: HandModel, state: FilterState, cell_tension: float) -> FilterState:
     """Return the filter state after all load cells have read ``cell_tension`` [N].
 
-    No digit touches an object.
+    In the returned filter state, no digit touches an object.
     """
     return filter_state_of(
         corrected_state(
@@ -170,9 +170,10 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
 ) -> None:
     """The motor encoder alone shows that a tendon will soon be taut, but only if its length is known.
 
-    The length is known if the tendon was taut before.
+    The length of a tendon is known if the tendon was taut before.
 
-    After the tendon has become taut, the filter counts its evidence from zero again.
+    After a tendon has become taut, the filter resets its evidence for a change of the regime to
+    zero.
     """
     n = model.tendon_count
     lower_tension = next(

@@ -1,4 +1,4 @@
-"""With a wrong friction in the hand file, the tension estimate is no worse than the raw load-cell reading."""
+"""Test that a tension estimate with wrong friction parameters is no worse than the raw load-cell reading."""
 
 from pathlib import Path
 
@@ -36,9 +36,9 @@ from tests.controller.synthetic_states import active_state, constant_args_of, un
 TESTED_HANDS = ("jamia", "jamia11", "jamia_bench")
 FRICTION_FACTORS = (0.5, 1.0, 1.5, 2.0)
 EVALUATION_START_S = 1.2
-"""Time from which the errors are evaluated [s].
+"""Time in the run from which the test evaluates the errors of the tension estimate [s].
 
-By this time, no tendon is slack, and the filter has noticed the wrong friction.
+At ``EVALUATION_START_S``, no tendon is slack, and the filter has noticed the wrong friction.
 """
 TAUT_TENSION_N = 0.5
 BACK_AND_FORTH_TASK = {
@@ -66,7 +66,7 @@ def run_with_friction(
 
 
 def estimate_and_cell_rmse(run: PlantRun) -> tuple[float, float]:
-    """Return the tension RMSE [N] of the estimate and of the raw load cell.
+    """Return the RMSE [N] of the estimated tension, and the RMSE of the raw load-cell reading.
 
     The RMSE includes only taut tendons, and only the time while the hand moves.
     """
@@ -89,7 +89,7 @@ def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
 ) -> None:
     """In this test, the hand moves freely to and fro.
 
-    The simulated friction is the friction of the hand file times a factor.
+    The simulated friction is ``friction_factor`` times the friction in the hand file.
     """
     estimate, cell = estimate_and_cell_rmse(
         run_with_friction(hand_name, friction_factor, seed, tmp_path)
@@ -101,7 +101,8 @@ def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
 def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
     """After large innovations, the filter assumes more noise, which makes the same innovations look normal.
 
-    The filter therefore uses the original noise to decide about the warning.
+    To decide about the warning, the filter uses the noise that it assumed before the large
+    innovations.
     """
     model = model_of(hand)
     x, force = state_at_rest(model, 20.0, 0.5)
@@ -142,10 +143,10 @@ def _judge_innovations(
 def nis_average_and_doubt_time(
     model: HandModel, recent_nis: np.ndarray, doubt_time_s: np.ndarray, nis: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return two results of one tick (N,).
+    """Return the average NIS and the remaining doubt time of each tendon (N,) after one tick.
 
-    One result is the average of the normalised innovation squared, which the filter computes. The
-    other result is the time for which the filter still assumes additional noise [s].
+    The average NIS is the average of the normalised innovation squared that the filter computes.
+    The doubt time is the time for which the filter still assumes additional noise [s].
     """
     state, n = active_state(model), model.tendon_count
     state.view("nis_lately")[...], state.view("wary")[...] = recent_nis, doubt_time_s
@@ -167,8 +168,8 @@ def test_a_slow_loop_does_not_adapt() -> None:
 def test_one_tendon_or_all_raise_doubt(jamia11: HandModel) -> None:
     """One tendon with large innovations makes the filter doubt the model of this tendon.
 
-    Smaller innovations in all tendons together make it doubt the models of all tendons. A single
-    reading causes no doubt.
+    Smaller innovations in all tendons together make the filter doubt the models of all tendons. A
+    single reading with a large innovation causes no doubt.
     """
     period, default_nis, zero_vector = jamia11.period, np.full(11, 2.0), np.zeros(11)
     for odd, all_of_them in (
@@ -185,9 +186,9 @@ def test_one_tendon_or_all_raise_doubt(jamia11: HandModel) -> None:
 
 
 def test_doubt_ends_and_missing_samples_do_not_change_it(jamia11: HandModel) -> None:
-    """The time for which the filter still doubts its model decreases in each tick.
+    """In each tick, the remaining time for which the filter doubts its model decreases.
 
-    A missing reading (NaN) does not change the average of the innovations.
+    A missing reading (NaN) does not change the average of the normalised innovation squared.
     """
     n = jamia11.tendon_count
     recent_nis, wary = nis_average_and_doubt_time(

@@ -1,4 +1,4 @@
-"""Test the exercise program: the goals of each digit in each of its stages."""
+"""Test the goals of each digit in each stage of the exercise program."""
 
 import pytest
 
@@ -11,13 +11,14 @@ from tests.controller.synthetic_states import empty_readings, estimate_under_ten
 from tests.hand.hand_on_wrist import mount_on_wrist
 
 StageRecord = tuple[str, tuple[DigitGoal, ...], tuple[bool, ...]]
-"""Name of a stage, the goals of all digits, and a flag for each digit that rests on a stop or an object."""
+"""Name of a stage, the goals of all digits, and flags of the digits that rest on a stop or on an object."""
 
 
 def exercise_stages(model: HandModel) -> list[StageRecord]:
     """Return the stages of the exercise program in the order of execution.
 
-    In this run, the hand is at rest, and its tendons are taut.
+    The function runs the exercise program with the estimate of a hand that is at rest and has taut
+    tendons.
     """
     program, t = ExerciseProgram(), 0.0
     progress = program.initial_progress(model)
@@ -39,8 +40,8 @@ def exercise_stages(model: HandModel) -> list[StageRecord]:
 def test_a_wrist_keeps_its_angle_while_the_other_digits_exercise(hand_name: str) -> None:
     """Reproduce a defect: the exercise moved the wrist fast, and then closed the wrist with a constant tension.
 
-    The heavy wrist moved by 9 deg in 0.1 s. This motion ended the step test of `tune design` with
-    fault T01 (a tendon snapped).
+    The heavy wrist moved by 9 deg in 0.1 s. The fast motion of the wrist ended the step test of
+    `tune design` with the fault T01 (a tendon snapped).
     """
     hand = load_hand(hand_name) if hand_name == "orca_like" else mount_on_wrist(hand_name)
     model = HandModel.from_hand(hand, packaged_gains(hand_name), 400.0)
@@ -64,8 +65,9 @@ def test_a_wrist_keeps_its_angle_while_the_other_digits_exercise(hand_name: str)
 def test_only_digits_without_springs_close_with_a_slow_rise(hand_name: str) -> None:
     """Reproduce a defect: the tension of closed digits without springs rose with 200 N/s to 30 N.
 
-    A digit that friction had stopped early then closed so fast that fault T01 (a tendon snapped)
-    ended the run. During a hold, the tension still changes at the default rate.
+    When the tension rose, a digit that friction had stopped early closed so fast that the fault T01
+    (a tendon snapped) ended the run. During a hold of the exercise program, tensions change at the
+    default rate.
     """
     model = HandModel.from_hand(load_hand(hand_name), packaged_gains(hand_name), 400.0)
     default_rate = model.gains.tension.rate_N_per_s

@@ -1,7 +1,7 @@
-"""Test the filter design.
+"""Test the design of the tension filter.
 
-Compare the discrete model with the differential equations of a tendon. Compare the gains with the
-gains of a second solver.
+Compare the discrete model with the differential equations of a tendon. Compare the filter gains
+with the gains that a second solver computes.
 """
 
 import itertools
@@ -36,7 +36,7 @@ from tests.controller.synthetic_states import constant_tables_of
 
 
 class FilterDesigns:
-    """Filter designs of the packaged hands at any control rate."""
+    """Filter designs of the packaged hands at a chosen control rate."""
 
     def __init__(self, model_by_hand: dict[str, HandModel]) -> None:
         self.models = model_by_hand
@@ -175,7 +175,7 @@ def test_the_transition_of_all_tendons_is_that_of_its_blocks(
 
 
 def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
-    """The kernels get all parts of the filter design, and variances that were computed from these parts."""
+    """The kernels get all arrays of the filter design, and variances that were computed from these arrays."""
     design = constant_tables_of(model).design
     assert design.shape == (model.tendon_count, h.FILTER_DESIGN_COUNT, h.FILTER_DESIGN_SIZE)
     offset_by_matrix = {
@@ -249,9 +249,9 @@ def rng() -> np.random.Generator:
 
 
 def test_tendons_that_are_alike_share_a_design(jamia11: HandModel) -> None:
-    """Tendons of equal fingers share one design.
+    """Tendons of equal fingers share one filter design.
 
-    The tendons of the thumb have other designs, because a thumb tendon moves another mass.
+    The tendons of the thumb have other filter designs, because a thumb tendon moves another mass.
     """
     blocks = dict(zip(jamia11.hand.tendon_names, jamia11.filter_design.blocks, strict=True))
     assert blocks["index_t1"] is blocks["ring_t1"]

@@ -1,7 +1,6 @@
 """Test how friction changes a tension when a digit reverses its motion.
 
-One part of the tests checks the computation of the friction band alone, and another part runs the
-simulator.
+Some tests check only the computation of the friction band, and other tests run the simulator.
 """
 
 from pathlib import Path
@@ -28,7 +27,7 @@ def tensions_at_speeds(
 ) -> np.ndarray:
     """Return the expected tensions (ticks, N) at given winding speeds.
 
-    In this test, the command is 12 N, and friction takes 20 % of the tension.
+    The commanded tension is 12 N, and friction takes 20 % of the tension.
     """
     n = model.tendon_count
     present_tensions, tensions, crept = (
@@ -58,7 +57,8 @@ def test_winding_and_paying_out_are_the_edges_of_the_band(model: HandModel) -> N
 def test_reversal_takes_the_travel_of_the_friction_band(model: HandModel) -> None:
     """With a tendon stiffness of 100 N/mm and a speed of 5 mm/s, the tension falls from 15 to 9.6 N in 11 ms.
 
-    The computed time is slightly shorter, because the model of the friction lets the tendon creep.
+    The computed time of the fall is slightly shorter than 11 ms, because the model of the friction
+    lets the tendon creep.
     """
     turned_tensions = tensions_at_speeds(model, [-5e-3] * 40, 15.0)
     ticks = int(np.argmax(turned_tensions[:, 0] <= 9.6 + 1e-9)) + 1

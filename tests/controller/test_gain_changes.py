@@ -114,9 +114,9 @@ def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
 
 
 def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
-    """A change of gains is refused during the commissioning.
+    """The controller refuses a change of gains during the commissioning.
 
-    The next run would not use the changed gains.
+    The run after the commissioning would not use gains that were changed during the commissioning.
     """
     bench = ControllerBench(
         uncommissioned_controller(jamia, CommissionProgram()),
@@ -154,8 +154,8 @@ RecordedControlLawCall = tuple[Controller, ControllerState, ControllerState, Saf
 def record_control_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[RecordedControlLawCall]:
     """Return a list that records each call of the control law.
 
-    An entry contains the controller, its states before and after the call, the action of the safety
-    monitor, and the number of ticks.
+    An entry of the list contains the controller, its states before and after the call, the action
+    of the safety monitor, and the number of ticks.
     """
     calls, real = list[RecordedControlLawCall](), Controller._compute_torques
 
@@ -212,10 +212,10 @@ def test_a_change_makes_no_step_in_torque(
 def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     jamia: HandModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The commands with old and with new gains are limited in the same way.
+    """The controller limits the torque commands with old and with new gains in the same way.
 
-    Otherwise the difference between both commands would become a trim force that makes the tendon
-    slack.
+    If only one of the two commands were limited, their difference would become a trim force that
+    makes the tendon slack.
     """
     bench = noiseless_hand(jamia)
     bench.tick(MOVE_REQUEST)
@@ -325,10 +325,10 @@ def test_every_key_has_bounds_and_its_default_is_within(jamia: HandModel) -> Non
 def test_every_corner_of_the_live_bounds_can_be_designed(
     jamia: HandModel, uses_upper_bound: bool
 ) -> None:
-    """The test sets one gain at a time to its bound. The other gains keep their defaults.
+    """The test sets one gain at a time to its bound. All gains except the gain at its bound keep their defaults.
 
-    The value of some gains must be greater than their lower bound. For these gains, the test uses
-    the bound plus one hundredth of the default.
+    Some gains must be greater than their lower bound. For such a gain, the test uses the lower
+    bound plus one hundredth of the gain's default.
     """
     for key, bound in gain_bounds().items():
         if bound.is_changeable_live:

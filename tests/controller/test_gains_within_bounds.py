@@ -1,4 +1,4 @@
-"""With any gains within their bounds, either a controller is designed, or one error line gives the reason."""
+"""Test that, with any gains within their bounds, handctl designs a controller or gives the reason in one error line."""
 
 import math
 from contextlib import suppress

@@ -1,4 +1,4 @@
-"""Test targets that jump. A motor that has not yet reacted to the new target is not stuck."""
+"""Test targets that jump. A motor that has not yet reacted to a new target does not count as stuck."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,8 @@ def hand_with_equal_readings(
 ) -> ControllerState:
     """Return the state of a hand whose tendons have the targets ``target_travel`` [m].
 
-    In this state, the readings of the motors have not changed for some ticks.
+    In the returned state, the readings of the motor encoders have not changed for ``tick_count``
+    ticks.
     """
     state = active_state(model)
     state.view("followed")[...] = target_travel
@@ -33,9 +34,9 @@ def targets_after_command(
     joint_angle: float,
     excursions: float | Vector = np.nan,
 ) -> ControllerState:
-    """Return the state after a command of one angle for all joints [rad].
+    """Return the state after a command that moves all joints to ``joint_angle`` [rad].
 
-    The argument ``excursions`` gives the excursions of the tendons [m].
+    The argument ``excursions`` contains the present excursions of the tendons [m].
     """
     state = previous_state.copy()
     state.view("q_goal")[...] = joint_angle

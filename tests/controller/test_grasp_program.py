@@ -92,7 +92,7 @@ class ProgramRun:
         return events
 
     def run_until_contact(self, estimate: SyntheticEstimate) -> None:
-        """Run ticks with the same estimate for as long as the detection of a contact takes."""
+        """Run ticks with the same estimate until the program can have detected a contact."""
         for _ in range(
             round(5 * TIP_FORCE_TIME_CONSTANT_S / self.model.period)
             + self.model.gains.contact.ticks
@@ -126,7 +126,8 @@ def hand_in_contact(
 ) -> SyntheticEstimate:
     """Return the estimate of a hand with taut tendons.
 
-    ``external_tension_by_digit`` is the tension [N] that an object causes, for each digit that touches it.
+    ``external_tension_by_digit`` contains the tension [N] that an object causes, for each digit
+    that touches the object.
     """
     estimate = estimate_under_tension(model, tension, 0.5)
     force = np.zeros(model.tendon_count)
@@ -179,7 +180,7 @@ def test_a_tendon_that_stays_loose_ends_the_run_with_its_name(model: HandModel) 
 
 
 def test_tightening_must_last(model: HandModel, taut_estimate: SyntheticEstimate) -> None:
-    """A slack tendon delays the end of the phase that tightens the tendons, but only up to a time limit."""
+    """A slack tendon delays the end of the phase ``tighten``, but only up to a time limit."""
     run = ProgramRun(model)
     run.run_until_phase("tighten", taut_estimate)
     for seconds, estimate in (
@@ -307,7 +308,7 @@ def test_contact_is_a_force_at_the_tip_that_lasts(
 def test_tip_force_estimate_equals_the_applied_force(model: HandModel) -> None:
     """The contact detection computes the force at a fingertip from the tensions that balance this force.
 
-    The computed force is right in any pose of the digit.
+    The computed force at a fingertip is right in any pose of the digit.
     """
     q, balance, forces = np.empty(len(model.hand.joints)), np.empty(model.tendon_count), []
     for d, digit in enumerate(model.digits):
@@ -352,8 +353,9 @@ def test_a_digit_that_touches_later_joins_the_grasp(
 def test_a_wrist_never_touches_and_keeps_its_motion(hand_name: str, wrist_force: float) -> None:
     """Reproduce a defect: a heavy wrist counted as a digit in contact.
 
-    The wrist then got a constant tension instead of its motion, and left its angle. In this test,
-    the force along the wrist tendon has the same sign as the moment arm of this tendon.
+    A wrist that counted as in contact got a constant tension instead of its motion, and left its
+    angle. In this test, the force along the wrist tendon has the same sign as the moment arm of
+    this tendon.
     """
     hand = load_hand(hand_name) if hand_name == "orca_like" else mount_on_wrist(hand_name)
     model = HandModel.from_hand(hand, Gains(), 500.0)
@@ -412,9 +414,9 @@ def test_release_waits_for_the_tension_to_fall(
 def run_release(
     model: HandModel, taut_estimate: SyntheticEstimate, tension: float, **release_fields: float
 ) -> tuple[ProgramRun, float]:
-    """Return a run after its release phase, and the duration of this phase [s].
+    """Return a run of the grasp program after its release phase, and the duration of the release phase [s].
 
-    In this run, the tension of all tendons is ``tension`` [N].
+    In the run, the tension of all tendons is ``tension`` [N].
     """
     task = {
         **GRASP_TASK,
@@ -479,7 +481,7 @@ def test_a_digit_that_is_held_stays_so_while_others_close(
 ) -> None:
     """A digit that holds an object continues to hold it during a second close phase.
 
-    Only a release or a move ends a hold.
+    Only a release phase or a move phase ends the hold of a digit.
     """
     close, hold = GRASP_TASK["phase"][2:4]
     run = ProgramRun(model, {**GRASP_TASK, "phase": [close, hold, {**close, "name": "again"}]})

@@ -1,6 +1,6 @@
 """Test the fault thresholds that depend on the hand.
 
-A value above the threshold of one hand may be normal for another hand.
+A measured value above the fault threshold of one hand can be normal for another hand.
 """
 
 from pathlib import Path

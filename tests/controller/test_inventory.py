@@ -1,4 +1,4 @@
-"""Test the beginning of a run.
+"""Test the beginning of a run, in which the controller finds and configures all drives.
 
 The controller waits until every drive and every load cell has replied with a first reading.
 """
@@ -72,7 +72,7 @@ def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(
 def hand_in_inventory(hand_bench: ControllerBench, duration_s: float) -> ControllerState:
     """Return the state of a hand that waits for the first reading of every node.
 
-    The state contains readings of all nodes, and tests may remove some of these readings.
+    The returned state contains readings of all nodes. A test can remove some of these readings.
     """
     hand_bench.run_until_mode(HandMode.READY)
     state = hand_bench.state.copy()
@@ -99,7 +99,7 @@ def mode_after_inventory(
 def test_a_ready_drive_that_never_reports_its_position_is_named(
     hand_bench: ControllerBench,
 ) -> None:
-    """A drive may report that it is ready, but send no position.
+    """A drive can report that it is ready without sending its position.
 
     An ODrive, for example, sends heartbeats even if its encoder messages are switched off.
     """

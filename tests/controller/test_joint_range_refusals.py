@@ -113,7 +113,7 @@ def test_a_tip_force_for_all_digits_names_the_first_that_cannot_make_it():
 def test_a_tip_force_is_refused_before_the_bus_is_opened(tmp_path, capsys):
     """The command in this test names a bus that does not exist.
 
-    If it opened the bus before it checked the task, the error would name the bus.
+    If the command opened the bus before it checked the task, the error message would name the bus.
     """
     path = tmp_path / "tip.toml"
     path.write_text(

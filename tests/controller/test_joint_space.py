@@ -1,6 +1,7 @@
 """Test tasks and trajectories that name single joints.
 
-Joints that a task does not name keep their angles. Joints that are coupled must get the same angle.
+Joints that a task does not name keep their angles. A task must set coupled joints to the same
+angle.
 """
 
 from typing import Any

@@ -1,6 +1,7 @@
-"""After a pause of the host or the simulator, several replies of a node arrive in one tick.
+"""Test replies of a node that arrive together in one tick, after a pause of the host or the simulator.
 
-The controller must not regard late replies as those of a second node with the same identifier.
+The controller must not regard late replies of a node as replies of a second node with the same
+identifier.
 """
 
 import pytest
@@ -16,9 +17,9 @@ from tests.controller.controller_bench import ControllerBench, make_controller_b
 
 
 def test_replies_that_a_busy_host_reads_late_are_no_second_node() -> None:
-    """In this test, the host reads some replies one tick late.
+    """In this test, the host reads some replies of drives one tick late.
 
-    In the last tick, it reads late replies together with replies that are in time.
+    In the last tick, the host reads late replies of drives together with replies that are in time.
     """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 500.0), LiveProgram()
@@ -51,9 +52,9 @@ def test_replies_that_a_busy_host_reads_late_are_no_second_node() -> None:
 
 
 def test_late_replies_without_time_stamps_are_no_second_node() -> None:
-    """On this bus, the time of a frame is the time at which the host reads it.
+    """On the bus of this test, the time stamp of a frame is the time at which the host reads the frame.
 
-    After a pause, the simulator replies to two ticks at once.
+    After a pause, the simulator sends the replies to the commands of two ticks together.
     """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 500.0), LiveProgram()
@@ -88,9 +89,10 @@ def test_late_replies_without_time_stamps_are_no_second_node() -> None:
 def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(
     paused_ticks: int,
 ) -> None:
-    """The replies to three ticks arrive in one tick.
+    """The replies to the commands of three ticks arrive in one tick.
 
-    At about the same time, the controller forgets the requests of the earlier ticks.
+    At about the time at which the replies arrive, the controller forgets the requests of the
+    earlier ticks.
     """
     run = bench_without_time_stamps()
     waiting: list[Frame] = []
@@ -131,9 +133,10 @@ def second_node_reports(tick_output: TickOut) -> list[str]:
 
 
 def test_replies_may_be_in_time_again_after_many_late_ones() -> None:
-    """In this test, the motors first reply just after each deadline.
+    """At the start of this test, the drives reply just after the deadline of each tick.
 
-    Then the motors reply faster. A late reply and a reply in time arrive in the same tick.
+    Later, the drives reply faster, so that a late reply and a reply in time arrive in the same
+    tick.
     """
     run = bench_without_time_stamps()
     held_frames: list[list[Frame]] = [[]]

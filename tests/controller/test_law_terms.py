@@ -1,4 +1,4 @@
-"""Test each term of the control law: how the estimate and the trajectory change the motor force."""
+"""Test how each term of the control law makes the motor force depend on the estimate and on the trajectory."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ from tests.controller.synthetic_states import (
 EVALUATION_TIME_S = 0.25
 """Time at which the control law is evaluated [s].
 
-At this time, the motion, which lasts one second, still accelerates.
+At ``EVALUATION_TIME_S``, the motion of one second still accelerates.
 """
 
 
@@ -113,7 +113,7 @@ def test_the_disturbance_estimate_is_subtracted_in_a_hold(model: HandModel) -> N
 def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
     """After a tick without torque, the tension loop starts at the present tension.
 
-    Earlier commands have no effect on the tension loop.
+    Commands before the tick without torque have no effect on the tension loop.
     """
     state, tension = active_state(model), np.linspace(3.0, 4.0, model.tendon_count)
     for name in (

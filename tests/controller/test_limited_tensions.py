@@ -19,7 +19,7 @@ HIGH_TENSION_N = 60.0
 
 
 IMMEDIATE_RATE_N_PER_S = 1e6
-"""Rate at which a tension set-point reaches its goal within one tick [N/s]."""
+"""Rate of change with which the setpoint of a tension reaches its goal within one tick [N/s]."""
 
 
 def idle_control_law_state(model: HandModel) -> ControlLawState:

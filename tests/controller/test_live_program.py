@@ -1,4 +1,4 @@
-"""Test targets and jog requests that arrive during a run: which requests are refused, and when a motion ends."""
+"""Test targets and jog requests during a run: which requests the controller refuses, and when a motion ends."""
 
 import math
 from dataclasses import replace
@@ -28,7 +28,7 @@ def goal_of_request(request_text: str) -> MoveDigitsRequest | HoldTensionRequest
 def begin_live_program(
     model: HandModel, estimate: SyntheticEstimate
 ) -> tuple[LiveProgram, ProgramProgress]:
-    """Return a program and its progress. The program waits for live requests."""
+    """Return a program that waits for requests of a client, and the progress of the program."""
     program = LiveProgram()
     progress, t = program.initial_progress(model), 0.0
     while progress.phase != "live":

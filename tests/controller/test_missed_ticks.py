@@ -12,7 +12,7 @@ from handctl.programs.live_session import LiveProgram
 from tests.controller.controller_bench import make_controller_bench
 
 FAST_SPEED_RAD_S = 28.0
-"""Speed of a rotor that pays out its tendon [rad/s]. The drive can report speeds up to 30 rad/s."""
+"""Speed of a rotor that pays out its tendon [rad/s]. The drive of the rotor can report speeds up to 30 rad/s."""
 
 
 @pytest.mark.parametrize("missed_ticks", [0, 1, 4])

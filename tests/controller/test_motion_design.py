@@ -1,6 +1,7 @@
-"""The LQR gains make both control loops stable.
+"""Test that the LQR gains make the motion loop and the tension loop stable.
 
-The control loops have the stability margins of an LQR, as far as sampling permits.
+The motion loop and the tension loop have the stability margins of an LQR, as far as the control
+rate permits.
 """
 
 import numpy as np
@@ -27,7 +28,7 @@ def motion_plant(mass_kg: float, period_s: float) -> tuple[np.ndarray, np.ndarra
 def tension_plant(
     model: HandModel, tendon_index: int, period_s: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the discrete model of a rotor on a tendon whose end is fixed.
+    """Return the discrete model of a rotor that winds a tendon with a fixed far end.
 
     The states of the model are tension [N] and speed [m/s].
     """
@@ -45,9 +46,9 @@ def tension_plant(
 def control_loops(
     model: HandModel, gains: Gains, period_s: float
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Return the matrices (F, G, K) of both control loops of the first and the last tendon.
+    """Return the matrices (F, G, K) of the motion loop and the tension loop, for the first and the last tendon.
 
-    The control law is: force = -K state.
+    F and G describe the plant, and the control law is: force = -K state.
     """
     design, control_loops_of_motion = design_motion(model.tendon_constants, gains, period_s), []
     for i in (0, model.tendon_count - 1):
@@ -69,9 +70,9 @@ def spectral_radius(transition: np.ndarray) -> float:
 
 @pytest.mark.parametrize("rate_hz", CONTROL_RATES_HZ)
 def test_both_loops_are_stable_with_margins(model: HandModel, rate_hz: float) -> None:
-    """The control loops are stable with 0.5 and with 1.5 times their gain.
+    """The motion loop and the tension loop stay stable if their gains are multiplied by 0.5 or by 1.5.
 
-    The phase margin at each gain crossover is above 30 degrees.
+    The phase margin of both control loops at each gain crossover is above 30 degrees.
     """
     for F, G, K in control_loops(model, Gains(), 1.0 / rate_hz):
         for factor in (0.5, 1.0, 1.5):
@@ -88,9 +89,10 @@ def test_both_loops_are_stable_with_margins(model: HandModel, rate_hz: float) ->
 
 @pytest.mark.parametrize("rate_hz", [50.0, 100.0])
 def test_slow_rates_are_stable_too(model: HandModel, rate_hz: float) -> None:
-    """Both control loops stay stable at a control rate near the natural frequency of a tendon.
+    """The motion loop and the tension loop stay stable at a control rate near the natural frequency of a tendon.
 
-    At such a rate, the loops do not have the stability margins of an LQR.
+    At a control rate near this natural frequency, the control loops do not have the stability
+    margins of an LQR.
     """
     for F, G, K in control_loops(model, Gains(), 1.0 / rate_hz):
         assert spectral_radius(F - G @ K) < 1.0
@@ -98,9 +100,9 @@ def test_slow_rates_are_stable_too(model: HandModel, rate_hz: float) -> None:
 
 @pytest.mark.parametrize("rate_hz", CONTROL_RATES_HZ)
 def test_the_gains_are_optimal(model: HandModel, rate_hz: float) -> None:
-    """Small changes of the designed gains do not reduce the LQR cost, from any of several initial states.
+    """Small changes of the LQR gains do not reduce the LQR cost of a motion from any of several initial states.
 
-    The cost of a motion is summed over the ticks of the motion.
+    The LQR cost of a motion is summed over the ticks of the motion.
     """
     gains, force_weight_fraction = Gains(), min(1.0, (rate_hz / 500.0) ** 0.5)
     weights = [

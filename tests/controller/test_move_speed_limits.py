@@ -1,6 +1,6 @@
-"""Test that a task is refused if one of its moves turns a rotor too fast.
+"""Test that handctl refuses a task if one of its moves turns a rotor too fast.
 
-A sudden stop of such a rotor would tear its tendon.
+A sudden stop of a rotor that turns too fast would tear its tendon.
 """
 
 from typing import Any

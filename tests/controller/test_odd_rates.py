@@ -1,6 +1,6 @@
 """Test control rates whose period is no multiple of the simulator's time step.
 
-Even at such rates, the simulated readings have no jitter, and the innovations of the filter have
+At any control rate, the simulated readings have no jitter, and the innovations of the filter have
 the predicted variance.
 """
 
@@ -42,10 +42,10 @@ def make_back_and_forth_controller(hand_name: str, rate_hz: float) -> Controller
 
 
 def mean_nis_and_events(hand_name: str, rate_hz: float, seed: int) -> tuple[float, list[TickEvent]]:
-    """Return the mean NIS in a free motion, and the events about estimates and faults.
+    """Return the mean NIS during a free motion, and the events that concern estimates and faults.
 
-    The mean is over all tendons and ticks. NIS is the normalised innovation squared per degree of
-    freedom.
+    The mean NIS is averaged over all tendons and ticks. NIS is the normalised innovation squared
+    per degree of freedom.
     """
     nis: list[np.ndarray] = []
     events: list[TickEvent] = []
@@ -68,8 +68,8 @@ def test_innovations_have_their_predicted_variance_at_any_rate(
 ) -> None:
     """Reproduce a defect: the simulator sampled its sensors up to 0.5 ms early.
 
-    At 300, 450 and 640 Hz, the mean normalised innovation squared was therefore 3 to 5 instead of
-    1.
+    Because of the early sampling, the mean normalised innovation squared was 3 to 5 instead of 1 at
+    300, 450 and 640 Hz.
     """
     for seed in SIMULATOR_SEEDS:
         nis, events = mean_nis_and_events(hand_name, rate_hz, seed)

@@ -23,12 +23,12 @@ SIMULATOR_SEEDS = range(20) if NIGHTLY else range(1)
 TRACKING_LIMITS_DEG = {"jamia": 0.6, "n_plus_1": 0.6, "jamia11": 1.3}
 """Limit of the tracking error of each hand [deg].
 
-With tendons that pass through the axis of the wrist, the tracking errors of the three hands are
-0.3, 0.15 and 1.0 deg.
+If the tendons pass through the axis of the wrist, the tracking errors of the three hands are 0.3,
+0.15 and 1.0 deg.
 """
 TESTED_HANDS = tuple(TRACKING_LIMITS_DEG) if NIGHTLY else ("jamia", "n_plus_1")
 WAVE_ANGLES_DEG = ((30.0, 0.0), (45.0, 20.0), (45.0, -20.0), (20.0, 10.0), (50.0, 10.0))
-"""Angle of all digit joints and angle of the wrist at the end of each phase of the task [deg]."""
+"""Target angle of all digit joints, and target angle of the wrist, for each phase of the task [deg]."""
 
 
 class ControlErrors(NamedTuple):
@@ -38,7 +38,8 @@ class ControlErrors(NamedTuple):
         tracking_deg: RMSE between commanded and true angle of the digits [deg]. The angle of a
             digit is the mean of its joint angles along a tendon.
         wrist_deg: RMSE between commanded and true angle of the wrist [deg].
-        external_N: mean tension of the wrist's tendon that the model does not explain [N].
+        external_N: mean of that part of the tension of the wrist's tendon that the model does not
+            explain [N].
     """
 
     tracking_error_deg: float
@@ -60,7 +61,7 @@ def waving_task(hand: Hand) -> Task:
 def simulate_control_errors(
     assumed_hand: Hand, simulated_hand: Hand, seed: int
 ) -> ControlErrors | None:
-    """Simulate the hand ``simulated_hand`` with a controller that was built for the hand ``assumed_hand``.
+    """Simulate the hand ``simulated_hand`` with a controller for the hand ``assumed_hand``.
 
     Return the control errors, or None if a fault ended the run.
     """
@@ -98,8 +99,8 @@ def simulate_control_errors(
 def test_a_digit_follows_while_the_wrist_turns(hand_name: str, seed: int) -> None:
     """A digit follows its goal even while the wrist turns.
 
-    The tracking error is more than four times as large if the controller assumes that tendons pass
-    through the axis of the wrist.
+    The tracking error becomes more than four times as large if the controller assumes that the
+    tendons pass through the axis of the wrist.
     """
     hand = mount_on_wrist(hand_name)
     errors_with_wrist_model = simulate_control_errors(hand, hand, seed)
@@ -117,8 +118,8 @@ def test_a_digit_follows_while_the_wrist_turns(hand_name: str, seed: int) -> Non
 def test_the_wrist_bears_the_tendons_that_pass_it() -> None:
     """The controller includes the torque that tendons of the fingers exert on the wrist.
 
-    If the controller neglected this torque, the tension of bent fingers would look like an object
-    that pushes the wrist.
+    If the controller neglected the torque of the tendons on the wrist, the tension of bent fingers
+    would look like an object that pushes the wrist.
     """
     hand = mount_on_wrist("jamia")
     errors_with_wrist_model = simulate_control_errors(hand, hand, 0)

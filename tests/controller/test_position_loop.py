@@ -1,6 +1,7 @@
 """Test commands, tracking errors, tensions and faults of hands whose drives close the position loops.
 
-``python -m tests.controller.test_position_loop moteus 10`` prints the tracking errors of ten seeds.
+The command ``python -m tests.controller.test_position_loop moteus 10`` prints the tracking errors
+of ten seeds.
 """
 
 import json
@@ -49,9 +50,9 @@ position target with the commanded velocity.
 """
 RATE_HZ = 500.0
 STIFF_KP_N_M_PER_RAD = 2.5
-"""Stiffness of a tendon of ``jamia`` at its spool [N m/rad].
+"""Stiffness of a tendon of the hand ``jamia``, as torque per angle of the spool [N m/rad].
 
-This stiffness is the largest position gain that the hand file may have.
+The stiffness of the tendon is the largest position gain that handctl accepts in the hand file.
 """
 TENSION_TRIP_N = 140.0
 
@@ -69,7 +70,7 @@ def hand_with_position_loop(
 ) -> Hand:
     """Return a packaged hand whose drives close the position loop.
 
-    For moteus drives, the hand file contains both gains, kp and kd.
+    For moteus drives, the hand file contains the position gain kp and the velocity gain kd.
     """
     hand = with_position_loop(hand_with_protocol(hand_name, protocol), kp_N_m_per_rad=kp)
     if protocol != "moteus":
@@ -104,7 +105,7 @@ def start_back_and_forth_run(
 ) -> Iterator[SimulatedRun]:
     """Yield the run of a simulated hand that moves to and fro.
 
-    The yielded run has just reached the start of the first move.
+    The yielded run has just reached the first tick of its first move.
     """
     controller = make_controller(
         hand,
@@ -126,9 +127,10 @@ def sent_stiffness(run: SimulatedRun) -> np.ndarray:
 def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
     """Return the RMS error along each tendon (N,) [deg], and the largest true tension [N].
 
-    Both are measured while the hand moves. The error along a tendon is the error of the mean angle
-    of the joints that the tendon passes. In ``jamia``, the springs determine how the single joints
-    share this error.
+    The RMS error and the largest tension are measured while the hand moves. The error along a
+    tendon is the error of the mean angle of the joints that the tendon passes. In the hand
+    ``jamia``, the springs determine how the single joints of a digit share the error along a
+    tendon.
     """
     errors, peak = list[np.ndarray](), 0.0
     with start_back_and_forth_run(hand, seed, move_count=2) as run:
@@ -147,8 +149,8 @@ def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
 def moteus_command(payload: bytes) -> tuple[float, ...]:
     """Return the values in the payload of a moteus command.
 
-    The values are position [rad], velocity [rad/s], torque [N m], the fractions of kp and kd, and
-    the torque limit [N m].
+    A moteus command contains position [rad], velocity [rad/s], torque [N m], the fractions of kp
+    and kd, and the torque limit [N m].
     """
     assert len(payload) == 48
     assert (payload[:5], payload[17:19], payload[31:36]) == (
@@ -169,8 +171,8 @@ def moteus_command(payload: bytes) -> tuple[float, ...]:
 def test_a_moteus_command_makes_the_predicted_torque(motor_direction: int) -> None:
     """A moteus drive moves its position target with the commanded velocity.
 
-    The average of the target over a period is therefore ahead of the commanded position. The
-    difference is the motion in half a period.
+    The average of the position target over a control period is ahead of the commanded position by
+    the motion in half a control period.
     """
     hand = hand_with_position_loop(protocol="moteus")
     motors = tuple(
@@ -208,7 +210,7 @@ def test_a_moteus_command_makes_the_predicted_torque(motor_direction: int) -> No
                 )
                 torque += motor.kd_N_m_s_per_rad * kd * (motor_direction * velocity - v)
                 torque_of_law = run.state.view("torque")[n]
-                # The gains are rounded to six digits, and the position is a float32.
+                # The position gains are rounded to six digits, and the position is a float32.
                 assert torque == pytest.approx(torque_of_law, abs=2e-5)
                 margin = TORQUE_LIMIT_MARGIN_N * model.tendon_constants.spool_radius[n]
                 assert limit == pytest.approx(
@@ -238,8 +240,8 @@ def test_a_position_command_makes_the_predicted_torque() -> None:
                     + decoded_command.kd * (decoded_command.velocity - v)
                     + decoded_command.torque
                 )
-                # The tolerance is the sum of three torques. The three torques correspond to the
-                # resolutions of position, velocity and torque in the command.
+                # The permitted torque difference is the sum of three torques. The three torques
+                # correspond to the resolutions of position, velocity and torque in the command.
                 assert torque == pytest.approx(run.state.view("torque")[n], abs=2.0e-3)
                 sent += decoded_command.kp > 0.0
                 assert decoded_command.kp == pytest.approx(run.state.view("servo_kp")[n], abs=1e-9)
@@ -261,9 +263,9 @@ def test_a_stiff_drive_follows_twice_as_well(seed: int) -> None:
 
 
 LARGEST_ERROR_RATIO = {"jamia": 0.75, "jamia11": 0.85, "t42": 1.01}
-"""Largest permitted ratio of the tracking error with position loops to the error with torque commands.
+"""Largest permitted tracking error with position loops, divided by the tracking error with torque commands.
 
-The springs determine the tracking error of ``t42``.
+The springs of the hand ``t42`` determine its tracking error in both cases.
 """
 
 
@@ -324,7 +326,7 @@ def test_an_obstacle_bounds_the_tension(kp: float | None, protocol: str, seed: i
                 blocked = True
                 assert sent_stiffness(run)[0] == 0.0
         assert blocked
-        # A blocked digit presses with up to 30 N more than its motion requires, see
+        # A blocked digit presses with a tension of up to 30 N more than its motion requires, see
         # touch.MAX_BLOCKED_EXTRA_TENSION_N.
         assert peak < 60.0, f"{peak} N"
 
@@ -336,7 +338,8 @@ def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(
 ) -> None:
     """When the host dies, a moteus drive continues to move its position target until its watchdog fires after 50 ms.
 
-    Without the torque limit in the last command, the drive would pull with 70 N in this test.
+    Without the torque limit in the last command of the host, the moteus drive would pull with 70 N
+    in this test.
     """
     with start_back_and_forth_run(hand_with_position_loop(protocol="moteus"), seed) as run:
         for _ in range(round((0.1 + 0.06 * seed) * RATE_HZ)):
@@ -361,7 +364,7 @@ def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(
         assert [motor.servo.kp for motor in motors.values()] == [0.0] * 4, (
             "the watchdogs have fired"
         )
-        # The kinetic energy of the moving rotor may raise the tension above the limit.
+        # The kinetic energy of the moving rotor can raise the tension above the limit.
         assert (peak < np.maximum(tension_at_loss, limit) + 10.0).all(), (
             f"{peak} N, limits {limit} N"
         )
@@ -410,7 +413,7 @@ EXPECTED_FAULTS = {
     "stuck encoder=index_motor": {"N04"},
     "swap node=index_motor with=thumb_motor": {"N05b", "N14", "N17", "T04b"},
     "cross node=index_motor with=thumb_motor": {"N14", "N17", "N04", "T04b", "N05b"},
-    # With the fault "replay", old replies of a moteus drive arrive again, in addition to the
+    # With the fault "replay", a moteus drive sends its old replies again, in addition to its
     # present replies.
     "replay node=index_motor size=16": {"N05b", "N14", "N17", "N04", "B06", "N13"},
     "disobey node=index_motor size=0.4": {"N14", "N17"},
@@ -453,7 +456,7 @@ def test_a_drive_that_ignores_kp_is_found(protocol: str, seed: int) -> None:
 def test_a_healthy_drive_reports_what_is_predicted(protocol: str, force_sigma_N: float) -> None:
     """The force that a drive reports agrees with the force that the controller has predicted.
 
-    Detectors compare these two forces to find drives that do not obey.
+    Detectors compare the reported force with the predicted force to find drives that do not obey.
     """
     with start_back_and_forth_run(hand_with_position_loop("jamia", protocol)) as run:
         apart = []
@@ -475,7 +478,8 @@ def test_a_report_is_predicted_within_the_limit_of_its_command(force_sign: int) 
         )
         run.state.view("servo_position")[1] += 2.0 * force_sign
         run.run_tick()
-        # The report that arrives in tick k is the reply to the command of tick k - 2.
+        # The torque report that arrives in tick k is the drive's reply to the command of tick k -
+        # 2.
         run.run_tick()
         assert run.state.view("servo_report")[1] == pytest.approx(force_sign * limit)
         assert (
@@ -514,9 +518,10 @@ def test_a_moteus_without_gains_is_refused(gain_key: str) -> None:
 def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(
     gain_value: float, rate_hz: float
 ) -> None:
-    """The fractions of kp and kd in a moteus command are limited to 1.
+    """A moteus command contains fractions of the gains kp and kd, which are limited to 1.
 
-    A drive that makes less torque than commanded would need larger fractions.
+    For a moteus drive that makes less torque than commanded, the controller would need fractions of
+    kp and kd above 1.
     """
     hand = hand_with_position_loop(protocol="moteus")
     model = HandModel.from_hand(hand, packaged_gains("jamia"), rate_hz, np.full(4, gain_value))
@@ -586,10 +591,10 @@ def test_a_hand_without_position_loops_has_no_servo_table_and_keeps_its_identity
 
 
 def print_tracking_errors(protocol: str, seed_count: int) -> None:
-    """Print a line for each hand and mode.
+    """Print a line for each hand and each control mode of the drives.
 
-    The line contains the mean tracking error, the range of this error over the seeds, and the
-    largest tension.
+    Each printed line contains the mean tracking error, the range of the tracking error over the
+    seeds, and the largest tension.
     """
     for name in LARGEST_ERROR_RATIO:
         hands = {

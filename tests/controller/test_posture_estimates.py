@@ -1,6 +1,6 @@
 """Test estimated joint angles and their standard deviations in simulated grasps.
 
-Other tests compare the equations of the estimate with plain linear algebra.
+Further tests compare the equations of the joint-angle estimate with plain linear algebra.
 """
 
 import os
@@ -51,7 +51,8 @@ class GraspPostureSample(NamedTuple):
     """Values of one tick of a grasp: the phase, joint angles (J,) [rad], and the contact force on each digit [N].
 
     The joint angles are the true angles, the estimated angles with their standard deviations, and
-    ``angles_of_free_hand``. The last are the angles that the digits would have without contact.
+    ``angles_of_free_hand``. ``angles_of_free_hand`` are the angles that the digits would have
+    without contact.
     """
 
     phase: str
@@ -67,9 +68,9 @@ def packaged_task(task_name: str) -> Path:
 
 
 def hand_file_with_encoders(folder: Path, joints_with_encoders: int | None = None) -> Path:
-    """Write a hand file of jamia with encoders at all or at the first ``joints_with_encoders`` joints.
+    """Write a hand file of jamia with encoders at all joints, or at the first ``joints_with_encoders`` joints.
 
-    Return its path.
+    Return the path of the hand file.
     """
     text = packaged_task("jamia").read_text(encoding="utf-8")
     read = load_hand("jamia").joints[:joints_with_encoders]
@@ -83,7 +84,7 @@ def hand_file_with_encoders(folder: Path, joints_with_encoders: int | None = Non
 def run_grasp(
     hand_file: Path, task_name: str, scene_name: str, seed: int
 ) -> Iterator[GraspPostureSample]:
-    """Yield the values of each tick of a simulated grasp."""
+    """Yield one ``GraspPostureSample`` for each tick of a simulated grasp."""
     model = HandModel.from_hand(load_hand(str(hand_file)), Gains(), RATE_HZ)
     program = TaskProgram(load_task_for_hand(Path(task_name), model.hand)[0])
     with SimulatorSettings(hand_file, scene_name, seed, homed=True).begin_run(
@@ -110,12 +111,14 @@ def root_mean_square(errors: np.ndarray) -> float:
 def test_the_truth_is_within_two_sigma_in_a_grasp(task_name: str, scene_name: str) -> None:
     """For at least 95 % of the joints and ticks, the true joint angle is within two standard deviations.
 
-    While an object is held, the error of a joint is nearly constant. A run of the hand with eleven
-    joints is therefore a sample of only eleven errors. One error above two standard deviations does
-    not show that a standard deviation is wrong. The 95 % hold for the runs with all seeds together.
-    In a single run, one joint may have a larger error.
+    While a hand holds an object, the error of each joint angle is nearly constant. For this reason,
+    a run of the hand with eleven joints is a sample of only eleven errors. One error above two
+    standard deviations does not show that a standard deviation is wrong. The limit of 95 % applies
+    to the runs with all seeds together. In a single run, one joint is allowed to have a larger
+    error.
 
-    During the hold, angles that are computed without regard to the contact have larger errors.
+    During the hold of an object, joint angles that are computed without regard to the contact have
+    larger errors.
     """
     is_within_two_sigma = []
     for seed in SIMULATOR_SEEDS:
@@ -173,7 +176,7 @@ def angles_of_tick(
 ) -> JointAngles:
     """Return the joint angles that are estimated in tick k with external tensions (D,) [N].
 
-    The function also writes this tick into the state.
+    The function also writes the values of tick k into the state.
     """
     state.view("touch")[...] = external_tension
     state.set_run_table_integer(s.K, tick_index)
@@ -254,7 +257,7 @@ def state_after_fusion(
     encoder_sigma: np.ndarray,
     t_ns: int,
 ) -> ControllerState:
-    """Return a state after the readings of joint encoders were fused with the estimate.
+    """Return the state after the filter has fused readings of joint encoders with the estimate.
 
     ``encoder_angles`` (C, J) and ``encoder_sigma`` (J, N) determine the covariance before the fusion.
     """
@@ -273,8 +276,9 @@ def state_after_fusion(
 def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
     """In this test, only one joint has an encoder.
 
-    The filter weights the estimate and the reading of this joint according to their covariances.
-    The angles of the other joints are corrected through their correlation with this joint.
+    The filter weights the estimated angle and the encoder reading of this joint according to their
+    covariances. The filter corrects the angles of the other joints through their correlation with
+    the angle of the joint with an encoder.
     """
     model = HandModel.from_hand(
         load_hand(str(hand_file_with_encoders(tmp_path, joints_with_encoders=1))), Gains(), RATE_HZ
@@ -308,8 +312,8 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
 def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed: int) -> None:
     """The estimator fuses one encoder after the other.
 
-    One update in matrix form gives the same result. Both computations leave out readings from
-    frames that are too old.
+    One update with all encoders in matrix form gives the same result as successive updates with one
+    encoder. Both kinds of update leave out encoder readings from frames that are too old.
     """
     model = HandModel.from_hand(load_hand(str(hand_file_with_encoders(tmp_path))), Gains(), RATE_HZ)
     rng, constants, state = (

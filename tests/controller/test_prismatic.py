@@ -35,7 +35,7 @@ RATE_HZ = 500.0
 
 
 def back_and_forth_task(hand_name: str) -> Task:
-    """Return a task that moves the digits of a hand to and fro, in mm and deg."""
+    """Return a task with positions in mm and deg that moves the digits of a hand to and fro."""
     angles = (
         [{"left": 20.0, "right": 10.0}, {"left": 2.0, "right": 18.0}]
         if hand_name == "parallel_gripper"
@@ -80,7 +80,7 @@ def test_a_hand_is_commissioned_and_moves(hand_name: str, seed: int) -> None:
                 errors.append(hand.display_units.to_display_units(run.state.view("q_goal") - q))
                 largest = np.maximum(largest, hand.display_units.to_display_units(q))
         assert run.state.mode == HandMode.DONE
-        # The RMS tracking error is at most 1 mm or 1 deg.
+        # The permitted RMS tracking error of a joint is 1 mm or 1 deg.
         assert np.sqrt(np.nanmean(np.square(errors), axis=0)).max() < 1.0
         assert largest[0] > 14.0
 
@@ -108,7 +108,7 @@ def test_the_mean_of_a_sliding_digit_is_its_position() -> None:
 
 
 def model_of(hand_name: str) -> HandModel:
-    """Return the model of a gripper."""
+    """Return the controller's model of a gripper."""
     return HandModel.from_hand(load_hand(HAND_FILE_FOLDER / f"{hand_name}.toml"), Gains(), RATE_HZ)
 
 
@@ -126,8 +126,8 @@ def test_thresholds_count_10_mm_as_1_rad() -> None:
         for name in ("joint_scale", "arms_sum", "encoder_variance")
     }
     np.testing.assert_allclose(view["joint_scale"], [0.01, 0.01, 1.0])
-    # The order is jaw_close, jaw_open, finger_slide, finger_bend. finger_bend has a moment arm of
-    # 10 mm.
+    # The order of the tendons is jaw_close, jaw_open, finger_slide, finger_bend. The tendon
+    # finger_bend has a moment arm of 10 mm.
     np.testing.assert_allclose(view["arms_sum"], [0.01, 0.01, 0.01, 0.015])
     np.testing.assert_allclose(view["encoder_variance"][0], 4e-10 + 25e-10 / 12.0)
 

@@ -1,7 +1,7 @@
-"""Random streamed targets cause no fault that stops the hand.
+"""Test that random streamed targets cause no fault that stops the hand.
 
-The targets stay within the range of each joint or tendon, reach both ends of this range, and change
-at any speed. In one test, a client streams tensions to one digit of each packaged hand with
+The random targets stay within the range of each joint or tendon, reach both ends of this range, and
+change at any speed. In one test, a client streams tensions to one digit of each packaged hand with
 springs. In another test, a client streams angles to all digits of each packaged hand, so that
 digits touch each other. The warning T02a (a tendon is slack) is no failure of the test.
 """
@@ -27,7 +27,7 @@ FloatArray = NDArray[np.float64]
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 STREAM_DURATION_S = 3.0
 STREAM_RATE_HZ = 100.0
-"""Rate of the streamed targets [Hz]. A control loop with a lower rate gets one target per tick."""
+"""Rate of the streamed targets [Hz]. If the control rate is lower, the controller gets one target per tick."""
 
 
 @cache
@@ -43,7 +43,7 @@ def white_noise_targets(
     highest_targets: FloatArray,
     times: FloatArray,
 ) -> FloatArray:
-    """Return targets of white noise. Some of these targets exceed the limits."""
+    """Return targets of white noise. Some of the returned targets exceed the limits of the targets."""
     range_excess = 0.1 * (highest_targets - lowest_targets)
     return rng.uniform(
         lowest_targets - range_excess,
@@ -58,7 +58,7 @@ def step_targets(
     highest_targets: FloatArray,
     times: FloatArray,
 ) -> FloatArray:
-    """Return targets that step from one limit to the other."""
+    """Return targets that jump between the lowest and the highest target."""
     hold = int(rng.integers(5, 40))
     is_at_highest = rng.integers(0, 2, (len(times), len(lowest_targets)))[
         np.arange(len(times)) // hold
@@ -87,9 +87,9 @@ def random_walk_targets(
     highest_targets: FloatArray,
     times: FloatArray,
 ) -> FloatArray:
-    """Return targets that walk at random within the limits.
+    """Return targets that change as a random walk within the limits of the targets.
 
-    The random walk takes 50 steps per second.
+    The targets make 50 steps of the random walk per second.
     """
     steps_of_walk = (
         rng.normal(0.0, 0.125, (len(times), len(lowest_targets)))
@@ -106,7 +106,7 @@ def random_walk_targets(
 def target_limits(
     hand_name: str, target_space: str, digit: str
 ) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
-    """Return the names of the values of a stream, with the lowest and the highest target of each [deg or N]."""
+    """Return the names of the joints, digits or tendons of a stream, with their lowest and highest targets [deg, N]."""
     hand = load_hand(hand_name)
     if target_space == "tension":
         tendons = hand.tendon[hand.digit_tendons[digit]]
@@ -161,8 +161,8 @@ def test_random_targets_cause_no_fault(
 ) -> None:
     """Reproduce a defect: random streams ended within 45 ms with the fault T01 (a tendon snapped).
 
-    There were two causes. While a digit moved freely, the tension setpoint was far ahead of the
-    tension. While a digit was in contact, the reference angle was far ahead of the joint angle.
+    The fault T01 had two causes. While a digit moved freely, the tension setpoint was far ahead of
+    the tension. While a digit was in contact, the reference angle was far ahead of the joint angle.
 
     Reproduce another defect: 12 of 60 streams of tensions to n_plus_1 ended with the faults T01, T02b
     or N14b. The integral of the tension error moved the free finger, and slack tendons were taken up
@@ -193,7 +193,7 @@ def test_random_targets_cause_no_fault(
 def test_a_spool_pair_that_turns_around_does_not_count_as_torn() -> None:
     """Reproduce a defect: 6 of 60 streams of angles to orca_like ended with the fault T01.
 
-    The targets reversed the motion of a spool pair that has no load cell. The estimated tension
-    lagged behind the command.
+    The targets reversed the motion of a spool pair that has no load cell. The estimated tension of
+    the spool pair lagged behind the commanded tension.
     """
     test_random_targets_cause_no_fault("digit", "orca_like", random_walk_targets, 2)

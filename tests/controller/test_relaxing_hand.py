@@ -1,4 +1,4 @@
-"""While a hand relaxes, no request and no fault can raise a tension."""
+"""Test that no request and no fault can raise a tension while a hand relaxes."""
 
 import numpy as np
 import pytest
@@ -99,9 +99,10 @@ def fastest_setpoint_fall(bench: ControllerBench, tendon_index: int = 0) -> floa
 def test_over_tension_is_relaxed_four_times_as_fast(
     jamia_at_low_rate: HandModel, was_relaxing_before: bool
 ) -> None:
-    """The tension falls faster from the tick in which a load cell reads too much.
+    """From the tick in which a load cell reads a tension that is too high, the tension falls four times as fast.
 
-    This is also true if the hand is already relaxing.
+    The tension also falls faster if the hand was already relaxing before the high load-cell
+    reading.
     """
     run = bench_holding_hand(jamia_at_low_rate)
     run.tick('{"do": "hold", "tension_N": {"index": 60}, "rate_N_per_s": 1000}')
@@ -164,10 +165,10 @@ def test_after_a_fault_during_arming_no_further_drive_is_enabled(
 def test_a_run_with_its_own_goals_refuses_goals_of_clients(
     jamia_at_low_rate: HandModel, request_text: str
 ) -> None:
-    """The goals of a client are refused while the hand is commissioned.
+    """The controller refuses the goals of a client while the hand is commissioned.
 
-    A goal could tension a tendon while its load cell is tared. All readings of this load cell would
-    then be wrong in later runs.
+    A goal could tension a tendon while its load cell is tared. With a wrong tare, all readings of
+    the load cell would be wrong in later runs.
     """
     run = make_controller_bench(jamia_at_low_rate, CommissionProgram())
     run.run_until_mode(HandMode.ACTIVE)

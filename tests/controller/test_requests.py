@@ -1,6 +1,6 @@
 """Test valid and invalid requests to the control loop.
 
-No datagram of another program can stop the control loop.
+No datagram that another program sends to the controller can stop the control loop.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Test the planned positions of digits during a motion, and the tensions that this motion requires."""
+"""Test the planned positions of digits during a motion, and the tensions that the motion requires."""
 
 from dataclasses import replace
 
@@ -23,10 +23,7 @@ def motion_goals(
 def test_a_motion_depends_on_the_time_since_its_start_only(
     hand_name: str, durations_s: tuple[float, ...], request: pytest.FixtureRequest
 ) -> None:
-    """In one case, all digits move for the same duration.
-
-    In another case, the durations of the digits differ.
-    """
+    """In one test case, all digits move for the same duration. In another one, the durations of the digits differ."""
     model: HandModel = request.getfixturevalue(hand_name)
     first_goals, later_goals = (motion_goals(model, since, durations_s) for since in (0.0, 2.0))
     motion = joint_motion_at(model, first_goals, 0.1)
@@ -36,7 +33,7 @@ def test_a_motion_depends_on_the_time_since_its_start_only(
 
 
 def required_tensions_by_digit(model: HandModel, joint_motion: np.ndarray) -> np.ndarray:
-    """Compute the tensions (N,) [N] of a motion for each digit separately, without the shortcuts of the control law."""
+    """Compute the tensions (N,) [N] that a motion requires, for each digit separately and without optimisations."""
     required_tensions = np.zeros(model.tendon_count)
     q, dq, ddq = joint_motion.tolist()
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
@@ -56,9 +53,9 @@ def required_tensions_by_digit(model: HandModel, joint_motion: np.ndarray) -> np
 def test_the_load_of_each_digit_is_limited_separately(
     hand_name: str, request: pytest.FixtureRequest
 ) -> None:
-    """In this test, the required tension of some digits is at its bound, and that of others is not.
+    """In this test, the required tensions of some digits are at their bound, and those of other digits are not.
 
-    A digit whose tension is at its bound does not change the tensions of other digits.
+    A digit whose required tension is at its bound does not change the tensions of other digits.
     """
     model: HandModel = request.getfixturevalue(hand_name)
     goals, rng = motion_goals(model, 0.0, (0.5, 0.4, 0.5, 0.6)), np.random.default_rng(4)

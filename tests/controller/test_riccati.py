@@ -1,4 +1,4 @@
-"""handctl solves Riccati equations with the same result as the Python package ``control``, to the last bit."""
+"""Test that handctl and the Python package ``control`` solve Riccati equations with equal results, to the last bit."""
 
 import control
 import numpy as np

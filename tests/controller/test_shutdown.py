@@ -1,4 +1,4 @@
-"""After an exception in a tick, the drives get disable commands until each has confirmed that it is disabled."""
+"""Test that drives get disable commands after an exception in a tick, until each has confirmed that it is disabled."""
 
 from pathlib import Path
 
@@ -54,9 +54,9 @@ def test_shutdown_waits_until_each_motor_reports_off(
 def test_shutdown_after_arming_waits_for_a_drive_that_is_being_set_up_again(
     protocol: str, drive_phase: DrivePhase, tmp_path: Path
 ) -> None:
-    """The shutdown waits until the drive has reported that it is disabled.
+    """The shutdown after an exception waits until the drive has reported that it is disabled.
 
-    The mode DISARM also does this.
+    The mode DISARM also waits until each drive has reported that it is disabled.
     """
     hand = load_hand(str(hand_file(tmp_path, [protocol])))
     with homed_run(hand, 500.0, 1) as hand_run:

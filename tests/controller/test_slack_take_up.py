@@ -22,7 +22,8 @@ def test_a_tendon_whose_length_is_known_is_taut_at_the_first_clear_sample(
 ) -> None:
     """In this test at 200 Hz, the tension grows by 1 N from one load-cell reading to the next.
 
-    The filter must therefore use the first reading that clearly shows tension.
+    When the tension rises by 1 N per reading, the filter must use the first load-cell reading that
+    clearly shows tension.
     """
     points, samples_taken = 0, 0
     while not uncompiled_function(is_regime_over)(SLACK_REGIME, points, False):

@@ -1,7 +1,7 @@
-"""Test the detection of an object that slips out of a hand, and the reaction to it.
+"""Test the detection of an object that slips out of a hand, and the reaction of the grasp program to the slip.
 
-Slip is detected when the object pushes a digit open. The grasp program then raises the force up to
-the limit of the task.
+The grasp program detects slip when the object pushes a digit open. After slip, the grasp program
+raises the grip force up to the force limit of the task.
 """
 
 import json
@@ -30,9 +30,9 @@ HOLD_TENSION_N = 20.0
 
 
 class GripRun:
-    """A grasp in which every digit except the last one holds the object.
+    """Grasp in which every digit except the last digit holds an object.
 
-    The grasp runs tick by tick with generated estimates.
+    The grasp program runs tick by tick with generated estimates.
     """
 
     def __init__(
@@ -175,9 +175,10 @@ def grasp_program(slip_limit_text: str) -> TaskProgram:
 def test_a_growing_load_removes_the_object_only_without_slip_reaction(
     hand_name: str, object_friction: float, load_rate: float, tmp_path: Path
 ) -> None:
-    """Both runs have the same load, hand and seed.
+    """The two runs of this test, with and without slip reaction, have the same load, hand and seed.
 
-    The two runs differ only in the key of the task that permits more force.
+    The runs with and without slip reaction differ only in the key of the task that permits a higher
+    grip force.
     """
     scene, motion, tension = (
         PULLED_CYLINDER_SCENE.format(friction=object_friction, rate=load_rate),

@@ -1,6 +1,6 @@
 """Test hands in which two antagonistic tendons share one motor (a spool pair).
 
-The tests cover hand file, controller and simulator.
+The tests of spool pairs cover the hand file, the controller and the simulator.
 """
 
 import os
@@ -47,7 +47,7 @@ SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
 def spool_finger() -> Hand:
     """Return a hand with one finger that has two joints.
 
-    At each joint, two antagonistic tendons share one motor.
+    At each joint of the finger, two antagonistic tendons share one motor.
     """
     return load_hand(SPOOL_FINGER_FILE)
 
@@ -60,8 +60,8 @@ def test_the_net_tension_is_the_difference_of_two_tensions_that_only_pull(seed: 
     random = np.random.default_rng(seed)
     net, pretension = random.uniform(-60.0, 60.0), random.uniform(0.0, 20.0)
     assert uncompiled_function(net_tension_at_joint)(net, pretension, 1.0) == pytest.approx(net)
-    # A second net tension, with half the tension of the first tendon and twice that of the second,
-    # gives a second equation for the two tensions.
+    # The second net tension is half of the first tendon's tension minus twice the second tendon's
+    # tension. The second net tension gives a second equation for the two tensions.
     net_tension_at_half_ratio = uncompiled_function(net_tension_at_joint)(net, pretension, 0.5)
     first_tension = (2.0 * net - net_tension_at_half_ratio) / 1.5
     second_tension = first_tension - net
@@ -101,7 +101,7 @@ def test_a_single_tendon_is_the_limit_of_a_pair_without_pretension() -> None:
 def test_the_simulated_spool_pulls_one_tendon_and_slackens_the_other(stretch_mm: float) -> None:
     """Up to a net tension of twice the pretension, both tendons are taut, and their stiffnesses add up.
 
-    Above this net tension, only one of the two tendons is taut.
+    Above a net tension of twice the pretension, only one of the two tendons is taut.
     """
     tendon, motor = spool_finger().tendon[0], spool_finger().motor[0]
     pretension = tendon.pretension_N
@@ -127,9 +127,9 @@ def begin_run(
     calibration: Calibration | None,
     first_tick: int,
 ) -> SimulatedRun:
-    """Begin a run of a program at tick ``first_tick``.
+    """Begin a run of a program on a simulated hand at tick ``first_tick``.
 
-    An earlier run may already have moved the simulated hand.
+    The simulated hand has possibly been moved by an earlier run.
     """
     controller = make_controller(hand, Gains(), RATE_HZ, program, calibration, arm_at_once=True)
     run = SimulatedRun.start_run(controller, simulated_hand)
@@ -156,9 +156,10 @@ MOVES_TASK = Task.model_validate(
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
-    """Commissioning finds the true motor zeros of the simulated hand.
+    """The commissioning program finds the true motor zeros of the simulated hand.
 
-    The joints follow their goals within one degree, and no tendon exceeds its tension limit.
+    The joints of the commissioned hand follow their goals within one degree, and no tendon exceeds
+    its tension limit.
     """
     hand = spool_finger()
     with SimulatorSettings(hand, None, seed).simulated_hand(round(1e9 / RATE_HZ)) as peer:
@@ -223,10 +224,10 @@ class PullProgram:
 
 @pytest.mark.parametrize("tension", [-200.0, -40.0, 12.0, 40.0, 200.0])
 def test_it_pulls_both_ways_and_never_above_the_limit(tension: float) -> None:
-    """When a joint rests at its stop, the net tension reaches its goal.
+    """When a joint rests at its mechanical stop, the net tension of its spool pair reaches its goal.
 
-    A goal above the limit of the hand is lowered. The new goal is the limit minus a margin for the
-    standard deviation of the estimated tension.
+    The controller lowers a goal above the tension limit of the hand. The new goal is the tension
+    limit minus a margin for the standard deviation of the estimated tension.
     """
     hand = spool_finger()
     limit = hand.tendon[0].tension_max_N
@@ -264,13 +265,13 @@ def test_a_tendon_that_snaps_under_load_is_found(tension: float, tendon: str) ->
 
 
 def content_with_tendon(**tendon_fields: object) -> dict[str, object]:
-    """Return the content of the hand file of the finger, with other values of the first tendon."""
+    """Return the content of the finger's hand file, in which the first tendon has other values."""
     content = hand_content(SPOOL_FINGER_FILE)
     return content | {"tendon": [content["tendon"][0] | tendon_fields, *content["tendon"][1:]]}
 
 
 def content_with_digit(**digit_fields: object) -> dict[str, object]:
-    """Return the content of the hand file of the finger, with other values of the digit."""
+    """Return the content of the finger's hand file, in which the digit has other values."""
     content = hand_content(SPOOL_FINGER_FILE)
     return content | {"digit": [content["digit"][0] | digit_fields]}
 

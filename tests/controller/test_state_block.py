@@ -1,6 +1,6 @@
-"""Test the state block: its schema, the views that kernels use, and its digest.
+"""Test the schema of a state block, the views of a state block that kernels use, and the digest of a state block.
 
-The digest depends on every field.
+The digest of a state block depends on every field of the block.
 """
 
 import ast
@@ -59,11 +59,11 @@ def field_names(block_fields: list[BlockField]) -> list[str]:
     return [field.name for field in block_fields]
 
 
-# Schema of a state block, and the layout that follows from it.
+# Schema of a state block, and the memory layout that follows from the schema.
 
 
 def small_schema() -> tuple[BlockSchema, dict[str, int]]:
-    """Return a schema of three tables, and the lengths of its axes."""
+    """Return a schema with three tables, and the lengths of the axes in this schema."""
     schema = BlockSchema("tendon", "joint*tendon", "run", "tendon_int")
     schema.declare_real_field("tension", "tendon", "N", "of a tendon", initial=2.5)
     schema.declare_real_field("past", "tendon", "N", "the last ones", rows=3)
@@ -86,9 +86,9 @@ def test_a_field_has_its_rows_its_shape_and_its_initial_value() -> None:
 
 
 def test_new_field_needs_one_line() -> None:
-    """A new field gets the next row of its table.
+    """A new field of the schema gets the next row of its table.
 
-    The fields that the table already has keep their names and shapes.
+    The older fields of a table keep their names and shapes when a field is added.
     """
     (schema_before, axes), (schema_after, _) = small_schema(), small_schema()
     row = schema_after.declare_real_field("speed", "tendon", "m/s", "of a tendon", initial=7.0)
@@ -124,10 +124,10 @@ def test_fields_do_not_overlap_and_leave_no_gap() -> None:
 def state(request: pytest.FixtureRequest) -> ControllerState:
     """Return a controller's state that consists of random numbers.
 
-    No two of its integers or floats are equal.
+    No two integers and no two floats in the returned state are equal.
     """
     model: HandModel = request.getfixturevalue(request.param)
-    # A drive of the hand closes a position loop, so that no table of the state is empty.
+    # A drive of this hand closes a position loop, so that no table of the state block is empty.
     axes = layout_of_state(model, 3).axes | {"servo": model.tendon_count}
     layout, rng = STATE_SCHEMA.layout(axes), np.random.default_rng(5)
     block = layout.initial.copy()
@@ -147,8 +147,8 @@ def state(request: pytest.FixtureRequest) -> ControllerState:
 def constants_by_field(constant_module: Any) -> dict[str, str]:
     """Return the name of a module constant for each field.
 
-    The constant contains the number of the first row of the field. The function reads the names
-    from the source text of a module.
+    The module constant of a field contains the index of the first row of this field in its table.
+    The function reads the names of the constants from the source text of a module.
     """
     constant_by_field = {}
     for node in ast.parse(inspect.getsource(constant_module)).body:
@@ -208,9 +208,10 @@ def test_a_copy_is_another_block_of_the_same_numbers(state: ControllerState) -> 
 
 @pytest.mark.parametrize("field", STATE_SCHEMA.fields, ids=field_names(STATE_SCHEMA.fields))
 def test_a_difference_names_its_field(state: ControllerState, field: BlockField) -> None:
-    """The message names the first field that differs, in the order of the schema.
+    """The reported difference of two states names the first field that differs, in the order of the schema.
 
-    The message also names the element that differs, and gives the two values of this element.
+    The reported difference also contains the index of the first element that differs, and both
+    values of this element.
     """
     other_state = state.copy()
     values = other_state.view(field.name).reshape(-1)
@@ -247,8 +248,8 @@ def test_nan_is_the_same_as_nan_and_zero_is_not_minus_zero(state: ControllerStat
 def random_hand(seed: int) -> HandModel:
     """Return the model of a random hand.
 
-    The hand has some digits of a packaged hand, or of a hand with 15 motors. The masses, springs
-    and friction of these digits are varied at random.
+    The random hand has some digits of a packaged hand, or of a hand with 15 motors. The function
+    varies the masses, springs and friction of the digits at random.
     """
     rng = random.Random(seed)
     raw: dict[str, Any] = fifteen_motor_hand()
@@ -298,7 +299,7 @@ def _randomised_section(section: dict[str, Any], rng: random.Random) -> dict[str
 def packed_constants(
     model: HandModel, monkeypatch: pytest.MonkeyPatch
 ) -> tuple[HandConstants, dict[str, object]]:
-    """Return the constants of a hand, and the values that were written into these constants, by field."""
+    """Return the block of the constants of a hand model, and the values that were written into it, by field."""
     values: dict[str, object] = {"design": hand_constants.filter_design_array(model)}
     for group_name in (
         "_motor_constants",
@@ -365,9 +366,9 @@ def test_every_element_of_every_field_changes_the_digest(
 ) -> None:
     """Change each element of a state by the smallest possible amount.
 
-    Each change must give another digest.
+    Each change of an element must give another digest of the state.
 
-    In an ordinary test run, the test changes only 16 elements of each field.
+    An ordinary test run changes only 16 elements of each field.
     """
     state = active_bench.state
     known_digests = {state.digest()}
@@ -405,9 +406,9 @@ def goal_variants() -> Iterator[tuple[str, DigitGoal]]:
 
 
 def progress_variants(progress: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]:
-    """Yield copies of a program's progress. Each copy differs in one part.
+    """Yield copies of a program's progress. Each copy differs from the original in one attribute.
 
-    The test changes the goals one by one.
+    For the attribute ``goals``, each copy has one changed goal.
     """
     grip = GripState(np.full(4, 20.0), np.full(4, np.nan), 1.0)
     values: dict[str, list[Any]] = {
@@ -435,7 +436,7 @@ CHANGED_STREAM_VALUES = {
 
 
 def decision_variants(decisions: ControllerDecisions) -> Iterator[tuple[str, ControllerDecisions]]:
-    """Yield copies of a controller's decisions. Each copy differs in one part."""
+    """Yield copies of a controller's decisions. Each copy differs from the original in one attribute."""
     pending_gains = PendingGains(gains_with_values(Gains(), {"motion.force_N": 21.0}, "test"))
     values: dict[str, list[Any]] = {
         "drives": [decisions.drives[::-1]],
@@ -506,7 +507,7 @@ def test_every_decision_changes_the_digest(active_bench: ControllerBench) -> Non
 def other_values(original_value: Any) -> list[Any]:
     """Return values that differ from a given value and have the same type.
 
-    For a named tuple, each returned tuple differs from it in one part.
+    For a named tuple, each returned tuple differs from the given tuple in one field.
     """
     if isinstance(original_value, bool):
         return [not original_value]
@@ -533,7 +534,7 @@ def other_values(original_value: Any) -> list[Any]:
 def test_everything_that_is_known_of_a_drive_changes_the_digest(
     active_bench: ControllerBench, drive_field: str
 ) -> None:
-    """The digest depends on the measured values of a drive, and on the progress of its set-up."""
+    """The digest of a state depends on the measured values of each drive, and on the progress of the drive's set-up."""
     state = active_bench.state
     known_digests = {state.digest()}
     for n, drive in enumerate(state.drives):

@@ -1,7 +1,7 @@
 """Test the hash of the decisions of the controller.
 
-The hash function reuses parts of the last tick's hash. Parts of values that have changed are never
-reused.
+The hash function reuses the stored hashes of values that have not changed since the last tick. A
+stored hash of a changed value is never reused.
 """
 
 from dataclasses import replace

@@ -1,7 +1,7 @@
-"""Test static forces.
+"""Test the static forces of a hand model.
 
-Forces along the tendons must agree with energies. Forces at the fingertips must agree with virtual
-work.
+Static forces along the tendons must agree with the potential energy of the hand. Static forces at
+the fingertips must agree with the principle of virtual work.
 """
 
 import math
@@ -35,7 +35,7 @@ def _static_torque(block: BlockArray, state_places: TableOffsets, q: np.ndarray)
 
 
 def static_torque_of(model: HandModel, q: np.ndarray) -> np.ndarray:
-    """Return the torque of gravity and springs at all joints, as the estimator computes it."""
+    """Return the torque of gravity and springs at all joints that the estimator computes."""
     return _static_torque(*constant_args_of(model), q)
 
 
@@ -112,7 +112,7 @@ def test_friction_takes_from_a_closing_tendon_and_gives_to_an_opening_one(model:
 def test_pull_is_what_the_capstan_leaves_at_each_pulley(model: HandModel) -> None:
     """The force that reaches the joints is the tension minus the capstan friction at each pulley.
 
-    The test covers friction of every size and of both directions.
+    The test covers small and large capstan friction in both directions.
     """
     rng = np.random.default_rng(7)
     theta = [rng.uniform(0.1, 1.4, digit.coupling.shape[1]) for digit in model.digits]
@@ -191,9 +191,9 @@ def test_lever_is_the_jacobian_along_the_normal(model: HandModel) -> None:
 
 
 def test_a_tip_force_is_recovered_from_its_tensions(model: HandModel) -> None:
-    """A normal force at the tip is converted to the tensions that balance it.
+    """The test converts a normal force at the tip of a digit to the tensions that balance this force.
 
-    From these tensions, the function recovers the same force.
+    From the balancing tensions, the estimator must compute the same tip force again.
     """
     rng = np.random.default_rng(6)
     for digit in model.digits:

@@ -36,7 +36,7 @@ SINE_MIDDLE_DEG, SINE_AMPLITUDE_DEG = 30.0, 20.0
 
 
 def sine_angle(t: Any) -> Any:
-    """Return the angle of the test motion at time t [deg]. This motion is a sine of 1 Hz."""
+    """Return the angle of the test motion at time t [deg]. The test motion is a sine of 1 Hz."""
     return SINE_MIDDLE_DEG + SINE_AMPLITUDE_DEG * np.sin(2.0 * math.pi * t)
 
 
@@ -60,17 +60,17 @@ class StreamClient:
         return self.run.k * self.run.period_ns
 
     def tick(self, *requests: TickRequest) -> TickOut:
-        """Run a tick in which given requests arrive, and return the output of the tick."""
+        """Run a tick in which the given requests arrive, and return the output of the tick."""
         self.tick_outputs.append(self.run.run_tick(requests=requests))
         return self.tick_outputs[-1]
 
     def wait(self, duration_s: float) -> None:
-        """Run ticks without requests for a given time."""
+        """Run ticks in which no requests arrive, for ``duration_s``."""
         for _ in range(round(duration_s / self.model.period)):
             self.tick()
 
     def send_command(self, request_kind: str, **request_fields: Any) -> str:
-        """Send a command and return the text of the last event about it."""
+        """Send a command, and return the text of the last event about this command."""
         out = self.tick(json.dumps({"do": request_kind, "client": self.name, **request_fields}))
         return [event.text for event in out.events if event.name == "request"][-1]
 
@@ -80,7 +80,7 @@ class StreamClient:
         coordinate_names: tuple[str, ...] = ("index",),
         **request_fields: Any,
     ) -> str:
-        """Open a stream of targets, and return the text of the last event about the request."""
+        """Request a stream of targets, and return the text of the last event about this request."""
         request_fields = {"interpolation": "linear", "rate_Hz": RATE_HZ} | request_fields
         return self.send_command(
             "stream", stream="s", space=target_space, names=coordinate_names, **request_fields
@@ -110,7 +110,7 @@ class StreamClient:
 
     @property
     def reported_faults(self) -> set[str]:
-        """Return the ids of all faults that were reported so far."""
+        """Return the identifiers of all faults that the controller has reported so far."""
         return {
             event.text.split()[0]
             for out in self.tick_outputs
@@ -121,14 +121,14 @@ class StreamClient:
     def goal_history(self, telemetry_field: str) -> Any:
         """Return the goals of the first joint or tendon in all ticks so far.
 
-        ``telemetry_field`` is the name of the telemetry field with these goals.
+        ``telemetry_field`` is the name of the telemetry field that contains the goals.
         """
         return np.array([getattr(out.telemetry, telemetry_field)[0] for out in self.tick_outputs])
 
 
 @contextmanager
 def live_client(model: HandModel) -> Iterator[StreamClient]:
-    """Yield a client of a simulated hand that waits for requests."""
+    """Yield a client of a simulated hand. The controller of the hand waits for requests."""
     hand = model.hand.name
     with SimulatorSettings(hand, homed=True).begin_run(
         homed_controller(model, LiveProgram())
@@ -144,8 +144,8 @@ def true_angle(run: SimulatedRun) -> float:
 def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None:
     """In this test, the client knows the motion in advance.
 
-    The client therefore sends the angle that the hand should have after the delay of the stream
-    (``horizon_s``).
+    Because the client knows the motion, it sends the angle that the hand should have after the
+    delay of the stream (``horizon_s``).
     """
     errors = {}
     for interpolation in ("linear", "minimum_jerk"):
@@ -180,7 +180,7 @@ def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None
 
 
 def rms_error_of_trajectory(model: HandModel) -> float:
-    """Return the RMS error [deg] of a hand that follows the sine of this test as a trajectory of a task."""
+    """Return the RMS tracking error [deg] of a hand that follows the test sine as a trajectory of a task."""
     times = np.arange(0.0, 3.001, 0.02)
     hold_phase = {
         "kind": "move",
@@ -214,8 +214,8 @@ def rms_error_of_trajectory(model: HandModel) -> float:
 def test_the_ticks_of_a_stream_repeat_to_the_last_bit(jamia: HandModel) -> None:
     """Recorded ticks give equal results when they are executed again.
 
-    The test executes the ticks from the start of the run, and from a snapshot in the middle of the
-    stream.
+    The test executes the recorded ticks again from the start of the run, and from a snapshot in the
+    middle of the stream.
     """
     with live_client(jamia) as client:
         client.open_stream(
@@ -235,9 +235,10 @@ def test_the_ticks_of_a_stream_repeat_to_the_last_bit(jamia: HandModel) -> None:
 
 
 def check_reexecuted_ticks(run: SimulatedRun, snapshot: bytes, snapshot_tick: int) -> None:
-    """Check that the ticks give equal results, to the last bit, when they are executed again.
+    """Check that the ticks of a run give equal results, to the last bit, when they are executed again.
 
-    The ticks are executed from the start, and from a snapshot after ``snapshot_tick`` ticks.
+    The function executes the ticks again from the start of the run, and from a snapshot after
+    ``snapshot_tick`` ticks.
     """
     controller = run.controller
     for state, ticks in (
@@ -286,9 +287,9 @@ def test_a_jump_is_bounded_in_speed_acceleration_and_range(
 
 
 def test_a_random_stream_never_leaves_the_limits(jamia: HandModel) -> None:
-    """The targets are random angles at random times, as a failed policy would send them.
+    """The streamed targets are random angles at random times, such as a faulty policy would send.
 
-    The test runs with twenty seeds.
+    The test of random targets runs with twenty seeds.
     """
     limits, period = jamia.hand.stream, jamia.period
     with live_client(jamia) as client:
@@ -396,10 +397,10 @@ def test_a_text_that_is_no_target_is_counted(target_text: str) -> None:
 
 @pytest.mark.parametrize("target_value", [0.1 + 0.2, 1e308, -0.0, 5e-324, math.inf, math.nan])
 def test_a_target_survives_the_log(target_value: float) -> None:
-    """A run receives decoded targets.
+    """The controller receives streamed targets in decoded form.
 
-    A re-execution of the run decodes the targets from the texts in the log. A target must be equal
-    in both runs, to the last bit.
+    A re-execution of the run decodes the targets from the texts in the log. In the run and in its
+    re-execution, a target must be equal to the last bit.
     """
     target = StreamTarget("17-3", 2**62, -(2**40), (target_value, 1.0 / 3.0))
     repeated_target = parse_target(target_request_text(target))
@@ -416,8 +417,8 @@ def test_integers_beyond_64_bits_do_not_end_the_run(
 ) -> None:
     """Reproduce a defect.
 
-    An integer of more than 64 bits in the text of a target raised OverflowError in the tick. The
-    controller then disabled all motors.
+    An integer of more than 64 bits in the text of a target raised OverflowError in the tick. After
+    the exception, the controller disabled all motors.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -456,10 +457,12 @@ def test_a_target_from_the_future_counts_as_sent_now(jamia: HandModel) -> None:
 
 
 def test_targets_between_the_deadline_and_a_late_tick_are_in_order(jamia: HandModel) -> None:
-    """A tick may be late, so a target may be sent after the scheduled time of the tick.
+    """If a tick is late, a client can send a target after the scheduled time of the tick.
 
-    Such a target counts as sent at the scheduled time. Earlier defect: the next target was refused,
-    because the first one seemed to be newer.
+    A target that was sent after the scheduled time of its tick counts as sent at the scheduled
+    time.
+    Earlier defect: the controller refused the next target, because the late tick's target seemed to
+    be newer.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -471,9 +474,10 @@ def test_targets_between_the_deadline_and_a_late_tick_are_in_order(jamia: HandMo
 
 
 def test_a_jittering_stream_is_smooth(jamia: HandModel) -> None:
-    """Targets arrive up to 8 ms late, and some are lost.
+    """In this test, targets arrive up to 8 ms late, and some targets are lost.
 
-    The reference angle still follows the streamed motion, and no fault occurs.
+    In spite of late and lost targets, the reference angle follows the streamed motion, and no fault
+    occurs.
     """
     random = np.random.default_rng(4)
     with live_client(jamia) as client:
@@ -520,7 +524,8 @@ def test_a_stream_goes_on_from_a_moving_digit(jamia: HandModel) -> None:
 def test_goals_with_a_long_horizon_move_the_hand(jamia: HandModel) -> None:
     """Reproduce a defect: each new goal began a trajectory that started at the estimated angle with zero speed.
 
-    With 50 goals per second, the hand therefore did not move.
+    A hand that got 50 goals per second did not move, because each trajectory started again with
+    zero speed.
     """
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": SINE_MIDDLE_DEG})
@@ -538,7 +543,7 @@ def test_goals_with_a_long_horizon_move_the_hand(jamia: HandModel) -> None:
 
 
 def test_a_long_move_of_a_fast_digit_stays_within_the_range() -> None:
-    """The motion does not pass its target.
+    """The motion of a fast digit does not pass its target.
 
     A quintic polynomial that starts at 300 deg/s and lasts five seconds would pass its target by
     280 degrees.
@@ -553,7 +558,7 @@ def test_a_long_move_of_a_fast_digit_stays_within_the_range() -> None:
 
 
 def test_three_goals_out_of_range_are_no_fault(jamia: HandModel) -> None:
-    """Reproduce a defect: three goals outside of their ranges caused a latched fault that relaxed the hand."""
+    """Reproduce a defect: three goals outside of their limits caused a latched fault that relaxed the hand."""
     with live_client(jamia) as client:
         for _ in range(5):
             assert "from 0 to 100 deg" in client.send_command("move", angle_deg={"index": 120.0})
@@ -627,7 +632,8 @@ def test_streams_that_do_not_suit_the_hand_are_refused(jamia: HandModel) -> None
 def test_joint_angles_become_coordinates(model: HandModel) -> None:
     """A stream of angles of single joints moves the digits.
 
-    Coupled joints turn by the angles that satisfy the coupling and are nearest to the targets.
+    Coupled joints turn to those angles that satisfy the coupling and are nearest to the target
+    angles.
     """
     names = model.hand.joints
     where = mapping_of_stream(model, "joint", names)
@@ -678,8 +684,8 @@ def test_tensions_follow_a_stream(jamia: HandModel) -> None:
             [out.telemetry.tension[0] for out in client.tick_outputs[-1000:]]
         )
         assert np.ptp(goal) == pytest.approx(6.0, abs=0.3)
-        # The tolerance is 1.5 N, half of the motor's Coulomb friction of 3 N. This friction opposes
-        # a freely moving finger in both directions.
+        # The tolerance is 1.5 N, half of the motor's Coulomb friction of 3 N. The Coulomb friction
+        # opposes a freely moving finger in both directions.
         assert np.sqrt(np.mean((goal - measured_tension) ** 2)) < 1.5
         rate = np.abs(np.diff(goal)).max() / jamia.period
         assert rate < 1.5 * 3.0 * math.pi, "a ramp between targets, no steps"
@@ -786,9 +792,10 @@ def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
 def test_targets_that_tendons_cannot_hold_are_moved_to_the_nearest_posture(
     jamia11: HandModel,
 ) -> None:
-    """The outer joint cannot bend alone, because a tendon of an inner joint would have to push.
+    """The outer joint of a finger cannot bend alone, because a tendon of an inner joint would have to push.
 
-    Earlier defect: the safety monitor reported this tendon as slack and relaxed the hand.
+    Earlier defect: the safety monitor reported the tendon that would have to push as slack, and
+    relaxed the hand.
     """
     digit = jamia11.digits[0]
     floor = jamia11.floor[digit.tendons]

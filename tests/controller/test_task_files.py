@@ -1,7 +1,7 @@
 """Test task files.
 
 Each packaged task is valid for all packaged hands that have the necessary digits and tendons. The
-error for a wrong task names the wrong key.
+error line for a wrong task file names the wrong key.
 """
 
 from pathlib import Path
@@ -38,7 +38,7 @@ tension_N = { index = 20.0 }
 
 @pytest.fixture
 def refusal(tmp_path: Path):  # type: ignore[no-untyped-def]
-    """Return a function that loads a wrong task from a text, and returns the line of the error."""
+    """Return a function that loads a wrong task file with a given text, and that returns the error line."""
 
     def refuse(
         text: str, digits: tuple[str, ...] = ("index", "thumb"), ceiling: float = 110.0
@@ -59,7 +59,7 @@ JAMIA_DIGITS = ("index", "middle", "ring", "thumb")
 
 
 def test_packaged_tasks_suit_every_packaged_hand_that_can_follow_them() -> None:
-    """The tasks of this test name the digits of a Jamia hand.
+    """The packaged tasks of this test name the digits of a Jamia hand.
 
     A task that names single joints needs a hand that has a tendon at each joint.
     """
@@ -150,7 +150,7 @@ def test_a_digit_with_a_tendon_more_than_joints_takes_an_angle_per_joint(tmp_pat
 def hand_with_an_extensor() -> Hand:
     """Return the hand jamia11 with a third tendon in its thumb.
 
-    This tendon opens both joints of the thumb.
+    The third tendon of the thumb opens both joints of the thumb.
     """
     content = hand_content("jamia11")
     motor = {
@@ -242,7 +242,7 @@ def test_an_empty_table_of_digits_is_accepted(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("phase_name", [TARE_PHASE, "start"])
 def test_a_phase_may_not_have_a_reserved_name(refusal, phase_name: str) -> None:  # type: ignore[no-untyped-def]
-    """No phase may have the name tare or start, because the controller uses these names itself."""
+    """No phase of a task is allowed to have the name tare or start, because the controller uses these names itself."""
     assert "must not be named" in refusal(
         VALID_TASK.replace('kind = "hold"', f'kind = "hold"\nname = "{phase_name}"')
     )

@@ -1,7 +1,7 @@
 """Test the page docs/reference/tasks.md.
 
-The examples of a task and of a scene on the page are valid. The tables of the page contain only
-keys that exist.
+The examples of a task and of a scene on the page docs/reference/tasks.md are valid. The tables of
+this page contain only keys that exist.
 """
 
 import re

@@ -1,6 +1,6 @@
-"""Test minimum-jerk trajectories: their start, their end and their derivatives.
+"""Test the start, the end and the derivatives of minimum-jerk trajectories.
 
-No other trajectory between the same ends has a smaller integral of the squared jerk.
+No other trajectory with the same start and end has a smaller integral of the squared jerk.
 """
 
 import numpy as np
@@ -96,7 +96,8 @@ def test_move_stays_between_its_ends_and_below_its_peak_speed(
 def test_no_admissible_bump_has_less_jerk() -> None:
     """A disturbance that is added to a minimum-jerk move increases the integral of the squared jerk.
 
-    At both ends, the added disturbance has zero position, speed and acceleration.
+    The added disturbance has zero position, speed and acceleration at the start and at the end of
+    the move.
     """
     move, t = MinimumJerk(np.array([0.0]), np.array([1.0]), 1.0), np.linspace(0.0, 1.0, 20001)
     acceleration = np.array([move.motion_at(time_s)[2][0] for time_s in t])
@@ -177,7 +178,7 @@ def test_curve_derivatives_match_differences(
 def test_every_number_of_a_way_is_in_its_plain_form() -> None:
     """The plain form of a trajectory contains every number of the trajectory.
 
-    The hash of the state is computed from this form.
+    The hash of a state is computed from the plain forms of its trajectories.
     """
     trajectories = [
         MinimumJerk(np.array([0.0]), np.array([1.0]), 1.0),

@@ -1,7 +1,7 @@
 """Test trajectory files.
 
-The curve passes through all points of the file, and begins and ends at rest. A wrong trajectory
-file is refused before any motion.
+The curve of a trajectory file passes through all points of the file, and begins and ends at rest.
+The command refuses a wrong trajectory file before any motion.
 """
 
 import math
@@ -101,9 +101,10 @@ def test_radians_are_not_degrees(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("time_gap_s", [5e-324, 1e-310, 1e-160, 1e-5])
 def test_very_close_times_do_not_bypass_the_speed_limit(time_gap_s, recwarn):
-    """If two times are very close, the coefficients of the spline overflow.
+    """If the times of two points of a trajectory are very close, the coefficients of the spline overflow.
 
-    The computed speed is then NaN, which is refused in the same way as a speed above the limit.
+    If the coefficients of a spline overflow, the computed speed is NaN, which is refused in the
+    same way as a speed above the limit.
     """
     angles = {"index": (0.0, 1.0, 0.0)}
     with pytest.raises(ValueError, match="at most 700 deg/s"):

@@ -1,6 +1,7 @@
 """Test a digit that touches an object although no contact is planned.
 
-An event reports the contact. The digit then presses on the object with a bounded tension.
+An event reports the unplanned contact. After the contact, the digit presses on the object with a
+bounded tension.
 """
 
 import numpy as np
@@ -30,7 +31,7 @@ def estimate_with_unexplained_tension(
 ) -> SyntheticEstimate:
     """Return the estimate of a hand at rest with the same external tension [N] in every tendon.
 
-    An object causes this tension.
+    In a real hand, an object that pushes the digits would cause this external tension.
     """
     return estimate_from_states(model, balanced_state(model, 0.5))._replace(
         external_tension=np.full(model.tendon_count, unexplained_tension)
@@ -75,7 +76,8 @@ def run_against_palm(
 ) -> tuple[str, PlantRun]:
     """Return the name of a hand and the record of a run of this hand.
 
-    In this run, the index finger moves towards 100 degrees, but touches the palm on the way.
+    In the recorded run, the index finger moves towards 100 degrees, but touches the palm before it
+    reaches this angle.
     """
     move = JogProgram(MoveDigitsRequest(do="move", angle_deg={"index": 100.0}, duration_s=1.0), 1.6)
     return request.param, run_on_plant(

@@ -1,6 +1,7 @@
 """Test replies for which the controller sent no request.
 
-The tests check the resulting fault, and which frames count as replies.
+The tests check the fault that unrequested replies cause, and which frames count as replies of a
+motor.
 """
 
 import pytest
@@ -12,7 +13,7 @@ from handctl.programs.live_session import LiveProgram
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 UNREQUESTED_REPLY = Frame(0x11, bytes([0x11, 0x80, 0, 0x80, 8, 0, 30, 30]))
-"""Feedback frame of the first motor. The frame reports that the motor is enabled."""
+"""Feedback frame of the first motor, which reports that the motor is enabled."""
 
 
 @pytest.fixture
@@ -116,12 +117,12 @@ def is_load_cell_frame(active_bench: ControllerBench, frame: Frame) -> bool:
 
 
 def frame_with_older_counter(cell_frame: Frame) -> Frame:
-    """Return a load-cell frame whose counter is that of another SYNC frame."""
+    """Return a copy of a load-cell frame with the counter of another SYNC frame."""
     return cell_frame._replace(data=bytes([cell_frame.data[0] ^ 1]) + cell_frame.data[1:])
 
 
 def frame_with_other_tension(cell_frame: Frame) -> Frame:
-    """Return a load-cell frame with the same counter, but with another tension."""
+    """Return a copy of a load-cell frame with the same counter, but with another tension."""
     return cell_frame._replace(data=bytes([cell_frame.data[0] ^ 0x10]) + cell_frame.data[1:])
 
 
@@ -132,7 +133,7 @@ def frame_with_other_tension(cell_frame: Frame) -> Frame:
 def test_only_replies_in_excess_are_compared_with_the_expected_reply(
     active_bench, open_requests, reply_variants, expected_faults
 ) -> None:
-    """A late reply to an older request is expected, so its bytes may differ from those of the newest reply."""
+    """A late reply to an older request is expected, so its bytes can differ from those of the newest reply."""
     if open_requests == 2:
         active_bench.modify_frames_to_host = lambda frames: [
             frame for frame in frames if frame.can_id != 0x11
@@ -148,8 +149,8 @@ def test_only_replies_in_excess_are_compared_with_the_expected_reply(
 def copies_of_motor_reply(motor_reply: Frame, reply_variants: str) -> list[Frame]:
     """Return one copy of a motor's reply for each letter of ``reply_variants``.
 
-    The copy for A is unchanged. The copy for B has another temperature. Each reply of another motor
-    is returned once and unchanged.
+    For the letter A, the copy is unchanged. For the letter B, the copy has another temperature.
+    Each reply of another motor is returned once and unchanged.
     """
     if motor_reply.can_id != 0x11:
         return [motor_reply]

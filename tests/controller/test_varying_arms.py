@@ -144,9 +144,9 @@ def test_arm_and_slope_are_derivatives_of_the_excursion() -> None:
 
 
 def task_of_moves(*angles_deg: tuple[float, float]) -> Task:
-    """Return a task that consists of moves.
+    """Return a task with one move for each pair of an angle and a duration.
 
-    Each pair contains one angle for all joints [deg] and the duration of the move [s].
+    A pair contains one target angle for all joints [deg] and the duration of the move [s].
     """
     phases = [
         {"kind": "move", "name": f"move {i}", "angle_deg": angle, "duration_s": duration}
@@ -182,8 +182,8 @@ def tracking_error_deg(model: HandModel, hand: Hand, seed: int) -> float:
 def test_arms_by_angle_track_better_than_constant_arms(hand_name: str, seed: int) -> None:
     """The moment arms in the simulator vary by 30 % with the joint angle.
 
-    The controller for comparison uses the mean moment arms R. This controller computes the
-    excursions as R q.
+    The controller for comparison uses the mean moment arms R. The controller for comparison
+    computes the tendon excursions as R q.
     """
     hand = hand_with_varying_arms(hand_name, 0.3, with_joint_encoders=False)
     constant_hand = hand_with_varying_arms(hand_name, 0.0, with_joint_encoders=False)

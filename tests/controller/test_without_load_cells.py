@@ -1,7 +1,7 @@
 """Test hands in which some or all tendons have no load cells.
 
-The controller estimates their tensions from motor force, encoder and friction. The tests compare
-the estimated tensions with the true tensions in the simulator.
+The controller estimates the tensions of tendons without load cells from motor force, encoder and
+friction. The tests compare the estimated tensions with the true tensions in the simulator.
 """
 
 import os
@@ -33,9 +33,9 @@ SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
 
 @cache
 def hand_without_cells(*tendon_names: str) -> Hand:
-    """Return jamia without the load cells of the named tendons.
+    """Return the hand jamia without the load cells of the named tendons.
 
-    If no tendon is named, the hand has no sensor node at all.
+    If no tendon is named, the returned hand has no load cell and no sensor node.
     """
     content: dict[str, Any] = hand_content("jamia")
     if not tendon_names:
@@ -90,11 +90,11 @@ CYLINDER_TASK = Task.model_validate(
 
 @dataclass
 class RunWithoutCells:
-    """Record of a run without load cells: one row for each tick, and all events.
+    """Record of a run without load cells: the values of each tick, and all events.
 
-    A row contains the phase. For each tendon (N,), a row also contains the estimated tension with
-    its standard deviation, and the true tension [N]. The record also contains the last height of
-    the object.
+    The values of a tick are the phase of the task and, for each tendon (N,), the estimated tension
+    with its standard deviation, and the true tension [N]. The record also contains the last height
+    of the object.
     """
 
     phase_name: list[str] = field(default_factory=list)
@@ -105,7 +105,7 @@ class RunWithoutCells:
     object_height: float = 0.0
 
     def normalized_errors(self, *phase_names: str) -> np.ndarray:
-        """Return the errors of the tension estimate in some phases, divided by the estimated standard deviation."""
+        """Return the errors of the tension estimate in some task phases, divided by the standard deviation."""
         rows = np.isin(self.phase_name, phase_names)
         return (np.array(self.tension)[rows] - np.array(self.true_tension)[rows]) / np.array(
             self.sigma
@@ -121,8 +121,8 @@ def run_without_sensors(
 ) -> RunWithoutCells:
     """Run a program on a hand without load cells and encoders.
 
-    The controller knows the motor zeros. Each text in ``fault_commands`` describes an injected fault and
-    contains its time.
+    The controller knows the motor zeros. Each text in ``fault_commands`` describes an injected
+    fault and contains the time of the fault.
     """
     rows = RunWithoutCells()
     with SimulatorSettings(hand_without_cells(), scene, seed, homed=True).begin_run(
@@ -145,8 +145,8 @@ def run_without_sensors(
 def assert_no_check_of_a_missing_cell(hand: Hand, events: list[TickEvent]) -> None:
     """Check that the commissioning reports no check for which a load cell is missing.
 
-    Earlier defect: for a hand without load cells, the commissioning printed "answers 2.99 N, others
-    0.00 N".
+    Earlier defect: for a hand without load cells, the commissioning program printed "answers 2.99
+    N, others 0.00 N".
     """
     texts = {event.where: event.text for event in events if event.name == "commission"}
     assert set(texts) == set(hand.tendon_names)
@@ -239,7 +239,7 @@ def test_a_hand_without_sensors_sends_no_sync() -> None:
 def test_a_tendon_without_a_load_cell_needs_a_torque_report(
     tendons_without_cells: tuple[str, ...], options: dict[str, Any], is_valid: bool
 ) -> None:
-    """Without load cell and torque report, nothing shows that a drive pulls too hard."""
+    """Without a load cell and without torque reports of the drive, nothing shows that the drive pulls too hard."""
     hand = hand_with_drives(hand_without_cells(*tendons_without_cells), "odrive")
     motors = tuple(motor.model_copy(update={"options": options}) for motor in hand.motor)
     hand = hand.model_copy(update={"motor": motors})

@@ -16,14 +16,14 @@ FENCE_PATTERN = re.compile(
     r"^( *)```(\w*)(?: title=\"([^\"]*)\")?\n(.*?)^ *```$", re.MULTILINE | re.DOTALL
 )
 READY_TIMEOUT_S = 120.0
-"""Longest time until a process prints its first line [s], including compilation."""
+"""Longest permitted time from the start of a process to its first printed line [s], including compilation."""
 
 BLOCK_TIMEOUT_S = 600.0
-"""Longest time that the commands of a block may take together on a busy machine [s]."""
+"""Longest permitted time of all commands in a block together, on a busy machine [s]."""
 
 
 class FencedBlock(NamedTuple):
-    """A fenced block of a page: its language, its title and its text."""
+    """A fenced block of a documentation page: its language, its title and its text."""
 
     language: str
     title: str
@@ -31,7 +31,7 @@ class FencedBlock(NamedTuple):
 
 
 def read_code_blocks(path: Path) -> list[FencedBlock]:
-    """Return the fenced blocks of a page in order."""
+    """Return the fenced blocks of a documentation page, in their order on the page."""
     matches = FENCE_PATTERN.finditer(path.read_text(encoding="utf-8"))
     return [
         FencedBlock(
@@ -49,7 +49,7 @@ def is_executed(block: FencedBlock) -> bool:
 def is_file_block(block: FencedBlock) -> bool:
     """Return True for a block that contains a Python program or a TOML file.
 
-    The title of such a block is the name of the file.
+    The title of a block with a program or a TOML file is the name of the file.
     """
     return block.language in ("python", "toml") and bool(
         re.fullmatch(r"[\w-]+\.(py|toml)", block.title)
@@ -66,11 +66,11 @@ def run_code_blocks(
     prepare: Callable[[Path], None] | None = None,
     parallel_commands: Sequence[str] = (),
 ) -> None:
-    """Execute the commands of a page in an empty folder.
+    """Execute the commands of a documentation page in an empty folder.
 
     Args:
-        code_blocks: blocks of the page. The function writes the files of the page before it
-            executes commands.
+        code_blocks: blocks of the page. The function writes the file blocks of the page to files
+            before it executes commands.
         prepare: function that writes further files into the folder.
         parallel_commands: further commands, which run during the commands of the page.
     """
@@ -127,8 +127,8 @@ def start_in_background_shell(
 
 
 def replace_socketcan_buses(text: str) -> str:
-    """Return the commands with a local bus in place of each SocketCAN bus.
+    """Return command lines in which a local bus replaces each SocketCAN bus.
 
-    Not every Linux kernel has SocketCAN.
+    The tests replace SocketCAN buses, because not every Linux kernel has SocketCAN.
     """
     return re.sub(r"socketcan:(v?can\d)", r"local:\1", text)

@@ -1,6 +1,6 @@
-"""Every command line in the documents has valid arguments.
+"""Test that every command line in the documents has valid arguments.
 
-Arguments that are placeholders, such as N, are not checked.
+The tests do not check arguments that are placeholders, such as N.
 """
 
 import re
@@ -20,7 +20,7 @@ FENCE_PATTERN = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
 def commands_in_text(text: str) -> list[list[str]]:
     """Return the words of each handctl command in a document.
 
-    Command lines that contain placeholders or redirections are left out.
+    The function leaves out command lines that contain placeholders or redirections.
     """
     lines = re.findall(r"`handctl ([^`\n]+)`", text)
     for block in FENCE_PATTERN.findall(text):
@@ -42,13 +42,13 @@ def test_every_argument_is_known(path: Path) -> None:
 def parser_refusal(words: list[str]) -> str:
     """Parse a command line.
 
-    Return the error text of the parser. If the arguments are valid, the text is empty.
+    Return the error text of the parser, which is empty if the arguments are valid.
     """
     try:
         verb_parser(words[0]).parse_args(words[1:])
     except ConfigError as error:
         return f"handctl {' '.join(words)}: {error}"
-    except SystemExit:  # --help
+    except SystemExit:  # --help ends the parser
         pass
     return ""
 

@@ -1,9 +1,10 @@
-"""The command blocks of the pages in Start and Tutorials run as they are written.
+"""Test that the command blocks of the pages in Start and Tutorials run as they are written.
 
-The command blocks of a page run in a folder of their own.
+For each page, the test executes the command blocks in an empty folder.
 
-A block with "not run" in its title is not executed, because it needs hardware, root rights or a
-screen. A block with "stays open" in its title continues to run while the later blocks run.
+The test does not execute a block with "not run" in its title, because this block needs hardware,
+root rights or a screen. A command block with "stays open" in its title continues to run while later
+blocks of the page run.
 """
 
 from collections.abc import Iterator
@@ -34,14 +35,15 @@ EXECUTED_BLOCKS_BY_PAGE = {
     page: [block for block in blocks if is_executed(block)]
     for page, blocks in BLOCKS_BY_PAGE.items()
 }
-"""Blocks of each page that a test executes, or that it writes to a file.
+"""Blocks of each page that a test executes, or whose text the test writes to a file.
 
-The title of such a block is the name of the file.
+The title of a block that is written to a file is the name of the file.
 """
 PAGES_WITH_LONG_COMMANDS = ("start/first-hand.md", "tutorials/policy.md", "tutorials/tune-gains.md")
 """Pages whose commands run only in nightly test runs.
 
-Each of these pages takes a minute. Ordinary test runs execute the same commands on other pages.
+The commands of each page in ``PAGES_WITH_LONG_COMMANDS`` take a minute. Ordinary test runs execute
+the same commands on other pages.
 """
 
 

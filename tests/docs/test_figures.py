@@ -1,4 +1,4 @@
-"""Each figure contains the version of handctl, is shown on a page, and is small enough."""
+"""Test that each figure contains the version of handctl, is shown on a page, and is small enough."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The layout file for Foxglove contains only topics and fields that a log has.
+"""Test that the layout file for Foxglove contains only topics and fields that a log has.
 
 In the layout, the label of a value consists of the name and the unit of this value.
 """
@@ -43,7 +43,7 @@ def first_messages() -> dict[str, Any]:
 
 
 def message_paths() -> list[tuple[str, str]]:
-    """Return the message path and the label of each value in the layout."""
+    """Return the message path and the label of each value that the Foxglove layout shows."""
     return [
         (path["value"], path["label"])
         for panel in LAYOUT_PANELS.values()
@@ -52,7 +52,7 @@ def message_paths() -> list[tuple[str, str]]:
 
 
 def topics_of_layout() -> set[str]:
-    """Return the topics that the panels show, except the topics with transforms."""
+    """Return the topics that the panels of the Foxglove layout show, except the topics with transforms."""
     scene = LAYOUT_PANELS["3D!hand"]
     topics = {MESSAGE_PATH_PATTERN.fullmatch(value)[1] for value, _ in message_paths()}  # type: ignore[index]
     return (

@@ -1,9 +1,9 @@
-"""The command blocks of the README, the How-to pages and the page about tasks run as they are written.
+"""Test that the command blocks of the README, the How-to pages and the page about tasks run as they are written.
 
 A simulated hand runs beside each command block that needs a hand.
 
-The pages use files and hands that belong to the reader. The tests replace these files
-and hands by packaged ones.
+The pages use files and hands that belong to the reader. The tests replace the reader's files and
+hands by packaged files and hands.
 """
 
 import re
@@ -28,7 +28,7 @@ from tests.docs.code_blocks import (
 
 DOCS_FOLDER = REPOSITORY_ROOT / "docs"
 PAGES_TESTED_ELSEWHERE = {"how-to/lerobot.md": "tests/lerobot/test_environment.py"}
-"""Pages whose commands another test runs, because these commands need further packages."""
+"""Pages whose commands need further packages, each with the test file that runs these commands."""
 BLOCKS_BY_PAGE = {
     path.relative_to(DOCS_FOLDER).as_posix(): read_code_blocks(path)
     for path in (
@@ -44,8 +44,8 @@ EXECUTED_BLOCKS_BY_PAGE = {
 PAGES_WITH_SHORT_COMMANDS = ("how-to/logs.md", "how-to/other-tools.md")
 """Pages whose commands run in ordinary test runs.
 
-The commands of the other pages run in nightly test runs, because each page takes from ten seconds
-to minutes.
+The commands of pages that are not in this list run in nightly test runs, because each page takes
+from ten seconds to minutes.
 """
 SIMULATED_HAND = "handctl sim --hand jamia --bus local:lab --time-scale 0.5"
 SIMULATOR_COMMANDS = {
@@ -55,11 +55,12 @@ SIMULATOR_COMMANDS = {
         "python -m firmware_sim drive odrive --ids 3 --bus local:can1",
     ),
 }
-"""Commands of simulators that replace the hardware of a page."""
+"""Commands that start simulators in place of the hardware that the pages use."""
 CONFIRMED_COMMAND_BY_PAGE = {"how-to/drive-modes.md": ("handctl jog ", "handctl jog --yes ")}
-"""Commands that ask before they move a motor.
+"""Commands on the pages that ask for a confirmation before they move a motor.
 
-For the test, each command is replaced by one that contains the answer.
+The test replaces each of these commands by a command with the option ``--yes``, which gives the
+confirmation.
 """
 STIFFER_GAINS = "schema = 1\n\n[motion]\nforce_N = 16.0\n\n[tension]\nintegral_per_s = 4.0\n"
 REALTIME_MARKS = [pytest.mark.realtime, pytest.mark.alone, pytest.mark.nightly]
@@ -78,9 +79,9 @@ def prepare_folder(golden_log: str, work_folder: Path) -> None:
 
 
 def file_writer_for_page(page: str) -> Callable[[Path], None]:
-    """Return the function that writes the files which a page needs.
+    """Return the function that writes the files that a page needs.
 
-    The page about ended runs needs a log that contains a fault.
+    The page how-to/why-a-run-ended.md needs a log that contains a fault.
     """
     return partial(
         prepare_folder, "jamia-fault" if page == "how-to/why-a-run-ended.md" else "jamia-grasp"
@@ -140,8 +141,8 @@ def test_the_commands_of_the_readme_run() -> None:
     assert len(simulators) == 1
     assert len(lines) == 6
     commands = [FencedBlock("sh", "", line) for line in lines if line.strip() not in simulators]
-    # Use a smaller time scale, as the README recommends for a slow machine. The machine of the test
-    # is slow while other tests run.
+    # Use a smaller time scale, as the README recommends for a slow machine. The machine that runs
+    # this test is slow while other tests run.
     run_code_blocks(
         commands, partial(prepare_folder, "jamia-grasp"), [f"{simulators[0]} --time-scale 0.3"]
     )

@@ -1,6 +1,6 @@
-"""Every link in the documents leads to an existing page and heading.
+"""Test that every link in the documents leads to an existing page and heading.
 
-The navigation contains every page.
+The navigation of the site contains every page.
 """
 
 import re
@@ -47,7 +47,7 @@ def test_every_link_leads_somewhere(path: Path) -> None:
 
 
 def navigation_pages(navigation_entry: Any) -> list[str]:
-    """Return all pages in a part of the navigation."""
+    """Return all pages in a part of the site's navigation."""
     if isinstance(navigation_entry, str):
         return [navigation_entry]
     values = navigation_entry.values() if isinstance(navigation_entry, dict) else navigation_entry
@@ -55,7 +55,7 @@ def navigation_pages(navigation_entry: Any) -> list[str]:
 
 
 def navigation_titles(navigation_entry: Any) -> dict[str, str]:
-    """Return the titles of the pages in a part of the navigation. Pages without a title are left out."""
+    """Return the titles of the pages in a part of the site's navigation. Pages without a title are left out."""
     if isinstance(navigation_entry, str):
         return {}
     if isinstance(navigation_entry, list):

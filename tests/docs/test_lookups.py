@@ -1,8 +1,8 @@
-"""A reader finds the answer to a frequent question after few clicks and after few words on the page.
+"""Test that a reader finds the answer to a frequent question after few clicks and few words.
 
-A reader takes two minutes for 400 words. The test counts the words from the target of the last
-click to the answer. The number of words that are really read is smaller, because readers skip rows
-of a table.
+A reader takes two minutes for 400 words. The last click of a reader opens a page or a heading of a
+page. The test counts the words from the opened page or heading to the answer. A reader reads fewer
+words than the test counts, because readers skip rows of a table.
 """
 
 import re
@@ -16,9 +16,9 @@ REPOSITORY_ROOT = Path(__file__).parents[2]
 DOCS_FOLDER = REPOSITORY_ROOT / "docs"
 LOOKUPS_PAGE = DOCS_FOLDER / "evidence" / "lookups.md"
 MOST_CLICKS, MOST_WORDS, TOLERANCE_WORDS = 3, 400, 50
-"""Largest permitted number of clicks to an answer, and of words above the answer.
+"""Largest permitted number of clicks to an answer, and largest permitted number of words above the answer.
 
-The third number limits the difference between the counted words and the number of words that the
+``TOLERANCE_WORDS`` limits the difference between the counted words and the number of words that the
 evidence page states.
 """
 ANSWER_BY_QUESTION = {
@@ -32,13 +32,13 @@ ANSWER_BY_QUESTION = {
     "How do I add a motor type?": ("how-to/adding-a-drive.md", "add-a-motor-type", r"\| Damiao \|"),
     "Why did my run end?": ("how-to/why-a-run-ended.md", "", r"\*\*The terminal\.\*\*"),
 }  # fmt: skip
-"""For each question: the page, the anchor of a heading, and the beginning of the answer."""
+"""For each frequent question: the page, the anchor of a heading, and the beginning of the answer."""
 
 
 def section_lines(page: str, heading_anchor: str) -> str:
-    """Return the text of a page that begins at a heading.
+    """Return the lines of a page from a heading to the end of the page.
 
-    If no anchor is given, return the whole page.
+    If ``heading_anchor`` is empty, return all lines of the page.
     """
     text = (DOCS_FOLDER / page).read_text(encoding="utf-8")
     for match in re.finditer(r"^#+ (.*)$", text, re.MULTILINE):
@@ -50,7 +50,7 @@ def section_lines(page: str, heading_anchor: str) -> str:
 
 
 def word_count_before_answer(page: str, heading_anchor: str, answer: str) -> int:
-    """Return the number of words between the target of the last click and the answer."""
+    """Return the number of words from a heading to an answer, or from the start of the page if no heading is given."""
     text = section_lines(page, heading_anchor)
     match = re.search(answer, text)
     assert match, f"{page}: no {answer}"
@@ -60,8 +60,8 @@ def word_count_before_answer(page: str, heading_anchor: str, answer: str) -> int
 def click_count(page: str, heading_anchor: str) -> int:
     """Return the number of clicks from the front page of the site to a heading.
 
-    To open a page takes one click on a link, or two clicks on a tab and an entry. To go to a
-    heading takes one more click in the table of contents.
+    A reader opens a page with one click on a link, or with two clicks on a tab and an entry of the
+    navigation. To go to a heading, the reader needs one more click in the table of contents.
     """
     if page == "index.md":
         return 0
@@ -72,7 +72,7 @@ def click_count(page: str, heading_anchor: str) -> int:
 
 
 def navigation_pages(navigation_entry: Any) -> list[str]:
-    """Return all pages in a part of the navigation."""
+    """Return all pages in a part of the site's navigation."""
     if isinstance(navigation_entry, str):
         return [navigation_entry]
     values = navigation_entry.values() if isinstance(navigation_entry, dict) else navigation_entry

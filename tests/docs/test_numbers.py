@@ -1,4 +1,4 @@
-"""The results of ``handctl demo`` in the README and on the site equal the output of the command next to them."""
+"""Test that results of ``handctl demo`` in the README and on the site equal the output of the command beside them."""
 
 import json
 import re
@@ -17,7 +17,7 @@ PAGES_WITH_NUMBERS = [
 ]
 NUMBER_PATTERN = re.compile(r"\d+(?:\.\d+)?")
 RELATIVE_TOLERANCE, ROUNDING_TOLERANCE = 0.15, 0.051
-"""Permitted relative difference between two processors, and permitted rounding error of a printed number."""
+"""Permitted relative difference of results between two processors, and permitted rounding error of printed results."""
 
 
 def test_the_numbers_are_fresh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""Paragraphs of the documents are short, and the terms of the glossary are in alphabetical order."""
+"""Test that paragraphs of the documents are short, and that the terms of the glossary are in alphabetical order."""
 
 import re
 from pathlib import Path
@@ -13,7 +13,7 @@ PROSE_DOCUMENTS = [
     *sorted((REPOSITORY_ROOT / "docs").rglob("*.md")),
 ]
 MAX_SENTENCES = 5
-"""Largest number of sentences that a paragraph may have."""
+"""Largest permitted number of sentences in a paragraph."""
 FENCE_PATTERN = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
 NON_PROSE_PREFIXES = ("|", "#", "<!--", "    ")
 
@@ -21,7 +21,7 @@ NON_PROSE_PREFIXES = ("|", "#", "<!--", "    ")
 def paragraphs_of(document_text: str) -> list[str]:
     """Return the paragraphs of a document without code and tables.
 
-    Each entry of a list counts as a paragraph.
+    Each entry of a list in the document counts as a paragraph.
     """
     text_without_quotes = re.sub(
         r"^> ?", "", FENCE_PATTERN.sub("", document_text), flags=re.MULTILINE
@@ -58,8 +58,8 @@ def test_no_paragraph_is_long(path: Path) -> None:
     "path", PROSE_DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
 )
 def test_a_second_paragraph_of_a_list_entry_is_indented_by_four(path: Path) -> None:
-    # If the text of a list entry is indented by fewer than four spaces, the site ends the list. The
-    # site then shows the marks of later list entries as text.
+    # If the text of a list entry is indented by fewer than four spaces, the site ends the list.
+    # After an early end of the list, the site shows the marks of later list entries as text.
     text = FENCE_PATTERN.sub("", path.read_text(encoding="utf-8"))
     assert re.findall(r"\n\n {1,3}\S.*", text) == []
 
@@ -68,8 +68,8 @@ def test_a_second_paragraph_of_a_list_entry_is_indented_by_four(path: Path) -> N
     "path", PROSE_DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
 )
 def test_no_line_begins_with_a_number_that_ends_a_sentence(path: Path) -> None:
-    # The site shows a line that begins like "126. The identifiers" as a list entry. A real list
-    # begins with the number 1.
+    # The site shows a line that begins like "126. The identifiers" as a list entry. A real list in
+    # a document begins with the number 1.
     text = FENCE_PATTERN.sub("", path.read_text(encoding="utf-8"))
     numbers = [int(number) for number in re.findall(r"^ *(\d+)\. ", text, re.MULTILINE)]
     assert [b for a, b in zip([0, *numbers], numbers, strict=False) if b not in (1, a + 1)] == []

@@ -1,6 +1,6 @@
-"""The generated blocks of the pages agree with the code.
+"""Test that the generated blocks of the documentation pages agree with the code.
 
-``python -m tools.reference`` writes these blocks.
+The command ``python -m tools.reference`` writes the generated blocks.
 """
 
 import re

@@ -1,4 +1,4 @@
-"""The site builds without network access and without warnings.
+"""Test that the documentation site builds without network access and without warnings.
 
 The pages of the site load nothing from other servers.
 """
@@ -36,7 +36,7 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     page_paths = sorted((tmp_path / "site").rglob("*.html"))
     assert (
         len(page_paths) == len(list((REPOSITORY_ROOT / "docs").rglob("*.md"))) + 1
-    )  # the error page 404.html is added to the pages
+    )  # the site has one page more than the documents: the error page 404.html
     texts = [page.read_text(encoding="utf-8") for page in page_paths]
     assert [match[0] for text in texts for match in EXTERNAL_RESOURCE_PATTERN.finditer(text)] == []
     # If there is no empty line before a list, the list becomes a part of the paragraph above.

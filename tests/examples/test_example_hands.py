@@ -1,6 +1,7 @@
-"""Test the hand in examples/hands.
+"""Test the example hand in the folder examples/hands.
 
-`config check` accepts hand file and gains file. The command in examples/README.md makes the hand grasp an object.
+`config check` accepts the hand file and the gains file of the example hand. The command in
+examples/README.md makes the example hand grasp an object.
 """
 
 import json
@@ -19,8 +20,8 @@ HANDS_FOLDER = REPOSITORY_ROOT / "examples" / "hands"
 OBJECT_MOTION_MM = (1.5, 3.5)
 """Bounds of the motion of the object while ``shadow_like`` holds it [mm].
 
-The digits yield sideways, so the object moves by 2.4 mm. If the object moves less than the lower
-bound, docs/evidence/hands.md is out of date.
+The digits of ``shadow_like`` yield sideways, so the object moves by 2.4 mm. If the object moves
+less than the lower bound, the page docs/evidence/hands.md is out of date.
 """
 
 
@@ -28,7 +29,8 @@ bound, docs/evidence/hands.md is out of date.
 def hands_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Copy the folder examples/hands, and change to the copy.
 
-    The copy is at the same place in a temporary folder as the original in the repository.
+    The path of the copy in a temporary folder is the same as the path of the original in the
+    repository.
     """
     (tmp_path / "logs").mkdir()
     folder = tmp_path / "examples" / "hands"

@@ -1,4 +1,4 @@
-"""Every program in examples/ is started as a user starts it, and does what its docstring describes."""
+"""Start every program in examples/ as a user starts it, and test that it works as its docstring describes."""
 
 import re
 import runpy
@@ -29,7 +29,7 @@ EXAMPLES_FOLDER = Path(__file__).parents[2] / "examples"
 REALTIME_MARK = pytest.mark.realtime
 TIME_SCALE = 1.0
 MATPLOTLIB_BLUE_RGB = np.array([0x1F, 0x77, 0xB4]) / 255
-"""First colour of lines in matplotlib."""
+"""Colour that matplotlib gives to the first line of a diagram."""
 
 
 @contextmanager
@@ -56,7 +56,7 @@ def running_simulator(*simulator_options):
 def work_folder(tmp_path, monkeypatch):
     """Change to an empty folder.
 
-    The sockets are in another folder, because the path of a Unix socket must be short.
+    Unix sockets are in another folder, because the path of a Unix socket must be short.
     """
     with tempfile.TemporaryDirectory(prefix="h-") as short_folder:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short_folder)
@@ -100,7 +100,7 @@ def check_picture(picture_name):
 def simulated_hand(attempt_time_scale, *words, name="jamia"):
     """Run the simulated hand of the examples in slowed time.
 
-    Yield the command-line options for the controller of this hand.
+    Yield the command-line options for a controller of the simulated hand.
     """
     scale = make_time_scale_options(TIME_SCALE * attempt_time_scale)
     write_homed_calibration(Path("c.toml"), load_hand(name))
@@ -135,8 +135,8 @@ def test_stream_sine(attempt_time_scale):
     accepted = re.search(r"accepted=(\d+), clipped=0", out)
     assert accepted
     assert 100 < int(accepted[1]) <= 301, "missed times are left out"
-    # The test compares with the ideal sine of the program. Targets that are sent too late therefore
-    # count as an error.
+    # The test compares the motion with the ideal sine of the example program. For this reason,
+    # targets that the program sends too late count as an error.
     assert numbers_in(out.splitlines()[-1])[0] < 1.5
     check_picture("sine.png")
 
@@ -146,8 +146,9 @@ def test_retarget(attempt_time_scale):
     with simulated_hand(attempt_time_scale, "--scene", "none", name="jamia11") as options:
         out = run_example("retarget.py", *options)
     assert "accepted=300" in out
-    # The limit was 6 mm in an earlier version. At that time, the program computed each target from
-    # a counter, and its motion lagged 0.2 s behind on a busy machine.
+    # The limit of the error was 6 mm in an earlier version of the test. In that version, the
+    # program computed each target from a counter, and its motion lagged 0.2 s behind on a busy
+    # machine.
     assert numbers_in(out.splitlines()[-1])[0] < 2.5
     check_picture("retarget.png")
     # The second row of the picture shows the distances of the fingertips, in one diagram per digit.
@@ -224,7 +225,7 @@ def test_plot_grasp(grasp_log):
 
 
 def test_each_joint_of_a_plotted_grasp_has_its_own_line(grasp_log, monkeypatch):
-    """Reproduce a defect: two of the eleven joints had the same colour in the picture and in its legend."""
+    """Reproduce a defect: the lines of two of the eleven joints had the same colour in the picture and its legend."""
     monkeypatch.setattr(sys, "argv", ["plot_grasp.py", str(grasp_log)])
     axes = runpy.run_path(str(EXAMPLES_FOLDER / "plot_grasp.py"))["axes"]
     line_styles = [

@@ -1,7 +1,7 @@
 """Test the fault matrix in lockstep.
 
-Each fault has an effect, and all reactions are in time. No tension is larger than drives and rotors
-can cause.
+Each injected fault has an effect, and all reactions of the controller are in time. No tension is
+larger than drives and rotors can cause.
 """
 
 import contextlib
@@ -53,7 +53,7 @@ SAMPLED_FAULT_IDS = ("N08", "H13")
 
 @pytest.fixture(scope="module")
 def campaign_report():
-    """Return the report of a short campaign: a few faults with MIT drives, and one second without a fault."""
+    """Return the report of a short fault campaign: a few faults with MIT drives, and one second without a fault."""
     return campaign.run_campaign(
         "jamia", ["mit"], lambda hand: RATE_HZ, jobs=2, is_quick=False, fault_free_s=1.0,
         on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None,
@@ -65,8 +65,7 @@ def test_only_existing_load_cells_fail():
     """Reproduce a defect.
 
     The campaign let a load cell of a spool pair saturate, although spool pairs have no load cells.
-
-    The campaign then ended with a traceback.
+    Because of the load cell that does not exist, the campaign ended with a traceback.
     """
     for hand in (mount_on_wrist("jamia"), load_hand("orca_like")):
         cells = set(hand.sensor_node.tendons)
@@ -100,7 +99,7 @@ def test_the_report_has_its_sections(campaign_report):
 def test_fault_free_run_alone_continues_its_seeds():
     """The seeds of the runs without faults can continue those of an earlier campaign.
 
-    So a long campaign can be done in several parts.
+    With consecutive seeds, a long campaign can be divided into several short campaigns.
     """
     seeds = []
 
@@ -121,8 +120,8 @@ def test_fault_free_run_alone_continues_its_seeds():
 def alarms_of_run(last_phase, *event_texts):
     """Return the false alarms of a run without injected faults.
 
-    In this run, the hand stays in one phase for eight seconds, and reports the given faults in each
-    second.
+    In the run without injected faults, the hand stays in one phase of its task for eight seconds,
+    and reports the given faults in each second.
     """
     events = tuple(TickEvent("warn", "fault", "", text) for text in event_texts)
     out = SimpleNamespace(mode=HandMode.ACTIVE, phase=last_phase, events=events)
@@ -162,7 +161,8 @@ def test_a_reaction_or_a_missing_grasp_without_fault_is_a_false_alarm():
 def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed: int) -> None:
     """Reproduce a defect.
 
-    The commands changed so much at the contact that exchanged drives were not detected for 2.3 s.
+    The torque commands changed so much at the contact that the controller did not detect exchanged
+    drives for 2.3 s.
     """
     hand = hand_with_protocol("t42", "mit")
     with homed_run(hand, RATE_HZ, seed) as simulation:
@@ -179,20 +179,21 @@ def test_every_hand_with_every_protocol_has_a_rate_at_which_faults_are_found_in_
 ) -> None:
     """With eleven moteus, ODrive or RobStride drives, one bus allows a control rate of only 100 Hz.
 
-    The motors of such a hand are therefore on two buses.
+    In this test, hands with eleven moteus, ODrive or RobStride drives have two buses.
     """
     replaced = hand_with_protocol(hand, protocol)
     assert default_control_rate(replaced) >= MIN_CONTROL_RATE_HZ
     assert {motor.bus for motor in replaced.motor} <= set(replaced.bus_names)
-    # The hand file that `demo --protocol` writes describes the same hand.
+    # The hand file that `demo --protocol` writes must describe the same hand as ``replaced``.
     assert hand_from_content(tomllib.loads(replaced.to_toml()), "hand") == replaced
 
 
 @pytest.mark.timeout(120)
 def test_at_100_hz_noise_prevents_no_grasp():
-    """In this run, the noise of the load cells is three times as large as usual.
+    """In the run of this test, the noise of the load cells is three times as large as usual.
 
-    Without countermeasures, one of eleven taut tendons would look slack in every fifth tick.
+    Without countermeasures against this noise, one of eleven taut tendons would look slack in every
+    fifth tick.
     """
     assert (
         campaign.simulate_without_faults(
@@ -203,9 +204,9 @@ def test_at_100_hz_noise_prevents_no_grasp():
 
 
 def test_a_missing_reaction_counts_as_late(tmp_path):
-    """The judge of the campaign reports a fault without an effect, and a fault that cannot be detected in time.
+    """The fault campaign must report a fault that has no effect, and a fault that cannot be detected in time.
 
-    This test shows that the judge can fail a run.
+    This test shows that the fault campaign can report that a scenario failed.
     """
     hand = hand_with_protocol("jamia", "mit")
     row_without_reaction = FaultMatrixRow(
@@ -237,7 +238,7 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
 
 
 def test_a_reaction_to_another_fault_does_not_count():
-    """If a run ends because a drive is silent, it does not show that faults of load cells are detected."""
+    """A run that ends because a drive is silent does not show that faults of load cells are detected."""
     row = FaultMatrixRow(
         "T05", "error node=index_motor", SafetyAction.RELAX, 3, accepted_faults=("T05",)
     )
@@ -277,10 +278,10 @@ def test_the_offset_of_a_load_cell_exceeds_the_limits_of_its_tendon():
 
 @pytest.mark.parametrize("joint", ["index_j1", "thumb_j2"])
 def test_silent_joint_encoders_are_detected(joint):
-    """Four missing frames in a row of a joint encoder are a fault.
+    """If four successive frames of a joint encoder are missing, this is a fault.
 
-    Three missing frames in a row cause no fault: neither N06 (encoder drift or slip) nor T08 (a
-    tendon left its pulley).
+    Three successive missing frames of a joint encoder cause no fault: neither N06 (encoder drift or
+    slip) nor T08 (a tendon left its pulley).
     """
     joint_decimation = hand_with_protocol("jamia11", "mit").sensor_node.joint_decimation
     for frames, detected_fault in ((3, ""), (4, f"N02b {joint}")):
@@ -299,9 +300,9 @@ def test_silent_joint_encoders_are_detected(joint):
 def results_of_hand(
     hand_name: str, seed: int, faults_by_stage: dict[str, tuple[str, ...]], protocol: str = "mit"
 ) -> dict[str, ScenarioResult]:
-    """Return the results of a hand's scenarios by name.
+    """Run the fault scenarios of a hand, and return their results by scenario name.
 
-    ``faults_by_stage`` gives the faults that are injected in each stage.
+    ``faults_by_stage`` contains the faults that are injected in each stage of the campaign.
     """
     hand = hand_with_protocol(hand_name, protocol)
     rate = default_control_rate(hand)
@@ -326,14 +327,14 @@ def results_of_hand(
 
 
 def assert_no_scenario_failed(results: dict[str, ScenarioResult]) -> None:
-    """Fail with the name and the problem of the first scenario that failed."""
+    """Fail the test with the name and the problem of the first failed scenario."""
     for result in results.values():
         assert result.ok, result.scenario + result.problem
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_exchanged_power_stages_without_torque_feedback_are_found_at_a_small_tension(seed: int):
-    """Reproduce a defect: the residual had only a filter of 200 ms, and a tension reached 100 to 114 N."""
+    """Reproduce a defect: the force residual had only a filter of 200 ms, so a tension reached 100 to 114 N."""
     (result,) = results_of_hand("t42", seed, {FREE_MOTION_STAGE: ("cross",)}, "odrive").values()
     assert result.ok, result.problem
     assert result.detected_by.startswith("T04b")
@@ -342,7 +343,7 @@ def test_exchanged_power_stages_without_torque_feedback_are_found_at_a_small_ten
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_drive_without_torque_feedback_that_switches_off_is_reported_by_its_own_error(seed: int):
-    """The fast filter of T04b does not find a drive without torque, because the tension becomes lower."""
+    """The fast filter of the fault T04b does not find a drive without torque, because its tension becomes lower."""
     faults = ("voltage", "error", "watchdog")
     for result in results_of_hand("t42", seed, {GRASP_STAGE: faults}, "odrive").values():
         assert result.ok, result.problem
@@ -350,10 +351,10 @@ def test_a_drive_without_torque_feedback_that_switches_off_is_reported_by_its_ow
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
-    """Keep tensions below 40 N.
+    """Check that tensions stay below 40 N if drives are exchanged or late in a hand without load cells.
 
-    Earlier defect: drives of the thumb were exchanged or reacted late. The spools became faster and
-    faster, and pulled with 208 to 230 N.
+    Earlier defect: when drives of the thumb were exchanged or reacted late, their spools became
+    faster and faster, and pulled with 208 to 230 N.
     """
     results = results_of_hand("orca_like", seed, {FREE_MOTION_STAGE: ("swap", "cross", "late")})
     assert len(results) == 6
@@ -365,8 +366,10 @@ def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
 def test_faults_of_a_hand_without_load_cells_are_found_in_a_grasp():
     """A tendon that tears while it pulls is detected within 75 ms.
 
-    A drive without torque is detected within 22 ticks. Earlier defect: both faults were detected
-    too late. Earlier defect: a drive that kept its torque was not reported.
+    A drive without torque is detected within 22 ticks. Earlier defect: the controller detected a
+    torn
+    tendon and a drive without torque too late. Earlier defect: a drive that kept its torque was not
+    reported.
     """
     results = results_of_hand(
         "orca_like", 1, {GRASP_STAGE: ("snap", "slack", "disobey", "ripple", "hold_on", "reorder")}
@@ -395,8 +398,8 @@ def test_faults_of_an_extensor_with_a_small_tension_are_found_in_time(seed):
     """The extensor of the thumb pulls with 9 N in a grasp.
 
     Reproduce two defects. The fault of a torn extensor was reported only after 11 ticks, because
-    the tension loop damps the spool. The detection of a stuck load cell was judged as too late,
-    although the motor force had not changed.
+    the tension loop damps the spool. The campaign reported that a stuck load cell was detected too
+    late, although the motor force had not changed.
     """
     results = results_of_hand("n_plus_1", seed, {GRASP_STAGE: ("snap", "slack", "stuck cell")})
     assert len(results) == 6
@@ -407,7 +410,7 @@ def test_faults_of_an_extensor_with_a_small_tension_are_found_in_time(seed):
 def test_a_noisy_encoder_is_reported_as_such(seed):
     """Reproduce a defect: a noisy encoder was first reported as T04b (a load cell is wrong).
 
-    The noise looked like an acceleration.
+    The noise of the encoder looked like an acceleration of the spool.
     """
     results = results_of_hand("jamia11", seed, {FREE_MOTION_STAGE: ("noise encoder",)})
     assert len(results) == 2
@@ -418,7 +421,8 @@ def test_a_noisy_encoder_is_reported_as_such(seed):
 def test_an_odrive_that_does_not_release_is_found_although_it_reports_rarely(seed):
     """Reproduce a defect: the fault N16 (a drive does not release) was not detected.
 
-    The drive reports rarely. Between two reports, the estimated speed of the spool hid the fault.
+    The ODrive sends its torque rarely. Between two torque reports, the estimated speed of the spool
+    hid the fault.
     """
     results = results_of_hand("t42", seed, {GRASP_STAGE: ("hold_on",)}, "odrive")
     assert len(results) == 2
@@ -426,7 +430,7 @@ def test_an_odrive_that_does_not_release_is_found_although_it_reports_rarely(see
 
 
 def test_only_missing_sensors_extend_a_time_limit():
-    """Compare hands with and without load cells.
+    """Compare the time limits of faults for hands with and without load cells.
 
     For hands with load cells, the time limits of the fault catalogue apply.
     """
@@ -443,9 +447,10 @@ def test_only_missing_sensors_extend_a_time_limit():
 
 @pytest.mark.parametrize(("protocol", "is_judged"), [("mit", True), ("odrive", False)])
 def test_torque_after_a_cut_needs_a_load_cell_or_torque_in_each_reply(protocol, is_judged):
-    """For the fault N16, the campaign and `config check` agree.
+    """For the fault N16 (a drive does not release), the campaign and `config check` agree.
 
-    An ODrive sends its torque in a separate frame, and sends none after a cut.
+    An ODrive sends its torque in a separate frame. After the action CUT, an ODrive sends no more
+    torque frames.
     """
     hand = hand_with_drives(load_hand("orca_like"), protocol)
     rows = {scenario.row.id for scenario in scenarios_of_hand(hand, protocol, 5.0)}
@@ -454,10 +459,11 @@ def test_torque_after_a_cut_needs_a_load_cell_or_torque_in_each_reply(protocol, 
 
 
 def test_a_stall_of_the_host_is_a_stall_at_every_control_rate():
-    """The scenario of H03 misses more ticks at a faster rate.
+    """The scenario of the fault H03 (the host stalled) misses more ticks at a faster control rate.
 
-    Reproduce a defect: the scenario missed 14 ticks at every rate. At 1 kHz, 14 ticks are 14 ms,
-    which is no stall. At 200 Hz, they are longer than the watchdog time of the drives.
+    Reproduce a defect: the scenario of H03 missed 14 ticks at every control rate. At 1 kHz, 14
+    missed ticks last 14 ms, which is no stall of the host. At 200 Hz, 14 missed ticks last longer
+    than the watchdog time of the drives.
     """
     hand = hand_with_protocol("t42", "mit")
     watchdog_s = min(motor.watchdog_ms for motor in hand.motor) * 1e-3
@@ -470,7 +476,7 @@ def test_a_stall_of_the_host_is_a_stall_at_every_control_rate():
 
 
 def test_a_time_limit_of_a_filter_stays_the_same_time_at_a_fast_control_rate():
-    """At 500 Hz and below, the limit is ``max_ticks``. Other rows have the same limit at every rate."""
+    """At 500 Hz and below, each limit is ``max_ticks``. At 1 kHz, limits with ``scales_with_period`` are higher."""
     for row in FAULT_MATRIX:
         fixed_row = row._replace(max_extra_ms=0.0, extra_ms_by_protocol={}, extra_ticks={})
         slow = [fixed_row.reaction_limit_ticks("mit", period_ms) for period_ms in (5.0, 2.5, 2.0)]
@@ -482,9 +488,9 @@ def test_a_time_limit_of_a_filter_stays_the_same_time_at_a_fast_control_rate():
 
 @pytest.mark.parametrize("seed", [0, 2])
 def test_faults_of_a_hand_at_1_khz_are_found_in_the_time_of_500_hz(seed):
-    """Reproduce a defect: two faults were detected later than at 500 Hz, counted in ticks.
+    """Reproduce a defect: at 1 kHz, the controller needed more ticks to detect two faults than at 500 Hz.
 
-    The reasons were the low-pass filter of N14 and a delayed frame.
+    The late detection had two reasons: the low-pass filter of the fault N14, and a delayed frame.
     """
     assert default_control_rate(hand_with_protocol("t42", "cia402")) == 1000.0
     faults = {FREE_MOTION_STAGE: ("host skip", "delay"), GRASP_STAGE: ("disobey", "delay")}
@@ -499,9 +505,9 @@ def test_a_drive_of_a_weak_hand_that_does_not_obey_is_found_as_soon_as_one_of_a_
 ):
     """Compare drives with torque limits of 110 N and 160 N.
 
-    Reproduce two defects. In both, the weak hand had the threshold of the strong hand. A drive
-    without torque was found after 23 ticks, but the limit is 22. A drive that runs away at 1 kHz
-    was found after 11 ticks, but the limit is 10.
+    Reproduce two defects in which a weak hand had the fault threshold of a strong hand. The
+    controller found a drive without torque after 23 ticks, but the limit is 22 ticks. At 1 kHz, the
+    controller found a drive that runs away after 11 ticks, but the limit is 10 ticks.
     """
     faults = {FREE_MOTION_STAGE: ("runaway",), GRASP_STAGE: ("disobey",)}
     for seed in (0, 12):
@@ -514,7 +520,8 @@ def test_a_drive_of_a_weak_hand_that_does_not_obey_is_found_as_soon_as_one_of_a_
 def test_a_slack_tendon_of_a_drive_that_forgot_its_limits_counts_as_found(seed):
     """Reproduce a defect: the campaign did not accept the fault T01.
 
-    The hand rightly relaxed with T01 after 26 ticks, but the campaign expected other faults.
+    The hand correctly relaxed with the fault T01 after 26 ticks, but the campaign expected other
+    faults.
     """
     results = results_of_hand("t42", seed, {GRASP_STAGE: ("forget",)}, "moteus")
     assert len(results) == 2
@@ -537,11 +544,11 @@ def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
 def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
     """If a drive runs away against a grasped object, the tension has an upper bound.
 
-    The bound follows from the limit and the momentum of the drive. The drive pulls its rotor
-    against the tendon with at most the force F. Seen at the tendon, the rotor has the mass m and
-    the initial speed v. The tendon has the stiffness k and the initial tension T. Without friction,
-    the tension then rises to F + sqrt((F - T)^2 + k m v^2). The reaction of the host can only lower
-    this tension.
+    The bound of the tension follows from the force limit and the momentum of the drive. The runaway
+    drive pulls its rotor against the tendon with at most the force F. Seen at the tendon, the rotor
+    has the mass m and the initial speed v. The tendon has the stiffness k and the initial tension
+    T. Without friction, the tension rises to F + sqrt((F - T)^2 + k m v^2). The reaction of the
+    controller can only lower the final tension.
     """
     hand = hand_with_protocol("jamia", "mit")
     with homed_run(hand, RATE_HZ, 0) as simulation:
@@ -622,7 +629,7 @@ KNOWN_FAILURES = {
         "N17 swap node=left_motor with=right_motor, free motion",
     }
 }
-"""Scenarios that fail, by hand and protocol. docs/evidence/campaign.md describes them under "Known failures"."""
+"""Scenarios that fail, by hand and drive protocol, as listed in docs/evidence/campaign.md under "Known failures"."""
 
 
 @pytest.mark.nightly
@@ -640,7 +647,7 @@ def test_the_quick_sample_passes_with_every_seed(hand: str, seed: int):
     }
     known_failures = KNOWN_FAILURES.get((hand, protocol), set())
     assert {name: why for name, why in failed_checks.items() if name not in known_failures} == {}
-    # A known failure that passes must be removed from the list.
+    # If a scenario in ``KNOWN_FAILURES`` passes, it must be removed from the list.
     assert (
         known_failures & {result.scenario for result in report.all_results} <= failed_checks.keys()
     )

@@ -1,7 +1,7 @@
 """Test random sequences of faults.
 
-The same seed gives the same sequence. No sequence violates a safety rule. The test can detect a
-violation of each rule.
+The same seed gives the same sequence of faults. No sequence of faults violates a safety rule. The
+test can detect a violation of each safety rule.
 """
 
 import os
@@ -44,9 +44,9 @@ EMPTY_CALLBACKS = {
 
 @pytest.fixture(scope="module")
 def arming_simulation():
-    """Yield the simulation of a hand that is being armed, at a low control rate.
+    """Yield the simulation of a hand at a low control rate. The controller is just arming the hand.
 
-    Each test uses a copy of this simulation.
+    Each test uses a copy of the yielded simulation.
     """
     with homed_run(hand_with_protocol("jamia", "mit"), 200.0, 0) as arming_simulation:
         advance_to_stage(arming_simulation, ARMING_STAGE)
@@ -83,10 +83,11 @@ def test_sequence_violates_no_rule():
 
 
 def test_a_sequence_that_breaks_a_rule_names_it(copy_of_arming_simulation, monkeypatch):
-    """In this sequence, a drive runs away.
+    """In the fault sequence of this test, a drive runs away.
 
-    The rule about high tensions accepts a runaway drive as the reason. In this test, the rule must
-    not accept this reason. The sequence must then violate the rule.
+    The safety rule about high tensions usually accepts a runaway drive as the reason of a high
+    tension. This test changes the rule so that it does not accept a runaway drive. The fault
+    sequence must violate the changed rule.
     """
     results = []
     sequence = FaultSequence(0, ARMING_STAGE, (FaultStep(20, "runaway node=index_motor"),))

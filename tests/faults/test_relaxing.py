@@ -1,7 +1,7 @@
-"""A hand that relaxes never raises a tension.
+"""Test that a hand that relaxes never raises a tension.
 
 The tests choose hands, simulated parameters, faults, and times of the faults at random. The tests
-check the true tensions in the simulator.
+check the true tensions of the simulated hand.
 """
 
 import math
@@ -52,7 +52,7 @@ COMMAND_ROUNDING_N = 0.05
 TENSION_BOUND_MARGIN_N = 3.0
 """Margin that is added to the computed tension bound [N].
 
-The bound neglects capstan friction and contacts.
+The computed tension bound neglects capstan friction and contacts.
 """
 
 
@@ -83,10 +83,11 @@ def tension_bound(
 ) -> np.ndarray:
     """Return an upper bound of each tension (N,) [N].
 
-    The bound follows from the motion of the rotors and the stretch of the tendons. Seen at the
-    tendon, a rotor has the mass m and the speed v. A force of at most F pulls the rotor against the
-    stiffness k of the tendon. From a tension T, the tension rises to at most F + sqrt((F - T)^2 + k
-    m v^2). While the finger moves freely, the force also increases the speed of the rotor.
+    The bound of a tension follows from the motion of the rotors and the stretch of the tendons.
+    Seen at the tendon, a rotor has the mass m and the speed v. A force of at most F pulls the rotor
+    against the stiffness k of the tendon. From a tension T, the tension rises to at most F +
+    sqrt((F - T)^2 + k m v^2). While the finger of the tendon moves freely, the force F also
+    increases the speed of the rotor.
     """
     space = simulation.controller.model.tendon_constants
     largest = np.maximum(motor_force, 0.0)
@@ -130,8 +131,8 @@ def check_relaxing(
     simulation: SimulatedRun, stop_tick: int, window_ticks: int, fault_command: str
 ) -> None:
     recent: list[TrueTendonState] = [true_tendon_state(simulation)]
-    # A drive with a delay may still execute a command from before the stop. The largest command
-    # therefore includes these commands.
+    # A drive with a delay can still execute commands from before the stop request. For this reason,
+    # the largest command includes commands from before the stop request.
     commanded = [simulation.state.view("asked").copy()]
     while simulation.state.mode == HandMode.ACTIVE:
         simulation.run_tick(requests=(STOP_REQUEST,) if simulation.k == stop_tick else ())
@@ -158,8 +159,8 @@ def check_relaxing(
         now = true_tendon_state(simulation)
         peak = np.maximum(peak, now.tension)
         force = np.maximum(force, now.force)
-    # A faulty drive may make more force than commanded. Even then, the force must not exceed the
-    # force before the decision to relax.
+    # A faulty drive can make more force than commanded. The force of a faulty drive must not exceed
+    # its force before the decision to relax.
     assert (force <= np.maximum(force_before, 0.0) + COMMAND_ROUNDING_N).all(), (
         f"{fault_command}: {force} after {force_before}"
     )
@@ -180,8 +181,9 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
 ) -> None:
     """Reproduce a defect.
 
-    The tension loop was unstable. The hand began to relax from the last command of this loop, which
-    was 160 N. The tension of a tendon that had been slack then reached 317 N.
+    In an earlier version, the tension loop of the hand was unstable. The hand began to relax from
+    the last command of the unstable tension loop, which was 160 N. During the relaxing, the tension
+    of a tendon that had been slack reached 317 N.
     """
     hand = hand_with_protocol("jamia", "odrive")
     with homed_run(hand, 400.0, seed, task=hidden_faults.rising_hold_task()) as simulation:

@@ -1,4 +1,4 @@
-"""A clock for the simulator, which shows the time that a test has set."""
+"""Clock for the simulator whose time a test sets."""
 
 
 class ManualClock:
@@ -6,9 +6,9 @@ class ManualClock:
 
     Attributes:
         t_ns: present time [ns].
-        sent: number of ticks whose frames a controller has sent. answered: number of ticks for
-            which the simulator has sent all replies, as the bus server reports. reached_ns: time up
-            to which the bus server has simulated [ns].
+        sent: number of ticks for which a controller has sent its frames. answered: number of ticks
+            for which the simulator has sent all replies, as the bus server reports. reached_ns:
+            time up to which the bus server has simulated [ns].
     """
 
     scale = 1.0

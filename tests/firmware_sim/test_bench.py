@@ -48,9 +48,9 @@ def test_an_mit_motor_has_the_manufacturers_ranges_and_no_watchdog(motor_type: s
 def test_an_mit_motor_reads_the_gear_ratio_of_its_type(
     motor_type: str, expected_ratio: int
 ) -> None:
-    """Reproduce a defect: motors of every type reported the gear ratio 16.
+    """Reproduce a defect: simulated MIT motors of every type reported the gear ratio 16.
 
-    Therefore the client i2rt refused all of them.
+    Because of the wrong gear ratio, the client i2rt refused all simulated MIT motors.
     """
     bench = SimulatedDriveBench([drive_spec("mit", 2, motor_type)])
     assert struct.unpack("<f", read_register(bench, 2, 20)) == (expected_ratio,)
@@ -98,9 +98,9 @@ def test_an_odrive_follows_positions_and_velocities() -> None:
 def run_at_torque(
     protocol: str, torque: float, motor_type: str = "", inertia: float | None = None
 ) -> tuple[SimulatedDriveBench, float]:
-    """Command a torque [N m] for five seconds.
+    """Command a torque [N m] of a simulated drive for five seconds.
 
-    Return the bench, and the final speed of the shaft [rad/s].
+    Return the bench with the simulated drive, and the final speed of its shaft [rad/s].
     """
     bench = SimulatedDriveBench([drive_spec(protocol, 2, motor_type, inertia=inertia)])
     spec = drive_spec(protocol, 2, motor_type)
@@ -319,10 +319,10 @@ def test_the_help_names_the_endpoints_and_the_eds_file(capsys: pytest.CaptureFix
 def test_the_watchdog_of_a_damiao_motor_is_selectable(
     watchdog_behaviour: str, polled_state: int, idle_state: int
 ) -> None:
-    """The vendor describes the condition of the watchdog as "no CAN commands within the interval".
+    """The vendor of Damiao motors describes the watchdog condition as "no CAN commands within the interval".
 
-    The vendor does not say whether register requests count as commands, and whether the watchdog is
-    active in a disabled motor.
+    The vendor does not say if register requests count as commands, and does not say if the watchdog
+    of a disabled motor is active.
     """
     spec = drive_spec("mit", 2)
     for enabled, expected in ((True, polled_state), (False, idle_state)):
@@ -525,7 +525,7 @@ def test_wrong_arguments_are_refused_in_one_line(
 
 
 def sdo_reply(bench: SimulatedDriveBench, request_data: bytes) -> bytes:
-    """Send an SDO request to CiA 402 node 33, and return the data of its last reply."""
+    """Send an SDO request to the CiA 402 node 33, and return the data of the node's last reply."""
     return bench.receive(Frame(0x600 + 33, request_data))[-1].data
 
 

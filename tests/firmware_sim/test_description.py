@@ -1,6 +1,7 @@
 """Test how the simulator reads hand files and changes their parameters at random.
 
-The bytes of a simulated frame must equal those of the Linux structure `canfd_frame`.
+The tests also check that the bytes of a simulated frame equal those of the Linux structure
+`canfd_frame`.
 """
 
 import struct
@@ -30,7 +31,7 @@ from handctl.hand.hand_loading import load_hand as described
 
 
 def write_edited_hand(tmp_path: Path, original_text: str, replacement_text: str) -> str:
-    """Copy the hand file of jamia, replace the first occurrence of a text, and return the path."""
+    """Copy the hand file of jamia, replace the first occurrence of a text, and return the path of the copy."""
     text = described("jamia").to_toml()
     assert original_text in text
     path = tmp_path / "edited.toml"
@@ -87,9 +88,9 @@ def test_incomplete_hands_are_refused_in_one_line(
 
 
 def test_motors_on_two_buses(tmp_path: Path) -> None:
-    """In this hand, the first motor is on the second bus.
+    """In the hand of this test, the first motor is on the second bus.
 
-    This motor replies on the second bus, and ignores frames on the first bus.
+    The motor on the second bus replies on the second bus, and ignores frames on the first bus.
     """
     first_file = write_edited_hand(
         tmp_path, "[sensor_node]", '[[bus]]\nname = "side"\nbitrate = 1000000\n\n[sensor_node]'

@@ -1,4 +1,4 @@
-"""The simulated motion is the same with compiled code, with Python code and with MuJoCo's ``mj_step``."""
+"""Test that compiled code, Python code and MuJoCo's ``mj_step`` give the same simulated motion."""
 
 import resource
 import subprocess
@@ -21,7 +21,7 @@ def closing_hand(hand_name: str, uses_mj_step: bool = True, is_compiled: bool = 
     """Build a simulated hand that closes on a cylinder.
 
     At the start, the tendons are slack. The tendons become taut while the hand closes. Each motor
-    follows a torque, a position, or a moving position.
+    of the hand follows a commanded torque, a commanded position, or a commanded moving position.
     """
     plant = Plant(load_hand(hand_name), load_scene("cylinder"), seed=3, is_compiled=is_compiled)
     if not uses_mj_step:
@@ -35,7 +35,7 @@ def closing_hand(hand_name: str, uses_mj_step: bool = True, is_compiled: bool = 
 
 
 def state_as_hex(plant: Plant) -> list[str]:
-    """Return all numbers that describe the motion as texts, exact to the last bit."""
+    """Return texts of all numbers that describe the motion of the simulated hand, exact to the last bit."""
     motors = [(m.theta, m.omega, m.torque, m.velocity, m.heat) for m in plant.motors.values()]
     tendons = [(tendon.tension, tendon.speed, tendon.slope) for tendon, _ in plant.tendons]
     engine = plant.engine
@@ -54,8 +54,8 @@ def state_as_hex(plant: Plant) -> list[str]:
 def test_all_ways_to_step_are_equal_to_the_bit(hand: str) -> None:
     """Four ways to compute simulation steps give results that are equal to the last bit.
 
-    The ways are a block of steps, single steps, steps by MuJoCo's Python bindings, and steps in
-    Python.
+    The four ways are a block of simulation steps, single steps, steps by MuJoCo's Python bindings,
+    and steps in Python.
     """
     block, single = closing_hand(hand), closing_hand(hand)
     bindings, plain_closing_hand = (
@@ -73,7 +73,7 @@ def test_all_ways_to_step_are_equal_to_the_bit(hand: str) -> None:
 
 
 def test_compiled_and_python_worlds_send_equal_frames() -> None:
-    """The frames are equal even if a motor, a load cell and an encoder have faults."""
+    """Compiled and Python simulation send equal frames, even if a motor, a load cell and an encoder have faults."""
     simulated_worlds = [
         SimulatedWorld(load_hand("jamia"), load_scene("cylinder"), seed=4, compiled=compiled)
         for compiled in (True, False)
@@ -116,9 +116,9 @@ def test_the_engine_has_native_addresses() -> None:
 
 
 def test_the_world_steps_in_blocks_between_events() -> None:
-    """One long simulation gives the same motion as many short ones in a row.
+    """One long simulation gives the same motion as many successive short simulations.
 
-    Watchdogs fire at the same times.
+    In one long simulation, watchdogs fire at the same times as in many short simulations.
     """
     far_result, near_result = (
         SimulatedWorld(load_hand("jamia"), load_scene("cylinder"), seed=1) for _ in range(2)
@@ -135,9 +135,9 @@ def test_the_world_steps_in_blocks_between_events() -> None:
 
 
 def test_a_divided_step_ends_where_the_whole_step_ends() -> None:
-    """A simulation step may be divided so that a sensor is read at an exact time.
+    """The simulator can divide a simulation step into two steps to read a sensor at an exact time.
 
-    The division of a step changes the motion only slightly.
+    The division of a simulation step changes the simulated motion only slightly.
     """
     undivided, divided = (Plant(load_hand("jamia"), load_scene(None), homed=True) for _ in range(2))
     for plant in (undivided, divided):
@@ -162,9 +162,10 @@ def test_a_divided_step_ends_where_the_whole_step_ends() -> None:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: str) -> None:
-    """The encoder readings have no jitter, even if the control period is no multiple of the time step.
+    """The simulated encoder readings have no jitter, even if the control period is no multiple of the simulation step.
 
-    At 3 rad/s, a reading from the end of the last whole step would be 5 counts too old.
+    At a spool speed of 3 rad/s, an encoder reading from the end of the last whole simulation step
+    would be wrong by 5 counts.
     """
     for rate_hz in (300.0, 333.0, 450.0, 640.0):
         world = SimulatedWorld(load_hand(hand), load_scene(None), seed=2)
@@ -173,7 +174,7 @@ def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: s
             -3.0,
             0.0,
             0.0,
-        )  # a speed of this sign unwinds a slack tendon
+        )  # with a negative speed, the spool unwinds a slack tendon
         period_ns, angles = round(1e9 / rate_hz), []
         for k in range(40):
             world.advance_exactly(k * period_ns)
@@ -233,9 +234,9 @@ def test_a_full_truth_file_ends_and_the_simulation_goes_on(
 
 
 def test_a_truth_file_ends_after_a_part_of_the_rows_was_written(tmp_path: Path) -> None:
-    """Reproduce a defect: only half of a row was written, and the next rows followed directly.
+    """Reproduce a defect: after half of a row of the truth file was written, the next rows followed directly.
 
-    The numbers of the next rows were therefore read as other numbers.
+    Because of the incomplete row, the numbers of all later rows were read as other quantities.
     """
     plant = LockstepHand("jamia").world.plant
     row_bytes = 8 * (1 + len(truth_columns(plant)))

@@ -1,7 +1,7 @@
 """Test the compiled kernel that processes all frames of a tick in one call.
 
-The frames are packed records. The kernel gives the same result as the Python code of the simulated
-nodes, which process one frame after the other.
+The kernel gets the frames as packed records. The kernel gives the same result as the Python code of
+the simulated nodes, which process one frame after the other.
 """
 
 import random
@@ -33,9 +33,9 @@ OPTIONS_BY_PROTOCOL = {
 
 
 def hand_file(hand_folder: Path, protocols: tuple[str, ...], bus_count: int = 1) -> str:
-    """Write the file of a packaged hand with drives of other protocols, and return its path.
+    """Write the hand file of a packaged hand with drives of other protocols, and return the path of the hand file.
 
-    If ``bus_count`` is 2, two drives are on the second bus.
+    If ``bus_count`` is 2, two drives of the hand are on the second bus.
     """
     text = described("jamia").to_toml()
     head, *motors = text.split("[[motor]]")
@@ -116,8 +116,7 @@ def frames_of_tick(protocol: str, node: int, tick_index: int) -> list[tuple[int,
 def disturb_frame(frame: Frame, rng: random.Random) -> list[Frame]:
     """Return the frames that arrive when one frame is sent on a disturbed bus.
 
-    In rare cases, the frame is lost, repeated or changed. In most cases, the frame arrives
-    unchanged.
+    The disturbed bus rarely loses, repeats or changes a frame. Most frames arrive unchanged.
     """
     can_id, data, flags, bus, t_ns = frame
     disturbed_frames = [
@@ -165,7 +164,7 @@ def frames_of_ticks(
 ) -> Iterator[list[Frame]]:
     """Yield the frames of each tick: first the set-up of the drives, and then commands.
 
-    Some frames are disturbed, unless the seed is 0.
+    If the seed is not 0, some of the frames are disturbed.
     """
     rng = random.Random(seed)
     drives = [
@@ -205,7 +204,9 @@ def test_the_kernel_answers_as_the_nodes_do(
     simulated_hands = [
         LockstepHand(hand, seed=3, truth_path=str(tmp_path / name)) for name in ("kernel", "nodes")
     ]
-    simulated_hands[1].world.faults.in_frames = True  # use the Python nodes for every frame
+    simulated_hands[
+        1
+    ].world.faults.in_frames = True  # process every frame with the Python code of the nodes
     count = 0
     for k, frames in enumerate(frames_of_ticks(protocols, 400, seed, bus_count)):
         answers, nodes = (rig.step(k * TICK_NS, frames) for rig in simulated_hands)

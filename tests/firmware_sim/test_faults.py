@@ -1,7 +1,7 @@
-"""Test scheduled faults.
+"""Test faults that are scheduled in the simulator.
 
 The tests parse the text of a fault, check the times of its start and end, and count its effects.
-Faults with equal seeds are equal.
+Two scheduled faults with equal seeds disturb the hand in the same way.
 """
 
 import contextlib
@@ -29,7 +29,7 @@ def make_hand(seed=0):
 
 
 def answers_of_ticks(simulated_hand, tick_count, frames=(REFRESH_FRAME,)):
-    """Run ticks, each with a SYNC and the given frames, and return the replies of each tick."""
+    """Run ticks in which a SYNC frame and the given frames arrive, and return the replies of each tick."""
     answers = []
     for _ in range(tick_count):
         k = simulated_hand.world.t_ns // 2_000_000
@@ -77,9 +77,9 @@ def test_wrong_faults_are_refused_in_one_line(fault_text, expected_message):
 
 
 def second_motor_text(fault_kind: str, index: int) -> str:
-    """Return the option that names the second motor of a fault.
+    """Return the option of a fault text that names the second motor of the fault.
 
-    If the fault acts on a single motor, the option is empty.
+    If the fault acts on a single motor, return an empty text.
     """
     return f" with={JAMIA_HAND.motors[index].name}" if fault_kind in TWO_MOTOR_FAULTS else ""
 
@@ -121,7 +121,7 @@ def test_every_fault_has_an_effect_and_ends(fault_text):
 
 @pytest.mark.parametrize("fault_text", FAULTS_OF_LAST_COMPONENTS)
 def test_no_size_of_any_fault_ends_the_simulator(fault_text):
-    """The test tries each kind of fault with sizes from small to absurd.
+    """The test injects each kind of fault with very small to very large values of ``size``.
 
     Each fault acts on the last motor, tendon or node of the hand that can have this fault.
     """
@@ -189,7 +189,7 @@ FAULT_TEXTS = (
 def test_blocks_of_steps_end_at_every_event():
     """Advance one hand in blocks of steps, and another hand step by step.
 
-    The frames, the faults and the motion of both hands are equal.
+    The frames, the faults and the motion of the two simulated hands must be equal.
     """
 
     def run(step_ns):

@@ -1,7 +1,7 @@
 """Test the hub of the local bus.
 
 The hub forwards the frames of each client to all other clients, as records of bytes. The hub
-completes every record that it has begun to send, and never waits for a client.
+completes every record that it has begun to send to a client, but never waits for a client.
 """
 
 import os
@@ -51,7 +51,7 @@ def hub() -> Iterator[BusHub]:
 def serve_until_idle(hub: BusHub) -> bytes:
     """Let the hub serve its clients until no socket is ready.
 
-    Return the records that the hub passes to the simulator.
+    Return the records of frames that the hub passes to the simulator.
     """
     received = b""
     while ready := select.select(hub.read_sockets(), [], [], 0.0)[0]:
@@ -132,7 +132,7 @@ def test_the_senders_reserved_bytes_do_not_look_like_drops(
 
 
 def record_numbers(record_bytes: bytes) -> list[tuple[int, int]]:
-    """Return the sequence number of each record, and the number of records that were dropped before."""
+    """Return, for each record, its sequence number and the number of records that were dropped before it."""
     assert len(record_bytes) % RECORD_BYTES == 0
     rows = struct.iter_unpack("<4xBBHI60x", record_bytes)
     return [(number, dropped) for _, _, dropped, number in rows]
@@ -144,7 +144,7 @@ def test_a_client_that_never_reads_blocks_nobody_and_its_drops_are_counted(
     reader, idle_client = connect_client(), connect_client()
     total, batch = 0, 1000
     received: list[tuple[int, int]] = []
-    # There are more dropped records than the counter in a record can count.
+    # The hub drops more records than the counter in a record can count.
     while hub.dropped_record_count < 70_000:
         hub.send(
             b"".join(
@@ -157,7 +157,7 @@ def test_a_client_that_never_reads_blocks_nobody_and_its_drops_are_counted(
     assert received == [(number, 0) for number in range(total)]
 
     read = read_all(idle_client)
-    hub.serve([])  # this call completes a record that was partly sent
+    hub.serve([])  # this call of ``serve`` completes a record that was partly sent
     read += read_all(idle_client)
     rows = record_numbers(read)
     assert rows == [(number, 0) for number in range(len(rows))], (
@@ -176,7 +176,7 @@ def test_an_incomplete_record_is_completed_before_the_next(
     while not hub.write_sockets():
         hub.send(batch)
         assert hub.dropped_record_count < 1_000_000, "the kernel accepted no part of a record"
-        batch += frame_record(0, b"")  # with this size, Linux splits the data at another byte
+        batch += frame_record(0, b"")  # with a larger batch, Linux splits the data at another byte
     dropped = hub.dropped_record_count
     hub.send(frame_record(1, b"while one is half sent"))
     assert hub.dropped_record_count == dropped + 1

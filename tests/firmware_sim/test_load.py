@@ -1,4 +1,4 @@
-"""Test a load that grows on a grasped object, and the grip strength that is measured with this load."""
+"""Test a growing load on a grasped object, and the grip strength that is measured with the growing load."""
 
 import math
 from pathlib import Path

@@ -25,7 +25,7 @@ MIT_RANGES = MitRanges(12.5, 50.0, 0.8)
 def packed_bits(*values_and_widths: tuple[int, int]) -> bytes:
     """Pack fields (value, width) into bytes, using a string of binary digits.
 
-    The first field is in the highest bits.
+    The first field is in the highest bits of the returned bytes.
     """
     text = "".join(format(value, f"0{width}b") for value, width in values_and_widths)
     return bytes(int(text[i : i + 8], 2) for i in range(0, len(text), 8))
@@ -35,8 +35,8 @@ def test_the_command_of_zeros_that_every_client_sends() -> None:
     command = decode_command(bytes.fromhex("7fff7ff0000007ff"), MIT_RANGES)
     assert command.kp == 0.0
     assert command.kd == 0.0
-    # No torque code stands for exactly 0 N m. The nearest code stands for half a step less than 0 N
-    # m.
+    # No torque code of the MIT protocol stands for exactly 0 N m. The nearest torque code stands
+    # for half a resolution step below 0 N m.
     assert command.position == pytest.approx(-12.5 / 65535)
     assert command.velocity == pytest.approx(-50.0 / 4095)
     assert command.torque == pytest.approx(-0.8 / 4095)
@@ -97,7 +97,8 @@ def test_compiled_kernels_equal_python(
 ) -> None:
     """The compiled kernels and the functions of the codec module give the same values.
 
-    In this test, these functions run as Python code, unless another test has compiled them.
+    In this test, the functions of the codec module run as Python code, unless another test has
+    compiled them.
     """
     kernels, signed = compile_module_kernels(mit_codec), state_word - (state_word >> 63 << 64)
     feedback = (first_byte, *motion_values, *MIT_RANGES, temperature_degC, temperature_degC)

@@ -202,8 +202,8 @@ def test_the_servo_holds_a_position(bench: MotorBench) -> None:
     word = code << 48 | 2047 << 36 | kp << 24 | kd << 12 | 2047
     bench.reply_to(word.to_bytes(8, "big"))
     bench.run(1000)
-    # The encoder has an offset of 0.1 rad. The Coulomb friction of 0.015 N m causes an error of up
-    # to 3 mrad at a stiffness of 5 N m/rad.
+    # The encoder of the motor has an offset of 0.1 rad. The Coulomb friction of 0.015 N m causes an
+    # error of up to 3 mrad at a stiffness of 5 N m/rad.
     assert bench.motor.theta == pytest.approx(1.0, abs=4e-3)
 
 

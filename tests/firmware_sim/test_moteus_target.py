@@ -1,4 +1,4 @@
-"""Test the position mode of a simulated moteus: moving target, gains, torque limit, and the codes of active limits."""
+"""Test the position mode of a simulated moteus: its moving target, gains, torque limit, and codes of active limits."""
 
 import math
 import struct
@@ -15,18 +15,18 @@ from firmware_sim.programs.drive_types import drive_spec
 NS_PER_MS = 1_000_000
 NODE_ID = 2
 KP, KD = 4.0, 0.05
-"""Factory gains [N m/turn, N m s/turn]."""
+"""Factory values of the gains kp [N m/turn] and kd [N m s/turn] of a moteus drive."""
 TURN_RAD = 2.0 * math.pi
 
 
 class SingleDriveBench:
     """A simulated moteus drive with a large inertia at the shaft.
 
-    The motor torque hardly moves this shaft.
+    The motor torque hardly moves the shaft, because of its large inertia.
     """
 
     def __init__(self, inertia: float = 1.0, direction: int = 1) -> None:
-        """Create a drive in position mode, without torque."""
+        """Create a simulated moteus drive in position mode that makes no torque."""
         self.bench = SimulatedDriveBench(
             [replace(drive_spec("moteus", NODE_ID, inertia=inertia), direction=direction)]
         )
@@ -40,7 +40,7 @@ class SingleDriveBench:
         self.send_command(math.nan, kp=0.0, kd=0.0)
 
     def reply_to(self, data: bytes) -> bytes:
-        """Send a request and return the reply."""
+        """Send a request frame to the simulated drive, and return the data of its reply."""
         (reply,) = self.bench.receive(Frame(EXTENDED_FLAG | 0x8000 | NODE_ID, data, FDF | BRS))
         return reply.data
 
@@ -48,7 +48,7 @@ class SingleDriveBench:
         self, position: float, velocity: float = 0.0, torque: float = 0.0, kp: float = 1.0, kd: float = 1.0,
         limit: float = 0.5,
     ) -> None:  # fmt: skip
-        """Send a position command [turn, turn/s, N m].
+        """Send a command with position [turn], velocity [turn/s] and feedforward torque [N m] to the drive.
 
         ``kp`` and ``kd`` are fractions of the factory gains. The watchdog time in the command is
         0.2 s.
@@ -59,14 +59,14 @@ class SingleDriveBench:
         )  # fmt: skip
 
     def read_register(self, number: int) -> float:
-        """Read a register as a floating-point number."""
+        """Read a register of the drive as a floating-point number."""
         reply = self.reply_to(bytes((0x1D, number)))
         assert reply[:2] == bytes((0x2D, number))
         value: float = struct.unpack_from("<f", reply, 2)[0]
         return value
 
     def advance_time(self, milliseconds: int) -> None:
-        """Advance the simulated time."""
+        """Advance the simulated time by ``milliseconds``."""
         self.bench.advance(self.bench.t_ns + milliseconds * NS_PER_MS)
 
 

@@ -21,9 +21,9 @@ TURN_RAD = math.tau
 def sample_each_ms(
     bench: SimulatedDriveBench, duration_s: float, read_value: Callable[[], float]
 ) -> list[float]:
-    """Advance a bench by some time.
+    """Advance a bench by ``duration_s``.
 
-    Return the value of the function ``read_value`` in each millisecond of this time.
+    Return the value of the function ``read_value`` in each simulated millisecond.
     """
     values = []
     for _ in range(round(duration_s * 1000)):
@@ -35,7 +35,7 @@ def sample_each_ms(
 def largest_acceleration(velocities: list[float], window_ms: int = 20) -> float:
     """Return the largest mean acceleration over any ``window_ms`` milliseconds [unit/s2].
 
-    The argument has one velocity for each millisecond.
+    The argument ``velocities`` has one velocity for each millisecond.
     """
     pairs = zip(velocities, velocities[window_ms:], strict=False)
     return (
@@ -109,8 +109,8 @@ def test_the_ramps_of_a_damiao_motor_act_in_position_velocity_mode(motion_sign: 
     assert speeds[500] == pytest.approx(4.0 * 0.5, rel=0.1)
     assert max(speeds) <= 1.02 * 3.0
     assert min(speeds) > -0.1
-    # The motor reaches 3 rad/s after 0.75 s, when it has turned by 1.125 rad. From this speed, it
-    # brakes for 1.5 s and turns by 2.25 rad.
+    # The motor reaches 3 rad/s after 0.75 s, when it has turned by 1.125 rad. From 3 rad/s, the
+    # motor brakes for 1.5 s and turns by 2.25 rad.
     assert sample_each_ms(bench, 1.0, lambda: motion_sign * motor.theta)[-1] == pytest.approx(
         6.0, abs=0.01
     )
@@ -175,9 +175,9 @@ def test_a_blocked_damiao_motor_holds_the_current_of_force_position_mode() -> No
 
 
 def test_a_damiao_motor_changes_its_mode_while_enabled() -> None:
-    """A change of mode discards the old setpoint.
+    """A change of the control mode discards the old setpoint of the motor.
 
-    The motor then turns freely until it gets a command for the new mode.
+    After a change of mode, the motor turns freely until it gets a command for the new mode.
     """
     bench = damiao_bench(3)
     motor = bench.motors[0]
@@ -216,7 +216,7 @@ def odrive_bench(
 ) -> SimulatedDriveBench:
     """Return a bench with an ODrive (node 3) in closed-loop control.
 
-    The drive has already received the given messages.
+    The ODrive has already received the given messages.
     """
     bench = SimulatedDriveBench([drive_spec("odrive", 3, inertia=inertia)])
     send_messages(
@@ -279,8 +279,8 @@ def test_the_position_filter_of_an_odrive_does_not_overshoot() -> None:
     write_endpoint(bench, 207, 4.0)
     send_messages(bench, (0x0C, struct.pack("<fhh", 1.0, 0, 0)))
     angles = sample_each_ms(bench, 4.0, lambda: bench.motors[0].theta / TURN_RAD)
-    # The input filter is critically damped with the time constant 1 / bandwidth, here 1/4 s. The
-    # step response of this filter is therefore 1 - (1 + 4 t) exp(-4 t).
+    # The input filter is critically damped with the time constant 1 / bandwidth, here 1/4 s. With
+    # the time constant 1/4 s, the step response of the filter is 1 - (1 + 4 t) exp(-4 t).
     assert angles[499] == pytest.approx(1.0 - 3.0 * math.exp(-2.0), abs=0.03)
     assert max(angles) < 1.02
     assert angles[-1] == pytest.approx(1.0, abs=0.005)
@@ -292,7 +292,7 @@ def test_a_trajectory_of_an_odrive_has_ramps_and_says_when_it_is_done() -> None:
     motor = bench.motors[0]
     send_messages(bench, (0x0C, struct.pack("<fhh", 3.0, 0, 0)))
     # The drive accelerates for 1 s over 0.5 turns, moves 1.5 turns at full speed, and brakes for 2
-    # s over 1 turn. In total, the trajectory takes 4.5 s.
+    # s over 1 turn. The whole trajectory of the drive takes 4.5 s.
     speeds = sample_each_ms(bench, 1.0, lambda: motor.omega / TURN_RAD)
     assert speeds[499] == pytest.approx(0.5, rel=0.05)
     assert next_heartbeat(bench)[2] == 0
@@ -387,7 +387,7 @@ def send_sdo(bench: SimulatedDriveBench, request_data: bytes) -> bytes:
 def write_object(
     bench: SimulatedDriveBench, index: int, subindex: int, value: int, size: int
 ) -> int:
-    """Write an object of the drive by SDO. Return the abort code, or 0 if there is none."""
+    """Write an object of the CiA 402 drive by SDO. Return the abort code, or 0 if the drive sends no abort code."""
     raw = (value & ((1 << 8 * size) - 1)).to_bytes(size, "little").ljust(4, b"\0")
     reply = send_sdo(bench, struct.pack("<BHB", 0x23 | (4 - size) << 2, index, subindex) + raw)
     return int.from_bytes(reply[4:], "little") if reply[0] == 0x80 else 0
@@ -400,7 +400,7 @@ def read_object(bench: SimulatedDriveBench, index: int, subindex: int = 0) -> in
 
 
 def send_controlword(bench: SimulatedDriveBench, control_word: int) -> int:
-    """Write a control word to the drive.
+    """Write a control word to the CiA 402 drive.
 
     Return the status word of the drive ten milliseconds later.
     """
@@ -411,8 +411,8 @@ def send_controlword(bench: SimulatedDriveBench, control_word: int) -> int:
 
 def test_a_cia402_drive_lists_its_modes() -> None:
     bench = SimulatedDriveBench([drive_spec("cia402", 33)])
-    # In this object, bit n - 1 stands for mode n. The drive supports profile position, homing, and
-    # the three cyclic modes.
+    # In the object of the supported modes, bit n - 1 stands for mode n. The drive supports profile
+    # position, homing, and the three cyclic modes.
     assert read_object(bench, 0x6502) == sum(1 << mode - 1 for mode in (1, 6, 8, 9, 10))
     for mode, displayed_mode in ((1, 1), (6, 6), (8, 8), (9, 9), (10, 10), (3, 0), (-1, 0)):
         write_object(bench, 0x6060, 0, mode, 1)

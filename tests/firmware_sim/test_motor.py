@@ -60,7 +60,7 @@ def test_friction_stops_a_fast_rotor_without_reversing_it() -> None:
     assert min(speeds) >= 0.0
     assert speeds[-1] < 1e-6
     # A rotor with inertia J and initial speed w comes to rest after t = J/b ln(1 + b w / tau_c).
-    # tau_c is the Coulomb friction, and b the viscous friction.
+    # In this formula, tau_c is the Coulomb friction, and b is the viscous friction.
     exact_value = (
         MOTOR_SPEC.inertia
         / MOTOR_SPEC.viscous

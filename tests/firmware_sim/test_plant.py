@@ -60,9 +60,10 @@ def test_the_springs_hold_the_free_hand_open() -> None:
 def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
     """Without friction, each joint obeys r f = k (q + q0).
 
-    r, k and q0 are the same for all joints, so all angles q are equal.
+    The moment arm r, the stiffness k and the preload angle q0 are the same for all joints, so all
+    joint angles q are equal.
 
-    Gravity has no effect, because it is parallel to the hinges.
+    Gravity has no effect on the joints, because it is parallel to the hinges.
     """
     plant = plant_without_object({"friction": 0.0})
     pull_tendons(plant, tension * 0.005, 2.0)
@@ -72,7 +73,7 @@ def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
 
 
 def test_excursion_and_stretch_add_up() -> None:
-    """At rest and without friction, the travel of the spool is r_a theta = sum r q + f/k."""
+    """At rest and without friction, the travel of the spool is r_a theta = sum r q + f/k, with the tension f."""
     plant = plant_without_object({"friction": 0.0})
     pull_tendons(plant, 14.0 * 0.005, 2.0)
     index = plant.motors["index_motor"].theta
@@ -107,7 +108,7 @@ def test_a_slack_tendon_makes_no_force() -> None:
 def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
     """With locked joints, the tension rises by k r per radian of spool rotation.
 
-    Here k is the tendon stiffness, and r the spool radius.
+    In the product k r, k is the tendon stiffness, and r is the spool radius.
     """
     plant = plant_without_object({"friction": 0.0}, hand_with_locked_joints())
     pull_tendons(plant, 0.25, 2.0)
@@ -124,7 +125,7 @@ def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
 
 
 def test_a_blocked_rotor_rings_at_the_frequency_of_tendon_and_rotor() -> None:
-    """The frequency of the oscillation is sqrt(k r^2 / J) = 139 rad/s. Source: MODEL, section 4."""
+    """A rotor on a tendon oscillates with the frequency sqrt(k r^2 / J) = 139 rad/s. Source: MODEL, section 4."""
     plant = plant_without_object({"friction": 0.0, "damping": 0.1}, hand_with_locked_joints())
     pull_tendons(plant, 0.25, 0.6)
     motor = plant.motors["index_motor"]
@@ -154,9 +155,9 @@ def link_frames(plant: Plant) -> Any:
 
 
 def test_forward_kinematics_of_the_links() -> None:
-    """The fingers flex towards -y, and the thumb towards +y.
+    """The fingers flex towards -y, and the thumb flexes towards +y.
 
-    All digits move in planes of constant z.
+    All digits of the hand move in planes of constant z.
     """
     plant = plant_without_object()
     q = [0.3, 0.4, 0.1] * 3 + [0.5, 0.2]
@@ -208,8 +209,8 @@ def closing_hand(
 ) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     """Raise all tensions of an empty hand to 12 N within 0.4 s.
 
-    The argument ``step_s`` [s] is the time step of the simulation. Return the joint angles after
-    every 5 ms.
+    The argument ``step_s`` [s] is the time step of the simulator. Return the joint angles of the
+    hand after every 5 ms.
     """
     monkeypatch.setattr("firmware_sim.plant.plant.STEP_S", step_s)
     monkeypatch.setattr(
@@ -229,9 +230,9 @@ def closing_hand(
 
 
 def test_the_step_is_short_enough(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tendons, friction and rotors are integrated with a first-order method.
+    """The simulator integrates tendons, friction and rotors with a first-order method.
 
-    The error of this method is small, and becomes smaller with a smaller time step.
+    The error of the first-order method is small, and becomes smaller with a smaller time step.
     """
     exact_value = closing_hand(monkeypatch, 0.05e-3)
     errors = [
@@ -246,18 +247,19 @@ def test_the_step_is_short_enough(monkeypatch: pytest.MonkeyPatch) -> None:
 COUPLED_FINGERS = ("index", "middle", "ring", "pinky")
 """Digits of ``orca_like`` whose joints a test couples.
 
-Each of these digits has three joints and three spool pairs.
+Each finger of ``orca_like`` has three joints and three spool pairs.
 """
 
 
 def hand_with_coupled_fingers(joint_coupling: list[list[float]], path: Path) -> Hand:
     """Return ``orca_like`` with coupled joints in each finger.
 
-    In each finger, one spool pair flexes both outer joints.
+    In each finger with coupled joints, one spool pair flexes both outer joints.
 
     Args:
         joint_coupling: value of the key ``joint_coupling`` for each finger, with one row for each of the three
-            joints. With one column, a single spool pair turns all three joints.
+            joints. With one column in ``joint_coupling``, a single spool pair turns all three
+            joints.
         path: path at which the hand file is written.
     """
     content = json.loads(json.dumps(hand_content("orca_like")))
@@ -290,9 +292,9 @@ def test_coupled_joints_of_spool_pairs_keep_their_coupling(
 ) -> None:
     """Reproduce a defect: the joints of a digit with spool pairs could turn freely against each other.
 
-    Such a digit has no springs. While the fingers closed, the joint angles deviated from the
-    coupling by 49 to 74 deg. The simulator now has tendons that couple the joints, so the angles
-    deviate by at most 1.4 deg.
+    A digit with spool pairs has no springs. While the fingers closed, the joint angles deviated
+    from the coupling by 49 to 74 deg. The simulator now has tendons that couple the joints, so the
+    joint angles deviate from the coupling by at most 1.4 deg.
     """
     hand = hand_with_coupled_fingers(joint_coupling, tmp_path / "coupled.toml")
     plant = plant_without_object(hand=hand)

@@ -1,7 +1,7 @@
 """Test the simulator as a separate process.
 
-The process prints a line when it is ready, serves a bus, writes a truth file, and closes its files
-and sockets when it ends.
+The simulator process prints a line when it is ready, serves a bus, and writes a truth file. The
+simulator process closes its files and sockets when it ends.
 """
 
 import json
@@ -34,7 +34,7 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def start_simulator(run_folder: Path) -> Iterator[StartSimulator]:
-    """Yield a function that starts ``python -m firmware_sim`` and waits for its ready line."""
+    """Yield a function that starts ``python -m firmware_sim`` and waits until the simulator prints that it is ready."""
     processes = []
 
     def launch_simulator(*simulator_options: str) -> "subprocess.Popen[str]":
@@ -94,7 +94,7 @@ def connect_to_bus(socket_path: Path) -> socket.socket:
 
 
 def reply_to(bus_socket: socket.socket, can_id: int, data: bytes, flags: int = 0) -> bytes:
-    """Send one frame to the simulator, and return the record of its reply."""
+    """Send one frame to the simulator, and return the record of the simulator's reply."""
     bus_socket.sendall(frame_record(can_id, data, flags))
     answer = bus_socket.recv(72, socket.MSG_WAITALL)
     assert len(answer) == 72

@@ -1,6 +1,6 @@
 """Test a whole simulated hand in lockstep.
 
-This test moves the hand with frames that it composes byte by byte.
+The tests move the simulated hand with frames that they compose byte by byte.
 """
 
 import math
@@ -26,7 +26,7 @@ def frame_tuple(can_id: int, data: bytes) -> FrameTuple:
 
 
 def torque_payload(torque: float) -> bytes:
-    """Return the bytes of a command that contains only a torque.
+    """Return the bytes of a motor command that contains only a torque.
 
     The motor's torque range is 0.8 N m, the value of its register TMAX.
     """
@@ -50,10 +50,10 @@ def step_with_torque(rig: LockstepHand, tick_index: int, torque: float) -> list[
 def close_hand(
     rig: LockstepHand, tension: float, duration_s: float, ramp_s: float = 0.8
 ) -> list[list[Frame]]:
-    """Enable all motors, raise the tension [N] in a ramp, and keep it.
+    """Enable all motors, raise the tension of all tendons in a ramp to ``tension`` [N], and keep this tension.
 
-    The commanded torques are proportional to the tension of the ramp. There is no feedback. Return
-    the replies of each tick.
+    The commanded torques are proportional to the tension of the ramp. The function uses no
+    feedback. Return the replies of each tick.
     """
     answers = [rig.step(0, [frame_tuple(motor, ENABLE_PAYLOAD) for motor in MOTOR_NODES])]
     for k in range(1, round(duration_s * 500)):
@@ -113,7 +113,7 @@ def test_the_watchdog_removes_the_torque_after_its_timeout() -> None:
     for k in range(200, 240):
         rig.step(k * TICK_NS, [sync_frame(k)])
         torque.append(rig.world.plant.motors["index_motor"].torque)
-    # The last command was sent in tick 199. The watchdog time of 50 ms therefore ends in tick 224.
+    # The last command was sent in tick 199, so the watchdog time of 50 ms ends in tick 224.
     assert all(value == pytest.approx(torque[0], rel=1e-6) for value in torque[:24])
     assert abs(torque[26]) < 1e-3
     answers = step_with_torque(rig, 240, 0.1)
@@ -199,8 +199,8 @@ def test_content_of_the_truth_file(tmp_path: Path) -> None:
     assert np.array_equal(np.diff(truth.t_ns), np.full(len(truth.t_ns) - 1, 1_000_000))
     assert len(truth.t_ns) == 500
     assert np.isfinite(truth.values).all()
-    # In a row of the truth file, joint speed dq and joint angle q belong to the same time. The
-    # slope of q is therefore dq.
+    # In a row of the truth file, joint speed dq and joint angle q belong to the same time. For this
+    # reason, the slope of q must equal dq.
     q, dq = truth.column("q/index_j1"), truth.column("dq/index_j1")
     assert q[-1] - q[0] == pytest.approx(float(np.sum(dq[1:] + dq[:-1]) / 2 * 1e-3), abs=5e-3)
     # The true tension is close to the tension that corresponds to the commanded torque.
@@ -217,8 +217,8 @@ def test_the_load_cell_reads_the_present_true_tension(tmp_path: Path) -> None:
         (int.from_bytes(tick[0].data, "little") >> 4 & 0xFFF) * 0.0625 - 6.0 for tick in answers[1:]
     ]
     error = np.array(read) - tension[2::2][: len(read)]
-    # The tolerance is half a count of the load cell, plus the largest drift of its zero in one
-    # second.
+    # The permitted error is half a count of the load cell, plus the largest drift of the load
+    # cell's zero in one second.
     assert np.abs(error).max() < 0.03125 + 0.6
     assert np.std(np.diff(error)) < 0.05
 

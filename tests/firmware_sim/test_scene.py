@@ -66,7 +66,7 @@ def test_bent_fingers_touch_the_palm_only_if_the_scene_has_one(
 ) -> None:
     plant = Plant(load_hand("jamia"), load_scene(scene_name))
     angles = [0.0] * 11
-    angles[:3] = [np.radians(60.0)] * 3  # the index finger alone
+    angles[:3] = [np.radians(60.0)] * 3  # bend only the index finger
     plant.engine.set_joints(angles, [0.0] * 11)
     assert any(plant.contact_forces()) == is_touching
 

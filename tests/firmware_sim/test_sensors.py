@@ -1,6 +1,6 @@
 """Test the simulated sensor node.
 
-The bits of the simulated frames must equal bits that were written by hand, and the simulated noise
+The bits of the simulated frames must equal bits that a developer wrote by hand. The simulated noise
 must have the right statistics.
 """
 
@@ -34,10 +34,10 @@ def make_node(
 
 
 def channel_counts(data: bytes) -> tuple[int, list[int]]:
-    """Return the counter and the 12-bit channels of a payload.
+    """Return the counter and the 12-bit load-cell channels of a payload.
 
-    The function reads both from a string of binary digits, which begins with the lowest bit of the
-    payload.
+    The function reads counter and channels from a string of binary digits, which begins with the
+    lowest bit of the payload.
     """
     text = "".join(format(byte, "08b")[::-1] for byte in data)
     count = (len(text) - 4) // 12
@@ -56,8 +56,9 @@ def test_payloads_are_packed_as_on_the_wire(sync_counter: int, channel_codes: li
 
 
 def test_a_frame_is_packed_byte_by_byte() -> None:
-    # The counter is 5. The tension code of 0 N is 96, of 110 N 1856, and of a saturated load cell
-    # 4095. From the lowest digit on, the payload has the hexadecimal digits 5, 060, 740, fff.
+    # The counter of the payload is 5. The tension code of 0 N is 96, that of 110 N is 1856, and
+    # that of a saturated load cell is 4095. From the lowest digit on, the payload has the
+    # hexadecimal digits 5, 060, 740, fff.
     assert pack(0x35, [96, 1856, 4095]) == bytes.fromhex("050640f7ff")
 
 

@@ -1,7 +1,7 @@
 """Test the real-time server of the simulator with a clock whose time the test sets.
 
-The server replies at once and follows the clock. If the server is too slow, the simulated time
-falls behind the clock by whole time steps.
+The simulator server replies at once, and its simulated time follows the clock. If the server is too
+slow, the simulated time falls behind the clock by whole time steps.
 """
 
 import socket
@@ -32,9 +32,10 @@ STATE_ENABLED, STATE_LOST = 1, 0xD
 
 
 class FakePort:
-    """A fake port of a bus.
+    """Fake port through which the simulator server receives and sends frames.
 
-    A test adds received frames to the port, and reads the frames that were sent.
+    A test adds received frames to the port, and reads the frames that the server has sent through
+    the port.
     """
 
     due_ns = 1 << 62
@@ -92,10 +93,10 @@ def test_the_plant_follows_the_clock_in_whole_steps(bench: SimulatorServerBench)
 
 
 def test_a_frame_samples_the_plant_at_its_exact_time(bench: SimulatorServerBench) -> None:
-    """When a frame arrives, the server reads the sensors at exactly this time.
+    """When a frame arrives, the server reads the simulated sensors at exactly the time of arrival.
 
-    The simulation advances in steps of 0.5 ms. The reading of a sensor between two steps does not
-    change the times of the steps.
+    The simulation advances in steps of 0.5 ms. When the server reads a sensor between two steps,
+    the times of the steps do not change.
     """
     bench.turn(3.7, Frame(1, ENABLE_PAYLOAD))
     assert bench.world.t_ns == START_NS + round(3.7 * NS_PER_MS)
@@ -143,10 +144,10 @@ def test_progress_is_reported_to_a_controller_on_the_same_clock(
 
 
 def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
-    """While a frame is waiting, the server does not report the tick as answered.
+    """While a received frame is waiting, the server does not report that it has sent all replies of the tick.
 
-    If a frame arrives while the server processes other frames, the server replies to this frame
-    afterwards.
+    If a frame arrives while the server processes other frames, the server replies to the new frame
+    after the other frames.
     """
     port = HubPort("t", 0)
     clock = ManualClock(START_NS)
@@ -177,9 +178,9 @@ def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
 
 
 def test_an_answer_waits_for_one_stride_at_most(bench: SimulatorServerBench) -> None:
-    """Reproduce a defect: a server that was 10 ms behind simulated all of this time before it replied.
+    """Reproduce a defect: a server that was 10 ms behind its clock simulated these 10 ms before it replied.
 
-    The simulation took 2 ms, so the reply came after the next SYNC frame.
+    The simulation of the 10 ms took 2 ms, so the reply came after the next SYNC frame.
     """
     sent = bench.turn(30, Frame(0x80, b"\x05"))
     assert [frame.can_id for frame in sent] == [0x1A0]
@@ -233,7 +234,7 @@ def test_a_slow_machine_is_reported_once_a_second_with_an_advised_pace() -> None
     lines: list[str] = []
     pace = PaceMeter(0, lambda: now["wall"], lambda: now["cpu"], lines.append)
     plant_ns = 0
-    for _ in range(100):  # 10 s of wall time at a tenth of real time, without idle time
+    for _ in range(100):  # 10 s of wall time, in which 1 s is simulated without idle time
         now["wall"] += 0.1
         now["cpu"] += 0.1
         plant_ns += 10 * NS_PER_MS
@@ -286,7 +287,7 @@ def test_a_late_simulation_skips_time_and_reports_it(
 def write_timeout(timeout_ms: int) -> Frame:
     """Return the frame that writes a watchdog time into register 9 of motor 1.
 
-    The unit of this register is 50 us.
+    The unit of register 9 is 50 us.
     """
     return Frame(0x7FF, bytes((1, 0, 0x55, 9)) + (timeout_ms * 20).to_bytes(4, "little"))
 
@@ -377,7 +378,7 @@ def test_an_invalid_record_is_counted_and_ignored(
     link.connect(str(tmp_path / "odd.bus"))
     good_record = pack_record(Frame(1, b"12345678"))
     too_long_record = bytearray(good_record)
-    too_long_record[4] = 9  # a classical frame of nine bytes
+    too_long_record[4] = 9  # a classical frame with nine bytes is invalid
     link.sendall(good_record + too_long_record + good_record)
     port.receive(port.read_sockets())
     assert [frame.data for frame in port.receive(port.read_sockets())] == [b"12345678"] * 2

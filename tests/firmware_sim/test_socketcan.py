@@ -1,7 +1,7 @@
 """Test the bytes of frames on a Linux CAN socket.
 
-The tests also cover a CAN interface that refuses frames. The tests in tests/vcan use real
-interfaces.
+The tests also cover a CAN interface that refuses frames. The tests in the folder tests/vcan use
+real CAN interfaces.
 """
 
 import errno
@@ -20,7 +20,7 @@ FD_FRAME = Frame(1 << 31 | 0x1ABCDE, bytes(range(12)), FDF | BRS)
 
 
 class FakeSocket:
-    """Fake raw CAN socket. The test itself takes the role of the Linux kernel."""
+    """Fake raw CAN socket for a test that takes the role of the Linux kernel."""
 
     def __init__(self) -> None:
         self.waiting: list[bytes | OSError] = []

@@ -1,7 +1,7 @@
 """Test the stages of a scene.
 
-At a time that the scene file gives, a stage turns the hand, pushes the object, or changes the
-friction.
+At a time that the scene file defines, a stage of the scene turns the hand, pushes the object, or
+changes the friction.
 """
 
 import math
@@ -73,7 +73,7 @@ def test_duration_of_a_push_and_lasting_friction() -> None:
 
 
 def test_the_plant_applies_the_stage(tmp_path: Path) -> None:
-    """The first contact starts the stages.
+    """The first contact of the hand starts the stages of a scene.
 
     The stage of this test turns gravity towards the thumb, and changes the friction of all
     contacts.

@@ -14,7 +14,7 @@ TABLE_SETTINGS = SinkingTable(
 def contact_forces(*force_by_digit: float) -> list[float]:
     """Return a contact force vector for each digit.
 
-    The vector has the given size, and no axis is parallel to the vector.
+    Each vector has the given magnitude, and is not parallel to any axis.
     """
     return [
         force_component

@@ -1,6 +1,6 @@
 """Compare the simulated tendon and its pulleys with the formulas of the model.
 
-The test computes these formulas with its own code.
+The tests compute the formulas of the model with their own code.
 """
 
 import math
@@ -41,10 +41,10 @@ class TendonOnSpool:
     def step_tension(
         self, q: list[float], dq: list[float], theta: float, omega: float, torque: list[float]
     ) -> float:
-        """Compute one simulation step, and return the tension.
+        """Compute one simulation step of the tendon, and return its tension.
 
-        Add the torques of the pulleys to ``torque``. The term that compensates the damping is left
-        out.
+        Write the torques of the pulleys to ``torque``. The function leaves out the torque term that
+        compensates the damping.
         """
         self.motor.theta, self.motor.omega = theta, omega
         self.motor.steps_alone, total = True, [0.0] * 3
@@ -70,8 +70,9 @@ def test_linear_up_to_the_knee_then_softer_without_a_kink() -> None:
     assert stiffness[:7000].max() == pytest.approx(1e5, rel=1e-6)
     assert np.abs(np.diff(stiffness)).max() < 200.0, "the stiffness jumps"
     assert stiffness[-1] == pytest.approx(0.4e5, rel=1e-3)
-    # Above a tension of 200 N, the tendon is softer. If the tendon is stretched further by x, the
-    # tension is 200 + k2 x + (k - k2) w (1 - exp(-x/w)). In this test, x is 1 mm.
+    # Above a tension of 200 N, the tendon is softer. If a tendon with a tension of 200 N is
+    # stretched further by x, its tension is 200 + k2 x + (k - k2) w (1 - exp(-x/w)). In this test,
+    # x is 1 mm.
     assert elastic_tension(3e-3) == pytest.approx(
         200.0 + 40.0 + 6e4 * 0.3e-3 * (1 - math.exp(-1 / 0.3))
     )

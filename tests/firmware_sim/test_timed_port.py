@@ -1,6 +1,6 @@
 """Test a local bus with the timing of a real wire, on a clock whose time the test sets.
 
-One end of the bus is a bus client of handctl, and the other end is a simulated hand.
+The local bus connects a bus client of handctl with a simulated hand.
 """
 
 import select
@@ -29,7 +29,7 @@ SYNC_ID, TENSIONS_ID, REGISTERS_ID = 0x80, 0x1A0, 0x7FF
 class TimedBus:
     """A simulated hand and a host on a bus with the timing of a real wire.
 
-    The method ``run_until`` sets the clock, and processes all events up to the new time.
+    The method ``run_until`` sets the clock of the bus, and processes all events up to the new time.
     """
 
     def __init__(self, wire_words: list[str], has_hand: bool = True) -> None:

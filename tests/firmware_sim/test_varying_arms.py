@@ -17,10 +17,10 @@ STEP_S = 0.5e-3
 
 @pytest.mark.parametrize("hand_name", ["jamia11", "n_plus_1", "orca_like"])
 def test_the_joints_get_the_work_that_the_tendons_do(hand_name: str, tmp_path: Path) -> None:
-    """The power of the tendons equals that of the joints.
+    """The total power of the tendons equals the total power of the joints.
 
-    The power of a tendon is tension times tendon speed, and that of a joint is torque times joint
-    rate. The simulated hand of this test has no friction and no damping.
+    The power of a tendon is its tension times its speed, and the power of a joint is its torque
+    times its rate. The simulated hand of this test has no friction and no damping.
     """
     path = tmp_path / "hand.toml"
     path.write_text(hand_with_varying_arms(hand_name, 0.3).to_toml())

@@ -46,9 +46,9 @@ class BusMember:
 
     @property
     def error_class_bits(self) -> list[int]:
-        """Return the bits of the received error frames that tell the class of the error.
+        """Return those bits of the received error frames that contain the class of the error.
 
-        The bits that mark an error frame or a counter are not included.
+        The returned bits do not include the bits that mark an error frame or a counter.
         """
         return [frame.can_id & 0x1FF for frame in self.errors]
 
@@ -71,7 +71,7 @@ def test_both_packages_compute_the_same_maximum_frame_time(frame: Frame) -> None
 def test_a_frame_whose_bits_were_counted_by_hand() -> None:
     """A frame with the identifier 0 and without data has 19 zeros before its CRC, and its CRC is zero.
 
-    After every five zeros, there is a stuff bit.
+    A stuff bit follows after every five zeros of the frame.
     """
     zero_bit_count = 1 + 11 + 3 + 4 + 15
     assert (

@@ -1,6 +1,6 @@
 """Test the environments of ``handctl.gym``: their interface, determinism and safety.
 
-Also test that the tasks of both environments can be solved.
+Test that the tasks of both environments can be solved.
 """
 
 import re
@@ -28,28 +28,28 @@ GRASP_PARAMETERS = {
     "jamia_bench": (70, 0.3),
     "t42": (15, 0.15),
 }
-"""Two numbers of a scripted grasp for each packaged hand.
+"""Step and tension action of a scripted grasp for each packaged hand.
 
-The first number is the step after which the digits are close to the object. The second number is
-the tension action that holds the object.
+The first number of a scripted grasp is the episode step after which the digits are close to the
+object. The second number is the tension action that holds the object.
 """
 DIAMETER_OPTIONS = {"t42": {"diameter_mm": (33.4, 35.0)}}
 """Range of the object's diameter for the hand t42 [mm].
 
-The two fingers of this hand would squeeze out a smaller object.
+The two fingers of the hand t42 would squeeze out a smaller object.
 """
 
 
 def make_env(environment_id: str, **environment_options: Any) -> Any:
-    """Return an environment without wrappers."""
+    """Return a Gymnasium environment without wrappers."""
     return gymnasium.make(environment_id, **environment_options).unwrapped
 
 
 def action_towards_reference(environment: Any, observation: Any) -> Any:
     """Return the action that makes the hand follow the reference angles in an observation.
 
-    The targets of the action are the reference angles at the time at which the hand will reach
-    them.
+    The targets in the action are the reference angles at the time at which the hand will reach
+    these targets.
     """
     first_element = environment.layout.names.index(f"reference_ahead_rad[{environment.names[0]}]")
     return environment.action_for(
@@ -58,7 +58,7 @@ def action_towards_reference(environment: Any, observation: Any) -> Any:
 
 
 def closing_action(environment: Any, step_index: int) -> Any:
-    """Return the action of a scripted grasp in a given step.
+    """Return the action of a scripted grasp in the given step of an episode.
 
     The scripted grasp first closes the hand, and then holds the object.
     """

@@ -21,7 +21,8 @@ def test_streamed_prismatic_joints_follow_their_reference(hand: str, seed: int) 
             target = env.reference_deg(env.t_s + env.horizon_s)
             *_, info = env.step(env.action_for(target))
             errors.append(info["error_deg"])
-        # The references move by up to 20 mm or 40 deg.
+        # The reference positions of prismatic joints move by up to 20 mm, and reference angles by
+        # up to 40 deg.
         assert np.mean(errors[30:]) < 0.3
         assert env.high_deg[0] == 28.0
     finally:

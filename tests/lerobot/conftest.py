@@ -1,4 +1,4 @@
-"""Fixtures with a simulated hand in slowed time, for tests with LeRobot's robots and scripts."""
+"""Provide a simulated hand in slowed time to tests with LeRobot's robots and scripts."""
 
 import tempfile
 
@@ -20,7 +20,7 @@ TIME_SCALE = 0.5
 def work_folder(tmp_path, monkeypatch):
     """Change to an empty folder.
 
-    The sockets are in another folder, because the path of a Unix socket must be short.
+    Unix sockets are in another folder, because the path of a Unix socket must be short.
     """
     with tempfile.TemporaryDirectory(prefix="h-") as short_folder:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short_folder)

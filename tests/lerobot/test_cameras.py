@@ -1,6 +1,7 @@
 """Test the camera videos in an exported dataset.
 
-LeRobot's loader reads the exported videos. The tests are skipped if LeRobot is not installed.
+The loader of LeRobot reads the exported camera videos. The tests are skipped if LeRobot is not
+installed.
 """
 
 import json
@@ -26,14 +27,14 @@ VIDEO_FRAMES_PER_S = 50
 CAMERA_HZ = 30
 IMAGE_WIDTH_PX, IMAGE_HEIGHT_PX = 64, 48
 BRIGHTNESS_PER_S = 40.0
-"""Increase of the brightness in a test video per second [1/s]. The maximum brightness is 255."""
+"""Increase of the brightness in a test video per second [1/s]. The maximum brightness of an image is 255."""
 
 
 @pytest.fixture(autouse=True)
 def ffmpeg_on_path(tmp_path_factory, monkeypatch):
     """Add the program ffmpeg from the package imageio to PATH.
 
-    If PATH already contains an ffmpeg, this ffmpeg has priority.
+    If PATH already contains a program ffmpeg, the program in PATH has priority.
     """
     from imageio_ffmpeg import get_ffmpeg_exe
 
@@ -43,9 +44,9 @@ def ffmpeg_on_path(tmp_path_factory, monkeypatch):
 
 
 def write_video(video_path, duration_s, width_px=IMAGE_WIDTH_PX):
-    """Write a video whose images become brighter with time, and return its path.
+    """Write a video whose images become brighter with time, and return the path of the video.
 
-    The brightness of an image therefore shows the time at which it was taken.
+    A test can compute the time of an image in the video from the brightness of the image.
     """
     import imageio
 
@@ -64,9 +65,9 @@ def write_video(video_path, duration_s, width_px=IMAGE_WIDTH_PX):
 
 
 def active_time_range(run_log):
-    """Return start and end [s] of the part of a log in which the hand is active.
+    """Return start time and end time [s] of the period of a log in which the hand is active.
 
-    This part becomes an episode.
+    The export of the log makes an episode from the period in which the hand is active.
     """
     active = run_log.t_ns[run_log.mode == int(HandMode.ACTIVE)] / 1e9
     return active[0], active[-1]

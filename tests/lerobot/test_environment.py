@@ -1,6 +1,6 @@
 """Run the tests of this folder with the real LeRobot, in an environment that the test creates.
 
-The test runs only in nightly runs, because the packages take 6 GB.
+The test runs only in nightly test runs, because the packages of LeRobot take 6 GB.
 """
 
 import os
@@ -14,18 +14,18 @@ import pytest
 REPOSITORY_ROOT = Path(__file__).parents[2]
 LEROBOT_REQUIREMENT = "lerobot==0.4.4"
 LEROBOT_PYTHON_PATH = os.environ.get("HANDCTL_LEROBOT_PYTHON", "")
-"""Path of the Python of an existing environment.
+"""Path of the Python interpreter of an existing environment with LeRobot.
 
-If the text is empty, the test makes an environment.
+If ``LEROBOT_PYTHON_PATH`` is empty, the test creates a new environment.
 """
 INSTALL_TIMEOUT_S = 3600.0
 TESTS_TIMEOUT_S = 1800.0
 MIN_PASSED_TESTS = 13
-"""Smallest number of tests that must pass, so that skipped tests are noticed."""
+"""Smallest number of tests with the real LeRobot that must pass, so that skipped tests are noticed."""
 
 
 def run_pip(lerobot_python: str, *pip_arguments: str) -> None:
-    """Install packages into the environment that has the given Python."""
+    """Install packages into the environment of the Python interpreter ``lerobot_python``."""
     command = [
         lerobot_python,
         "-m",
@@ -60,7 +60,7 @@ def link_ffmpeg(lerobot_python: str, link_folder: Path) -> str:
 
 @pytest.fixture
 def lerobot_python(tmp_path: Path) -> str:
-    """Return the Python of an environment with LeRobot, handctl and the plug-in."""
+    """Return the path of the Python interpreter of an environment with LeRobot, handctl and the plug-in."""
     if LEROBOT_PYTHON_PATH:
         return LEROBOT_PYTHON_PATH
     folder = tmp_path / "env"

@@ -65,7 +65,7 @@ def test_a_robot_observes_follows_limits_and_rests_in_pauses(robot_options) -> N
     try:
         observation = robot.get_observation()
         assert observation.keys() == robot.observation_features.keys()
-        goal = dict.fromkeys(robot.action_features, 9.0)  # beyond all joint limits
+        goal = dict.fromkeys(robot.action_features, 9.0)  # beyond the limits of all joints
         sent_action = robot.send_action({**goal, "index_tendon.tension_N": 5.0})
         assert sent_action.keys() == robot.action_features.keys()
         assert max(sent_action.values()) < np.radians(4.0), "at most 120 deg/s at 50 Hz"
@@ -73,7 +73,7 @@ def test_a_robot_observes_follows_limits_and_rests_in_pauses(robot_options) -> N
         for _ in range(40):
             robot.send_action(goal)
             time.sleep(0.02 / TIME_SCALE)
-        time.sleep(1.5 / TIME_SCALE)  # a stream without new targets makes the hand relax
+        time.sleep(1.5 / TIME_SCALE)  # the hand relaxes because the client sends no new targets
         observation = robot.get_observation()
         assert np.degrees([observation[name] for name in goal]).mean() == pytest.approx(
             20.0, abs=2.0
@@ -136,6 +136,6 @@ def test_the_script_of_lerobot_teleoperates_the_hand_by_a_log(robot_options, wor
         ]
         goal = np.degrees(np.nanmax(log.field("q_goal")[:, :9]))
         # In this test, the leader hand closes its fingers on an object. All coupled joints of a
-        # finger of the follower hand get the same angle. This common angle is the one nearest to
-        # the angles of these joints in the leader hand.
+        # finger of the follower hand get the same angle. The common angle of coupled joints is the
+        # angle nearest to their angles in the leader hand.
         assert 20.0 < goal < np.degrees(leader_log.field("q").max()) + 1.0

@@ -39,8 +39,8 @@ def run_script(script_name: str, *script_arguments: str) -> "subprocess.Complete
 def fault_texts(run_log: RunLog) -> list[str]:
     """Return the faults that made a run relax.
 
-    Other faults are ignored, because a busy machine delays frames and actions, and causes such
-    faults.
+    The function ignores faults that did not make a run relax, because a busy machine that delays
+    frames and actions causes such faults.
     """
     return [
         row.event.text
@@ -90,8 +90,8 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(robot_options, work_fo
         active = log.mode == HandMode.ACTIVE
         highest = np.degrees(np.nanmax(log.field("q_goal")[active][:, :3].mean(axis=1)))
     first_actions = actions[: int(dataset.meta.episodes[0]["length"])]
-    # The joints of a finger are coupled, so all of them get the same angle. This common angle is
-    # the one nearest to the recorded angles.
+    # The joints of a finger are coupled, so all of them get the same angle. The common angle of
+    # coupled joints is the angle nearest to the recorded angles.
     expected = np.degrees(first_actions[:, :3].mean(axis=1).max())
     assert highest == pytest.approx(expected, abs=2.0)
 

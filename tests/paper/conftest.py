@@ -1,6 +1,6 @@
-"""Invented results of experiments.
+"""Provide invented results of the paper's experiments.
 
-In tests of pages and figures, these results take the place of simulated results.
+Tests of pages and figures use the invented results instead of simulated results.
 """
 
 from pathlib import Path
@@ -17,9 +17,10 @@ from handctl.paper.figures.all_figures import draw_all_figures
 
 @pytest.fixture(scope="session")
 def measured_results() -> dict[str, Any]:
-    """Return generated results of tendon tests and load tests.
+    """Return invented results of tendon tests and load tests.
 
-    There are two tendons with noise, and one load test for each combination of diameter and axis.
+    The invented results cover two tendons with noise, and one load test for each combination of
+    object diameter and load axis.
     """
     chance = np.random.default_rng(11)
     ropes = []
@@ -63,5 +64,5 @@ def slip_test_result(diameter_mm: float, load_axis: str, case_index: int) -> dic
 def drawn_figure_files(
     measured_results: dict[str, Any], tmp_path_factory: pytest.TempPathFactory
 ) -> dict[str, Path]:
-    """Draw all figures once, and return the SVG file of each."""
+    """Draw all figures of the paper once, and return the SVG file of each figure."""
     return draw_all_figures(tmp_path_factory.mktemp("figures"), measured_results)

@@ -1,9 +1,9 @@
 """Pytest plugin that uses Eq. 10 of the paper in the dynamics of handctl.
 
-The equation has its misprints, or it is corrected.
+The plugin uses Eq. 10 either with the misprints of the paper, or in its corrected form.
 
 ``test_literal.py`` runs the tests of the model with this plugin. The environment variable
-HANDCTL_EQ10 selects one of the two versions of the equation.
+HANDCTL_EQ10 selects the printed or the corrected form of Eq. 10.
 """
 
 import os
@@ -20,10 +20,10 @@ HANDCTL_TORQUE_FUNCTION = dynamics._rigid_body_torque
 
 
 def torque_from_equation_10(digit, gravity, q, dq, ddq):
-    """Return the joint torques of a digit.
+    """Return the joint torques of a digit, with the torque of the first joint from Eq. 10.
 
-    The torque of the first joint follows from Eq. 10 for T_1. The torques of the other joints come
-    from the dynamic model of handctl.
+    The torque of the first joint follows from Eq. 10 of the paper for T_1. The torques of the other
+    joints come from the dynamic model of handctl.
     """
     _, tau2, tau3 = (*HANDCTL_TORQUE_FUNCTION(digit, gravity, q, dq, ddq), 0.0, 0.0)[:3]
     r1, r2, _ = (*digit.armature, 0.0, 0.0)[:3]

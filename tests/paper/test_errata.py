@@ -1,6 +1,6 @@
 """Compare the errata of the paper with equations that sympy derives, and with numbers from separate arithmetic.
 
-No known misprint is missing.
+The tests also check that no known misprint is missing in the errata.
 """
 
 from functools import cache
@@ -87,9 +87,9 @@ def test_corrected_torques_follow_from_the_lagrangian(link_index: int) -> None:
 
 
 def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
-    """With m3 = I3 = 0, the equations describe two links.
+    """With m3 = I3 = 0, the equations of a finger with three links describe two links.
 
-    The thumb of this project also has two links.
+    The equations with m3 = I3 = 0 are compared with those of the thumb, which has two links.
     """
     thumb = DigitModel.from_hand(src.paper_hand(), "thumb").with_gravity((0.0, -9.81, 0.0))
     chance = np.random.default_rng(3)
@@ -250,7 +250,7 @@ def test_a_printed_number_of_the_abstract_is_judged_once(printed_number: str) ->
 def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> None:
     """The test computes the expected value tau_1 = g sum(m x) itself, without the dynamics code.
 
-    Here x is the distance of each centre of mass from joint 1.
+    In this formula, x is the distance of each centre of mass from joint 1.
     """
     digit = motion.upright_digit("index")
     base = np.concatenate(([0.0], np.cumsum(digit.lengths)[:-1]))
@@ -260,7 +260,7 @@ def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> 
 
 
 def test_numbers_of_the_paper_are_judged_without_springs() -> None:
-    """The hand in the paper has no springs, so its numbers are compared with the torque of the links alone."""
+    """The hand in the paper has no springs, so the printed numbers are compared with the torque of the links alone."""
     fast_torques = motion.closing_torques("index", motion.CLOSING_DURATIONS_S[-1])
     links = sum(
         fast_torques.torque_by_cause[torque_cause]
@@ -280,7 +280,7 @@ def test_no_erratum_denies_a_statement_that_the_paper_makes() -> None:
 
 
 def test_torques_convert_between_relative_and_absolute_angles() -> None:
-    """The conversions on the page about the paper are right: tau = S^T T and M_q = S^T M_theta S."""
+    """The page about the paper states two correct conversions: tau = S^T T and M_q = S^T M_theta S."""
     digit = lagrange.paper_finger()
     states = lagrange.finger_states(digit)
     tau, torque = (

@@ -52,7 +52,8 @@ def test_a_blocked_finger_shows_the_knee_of_its_tendon(tmp_path: Path) -> None:
 def falling_object_truth(fall_speed: float, fall_start_s: float) -> TruthRecord:
     """Return a truth record with one row per millisecond.
 
-    In this record, the object rests until ``fall_start_s``, and then falls at ``fall_speed`` [m/s].
+    In the returned record, the object rests until ``fall_start_s``, and then falls at
+    ``fall_speed`` [m/s].
     """
     t = np.arange(4000)
     z = -fall_speed * np.maximum(0.0, t / 1000.0 - fall_start_s)

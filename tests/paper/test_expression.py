@@ -1,4 +1,4 @@
-"""Test the formulas that are written as text.
+"""Test formulas that handctl parses from a text.
 
 The tests check the value, the physical dimension and the typesetting of each formula.
 """

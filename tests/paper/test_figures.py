@@ -1,6 +1,7 @@
 """Test the pictures that ``handctl paper`` draws of the source paper's results.
 
-No figure is empty, the axes have names, and the numbers printed in the paper are marked.
+No figure is empty, the axes of each figure have names, and the figures mark the numbers that the
+paper prints.
 """
 
 import re
@@ -40,7 +41,7 @@ def test_pictures_have_content_and_full_resolution(figures_folder: Path, figure_
 def test_nothing_is_drawn_outside_of_the_picture(figures_folder: Path, figure_name: str) -> None:
     """The border of a picture has no dark pixels.
 
-    A text that is cut off would touch the border of the picture.
+    A text that extends beyond the picture would make pixels at the border dark.
     """
     picture = imread(figures_folder / f"paper-{figure_name}.png")[..., :3]
     frame = np.concatenate([picture[0], picture[-1], picture[:, 0], picture[:, -1]])

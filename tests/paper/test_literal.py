@@ -1,4 +1,4 @@
-"""With Eq. 10 exactly as the paper prints it, the tests of the dynamic model fail."""
+"""Test that the tests of the dynamic model fail with Eq. 10 exactly as the paper prints it."""
 
 import os
 import re
@@ -19,9 +19,9 @@ TESTS_OF_EQUATION_10 = {
 
 
 def run_with_equation(equation_form: str) -> tuple[set[str], str]:
-    """Run the tests of the model with the printed or with the corrected Eq. 10.
+    """Run the tests of the dynamic model with the printed or with the corrected Eq. 10.
 
-    Return the names of the failed tests, and the last line of the output.
+    Return the names of the failed tests, and the last line of the output of pytest.
     """
     command = [
         sys.executable,

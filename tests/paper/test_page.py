@@ -1,7 +1,7 @@
 """Test the page about the paper.
 
-The Markdown page is up to date, the JSON result follows its schema, and the HTML page needs no
-other file.
+The Markdown page about the paper is up to date, the JSON result of ``handctl paper`` follows its
+schema, and the HTML page needs no other file.
 """
 
 import json
@@ -24,9 +24,9 @@ RESULTS_FILE = REPOSITORY_ROOT / "docs" / "evidence" / "paper-results.json"
 
 
 def test_the_page_in_the_repository_is_the_generator_s(capsys: pytest.CaptureFixture[str]) -> None:
-    """Every line of the page equals the line of the generated page, including lines with measured values.
+    """Every line of the stored page equals the same line of the generated page, also if it has measured values.
 
-    If this test fails, run the command that the page states.
+    If this test fails, run the command that the page about the paper states.
     """
     assert main(["paper", "--markdown", "--results", str(RESULTS_FILE)]) == 0
     assert (

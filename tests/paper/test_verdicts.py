@@ -1,4 +1,4 @@
-"""The verdict on a printed number follows from its decimal places and from the exact value."""
+"""Test that decimal places and exact value decide if a printed number counts as equal, rounded, truncated or wrong."""
 
 from decimal import ROUND_DOWN, ROUND_HALF_EVEN, Decimal
 from fractions import Fraction
