@@ -73,7 +73,9 @@ class Rehearsal:
                 step_ns = time.monotonic_ns() - start_ns - duration_ns
                 duration_ns += step_ns
                 if remaining_ns - duration_ns < step_ns:
-                    duration_ns += step_ns  # the steps that are left out belong to the next rehearsal
+                    duration_ns += (
+                        step_ns  # the steps that are left out belong to the next rehearsal
+                    )
                     break
         if duration_ns > self.expected_ns:
             self.expected_ns = min(duration_ns, MAX_GROWTH * self.expected_ns)
