@@ -2,14 +2,15 @@
 
 A schema is a list of fields. A field is one row or several rows of a table. Each table has an axis:
 for example, a row of the table ``tendon`` has one number per tendon. The declaration of a field
-returns the index of the field's first row. Compiled code and the controller use this index::
+returns the index of the field's first row. Compiled code and the controller find the field by the
+index of its first row::
 
     TENSION = STATE.declare_real_field("tension", "tendon", "N", "estimated tension")
     x.tendon[TENSION, n]
 
-The block is one array of float64 that contains all tables of a schema. An integer table is a part
-of the block in which the bits of each element are read as int64. The name of an integer table ends
-with ``_int``. A layout belongs to a given hand. It contains the lengths of the axes and the
+A block is one array of float64 that contains all tables of a schema. An integer table is a part of
+the block in which the bits of each element are read as int64. The name of an integer table ends
+with ``_int``. A layout belongs to a given hand, and contains the lengths of the axes and the
 positions of the tables in a block. Because a block is one array, it can be copied by one operation
 and stored as bytes. Two blocks can be compared field by field.
 """
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 BlockArray = NDArray[np.float64]
 """Array with all tables of a schema, in the order of the schema."""
 TableOffsets = NDArray[np.int64]
-"""Places of tables: lengths of the axes, then the first element of each table, then the end of the last table."""
+"""Positions of tables: lengths of the axes, position of the first element of each table, and end of the last table."""
 
 INTEGER_TABLE_SUFFIX = "_int"
 """Ending of the names of integer tables."""
@@ -59,9 +60,9 @@ class BlockSchema:
         tables: names of the tables, in the order of the memory. A name is the name of an axis, or
             the names of several axes joined by ``*``. The name of an integer table ends with
             ``_int``.
-        optional_axis: name of the only axis that may have the length 0. The value is empty if no axis
-            may have it. If this axis has the length 0, it has no effect on
-            ``BlockLayout.identity``.
+        optional_axis: name of the only axis that is allowed to have the length 0, or an empty text
+            if every axis needs a length of at least 1. An optional axis of length 0 has no effect
+            on ``BlockLayout.identity``.
         fields: all fields, in the order of declaration.
     """
 
@@ -70,7 +71,8 @@ class BlockSchema:
 
         Args:
             tables: names of the tables in memory order.
-            optional_axis: name of the axis that may have the length 0, see the attributes of the class.
+            optional_axis: name of the only axis that is allowed to have the length 0, see the
+                attributes of the class.
         """
         self.tables = tables
         self.optional_axis = optional_axis
@@ -181,7 +183,7 @@ class BlockLayout:
         )
 
     def _field_span(self, field: BlockField) -> tuple[int, int, tuple[int, ...], bool]:
-        """Return the place of a field in a block: first element, end, shape, and True for integers."""
+        """Return first element, end and shape of a field in a block, and True if the field contains integers."""
         start, _, width, is_integer = self._tables[field.table]
         shape = tuple(self.axes[axis] for axis in _axes_of_table(field.table))
         first_offset = start + field.first_row * width
@@ -227,10 +229,10 @@ class BlockLayout:
         """Return the first difference between two blocks.
 
         The result contains the name of the field, the index of the element in the field, and both
-        values. If the blocks are equal, return None. The bits of the values are compared. So NaN
-        equals NaN, and 0.0 differs from -0.0.
+        values. If the blocks are equal, return None. The comparison uses the bits of the values, so
+        NaN equals NaN, and 0.0 differs from -0.0.
         """
-        # The numbers are compared as integers. So NaN equals NaN, and 0.0 differs from -0.0.
+        # The numbers are compared as integers, so NaN equals NaN, and 0.0 differs from -0.0.
         differing_elements = np.flatnonzero(block.view(np.int64) != other_block.view(np.int64))
         if not len(differing_elements):
             return None

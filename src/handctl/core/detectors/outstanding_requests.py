@@ -2,12 +2,12 @@
 
 A late reply answers an old request, so a late reply is not counted as a duplicate.
 
-The host sends a request to each motor in every tick. A missing reply may be lost. The missing reply
-may also come later, together with other replies. If a computer is busy, all replies may come a tick
-late. At first the host cannot distinguish these cases. Therefore a request stays outstanding until
-its reply comes, but at most for ``LOSS_WINDOW_TICKS`` ticks. The last request to a motor stays
-outstanding without a time limit. There may be more replies than outstanding requests. In this case,
-a reply is a duplicate or comes from another node.
+The host sends a request to each motor in every tick. A missing reply is either lost, or comes later
+together with other replies. On a busy computer, all replies can come a tick late. The host cannot
+distinguish a lost reply from a late reply, so a request stays outstanding until its reply comes,
+but at most for ``LOSS_WINDOW_TICKS`` ticks. The last request to a motor stays outstanding without a
+time limit. If there are more replies than outstanding requests, a reply is a duplicate or comes
+from another node.
 """
 
 from handctl.compiled import kernel_helper
@@ -21,7 +21,8 @@ from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
 MAX_OUTSTANDING_REQUESTS = 8
 """Largest number of outstanding requests of a motor.
 
-A motor with more outstanding requests is silent, and its older requests are dropped.
+A motor with more outstanding requests than the constant is silent, and its oldest requests are
+dropped.
 """
 READY_PHASE = int(DrivePhase.READY)
 """Value of ``drives.contract.DrivePhase.READY``."""
@@ -64,7 +65,8 @@ def add_requests(x: StateTables, k: int) -> None:
         if x.tendon_int[s.LAST_DRIVE_PHASE, n] < READY_PHASE:
             count = 0
         remaining = 0
-        # At most MAX_OUTSTANDING_REQUESTS - 1 old requests are kept, so that the new request has a place.
+        # At most MAX_OUTSTANDING_REQUESTS - 1 old requests are kept, so that the new request can be
+        # stored.
         for i in range(max(count - MAX_OUTSTANDING_REQUESTS + 1, 0), count):
             request_tick = x.tendon_int[s.OUTSTANDING_REQUEST_TICKS + i, n]
             if i == count - 1 or k - request_tick < LOSS_WINDOW_TICKS:

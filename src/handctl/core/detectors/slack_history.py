@@ -20,7 +20,7 @@ MIN_READING_DELAY_AFTER_CUT_S = 0.08
 
 @kernel_helper
 def update_slack_history(x: StateTables, c: ConstantTables) -> None:
-    """Update the tension history while the motors may make torque.
+    """Update the tension history while the motors are allowed to make torque.
 
     For a spool pair, a tension in the direction of the commanded tension is positive.
     """
@@ -61,8 +61,9 @@ def update_history_after_cut(x: StateTables, c: ConstantTables, are_cells_tared:
     """Update the tension history after the motor torque was cut.
 
     The tension at the cut is the load-cell reading of the tick in which the torque is cut. In a
-    tick in which a cut is necessary, this reading is often missing. Then the last reading before
-    the cut is used. If there is no reading before the cut, the first reading after the cut is used.
+    tick in which a cut of the torque is necessary, the load-cell reading is often missing. Instead
+    of a missing reading, the last reading before the cut is used. If there is no reading before the
+    cut, the first reading after the cut is used.
 
     Args:
         x: state tables.

@@ -1,10 +1,11 @@
 """Propagation of the covariance of the tension filter after a missing measurement.
 
 The steady-state gains of the filter assume a measurement in every tick. If measurements come only
-in every second tick, these gains overestimate the error of the speed. The filter then corrects the
-speed for too long. The estimate then oscillates or diverges. Therefore the covariances of all
-tendons are propagated from the first missing measurement on. The propagation ends when all
-covariances are close to their steady values.
+in every second tick, the steady-state gains overestimate the error of the speed. With steady-state
+gains, the filter would correct the speed for too long, and the estimate would oscillate or diverge.
+From the first missing measurement on, the covariances of all tendons are propagated, and the gains
+follow from the propagated covariances. The propagation ends when all covariances are close to their
+steady values.
 """
 
 import math
@@ -27,14 +28,14 @@ CELL_ERROR = E
 MISSING_READING_VARIANCE_FACTOR = 1e12
 """Factor on the variance of a missing measurement.
 
-This factor makes the Kalman gain practically zero.
+The factor makes the Kalman gain of a missing measurement practically zero.
 """
 STEADY_VARIANCE_TOLERANCE = 0.02
 """If each variance differs from its steady value by at most this fraction, the covariance counts as steady."""
 MAX_TORQUE_HOLD_TIME_S = 0.05
 """Longest time without a command over which states are predicted [s].
 
-After this time the watchdogs of the drives have removed the torque.
+If no command comes for 0.05 s, the watchdogs of the drives remove the torque.
 """
 
 
@@ -57,7 +58,8 @@ def correct_tendon_covariance(
         c: constants of the hand.
         n: index of the tendon.
         z: (3,) measurements, NaN if missing.
-        gain: (7, 3) steady gains. Replace the first two columns of the gain: encoder and load cell.
+        gain: (7, 3) steady gains. The function replaces the first two columns of the gain, which
+            belong to the encoder and the load cell.
         predicted_covariances: (7, 7) result: covariance after the correction.
         information: (3,) result: inverse covariance of the two innovations, see
             ``constants.INFORMATION_OFFSET``.

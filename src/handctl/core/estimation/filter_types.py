@@ -105,10 +105,10 @@ class StateTransition(NamedTuple):
 
 
 TRANSITION_CACHE_SIZE = 256
-"""Number of cached transitions.
+"""Largest number of ``StateTransition`` objects in the cache.
 
-The transition of a hand with eleven tendons takes 60 kB, and its tendons have 6^11 combinations of
-design kinds.
+The ``StateTransition`` of a hand with eleven tendons takes 60 kB of memory, and the tendons of the
+hand have 6^11 combinations of design kinds.
 """
 
 
@@ -117,8 +117,8 @@ class FilterDesign:
     """Filter designs of all tendons, with one design for each tendon and kind of design.
 
     Attributes:
-        blocks: filter of each tendon and each kind of design, ``blocks[tendon][kind]``. The number
-            of a kind is the regime, plus 3 for a filter with added process noise.
+        blocks: filter of each tendon and each kind of design, ``blocks[tendon][kind]``. The index
+            of a kind is the value of the regime, plus 3 for a filter with added process noise.
         transition: function that returns the ``StateTransition`` of all tendons. The argument of
             this function contains the kinds of design of the N tendons, as the bytes of int64
             numbers. The results of ``transition`` are cached, because the kinds of design rarely

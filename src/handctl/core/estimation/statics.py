@@ -17,7 +17,7 @@ Matrix = NDArray[np.float64]
 MAX_CAPSTAN_EXPONENT = 700.0
 """Largest exponent of the capstan equation, just below the overflow of a float number.
 
-If the numbers of a bad hand exceed it, Python raises an error, but compiled code does not.
+If an exponent exceeds the limit, Python raises an error, but compiled code does not.
 """
 
 

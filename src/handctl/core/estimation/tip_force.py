@@ -1,8 +1,8 @@
 """Tip-equivalent force of a contact.
 
-This force acts at the tip, normal to the last link. It makes the same torque as the actual contact.
-The tension of a finger with one tendon does not depend on the place of contact. The tip is
-therefore used as the place of contact by convention.
+The tip-equivalent force acts at the tip, normal to the last link, and makes the same torque as the
+actual contact. The tension of a finger with one tendon does not depend on the place of contact, so
+the tip is used as the place of contact by convention.
 """
 
 import numpy as np

@@ -1,10 +1,10 @@
 """Gains of the controller: values that can be tuned, with units, bounds and defaults.
 
 With the default gains, both control loops of the Jamia hands have a gain margin of at least 6 dB
-and a phase margin of at least 45 degrees. Both margins hold at 500 Hz (jamia) and at 200 Hz
-(jamia11 on a single bus). They hold for the plant of the hand file, and for random variants of this
-plant. Some packaged hands do not have these margins with the default gains. For such a hand, the
-folder ``packaged`` contains a gains file.
+and a phase margin of at least 45 degrees. Both margins hold at control rates of 500 Hz (jamia) and
+200 Hz (jamia11 on a single bus). Both margins hold for the plant of the hand file, and for random
+variants of the plant. If a packaged hand does not have these margins with the default gains, the
+folder ``packaged`` contains a gains file for the hand.
 """
 
 from pathlib import Path
@@ -15,7 +15,7 @@ from handctl.document import Document, load_document
 from handctl.hand.file.toml_text import toml_text
 
 PACKAGED_GAINS_FOLDER = Path(__file__).parent / "packaged"
-"""Folder with the gains of packaged hands for which the defaults do not fit."""
+"""Folder with the gains of packaged hands for which the default gains do not fit."""
 
 
 class FilterGains(Document):
@@ -67,14 +67,14 @@ class FilterGains(Document):
     encoder_noise_counts: float = Field(0.3, gt=0, le=100)
     """Standard deviation of a motor encoder's noise in counts.
 
-    It is 1 / sqrt(12) for rounding alone.
+    Rounding alone causes a standard deviation of 1 / sqrt(12) counts.
     """
 
 
 class MotionGains(Document):
     """Weights of the motion loop by Bryson's rule.
 
-    The weights are an excursion error, a speed error and a force. All three have the same cost.
+    The weights are an excursion error, a speed error and a force, which have equal costs.
     """
 
     position_error_m: float = Field(6e-4, gt=0, le=0.1)
