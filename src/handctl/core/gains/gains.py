@@ -91,7 +91,7 @@ class MotionGains(Document):
     friction_share: float = Field(1.0, ge=0, le=1)
     """Fraction of pulley and motor friction that the feedforward compensates."""
     disturbance_rejection: float = Field(0.7, ge=0, le=1)
-    """Fraction of the estimated motor disturbance that is cancelled."""
+    """Fraction of the estimated motor disturbance that the motor force cancels."""
     tension_feedback: float = Field(0.3, ge=0, le=5)
     """Gain of the inner tension loop of a moving digit: added motor force per newton of tension error."""
 
@@ -127,17 +127,17 @@ class ContactGains(Document):
 class TendonForces(Document):
     """Forces for a single tendon.
 
-    They replace the forces for all tendons. Digits of different mass need different forces. For
-    example, the force for a wrist that carries five fingers is a thirtieth of the force for a
-    fingertip.
+    The forces of a single tendon replace the forces that apply to all tendons. Digits of different
+    mass need different forces. For example, the force for a wrist that carries five fingers is a
+    thirtieth of the force for a fingertip.
     """
 
     name: str
     """Name of the tendon."""
     motion_force_N: float | None = Field(None, gt=0, le=500)
-    """Force of this tendon in place of ``motion.force_N`` [N]."""
+    """Force of the tendon ``name`` in place of ``motion.force_N`` [N]."""
     tension_force_N: float | None = Field(None, gt=0, le=500)
-    """Force of this tendon in place of ``tension.force_N`` [N]."""
+    """Force of the tendon ``name`` in place of ``tension.force_N`` [N]."""
 
 
 class Gains(Document):
@@ -194,17 +194,17 @@ class GainsProvenance(Document):
     fit: str = ""
     """Calibration file whose identified parameters were used for the design."""
     study: str = ""
-    """Search that found these gains."""
+    """Search that found the gains of the file."""
     note: str = ""
-    """Note of the user about these gains."""
+    """Note of the user about the gains of the file."""
     number: int = Field(0, ge=0)
-    """Number in the history of gains, 0 outside of a history."""
+    """Number of the gains in the history of gains, 0 for gains outside of a history."""
     replaces: int = Field(0, ge=0)
-    """Number of the gains that were replaced, 0 for the packaged gains."""
+    """Number of the gains that the gains of the file replaced, 0 for the packaged gains."""
     restores: int | None = Field(None, ge=0)
     """Number of the gains that a rollback restored, 0 for the packaged gains.
 
-    None without a rollback.
+    The value is None if no rollback was made.
     """
 
 
@@ -226,7 +226,7 @@ class GainsFile(Gains):
 
 
 def load_gains(path: Path | None) -> Gains:
-    """Return gains from a TOML file, or the defaults.
+    """Return gains from a TOML file, or the default gains.
 
     Raises:
         ConfigError: the file cannot be read, or a value is out of range.
