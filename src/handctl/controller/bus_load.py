@@ -57,7 +57,8 @@ class BusLoad:
     def periodic_load_fraction(self) -> float:
         """Return the part of the bus load that does not depend on the control rate, as a fraction.
 
-        Frames with a rate of their own, such as heartbeats, cause a constant bus load.
+        Frames with a rate of their own, such as heartbeats, cause a bus load that does not depend
+        on the control rate.
         """
         return sum(row.frames_per_second * row.frame_s for row in self.rows)
 

@@ -30,7 +30,7 @@ from handctl.programs.stream_plans import (
 MAX_TARGET_AGE_S = 0.1
 """Age beyond which a target is ignored [s], because later targets replace an old target."""
 MAX_TARGET_INTERVAL_PERIODS = 2.5
-"""Longest time between two targets for which the speed between them is computed [periods of the stream]."""
+"""Longest time between two targets for which the speed between the targets is computed [periods of the stream]."""
 MAX_SETPOINT_LEAD_N = 6.0
 """Largest distance of a streamed setpoint above the estimated tension [N].
 

@@ -108,7 +108,7 @@ class BlockSchema:
         return field.first_row
 
     def layout(self, axes: Mapping[str, int]) -> "BlockLayout":
-        """Return the layout of the tables of this schema, for given lengths of the axes."""
+        """Return the layout of the schema's tables, for given lengths of the axes."""
         return BlockLayout(self, axes)
 
     def rows(self, table_name: str) -> int:
@@ -123,7 +123,7 @@ class BlockLayout:
         schema: schema with the tables and fields.
         axes: length of each axis.
         offsets: lengths of the axes, position of the first element of each table, and end of the
-            last table. Compiled code reads this array.
+            last table. Compiled code reads the array ``offsets``.
         size: number of elements of a block.
         identity: 8-byte hash of all fields and of the lengths of all axes.
         initial: block before the first tick, read-only.
@@ -197,7 +197,8 @@ class BlockLayout:
     def view(self, block: BlockArray, name: str) -> NDArray[Any]:
         """Return a view of a field in a block.
 
-        The view has the shape (rows, ...). If the field has a single row, the shape is (...).
+        The view has the shape (rows, ...). The view of a field with a single row has the shape
+        (...), without an axis for the rows.
         """
         first_offset, end, shape, is_integer = self._fields[name]
         table_elements = block[first_offset:end]
@@ -221,7 +222,7 @@ class BlockLayout:
         shape, kind, offset = self._shapes[name]
         return np.ndarray(
             shape, kind, block, offset
-        )  # a single call creates all views, because every tick creates several of them
+        )  # one call creates the view, because every tick creates several views
 
     def first_difference(
         self, block: BlockArray, other_block: BlockArray

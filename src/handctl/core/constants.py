@@ -1,10 +1,10 @@
 """Constants of a hand for compiled code.
 
-The constants are in a block of their own, separate from the state block.
+The constants of a hand are in a block of their own, separate from the state block.
 
-``HandConstants`` fills the block from a ``HandModel``, from drives and from sensors.
-``constant_tables`` returns the tables by name, for compiled code. A change of gains needs a new
-block of constants.
+``HandConstants`` fills the block of constants from a ``HandModel``, from drives and from sensors.
+``constant_tables`` returns the tables of constants by name, for compiled code. A change of gains
+needs a new block of constants.
 """
 
 import math
@@ -261,8 +261,8 @@ and numbers of a filter design.
 """
 FILTER_DESIGN_COUNT = 6
 
-# Filters for the detection of contact and slip. Each constant is the fraction of the distance to
-# its input that a low-pass filter covers in one tick.
+# Filters for the detection of contact and slip. In each tick, a low-pass filter moves towards its
+# input by a fraction of the distance. Each constant below is the fraction of one low-pass filter.
 TIP_FORCE_UPDATE_FRACTION = _real_field("felt_fraction", "run", "",
     "update fraction of the smoothed force at the tip")  # fmt: skip
 MEAN_FORCE_UPDATE_FRACTION = _real_field("usual_fraction", "run", "",

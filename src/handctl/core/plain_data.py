@@ -86,8 +86,8 @@ def to_plain_data(value: Any) -> Any:
     if kind in _TYPES_WITHOUT_CONVERSION:
         return value
     if isinstance(value, tuple):
-        # This code runs in the ticks in which settings of drives are read. For speed, no function
-        # is called for an item that is already plain.
+        # The code below runs in the ticks in which settings of drives are read. For speed, no
+        # function is called for an item that is already plain.
         elements = [
             element if type(element) in _TYPES_WITHOUT_CONVERSION else to_plain_data(element)
             for element in value

@@ -96,7 +96,7 @@ COVARIANCE_PROPAGATED = _integer_field("carried", "run", "",
 FILTER_STARTED = _integer_field("started", "run", "",
     "1 after the first reading of every encoder and load cell")  # fmt: skip
 
-# Measurements of this tick. A missing measurement is NaN.
+# Measurements of the present tick. A missing measurement is NaN.
 MEASURED_TRAVEL = _real_field("measured_travel", "tendon", "m",
     "length of tendon wound on the spool, by the motor encoder", initial=NAN)  # fmt: skip
 MEASURED_POSITION = _real_field("measured_position", "tendon", "rad",
@@ -124,7 +124,7 @@ REJECTED_JOINT_STEP = _real_field("joint_jump", "joint", "rad",
 TARE_MEASURED_BY_PROGRAM = _real_field("program_tare", "tendon", "N",
     "load-cell tare that the program measured in this run")  # fmt: skip
 
-# Estimates of this tick.
+# Estimates of the present tick.
 TENSION = _real_field("tension", "tendon", "N", "tension at the load cell; 0 in slack")
 TENSION_SIGMA = _real_field(
     "sigma", "tendon", "N", "standard deviation of the tension", initial=NAN
@@ -269,7 +269,7 @@ FRICTION_SLIDER = _real_field("friction_slider", "tendon", "m", initial=NAN,
 TRIM_ACTIVE = _integer_field("trimmed", "run", "", "1 while a trim is not yet zero")
 SAFETY_HOLD_ACTIVE = _integer_field("holding", "run", "", "1 while safety holds the hand")
 
-# Command of this tick.
+# Motor commands of the present tick.
 COMMANDED_TORQUE = _real_field("torque", "tendon", "N m", "commanded motor torque, at the spool")
 TENSION_GOAL = _real_field("tension_goal", "tendon", "N",
     "commanded tension; NaN without a tension command", initial=NAN)  # fmt: skip
@@ -279,7 +279,7 @@ Q_GOAL = _real_field("q_goal", "joint", "rad",
 DQ_GOAL = _real_field("dq_goal", "joint", "rad/s",
     "commanded joint rate; NaN for a digit in the tension loop", initial=NAN)  # fmt: skip
 
-# Command of this tick to each drive that closes the position loop by itself, see
+# Command of the present tick to each drive that closes the position loop by itself, see
 # ``control_law.servo_commands``.
 SERVO_POSITION = _real_field("servo_position", "servo", "rad",
     "position that the drive approaches, at the spool")  # fmt: skip
@@ -490,7 +490,7 @@ RECHECK_TRIES = _integer_field("recheck_tries", "tendon", "",
 FAULT_TICKS = _integer_field("fault_ticks", "instance", "",
     "number of ticks in a row in which each fault is present", rows=64)  # fmt: skip
 
-# Facts of this tick that the fault detectors judge.
+# Facts of the present tick that the fault detectors judge.
 TICK_TIME_NS = _integer_field("t_ns", "run", "ns", "time of the tick")
 TICK_DELAY_NS = _integer_field("late_ns", "run", "ns", "delay of the start of the tick")
 MISSED_TICKS = _integer_field("missed", "run", "", "number of ticks skipped before this tick")

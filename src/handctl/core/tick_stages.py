@@ -128,7 +128,7 @@ def store_drive_values(
         fault_cause: ``drives.contract.DriveFaultCause`` of the error code, -1 without a fault.
         steady_status: status that the drive reports while its state machine has nothing to do.
         due_ns: time at which the state machine of the drive must run next [ns].
-        is_malformed: 1 if a frame of the drive in this tick had a wrong shape.
+        is_malformed: 1 if a frame of the drive in the present tick had a wrong shape.
     """
     x = state_tables(block, at)
     x.tendon[s.POSITION, n] = position

@@ -13,7 +13,8 @@ MAX_SILENCE_S = 0.030
 MAX_STALL_S = 0.025
 """Longest silence of a node, and longest interruption of the host's ticks, without a fault [s].
 
-Both times are below the drives' watchdog time of 50 ms.
+The allowed silence and the allowed interruption are shorter than the drives' watchdog time of 50
+ms.
 """
 MIN_SILENT_TICKS = 4
 MIN_STALLED_TICKS = 3
@@ -48,8 +49,8 @@ class SafetyLimits:
         joints: (J,) names of the joints.
         tension_trip: (N,) tension of each tendon [N] above which a single reading leads to the
             reaction RELAX.
-        drive_limit: (N,) tension at the torque limit of the drive itself [N]. Above this tension,
-            the reaction is CUT.
+        drive_limit: (N,) tension at the torque limit of the drive itself [N]. Above the tension
+            ``drive_limit``, the reaction is CUT.
         tension_rail: load-cell reading minus the tare [N] from which a load cell counts as
             saturated.
         tension_low: load-cell reading minus the tare [N] below which a load cell counts as broken:

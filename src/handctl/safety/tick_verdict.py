@@ -50,7 +50,7 @@ class ReportedFault(NamedTuple):
 
 
 class FaultFinding(NamedTuple):
-    """Fault that became active in this tick."""
+    """Fault that became active in the judged tick."""
 
     fault: Fault
     part_name: str
@@ -62,9 +62,9 @@ class TickVerdict(NamedTuple):
 
     Attributes:
         action: most severe reaction to the faults that are present.
-        findings: faults that became active in this tick.
+        findings: faults that became active in the judged tick.
         latched_faults: all faults that are latched at the end of the tick.
-        reported_faults: faults that are reported in this tick.
+        reported_faults: faults that are reported in the judged tick.
     """
 
     action: SafetyAction
@@ -88,10 +88,11 @@ def judge_tick(
     Args:
         latched_faults: latched faults of the last tick.
         reported_faults: faults that were reported in the last tick.
-        detected_faults: faults that became active in this tick according to the detectors, from
-            ``newly_active_faults``.
+        detected_faults: faults that became active in the judged tick according to the detectors,
+            from ``newly_active_faults``.
         demanded_action: most severe reaction to all active faults that the detectors have found.
-        event_reports: reports of buses, host and recorder in this tick, for ``locate_reports``.
+        event_reports: reports of buses, host and recorder in the judged tick, for
+            ``locate_reports``.
     """
     action = demanded_action
     findings = list(detected_faults)
@@ -133,7 +134,7 @@ def _latched_fault_of(finding: FaultFinding) -> LatchedFault:
 def newly_active_faults(
     limits: SafetyLimits, evidence: NDArray[np.float64], ticks: NDArray[np.int64]
 ) -> list[FaultFinding]:
-    """Return the faults that became active in this tick, in the order of the fault table.
+    """Return the faults that became active in the judged tick, in the order of the fault table.
 
     Args:
         limits: safety limits of the hand, with the names of tendons, motors, joints and nodes.

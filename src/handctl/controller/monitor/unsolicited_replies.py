@@ -51,8 +51,9 @@ def detect_unsolicited_replies(
     surplus_counts = state.view("surplus").tolist()
     signs = []
     for n, count in enumerate(surplus_counts):
-        # ``EXCESS_REPLIES`` contains the number of requests without a reply, plus 1. If a reply
-        # arrives while the value of ``EXCESS_REPLIES`` is 1, there was no request for the reply.
+        # ``EXCESS_REPLY_COUNT`` contains the number of requests without a reply, plus 1. If a reply
+        # arrives while the value of ``EXCESS_REPLY_COUNT`` is 1, there was no request for the
+        # reply.
         if count == 1:
             signs.append(f"{drives[n].name} answering it")
         elif count:

@@ -1,8 +1,8 @@
-"""Two control laws for a tendon-driven digit: computed torque for a motion, a tension loop for a pull.
+"""Two control laws for a tendon-driven digit: computed torque for a motion, and a tension loop.
 
 Motion: inverse dynamics gives the joint torques that the trajectory requires. The tensions f of the
-tendons must produce these joint torques. The motor force u has three parts: the tension f_0 at the
-load cell, the feedback, and the force for the inertia and friction of the motor.
+tendons must produce the required joint torques. The motor force u has three parts: the tension f_0
+at the load cell, the feedback, and the force for the inertia and friction of the motor.
 
     f = allocate(M theta_d'' + h(theta_d, theta_d'))    f_0 = f / efficiency
     u = f_0 + (m_m + m_l) (k (s_d - s) + d (s_d' - v))
@@ -85,13 +85,13 @@ compensate the decay.
 MIN_TRIM_N = 1e-3
 """Smallest trim (added motor force) that is not set to 0 [N].
 
-When the trims of all tendons are smaller than the constant, all trims are set to 0. A trim of 1 mN
-is 0.02 torque counts of the drive with the finest torque resolution.
+When the trims of all tendons are smaller than ``MIN_TRIM_N``, all trims are set to 0. A trim of 1
+mN is 0.02 torque counts of the drive with the finest torque resolution.
 """
 HOLD_MARGIN_N = 1.0
 """Margin [N] by which the tension limit during a hold exceeds the tension at the start of the hold.
 
-The margin is about as large as the error of the estimated tension.
+The margin of the tension limit is about as large as the error of the estimated tension.
 """
 ENVELOPE_ROUNDING_FACTOR = 1.0 - 1e-12
 """Factor on the force envelope of a relaxing hand, so that rounding errors cannot raise a constant envelope."""
@@ -108,7 +108,8 @@ INTEGRAL_DECAY_S = 0.02
 SLACK_TAKE_UP_SPEED_M_S = 0.02
 """Speed of a spool that takes up the slack of its tendon during a motion [m/s].
 
-The speed is so low that the fault detectors do not mistake a slack tendon for a snapped tendon.
+The take-up speed is so low that the fault detectors do not mistake a slack tendon for a snapped
+tendon.
 """
 MIN_RELAXED_TENSION_N = 5.0
 """Tendon tension in a relaxed hand that is opened by springs [N]."""
@@ -163,11 +164,11 @@ def temporary_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
 
     The temporary limits apply in addition to the limits of the hand file. At the soft temperature
     limit of a drive, the tension limit is the tension ceiling. At the hard temperature limit of a
-    drive, the tension limit is the tension floor. Between both temperatures, the tension limit
-    falls linearly. If a digit is blocked, the tension limit is ``MAX_BLOCKED_EXTRA_TENSION_N``
-    above the tension that the trajectory requires. During a hold by the safety monitor, the tension
-    limit is ``HOLD_MARGIN_N`` above the tension at the beginning of the hold. For a spool pair, the
-    tension limit applies to the net tension in both directions.
+    drive, the tension limit is the tension floor. Between the soft and the hard temperature limit,
+    the tension limit falls linearly. If a digit is blocked, the tension limit is
+    ``MAX_BLOCKED_EXTRA_TENSION_N`` above the tension that the trajectory requires. During a hold by
+    the safety monitor, the tension limit is ``HOLD_MARGIN_N`` above the tension at the beginning of
+    the hold. For a spool pair, the tension limit applies to the net tension in both directions.
     """
     limit = np.full(x.tendon.shape[1], math.inf)
     is_any_drive_warm = False
@@ -219,7 +220,7 @@ def write_motor_torques(
         c: constants of the hand.
         trajectory: (3, J) angles, rates and accelerations of the joints on the trajectories.
         relax_rate: rate at which the envelope (the upper bound of the motor forces) falls while the
-            hand relaxes [N/s]. In all other modes, the value is 0.
+            hand relaxes [N/s]. The value is 0 in all modes except the relaxing mode.
         open_loop: True if the motor forces of a relaxing hand are the envelope itself, without
             feedback.
         ticks: number of control periods since the last tick, which is 1 if no tick was missed.
@@ -497,9 +498,9 @@ def _take_up_slack(
     tendon does not move its digit. Position feedback could pay out more of the slack tendon, or
     could pull the tendon taut with a jerk that looks like a torn tendon. A feedback force that pays
     out a nearly slack tendon is reduced, so that springs or the antagonist can open the digit. The
-    low winding speed and the reduced feedback apply to digits that follow streamed angles. In other
-    motions, the feedback is replaced only if it would pay out a slack tendon, see
-    ``_would_pay_out_slack_tendon``.
+    low winding speed and the reduced feedback apply to digits that follow streamed angles. In
+    motions without streamed angles, the position feedback is replaced only if it would pay out a
+    slack tendon, see ``_would_pay_out_slack_tendon``.
 
     Args:
         x: state tables.
@@ -703,11 +704,11 @@ def _tension_force(
 def _tension_integral(x: StateTables, c: ConstantTables, n: int, error: float) -> float:
     """Return the integral of the tension error of a taut tendon [N].
 
-    The integral compensates the friction of a rotor at rest. A digit without contact cannot resist
-    arbitrary streamed tensions, so the digit moves and the tension errors persist. The integrals of
-    persistent tension errors would move the digit further, and the digit would oscillate between
-    its stops. During a stream of tensions, the tension integral of a moving tendon decays, so that
-    the digit does not oscillate.
+    The integral of the tension error compensates the friction of a rotor at rest. A digit without
+    contact cannot resist arbitrary streamed tensions, so the digit moves and the tension errors
+    persist. The integrals of persistent tension errors would move the digit further, and the digit
+    would oscillate between its stops. During a stream of tensions, the tension integral of a moving
+    tendon decays, so that the digit does not oscillate.
 
     Args:
         x: state tables.

@@ -154,7 +154,7 @@ def is_target_stream_running(x: StateTables) -> bool:
 def write_required_torque(x: StateTables, c: ConstantTables, trajectory: Matrix) -> None:
     """Write the joint torques that the trajectories require.
 
-    The torques overcome inertia, gravity, springs and damping.
+    The required joint torques overcome inertia, gravity, springs and damping.
 
     Args:
         x: state tables.
@@ -206,13 +206,14 @@ def write_required_torque(x: StateTables, c: ConstantTables, trajectory: Matrix)
 def write_required_tensions(x: StateTables, c: ConstantTables) -> int:
     """Write the tensions that make the required joint torques.
 
-    The tensions are those at the joints, after the friction of the pulleys.
+    The written tensions are the tensions at the joints, after the friction of the pulleys.
 
     Returns:
-        A number with one bit for each digit. A bit is 1 if the required tensions of its digit are
-        out of bounds or not unique. For a digit with the bit 1, the caller must solve the bounded
-        least-squares problem of ``tension_allocation``. In a digit with a single tendon, a required
-        tension out of bounds is replaced by the bound, and the bit of the digit is 0.
+        A number with one bit for each digit. The bit of a digit is 1 if the required tensions of
+        the digit are out of bounds or not unique. For a digit whose bit is 1, the caller must solve
+        the bounded least-squares problem of ``tension_allocation``. In a digit with a single
+        tendon, a required tension out of bounds is replaced by the bound, and the bit of the digit
+        is 0.
     """
     unsolved_digits = 0
     for d in range(x.digit.shape[1]):

@@ -6,11 +6,12 @@ present friction.
 Because of friction, the tension of a moving digit lies in a band around the tension that springs
 and gravity require. While the tendon is wound up, the tension is at the upper edge of the friction
 band. While the tendon is paid out, the tension is at the lower edge of the friction band. After a
-reversal of the tendon, the digit sticks while the motor stretches or releases the tendon. The
-tension then changes from one edge of the friction band to the other within about ten milliseconds.
-The change starts at the reversal of the tendon, which can be earlier or later than the reversal of
-the trajectory. At rest, the digit creeps until no friction force remains. Source: Prandtl's
-elastic-plastic element, with a viscous slider below ``CAPSTAN_FRICTION_SPEED_M_S``.
+reversal of the tendon, the digit sticks while the motor stretches or releases the tendon. Within
+about ten milliseconds after a reversal, the tension changes from one edge of the friction band to
+the other. The change of the tension starts at the reversal of the tendon, which can be earlier or
+later than the reversal of the trajectory. At rest, the digit creeps until no friction force
+remains. Source: Prandtl's elastic-plastic element, with a viscous slider below
+``CAPSTAN_FRICTION_SPEED_M_S``.
 """
 
 import math
@@ -71,7 +72,7 @@ def predict_tension_of_moving_tendon(
         load + period * c.tendon[h.LOAD_STIFFNESS, n] * rate, c.tendon[h.TENSION_FLOOR, n]
     )
     wound_length = period * mean_speed
-    # 0 means that the tension of the last tick is unknown.
+    # A planned tension of 0 means that the tension of the last tick is unknown.
     is_pair = c.tendon_int[h.IS_SPOOL_PAIR, n] == 1
     is_known = last_tension != 0.0 if is_pair else last_tension > 0.0
     tension_now = last_tension if is_known else tension
@@ -134,7 +135,7 @@ def _sliding_speed(friction_state: float) -> float:
     The linear friction law goes through zero and through the present friction. In the friction
     model, friction is proportional to the tanh of the speed. A linear law with full friction at
     ``MIN_SLIDING_SPEED_M_S`` gives too little friction for the slow motion at the end of a
-    trajectory. The missing friction would resemble a contact.
+    trajectory. A predicted friction that is too small would resemble a contact.
 
     Args:
         friction_state: present friction, from 1 to -1, or NaN if it is unknown.
@@ -155,7 +156,7 @@ def _tension_with_friction(
     wound_length: float,
     sliding_speed: float,
 ) -> float:
-    """Return the tension of a tendon, or the net tension of a spool pair, at the end of a period [N].
+    """Return the tension of a tendon, or the net tension of a spool pair, at the end of a control period [N].
 
     Args:
         c: constants of the hand.

@@ -39,7 +39,7 @@ def raise_goals_to_tension_floor(
 ) -> None:
     """Raise the tension goals in digits with surplus tendons to the floor, and write null-space forces.
 
-    The position feedback may reduce the force on a tendon to less than the tension floor. A
+    The position feedback can reduce the force on a tendon to less than the tension floor. A
     multiple of the balance tensions, which make no joint torque, is added to the tension goals of
     all tendons of the digit. The multiple of the balance tensions has an upper limit. If a larger
     multiple would be necessary, the position feedback is reduced.

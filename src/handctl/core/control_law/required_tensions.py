@@ -1,8 +1,8 @@
 """Tensions that the goals of the digits require.
 
-The tensions are those at the joints, after the friction of the pulleys. Compiled code computes the
-required tensions of most digits. For the other digits, Python code solves a bounded least-squares
-problem.
+The required tensions are the tensions at the joints, after the friction of the pulleys. Compiled
+code computes the required tensions of most digits. For digits without unique tensions within the
+bounds, Python code solves a bounded least-squares problem.
 """
 
 from dataclasses import replace

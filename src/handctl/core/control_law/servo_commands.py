@@ -1,8 +1,8 @@
 """Commands to drives that close the position loop of a moving digit.
 
-A command consists of a position p_d, a velocity v_d, a stiffness kp, a damping kd and a torque t.
-Many times within a tick, the drive measures the position p and the velocity v, and computes its
-torque:
+A command to such a drive consists of a position p_d, a velocity v_d, a stiffness kp, a damping kd
+and a torque t. Many times within a tick, the drive measures the position p and the velocity v, and
+computes its torque:
 
     kp (p_d - p) + kd (v_d - v) + t
 
@@ -17,9 +17,9 @@ the drive contains the errors of excursion and tension:
 The controller does not know the torque that the drive will make, so the controller estimates p and
 v half a control period ahead. From the estimated position and velocity, the controller predicts the
 mean motor torque of the coming period. The controller limits the predicted torque in the same way
-as a torque command. The controller then chooses the commanded position with which the drive would
-make the limited torque. In this way, the torque limits of the controller also limit the distance
-between the commanded position and the motor position.
+as a torque command. The controller chooses the commanded position with which the drive would make
+the limited torque. The torque limits of the controller limit not only the torque, but also the
+distance between the commanded position and the motor position.
 
 Most drives keep the commanded position unchanged until the next command. A command to a drive with
 a constant commanded position includes the planned motion of half a control period. Other drives
@@ -29,11 +29,11 @@ fails, a moving commanded position continues to change until the watchdog of the
 command to a drive with a moving commanded position also contains a torque limit slightly above the
 predicted torque.
 
-In commands for a digit that moves freely on its trajectory, kp and kd are above 0. In all other
-commands, kp and kd are 0, and t is the whole torque. Commands with kp = kd = 0 are sent if the
-digit touches an object, if it relaxes, if the tendon takes up slack, or if the safety monitor holds
-the hand. Commands with kp = kd = 0 are also sent if the motor position was not measured in the
-tick.
+In commands for a digit that moves freely on its trajectory, kp and kd are above 0. In commands for
+any other digit, kp and kd are 0, and t is the whole torque. Commands with kp = kd = 0 are sent if
+the digit touches an object, if it relaxes, if the tendon takes up slack, or if the safety monitor
+holds the hand. Commands with kp = kd = 0 are also sent if the motor position was not measured in
+the tick.
 """
 
 import math
@@ -84,7 +84,7 @@ def begin_servo_commands(x: StateTables, c: ConstantTables) -> None:
 def command_torque_only(x: StateTables, n: int) -> None:
     """Replace the command of a drive by a command that contains only a torque.
 
-    The table of the commands is empty if no drive of the hand closes a position loop.
+    The table of the servo commands is empty if no drive of the hand closes a position loop.
     """
     x.servo[s.SERVO_KP, n] = x.servo[s.SERVO_KD, n] = 0.0
     x.servo[s.SERVO_TORQUE, n] = x.tendon[s.COMMANDED_TORQUE, n]

@@ -10,8 +10,8 @@ limits. If the segment exceeds a limit, the reference position approaches the ta
 limits allow. The reference position reaches the target with the rate of the stream. Near the end of
 a joint's range, the speed towards the end of the range is limited, so that the motion can stop
 before the end. The reference position is never more than ``MAX_LEAD_RAD`` ahead of the digit. If an
-object holds a digit, the reference position waits. If an object pushes a digit away, the reference
-position follows the digit.
+object holds a digit, the reference position waits ahead of the digit. If an object pushes a digit
+away, the reference position follows the digit.
 """
 
 import math
@@ -33,8 +33,9 @@ the digit does not jump when the object releases it.
 MIN_STIFFNESS_FRACTION = 0.05
 """Smallest divisor of ``MAX_LEAD_RAD``.
 
-The divisor of ``MAX_LEAD_RAD`` is the stiffness fraction of the digit, but at least the constant.
-An object can push a softer digit further away from the reference position.
+The divisor of ``MAX_LEAD_RAD`` is the stiffness fraction of the digit, but at least
+``MIN_STIFFNESS_FRACTION``. An object can push a softer digit further away from the reference
+position.
 """
 RATE_LIMIT_TOLERANCE = 1e-9
 """Relative tolerance of the rate limits, for rounding errors."""
@@ -62,12 +63,12 @@ def begin_segments(
         block: state block, modified in place.
         at: ``BlockLayout.offsets`` of the state block.
         target_coordinates: (C,) requested coordinates [rad].
-        holdable_coordinates: (C,) coordinates nearest to the present ones that the hand can hold with
-            taut tendons [rad].
+        holdable_coordinates: (C,) coordinates that the hand can hold with taut tendons, as near as
+            possible to the present coordinates [rad].
         since: start of the motion [s].
         duration: duration of the motion [s].
-        target_interval: time between this target and the previous target [s]. If this time is
-            infinite, the motion ends at rest.
+        target_interval: time between the target and the previous target [s]. If the interval of the
+            targets is infinite, the motion ends at rest.
         max_rate: largest allowed rate of a coordinate at the target [rad/s].
         minimum_jerk: 1 for a motion of minimum jerk, 0 for a motion at constant rate.
     """
@@ -221,7 +222,7 @@ def _allowed_rates(
     """Return the lowest and the highest allowed rate of a coordinate's reference [rad/s].
 
     The speed limit, the range of the coordinate, and the distance of the reference from the digit
-    determine both rates.
+    determine the lowest and the highest rate.
 
     Args:
         x: state tables.

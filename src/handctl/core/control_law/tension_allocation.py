@@ -1,11 +1,11 @@
 """Conversion of joint torques to tendon tensions, by a bounded least-squares problem per digit.
 
-The problem, with the mean moment arm r, is: minimise |R^T f - tau|^2 / r^2 + regularisation |f -
-f_min|^2 subject to f_min <= f <= f_max. If the equations R^T f = tau have a unique solution within
-the bounds, this solution is used. If no tensions within the bounds make the required torque, the
-solution is the tensions with the closest possible torque. The torque errors of all coordinates have
-equal weights. The difference between required and possible torque is also returned. Source: Lee &
-Tsai (1991).
+The least-squares problem, with the mean moment arm r, is: minimise |R^T f - tau|^2 / r^2 +
+regularisation |f - f_min|^2 subject to f_min <= f <= f_max. If the equations R^T f = tau have a
+unique solution within the bounds, this solution is used. If no tensions within the bounds make the
+required torque, the solution is the tensions with the closest possible torque. The torque errors of
+all coordinates have equal weights. ``tensions_for_torque`` returns the tensions, and the difference
+between the required and the possible torque. Source: Lee & Tsai (1991).
 """
 
 from typing import NamedTuple
@@ -64,7 +64,8 @@ class _AllocationProblem(NamedTuple):
         arms: (n_t, n_c) moment arms divided by their mean.
         mean: mean of the moment arms [m].
         weight: (n_t, n_t) matrix of the quadratic form.
-        empty_constraints: (0, n_t) matrix without rows, because the program has no linear constraints.
+        empty_constraints: (0, n_t) matrix without rows, because the quadratic program has no linear
+            constraints.
     """
 
     arms: Vector
@@ -81,8 +82,8 @@ MAX_CACHED_ALLOCATIONS = 64
 def _cached_allocation_problem(moment_arms: Vector) -> _AllocationProblem:
     """Return the quadratic program for given moment arms.
 
-    If the array of moment arms is read-only, the program is cached for later calls with the same
-    array.
+    If the array of moment arms is read-only, the quadratic program is cached for later calls with
+    the same array.
     """
     result = _cached_problems.get(id(moment_arms))
     if result is not None and result[0] is moment_arms:

@@ -37,7 +37,7 @@ from handctl.safety.faults.bus import (
 EvidenceTable = NDArray[np.float64]
 """Result table of all detectors, (faults, instances).
 
-An element is a number that shows the fault, or NaN if the fault is absent.
+An element of the table is a number that shows the fault, or NaN if the fault is absent.
 """
 
 

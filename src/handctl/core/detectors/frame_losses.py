@@ -140,8 +140,8 @@ def count_lost_replies(x: StateTables, node: int) -> int:
 def misses_every_second_reply(x: StateTables, node: int) -> bool:
     """Return True if about every second reply of a node is missing.
 
-    The last ``MALFORMED_WINDOW_TICKS`` ticks are tested. If every second reply is missing, two
-    consecutive replies are missing at most once.
+    The function tests the replies of the last ``MALFORMED_WINDOW_TICKS`` ticks. If every second
+    reply is missing, two consecutive replies are missing at most once.
     """
     recent_losses = x.node_int[s.LOST_REPLY_BITS, node] & MALFORMED_WINDOW_MASK
     # The integer of lost frames is combined by AND with the same integer, shifted by one bit. The

@@ -36,8 +36,8 @@ def close_answered_requests(x: StateTables, c: ConstantTables) -> bool:
 
     Returns:
         True if a motor or the sensor node sent more replies than it had open requests. For a motor
-        that sent too many replies, ``EXCESS_REPLIES`` is set to the number of its open requests
-        plus 1. For all other motors, ``EXCESS_REPLIES`` is set to 0.
+        that sent too many replies, ``EXCESS_REPLY_COUNT`` is set to the number of its open requests
+        plus 1. For all other motors, ``EXCESS_REPLY_COUNT`` is set to 0.
     """
     has_excess_replies = False
     for n in range(x.tendon.shape[1]):
@@ -57,8 +57,8 @@ def close_answered_requests(x: StateTables, c: ConstantTables) -> bool:
 def add_requests(x: StateTables, k: int) -> None:
     """Add an open request for every motor in tick k.
 
-    A motor that was not ready before tick k does not answer older requests. Therefore only the new
-    request of such a motor is open.
+    A motor that was not ready before tick k does not answer older requests, so only its new request
+    is open.
     """
     for n in range(x.tendon.shape[1]):
         count = x.tendon_int[s.OUTSTANDING_REQUEST_COUNT, n]

@@ -1,12 +1,12 @@
 """Detection of load-cell frames that contain old readings although their SYNC counter is new.
 
-The readings of a load cell vary by several counts, because of noise. The frames contain old
+The readings of a load cell vary by several counts, because of noise. Load-cell frames contain old
 readings if each reading of a load cell equals its reading a fixed number of ticks earlier. At the
 start of a delay of n ticks, the last n readings are sent a second time if every tick still has a
-reading. A load cell with a constant reading also repeats its readings. Readings also repeat if the
-tension control of the tendon oscillates with an amplitude of a few counts. The detector of replayed
-readings does not regard repeated constant readings as a fault. The detector ``stuck_sensors`` tests
-for constant readings.
+reading. A load cell with a constant reading repeats its readings without a fault. Readings also
+repeat without a fault if the tension control of the tendon oscillates with an amplitude of a few
+counts. The detector of replayed readings does not regard repeated constant readings as a fault. The
+detector ``stuck_sensors`` tests for constant readings.
 """
 
 import math
@@ -34,7 +34,7 @@ threshold.
 
 @kernel_helper
 def count_repeated_readings(x: StateTables, are_cells_tared: bool) -> None:
-    """Compare the present load-cell readings with those of the last ``MAX_READING_AGE_TICKS`` ticks."""
+    """Compare the present load-cell readings with the readings of the last ``MAX_READING_AGE_TICKS`` ticks."""
     count = x.tendon.shape[1]
     for n in range(count):
         x.tendon[s.PRESENT_CELL_READING, n] = (
@@ -69,7 +69,7 @@ def age_of_repeated_readings(x: StateTables, n: int) -> int:
     Return 0 if the load cell does not repeat readings.
     """
     longest_run = x.tendon_int[s.LONGEST_READING_REPETITION, n]
-    # The probability of so many equal readings is compared as a logarithm, because the probability
+    # The probability of a run of equal readings is compared as a logarithm, because the probability
     # itself is too small a number.
     if (
         longest_run < MIN_REPEATED_READINGS

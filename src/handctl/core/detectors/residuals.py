@@ -40,8 +40,8 @@ RESIDUAL_TIME_CONSTANTS_S = (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0, 0.02)
 TRUSTED_NOISE_FRACTION = 1.0 / 30.0
 """Fraction of the limit of fault N07 above which the noise of an encoder makes the acceleration useless.
 
-Two ticks of a noise of 0.04 rad reach a seventh of the limit. Exchanged power stages reach less
-than a hundredth of the limit.
+Two ticks of an encoder noise of 0.04 rad reach a seventh of the limit of fault N07. Exchanged power
+stages of two drives reach less than a hundredth of the limit of fault N07.
 """
 TORQUE_CONSTANT_TOLERANCE = 0.1
 """Relative error of the motor force that the usual tolerance of a motor's torque constant K_t causes."""
@@ -76,16 +76,16 @@ def update_residuals(
         motor_force = commanded_force if math.isnan(force) else force
         checked_tension = monitored_tension(x, c, n, are_cells_tared)
         if not has_started:
-            # The two fast filters start at the present tension and at the present motor force.
+            # The two fast low-pass filters start at the present tension and at the present motor
+            # force.
             x.tendon[s.RESIDUAL + TENSION, n] = (
                 0.0 if math.isnan(checked_tension) else checked_tension
             )
             x.tendon[s.RESIDUAL + QUICK_FORCE, n] = 0.0 if math.isnan(motor_force) else motor_force
         position_change = position - x.tendon[s.LAST_POSITION, n]
         # The friction is computed as proportional to tanh(1000 v), with the speed v in m/s. Above
-        # some millimetres per second, the computed friction has its full value. The function tanh
-        # prevents that the computed friction changes its sign in every tick while the motor is at
-        # rest.
+        # some millimetres per second, the computed friction has its full value. With tanh, the sign
+        # of the computed friction does not change in every tick while the motor is at rest.
         friction_force = c.tendon[h.MOTOR_DAMPING, n] * speed + c.tendon[
             h.MOTOR_COULOMB_FRICTION, n
         ] * math.tanh(speed * 1e3)
@@ -135,8 +135,9 @@ def unexplained_tension(x: StateTables, c: ConstantTables, n: int) -> float:
 def excess_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the excess of a tension over the largest tension that its motor explains [N], 0 or more.
 
-    The excess is filtered with a time constant of 20 ms. While the encoder of the motor is noisy,
-    the acceleration of the rotor is wrong, and the result is 0. Fault N07 reports the noise.
+    The excess tension is filtered with a time constant of 20 ms. While the encoder of the motor is
+    noisy, the acceleration of the rotor is wrong, and the excess tension is set to 0. Fault N07
+    reports the noise.
     """
     if abs(x.tendon[s.RESIDUAL + JERK, n]) > TRUSTED_NOISE_FRACTION * c.run[h.POSITION_NOISE_LIMIT]:
         return 0.0

@@ -7,7 +7,7 @@ The other measurement is called the reference of the sensor. A constant reading 
 the reference of the sensor is constant. The encoder of a motor has two references: the goal of the
 tendon's excursion, and the tension of the tendon. The reference of a load cell is the range of the
 motor force since the last change of the reading. The range of the motor force is used because the
-tension loop may first raise the force and then lower it. The reference of a joint encoder is the
+tension loop can first raise the force and then lower it. The reference of a joint encoder is the
 joint angle that is computed from the positions of the spools.
 """
 
@@ -70,7 +70,8 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, are_cells_tared: bool
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n] = x.tendon[
                 s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n
             ] = force
-        # A comparison with NaN is False, so an unknown motor force changes nothing.
+        # A comparison with NaN is False, so an unknown motor force does not change the stored range
+        # of the force.
         if force < x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n]:
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n] = force
         if force > x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n]:
@@ -157,14 +158,14 @@ def change_since_reading(reference: float, reference_at_reading: float) -> float
 def filter_goals(x: StateTables, c: ConstantTables) -> None:
     """Filter the goal of each motor.
 
-    A filter is necessary because no motor can follow a sudden change of its goal. While the
-    encoder's reading changes, the filtered goal equals the goal. The detector judges how far the
-    filtered goal has moved since the reading became constant. The distance to the goal is not used,
-    because friction can stop the motor before the goal. When a motor has reached its goal, the
-    filtered goal is set to the estimated excursion. The jump of the filtered goal to the estimated
-    excursion does not count as a motion of the motor's goal. A client can send targets beyond an
-    object that is unknown to the client, so the motion of the goal does not count while a streamed
-    digit presses on an object.
+    A filter of the goal is necessary because no motor can follow a sudden change of its goal. While
+    the encoder's reading changes, the filtered goal equals the goal. The detector judges how far
+    the filtered goal has moved since the reading became constant. The detector does not judge the
+    distance of the motor from the goal, because friction can stop the motor before the goal. When a
+    motor has reached its goal, the filtered goal is set to the estimated excursion. The jump of the
+    filtered goal to the estimated excursion does not count as a motion of the motor's goal. A
+    client can send targets beyond an object that is unknown to the client, so the motion of the
+    goal does not count while a streamed digit presses on an object.
     """
     fraction = 1.0 - math.exp(-c.run[h.CONTROL_PERIOD] / MOTOR_FOLLOWING_TIME_CONSTANT_S)
     min_step = MAX_UNDELAYED_GOAL_SPEED_M_S * c.run[h.CONTROL_PERIOD]

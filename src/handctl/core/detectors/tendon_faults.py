@@ -125,9 +125,9 @@ def _planned_speed(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the speed of a tendon on the streamed trajectory of its joints [m/s].
 
     For a digit without a stream, the speed is 0. The moves of tasks are slow, and the spool of a
-    torn tendon still follows the moves. The planned speed is subtracted from the speed of the
-    spool. If the speed of the moves of tasks were also subtracted, a torn tendon would be found
-    half a second later, as a slack tendon (fault T02b).
+    torn tendon still follows the moves. The detector subtracts the planned speed of a stream from
+    the speed of the spool. If the speed of the moves of tasks were also subtracted, a torn tendon
+    would be found half a second later, as a slack tendon (fault T02b).
     """
     speed = 0.0
     if not follows_streamed_angles(x, c, n):
@@ -146,9 +146,9 @@ def _snapped_speed_threshold(
     """Return the spool speed above which a tendon without tension counts as snapped [m/s].
 
     In a hold, the commanded tension is f, the tension gain is K, and the speed gain is K_v. A torn
-    tendon has no tension. The tension loop then makes the force f + K (f - 0) - K_v v on the spool.
-    The spool approaches the speed v at which the force of the tension loop equals the Coulomb
-    friction c of the motor:
+    tendon has no tension. After a tear of the tendon, the tension loop makes the force f + K (f -
+    0) - K_v v on the spool. The spool approaches the speed v at which the force of the tension loop
+    equals the Coulomb friction c of the motor:
 
         v = ((1 + K) f - c) / K_v.
 
@@ -183,7 +183,7 @@ def _snapped_speed_threshold(
     force = (1.0 + c.tendon[h.TENSION_GAIN, n]) * commanded_tension - c.tendon[
         h.MOTOR_COULOMB_FRICTION, n
     ]
-    # The comparison needs no division, because the damping may be zero.
+    # The comparison needs no division, because the damping can be zero.
     if FREE_SPOOL_SPEED_FRACTION * force >= SNAP_SPOOL_SPEED * damping:
         return SNAP_SPOOL_SPEED
     return max(FREE_SPOOL_SPEED_FRACTION * force / damping, MIN_SNAP_SPOOL_SPEED)
@@ -193,8 +193,8 @@ def _snapped_speed_threshold(
 def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: EvidenceTable) -> None:
     """Find a tendon that does not have its commanded tension.
 
-    After some time without tension, the tendon is slack (T02). If its spool also turns fast, the
-    tendon has snapped (T01).
+    After some time without tension, a tendon counts as slack (T02). If the spool of a tendon
+    without tension turns fast, the tendon counts as snapped (T01).
     """
     period = c.run[h.CONTROL_PERIOD]
     commanded_tension = x.tendon[s.COMMANDED_TENSION, n]

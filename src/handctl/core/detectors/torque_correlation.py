@@ -10,23 +10,24 @@ products S of a and b:
 
     S_ab + 4 sqrt(S_aa S_bb / n) < 0.4 S_aa      n = 2 tau / T samples
 
-Here tau is the time constant of the low-pass filter, and T is the control period. The fault is
-present if the drive reports less than 0.4 of the changes in the command. The test has a margin of
-four standard deviations of the estimated fraction. If the changes a and b are uncorrelated, their
-sample covariance has the variance S_aa S_bb / n. Source: Bartlett's formula for white noise.
+Here tau is the time constant of the low-pass filter, and T is the control period. The fault of a
+disobedient drive is present if the drive reports less than 0.4 of the changes in the command. The
+test has a margin of four standard deviations of the estimated fraction. If the changes a and b are
+uncorrelated, their sample covariance has the variance S_aa S_bb / n. Source: Bartlett's formula for
+white noise.
 
 When a digit touches an object, the changes of the command are a hundred times as large as in a
 hold. Without a limit, the large changes of the command would dominate the products S for seconds
 after the contact. The test limits all changes of command and report to two counts of the torque.
-The limit keeps the signs of the changes. If a drive obeys, the limited changes of command and
-report have equal signs.
+The limit keeps the signs of the changes. If a drive obeys its commands, the limited changes of
+command and report have equal signs.
 
 The changes of command and report are used only after ``MIN_TICKS_WITH_REPLY`` consecutive ticks,
 each with a reply in time. After a pause of the communication, a drive replies to all waiting
-commands before it obeys the last command. The next report of the drive then belongs to an older
-command. On a slow bus, a report can come a tick late, and then belongs to a command that is one
-tick older. The test computes the correlation with and without a delay of one tick, and uses the
-larger correlation.
+commands before it obeys the last command. After a pause of the communication, the next report of
+the drive belongs to an older command. On a slow bus, a report can come a tick late, and then
+belongs to a command that is one tick older. The test computes the correlation with and without a
+delay of one tick, and uses the larger correlation.
 """
 
 import math
@@ -60,8 +61,8 @@ A command takes effect a tick later, and an increment is the difference of two c
 MIN_INCREMENT_FRACTION = 1.0 / 4000.0
 """Smallest increment (rms) for the test, as a fraction of the largest force: half a count of a 12-bit torque.
 
-Smaller increments consist mostly of rounding errors. If one torque count of a drive is larger than
-a 12-bit count, half of the drive's count is used.
+Smaller increments of the torque consist mostly of rounding errors. If one torque count of a drive
+is larger than a 12-bit count, half of the drive's count is used.
 """
 MAX_INCREMENT_RATIO = 4.0
 """Limit of an increment, as a multiple of the smallest increment for the test.
@@ -233,13 +234,13 @@ def does_report_contradict_commands(x: StateTables, c: ConstantTables, n: int) -
     """Return True if the force that a motor reports is outside the range of its last three commands.
 
     A single report outside the range is not sufficient. The low-passed difference between command
-    and report must also be large, and must have the same sign. If a drive obeys, it reports one of
-    the commands of the last three ticks, even after a lost frame. The report of a drive that obeys
-    is within the range of the commands, even if the command changes fast. The test of the range
-    finds some faults earlier than the low-passed difference alone, for example if two drives are
-    exchanged.
+    and report must also be large, and must have the same sign. If a drive obeys its commands, it
+    reports one of the commands of the last three ticks, even after a lost frame. The report of a
+    drive that obeys is within the range of the commands, even if the command changes fast. The test
+    of the range finds some faults earlier than the low-passed difference alone, for example if two
+    drives are exchanged.
 
-    Only motors of tendons without a load cell are tested. If a tendon has a load cell, another
+    The test covers only motors of tendons without a load cell. If a tendon has a load cell, another
     detector finds a wrong force. On a busy computer, a reply can be older than three ticks, so the
     test is used only if three ticks take at least ``MIN_COMMAND_WINDOW_S``.
 

@@ -24,8 +24,8 @@ In the mean of a digit's tensions, the tension of a tendon that opens the digit 
 sign.
 
 In fast free motion, with friction that differs from the model by 50 %, the mean unexplained tension
-reaches 3.6 N. The tension is not converted to a force at the tip, because a force at the tip of a
-fully flexed digit has no lever about its joints.
+reaches 3.6 N. The unexplained tension is not converted to a force at the tip, because a force at
+the tip of a fully flexed digit has no lever about its joints.
 """
 MAX_BLOCKED_EXTRA_TENSION_N = 30.0
 """Largest tension of a blocked digit in excess of the tension that the trajectory requires [N].

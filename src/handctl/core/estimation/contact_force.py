@@ -2,11 +2,11 @@
 
 The force at the tip of a closing digit is a sign of contact. The opening of a digit that holds an
 object is a sign of slip. While a digit closes, the part of its tensions that the model does not
-explain is converted into a force at the tip. The weight of a tendon in this conversion is the
-tension that a force of 1 N at the tip causes in the tendon. A proximal tendon bears the largest
-tension and has the least friction, so its weight is the largest. The tip force is averaged over a
-few milliseconds by a low-pass filter. The force of a contact remains after the low-pass filter. The
-alternating force of a chattering tendon cancels out in the low-pass filter.
+explain is converted into a force at the tip. The weight of a tendon in the conversion to a tip
+force is the tension that a force of 1 N at the tip causes in the tendon. A proximal tendon bears
+the largest tension and has the least friction, so its weight is the largest. The tip force is
+averaged over a few milliseconds by a low-pass filter. The force of a contact remains after the
+low-pass filter. The alternating force of a chattering tendon cancels out in the low-pass filter.
 
 Two errors of the tip force are corrected. If the model expects too much tension, the tip force is
 negative and hides a contact. A contact force grows fast, and the error of a wrong model lasts
@@ -90,8 +90,8 @@ def update_tip_forces(x: StateTables, c: ConstantTables) -> None:
 def _write_tip_levers(x: StateTables, c: ConstantTables, lever: Vector) -> None:
     """Write the levers (J,) of a force at the tip of each digit about its joints [m].
 
-    The digits are assumed to have the joint angles of free digits. A digit that closes counts as
-    free until its contact is found.
+    The function assumes that the digits have the joint angles of free digits. A digit that closes
+    counts as free until its contact is found.
     """
     q = np.zeros(x.joint.shape[1])
     write_free_angles(x, c, s.EXCURSION, q)
@@ -122,7 +122,7 @@ def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> 
 def update_grip_travel(x: StateTables, c: ConstantTables) -> None:
     """Update the fast and the slow average of the length on each spool minus the stretch of the tendon.
 
-    Both averages are equal until the detection of slip begins.
+    The fast and the slow average are equal until the detection of slip begins.
     """
     is_slip_judged = x.run[s.GOAL_TIME] + c.run[h.CONTROL_PERIOD] >= x.run[s.SLIP_DETECTION_START]
     for n in range(x.tendon.shape[1]):

@@ -4,8 +4,8 @@ The steady-state gains of the filter assume a measurement in every tick. If meas
 in every second tick, the steady-state gains overestimate the error of the speed. With steady-state
 gains, the filter would correct the speed for too long, and the estimate would oscillate or diverge.
 From the first missing measurement on, the covariances of all tendons are propagated, and the gains
-follow from the propagated covariances. The propagation ends when all covariances are close to their
-steady values.
+follow from the propagated covariances. The propagation of the covariances ends when all covariances
+are close to their steady values.
 """
 
 import math
@@ -92,7 +92,7 @@ def correct_tendon_covariance(
     information[2] = a / determinant
     for i in range(STATE_COUNT):
         # If no measurement distinguishes a load-cell error from tension, the load-cell error is not
-        # corrected. Instead, the variance of the load-cell error grows.
+        # corrected, and its variance grows.
         is_observable = is_cell_error_observable if i == CELL_ERROR else 1.0
         gain[i, 0] = (
             is_observable
@@ -147,7 +147,7 @@ def predict_covariances(
             for i in range(STATE_COUNT):
                 for j in range(STATE_COUNT):
                     P[i, j] += Q[i, j]
-        # The covariance that was computed so far belongs to the old filter design.
+        # The covariance before the change of the filter design belongs to the old design.
         if kind != x.tendon_int[s.LAST_FILTER_KIND, n]:
             P = _copy_design_matrix(c, n, kind, h.COVARIANCE_OFFSET)
         for i in range(STATE_COUNT):
@@ -180,8 +180,8 @@ def predicted_tension_sigma(x: StateTables, c: ConstantTables, n: int) -> float:
 def _present_covariance(x: StateTables, c: ConstantTables, n: int, design_kind: int) -> Matrix:
     """Return the covariance (7, 7) of a tendon's predicted states.
 
-    While the covariance is propagated, return the propagated covariance. Otherwise return the
-    constant covariance of the filter design.
+    While the covariance is propagated, return the propagated covariance. In a steady state, return
+    the constant covariance of the filter design.
     """
     P = _copy_design_matrix(c, n, design_kind, h.COVARIANCE_OFFSET)
     if x.run_int[s.COVARIANCE_PROPAGATED]:
@@ -237,7 +237,8 @@ def _copy_design_matrix(c: ConstantTables, n: int, design_kind: int, first_colum
 def _multiply_matrices(left_matrix: Matrix, right_matrix: Matrix) -> Matrix:
     """Return the product of two matrices.
 
-    The products are always added in the same order, so that equal inputs give equal results.
+    The products of the matrix elements are always added in the same order, so that equal inputs
+    give equal results.
     """
     matrix = np.zeros((left_matrix.shape[0], right_matrix.shape[1]))
     for i in range(left_matrix.shape[0]):

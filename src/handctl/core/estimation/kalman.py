@@ -1,11 +1,11 @@
 """Tension filter, which estimates tension, excursion and contact force of each tendon.
 
 The measurements come from load cells, motor encoders and joint encoders. One linear Kalman filter
-contains the states of all tendons. ``correct_tension_filter`` corrects the states by the
-measurements. The package ``filterpy``, called in ``controller.tick``, predicts the states to the
-present time. ``derive_estimate`` derives the estimate from the states. A missing or saturated
-measurement has no innovation. After a missing or saturated measurement, the covariance of the
-states is propagated until it is steady. A single outlier of a load cell is rejected. The
+contains the states of all tendons. ``correct_tension_filter`` corrects the states of the filter by
+the measurements. The package ``filterpy``, called in ``controller.tick``, predicts the states to
+the present time. ``derive_estimate`` computes the estimate from the states of the filter. A missing
+or saturated measurement has no innovation. After a missing or saturated measurement, the covariance
+of the states is propagated until it is steady. A single outlier of a load cell is rejected. The
 measurements that arrive in a tick are one control period old, because they were taken just before
 the command of the previous tick took effect.
 """
@@ -71,7 +71,7 @@ The innovations of both load-cell samples must have the same sign.
 TENSION_STEP_CORRECTION_FRACTION = 0.8
 """Fraction of the second innovation of a step by which the tension is corrected at once."""
 NIS_AVERAGING_TIME_S = 1.0
-"""Averaging time of the normalised innovation squared (NIS) that judges the model [s].
+"""Averaging time of the normalised innovation squared (NIS) by which the model of a tendon is judged [s].
 
 The ideal mean of NIS is 2.
 """
@@ -88,9 +88,9 @@ MAX_ADDED_NOISE_S = 20.0
 ADDED_NOISE_MAX_PERIOD_S = 5e-3
 """Longest control period at which process noise is added [s].
 
-At 100 Hz, a filter with added process noise passes encoder noise on to the torque. The tensions of
-the hand jamia11 with ODrives oscillated up to 234 N instead of 147 N, and a tendon was reported as
-snapped.
+At 100 Hz, a filter with added process noise passes encoder noise on to the torque. With added
+process noise, the tensions of the hand jamia11 with ODrives oscillated up to 234 N instead of 147
+N, and the controller reported a tendon as snapped.
 """
 NOISE_NIS_LIMIT_OF_HAND = 2.5
 """Mean NIS over all tendons of the hand above which process noise is added to all tendons.
@@ -167,7 +167,7 @@ def _usable_measurements(x: StateTables) -> Matrix:
 
     Missing measurements are NaN.
 
-    A lost or saturated measurement counts as missing. The load-cell reading of a slack tendon also
+    A lost or saturated measurement counts as missing. The load-cell reading of a slack tendon
     counts as missing, unless the spool must still wind up a known slack length.
     """
     z = np.empty((x.tendon.shape[1], 3))
@@ -213,7 +213,7 @@ def _innovations(x: StateTables, c: ConstantTables, z: Matrix) -> Matrix:
 
 @kernel_helper
 def _is_measurement_missing(x: StateTables, c: ConstantTables, z: Matrix) -> bool:
-    """Return True if a measurement is missing and the constant gains of the filter are therefore invalid.
+    """Return True if the constant gains of the filter are invalid because of a missing measurement.
 
     For a slack tendon, the constant gains need no load-cell reading.
     """
@@ -292,8 +292,8 @@ def _correct_slack_by_taut_tendons(x: StateTables, c: ConstantTables) -> None:
     """In digits with surplus tendons, correct the excursion of slack tendons by the other tendons.
 
     The excursions of a digit are the product R q of its moment arms and joint angles. If one tendon
-    is slack, its excursion follows from the excursions of the other tendons. If several tendons are
-    slack, each tick is one step of an iterative (Gauss-Seidel) solution.
+    of a digit is slack, its excursion follows from the excursions of the other tendons. If several
+    tendons of a digit are slack, each tick is one step of an iterative (Gauss-Seidel) solution.
     """
     for n in range(x.tendon.shape[1]):
         if c.tendon_int[h.IS_REDUNDANT_DIGIT, n] and x.tendon_int[s.REGIME, n] == SLACK_REGIME:
@@ -435,11 +435,11 @@ def _resistance_and_pull_forces(x: StateTables, c: ConstantTables) -> Matrix:
 
     The resistance is the tension at the joints that balances springs and gravity. The pull is the
     estimated tension at the joints, after the loss by friction. For a moving tendon, friction is
-    computed from the friction state of the control law. For other tendons, friction is computed
-    from the speed of the tendon at the spool. The estimated speed of the digit is not used, because
-    the estimate is rough, and its sign would chatter. For the speed-signed pull, friction is always
-    computed from the speed of the tendon at the spool. The speed-signed pull is the first sign that
-    a digit leaves a stop.
+    computed from the friction state of the control law. For a tendon of a digit at rest, friction
+    is computed from the speed of the tendon at the spool. The estimated speed of the digit is not
+    used, because the estimate is rough, and its sign would chatter. For the speed-signed pull,
+    friction is always computed from the speed of the tendon at the spool. The speed-signed pull is
+    the first sign that a digit leaves a stop.
     """
     count = x.tendon.shape[1]
     joints = x.joint.shape[1]

@@ -157,8 +157,8 @@ def is_cell_saturated(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if a load cell is at an end of its range.
 
     A load cell counts as saturated if its raw reading is at an end of the range, or if its tared
-    reading is beyond any possible tension. Both readings are tested, because the tare can hide a
-    saturation in one of both readings.
+    reading is beyond any possible tension. The raw and the tared reading are tested, because the
+    tare can hide a saturation in one of both readings.
     """
     tension = x.tendon[s.MEASURED_TENSION, n]
     is_out_of_range = tension >= c.run[h.CELL_SATURATION] or tension <= c.run[h.MIN_CELL_READING]
@@ -187,7 +187,7 @@ def monitored_tension(x: StateTables, c: ConstantTables, n: int, is_tared: bool)
 def start_filter(x: StateTables, c: ConstantTables) -> None:
     """Start the tension filter as soon as all encoders and load cells have been read.
 
-    The first state assumes that the hand is open and its tendons are slack.
+    The first state of the filter assumes that the hand is open and its tendons are slack.
     """
     for n in range(x.tendon.shape[1]):
         group = c.tendon_int[h.CELL_GROUP, n]

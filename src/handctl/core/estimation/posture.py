@@ -2,12 +2,12 @@
 
 In a digit with fewer tendons than joints, the excursions of the tendons do not fully determine the
 joint angles. A motion in the null space of the moment arms changes no excursion. The joints of a
-free digit have the angles of its coupling, q = B theta. If the digit touches an object, the object
-turns the joints of the digit against each other. The turn of the joints is the torque of the
-contact times the compliance of the springs in the null space, N (N^T K N)^-1 N^T. The torque of the
-contact follows from the unexplained tension. The place of the contact on the digit is unknown, so
-the estimate is the mean over several assumed contacts: a force at the middle of each link, a force
-at the tip, and an equal torque on all joints. The standard deviation of an angle has several parts:
+free digit have the angles of its coupling, q = B theta. An object that a digit touches turns the
+joints of the digit against each other. The turn of the joints is the torque of the contact times
+the compliance of the springs in the null space, N (N^T K N)^-1 N^T. The torque of the contact
+follows from the unexplained tension. The place of the contact on the digit is unknown, so the
+estimate is the mean over several assumed contacts: a force at the middle of each link, a force at
+the tip, and an equal torque on all joints. The standard deviation of an angle has several parts:
 the differences between the assumed places of contact,
 
 - the error of the modelled tension, at each assumed place of contact,
@@ -70,11 +70,11 @@ RATE_ERROR_FRACTION = 1.0
 The joint rate is computed for a free digit.
 """
 MIN_TURN_RAD = 1e-9
-"""Smallest divisor where a turn is limited to the ranges of the joints [rad]."""
+"""Smallest divisor in the computation that limits a turn to the ranges of the joints [rad]."""
 CONTACT_DECAY_TIME_S = 0.15
 """Time constant with which the effect of a contact fades [s].
 
-Friction holds the joints after the contact has ended.
+Friction holds the joints for some time after the end of a contact.
 """
 POSTURE_UPDATE_PERIOD_S = 8e-3
 """Time between two estimates of the turn of the joints in the null space [s]."""
@@ -151,8 +151,8 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
     The function also writes the turn of the joints that a contact causes.
 
     The covariance of two angles is the sum of the products of their deviations. H is the number of
-    assumed places of contact. The levers are computed at the angles of the last estimate, so each
-    tick is an iteration towards a fixed point.
+    assumed places of contact. The levers of the contact forces are computed at the joint angles of
+    the last estimate, so each tick is an iteration towards a fixed point.
     """
     place_count = c.place_joint_table.shape[1]
     joints = x.joint.shape[1]
@@ -394,7 +394,7 @@ def _fuse_encoders(
         noise = c.joint[h.ENCODER_VARIANCE, j] + square(RATE_ERROR_FRACTION * change_since_reading)
         residual = x.joint[s.JOINT_ANGLE, j] + change_since_reading - x.joint[s.Q, j]
         for a in range(joints):
-            # A row of the covariance is copied before the loop below changes it.
+            # A row of the covariance is copied, because the loop below changes the row.
             gain[a] = covariance[a, j] / (covariance[j, j] + noise)
             covariance_row[a] = covariance[j, a]
         for a in range(joints):

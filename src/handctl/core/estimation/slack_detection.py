@@ -10,7 +10,7 @@ from handctl.core.estimation.filter_types import SLACK_REGIME
 from handctl.core.state_block import StateTables
 
 MAX_SLACK_TENSION_N = 1.0
-"""A tendon is possibly slack if its estimated tension and its load-cell reading are below this tension [N].
+"""A tendon is possibly slack if its estimated tension and its load-cell reading are below this constant [N].
 
 The limit of 1 N is two standard deviations of the load cell's noise.
 """
@@ -134,7 +134,8 @@ def is_nearly_taut(x: StateTables, n: int) -> bool:
 def is_regime_over(regime: int, evidence_count: int, has_no_cell: bool) -> bool:
     """Return True if the evidence (points or ticks) is sufficient to end a regime.
 
-    A taut tendon without load cell (``has_no_cell``) counts as slack only after more ticks.
+    A taut tendon without load cell (``has_no_cell``) counts as slack only after more ticks than a
+    tendon with load cell.
     """
     slack_ticks = SLACK_TICKS_WITHOUT_CELL if has_no_cell else SLACK_TICKS
     return evidence_count >= (TAUT_POINTS if regime == SLACK_REGIME else slack_ticks)
@@ -146,11 +147,11 @@ def set_offset_of_newly_taut_tendon(
 ) -> None:
     """Set the stretch offset or the excursion of a tendon that has become taut.
 
-    The new value makes the model agree with the load cell. If the digit has return springs or joint
-    encoders, the excursion is known, and the stretch offset is set. If the digit has neither return
-    springs nor joint encoders, the length of the tendon is known from commissioning, and the
-    excursion is set. If the new excursion is outside the range of the joints, the stretch offset is
-    set instead of the excursion.
+    The new stretch offset or excursion makes the model agree with the load cell. If the digit has
+    return springs or joint encoders, the excursion is known, and the stretch offset is set. If the
+    digit has neither return springs nor joint encoders, the length of the tendon is known from
+    commissioning, and the excursion is set. If the new excursion is outside the range of the
+    joints, the stretch offset is set instead of the excursion.
 
     Args:
         x: state tables.

@@ -242,8 +242,9 @@ def value_from_other_tendons(
 
     Return NaN if the other tendons do not determine the value.
 
-    The values of a digit's tendons are the product R q. In a digit with more tendons than
-    coordinates, the other tendons determine q, and q determines the value of tendon n.
+    The values of a digit's tendons are the product R q of the moment arms and the joint values. In
+    a digit with more tendons than coordinates, the other tendons determine q, and q determines the
+    value of tendon n.
 
     Args:
         c: constants of the hand.

@@ -30,7 +30,7 @@ def joint_lever(digit: DigitModel, q: Vector) -> Vector:
 def reduced_tip_lever(digit: DigitModel, q: Vector) -> Vector:
     """Return the levers B^T J^T n (n_c,) about the digit's coordinates, for a force at the tip [m].
 
-    The direction of the force is the same as in ``joint_lever``.
+    The direction of the force at the tip is the same as in ``joint_lever``.
     """
     return np.asarray(digit.coupling.T @ joint_lever(digit, q))
 

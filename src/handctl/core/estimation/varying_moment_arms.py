@@ -1,13 +1,13 @@
 """Moment arms that depend on the joint angles.
 
-The tables with moment arms are computed for the present angles. Filter, control law and allocation
-use the linear relation q = B (R B)^+ s between joint angles q and excursions s. For a digit with
-varying moment arms, the tables of ``constants`` that depend on R are evaluated at the angles q0 = B
-theta of the free digit. At the angles q0, the excursions e(q0) equal s. Near q0 the excursion is
-e(q0) + R (q - q0), so the linear relation has an offset. If the moment arms are constant, the
-offsets are 0 and the tables do not change. The tables with moment arms depend only on the state
-block, and are evaluated before each use in a tick. A second computation of a tick from a stored
-state gives the same result, because the tables depend only on the state.
+The tables with moment arms are computed for the present joint angles. Filter, control law and
+allocation use the linear relation q = B (R B)^+ s between joint angles q and excursions s. For a
+digit with varying moment arms, the tables of ``constants`` that depend on R are evaluated at the
+angles q0 = B theta of the free digit. At the angles q0, the excursions e(q0) equal s. Near q0 the
+excursion is e(q0) + R (q - q0), so the linear relation has an offset. If the moment arms are
+constant, the offsets are 0 and the tables do not change. The tables with moment arms depend only on
+the state block, and are evaluated before each use in a tick. A second computation of a tick from a
+stored state gives the same result, because the tables depend only on the state.
 
 The tendons of a finger pass the wrist that carries the finger. If a tendon does not pass through
 the axis of the wrist, a motion of the wrist moves the tendon, and the tension of the tendon turns

@@ -259,8 +259,9 @@ def _design_filter_block(
 
     A kind of design is a pair: the regime, and True if process noise is added.
 
-    For a tendon without a load cell, the filter uses only the motor encoder. The tension of such a
-    tendon is computed from the motor force, and is uncertain because of friction.
+    For a tendon without a load cell, the filter uses only the motor encoder. The tension of a
+    tendon without a load cell is computed from the motor force, and is uncertain because of
+    friction.
 
     The load-cell error is estimated only while a tendon is slack, because the tension is then known
     to be 0. While a tendon is taut, no measurement distinguishes the load-cell error from tension,

@@ -22,7 +22,8 @@ class FilterGains(Document):
     """Noise that the tension filter assumes.
 
     The disturbances stand for effects that are not in the model: friction, springs and contact. The
-    correlation times of the disturbances are those of the motions that cause them.
+    correlation time of a disturbance is the correlation time of the motion that causes the
+    disturbance.
     """
 
     motor_disturbance_N: float = Field(0.12, gt=0, le=50)

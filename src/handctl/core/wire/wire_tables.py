@@ -72,7 +72,8 @@ class WireTables:
             column.
         templates: (f, WORDS_PER_RECORD) records of the commands with zero torque.
         servos: (N, 2) first row of each drive in ``servo_signal_integers``, and the row after the
-            drive's last row. Both rows are equal for a drive that receives only torques.
+            drive's last row. The first row and the row after the last row are equal for a drive
+            that receives only torques.
         servo_templates: (N, WORDS_PER_RECORD) records of the position commands with all signals 0.
         servo_signal_integers: (p, INTEGER_COLUMN_COUNT) integers of the signals of position commands.
         servo_signal_scalings: (p, 4) scale, offset, smallest and largest value of the signals of position
@@ -80,7 +81,7 @@ class WireTables:
         recheck_ranges: (N, 2) first row of each drive in ``rechecks``, and the row after the
             drive's last row.
         rechecks: (r, WORDS_PER_RECHECK) settings that are read again while a drive is enabled: the
-            record of the request, then the words of the reply from ``REPLY_WORD`` on.
+            record of the request, followed by the words of the reply from ``REPLY_WORD`` on.
         max_frames: largest number of frames, including SYNC, that one tick sends to steady drives.
     """
 
