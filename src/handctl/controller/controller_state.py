@@ -55,7 +55,7 @@ class ControllerDecisions(NamedTuple):
     Attributes:
         drives: state of each drive, without the numbers. The numbers of the drives are in the state
             block. In the attribute ``drives``, the numbers are NaN or 0.
-        progress: state of the program: the point that it has reached.
+        progress: state of the program, with the point that the program has reached.
         latched_faults: faults that stay latched until an operator clears them.
         reported_faults: faults that buses and the host report, each with the number of consecutive
             ticks in which it was reported.

@@ -2,8 +2,8 @@
 
 At the start of a run, the host is silent. At the end of a run, every drive has confirmed that it is
 disabled. SILENT -> INVENTORY -> READY -> ARMING -> ACTIVE -> RELAX -> DISARM -> DONE. From every
-mode with torque, the hand can change to the mode CUT. Each mode has one function, which returns the
-next mode and, if the run has failed, the reason.
+mode with torque, the hand can change to the mode CUT. For each mode, one function returns the next
+mode and, if the run has failed, the reason of the failure.
 """
 
 import math

@@ -31,12 +31,12 @@ from handctl.safety.safety_action import RelaxMethod
 RELAX_RATE_N_PER_S = 500.0
 OVER_TENSION_RATE_N_PER_S = 2000.0
 MAX_START_FORCE_EXCESS_N = 15.0
-"""Largest allowed excess of the first setpoint over the last commanded force [N], for friction and motion."""
+"""Largest allowed excess of the first relaxing setpoint over the last commanded force [N], for friction and motion."""
 
 RELAXED_TOLERANCE_N = 3.0
 """Distance above the tension of a relaxed tendon within which a tendon counts as relaxed [N]."""
 MAX_SETPOINT_EXCESS_N = 3.0
-"""Largest margin of the first setpoint above the present tension [N].
+"""Largest margin of the first setpoint of relaxing above the present tension [N].
 
 During a steady hold, the margin of a setpoint above the tension is at most 2 N.
 """

@@ -204,7 +204,8 @@ def make_drives(hand: Hand) -> tuple[Drive, ...]:
 
     A CiA 402 drive replies to a SYNC frame, and supervises the heartbeat of the host. The host
     sends the heartbeat after the command of one drive on each bus. On a bus without other SYNC
-    frames, the host also sends SYNC after the command of the selected drive.
+    frames, the host also sends SYNC after the command of the drive that is selected for the
+    heartbeat.
 
     Raises:
         ConfigError: the drive does not support an option in the hand file, two nodes use the same
@@ -233,7 +234,7 @@ def _check_torque_report(motor: Motor, tendon: str) -> None:
     unnoticed.
 
     Raises:
-        ConfigError: an option of the drive disables the report.
+        ConfigError: an option of the drive disables the torque report.
     """
     option = PROTOCOL_TRAITS[motor.protocol].torque_option
     if option and not motor.options.get(option, False):
@@ -283,11 +284,11 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
 def _with_host_frames(drives: tuple[Drive, ...], sensors: SensorInterface) -> tuple[Drive, ...]:
     """Return the drives after one CiA 402 drive of each bus was selected for SYNC and heartbeat.
 
-    The host sends its heartbeat after the command of the selected drive. If the bus has no other
-    SYNC frames, the host also sends SYNC after the command of the selected drive. All CiA 402
-    drives on a bus receive the same heartbeat and the same SYNC frames. The last CiA 402 drive on a
-    bus is selected, so that the SYNC frame comes after all commands. The heartbeat has the shortest
-    period that any drive on the bus needs.
+    The host sends its heartbeat after the command of the selected CiA 402 drive. If the bus has no
+    other SYNC frames, the host also sends SYNC after the command of the selected CiA 402 drive. All
+    CiA 402 drives on a bus receive the same heartbeat and the same SYNC frames. The last CiA 402
+    drive on a bus is selected, so that the SYNC frame comes after all commands. The heartbeat has
+    the shortest period that any drive on the bus needs.
 
     A bus already has SYNC frames if the sensor node uses the identifier 0x080, or if the hand file
     sets the option ``sync`` for a drive.

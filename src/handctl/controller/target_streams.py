@@ -36,8 +36,8 @@ MAX_SETPOINT_LEAD_N = 6.0
 
 The tendon of a free digit bears no more than the digit's springs and friction. A setpoint far above
 the tension of a free digit would spin the motor, which resembles a snapped tendon (T01) or an
-oscillation (N14b). Setpoints also stay below the largest allowed tension by the constant, because
-the tension can overshoot.
+oscillation (N14b). Setpoints also stay ``MAX_SETPOINT_LEAD_N`` below the largest allowed tension,
+because the tension can overshoot.
 """
 
 

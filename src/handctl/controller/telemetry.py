@@ -1,4 +1,4 @@
-"""Telemetry of a tick for the log. The values are copied from fields of the state block."""
+"""Telemetry of a tick for the log. The values of the telemetry are copied from fields of the state block."""
 
 import numpy as np
 

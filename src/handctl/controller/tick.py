@@ -1,12 +1,12 @@
 """One tick of the controller, as a pure function.
 
 A tick receives frames and computes the frames to send. A ``TickIn`` contains all inputs of a tick,
-so that a tick from a log can be executed again. The control loop calls the four steps of a tick one
-by one. The step ``begin_tick`` processes the received frames. The step ``decide`` applies requests
-and chooses the goals. The step ``command`` computes the frames to send from streamed targets and
-goals. The step ``conclude`` completes the output. Because of the four steps, the control loop can
-read requests and streamed targets as late as possible, and can send the commands as early as
-possible. The method ``tick`` executes all four steps.
+so that a tick from a log can be executed again. The control loop calls the four methods of a tick
+(its steps) one by one. The step ``begin_tick`` processes the received frames. The step ``decide``
+applies requests and chooses the goals. The step ``command`` computes the frames to send from
+streamed targets and goals. The step ``conclude`` completes the output. Because of the four steps,
+the control loop can read requests and streamed targets as late as possible, and can send the
+commands as early as possible. The method ``tick`` executes all four steps.
 
 receive   frames -> values of drives and sensors
 estimate  values -> tension, excursion, contact
@@ -659,7 +659,7 @@ class Controller:
     def _compute_torques(self, state: ControllerState, action: SafetyAction, ticks: int) -> None:
         """Compute the motor torques of the tick.
 
-        The torques are 0 unless the hand is active or relaxing.
+        The motor torques are 0 unless the hand is active or relaxing.
         """
         mode = state.mode
         rate, opening_rate = (

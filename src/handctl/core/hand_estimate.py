@@ -152,7 +152,7 @@ class HandEstimate:
     def contact_force(self) -> Vector:
         """Return the contact forces at the tips of closing digits (D,) [N].
 
-        The errors of the force that were estimated before the contact are subtracted.
+        The errors of the contact force that were estimated before the contact are subtracted.
         """
         return self.digit[s.CONTACT_FORCE]
 

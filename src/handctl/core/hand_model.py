@@ -124,8 +124,9 @@ class HandModel:
         margin = np.where(
             hand.has_cell, 0.0, MARGIN_SIGMAS_WITHOUT_CELL * filter_design.held_tension_sigma
         )
-        # The margin raises the tension floor only in digits with surplus tendons. In any other
-        # digit, a higher tension floor would close the digit.
+        # The margin of tendons without load cell raises the tension floor only in digits with
+        # surplus tendons. In a digit without surplus tendons, a higher tension floor would close
+        # the digit.
         has_surplus_tendons = np.array(
             [
                 len(digit.moment_arms) > digit.coupling.shape[1]
@@ -210,11 +211,11 @@ def _coordinate_slices(digits: tuple[DigitModel, ...]) -> tuple[slice, ...]:
 def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
     """Return the largest torque that the host is allowed to command to each drive (N,) [N m at the spool].
 
-    The torque is limited by the hand file and by the drive. A drive that makes less torque than
-    commanded needs larger commands for a given torque, so its largest torque at the spool is lower.
-    A drive refuses a command that exceeds its torque limit even by the last bit. Torques are
-    divided or multiplied by the spool radius and the torque gain, so rounding errors could exceed
-    the torque limit. To prevent a refused command, the result is reduced by 1e-12 of its value.
+    The hand file and the drive limit the torque. A drive that makes less torque than commanded
+    needs larger commands for a given torque, so its largest torque at the spool is lower. A drive
+    refuses a command that exceeds its torque limit even by the last bit. Torques are divided or
+    multiplied by the spool radius and the torque gain, so rounding errors could exceed the torque
+    limit. To prevent a refused command, the result is reduced by 1e-12 of its value.
     """
     largest = np.array(
         [hand.motor_of_tendon(tendon.name).torque_max_N_m for tendon in hand.tendon]

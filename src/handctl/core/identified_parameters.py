@@ -63,7 +63,7 @@ class IdentifiedParameters(Document):
     covariance: tuple[tuple[float, ...], ...]
     """Covariance of the values in their units. Rows and columns have the order of ``names``."""
     missing: tuple[str, ...] = ()
-    """Parameters that the data cannot identify, each with the reason."""
+    """Parameters that the data of the runs cannot identify, each with the reason."""
     log: tuple[str, ...] = ()
     """Logs of the runs from which the values were identified."""
     made: str = ""
@@ -163,8 +163,8 @@ def identified_hand(hand: Hand, parameters_by_tendon: dict[str, IdentifiedParame
 def torque_gain(hand: Hand, parameters_by_tendon: dict[str, IdentifiedParameters]) -> Vector:
     """Return the torque gain of each drive (N,).
 
-    The gain is the torque at the spool divided by the commanded torque. If no run has identified
-    the gain, the gain is 1.
+    The torque gain of a drive is the torque at the spool divided by the commanded torque. If no run
+    has identified the torque gain, it is 1.
     """
     return np.array(
         [

@@ -54,7 +54,7 @@ LOGGED_NAME_BY_TYPE = {
 }
 """First name of each renamed type, by its present name.
 
-Hashes and snapshots in logs contain the first name.
+Hashes and snapshots in logs contain the first name of each type.
 """
 _TYPE_BY_LOGGED_NAME: dict[str, type] = {}
 _TYPES_WITHOUT_CONVERSION = frozenset((type(None), bool, int, float, str, bytes))

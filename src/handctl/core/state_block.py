@@ -584,9 +584,9 @@ def write_canonical_nan(block: BlockArray, at: TableOffsets) -> None:
         block: state block, modified in place.
         at: ``BlockLayout.offsets`` of the layout of the block.
     """
-    # The tables of real numbers are the first in the block. The loop begins at 0 and always writes,
-    # so that the compiler can handle several numbers at once. A loop that does not always write
-    # takes ten times as long.
+    # The tables of real numbers are at the start of the block. The loop begins at 0 and always
+    # writes, so that the compiler can handle several numbers at once. A loop that does not always
+    # write takes ten times as long.
     for i in range(at[15]):
         value = block[i]
         block[i] = math.nan if math.isnan(value) else value
@@ -597,7 +597,7 @@ RESET_TENDON_INTEGER_ROWS = _MONITOR_FIRST_ROWS["tendon_int"], _MONITOR_END_ROWS
 RESET_JOINT_ROWS = _MONITOR_FIRST_ROWS["joint"], _MONITOR_END_ROWS["joint"]
 RESET_JOINT_INTEGER_ROWS = _MONITOR_FIRST_ROWS["joint_int"], _MONITOR_END_ROWS["joint_int"]
 RESET_RUN_INTEGER_ROWS = _MONITOR_FIRST_ROWS["run_int"], _MONITOR_END_ROWS["run_int"]
-"""For each table, the first row that ``reset_monitor`` resets, and the row behind the last one that it resets."""
+"""For each table, the first row that ``reset_monitor`` resets, and the row after the last reset row."""
 
 
 @kernel_helper

@@ -119,7 +119,7 @@ class TickIn(NamedTuple):
 GAIN_EVENT = "gain"
 """Name of the event for a changed gain.
 
-The event's ``where`` is the key, and its ``text`` is the new value.
+In the event, ``where`` is the key of the gain, and ``text`` is the new value of the gain.
 """
 
 

@@ -20,7 +20,8 @@ MIN_SILENT_TICKS = 4
 MIN_STALLED_TICKS = 3
 """Smallest number of ticks for the times ``MAX_SILENCE_S`` and ``MAX_STALL_S``.
 
-At slow control rates, the smallest number of ticks applies.
+At slow control rates, the smallest number of ticks lasts longer than ``MAX_SILENCE_S`` or
+``MAX_STALL_S``, and applies.
 """
 MIN_FLOOD_FRAMES = 64
 """Smallest threshold for a flooded bus [frames per tick]. A small hand sends fewer frames."""
@@ -54,7 +55,8 @@ class SafetyLimits:
         tension_rail: load-cell reading minus the tare [N] from which a load cell counts as
             saturated.
         tension_low: load-cell reading minus the tare [N] below which a load cell counts as broken:
-            a cut wire, or no supply. The threshold is the same for all tendons and tares.
+            a cut wire, or no supply. The threshold ``tension_low`` is the same for all tendons and
+            tares.
         silent_ticks: number of consecutive missing replies after which a motor or a load cell
             counts as silent.
         silent_ticks_of_single_motor: number of consecutive missing replies after which a motor

@@ -34,7 +34,7 @@ TYPICAL_ACCELERATION_FRACTION = 0.1
 """RMS acceleration of a healthy motor over 100 ms, as a fraction of the bare rotor's acceleration at full torque.
 
 A motor in a hand accelerates its rotor and a digit, and does not make its full torque for long. In
-the golden logs of jamia and jamia11, the fraction is at most 0.02.
+the golden logs of jamia and jamia11, the fraction of the bare rotor's acceleration is at most 0.02.
 """
 
 
@@ -123,8 +123,8 @@ def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, 
     """Return the constants of the drives' position loops that depend on the coding of numbers in frames.
 
     For kp [N m/rad] and kd [N m s/rad], the constants are the value of one count, and the largest
-    value that a frame can contain. The next constant is the force [N] that one count of the
-    feedback causes. The last constant is 1 for each drive that moves its commanded position by
+    value that a frame can contain. A further constant is the force [N] that one count of the
+    feedback causes. The last constant of a drive is 1 if the drive moves its commanded position by
     itself. If the commands of a drive contain no kp and kd, the value of one count is 1. The
     feedback of a drive consists of its position and its speed. A drive rounds its position and its
     speed to counts of the protocol. If the counts of the encoder are coarser, the drive rounds the

@@ -7,7 +7,8 @@ for the fault H13. If a node sends more replies than it has received requests, t
 duplicate (fault B05). If the bytes of the excess reply differ from the expected reply, another node
 possibly uses the same identifier (fault B06). A frame counts as a reply only if the state machine
 of the drive or of the sensor node accepts the frame as a reply. Heartbeats and frames with an old
-counter are not counted. The code of the module runs only in ticks with more replies than requests.
+counter do not count as replies. The code of the module runs only in ticks with more replies than
+requests.
 """
 
 from collections.abc import Sequence
@@ -106,8 +107,8 @@ def _has_lost_answers(last_state: ControllerState) -> bool:
     """Return True if an answer of the load cells was missing in the last ``LATE_ANSWER_WINDOW_TICKS`` ticks.
 
     After a missing answer, an additional answer without a counter is regarded as late, and not as a
-    duplicate. The result is also True after a tick without an answer, and after a tick that this
-    host has missed.
+    duplicate. The result is also True after a tick without an answer of the load cells, and after a
+    tick that this host has missed.
     """
     return bool(
         last_state.layout.table(last_state.block, "node_int")[s.LOST_REPLY_BITS, -1]

@@ -1,8 +1,8 @@
 """Commands to drives that close the position loop of a moving digit.
 
-A command to such a drive consists of a position p_d, a velocity v_d, a stiffness kp, a damping kd
-and a torque t. Many times within a tick, the drive measures the position p and the velocity v, and
-computes its torque:
+A command to a drive with a position loop consists of a position p_d, a velocity v_d, a stiffness
+kp, a damping kd and a torque t. Many times within a tick, the drive measures the position p and the
+velocity v, and computes its torque:
 
     kp (p_d - p) + kd (v_d - v) + t
 

@@ -69,7 +69,7 @@ The random walk covers joint friction that differs from the hand file.
 HELD_TENSION_RANDOM_WALK = 3.0
 """Random walk [N/s^0.5] that is added to the tension of a held tendon."""
 PLANNED_CHANGE_FRACTION_WITH_ADDED_NOISE = 0.25
-"""Fraction of the planned change of tension that the filter expects while noise is added."""
+"""Fraction of the planned change of tension that the filter expects while process noise is added."""
 FRICTION_SIGMA_WITHOUT_CELL = 0.6
 """Standard deviation of a motor's friction as a fraction of the Coulomb friction, for tendons without load cell.
 
@@ -84,7 +84,7 @@ The correlation time is about the time between two reversals of the motor.
 TAUT_REGIMES = (TendonRegime.FREE, TendonRegime.HELD)
 """Regimes with a second filter design, which has added noise.
 
-The regimes are in the order of the design indices 3 and 4.
+The order of the two regimes is the order of the design indices 3 and 4.
 """
 
 

@@ -171,7 +171,7 @@ def changed_gain_values(old_gains: Gains, new_gains: Gains) -> dict[str, tuple[f
 def _gain_of_key(gain_values: Mapping[str, float], key: str) -> float:
     """Return the value of a key.
 
-    If a single tendon has no value, return the value for all tendons.
+    If the gains contain no value for a single tendon, return the value for all tendons.
     """
     key_parts = tendon_key(key)
     return (

@@ -85,7 +85,7 @@ class MotionGains(Document):
     force_N: float = Field(13.0, gt=0, le=500)
     """Motor force with the cost of ``position_error_m`` or ``speed_error_m_s``, at 500 Hz and above [N].
 
-    At lower control rates a smaller force is used, see ``motion_design``.
+    At control rates below 500 Hz, a smaller force is used, see ``motion_design``.
     """
     inertia_share: float = Field(1.0, ge=0, le=1)
     """Fraction of the rotor's inertia that the feedforward compensates."""
@@ -201,9 +201,9 @@ class GainsProvenance(Document):
     number: int = Field(0, ge=0)
     """Number of the gains in the history of gains, 0 for gains outside of a history."""
     replaces: int = Field(0, ge=0)
-    """Number of the gains that the gains of the file replaced, 0 for the packaged gains."""
+    """Number of the replaced gains in the history of gains, 0 for the packaged gains."""
     restores: int | None = Field(None, ge=0)
-    """Number of the gains that a rollback restored, 0 for the packaged gains.
+    """Number of the gains in the history that a rollback restored, 0 for the packaged gains.
 
     The value is None if no rollback was made.
     """

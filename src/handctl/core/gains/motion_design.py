@@ -144,7 +144,7 @@ def _design_motion_loop(tendons: TendonConstants, i: int, gains: Gains, period_s
     """Design the motion loop.
 
     In the model of the motion loop, motor and digit are one mass, because the tendon is rigid. The
-    states are excursion error [m] and speed error [m/s].
+    states of the motion loop are excursion error [m] and speed error [m/s].
     """
     weights = gains.motion
     mass = float(tendons.motor_mass[i] + tendons.load_mass[i])
@@ -160,7 +160,7 @@ def _design_tension_loop(tendons: TendonConstants, i: int, gains: Gains, period_
     """Design the tension loop.
 
     In the model of the tension loop, the digit is blocked, and the rotor stretches the tendon. The
-    states are tension error [N] and tendon speed [m/s].
+    states of the tension loop are tension error [N] and tendon speed [m/s].
     """
     weights = gains.tension
     mass = tendons.motor_mass[i]

@@ -401,7 +401,8 @@ def _is_nearer_to_prediction(x: StateTables, c: ConstantTables, n: Any, position
     """Return True if a position is nearer to the predicted position than the stored position.
 
     The stored position was received earlier in the present tick. The tension filter predicts the
-    position for the time of the request. Before the filter has started, the later position is used.
+    position for the time of the request. Before the tension filter has started, the position that
+    arrived later is used.
     """
     travel = x.tendon[s.SPOOL_TRAVEL, n]
     if c.run_int[h.HAS_CARRIER_ARMS]:
@@ -599,9 +600,9 @@ def encode_commands(
 
     Returns:
         Index of the first drive that is not steady (N if all drives are steady), and the number of
-        records. The function also stops at a drive whose commanded torque exceeds the torque limit.
-        The state machine of a drive with a too large commanded torque reports that the torque limit
-        is exceeded.
+        records. ``encode_commands`` also stops at a drive whose commanded torque exceeds the torque
+        limit. The state machine of a drive with a too large commanded torque reports that the
+        torque limit is exceeded.
     """
     x = state_tables(block, at)
     now_ns = x.run_int[s.TICK_TIME_NS]

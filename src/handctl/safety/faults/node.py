@@ -49,8 +49,8 @@ TORQUE_DIFFERENCE_LIMIT_FRACTION = 0.1
 """Difference between commanded and reported torque above which there is a fault.
 
 The two thresholds are a tension [N], and a fraction of the tension at the drive's torque limit. The
-smaller threshold applies. A hand with small tensions also has small commands, so a fault of its
-drives would be found later with a constant threshold.
+smaller threshold applies. A hand with small tensions has small commands, so a fault of its drives
+would be found later with a constant threshold.
 """
 CONTRADICTORY_REPORT_N = 6.0
 CONTRADICTORY_REPORT_FRACTION = 0.25
@@ -85,8 +85,9 @@ The last threshold is for the motor force that the drive reports, in addition to
 reported force. A drive without torque reports less than 0.1 N in simulation, and the reading of a
 load cell drifts by newtons.
 
-At the end of the time after a cut, tendons of the packaged hands have at most a third of their
-tension if the motor is off, and at least 0.74 of their tension if the motor still pulls.
+``PULL_AFTER_CUT_TIME_S`` after a cut of the torque, tendons of the packaged hands have at most a
+third of their tension if the motor is off, and at least 0.74 of their tension if the motor still
+pulls.
 """
 RELEASED_SPOOL_TRAVEL_M = 3e-3
 """Length of tendon that a spool pays out after a cut, above which the spool counts as released [m].
