@@ -1,4 +1,4 @@
-"""Two control laws for a tendon-driven digit: computed torque for a motion, and a tension loop.
+"""Two control laws for a tendon-driven digit: computed torque for a motion, and a tension loop for tension goals.
 
 Motion: inverse dynamics gives the joint torques that the trajectory requires. The tensions f of the
 tendons must produce the required joint torques. The motor force u has three parts: the tension f_0

@@ -1,8 +1,8 @@
 """Slip of a tendon.
 
 The spool encoder and the joint encoders both measure the position of the tendon. The slip of a
-tendon is the change of the difference between encoder and joint positions since the tendon became
-taut.
+tendon is the change of the difference between both measured positions (spool and joints) since the
+tendon became taut.
 """
 
 import math

@@ -10,11 +10,10 @@ products S of a and b:
 
     S_ab + 4 sqrt(S_aa S_bb / n) < 0.4 S_aa      n = 2 tau / T samples
 
-Here tau is the time constant of the low-pass filter, and T is the control period. The fault of a
-disobedient drive is present if the drive reports less than 0.4 of the changes in the command. The
-test has a margin of four standard deviations of the estimated fraction. If the changes a and b are
-uncorrelated, their sample covariance has the variance S_aa S_bb / n. Source: Bartlett's formula for
-white noise.
+Here tau is the time constant of the low-pass filter, and T is the control period. A drive fails the
+test if it reports less than 0.4 of the changes in the command. The test has a margin of four
+standard deviations of the estimated fraction. If the changes a and b are uncorrelated, their sample
+covariance has the variance S_aa S_bb / n. Source: Bartlett's formula for white noise.
 
 When a digit touches an object, the changes of the command are a hundred times as large as in a
 hold. Without a limit, the large changes of the command would dominate the products S for seconds

@@ -434,12 +434,12 @@ def _resistance_and_pull_forces(x: StateTables, c: ConstantTables) -> Matrix:
     """Return three forces of each tendon (3, N) [N]: the resistance, the speed-signed pull, and the pull.
 
     The resistance is the tension at the joints that balances springs and gravity. The pull is the
-    estimated tension at the joints, after the loss by friction. For a moving tendon, friction is
-    computed from the friction state of the control law. For a tendon of a digit at rest, friction
-    is computed from the speed of the tendon at the spool. The estimated speed of the digit is not
-    used, because the estimate is rough, and its sign would chatter. For the speed-signed pull,
-    friction is always computed from the speed of the tendon at the spool. The speed-signed pull is
-    the first sign that a digit leaves a stop.
+    estimated tension at the joints, after the loss by friction. If the control law has computed a
+    friction state for a tendon, friction follows from the friction state. If the friction state of
+    a tendon is unknown, friction is computed from the speed of the tendon at the spool. The
+    estimated speed of the digit is not used, because the estimate is rough, and its sign would
+    chatter. For the speed-signed pull, friction is always computed from the speed of the tendon at
+    the spool. The speed-signed pull is the first sign that a digit leaves a stop.
     """
     count = x.tendon.shape[1]
     joints = x.joint.shape[1]
