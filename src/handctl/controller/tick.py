@@ -6,7 +6,7 @@ so that a tick from a log can be executed again. The control loop calls the four
 applies requests and chooses the goals. The step ``command`` computes the frames to send from
 streamed targets and goals. The step ``conclude`` completes the output. Because of the four steps,
 the control loop can read requests and streamed targets as late as possible, and can send the
-commands as early as possible. The method ``tick`` executes all four steps.
+commands as early as possible. The method ``tick`` executes all four steps of a tick.
 
 receive   frames -> values of drives and sensors
 estimate  values -> tension, excursion, contact

@@ -57,9 +57,9 @@ class BlockSchema:
     """List of the tables and fields of a block, with the declaration of each field.
 
     Attributes:
-        tables: names of the tables, in the order of the memory. A name is the name of an axis, or
-            the names of several axes joined by ``*``. The name of an integer table ends with
-            ``_int``.
+        tables: names of the tables, in the order of the memory. The name of a table is the name of
+            an axis, or the names of several axes joined by ``*``. The name of an integer table ends
+            with ``_int``.
         optional_axis: name of the only axis that is allowed to have the length 0, or an empty text
             if every axis needs a length of at least 1. An optional axis of length 0 has no effect
             on ``BlockLayout.identity``.

@@ -261,8 +261,9 @@ and numbers of a filter design.
 """
 FILTER_DESIGN_COUNT = 6
 
-# Filters for the detection of contact and slip. In each tick, a low-pass filter moves towards its
-# input by a fraction of the distance. Each constant below is the fraction of one low-pass filter.
+# Filters for the detection of contact and slip. In each tick, the output of a low-pass filter moves
+# towards the input by a fraction of their distance. Each constant below is this fraction for one
+# low-pass filter.
 TIP_FORCE_UPDATE_FRACTION = _real_field("felt_fraction", "run", "",
     "update fraction of the smoothed force at the tip")  # fmt: skip
 MEAN_FORCE_UPDATE_FRACTION = _real_field("usual_fraction", "run", "",

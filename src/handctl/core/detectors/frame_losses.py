@@ -14,7 +14,7 @@ from handctl.safety.faults.bus import LOSS_WINDOW_TICKS, MALFORMED_WINDOW_TICKS
 from handctl.safety.faults.node import HALF_RATE_LOSS_COUNT
 
 TICKS_OVERDUE_BEFORE_FIRST_READING = 1_000_000
-"""Age that is used for a node from which no reading was received so far [ticks]."""
+"""Assumed age of the last reading of a node that has not sent a reading yet [ticks]."""
 BITS_PER_WORD = LOSS_WINDOW_TICKS // 2
 """Number of bits in each of the two words that store the lost frames of ``LOSS_WINDOW_TICKS`` ticks."""
 WORD_MASK = (1 << BITS_PER_WORD) - 1

@@ -31,7 +31,7 @@ MISSING_READING_VARIANCE_FACTOR = 1e12
 The factor makes the Kalman gain of a missing measurement practically zero.
 """
 STEADY_VARIANCE_TOLERANCE = 0.02
-"""If each variance differs from its steady value by at most this fraction, the covariance counts as steady."""
+"""Largest relative difference between a variance and its steady value at which a covariance counts as steady."""
 MAX_TORQUE_HOLD_TIME_S = 0.05
 """Longest time without a command over which states are predicted [s].
 

@@ -51,8 +51,9 @@ STATE_MACHINE_FRAMES, FEEDBACK_FRAMES, VALUE_FRAMES, SENSOR_FRAMES, HOST_FRAMES 
 ) = range(WORDS_PER_RECORD, WORDS_PER_RECORD + 6)
 """Words of a repeated read-back after the record of its request, and the total number of words.
 
-The words are: payload of the reply with the required value, bits that identify the reply, bits
-that are compared, index of the reply's entry, and length of the reply's payload [bytes].
+The words of a repeated read-back are: payload of the reply with the required value, bits that
+identify the reply, bits that are compared, index of the reply's entry, and length of the reply's
+payload [bytes].
 """
 
 
