@@ -21,8 +21,8 @@ from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
 MAX_OUTSTANDING_REQUESTS = 8
 """Largest number of outstanding requests of a motor.
 
-A motor with more outstanding requests than ``MAX_OUTSTANDING_REQUESTS`` counts as silent, and its
-oldest requests are dropped.
+A motor with more outstanding requests than ``MAX_OUTSTANDING_REQUESTS`` is silent, and its oldest
+requests are dropped.
 """
 READY_PHASE = int(DrivePhase.READY)
 """Value of ``drives.contract.DrivePhase.READY``."""
