@@ -64,7 +64,8 @@ def apply_requests(
 ) -> tuple[OperatorRequests, tuple[TickEvent, ...]]:
     """Apply the requests of one tick in the order of their arrival.
 
-    Targets of streams are not applied here. A text that is not a request causes a warning event.
+    The function does not apply the targets of streams. A text that is not a request causes a
+    warning event.
 
     Args:
         model: model of the hand.
@@ -133,7 +134,7 @@ def _set_gains(
 def _apply_command(
     model: HandModel, program: Program, state: ControllerState, request: CommandRequestBase
 ) -> tuple[TickEvent, ...]:
-    """Execute a motion command of a client, if the run accepts commands from this client."""
+    """Execute a motion command of a client, if the run accepts commands from the client."""
     if refusal := _refusal_reason(program, state, request):
         return (refusal,)
     if state.decisions.commanding_client not in (None, request.client):
@@ -181,8 +182,8 @@ def _refusal_reason(
 
     Return None if the command is accepted.
 
-    A hand must not pull while it relaxes or while it is being commissioned. Only one client may
-    send commands to a hand.
+    A hand must not pull while it relaxes or while it is being commissioned. Only one client is
+    allowed to send commands to a hand.
     """
     if state.mode in SHUTDOWN_MODES:
         return TickEvent("info", "request", "", "refused: the hand is letting go")
@@ -202,7 +203,7 @@ def _set_goal(
 ) -> tuple[TickEvent, ...]:
     """Give a new goal to the digits that a request names.
 
-    If a stream moves one of these digits, end the stream.
+    If a stream moves one of the named digits, end the stream.
     """
     reference = present_references(model, state)
     progress, events = apply_goal(
@@ -225,11 +226,12 @@ def _set_goal(
 def clear_latched_faults(state: ControllerState) -> None:
     """Clear all latched faults at the request of the operator.
 
-    A fault that is still present is detected in this tick, and is latched again.
+    A fault that is still present is detected and latched again in the present tick.
     """
     ticks = state.view("fault_ticks")[: len(DEBOUNCE_TICKS)]
-    # The function sets the tick count of each fault to one below the debounce. So a fault that is
-    # still present becomes active again in this tick. The count of any other fault returns to zero.
+    # The function sets the tick count of each fault to one below the debounce, so a fault that is
+    # still present becomes active again in the present tick. The tick count of any other fault
+    # returns to zero.
     np.minimum(ticks, DEBOUNCE_TICKS[:, None] - 1, out=ticks)
     reported_faults = [
         reported_fault._replace(

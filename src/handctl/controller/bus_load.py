@@ -20,9 +20,9 @@ class BusLoadRow:
         sender: name of the motor, or of the part of the sensor node, that sends the frames.
         size: payload of each frame [bytes].
         fd: True for CAN FD frames.
-        frames_per_tick: number of these frames in every tick.
-        frames_per_second: number of these frames per second, for frames whose rate does not depend on the
-            control rate.
+        frames_per_tick: number of frames of the kind in every tick.
+        frames_per_second: number of frames of the kind per second, for frames whose rate does not
+            depend on the control rate.
         frame_s: longest duration of one frame [s].
     """
 
@@ -57,7 +57,8 @@ class BusLoad:
     def periodic_load_fraction(self) -> float:
         """Return the part of the bus load that does not depend on the control rate, as a fraction.
 
-        This part is caused by frames with a rate of their own, such as heartbeats.
+        Frames with a rate of their own, such as heartbeats, cause a bus load that does not depend
+        on the control rate.
         """
         return sum(row.frames_per_second * row.frame_s for row in self.rows)
 
@@ -91,7 +92,7 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[BusLoadRow, ...]:
     """Return the rows of the bus-load table for the frames of a motor.
 
     Raises:
-        ConfigError: the motor uses CAN FD, although its bus does not.
+        ConfigError: the motor uses CAN FD, although its bus does not use CAN FD.
     """
     kinds = [(size, fd, 1.0, 0.0) for size, fd in drive.frames_per_tick]
     kinds += [(size, fd, 0.0, number) for size, fd, number in drive.background_frames]
@@ -162,19 +163,20 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
         empty.
     """
     first_bus = hand.bus[0]
-    # The first bus also carries the SYNC frame and the load-cell frames. So it has less capacity
+    # The first bus also carries the SYNC frame and the load-cell frames, so it has less capacity
     # for motors.
     free_bus_load = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first_bus)).load_at_rate(
         rate_hz
     )
-    # A CiA 402 drive sends its reply after a SYNC frame. Therefore each bus without the sensor
-    # node's SYNC frame needs a SYNC frame of its own.
+    # A CiA 402 drive sends its reply after a SYNC frame, so each bus without the sensor node's SYNC
+    # frame needs a SYNC frame of its own.
     uses_sync = SYNC in make_sensors(hand).host_ids
     sync_load = rate_hz * frame_time_s(0, False, first_bus.bitrate)
     buses = list[list[str]]([[]])
     for drive in make_drives(hand):
         listens_to_sync = isinstance(drive, Cia402Drive)
-        # Any drive may become the one that makes the host send its heartbeat. ``sync_load`` has the SYNC frame.
+        # Any drive can become the drive after whose command the host sends its heartbeat.
+        # ``sync_load`` has the SYNC frame.
         if isinstance(drive, Cia402Drive):
             drive = replace(drive, sync=False, sends_heartbeat=True)
         load = BusLoad("", 1, drive_rows(drive, first_bus)).load_at_rate(rate_hz)
@@ -194,9 +196,9 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
 def with_more_buses(hand: Hand, rate_hz: float) -> Hand:
     """Return a copy of a hand with the smallest number of buses that allows a control rate [Hz].
 
-    The motors are distributed over these buses. The load cells stay on the first bus of the hand.
-    All buses have the bit rates of the first bus. If a single motor already overloads a bus, the
-    hand is returned unchanged.
+    The motors are distributed over the buses of the copy. The load cells stay on the first bus of
+    the hand. All buses have the bit rates of the first bus. If a single motor already overloads a
+    bus, the hand is returned unchanged.
     """
     groups = split_motors_over_buses(hand, rate_hz)
     if not groups:

@@ -1,9 +1,9 @@
 """Reaction to the loss of the client that commands a hand: first the digits come to rest, later the hand relaxes.
 
 A client sends no more goals if its program hangs or has been killed. Without a reaction, the last
-goal of this client would apply without a time limit. Therefore a client can have a lease. The
-client renews the lease by regular signs of life. Commands, signs of life and targets reach the tick
-as requests. A log contains these requests. So the leases are the same when a log is executed again.
+goal of a lost client would apply without a time limit. A client can have a lease, which it renews
+by regular signs of life. Commands, signs of life and targets reach the tick as requests. A log
+contains all requests, so the leases are the same when a log is executed again.
 """
 
 from dataclasses import replace
@@ -54,8 +54,8 @@ def renew_lease(state: ControllerState, client_name: str) -> tuple[TickEvent, ..
 def enforce_lease(model: HandModel, state: ControllerState) -> tuple[TickEvent, ...]:
     """Bring the digits to rest, or end the run, if the commanding client has been silent for too long.
 
-    A running task continues until the run ends. Digits that hold a tension also hold it until the
-    run ends. A streamed target counts as a sign of life.
+    A running task continues until the run ends. Digits that hold a tension continue to hold the
+    tension until the run ends. A streamed target counts as a sign of life.
 
     Args:
         model: model of the hand.

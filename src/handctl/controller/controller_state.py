@@ -30,12 +30,12 @@ from handctl.safety.tick_verdict import LatchedFault, ReportedFault
 class ClientLease(NamedTuple):
     """Lease of the client that commands the hand.
 
-    The lease limits the time for which the client may be silent.
+    The lease limits the time for which the client is allowed to be silent.
 
     Attributes:
         client: client that commands the hand.
         duration_ns: longest silence of the client until moving digits come to rest [ns]. If the
-            silence lasts twice as long, the hand relaxes.
+            silence lasts twice as long as ``duration_ns``, the hand relaxes.
         renewed_ns: time of the client's last command or sign of life [ns].
         is_at_rest: True if the digits have come to rest because of the silence that began at
             ``renewed_ns``.
@@ -50,12 +50,12 @@ class ClientLease(NamedTuple):
 class ControllerDecisions(NamedTuple):
     """Part of the controller's state that changes only at events.
 
-    This part is not in the state block.
+    The decisions are not in the state block.
 
     Attributes:
         drives: state of each drive, without the numbers. The numbers of the drives are in the state
-            block. In this field, these numbers are NaN or 0.
-        progress: point that the program has reached.
+            block. In the attribute ``drives``, the numbers are NaN or 0.
+        progress: state of the program, with the point that the program has reached.
         latched_faults: faults that stay latched until an operator clears them.
         reported_faults: faults that buses and the host report, each with the number of consecutive
             ticks in which it was reported.
@@ -63,15 +63,15 @@ class ControllerDecisions(NamedTuple):
         failure: reason why the run has ended early, in one line. The text is empty if the run has
             not failed.
         unconfirmed_motors: names of motors whose drives have not confirmed that they are disabled.
-        gains: gains that have replaced the gains of the start of the run. None before the first
-            change.
+        gains: gains that have replaced the gains of the start of the run. The value is None before
+            the first change of gains.
         pending_gains: requested gains whose controller design is in progress.
-        commanding_client: client that may send commands, or None if any client may, see
-            ``requests.CommandRequestBase``.
+        commanding_client: client that is allowed to send commands, or None if any client is
+            allowed, see ``requests.CommandRequestBase``.
         stream: open stream of targets.
         lease: lease of the commanding client, or None for a client without a lease.
         amplifiers: state of each CiA 404 amplifier. The value is empty if the load cells have no
-            such amplifiers.
+            CiA 404 amplifiers.
     """
 
     drives: tuple[DriveState, ...]
@@ -93,14 +93,14 @@ def _serialized_part(state_part: object) -> bytes:
     """Return the serialized form of a part of the decisions.
 
     While a digit closes, the progress of the program changes in every tick. The goals in the
-    progress stay the same objects, so their bytes are cached.
+    progress of the program stay the same objects, so the bytes of the goals are cached.
     """
     if isinstance(state_part, ProgramProgress):
         return join_serialized_fields(state_part, _serialized_field_cache)
     return serialized_bytes(state_part)
 
 
-# Most decisions are the same objects in many ticks. So the serialized form of each part is cached
+# Most decisions are the same objects in many ticks, so the serialized form of each part is cached
 # by the identity of the object.
 _serialized_field_cache = IdentityCache[Any](serialized_bytes)
 _serialized_bytes_cache = IdentityCache[Any](_serialized_part)
@@ -112,12 +112,12 @@ _drives_cache, _goals_cache, _other_parts_cache = (
 def _hash_decisions(decisions: ControllerDecisions) -> bytes:
     """Return an 8-byte hash of the decisions.
 
-    A part that has not changed is not serialized again.
+    The hash uses the stored bytes of each part of the decisions that has not changed.
     """
     drives = _drives_cache(decisions.drives)
     goals = _goals_cache(decisions.progress.goals)
-    # Without amplifiers, the hash equals the hash in logs of versions that did not support
-    # amplifiers.
+    # For a hand without amplifiers, the hash equals the hash in logs of handctl versions that did
+    # not support amplifiers.
     other_hashes = _other_parts_cache(decisions[1:] if decisions.amplifiers else decisions[1:-1])
     return xxhash.xxh3_64_digest(b"".join([*drives, *goals, *other_hashes]))
 
@@ -169,8 +169,8 @@ def drive_values(
 class ControllerState:
     """State of the controller between ticks.
 
-    A tick works on a copy of this state. The copy has its own block of numbers. The object with the
-    decisions is immutable, so both states share this object.
+    A tick works on a copy of the state of the last tick. The copy has its own block of numbers. The
+    object with the decisions is immutable, so the state and its copy share the object.
 
     Attributes:
         layout: layout of the state block.
@@ -195,7 +195,7 @@ class ControllerState:
         self.block = block
         self.decisions = decisions
         self.tendon: NDArray[np.float64] = layout.table(block, "tendon")
-        # The table "run" has a single column. So the row number of a field is also its position in
+        # The table "run" has a single column, so the row number of a field is also its position in
         # the table.
         self._run = block[layout.start("run") :]
         # An element of a memoryview is read four times as fast as an element of an array.
@@ -206,7 +206,7 @@ class ControllerState:
         return ControllerState(self.layout, self.block.copy(), self.decisions)
 
     def decide(self, **changes: Any) -> None:
-        """Replace some fields of the decisions in this state."""
+        """Replace some fields of the decisions in the state."""
         self.decisions = self.decisions._replace(**changes)
 
     def digest(self) -> bytes:
@@ -269,7 +269,7 @@ class ControllerState:
     def goal_time(self) -> float:
         """Return the time since the start of the program [s].
 
-        This time stops while the safety monitor makes the hand hold its position.
+        The time of the program stops while the safety monitor makes the hand hold its position.
         """
         return self.run_table_real(s.GOAL_TIME)
 
@@ -312,7 +312,7 @@ class ControllerState:
 
     @property
     def sensor_counts(self) -> tuple[int, int, int]:
-        """Return the counts of sent SYNC frames, accepted tension frames, and answers to an earlier SYNC."""
+        """Return the numbers of sent SYNC frames, accepted tension frames, and answers to an earlier SYNC frame."""
         return (
             self.run_table_integer(s.SYNC_COUNT),
             self.run_table_integer(s.TENSION_FRAME_COUNT),
@@ -341,11 +341,11 @@ class ControllerState:
 
     @property
     def unconfirmed_motors(self) -> tuple[str, ...]:
-        """Return the names of the motors that have not been confirmed as disabled."""
+        """Return the names of the motors whose drives have not confirmed that they are disabled."""
         return self.decisions.unconfirmed_motors
 
-    # States of the drives. Their set-up is in the decisions, and their numbers are in the state
-    # block.
+    # States of the drives. The set-up of the drives is in the decisions, and the numbers of the
+    # drives are in the state block.
 
     def drive(self, motor_index: int) -> DriveState:
         """Return the state of one drive."""

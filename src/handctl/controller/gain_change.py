@@ -1,11 +1,11 @@
 """Change of gains while the controller runs, without a jump in torque.
 
-The design of one control loop takes about a millisecond. Therefore a running controller designs one
-loop in each tick. When all loops are designed, the controller switches all loops to the new gains
-in the same tick. At the switch, the motor forces computed with the old gains and with the new gains
-differ. The controller adds this difference to the new motor forces as an offset, which decays to
-zero (bumpless transfer). The integrals of the control loops are forces in newtons. So the integrals
-need no conversion at the switch.
+The design of one control loop takes about a millisecond, so a running controller designs one loop
+in each tick. When all loops are designed, the controller switches all loops to the new gains in the
+same tick. At the switch to the new gains, the motor forces computed with the old gains and with the
+new gains differ. The controller adds the difference of old and new motor forces to the new motor
+forces as an offset, which decays to zero (bumpless transfer). The integrals of the control loops
+are forces in newtons, so the integrals need no conversion at the switch.
 """
 
 from dataclasses import dataclass, field, replace
@@ -36,7 +36,7 @@ MAX_CACHED_DESIGNS = 8
 
 
 class DesignProgress(NamedTuple):
-    """Result of a design step, if the design is not complete after this step.
+    """Result of a design step after which the design of the controller is not complete.
 
     Attributes:
         pending_gains: state of the design, or None if no stabilising gains exist for the requested
@@ -52,8 +52,8 @@ class DesignProgress(NamedTuple):
 class DesignCache:
     """Cache of controller designs.
 
-    The gains are the keys of the cache. The cache drops old designs. A dropped design is computed
-    again when it is needed.
+    The gains are the keys of the cache. The cache drops old designs. If the controller needs a
+    dropped design, the design is computed a second time.
 
     Attributes:
         loop_designs: control loops that are designed so far, for each of the last ``MAX_CACHED_DESIGNS``
@@ -91,7 +91,7 @@ class DesignCache:
     def controller(self, controller: ControllerT, gains: Gains) -> ControllerT:
         """Return a copy of a controller with other gains.
 
-        The design for these gains stays in the cache.
+        The design for the other gains stays in the cache.
         """
         self.gains_in_use = gains
         if gains not in self.controllers:
@@ -119,7 +119,7 @@ class DesignCache:
         """Design the missing ones of the first ``loop_count`` loops, and return all designed loops."""
         loop_designs = self.loop_designs.setdefault(gains, [])
         if len(self.loop_designs) > MAX_CACHED_DESIGNS:
-            # A dictionary keeps the order of insertion, so the first entry is the oldest one. The
+            # A dictionary keeps the order of insertion, so the first entry is the oldest entry. The
             # entry of the gains in use is kept.
             least_recent_gains = next(
                 designed_gains
@@ -145,8 +145,8 @@ def begin_gain_design(
         new_values: requested values, by the key of the gain.
 
     Returns:
-        The requested gains with the state of their design. If no design can begin, None and an
-        event with the reason.
+        The requested gains with the state of their design. If no design can begin, the result is
+        None and an event with the reason.
     """
     try:
         return PendingGains(gains_with_values(present_gains, new_values, "gains", is_live=True)), ()

@@ -1,9 +1,9 @@
 """State machine for the mode of a hand during a run.
 
-At the start of a run, the host is silent. At the end, every drive has confirmed that it is
+At the start of a run, the host is silent. At the end of a run, every drive has confirmed that it is
 disabled. SILENT -> INVENTORY -> READY -> ARMING -> ACTIVE -> RELAX -> DISARM -> DONE. From every
-mode with torque, the hand can change to the mode CUT. Each mode has one function. This function
-returns the next mode. If the run has failed, the function also returns the reason.
+mode with torque, the hand can change to the mode CUT. For each mode, one function returns the next
+mode and, if the run has failed, the reason of the failure.
 """
 
 import math
@@ -35,7 +35,7 @@ from handctl.safety.faults.table import FAULT_BY_ID
 from handctl.safety.safety_action import SafetyAction
 
 LISTENING_DURATION_S = 0.5
-"""Time before this host sends its first frame, in which it detects a second controller [s]."""
+"""Time before the first frame of this host, in which this host detects a second controller [s]."""
 INVENTORY_TIMEOUT_S = 3.0
 CLEAR_ERRORS_ADVICE = " (when you have looked why: --clear)"
 """Advice to the operator, in the message about a drive with a latched error."""
@@ -48,7 +48,7 @@ DISARM_TIMEOUT_S = 1.0
 TORQUE_CUT_DURATION_S = PULL_AFTER_CUT_TIME_S
 """Time for which the frames that cut the torque are repeated [s]."""
 RELEASE_DETECTION_TICKS = 2
-"""Ticks after ``PULL_AFTER_CUT_TIME_S`` in which the detector of tendons that still pull (N16) has the last word."""
+"""Ticks after ``PULL_AFTER_CUT_TIME_S`` in which the detector of pulling tendons (N16) can still report a fault."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,10 +158,10 @@ def next_mode(
         operator_requests: stop and cut requests from the operator.
         other_host_signs: texts that describe signs of a second controller on the bus.
         time_s: time of the tick [s].
-        calibrated_identities: identities of the drives in the calibration. May be empty.
+        calibrated_identities: identities of the drives in the calibration. The tuple can be empty.
 
     Returns:
-        The event of a mode change. There is no event if the mode does not change.
+        The event of a mode change, or no event if the mode does not change.
     """
     mode_before = state.mode
     if (
@@ -188,14 +188,14 @@ def next_mode(
         return ()
     failure = failure or (
         "" if state.failure else _latched_faults(state)
-    )  # this also applies to a fault during the move to the home position
+    )  # a fault during the move to the home position is also a failure
     names = inputs.names
     level = "error" if failure else "info"
     unconfirmed_motors = _motors_possibly_on(model, state, names) if mode == HandMode.DONE else ()
     text = f"{mode_before.name} -> {mode.name}" + (f": {failure}" if failure else "")
     if (
         unconfirmed_motors and REMOVE_POWER not in text
-    ):  # an operator who has stopped the run reads only this line
+    ):  # an operator who has stopped the run reads only the line of the mode change
         text += f"; {REMOVE_POWER}: not confirmed disabled: {', '.join(unconfirmed_motors)}"
     reason = (
         f"{state.failure}; {failure}"
@@ -242,7 +242,8 @@ def _next_mode_before_arming(state: ControllerState, inputs: ModeInputs) -> Next
 _MODE_AFTER_STOP = {HandMode.ARMING: HandMode.DISARM, HandMode.ACTIVE: HandMode.RELAX}
 """Mode that follows each mode after a fault or a stop.
 
-In ARMING no tension has been commanded and no further drive may be enabled, so DISARM follows.
+In ARMING, no tension has been commanded, and no further drive is allowed to be enabled, so DISARM
+follows.
 """
 
 
@@ -369,7 +370,7 @@ def _other_drives(state: ControllerState, inputs: ModeInputs) -> str:
 
     Returns:
         The result has one phrase per drive. The text is empty if all identities are equal, or if
-        the calibration contains none.
+        the calibration contains no identities.
     """
     drives_found = [
         drive.identity(drive_state)
@@ -403,7 +404,7 @@ def _next_mode_after_active(state: ControllerState, inputs: ModeInputs) -> NextM
 
 
 def _next_mode_after_relax(state: ControllerState, inputs: ModeInputs) -> NextMode:
-    # A load cell may read less than the true tension. Therefore the torque is removed only when the
+    # A load cell can read less than the true tension, so the torque is removed only when the
     # commanded forces have also fallen.
     is_relaxed = are_tensions_relaxed(inputs.model, state) and are_commands_relaxed(
         inputs.model, state
@@ -422,7 +423,7 @@ def _next_mode_after_disarm(state: ControllerState, inputs: ModeInputs) -> NextM
         )
     enabled = motors_not_confirmed_off(state, inputs.names)
     if not enabled:
-        # A drive may report that it is disabled although its motor still pulls.
+        # A drive can report that it is disabled although its motor still pulls.
         ticks_without_torque = state.run_table_integer(s.TICKS_SINCE_CUT) - RELEASE_DETECTION_TICKS
         is_checked = ticks_without_torque * inputs.model.period >= PULL_AFTER_CUT_TIME_S
         return (HandMode.DONE if is_checked else HandMode.DISARM), ""
@@ -459,10 +460,10 @@ def _named_drives(state: ControllerState, inputs: ModeInputs) -> Iterator[tuple[
 def motors_not_confirmed_off(
     state: ControllerState, motor_names: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return the names of motors that may still be enabled.
+    """Return the names of motors that are possibly still enabled.
 
-    A motor may be enabled if its drive has not confirmed that it is disabled. Before arming,
-    handctl has not enabled any motor. So a motor without a confirmation is not in the result. After
+    A motor is possibly enabled if its drive has not confirmed that it is disabled. Before arming,
+    handctl has not enabled any motor, so a motor without a confirmation is not in the result. After
     the end of a run, the result contains only motors that had no confirmation at the end of the
     run. A motor whose drive reports that it is enabled is always in the result.
     """
@@ -498,10 +499,10 @@ def _pulling_motors(
 def _motors_possibly_on(
     model: HandModel, state: ControllerState, motor_names: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return the names of motors that may still make torque at the end of a run.
+    """Return the names of motors that possibly still make torque at the end of a run.
 
-    If the run ends before arming, the tensions of the tendons are ignored. A tendon may then have
-    tension although its motor makes no torque.
+    If the run ends before arming, the tensions of the tendons are ignored. Before arming, a tendon
+    can have tension although its motor makes no torque.
     """
     pulling_motors = (
         () if state.mode in MODES_BEFORE_ARMING else _pulling_motors(model, state, motor_names)

@@ -1,19 +1,19 @@
 """Relaxing of the hand.
 
 While the hand relaxes, every tension falls to the tension floor, and no motor command increases.
-The tension loop itself may be the cause of the fault, for example with crossed feedback, late motor
-replies or a wrong encoder. Therefore an upper bound, called the envelope, limits the motor force of
-each tendon. No measurement can raise this envelope:
+The tension loop itself can be the cause of the fault, for example with crossed feedback, late motor
+replies or a wrong encoder. An upper bound, called the envelope, limits the motor force of each
+tendon. No measurement can raise the envelope:
 
     e[k] = max(min(u[k-1], floor), u[k-1] - rate T)      0 <= u[k] <= e[k]
 
 Here, u is the commanded motor force at the tendon [N], and T is the control period. For a spool
 pair, u is the absolute value of the force, and the force keeps its direction. The envelope begins
-at the last motor command, or at the present tension if the tension is smaller. The load cell of a
-tendon in the tension loop may be wrong. In this case, the envelope begins at the setpoint if the
-setpoint is above the tension. The tension loop cannot command more force than the envelope. After a
-fault of the tension loop (``RelaxMethod.OPEN_LOOP``), the command u[k] equals e[k]. A motor may be
-braking when relaxing begins. The command of such a motor goes to zero.
+at the last motor command, or at the present tension if the tension is smaller. If the load cell of
+a tendon in the tension loop is possibly wrong, and the setpoint is above the tension, the envelope
+begins at the setpoint. The tension loop cannot command more force than the envelope. After a fault
+of the tension loop (``RelaxMethod.OPEN_LOOP``), the command u[k] equals e[k]. If a motor brakes
+when relaxing begins, its command goes to zero.
 """
 
 from dataclasses import replace
@@ -31,30 +31,30 @@ from handctl.safety.safety_action import RelaxMethod
 RELAX_RATE_N_PER_S = 500.0
 OVER_TENSION_RATE_N_PER_S = 2000.0
 MAX_START_FORCE_EXCESS_N = 15.0
-"""Largest amount by which the first setpoint may exceed the last commanded force [N], for friction and motion."""
+"""Largest allowed excess of the first relaxing setpoint over the last commanded force [N], for friction and motion."""
 
 RELAXED_TOLERANCE_N = 3.0
 """Distance above the tension of a relaxed tendon within which a tendon counts as relaxed [N]."""
 MAX_SETPOINT_EXCESS_N = 3.0
-"""Largest margin of the first setpoint above the present tension [N].
+"""Largest margin of the first setpoint of relaxing above the present tension [N].
 
-During a steady hold the margin is at most 2 N.
+During a steady hold, the margin of a setpoint above the tension is at most 2 N.
 """
 
 
 def start_relaxation(model: HandModel, state: ControllerState) -> None:
     """Write the state at the start of relaxing: setpoints, rates and envelope.
 
-    Relaxing begins at the present tension. The setpoint of a held digit may be above the present
-    tension. If relaxing began at the setpoint, the motor would continue to pull. The load cell may
-    be wrong. Therefore the first setpoint is also limited by the last commanded force.
+    Relaxing begins at the present tension. The setpoint of a held digit can be above the present
+    tension. If relaxing began at the setpoint, the motor would continue to pull. Because the load
+    cell can be wrong, the last commanded force also limits the first setpoint.
     """
     table = state.tendon
     tendon_integers = state.tendon_int
     in_tension_loop = np.array(
         [state.progress.goals[d].kind == GoalKind.TENSION for d in model.digit_of_tendon]
     )
-    # A spool pair may pull in either direction. So all values are given in the direction of the
+    # A spool pair can pull in either direction, so all values are given in the direction of the
     # last command.
     sign = np.where(model.is_pair & (table[s.COMMANDED_FORCE] < 0.0), -1.0, 1.0)
     present_tensions = (
@@ -76,15 +76,15 @@ def start_relaxation(model: HandModel, state: ControllerState) -> None:
     )
     state.decide(progress=replace(state.progress, goals=goals))
     table[s.TENSION_SETPOINT] = sign * start
-    # COMMANDED_FORCE is the commanded motor force. The envelope starts from this force in the next
-    # tick.
+    # COMMANDED_FORCE is the commanded motor force. The envelope starts from the commanded motor
+    # force in the next tick.
     explained_force = present_tensions
     if any(
         FAULT_BY_ID[latched_fault.id].makes_tension_unreliable
         for latched_fault in state.latched_faults
     ):
-        # If the load cell may be wrong, the true tension may be as large as the tension setpoint. A
-        # digit that follows a position goal has no tension setpoint.
+        # If the load cell is possibly wrong, the true tension can be as large as the tension
+        # setpoint. A digit that follows a position goal has no tension setpoint.
         explained_force = np.where(
             in_tension_loop, np.maximum(present_tensions, start), present_tensions
         )
@@ -106,16 +106,17 @@ def _envelope_start(
 ) -> Vector:
     """Return the motor force (N,) at which the envelope of each tendon starts [N].
 
-    Usually, the envelope starts at the last commanded force. An unstable control loop may have
-    commanded 100 N for a tendon whose tension is 10 N. In this case, the envelope starts at the
-    present tension plus the friction of the motor.
+    Usually, the envelope starts at the last commanded force. If the last commanded force is much
+    larger than the present tension, the envelope starts at the present tension plus the friction of
+    the motor. For example, an unstable control loop can command 100 N for a tendon whose tension is
+    10 N.
 
     Args:
         model: model of the hand.
         state: state when relaxing starts.
         sign: (N,) direction of the commanded force.
-        plausible_tension: (N,) largest tension in this direction that agrees with the measurement or
-            the setpoint [N].
+        plausible_tension: (N,) largest tension in the direction ``sign`` that agrees with the
+            measurement or the setpoint [N].
     """
     commanded_force = np.nan_to_num(state.tendon[s.COMMANDED_FORCE], nan=0.0)
     return sign * np.minimum(
@@ -169,7 +170,7 @@ def present_relax_rate(state: ControllerState) -> float:
 def is_open_loop(state: ControllerState) -> bool:
     """Return True if the command of each motor is the envelope itself.
 
-    These commands do not depend on measurements.
+    Commands that equal the envelope do not depend on measurements.
     """
     return RelaxMethod.OPEN_LOOP in _relax_methods(state)
 

@@ -1,7 +1,7 @@
 """Construction of a controller from plain data, such as numbers and texts.
 
-A log contains these data. So the controller of a run can be constructed again from the log of the
-run.
+A log contains the data for the construction, so the controller of a run can be constructed again
+from the log of the run.
 """
 
 from collections.abc import Iterable
@@ -121,15 +121,15 @@ class RunSetup(Document):
     ]
     """(N,) motor zero within the range of a calibration [rad]."""
     identities: tuple[str, ...] = ()
-    """Identities of the drives at calibration. Empty if unknown."""
+    """Identities of the drives at calibration. The tuple is empty if the identities are unknown."""
     program: ProgramSetup
     identified_hand: str = ""
     """Hand description with identified parameters, as TOML text.
 
-    Empty if the values of the hand file apply.
+    The text is empty if the values of the hand file apply.
     """
     torque_gain: tuple[float, ...] = ()
-    """(N,) identified torque gains. Empty if all are 1."""
+    """(N,) identified torque gains. The tuple is empty if all torque gains are 1."""
 
     @staticmethod
     def from_controller(controller: Controller, rate_hz: float) -> "RunSetup":
@@ -150,7 +150,7 @@ class RunSetup(Document):
         )
 
     def controller(self, hand: Hand, gains: Gains) -> Controller:
-        """Construct the controller that this set-up describes.
+        """Construct the controller that the set-up describes.
 
         The construction includes the design of all gains.
         """
@@ -203,8 +203,9 @@ def make_drives(hand: Hand) -> tuple[Drive, ...]:
     """Return the drive that pulls each tendon, in the order of the tendons.
 
     A CiA 402 drive replies to a SYNC frame, and supervises the heartbeat of the host. The host
-    sends the heartbeat after the command of one drive on each bus. If a bus would otherwise have no
-    SYNC frame, the host also sends SYNC after this command.
+    sends the heartbeat after the command of one drive on each bus. On a bus without other SYNC
+    frames, the host also sends SYNC after the command of the drive that is selected for the
+    heartbeat.
 
     Raises:
         ConfigError: the drive does not support an option in the hand file, two nodes use the same
@@ -229,10 +230,11 @@ def make_drives(hand: Hand) -> tuple[Drive, ...]:
 def _check_torque_report(motor: Motor, tendon: str) -> None:
     """Check that the drive of a tendon without a load cell reports its torque.
 
-    Without the report, a drive that does not obey could pull with any torque unnoticed.
+    Without the torque report, a drive that does not obey its commands could pull with any torque
+    unnoticed.
 
     Raises:
-        ConfigError: an option of the drive disables the report.
+        ConfigError: an option of the drive disables the torque report.
     """
     option = PROTOCOL_TRAITS[motor.protocol].torque_option
     if option and not motor.options.get(option, False):
@@ -241,13 +243,13 @@ def _check_torque_report(motor: Motor, tendon: str) -> None:
 
 
 def _check_position_loop(motor: Motor, drive: Drive) -> None:
-    """Check that a drive's commands can carry the position loop that the hand file demands.
+    """Check that a drive's commands can contain the values of the position loop that the hand file demands.
 
     The commands must contain a position setpoint. The gains in the hand file must be within the
     range of the commands.
 
     Raises:
-        ConfigError: the commands cannot carry a position loop.
+        ConfigError: the commands cannot contain the values of a position loop.
     """
     if not motor.closes_position_loop:
         return
@@ -282,11 +284,11 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
 def _with_host_frames(drives: tuple[Drive, ...], sensors: SensorInterface) -> tuple[Drive, ...]:
     """Return the drives after one CiA 402 drive of each bus was selected for SYNC and heartbeat.
 
-    The host sends its heartbeat after the command of the selected drive. If the bus has no other
-    SYNC frames, the host also sends SYNC after this command. All CiA 402 drives on a bus receive
-    the same heartbeat and the same SYNC frames. The last of these drives is selected, so that the
-    SYNC frame comes after all commands. The heartbeat has the shortest period that any drive on the
-    bus needs.
+    The host sends its heartbeat after the command of the selected CiA 402 drive. If the bus has no
+    other SYNC frames, the host also sends SYNC after the command of the selected CiA 402 drive. All
+    CiA 402 drives on a bus receive the same heartbeat and the same SYNC frames. The last CiA 402
+    drive on a bus is selected, so that the SYNC frame comes after all commands. The heartbeat has
+    the shortest period that any drive on the bus needs.
 
     A bus already has SYNC frames if the sensor node uses the identifier 0x080, or if the hand file
     sets the option ``sync`` for a drive.
@@ -361,7 +363,7 @@ def make_controller(
 def _setup_of_program(program: Program) -> AnyProgramSetup:
     """Return the set-up of a program.
 
-    The program can be constructed again from this set-up.
+    The program can be constructed again from its set-up.
     """
     match program:
         case TaskProgram(task):

@@ -20,7 +20,8 @@ class ShutdownStep(NamedTuple):
     Attributes:
         state: state with the latest replies of the drives.
         frames: frames to send.
-        enabled: names of motors that may be enabled, see ``hand_modes.motors_not_confirmed_off``.
+        enabled: names of motors that are possibly enabled, see
+            ``hand_modes.motors_not_confirmed_off``.
     """
 
     state: ControllerState
@@ -33,7 +34,7 @@ def shutdown_step(
 ) -> ShutdownStep:
     """Process received frames, and send the disable command to every drive.
 
-    The host continues to send SYNC frames, because some drives reply to them.
+    The host continues to send SYNC frames, because some drives reply to SYNC frames.
 
     Args:
         controller: controller whose drives are disabled.
@@ -53,7 +54,7 @@ def shutdown_step(
         drive_state = state_after.drive(n)
         for frame in received_frames:
             drive_state = drive.receive(drive_state, frame)
-        # A frame may be lost. So the disable command is repeated until it is confirmed.
+        # A frame can be lost, so the host repeats the disable command until the drive confirms it.
         drive_state, new_frames = drive.advance(drive_state, t_ns, DriveTarget.DISABLE, 0.0)
         controller.store_drive_state(state_after, n, drive_state)
         frames += new_frames

@@ -1,8 +1,9 @@
-"""Conversion of the controller's state to bytes and back.
+"""Conversion of the controller's state to a snapshot and back.
 
-The bytes are called a snapshot. With a snapshot, a log can be executed again from the middle of the
-run. A snapshot consists of the identity of the state block's layout (8 bytes), the state block, and
-the decisions as JSON. Only code whose state block has the same schema can read the snapshot.
+A snapshot contains the state as bytes. With a snapshot, a log can be executed again from the middle
+of the run. A snapshot consists of the identity of the state block's layout (8 bytes), the state
+block, and the decisions as JSON. Only code whose state block has the same schema can read the
+snapshot.
 """
 
 import json
@@ -81,7 +82,7 @@ def restore_state(layout: BlockLayout, packed_snapshot: bytes) -> ControllerStat
         packed_snapshot: bytes of the snapshot.
 
     Raises:
-        ValueError: the data are not a snapshot of a controller with this layout.
+        ValueError: the data are not a snapshot of a controller with the given layout.
     """
     # All numbers of the state block have 8 bytes.
     end = LAYOUT_IDENTITY_SIZE + 8 * layout.size

@@ -1,4 +1,4 @@
-"""Functions that open and close a stream of targets, and apply its targets to the controller's state."""
+"""Functions that open and close a stream of targets, and apply the targets to the controller's state."""
 
 import math
 
@@ -28,15 +28,16 @@ from handctl.programs.stream_plans import (
 )
 
 MAX_TARGET_AGE_S = 0.1
-"""Age beyond which a target is ignored [s], because later targets replace it."""
+"""Age beyond which a target is ignored [s], because later targets replace an old target."""
 MAX_TARGET_INTERVAL_PERIODS = 2.5
-"""Longest time between two targets for which the speed between them is computed [periods of the stream]."""
+"""Longest time between two targets for which the speed between the targets is computed [periods of the stream]."""
 MAX_SETPOINT_LEAD_N = 6.0
 """Largest distance of a streamed setpoint above the estimated tension [N].
 
 The tendon of a free digit bears no more than the digit's springs and friction. A setpoint far above
-this would spin the motor, which resembles a snapped tendon (T01) or an oscillation (N14b).
-Setpoints also keep this margin below the largest tension, because the tension may overshoot.
+the tension of a free digit would spin the motor, which resembles a snapped tendon (T01) or an
+oscillation (N14b). Setpoints also stay ``MAX_SETPOINT_LEAD_N`` below the largest allowed tension,
+because the tension can overshoot.
 """
 
 
@@ -54,7 +55,7 @@ def present_setpoints(model: HandModel, state: ControllerState) -> tuple[Vector,
 def open_stream(model: HandModel, state: ControllerState, request: OpenStreamRequest) -> TickEvent:
     """Open a stream.
 
-    Until the first target arrives, the digits of the stream keep their present reference.
+    Until the first target arrives, the digits of the stream keep their present motion reference.
     """
     stream = stream_plan_or_refusal(model, request)
     if isinstance(stream, str):
@@ -114,9 +115,9 @@ def close_stream(model: HandModel, state: ControllerState) -> None:
 def bring_to_rest(
     model: HandModel, state: ControllerState, streamed_digits_only: bool = False
 ) -> ProgramProgress:
-    """Replace the goals of all moving digits by goals at which these digits come to rest.
+    """Replace the goals of all moving digits by goals at which the digits come to rest.
 
-    Return the progress of the program with these goals.
+    Return the progress of the program with the new goals.
     """
     reach_by_digit = tuple(digit.coordinate_limits for digit in model.digits)
     setpoints = present_setpoints(model, state)
@@ -142,8 +143,8 @@ def apply_target(
         t_ns: time of the tick [ns].
 
     Returns:
-        An event when a stream's first clipped, ignored or refused target occurs. Later targets of
-        this kind are only counted in the state.
+        An event for the first clipped, the first ignored and the first refused target of a stream.
+        Later clipped, ignored or refused targets are only counted in the state.
     """
     stream = state.decisions.stream
     if (
@@ -161,7 +162,7 @@ def apply_target(
         )
     sent_ns = min(target.sent_ns, t_ns)
     is_running = state.run_table_integer(s.STREAM_STATE) == s.RUNNING_STREAM
-    # If several targets arrive in one tick, the time of the tick may be assigned to each of them.
+    # If several targets arrive in one tick, each of them can have the time of the tick.
     is_outdated = target.number <= state.run_table_integer(
         s.STREAM_SEQUENCE
     ) or sent_ns < state.run_table_integer(s.STREAM_SENT_NS)
@@ -258,8 +259,8 @@ def _begin_segment(
             held_coordinates[coordinate_slice] = nearest_holdable_posture(
                 digit, held_coordinates[coordinate_slice], model.floor[digit.tendons]
             )
-    # The motion starts at the reference of the last tick. So the reference already moves in this
-    # tick.
+    # The motion starts at the reference of the last tick, so the reference already moves in the
+    # present tick.
     start_time = t_ns / 1e9 - model.period * (1 + state.run_table_integer(s.MISSED_TICKS))
     duration = max(sent_ns / 1e9 + stream.horizon - start_time, model.period)
     target_interval = (sent_ns - state.run_table_integer(s.STREAM_SENT_NS)) / 1e9
@@ -267,8 +268,8 @@ def _begin_segment(
         state.run_table_integer(s.STREAM_STATE) == s.RUNNING_STREAM
         and target_interval <= MAX_TARGET_INTERVAL_PERIODS * stream.period
     )
-    # The time between two targets that arrive together says nothing about the rate of the stream.
-    # Therefore this time counts as at least half a period of the stream.
+    # The time between two targets that arrive together is unrelated to the rate of the stream. The
+    # time between two targets counts as at least half a period of the stream.
     target_interval = max(target_interval, 0.5 * stream.period) if is_steady else math.inf
     return begin_segments(
         state.block, state.layout.offsets, goal_coordinates, held_coordinates, start_time, duration, target_interval,

@@ -1,4 +1,4 @@
-"""Telemetry of a tick for the log. The values are copied from fields of the state block."""
+"""Telemetry of a tick for the log. The values of the telemetry are copied from fields of the state block."""
 
 import numpy as np
 
@@ -26,8 +26,8 @@ class TelemetryGatherer:
         Args:
             layout: layout of the state block.
         """
-        # In this block, the value of each element is the index of the element. So the view of a
-        # field contains the indices of the field's elements.
+        # In the block below, the value of each element is the index of the element, so the view of
+        # a field contains the indices of the field's elements.
         element_numbers = np.arange(layout.size, dtype=np.float64)
         element_indices_of_fields = [
             layout.view(element_numbers, STATE_FIELD_BY_TELEMETRY_FIELD.get(name, name))

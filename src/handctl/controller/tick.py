@@ -1,12 +1,12 @@
 """One tick of the controller, as a pure function.
 
 A tick receives frames and computes the frames to send. A ``TickIn`` contains all inputs of a tick,
-so that a tick from a log can be executed again. The control loop calls the four steps of a tick one
-by one. The step ``begin_tick`` processes the received frames. The step ``decide`` applies requests
-and chooses the goals. The step ``command`` computes the frames to send from streamed targets and
-goals. The step ``conclude`` completes the output. The control loop can therefore read requests and
-streamed targets as late as possible. It can also send the commands as early as possible. The method
-``tick`` executes all four steps.
+so that a tick from a log can be executed again. The control loop calls the four methods of a tick
+(its steps) one by one. The step ``begin_tick`` processes the received frames. The step ``decide``
+applies requests and chooses the goals. The step ``command`` computes the frames to send from
+streamed targets and goals. The step ``conclude`` completes the output. Because of the four steps,
+the control loop can read requests and streamed targets as late as possible, and can send the
+commands as early as possible. The method ``tick`` executes all four steps of a tick.
 
 receive   frames -> values of drives and sensors
 estimate  values -> tension, excursion, contact
@@ -108,16 +108,17 @@ class DerivedConstants:
         limits: thresholds of the safety monitor for the hand.
         layout: layout of the state block.
         constants: constants for the compiled code.
-        kernel_constants: block and places of ``constants``, the arguments of compiled functions.
+        kernel_constants: block and table positions of ``constants``, the arguments of compiled
+            functions.
         wire_tables: signal tables of the drives' cyclic frames.
         copy_telemetry: function that copies the telemetry from the state block.
         drive_index_by_id: index of the drive to which an identifier belongs, by bus and identifier.
         amplifier_index_by_id: index of the CiA 404 amplifier, by bus and identifier.
-        sends_sync: True if the sensor node needs SYNC frames. On a bus without such SYNC frames,
-            the host sends SYNC after the command of a CiA 402 drive.
+        sends_sync: True if the sensor node needs SYNC frames. On a bus without SYNC frames for the
+            sensor node, the host sends SYNC after the command of a CiA 402 drive.
         sync_row: SYNC frame of the sensor node as a record.
-        fault_evidence: (faults, instances) memory for the evidence of each fault. Each tick overwrites
-            the evidence of the tick before.
+        fault_evidence: (faults, instances) memory for the evidence of each fault. Each tick
+            overwrites the evidence of the last tick.
     """
 
     limits: SafetyLimits
@@ -187,12 +188,12 @@ class Controller:
         arm_at_once: True to arm the hand without a request, as soon as every node has replied.
         identities: identities of the drives in the calibration, or an empty tuple if they are
             unknown.
-        replacement_limits: thresholds of the safety monitor that replace the thresholds of the hand. If
-            it is None, the thresholds of the hand apply.
+        replacement_limits: thresholds of the safety monitor that replace the thresholds of the
+            hand. If the value is None, the thresholds of the hand apply.
         design_cache: cache of the controller designs for gains that are set during a run.
-        reusable_constants: constants of a controller that differs from this one only in its gains. If it is
-            None, all tables are computed. The tables of ``reusable_constants`` are used again, because gains
-            change during a run.
+        reusable_constants: constants of a controller that differs from the new controller only in
+            its gains. After a change of gains during a run, the new controller uses the tables of
+            ``reusable_constants``. If the value is None, all tables are computed.
         derived_constants: constants that follow from the other attributes.
     """
 
@@ -231,7 +232,7 @@ class Controller:
     def initial_state(self) -> ControllerState:
         """Return the state before the first tick.
 
-        This state depends only on the configuration of the controller.
+        The state before the first tick depends only on the configuration of the controller.
         """
         drives = tuple(drive.initial_state() for drive in self.drives)
         decisions = ControllerDecisions(
@@ -268,7 +269,8 @@ class Controller:
             The state after the tick, and the output of the tick.
 
         Raises:
-            ValueError: a command cannot be encoded. In this case, the tick sends no command.
+            ValueError: a command cannot be encoded. The tick sends no commands if a command cannot
+                be encoded.
         """
         step = self.begin_tick(last_state, tick_input)
         step.decide(tick_input.requests)
@@ -432,8 +434,8 @@ class Controller:
             frames: received frames.
             min_receive_ns: earliest arrival of an answer to the latest SYNC [ns].
 
-        Return the identifiers of received frames that only this host may send. Each identifier
-        occurs once.
+        Return the identifiers of received frames that only this host is allowed to send. Each
+        identifier occurs once.
         """
         derived_constants = self.derived_constants
         tables = derived_constants.wire_tables
@@ -453,8 +455,8 @@ class Controller:
             )  # fmt: skip
             if at >= len(rows):
                 return tuple(dict.fromkeys(second_controller_signs))
-            # The kernel ``receive_frames`` has already counted error frames. So this frame is no
-            # error frame.
+            # The kernel ``receive_frames`` has already counted the error frames, so the frame at
+            # the returned index is no error frame.
             frame = frames[at]
             owner = derived_constants.drive_index_by_id.get((frame.bus, frame.can_id))
             if owner is not None:
@@ -470,7 +472,7 @@ class Controller:
     def _groups_not_ready(self, amplifiers: tuple[AmplifierState, ...]) -> tuple[int, ...]:
         """Return the frame groups of all amplifiers whose set-up is not complete.
 
-        The values in these frames are not used.
+        The values in the frames of an incomplete amplifier set-up are not used.
         """
         pairs = zip(amplifiers, self.sensors.amplifier_frame_ranges, strict=True)
         return tuple(
@@ -511,7 +513,8 @@ class Controller:
     def store_drive_state(self, state: ControllerState, n: int, drive_state: DriveState) -> None:
         """Store the state of a drive after a step of its state machine.
 
-        The numbers are stored in the state block, and the other values in the decisions.
+        The numbers of the drive are stored in the state block, and its other values in the
+        decisions.
         """
         drive_state_before = state.decisions.drives[n]
         drive = self.drives[n]
@@ -533,9 +536,9 @@ class Controller:
     def _count_refusals(
         self, state: ControllerState, request_events: tuple[TickEvent, ...]
     ) -> None:
-        """Count the refused requests of this tick, and the malformed requests of the last second.
+        """Count the refused requests of the present tick, and the malformed requests of the last second.
 
-        A program may send a request only to find out whether a value is in range. So a refused
+        A program can send a request only to find out whether a value is in range, so a refused
         request is no fault. Only malformed requests show that a client is faulty.
         """
         refused_texts = [event.text for event in request_events if event.level == "warn"]
@@ -560,7 +563,7 @@ class Controller:
         """Detect the faults of the tick, latch them, and choose the reaction."""
         state.set_run_table_integer(
             s.ARE_CELLS_TARED, state.progress.phase != TARE_PHASE
-        )  # before a load cell has been tared, it may read any value
+        )  # before a load cell has been tared, it can read any value
         derived_constants = self.derived_constants
         layout = derived_constants.layout
         evidence = derived_constants.fault_evidence
@@ -606,7 +609,7 @@ class Controller:
         return verdict.action, verdict.findings
 
     def _has_any_node_answered(self, state: ControllerState) -> bool:
-        """Return True if at least one node has answered, or if motors may make torque."""
+        """Return True if at least one node has answered, or if the motors are allowed to make torque."""
         is_node_seen = any(phase != DrivePhase.SILENT for phase in state.drive_phases) or bool(
             state.view("group_frames").any()
         )
@@ -656,7 +659,7 @@ class Controller:
     def _compute_torques(self, state: ControllerState, action: SafetyAction, ticks: int) -> None:
         """Compute the motor torques of the tick.
 
-        The torques are 0 unless the hand is active or relaxing.
+        The motor torques are 0 unless the hand is active or relaxing.
         """
         mode = state.mode
         rate, opening_rate = (
@@ -669,7 +672,7 @@ class Controller:
             sample_trajectories(
                 self.model, layout, state.block, state.progress.goals, state.goal_time
             )
-            # An experiment may replace the function of the inverse dynamics.
+            # An experiment can replace the function of the inverse dynamics.
             if self.model.inverse_dynamics is required_torque:
                 unsolved_digits = tick_stages.evaluate_goals_and_torques(
                     *kernel_args, int(action), rate, int(opening_rate), ticks
@@ -730,9 +733,9 @@ class Controller:
     def _encode_frames(self, state: ControllerState, t_ns: int) -> Frames:
         """Return the frames of the tick: SYNC, then the command of each drive.
 
-        In the mode CUT, the frames that cut the torque come first, and SYNC follows. Commands of
-        drives are then not sent. In the modes SILENT and DONE, only the frames of
-        ``shutdown_frames`` are sent.
+        In the mode CUT, the frames that cut the torque come first, SYNC follows, and no commands to
+        drives are sent. In the modes SILENT and DONE, only the frames of ``shutdown_frames`` are
+        sent.
         """
         mode = state.mode
         if mode in _MODES_WITHOUT_COMMANDS:
@@ -741,7 +744,7 @@ class Controller:
         frame_rows = np.empty(
             (derived_constants.wire_tables.max_frames, WORDS_PER_RECORD), dtype=np.uint64
         )
-        # A hand without sensors needs no SYNC frame. So row 0 is not sent.
+        # A hand without sensors needs no SYNC frame, so row 0 is not sent.
         start = 0 if derived_constants.sends_sync else 1
         amplifiers = state.decisions.amplifiers
         if derived_constants.sends_sync:
@@ -834,7 +837,7 @@ class Controller:
 
 @dataclass(slots=True)
 class TickInProgress:
-    """A tick of which some steps have been executed.
+    """A tick of which only the first steps have been executed.
 
     Attributes:
         controller: controller with the gains of the tick.
@@ -846,8 +849,8 @@ class TickInProgress:
         sent_frames: frames to send, which ``command`` has computed.
         action: reaction that the safety monitor demands, which ``decide`` has determined.
         events: events of the tick so far.
-        state_before_torques: state before the motor torques were computed. It is kept only while the design of
-            other gains is in progress.
+        state_before_torques: state before the motor torques were computed. The state is kept only
+            while the design of other gains is in progress.
     """
 
     controller: Controller
@@ -865,8 +868,8 @@ class TickInProgress:
         """Apply requests, judge faults, and choose the mode and the goals of the hand.
 
         Args:
-            requests: requests of operators and programs, in the order of arrival. The targets among
-                them are applied in the next step.
+            requests: requests of operators and programs, in the order of arrival. The step
+                ``command`` applies the streamed targets among the requests.
         """
         other_requests, self.targets = (
             requests_and_stream_targets(requests) if requests else ((), ())

@@ -2,14 +2,15 @@
 
 A schema is a list of fields. A field is one row or several rows of a table. Each table has an axis:
 for example, a row of the table ``tendon`` has one number per tendon. The declaration of a field
-returns the index of the field's first row. Compiled code and the controller use this index::
+returns the index of the field's first row. Compiled code and the controller find the field by the
+index of its first row::
 
     TENSION = STATE.declare_real_field("tension", "tendon", "N", "estimated tension")
     x.tendon[TENSION, n]
 
-The block is one array of float64 that contains all tables of a schema. An integer table is a part
-of the block in which the bits of each element are read as int64. The name of an integer table ends
-with ``_int``. A layout belongs to a given hand. It contains the lengths of the axes and the
+A block is one array of float64 that contains all tables of a schema. An integer table is a part of
+the block in which the bits of each element are read as int64. The name of an integer table ends
+with ``_int``. A layout belongs to a given hand, and contains the lengths of the axes and the
 positions of the tables in a block. Because a block is one array, it can be copied by one operation
 and stored as bytes. Two blocks can be compared field by field.
 """
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 BlockArray = NDArray[np.float64]
 """Array with all tables of a schema, in the order of the schema."""
 TableOffsets = NDArray[np.int64]
-"""Places of tables: lengths of the axes, then the first element of each table, then the end of the last table."""
+"""Positions of tables: lengths of the axes, position of the first element of each table, and end of the last table."""
 
 INTEGER_TABLE_SUFFIX = "_int"
 """Ending of the names of integer tables."""
@@ -56,12 +57,12 @@ class BlockSchema:
     """List of the tables and fields of a block, with the declaration of each field.
 
     Attributes:
-        tables: names of the tables, in the order of the memory. A name is the name of an axis, or
-            the names of several axes joined by ``*``. The name of an integer table ends with
-            ``_int``.
-        optional_axis: name of the only axis that may have the length 0. The value is empty if no axis
-            may have it. If this axis has the length 0, it has no effect on
-            ``BlockLayout.identity``.
+        tables: names of the tables, in the order of the memory. The name of a table is the name of
+            an axis, or the names of several axes joined by ``*``. The name of an integer table ends
+            with ``_int``.
+        optional_axis: name of the only axis that is allowed to have the length 0, or an empty text
+            if every axis needs a length of at least 1. An optional axis of length 0 has no effect
+            on ``BlockLayout.identity``.
         fields: all fields, in the order of declaration.
     """
 
@@ -70,7 +71,8 @@ class BlockSchema:
 
         Args:
             tables: names of the tables in memory order.
-            optional_axis: name of the axis that may have the length 0, see the attributes of the class.
+            optional_axis: name of the only axis that is allowed to have the length 0, see the
+                attributes of the class.
         """
         self.tables = tables
         self.optional_axis = optional_axis
@@ -106,7 +108,7 @@ class BlockSchema:
         return field.first_row
 
     def layout(self, axes: Mapping[str, int]) -> "BlockLayout":
-        """Return the layout of the tables of this schema, for given lengths of the axes."""
+        """Return the layout of the schema's tables, for given lengths of the axes."""
         return BlockLayout(self, axes)
 
     def rows(self, table_name: str) -> int:
@@ -121,7 +123,7 @@ class BlockLayout:
         schema: schema with the tables and fields.
         axes: length of each axis.
         offsets: lengths of the axes, position of the first element of each table, and end of the
-            last table. Compiled code reads this array.
+            last table. Compiled code reads the array ``offsets``.
         size: number of elements of a block.
         identity: 8-byte hash of all fields and of the lengths of all axes.
         initial: block before the first tick, read-only.
@@ -181,7 +183,7 @@ class BlockLayout:
         )
 
     def _field_span(self, field: BlockField) -> tuple[int, int, tuple[int, ...], bool]:
-        """Return the place of a field in a block: first element, end, shape, and True for integers."""
+        """Return first element, end and shape of a field in a block, and True if the field contains integers."""
         start, _, width, is_integer = self._tables[field.table]
         shape = tuple(self.axes[axis] for axis in _axes_of_table(field.table))
         first_offset = start + field.first_row * width
@@ -195,7 +197,8 @@ class BlockLayout:
     def view(self, block: BlockArray, name: str) -> NDArray[Any]:
         """Return a view of a field in a block.
 
-        The view has the shape (rows, ...). If the field has a single row, the shape is (...).
+        The view has the shape (rows, ...). The view of a field with a single row has the shape
+        (...), without an axis for the rows.
         """
         first_offset, end, shape, is_integer = self._fields[name]
         table_elements = block[first_offset:end]
@@ -219,7 +222,7 @@ class BlockLayout:
         shape, kind, offset = self._shapes[name]
         return np.ndarray(
             shape, kind, block, offset
-        )  # a single call creates all views, because every tick creates several of them
+        )  # one call creates the view, because every tick creates several views
 
     def first_difference(
         self, block: BlockArray, other_block: BlockArray
@@ -227,10 +230,10 @@ class BlockLayout:
         """Return the first difference between two blocks.
 
         The result contains the name of the field, the index of the element in the field, and both
-        values. If the blocks are equal, return None. The bits of the values are compared. So NaN
-        equals NaN, and 0.0 differs from -0.0.
+        values. If the blocks are equal, return None. The comparison uses the bits of the values, so
+        NaN equals NaN, and 0.0 differs from -0.0.
         """
-        # The numbers are compared as integers. So NaN equals NaN, and 0.0 differs from -0.0.
+        # The numbers are compared as integers, so NaN equals NaN, and 0.0 differs from -0.0.
         differing_elements = np.flatnonzero(block.view(np.int64) != other_block.view(np.int64))
         if not len(differing_elements):
             return None

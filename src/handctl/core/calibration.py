@@ -1,7 +1,7 @@
 """Calibration of a hand.
 
-A calibration contains the tares, the zero angles of the motors, the response of each tendon to a
-pull, and identified parameters.
+A calibration contains the tares of the load cells, the zero angles of the motors, the response of
+the load cells to a pull of each motor, and the identified parameters of the tendons.
 """
 
 import datetime
@@ -28,9 +28,9 @@ class TendonCalibration(Document):
     zero_rad: float = Field(ge=-MAX_POSITION_RANGE_RAD, le=MAX_POSITION_RANGE_RAD)
     """Motor position at which the tendon is just taut while its digit is open."""
     answer_N: float
-    """Response of the tendon's own load cell to the pull."""
+    """Response of the tendon's own load cell to the pull of its motor during commissioning."""
     crosstalk_N: float
-    """Largest response of any other load cell to the pull."""
+    """Largest response of any other load cell to the pull of the tendon's motor during commissioning."""
 
     @field_validator("tare_N")
     @classmethod
@@ -52,15 +52,18 @@ class Calibration(Document):
     made: str
     """Date and time of the calibration, ISO 8601, UTC."""
     simulated: bool = False
-    """True if the calibration is of a simulated hand. A hand with real motors is never armed with it."""
+    """True if the calibration belongs to a simulated hand.
+
+    The controller does not arm a hand with real motors with the calibration of a simulated hand.
+    """
     tendon: dict[str, TendonCalibration]
     drive: dict[str, str] = Field(default_factory=dict)
     """Identity of the drive of each motor, see `Drive.identity`.
 
-    Empty in files of earlier versions.
+    The dictionary is empty in calibration files of earlier versions of handctl.
     """
     identified: dict[str, IdentifiedParameters] = Field(default_factory=dict)
-    """Identified parameters of each tendon. Missing parameters have the values of the hand file."""
+    """Identified parameters of each tendon. Parameters that are not identified have the values of the hand file."""
 
     @field_validator("made")
     @classmethod

@@ -1,10 +1,10 @@
 """Constants of a hand for compiled code.
 
-The constants are in a block of their own, separate from the state block.
+The constants of a hand are in a block of their own, separate from the state block.
 
-``HandConstants`` fills the block from a ``HandModel``, from drives and from sensors.
-``constant_tables`` returns the tables by name, for compiled code. A change of gains needs a new
-block of constants.
+``HandConstants`` fills the block of constants from a ``HandModel``, from drives and from sensors.
+``constant_tables`` returns the tables of constants by name, for compiled code. A change of gains
+needs a new block of constants.
 """
 
 import math
@@ -185,8 +185,8 @@ REDUCED_ARMS = _real_field(
     "reduced_arms", "tendon*coordinate", "m", "moment arms about the coordinates"
 )
 
-# Moment arms that depend on the joint angle. If a digit has such moment arms, each table above that
-# is computed from R contains the values for the present joint angles.
+# Moment arms that depend on the joint angle. In a digit with varying moment arms, each table that
+# is computed from the moment arms R contains the values for the present joint angles.
 HAS_VARYING_ARM = _integer_field("varying", "tendon", "",
     "1 if a moment arm of the tendon depends on the joint angle")  # fmt: skip
 DIGIT_HAS_VARYING_ARM = _integer_field("digit_varying", "digit", "",
@@ -229,9 +229,9 @@ HAS_FUSED_ENCODERS = _integer_field("joints_fused", "run", "",
 POSTURE_UPDATE_TICKS = _integer_field("posture_ticks", "run", "",
     "ticks from one estimate in the null space to the next")  # fmt: skip
 
-# Tension filter: the numbers of each filter design. There are six designs for each tendon. The
-# index of a design is the number of the tendon's regime. For a design with added process noise, it
-# is larger by 3.
+# Tension filter: the elements of each filter design. There are six filter designs for each tendon.
+# The index of a filter design is the value of the tendon's ``TendonRegime``. A filter design with
+# added process noise has an index that is larger by 3.
 FILTER_DESIGNS = _real_field(
     "design", "tendon*kind*element", "", "blocks of the filter, see the elements below"
 )
@@ -251,16 +251,19 @@ CELL_ERROR_OBSERVABLE_OFFSET = 218
 FILTER_DESIGN_SIZE = 219
 """Number of elements of a filter design.
 
-Each constant above is the index of a part's first element in the design.
+Each constant with the suffix ``_OFFSET`` is the index of the first element of a matrix, vector or
+number in the filter design.
 
-The parts are F (7, 7), B (7, 2), K (7, 3), Q (7, 7), R (2), P (7, 7), H (3, 7), the tension row
-(7), the inverse covariance of the innovations (encoder squared, twice the product, load cell
-squared), and four single numbers. ``filter_types.FilterBlock`` explains the parts.
+A filter design contains F (7, 7), B (7, 2), K (7, 3), Q (7, 7), R (2), P (7, 7), H (3, 7), the
+tension row (7), the inverse covariance of the innovations (encoder squared, twice the product, load
+cell squared), and four single numbers. ``filter_types.FilterBlock`` explains the matrices, vectors
+and numbers of a filter design.
 """
 FILTER_DESIGN_COUNT = 6
 
-# Filters of contact and grip. Each number is the fraction of the distance to its input that a
-# low-pass filter covers in one tick.
+# Filters for the detection of contact and slip. In each tick, the output of a low-pass filter moves
+# towards the input by a fraction of their distance. Each constant below is this fraction for one
+# low-pass filter.
 TIP_FORCE_UPDATE_FRACTION = _real_field("felt_fraction", "run", "",
     "update fraction of the smoothed force at the tip")  # fmt: skip
 MEAN_FORCE_UPDATE_FRACTION = _real_field("usual_fraction", "run", "",
@@ -340,8 +343,8 @@ TENSION_GROUP_COUNT = _integer_field(
 class ConstantTables(NamedTuple):
     """Tables in a block of constants.
 
-    The shape of a table is (rows, lengths of its axes). Only the table ``design`` has the shape (N,
-    kind, element).
+    The shape of each table except ``design`` is (rows, lengths of its axes). The table ``design``
+    has the shape (tendon, kind of filter design, element of the design).
     """
 
     tendon: NDArray[np.float64]

@@ -1,10 +1,10 @@
 """Fast import of the packages scipy, filterpy and control.
 
-Modules of these packages that handctl does not use are not imported. The import of ``scipy.stats``,
-``scipy.ndimage`` and the plots of control takes longer than the import of all other modules of a
-run. Half of the import time of ``scipy.linalg`` is spent on modules for Fortran compilers and for
-tests. Each module in ``DEFERRED_MODULES`` is replaced by a stand-in object. The stand-in imports the
-real module when one of the module's functions is used for the first time.
+Modules of scipy, filterpy and control that handctl does not use are not imported. The import of
+``scipy.stats``, ``scipy.ndimage`` and the plots of control takes longer than the import of all
+other modules of a run. Half of the import time of ``scipy.linalg`` is spent on modules for Fortran
+compilers and for tests. Each module in ``DEFERRED_MODULES`` is replaced by a stand-in object. The
+stand-in imports the real module when one of the module's functions is used for the first time.
 """
 
 import importlib
@@ -43,7 +43,7 @@ class _DeferredAttribute:
     def _apply_to_real_object(self, operation: Callable[[Any], Any]) -> Any:
         """Import the module, and apply ``operation`` to its real function or distribution.
 
-        While filterpy is imported, it makes one trial call. For this call, the method returns None.
+        During its import, filterpy makes one trial call, for which the method returns None.
         """
         module: Any = importlib.import_module(self._module)
         imported_object = getattr(module, self._name)
@@ -105,7 +105,7 @@ class DeferredModule:
         self._load = load
 
     def __getattr__(self, attribute: str) -> Any:
-        """Import the module, and return one of its attributes. The attribute is then stored in this object."""
+        """Import the module, and return one of its attributes. The attribute is stored in the ``DeferredModule``."""
         with deferred_imports():
             module = self._load(self._name)
         value = getattr(module, attribute)
@@ -116,8 +116,8 @@ class DeferredModule:
 def import_without_package_init(name: str) -> ModuleType:
     """Import a module of a package, but do not execute the file ``__init__`` of the package.
 
-    A later import of the whole package works as usual. The folder of the user's program may contain
-    a file with the name of the package, such as ``control.py``. Such a file is ignored.
+    A later import of the whole package works as usual. The import ignores a file with the name of
+    the package, such as ``control.py``, in the folder of the user's program.
 
     Args:
         name: full name of the module, for example ``control.mateqn``.

@@ -161,12 +161,12 @@ def _control_law_constants(model: HandModel) -> dict[str, object]:
 
 
 def servo_constants(model: HandModel) -> dict[str, Vector]:
-    """Return the stiffness and damping of the drives' position loops, and a flag for each such drive.
+    """Return the stiffness and damping of the drives' position loops, and a flag for each drive with a position loop.
 
-    If the hand file contains no values, the position loops have the gains of the motion loop. If
-    the hand file contains only the stiffness, the position loops have the damping ratio of the
-    motion loop. At low control rates, the stiffness is limited to a smaller value, see
-    ``servo_commands.MAX_LOOP_PHASE_RAD``.
+    If the hand file contains neither stiffness nor damping, the position loops have the gains of
+    the motion loop. If the hand file contains only the stiffness, the position loops have the
+    damping ratio of the motion loop. At low control rates, the stiffness is limited to a smaller
+    value, see ``servo_commands.MAX_LOOP_PHASE_RAD``.
     """
     tendons = model.tendon_constants
     motors = [model.hand.motor_of_tendon(name) for name in model.hand.tendon_names]
@@ -188,7 +188,7 @@ def servo_constants(model: HandModel) -> dict[str, Vector]:
 def _has_exact_solution(digit: DigitModel) -> list[bool]:
     """Return a flag for each tendon of a digit: True if the digit has as many tendons as coordinates.
 
-    In such a digit, the joint torques determine the tensions.
+    In a digit with as many tendons as coordinates, the joint torques determine the tensions.
     """
     tendons, coordinates = digit.reduced_moment_arms.shape
     return [tendons == coordinates] * tendons
@@ -234,8 +234,8 @@ def _structure_constants(model: HandModel) -> dict[str, object]:
         "hand_varying": bool(model.hand.has_varying_arm.any()),
         "arm_polynomial": np.moveaxis(model.hand.arm_polynomials, 2, 0),
         "mean_balance": model.redundancy.balance_tension,
-        # The two offsets are zero for constant moment arms. ``estimation.varying_moment_arms`` writes them in
-        # each tick for varying moment arms.
+        # For constant moment arms, the two offsets are zero. For varying moment arms,
+        # ``estimation.varying_moment_arms`` writes the two offsets in each tick.
         "angle_offset": 0.0,
         "explained_offset": 0.0,
         "torque_to_tension": model.torque_to_tension,
@@ -286,7 +286,7 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
 def _joint_compliance(digit: DigitModel) -> Vector:
     """Return the turn of the joints per torque at constant excursions (n, n) [rad/(N m)].
 
-    This compliance is N (N^T K N)^-1 N^T.
+    The compliance (turn per torque) is N (N^T K N)^-1 N^T.
     """
     free_motions = linalg.null_space(digit.moment_arms)
     if not free_motions.shape[1]:
@@ -330,7 +330,7 @@ def _block_elements(block: FilterBlock) -> Vector:
 def low_pass_fractions(model: HandModel, motor_period: Vector, joint_period: float) -> Vector:
     """Return the update fraction (9, N) of each low-passed residual.
 
-    In an update, a residual moves by this fraction of its distance to the input.
+    In an update, a residual moves by the update fraction of its distance to the input.
     """
     sample_periods = np.full((len(RESIDUAL_TIME_CONSTANTS_S), model.tendon_count), model.period)
     sample_periods[2] = motor_period  # row COMMAND_DIFFERENCE

@@ -39,7 +39,7 @@ class HandEstimate:
         self.block = block
         self.tendon = tendon
 
-    # Most ticks of a program need no other table than ``tendon``. So the views of the other tables
+    # Most ticks of a program need no other table than ``tendon``, so the views of the other tables
     # are created only when they are used.
 
     @property
@@ -108,7 +108,7 @@ class HandEstimate:
     def stretch_offset(self) -> Vector:
         """Return the stretch offset of each tendon [m].
 
-        If travel minus excursion is larger than this offset, the tendon is stretched.
+        If travel minus excursion is larger than the stretch offset, the tendon is stretched.
         """
         return self.tendon[s.STRETCH_OFFSET]
 
@@ -152,7 +152,7 @@ class HandEstimate:
     def contact_force(self) -> Vector:
         """Return the contact forces at the tips of closing digits (D,) [N].
 
-        The errors of the force that were estimated before the contact are subtracted.
+        The errors of the contact force that were estimated before the contact are subtracted.
         """
         return self.digit[s.CONTACT_FORCE]
 

@@ -60,14 +60,15 @@ class HandModel:
             value is the negative of the largest net tension.
         ceiling: (N,) largest allowed tension at the load cell [N]. For a spool pair, the value is
             the largest net tension.
-        torque_limit: (N,) largest motor torque that the host may command [N m].
+        torque_limit: (N,) largest motor torque that the host is allowed to command [N m].
         redundancy: directions of the tendons, and tensions that balance each other.
         link_tree: tree of all links of the hand.
         margin_without_cell: (N,) margin by which the tension limits of a tendon without a load cell are
             stricter [N]. The value is 0 for a tendon with a load cell.
         torque_gain: (N,) torque at the spool per commanded torque. None if no run has
             identified it.
-        inverse_dynamics: function of the inverse dynamics of a digit. Experiments replace it.
+        inverse_dynamics: function of the inverse dynamics of a digit. Experiments can replace the
+            function.
     """
 
     hand: Hand
@@ -103,7 +104,7 @@ class HandModel:
     ) -> "HandModel":
         """Compute the model of a hand, and design all gains of the controller.
 
-        The design takes about 0.1 s.
+        The design of the gains takes about 0.1 s.
 
         Args:
             hand: description of the hand.
@@ -123,8 +124,9 @@ class HandModel:
         margin = np.where(
             hand.has_cell, 0.0, MARGIN_SIGMAS_WITHOUT_CELL * filter_design.held_tension_sigma
         )
-        # The margin raises the tension floor only in digits with surplus tendons. In any other
-        # digit, a higher tension floor would close the digit.
+        # The margin of tendons without load cell raises the tension floor only in digits with
+        # surplus tendons. In a digit without surplus tendons, a higher tension floor would close
+        # the digit.
         has_surplus_tendons = np.array(
             [
                 len(digit.moment_arms) > digit.coupling.shape[1]
@@ -207,14 +209,13 @@ def _coordinate_slices(digits: tuple[DigitModel, ...]) -> tuple[slice, ...]:
 
 
 def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
-    """Return the largest torque that the host may command to each drive (N,) [N m at the spool].
+    """Return the largest torque that the host is allowed to command to each drive (N,) [N m at the spool].
 
-    The torque is limited by the hand file and by the drive. If a drive makes less torque than
-    commanded, it needs larger commands for a torque. The largest torque at the spool of such a
-    drive is therefore lower. A drive refuses a command that exceeds its limit even by the last bit.
-    The result is therefore reduced by 1e-12 of its value. Torques are divided or multiplied by the
-    spool radius and the torque gain. Without the small reduction, rounding errors could exceed the
-    limit.
+    The hand file and the drive limit the torque. A drive that makes less torque than commanded
+    needs larger commands for a given torque, so its largest torque at the spool is lower. A drive
+    refuses a command that exceeds its torque limit even by the last bit. Torques are divided or
+    multiplied by the spool radius and the torque gain, so rounding errors could exceed the torque
+    limit. To prevent a refused command, the result is reduced by 1e-12 of its value.
     """
     largest = np.array(
         [hand.motor_of_tendon(tendon.name).torque_max_N_m for tendon in hand.tendon]

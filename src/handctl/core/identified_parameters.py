@@ -32,7 +32,7 @@ DIGIT_KEY_BY_PARAMETER = {
 }
 """Key in the hand file's digit table whose values each identified parameter scales.
 
-The parameter is a factor on the values of all joints of the digit.
+The identified parameter is a factor on the values of all joints of the digit.
 """
 MOMENT_ARM_LENGTH_KEYS = ("polynomial_m", "arm_m")
 """Keys whose values are lengths, in the hand file's table of a moment arm that depends on the joint angle."""
@@ -41,7 +41,7 @@ PARAMETER_UNITS = {
     "tendon_stiffness": "N/m", "spring_stiffness": "x file", "spring_preload": "x file", "capstan": "1",
     "joint_damping": "x file", "moment_arm": "x file", "pretension": "N",
 }  # fmt: skip
-"""Unit of each parameter that can be identified. ``x file`` is a factor on the value of the hand file.
+"""Unit of each parameter that can be identified. The unit ``x file`` is a factor on the value of the hand file.
 
 ``torque_gain`` is the torque at the spool per commanded torque. ``moment_arm`` is one factor on the
 moment arms of a tendon about all its joints.
@@ -63,7 +63,7 @@ class IdentifiedParameters(Document):
     covariance: tuple[tuple[float, ...], ...]
     """Covariance of the values in their units. Rows and columns have the order of ``names``."""
     missing: tuple[str, ...] = ()
-    """Parameters that the data cannot identify, each with the reason."""
+    """Parameters that the data of the runs cannot identify, each with the reason."""
     log: tuple[str, ...] = ()
     """Logs of the runs from which the values were identified."""
     made: str = ""
@@ -100,10 +100,10 @@ class IdentifiedParameters(Document):
     def merge_older_parameters(
         self, older_parameters: "IdentifiedParameters | None"
     ) -> "IdentifiedParameters":
-        """Return these parameters, and add parameters that only an older identification contains.
+        """Return the parameters of the object, and add parameters that only an older identification contains.
 
-        If a run identifies only a few parameters, the other parameters are therefore kept.
-        Parameters from different runs are assumed to be uncorrelated.
+        If a run identifies only a few parameters, the other parameters of the older identification
+        are kept. Parameters from different runs are assumed to be uncorrelated.
         """
         other_parameters = (
             [i for i, name in enumerate(older_parameters.names) if name not in self.names]
@@ -163,8 +163,8 @@ def identified_hand(hand: Hand, parameters_by_tendon: dict[str, IdentifiedParame
 def torque_gain(hand: Hand, parameters_by_tendon: dict[str, IdentifiedParameters]) -> Vector:
     """Return the torque gain of each drive (N,).
 
-    The gain is the torque at the spool divided by the commanded torque. If no run has identified
-    the gain, the gain is 1.
+    The torque gain of a drive is the torque at the spool divided by the commanded torque. If no run
+    has identified the torque gain, it is 1.
     """
     return np.array(
         [
@@ -215,7 +215,7 @@ def _replace_tendon_values(
 def _scale_moment_arms(tendon: dict[str, Any], factor: float) -> None:
     """Multiply the moment arms of a tendon by a factor.
 
-    The moment arms may be numbers, polynomials, or tables of angles and moment arms.
+    The moment arms can be numbers, polynomials, or tables of angles and moment arms.
     """
     if factor == 1.0:
         return

@@ -14,8 +14,8 @@ MAX_CACHED_VALUES = 256
 class SequenceCache(Generic[T]):
     """Results of a function for each item of a sequence.
 
-    Most items of a sequence are the same objects as in the sequence before. If an item is the same
-    object as the item at this index in the last sequence, the earlier result is returned.
+    Most items of a sequence are the same objects as in the last sequence. If an item is the same
+    object as the item with the same index in the last sequence, the earlier result is returned.
     """
 
     def __init__(self, serialize: Callable[[T], bytes]) -> None:

@@ -2,9 +2,9 @@
 
 The state hash and the snapshots use the plain values. Plain values consist of numbers, strings,
 bytes and tuples only. A named tuple or dataclass becomes a tuple that begins with the name of the
-type. Equal objects have equal bytes, even if one of the objects contains the same part several
-times. ``object_from_plain_data`` creates only objects of registered types. A log therefore cannot
-create objects of other types.
+type. Equal objects have equal bytes, even if one of the objects contains another object several
+times. ``object_from_plain_data`` creates only objects of registered types, so a log cannot create
+objects of other types.
 """
 
 import enum
@@ -20,7 +20,7 @@ from pydantic import BaseModel
 MARSHAL_VERSION = 2
 """Version of the format of ``marshal``.
 
-Version 2 is the last one that writes no references to shared values.
+Version 2 is the last version of the format that writes no references to shared values.
 """
 ARRAY_MARK, MODEL_MARK, BYTES_MARK = ":array", ":model", ":bytes"
 """Marks that replace the type name in the plain form of arrays, pydantic models and bytes."""
@@ -54,7 +54,7 @@ LOGGED_NAME_BY_TYPE = {
 }
 """First name of each renamed type, by its present name.
 
-Hashes and snapshots in logs contain the first name.
+Hashes and snapshots in logs contain the first name of each type.
 """
 _TYPE_BY_LOGGED_NAME: dict[str, type] = {}
 _TYPES_WITHOUT_CONVERSION = frozenset((type(None), bool, int, float, str, bytes))
@@ -71,7 +71,7 @@ def logged_type_name(type_: type) -> str:
 
 
 def register_restorable_types(*types: type) -> None:
-    """Register types whose objects ``object_from_plain_data`` may create."""
+    """Register types whose objects ``object_from_plain_data`` is allowed to create."""
     _TYPE_BY_LOGGED_NAME.update({logged_type_name(type_): type_ for type_ in types})
 
 
@@ -86,8 +86,8 @@ def to_plain_data(value: Any) -> Any:
     if kind in _TYPES_WITHOUT_CONVERSION:
         return value
     if isinstance(value, tuple):
-        # This code runs in the ticks in which settings of drives are read. For speed, no function
-        # is called for an item that is already plain.
+        # The code below runs in the ticks in which settings of drives are read. For speed, no
+        # function is called for an item that is already plain.
         elements = [
             element if type(element) in _TYPES_WITHOUT_CONVERSION else to_plain_data(element)
             for element in value
@@ -123,8 +123,8 @@ def _serialized_header(type_: type) -> tuple[bytes, tuple[str, ...]]:
 def join_serialized_fields(value: Any, serialize_field: Callable[[Any], bytes]) -> bytes:
     """Return ``serialized_bytes(value)`` for an object of a dataclass, joined from the bytes of its fields.
 
-    The bytes of the fields can come from a cache. This is fast if most fields stay the same
-    objects.
+    The bytes of the fields can come from a cache. A cache makes the function fast if most fields
+    stay the same objects.
 
     Args:
         value: object of a dataclass.
@@ -132,7 +132,8 @@ def join_serialized_fields(value: Any, serialize_field: Callable[[Any], bytes]) 
     """
     kind: type = type(value)
     start, names = _serialized_header(kind)
-    # In this version of the format, a tuple is a mark, the number of items, and the items.
+    # In version 2 of the format of ``marshal``, a tuple is a mark, the number of items, and the
+    # items.
     return start + b"".join([serialize_field(getattr(value, name)) for name in names])
 
 

@@ -1,12 +1,12 @@
 """Declaration of every quantity of the state block, with its table, unit and meaning.
 
-Each tick passes the block to the next tick.
+Each tick passes the state block to the next tick.
 
-Each tick copies the block of the last tick and writes into the copy. The block contains the
-measurements, estimates and commands of a tick. It also contains the values that the next tick
-needs. The log, the viewer and the next tick therefore read the same numbers. ``state_tables``
-returns the tables of the block by name, for compiled code. The module ``block_schema`` explains how
-code addresses a row of a table.
+Each tick copies the block of the last tick and writes into the copy. The state block contains the
+measurements, estimates and commands of a tick, and the values that the next tick needs. The log,
+the viewer and the next tick read the same numbers, because all of them read the state block.
+``state_tables`` returns the tables of the block by name, for compiled code. The module
+``block_schema`` explains how code addresses a row of a table.
 
 The following list contains the axes of the tables. The capital letter or number after the name of
 an axis is the length of the axis:
@@ -18,7 +18,7 @@ an axis is the length of the axis:
 - node, N + 1: the motors first, and then all load cells as one node.
 - group, G: the frames in which the sensor node sends its readings.
 - instance: the places in which a fault can occur: motors, tendons, joints or nodes. The length of
-  this axis is the largest number of motors, tendons, joints or nodes.
+the axis ``instance`` is the largest number of motors, tendons, joints or nodes.
 - run, 1: numbers that exist once for the whole hand.
 - servo: N if any drive of the hand closes a position loop by itself, and 0 otherwise.
 """
@@ -34,9 +34,9 @@ from handctl.core.block_schema import BlockArray, BlockSchema, TableOffsets
 
 NAN = math.nan
 STATE_AXES = ("tendon", "joint", "digit", "coordinate", "node", "group", "instance", "run", "servo")
-"""Names of the axes.
+"""Names of the axes of the state block.
 
-``BlockLayout.offsets`` begins with the lengths of these axes, in this order.
+``BlockLayout.offsets`` begins with the lengths of the axes, in the order of their names.
 """
 STATE_TABLES = (
     "tendon", "joint", "digit", "coordinate", "run", "servo",
@@ -96,7 +96,7 @@ COVARIANCE_PROPAGATED = _integer_field("carried", "run", "",
 FILTER_STARTED = _integer_field("started", "run", "",
     "1 after the first reading of every encoder and load cell")  # fmt: skip
 
-# Measurements of this tick. A missing measurement is NaN.
+# Measurements of the present tick. A missing measurement is NaN.
 MEASURED_TRAVEL = _real_field("measured_travel", "tendon", "m",
     "length of tendon wound on the spool, by the motor encoder", initial=NAN)  # fmt: skip
 MEASURED_POSITION = _real_field("measured_position", "tendon", "rad",
@@ -124,7 +124,7 @@ REJECTED_JOINT_STEP = _real_field("joint_jump", "joint", "rad",
 TARE_MEASURED_BY_PROGRAM = _real_field("program_tare", "tendon", "N",
     "load-cell tare that the program measured in this run")  # fmt: skip
 
-# Estimates of this tick.
+# Estimates of the present tick.
 TENSION = _real_field("tension", "tendon", "N", "tension at the load cell; 0 in slack")
 TENSION_SIGMA = _real_field(
     "sigma", "tendon", "N", "standard deviation of the tension", initial=NAN
@@ -269,7 +269,7 @@ FRICTION_SLIDER = _real_field("friction_slider", "tendon", "m", initial=NAN,
 TRIM_ACTIVE = _integer_field("trimmed", "run", "", "1 while a trim is not yet zero")
 SAFETY_HOLD_ACTIVE = _integer_field("holding", "run", "", "1 while safety holds the hand")
 
-# Command of this tick.
+# Motor commands of the present tick.
 COMMANDED_TORQUE = _real_field("torque", "tendon", "N m", "commanded motor torque, at the spool")
 TENSION_GOAL = _real_field("tension_goal", "tendon", "N",
     "commanded tension; NaN without a tension command", initial=NAN)  # fmt: skip
@@ -279,7 +279,7 @@ Q_GOAL = _real_field("q_goal", "joint", "rad",
 DQ_GOAL = _real_field("dq_goal", "joint", "rad/s",
     "commanded joint rate; NaN for a digit in the tension loop", initial=NAN)  # fmt: skip
 
-# Command of this tick to each drive that closes the position loop by itself, see
+# Command of the present tick to each drive that closes the position loop by itself, see
 # ``control_law.servo_commands``.
 SERVO_POSITION = _real_field("servo_position", "servo", "rad",
     "position that the drive approaches, at the spool")  # fmt: skip
@@ -490,7 +490,7 @@ RECHECK_TRIES = _integer_field("recheck_tries", "tendon", "",
 FAULT_TICKS = _integer_field("fault_ticks", "instance", "",
     "number of ticks in a row in which each fault is present", rows=64)  # fmt: skip
 
-# Facts of this tick that the fault detectors judge.
+# Facts of the present tick that the fault detectors judge.
 TICK_TIME_NS = _integer_field("t_ns", "run", "ns", "time of the tick")
 TICK_DELAY_NS = _integer_field("late_ns", "run", "ns", "delay of the start of the tick")
 MISSED_TICKS = _integer_field("missed", "run", "", "number of ticks skipped before this tick")
@@ -525,9 +525,10 @@ CLEARING_DRIVE_ERRORS = _integer_field("clearing", "run", "",
 
 
 class StateTables(NamedTuple):
-    """Tables of a state block, each with the shape (rows, length of the axis).
+    """Tables of a state block.
 
-    Only the tables ``run`` and ``run_int`` have the shape (rows,).
+    The tables ``run`` and ``run_int`` have the shape (rows,). All other tables have the shape
+    (rows, length of the axis).
     """
 
     tendon: NDArray[np.float64]
@@ -575,16 +576,17 @@ def state_tables(block: BlockArray, at: TableOffsets) -> StateTables:
 def write_canonical_nan(block: BlockArray, at: TableOffsets) -> None:
     """Replace every NaN in the tables of real numbers by the NaN of ``math.nan``.
 
-    An invalid operation may return a NaN with another sign bit, and the sign depends on the order of the operands.
-    The compiler may exchange the operands. Without this step, the hash of a state with NaN could therefore differ
-    between compiled and interpreted code.
+    An invalid operation can return a NaN with another sign bit, and the sign depends on the order
+    of the operands. The compiler is allowed to exchange the operands. Without the replacement of
+    NaN, the hash of a state with NaN could differ between compiled and interpreted code.
 
     Args:
         block: state block, modified in place.
         at: ``BlockLayout.offsets`` of the layout of the block.
     """
-    # The tables of real numbers are the first in the block. The loop begins at 0 and always writes, so that the
-    # compiler can handle several numbers at once. Otherwise the loop takes ten times as long.
+    # The tables of real numbers are at the start of the block. The loop begins at 0 and always
+    # writes, so that the compiler can handle several numbers at once. A loop that does not always
+    # write takes ten times as long.
     for i in range(at[15]):
         value = block[i]
         block[i] = math.nan if math.isnan(value) else value
@@ -595,12 +597,12 @@ RESET_TENDON_INTEGER_ROWS = _MONITOR_FIRST_ROWS["tendon_int"], _MONITOR_END_ROWS
 RESET_JOINT_ROWS = _MONITOR_FIRST_ROWS["joint"], _MONITOR_END_ROWS["joint"]
 RESET_JOINT_INTEGER_ROWS = _MONITOR_FIRST_ROWS["joint_int"], _MONITOR_END_ROWS["joint_int"]
 RESET_RUN_INTEGER_ROWS = _MONITOR_FIRST_ROWS["run_int"], _MONITOR_END_ROWS["run_int"]
-"""For each table, the first row that ``reset_monitor`` resets, and the row behind the last one that it resets."""
+"""For each table, the first row that ``reset_monitor`` resets, and the row after the last reset row."""
 
 
 @kernel_helper
 def reset_monitor(x: StateTables, initial: StateTables) -> None:
-    """Reset the stored values of the fault detectors that run while the motors may make torque."""
+    """Reset the stored values of the fault detectors that run while the motors are allowed to make torque."""
     for n in range(x.tendon.shape[1]):
         for row in range(RESET_TENDON_ROWS[0], RESET_TENDON_ROWS[1]):
             x.tendon[row, n] = initial.tendon[row, n]

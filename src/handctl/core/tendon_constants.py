@@ -1,6 +1,6 @@
 """Constants of a hand along its tendons.
 
-In these constants, each tendon is an elastic connection of a motor mass and a load mass.
+The constants describe each tendon as an elastic connection of a motor mass and a load mass.
 
 The spool has the radius r_a. The motor is a mass J_m / r_a^2 at the travel x = r_a theta_m. The
 digit is a mass at the excursion s = R q. The tension between both masses is f = k (x - s - o) + c
@@ -39,7 +39,7 @@ class TendonConstants:
         spool_radius: radius of the spool [m].
         encoder_step: smallest measurable change of the motor position, converted to the tendon [m].
         tension_noise: standard deviation of a load-cell reading [N].
-        has_cell: 1 for a tendon with a load cell, 0 without.
+        has_cell: 1 for a tendon with a load cell, 0 for a tendon without a load cell.
     """
 
     names: tuple[str, ...]

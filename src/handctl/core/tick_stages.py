@@ -1,6 +1,6 @@
 """Compiled stages of a tick.
 
-Between these compiled stages, ``controller.tick`` makes decisions in Python.
+Between the compiled stages, ``controller.tick`` makes decisions in Python.
 
 The following list contains the stages in the order of their execution, each with its input and its
 result:
@@ -128,7 +128,7 @@ def store_drive_values(
         fault_cause: ``drives.contract.DriveFaultCause`` of the error code, -1 without a fault.
         steady_status: status that the drive reports while its state machine has nothing to do.
         due_ns: time at which the state machine of the drive must run next [ns].
-        is_malformed: 1 if a frame of the drive in this tick had a wrong shape.
+        is_malformed: 1 if a frame of the drive in the present tick had a wrong shape.
     """
     x = state_tables(block, at)
     x.tendon[s.POSITION, n] = position
@@ -246,8 +246,8 @@ def evaluate_goals(
 ) -> int:
     """Evaluate the goals of all digits.
 
-    The result has one bit for each digit. The bit is 1 if the bounded least-squares problem of the
-    digit must still be solved.
+    The result has one bit for each digit. The bit of a digit is 1 if the bounded least-squares
+    problem of the digit must still be solved.
     """
     return _evaluate_goals(
         state_tables(block, at), constant_tables(constants, constant_offsets), action
@@ -334,8 +334,9 @@ def evaluate_goals_and_torques(
 ) -> int:
     """Evaluate the goals of all digits, and compute the motor torques of the tick.
 
-    A single kernel is faster than ``evaluate_goals`` and ``compute_motor_torques``. If a bounded
-    least-squares problem must be solved between the two, the motor torques are not computed.
+    A single kernel (compiled function) is faster than separate calls of ``evaluate_goals`` and
+    ``compute_motor_torques``. If a bounded least-squares problem must be solved after the
+    evaluation of the goals, the motor torques are not computed.
 
     Returns:
         The result of ``evaluate_goals``, 0 if the motor torques were computed.

@@ -31,15 +31,15 @@ class HandMode(enum.IntEnum):
     ACTIVE = 4
     """The program moves the hand."""
     RELAX = 5
-    """All tensions fall to the floor. The next mode is DISARM."""
+    """All tensions fall to the tension floor. The next mode is DISARM."""
     DISARM = 6
     """Drives are disabled, and are queried until each confirms that it is disabled."""
     CUT = 7
     """The torque of all motors is removed at once, without a ramp."""
     DONE = 8
-    """Each drive has confirmed that it is disarmed, or cannot confirm it.
+    """Each drive has confirmed that it is disarmed, or cannot send the confirmation.
 
-    The control loop may end.
+    In the mode DONE, the control loop is allowed to end.
     """
 
 
@@ -50,12 +50,12 @@ RELAX_MODE = int(HandMode.RELAX)
 DISARM_MODE = int(HandMode.DISARM)
 CUT_MODE = int(HandMode.CUT)
 DONE_MODE = int(HandMode.DONE)
-"""Values of ``HandMode``, for compiled code. Motor torque may act from ARMING to RELAX."""
+"""Values of ``HandMode``, for compiled code. Motor torque is possible in the modes from ARMING to RELAX."""
 
 MODES_BEFORE_ARMING = (HandMode.SILENT, HandMode.INVENTORY, HandMode.READY)
 """Modes in which no drive was enabled yet."""
 TORQUE_MODES = (HandMode.ARMING, HandMode.ACTIVE, HandMode.RELAX)
-"""Modes in which torque may act."""
+"""Modes in which motor torque is possible."""
 SHUTDOWN_MODES = (HandMode.RELAX, HandMode.CUT, HandMode.DISARM, HandMode.DONE)
 """Modes after which the hand cannot become active again."""
 
@@ -75,11 +75,11 @@ class IoEvent(NamedTuple):
 
 
 class StreamTarget(NamedTuple):
-    """Target of a stream.
+    """Target in a stream of targets from a client.
 
     Attributes:
         stream: name of the stream.
-        number: number of the target, which rises from one target to the next.
+        number: sequence number of the target, which rises from one target to the next.
         sent_ns: time at which the client sent the target [ns of the run].
         values: one value for each name of the stream, in the unit of the stream. The values are not
             checked.
@@ -92,7 +92,7 @@ class StreamTarget(NamedTuple):
 
 
 TickRequest = str | StreamTarget
-"""A request to the controller: a JSON text, or a target that is already decoded."""
+"""A request to the controller: a JSON text, or a stream target that is already decoded."""
 
 
 class TickIn(NamedTuple):
@@ -119,7 +119,7 @@ class TickIn(NamedTuple):
 GAIN_EVENT = "gain"
 """Name of the event for a changed gain.
 
-The event's ``where`` is the key, and its ``text`` is the new value.
+In the event, ``where`` is the key of the gain, and ``text`` is the new value of the gain.
 """
 
 
@@ -267,7 +267,7 @@ TELEMETRY_FIELDS = Telemetry._fields
 ORIGINAL_TELEMETRY_FIELD_COUNT = 25
 """Number of telemetry fields in logs of version 0.1 and before.
 
-Later versions added fields at the end.
+Later versions of handctl added telemetry fields at the end.
 """
 
 TELEMETRY_AXES = {

@@ -8,17 +8,17 @@ from handctl.safety.faults.table import FAULT_TABLE
 FAULTS_NEEDING_LOAD_CELL = tuple(fault.id for fault in FAULT_TABLE if fault.needs_load_cell)
 """Faults that are not detected for a tendon without load cell.
 
-These faults compare a load cell with the motor, or concern the load cell itself. Without a load
-cell, the faults T01, T02, T03, T08 and N06 use the estimated tension. The limits of these five
-faults are then stricter by two standard deviations of the estimate. The fault N16 then uses the torque that the
-drive reports.
+The faults in the list compare a load cell with the motor, or concern the load cell itself. Without
+a load cell, the faults T01, T02, T03, T08 and N06 use the estimated tension. Without a load cell,
+the limits of the faults T01, T02, T03, T08 and N06 are stricter by two standard deviations of the
+estimate, and the fault N16 uses the torque that the drive reports.
 """
 FAULTS_NEEDING_TORQUE_IN_REPLY = tuple(
     fault.id for fault in FAULT_TABLE if fault.shows_torque_after_cut
 )
 """Faults that are not detected without load cell if the drive sends its torque in a separate frame.
 
-Such a drive sends no torque after a cut.
+A drive that sends its torque in a separate frame sends no torque after a cut of the torque.
 """
 FAULTS_NEEDING_ENCODERS = tuple(fault.id for fault in FAULT_TABLE if fault.needs_joint_encoders)
 """Faults that are not detected for a tendon whose joints have no encoders."""
@@ -27,7 +27,7 @@ FAULTS_NEEDING_ENCODERS = tuple(fault.id for fault in FAULT_TABLE if fault.needs
 def sensing_warnings(hand: Hand) -> tuple[str, ...]:
     """Return one line for each kind of sensor that some tendons lack.
 
-    The line lists the faults that cannot be detected without these sensors.
+    Each line lists the faults that cannot be detected without the missing sensors.
     """
     lines = []
     tendons = hand.tendon_names

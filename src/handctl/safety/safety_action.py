@@ -9,7 +9,7 @@ import enum
 class SafetyAction(enum.IntEnum):
     """Reaction to a fault.
 
-    Each reaction includes the restrictions of all less severe reactions.
+    Each reaction to a fault includes the restrictions of all less severe reactions.
     """
 
     PASS = 0
@@ -21,9 +21,9 @@ class SafetyAction(enum.IntEnum):
     RELAX = 3
     """Lower every tension to the floor, disable the drives, and stay silent until an operator clears the fault."""
     CUT = 4
-    """Remove the torque at once.
+    """Remove the torque of all motors at once.
 
-    This reaction belongs to faults after which commands may no longer reach the drives.
+    The reaction CUT belongs to faults after which commands possibly no longer reach the drives.
     """
 
 
@@ -34,7 +34,7 @@ class RelaxMethod(enum.Enum):
     """
 
     TENSION_LOOP = "RELAX"
-    """Use the tension loop, limited by an envelope of the motor force that falls by 500 N/s."""
+    """Use the tension loop, limited by an envelope (upper bound) of the motor force that falls by 500 N/s."""
     FAST_TENSION_LOOP = "RELAX fast"
     """Use the tension loop, limited by an envelope that falls by 2,000 N/s, for an overloaded tendon."""
     OPEN_LOOP = "RELAX open loop"

@@ -1,6 +1,6 @@
 """Safety thresholds of a hand.
 
-They are computed from the drives, the sensors and the model of the hand.
+The safety thresholds are computed from the drives, the sensors and the model of the hand.
 """
 
 import math
@@ -11,21 +11,23 @@ LOAD_CELLS = "load cells"
 
 MAX_SILENCE_S = 0.030
 MAX_STALL_S = 0.025
-"""Longest silence of a node, and longest stall of the host, without a fault [s].
+"""Longest silence of a node, and longest interruption of the host's ticks, without a fault [s].
 
-Both times are below the drives' watchdog time of 50 ms.
+The allowed silence and the allowed interruption are shorter than the drives' watchdog time of 50
+ms.
 """
 MIN_SILENT_TICKS = 4
 MIN_STALLED_TICKS = 3
 """Smallest number of ticks for the times ``MAX_SILENCE_S`` and ``MAX_STALL_S``.
 
-At slow control rates, this number applies.
+At slow control rates, the smallest number of ticks lasts longer than ``MAX_SILENCE_S`` or
+``MAX_STALL_S``, and applies.
 """
 MIN_FLOOD_FRAMES = 64
 """Smallest threshold for a flooded bus [frames per tick]. A small hand sends fewer frames."""
 SOFT_TEMPERATURE_LIMIT_DEGC = 70.0
 HARD_TEMPERATURE_LIMIT_DEGC = 85.0
-"""Drive temperatures at which the tension limit begins to fall, and at which it reaches the floor [degC]."""
+"""Drive temperatures at which the tension limit begins to fall, and at which it reaches the tension floor [degC]."""
 
 
 def tick_count_for_time(seconds: float, period: float, min_ticks: int) -> int:
@@ -33,8 +35,8 @@ def tick_count_for_time(seconds: float, period: float, min_ticks: int) -> int:
 
     The result is at least ``min_ticks``.
     """
-    # The function rounds up, because a time limit in ticks must never be shorter than the time that
-    # was given.
+    # The function rounds up, because a time limit in ticks must never be shorter than the given
+    # time limit in seconds.
     return max(min_ticks, math.ceil(seconds / period))
 
 
@@ -48,12 +50,13 @@ class SafetyLimits:
         joints: (J,) names of the joints.
         tension_trip: (N,) tension of each tendon [N] above which a single reading leads to the
             reaction RELAX.
-        drive_limit: (N,) tension at the torque limit of the drive itself [N]. Above this tension,
-            the reaction is CUT.
+        drive_limit: (N,) tension at the torque limit of the drive itself [N]. Above the tension
+            ``drive_limit``, the reaction is CUT.
         tension_rail: load-cell reading minus the tare [N] from which a load cell counts as
             saturated.
         tension_low: load-cell reading minus the tare [N] below which a load cell counts as broken:
-            a cut wire, or no supply. The threshold is the same for all tendons and tares.
+            a cut wire, or no supply. The threshold ``tension_low`` is the same for all tendons and
+            tares.
         silent_ticks: number of consecutive missing replies after which a motor or a load cell
             counts as silent.
         silent_ticks_of_single_motor: number of consecutive missing replies after which a motor

@@ -1,9 +1,9 @@
 """Judgement of each tick.
 
 The judgement latches faults, counts reported faults, and chooses the reaction. Compiled code
-(``core.detectors.fault_detection``) debounces the faults that the detectors find. This module finds
-the names of newly active faults, and debounces the reported faults. It latches faults until an
-operator clears the faults.
+(``core.detectors.fault_detection``) debounces the faults that the detectors find. The module
+``tick_verdict`` finds the names of newly active faults, and debounces the reported faults. The
+module latches faults until an operator clears the faults.
 """
 
 from collections.abc import Iterable, Sequence
@@ -42,7 +42,7 @@ class LatchedFault(NamedTuple):
 
 
 class ReportedFault(NamedTuple):
-    """Fault that is reported in this tick, with the number of consecutive ticks with such a report."""
+    """Fault that is reported in the present tick, with the number of consecutive ticks with a report of the fault."""
 
     id: str
     part_name: str
@@ -50,7 +50,7 @@ class ReportedFault(NamedTuple):
 
 
 class FaultFinding(NamedTuple):
-    """Fault that became active in this tick."""
+    """Fault that became active in the judged tick."""
 
     fault: Fault
     part_name: str
@@ -61,10 +61,10 @@ class TickVerdict(NamedTuple):
     """Result of the judgement of a tick.
 
     Attributes:
-        action: most severe of the reactions to the faults that are present.
-        findings: faults that became active in this tick.
+        action: most severe reaction to the faults that are present.
+        findings: faults that became active in the judged tick.
         latched_faults: all faults that are latched at the end of the tick.
-        reported_faults: faults that are reported in this tick.
+        reported_faults: faults that are reported in the judged tick.
     """
 
     action: SafetyAction
@@ -88,16 +88,17 @@ def judge_tick(
     Args:
         latched_faults: latched faults of the last tick.
         reported_faults: faults that were reported in the last tick.
-        detected_faults: faults that became active in this tick according to the detectors, from
-            ``newly_active_faults``.
+        detected_faults: faults that became active in the judged tick according to the detectors,
+            from ``newly_active_faults``.
         demanded_action: most severe reaction to all active faults that the detectors have found.
-        event_reports: reports of buses, host and recorder in this tick, for ``locate_reports``.
+        event_reports: reports of buses, host and recorder in the judged tick, for
+            ``locate_reports``.
     """
     action = demanded_action
     findings = list(detected_faults)
     present_reports = []
-    # A reported fault without a report in this tick is dropped. If the fault is reported again
-    # later, the count starts again at 1.
+    # A reported fault without a report in the present tick is dropped. If a dropped fault is
+    # reported later, the count of its ticks starts at 1.
     ticks_by_report = {(report.id, report.part_name): report.ticks for report in reported_faults}
     for fault, location, value in locate_reports(event_reports):
         ticks = ticks_by_report.get((fault.id, location), 0) + 1
@@ -106,7 +107,8 @@ def judge_tick(
             action = max(action, fault.action)
         if ticks == fault.debounce_ticks:
             findings.append(FaultFinding(fault, location, value))
-    # A detector may find a latched fault again, but the log gets no second entry.
+    # A detector can find a latched fault a second time, but the log gets no second entry for the
+    # fault.
     new_findings = [
         finding for finding in findings if _latched_fault_of(finding) not in latched_faults
     ]
@@ -132,16 +134,15 @@ def _latched_fault_of(finding: FaultFinding) -> LatchedFault:
 def newly_active_faults(
     limits: SafetyLimits, evidence: NDArray[np.float64], ticks: NDArray[np.int64]
 ) -> list[FaultFinding]:
-    """Return the faults that became active in this tick, in the order of the fault table.
+    """Return the faults that became active in the judged tick, in the order of the fault table.
 
     Args:
         limits: safety limits of the hand, with the names of tendons, motors, joints and nodes.
-        evidence: (rows, instances) evidence of each fault. The value is NaN where the fault is
-            absent.
+        evidence: (rows, instances) evidence of each fault. The evidence of an absent fault is NaN.
         ticks: (rows, instances) number of consecutive ticks with the fault, up to now.
     """
-    # The compiled detectors continue to count after the debounce. So the count equals the debounce
-    # in only one tick.
+    # The compiled detectors continue to count the ticks after the debounce, so the count equals the
+    # debounce in only one tick.
     rows, instances = np.nonzero(
         (ticks[: len(DEBOUNCE_TICKS)] == DEBOUNCE_TICKS[:, None]) & ~np.isnan(evidence)
     )
@@ -168,13 +169,13 @@ def _faulty_part_name(limits: SafetyLimits, fault: Fault, fault_place: str, i: i
 def locate_reports(event_reports: Iterable[EventReport]) -> list[tuple[Fault, str, float]]:
     """Return the fault, the location and the value that belong to each report.
 
-    Reports come from a bus, the host or the recorder. If a fault is reported several times at the
-    same location, only the last report is returned.
+    Event reports come from a bus, the host or the recorder. If a fault is reported several times at
+    the same location, only the last report is returned.
     """
     faults: dict[tuple[str, str], tuple[Fault, str, float]] = {}
     for kind, location, value in event_reports:
-        # The location of a recorder event is the kind of the event ("disk_full"). So the key
-        # contains the kind as well as the fault.
+        # The location of a recorder event is the kind of the event ("disk_full"). The key of a
+        # recorder event contains the kind "recorder" and the location.
         key = f"{kind}:{location}" if kind == "recorder" else kind
         for fault in FAULTS_BY_EVENT_KIND.get(key, ()):
             name = location or kind
@@ -182,8 +183,8 @@ def locate_reports(event_reports: Iterable[EventReport]) -> list[tuple[Fault, st
     return sorted(faults.values(), key=lambda row: _POSITION_BY_FAULT_ID[row[0].id])
 
 
-# Position of each fault in the fault table. Faults that occur at the same time are sorted by this
-# position.
+# Position of each fault in the fault table. Faults that occur at the same time are sorted by their
+# position in the fault table.
 _POSITION_BY_FAULT_ID = {id_: position for position, id_ in enumerate(FAULT_BY_ID)}
 
 
@@ -194,8 +195,8 @@ def filter_error_frames(
 
     Args:
         event_reports: reports of buses, host and recorder in the tick.
-        has_node_answered: True if any node has ever answered, or if a motor may make torque. The fault
-            B18 cannot occur if this is True.
+        has_node_answered: True if any node has ever answered, or if a motor is allowed to make
+            torque. If a node has answered, the fault B18 cannot occur.
     """
     kept_frames, error = [], None
     for event_report in event_reports:

@@ -26,15 +26,15 @@ POSITION_STEP_FACTOR = 1.5
 JOINT_RATE_RAD_S = 60.0
 """Joint speed that no joint can reach [rad/s].
 
-Source: spool speed of the packaged hands, divided by their smallest moment arm.
+Source: tendon speed at the spools of the packaged hands, divided by the smallest moment arm.
 """
 ROUNDING_NOISE_COUNTS = 6.0
 """Mean squared jerk of a motor position that rounding of the encoder causes [squared encoder counts]."""
 TYPICAL_ACCELERATION_FRACTION = 0.1
 """RMS acceleration of a healthy motor over 100 ms, as a fraction of the bare rotor's acceleration at full torque.
 
-A motor also accelerates a digit, and never has its full torque for long. In the golden logs of
-jamia and jamia11, the fraction is at most 0.02.
+A motor in a hand accelerates its rotor and a digit, and does not make its full torque for long. In
+the golden logs of jamia and jamia11, the fraction of the bare rotor's acceleration is at most 0.02.
 """
 
 
@@ -123,12 +123,12 @@ def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, 
     """Return the constants of the drives' position loops that depend on the coding of numbers in frames.
 
     For kp [N m/rad] and kd [N m s/rad], the constants are the value of one count, and the largest
-    value that a frame can contain. A further constant is the force [N] that one count of feedback
-    causes. The last constant is 1 for each drive that moves its commanded position by itself. If
-    the commands of a drive contain no kp and kd, the value of one count is 1. The feedback of a
-    drive consists of its position and its speed. A drive rounds both values to counts of the
-    protocol. If the counts of the encoder are coarser, the drive rounds the position to counts of
-    the encoder.
+    value that a frame can contain. A further constant is the force [N] that one count of the
+    feedback causes. The last constant of a drive is 1 if the drive moves its commanded position by
+    itself. If the commands of a drive contain no kp and kd, the value of one count is 1. The
+    feedback of a drive consists of its position and its speed. A drive rounds its position and its
+    speed to counts of the protocol. If the counts of the encoder are coarser, the drive rounds the
+    position to counts of the encoder.
     """
     gain = np.ones(len(drives)) if model.torque_gain is None else model.torque_gain
     loop = servo_constants(model)
@@ -173,8 +173,8 @@ def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, 
 def torque_resolution(drive: Drive) -> float:
     """Return the resolution of a drive's torque [N m at the spool].
 
-    The resolution is the torque of one count in the feedback or in the command. The larger of both
-    values is used. If the torque is a floating-point number, the result is 0.
+    The resolution is the torque of one count in the feedback or in the command. The larger torque
+    count of both is used. If the torque is a floating-point number, the result is 0.
     """
     messages = (*drive.cyclic_messages.feedback, *drive.cyclic_messages.commands)
     signals = [
@@ -192,7 +192,8 @@ def torque_resolution(drive: Drive) -> float:
 def max_frames_per_tick(drives: Sequence[Drive], sensors: SensorInterface) -> int:
     """Return the number of frames per tick above which the bus counts as flooded.
 
-    The number is twice the number of replies of all nodes, but at least ``MIN_FLOOD_FRAMES``.
+    The limit is twice the number of replies of all nodes in a tick, but at least
+    ``MIN_FLOOD_FRAMES``.
     """
     return max(
         MIN_FLOOD_FRAMES,
@@ -203,15 +204,17 @@ def max_frames_per_tick(drives: Sequence[Drive], sensors: SensorInterface) -> in
 def _noise_limit(model: HandModel) -> float:
     """Return the largest mean squared jerk of a motor's position that a healthy motor can have [rad^2].
 
-    A position step is the change of the position in one tick. The jerk is here the change of the
-    position step from one tick to the next. It equals the acceleration times the period squared.
-    The limit includes the jerk of a real motion and the rounding of the encoder.
+    A position step is the change of the position in one tick. The jerk of a position is the change
+    of its position step from one tick to the next. The jerk equals the acceleration times the
+    squared control period. The limit includes the jerk of a real motion and the rounding of the
+    encoder.
     """
     tendons = model.tendon_constants
     period = model.period
     # Acceleration of a rotor without load at full torque [rad/s^2]. The torque divided by the spool
-    # radius is a force. This force divided by the mass is an acceleration along the tendon. This
-    # acceleration divided by the spool radius is the angular acceleration of the rotor.
+    # radius is the force on the tendon. The force divided by the mass is the acceleration along the
+    # tendon. The acceleration along the tendon divided by the spool radius is the angular
+    # acceleration of the rotor.
     acceleration = float(
         (
             model.torque_limit / tendons.spool_radius / tendons.motor_mass / tendons.spool_radius

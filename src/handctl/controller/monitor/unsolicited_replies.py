@@ -1,14 +1,14 @@
 """Detection of unsolicited and duplicate replies.
 
-Such replies exist if a node sends more replies than it has received requests from this host.
-
-A motor may reply before this host has sent its first request. Then a second controller has sent a
-request to the motor (fault H13). A single such reply is sufficient for the fault. If a node sends
-more replies than requests, the excess reply is a duplicate (fault B05). If the bytes of the excess
-reply differ from the expected reply, another node may use the same identifier (fault B06). A frame
-is counted here only if the state machine of the drive or of the sensor node accepts the frame as a
-reply. Heartbeats and frames with an old counter are not counted. This code runs only in ticks with
-more replies than requests.
+A reply is unsolicited or a duplicate if its node sends more replies than it has received requests
+from this host. If a motor replies before this host has sent its first request, a second controller
+has sent a request to the motor (fault H13). A single reply before the first request is sufficient
+for the fault H13. If a node sends more replies than it has received requests, the excess reply is a
+duplicate (fault B05). If the bytes of the excess reply differ from the expected reply, another node
+possibly uses the same identifier (fault B06). A frame counts as a reply only if the state machine
+of the drive or of the sensor node accepts the frame as a reply. Heartbeats and frames with an old
+counter do not count as replies. The code of the module runs only in ticks with more replies than
+requests.
 """
 
 from collections.abc import Sequence
@@ -20,9 +20,9 @@ from handctl.drives.frame import Frame
 from handctl.drives.sensors.contract import SensorInterface
 
 LATE_ANSWER_WINDOW_TICKS = 50
-"""Number of ticks for which a missing answer may still arrive.
+"""Number of ticks for which a missing answer can still arrive.
 
-A busy node may answer its queued requests over many ticks.
+A busy node can answer its queued requests over many ticks.
 """
 
 
@@ -52,8 +52,9 @@ def detect_unsolicited_replies(
     surplus_counts = state.view("surplus").tolist()
     signs = []
     for n, count in enumerate(surplus_counts):
-        # This field contains the number of requests without a reply, plus 1. So if a reply arrives
-        # while the value is 1, there was no request for it.
+        # ``EXCESS_REPLY_COUNT`` contains the number of requests without a reply, plus 1. If a reply
+        # arrives while the value of ``EXCESS_REPLY_COUNT`` is 1, there was no request for the
+        # reply.
         if count == 1:
             signs.append(f"{drives[n].name} answering it")
         elif count:
@@ -105,8 +106,9 @@ def _detect_duplicate_answers(
 def _has_lost_answers(last_state: ControllerState) -> bool:
     """Return True if an answer of the load cells was missing in the last ``LATE_ANSWER_WINDOW_TICKS`` ticks.
 
-    An additional answer without a counter is then regarded as late, and not as a duplicate. The
-    result is also True after a tick without an answer, and after a tick that this host has missed.
+    After a missing answer, an additional answer without a counter is regarded as late, and not as a
+    duplicate. The result is also True after a tick without an answer of the load cells, and after a
+    tick that this host has missed.
     """
     return bool(
         last_state.layout.table(last_state.block, "node_int")[s.LOST_REPLY_BITS, -1]

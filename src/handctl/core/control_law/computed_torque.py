@@ -1,8 +1,8 @@
-"""Two control laws for a tendon-driven digit: computed torque for a motion, a tension loop for a pull.
+"""Two control laws for a tendon-driven digit: computed torque for a motion, and a tension loop for tension goals.
 
 Motion: inverse dynamics gives the joint torques that the trajectory requires. The tensions f of the
-tendons must produce these joint torques. The motor force u has three parts: the tension f_0 at the
-load cell, the feedback, and the force for the inertia and friction of the motor.
+tendons must produce the required joint torques. The motor force u has three parts: the tension f_0
+at the load cell, the feedback, and the force for the inertia and friction of the motor.
 
     f = allocate(M theta_d'' + h(theta_d, theta_d'))    f_0 = f / efficiency
     u = f_0 + (m_m + m_l) (k (s_d - s) + d (s_d' - v))
@@ -11,9 +11,9 @@ load cell, the feedback, and the force for the inertia and friction of the motor
 
 The tendon excursions are s = R_r theta. If moment arms depend on the joint angles q, the excursions
 are e(q), and their acceleration is s'' = R q'' + R' q'^2. The speed v is the speed of the tendon at
-its spool. The feedback of v therefore damps the rotor, and does not damp the digit. The factors
-c_i, c_f and c_d are fractions that the gains contain. The mass m_m of the rotor is about twenty
-times the mass m_l of the finger. The feedback has to accelerate both the rotor and the finger.
+its spool, so the feedback of v damps the rotor, and does not damp the digit. The factors c_i, c_f
+and c_d are fractions that the gains contain. The mass m_m of the rotor is about twenty times the
+mass m_l of the finger. The feedback has to accelerate both the rotor and the finger.
 
 Tension: the tension loop is a state feedback of the tension error and the tendon speed, with a slow
 integral. If the digit is expected to follow a trajectory, the speed of the tendon and the force for
@@ -73,50 +73,54 @@ MOTOR_FRICTION_SPEED_M_S = 2.5e-3
 MAX_UNWINDING_FORCE_FRACTION = 0.3
 """Largest motor force that pays out a tendon, as a fraction of the torque limit.
 
-This force is enough to brake a rotor, and too little to throw a tendon off its spool.
+A motor force of 0.3 times the torque limit can brake a rotor, but cannot throw a tendon off its
+spool.
 """
 TRIM_DECAY_TIME_S = 0.2
 """Time constant with which the trim, an added motor force, fades after a change of gains [s].
 
-Motion feedback and tension loop are faster, so they can follow.
+The motion feedback and the tension loop are faster than the decay of the trim, so they can
+compensate the decay.
 """
 MIN_TRIM_N = 1e-3
-"""Smallest trim that remains [N].
+"""Smallest trim (added motor force) that is not set to 0 [N].
 
-When all trims are smaller, all are set to 0. The smallest trim is 0.02 counts of the drive with the
-finest torque.
+When the trims of all tendons are smaller than ``MIN_TRIM_N``, all trims are set to 0. A trim of 1
+mN is 0.02 torque counts of the drive with the finest torque resolution.
 """
 HOLD_MARGIN_N = 1.0
-"""Margin [N] of the tension limit during a hold above the tension at the start of the hold.
+"""Margin [N] by which the tension limit during a hold exceeds the tension at the start of the hold.
 
-The margin is about the error of the estimated tension.
+The margin of the tension limit is about as large as the error of the estimated tension.
 """
 ENVELOPE_ROUNDING_FACTOR = 1.0 - 1e-12
-"""Factor on the envelope of a relaxing hand, so that rounding errors cannot raise a constant envelope."""
+"""Factor on the force envelope of a relaxing hand, so that rounding errors cannot raise a constant envelope."""
 SLACK_TAKE_UP_TENSION_N = SNAP_MIN_COMMAND_N
-"""Tension with which a stream of tensions takes up a slack tendon if its setpoint is lower [N].
+"""Tension with which a stream of tensions takes up a slack tendon if the tension setpoint is lower [N].
 
-With 8 N, a spool of ``n_plus_1`` winds at 17 mm/s instead of 9 mm/s. A higher tension would make the
-spool so fast that it counts as the spool of a torn tendon.
+With 8 N, a spool of the hand ``n_plus_1`` winds up a slack tendon at 17 mm/s instead of 9 mm/s.
+With a higher tension, the spool would be so fast that the fault detectors would report a torn
+tendon.
 """
 MAX_INTEGRATION_SPEED_M_S = 0.005
 INTEGRAL_DECAY_S = 0.02
-"""Tendon speed above which a stream does not integrate the tension error [m/s], and time constant of the decay [s]."""
+"""Tendon speed above which a stream does not integrate the tension error [m/s], and decay time of its integral [s]."""
 SLACK_TAKE_UP_SPEED_M_S = 0.02
 """Speed of a spool that takes up the slack of its tendon during a motion [m/s].
 
-At this low speed, the fault detectors do not take the slack tendon for a snapped one.
+The take-up speed is so low that the fault detectors do not mistake a slack tendon for a snapped
+tendon.
 """
 MIN_RELAXED_TENSION_N = 5.0
-"""Tension of a relaxed hand whose springs open it [N]."""
+"""Tendon tension in a relaxed hand that is opened by springs [N]."""
 
 
 @kernel_helper
 def command_zero_torque(x: StateTables, c: ConstantTables) -> None:
     """Command zero torque for every motor.
 
-    The setpoints follow the present tensions, so that a later tension loop starts at the tension of
-    its first tick.
+    The tension setpoints follow the present tensions, so that a tension loop that begins later
+    starts at the tension of its first tick.
     """
     begin_servo_commands(x, c)
     for n in range(x.tendon.shape[1]):
@@ -135,10 +139,10 @@ def command_zero_torque(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def update_hold_limits(x: StateTables, c: ConstantTables, hold: bool) -> None:
-    """Begin or end a hold of the present position, which the safety monitor demands.
+    """Begin or end the hold of the present position that the safety monitor demands.
 
-    During the hold, each tension is limited to the tension at the beginning of the hold, plus a
-    margin.
+    During a hold, the limit of each tension is the tension at the beginning of the hold plus
+    ``HOLD_MARGIN_N``.
 
     Args:
         x: state tables.
@@ -158,12 +162,13 @@ def update_hold_limits(x: StateTables, c: ConstantTables, hold: bool) -> None:
 def temporary_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
     """Return the temporary tension limits (N,) [N].
 
-    These limits apply in addition to the limits of the hand file. At the soft temperature of a
-    drive, the limit is the tension ceiling. At the hard temperature, the limit is the tension
-    floor. Between both temperatures, the limit falls linearly. If a digit is blocked, the limit is
+    The temporary limits apply in addition to the limits of the hand file. At the soft temperature
+    limit of a drive, the tension limit is the tension ceiling. At the hard temperature limit of a
+    drive, the tension limit is the tension floor. Between the soft and the hard temperature limit,
+    the tension limit falls linearly. If a digit is blocked, the tension limit is
     ``MAX_BLOCKED_EXTRA_TENSION_N`` above the tension that the trajectory requires. During a hold by
-    the safety monitor, the limit is ``HOLD_MARGIN_N`` above the tension at the beginning of the
-    hold. For a spool pair, the limit applies to the net tension in both directions.
+    the safety monitor, the tension limit is ``HOLD_MARGIN_N`` above the tension at the beginning of
+    the hold. For a spool pair, the tension limit applies to the net tension in both directions.
     """
     limit = np.full(x.tendon.shape[1], math.inf)
     is_any_drive_warm = False
@@ -215,7 +220,7 @@ def write_motor_torques(
         c: constants of the hand.
         trajectory: (3, J) angles, rates and accelerations of the joints on the trajectories.
         relax_rate: rate at which the envelope (the upper bound of the motor forces) falls while the
-            hand relaxes [N/s]. In all other modes, the value is 0.
+            hand relaxes [N/s]. The value is 0 in all modes except the relaxing mode.
         open_loop: True if the motor forces of a relaxing hand are the envelope itself, without
             feedback.
         ticks: number of control periods since the last tick, which is 1 if no tick was missed.
@@ -304,13 +309,13 @@ def _write_force_for_tension_filter(
         c: constants of the hand.
         n: index of the tendon.
         force: motor force during the coming control period [N].
-        carrier_acceleration: acceleration of the tendon caused by the trajectories of digits that carry its
-            digit [m/s2].
+        carrier_acceleration: acceleration of the tendon that is caused by the trajectories of the
+            digits that carry the tendon's digit [m/s2].
     """
     x.tendon[s.FILTER_INPUT_FORCE, n] = force - _motor_friction(x, c, n, force)
     if c.run_int[h.HAS_CARRIER_ARMS]:
-        # In the filter, the spool travel does not include the motion of carrying digits. So the
-        # force for that motion is subtracted.
+        # The spool travel in the tension filter does not include the motion of carrying digits, so
+        # the force for the motion of carrying digits is subtracted.
         x.tendon[s.FILTER_INPUT_FORCE, n] -= c.tendon[h.MOTOR_MASS, n] * carrier_acceleration
         x.tendon[s.FILTER_INPUT_FORCE, n] -= c.tendon[h.MOTOR_DAMPING, n] * carrier_excursion(
             c, n, x.joint[s.DQ]
@@ -354,7 +359,8 @@ def _force_during_relaxation(
 ) -> float:
     """Return the motor force of a tendon while the hand relaxes [N].
 
-    The motor force is at most the envelope. In open loop, the motor force is the envelope itself.
+    The motor force is at most the envelope (the upper bound of the motor forces). In open loop, the
+    motor force is the envelope itself.
 
     Args:
         x: state tables.
@@ -380,7 +386,7 @@ def _motion_force_terms(
     The first result has the efficiencies (N,). The second result (2, N) has the tension goals and
     the feedback forces. The third result (2, N) has the null-space forces and the integrals. The
     feedback has to accelerate both the rotor and the digit. For tendons that follow no trajectory,
-    all terms are 0.
+    all force terms are 0.
 
     Args:
         x: state tables.
@@ -401,8 +407,8 @@ def _motion_force_terms(
         measured_excursion = x.tendon[s.EXCURSION, n]
         if c.tendon_int[h.IS_REDUNDANT_DIGIT, n]:
             has_surplus = True
-            # If a part of the excursions cannot come from any motion of the digit, it is an error
-            # of the tendon lengths. The feedback ignores this part.
+            # A part of the excursions that no motion of the digit can cause is an error of the
+            # tendon lengths. The feedback ignores errors of the tendon lengths.
             measured_excursion = (
                 project_onto_digit_motion(c, n, x.tendon[s.EXCURSION])
                 + c.tendon[h.EXCURSION_MODEL_OFFSET, n]
@@ -418,8 +424,8 @@ def _motion_force_terms(
             * (rate - x.tendon[s.SPOOL_SPEED, n])
         )
         friction_fraction = c.run[h.FRICTION_FRACTION]
-        # Tension behind the pulleys, divided by the tension before them. It is the efficiency while
-        # the tendon is wound up, and 1 / efficiency while the tendon is paid out.
+        # Tension behind the pulleys, divided by the tension before the pulleys. The quotient is the
+        # efficiency while the tendon is wound up, and 1 / efficiency while the tendon is paid out.
         winding_direction = math.tanh(
             (rate + _tendon_motion_by_carriers(c, n, trajectory)[0]) / CAPSTAN_FRICTION_SPEED_M_S
         )
@@ -486,15 +492,15 @@ def _take_up_slack(
     motion_terms: Matrix,
     null_space_terms: Matrix,
 ) -> None:
-    """Replace the feedback for slack tendons.
+    """Replace the position feedback for slack tendons.
 
-    The spool of a slack tendon then winds up the tendon at a low speed. A slack tendon does not
-    move its digit. Position feedback could pay out more of the slack tendon. It could also pull the
-    tendon taut with a jerk that looks like a torn tendon. If a tendon is nearly slack, a feedback
-    that pays out the tendon is reduced. Springs or the antagonist can then open the digit first.
-
-    These rules apply to digits that follow streamed angles. In other motions, the feedback is
-    replaced only if it would pay out a slack tendon, see ``_would_pay_out_slack_tendon``.
+    With the new feedback, the spool of a slack tendon winds up the tendon at a low speed. A slack
+    tendon does not move its digit. Position feedback could pay out more of the slack tendon, or
+    could pull the tendon taut with a jerk that looks like a torn tendon. A feedback force that pays
+    out a nearly slack tendon is reduced, so that springs or the antagonist can open the digit. The
+    low winding speed and the reduced feedback apply to digits that follow streamed angles. In
+    motions without streamed angles, the position feedback is replaced only if it would pay out a
+    slack tendon, see ``_would_pay_out_slack_tendon``.
 
     Args:
         x: state tables.
@@ -525,10 +531,10 @@ def _take_up_slack(
 def _would_pay_out_slack_tendon(x: StateTables, c: ConstantTables, n: int, feedback: float) -> bool:
     """Return True if the position feedback would pay out a slack tendon.
 
-    Motions along streamed angles are excluded. The excursion of a slack tendon is not measured. The
-    estimated excursion may be too large, and no measurement corrects it. The motor would then pay
-    out more and more of the tendon. In a digit with surplus tendons, the excursion follows from the
-    other tendons.
+    For motions along streamed angles, the result is False. No measurement corrects the estimated
+    excursion of a slack tendon. If the estimated excursion is too large, the position feedback
+    would pay out more and more of the tendon. In a digit with surplus tendons, the excursion of a
+    slack tendon follows from the other tendons.
 
     Args:
         x: state tables.
@@ -587,7 +593,8 @@ def _carrier_feedforward_force(
 ) -> float:
     """Return the feedforward motor force for the motion of carrying digits [N].
 
-    With this force, a tension-controlled tendon follows the digits that carry its own digit.
+    The feedforward force makes a tension-controlled tendon follow the digits that carry the
+    tendon's digit.
 
     Args:
         c: constants of the hand.
@@ -631,8 +638,8 @@ def _motion_force(
     x.tendon[s.TENSION_GOAL, n] = tension
     if _takes_up_slack(x, c, n):
         rate = _slack_take_up_speed(rate)
-    # If the drive closes the position loop, the position in its command includes the planned
-    # stretch of the tendon. The position loop of the drive then also controls the tension.
+    # If a drive closes the position loop, the commanded position includes the planned stretch of
+    # the tendon, so that the position loop of the drive also controls the tension.
     tension_feedback_gain = (
         0.0 if _is_position_controlled_by_drive(x, c, n) else c.run[h.TENSION_FEEDBACK]
     )
@@ -683,7 +690,8 @@ def _tension_force(
         # The small tension error of a slack tendon cannot overcome the friction of a motor at rest.
         force += c.tendon[h.MOTOR_COULOMB_FRICTION, n]
         if is_target_stream_running(x):
-            # Streamed tensions move a digit fast, so its other tendons must be taken up fast.
+            # Streamed tensions move a digit fast, so the spools must take up the slack tendons of
+            # the digit fast.
             tension_increase = max(SLACK_TAKE_UP_TENSION_N - setpoint, 0.0)
             force += (1.0 + c.tendon[h.TENSION_GAIN, n]) * tension_increase
     if x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT_OF_TENDON, n]] != NO_TRAJECTORY:
@@ -696,10 +704,11 @@ def _tension_force(
 def _tension_integral(x: StateTables, c: ConstantTables, n: int, error: float) -> float:
     """Return the integral of the tension error of a taut tendon [N].
 
-    The integral compensates the friction of a rotor at rest. A digit without contact cannot resist
-    arbitrary streamed tensions. Such a digit moves, and the tension errors persist. The integrals
-    of these errors would move the digit further, and the digit would oscillate between its stops.
-    During a stream, the integral of a moving tendon therefore decays.
+    The integral of the tension error compensates the friction of a rotor at rest. A digit without
+    contact cannot resist arbitrary streamed tensions, so the digit moves and the tension errors
+    persist. The integrals of persistent tension errors would move the digit further, and the digit
+    would oscillate between its stops. During a stream of tensions, the tension integral of a moving
+    tendon decays, so that the digit does not oscillate.
 
     Args:
         x: state tables.
@@ -752,8 +761,8 @@ def _relaxation_envelope(
 def _motor_friction(x: StateTables, c: ConstantTables, n: int, command_force: float) -> float:
     """Return the Coulomb friction of a motor, averaged over the coming control period [N].
 
-    The friction is computed by the implicit midpoint rule. So friction can stop a motor within a
-    period, but cannot reverse its motion.
+    The friction is computed by the implicit midpoint rule, so friction can stop a motor within a
+    period, but cannot reverse the motion of the motor.
     """
     speed_without_friction = motor_speed(x, c, n) + c.tendon[h.HALF_PERIOD_SPEED, n] * (
         command_force - x.tendon[s.TENSION, n]

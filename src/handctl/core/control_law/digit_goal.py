@@ -23,8 +23,8 @@ class GoalKind(enum.IntEnum):
 class DigitGoal:
     """Goal of a digit: the requested motion or tension, and the largest force.
 
-    Goals are compared by identity, so that values derived from a goal can be cached. Two goals with
-    equal values are therefore different.
+    Goals are compared by identity, so that values derived from a goal can be cached. Two goal
+    objects with equal values count as different goals.
 
     Attributes:
         kind: kind of control.

@@ -31,7 +31,7 @@ NO_TRAJECTORY, MINIMUM_JERK, SAMPLED, STREAMED = 0, 1, 2, 3
 def follow_trajectories(x: StateTables, c: ConstantTables, is_time_frozen: bool) -> None:
     """Write position, rate and acceleration of each coordinate on its trajectory.
 
-    A coordinate without a trajectory gets zeros.
+    For a coordinate without a trajectory, position, rate and acceleration are 0.
 
     Args:
         x: state tables.
@@ -78,7 +78,7 @@ def follow_trajectories(x: StateTables, c: ConstantTables, is_time_frozen: bool)
 def _add_blend(x: StateTables, k: int, elapsed: float, blend_duration: float) -> None:
     """Add the part of a minimum-jerk move that continues an earlier motion.
 
-    ``trajectory.MinimumJerk`` explains this part.
+    ``trajectory.MinimumJerk`` explains how a minimum-jerk move continues an earlier motion.
 
     Args:
         x: state tables.
@@ -154,7 +154,7 @@ def is_target_stream_running(x: StateTables) -> bool:
 def write_required_torque(x: StateTables, c: ConstantTables, trajectory: Matrix) -> None:
     """Write the joint torques that the trajectories require.
 
-    The torques overcome inertia, gravity, springs and damping.
+    The required joint torques overcome inertia, gravity, springs and damping.
 
     Args:
         x: state tables.
@@ -206,14 +206,14 @@ def write_required_torque(x: StateTables, c: ConstantTables, trajectory: Matrix)
 def write_required_tensions(x: StateTables, c: ConstantTables) -> int:
     """Write the tensions that make the required joint torques.
 
-    The tensions are those at the joints, after the friction of the pulleys.
+    The written tensions are the tensions at the joints, after the friction of the pulleys.
 
     Returns:
-        A number with one bit for each digit. A bit is 1 if the tensions of its digit are out of
-        bounds or not unique. For a digit with the bit 1, the caller must solve the bounded
-        least-squares problem of ``tension_allocation``. If a digit has a single tendon, and the
-        tension of this tendon is out of bounds, the bound is used as the tension. The bit of a
-        digit with a single tendon is therefore 0.
+        A number with one bit for each digit. The bit of a digit is 1 if the required tensions of
+        the digit are out of bounds or not unique. For a digit whose bit is 1, the caller must solve
+        the bounded least-squares problem of ``tension_allocation``. In a digit with a single
+        tendon, a required tension out of bounds is replaced by the bound, and the bit of the digit
+        is 0.
     """
     unsolved_digits = 0
     for d in range(x.digit.shape[1]):

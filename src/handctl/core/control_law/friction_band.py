@@ -3,14 +3,15 @@
 The tension filter uses the predicted tension as an input. The detection of contacts uses the
 present friction.
 
-Springs and gravity require a certain tension. Because of friction, the tension of a moving digit
-lies in a band around this required tension. While the tendon is wound up, the tension is at the
-upper edge of the band. While the tendon is paid out, the tension is at the lower edge. At a
-reversal, the digit sticks while the motor moves. The motor stretches or releases the tendon. The
-tension then changes from one edge to the other within about ten milliseconds. This change starts
-with the reversal of the tendon. The trajectory may reverse earlier or later than the tendon. At
-rest, the digit creeps until no friction force remains. Source: Prandtl's elastic-plastic element,
-with a viscous slider below ``CAPSTAN_FRICTION_SPEED_M_S``.
+Because of friction, the tension of a moving digit lies in a band around the tension that springs
+and gravity require. While the tendon is wound up, the tension is at the upper edge of the friction
+band. While the tendon is paid out, the tension is at the lower edge of the friction band. After a
+reversal of the tendon, the digit sticks while the motor stretches or releases the tendon. Within
+about ten milliseconds after a reversal, the tension changes from one edge of the friction band to
+the other. The change of the tension starts at the reversal of the tendon, which can be earlier or
+later than the reversal of the trajectory. At rest, the digit creeps until no friction force
+remains. Source: Prandtl's elastic-plastic element, with a viscous slider below
+``CAPSTAN_FRICTION_SPEED_M_S``.
 """
 
 import math
@@ -26,12 +27,16 @@ from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
 MIN_SLIDING_SPEED_M_S = 1.3 * CAPSTAN_FRICTION_SPEED_M_S
 """Speed from which the viscous slider has full friction [m/s].
 
-Below this speed, friction rises linearly. The line approximates the tanh of the friction model.
+Below the sliding speed, friction is proportional to the speed. The proportional friction
+approximates the tanh of the friction model.
 """
 MIN_SLIDING_FRICTION = 1e-3
 """Friction state below which the friction is proportional to the speed."""
 MAX_SLIDING_FRICTION = 0.99
-"""Largest friction state for which the speed of the slider is computed. At 1, the speed is infinite."""
+"""Largest friction state for which the speed of the slider is computed.
+
+At a friction state of 1, the computed speed of the slider is infinite.
+"""
 MIN_FRICTION_N = 1e-3
 """Smallest assumed friction [N], so that the friction band has a positive width."""
 MAX_EFFICIENCY = 1.0 - 1e-9
@@ -67,7 +72,7 @@ def predict_tension_of_moving_tendon(
         load + period * c.tendon[h.LOAD_STIFFNESS, n] * rate, c.tendon[h.TENSION_FLOOR, n]
     )
     wound_length = period * mean_speed
-    # 0 means that the tension of the last tick is unknown.
+    # A planned tension of 0 means that the tension of the last tick is unknown.
     is_pair = c.tendon_int[h.IS_SPOOL_PAIR, n] == 1
     is_known = last_tension != 0.0 if is_pair else last_tension > 0.0
     tension_now = last_tension if is_known else tension
@@ -89,8 +94,9 @@ def update_friction_state(x: StateTables, c: ConstantTables, n: int, efficiency:
     spring in series with a slider. The stretch of the spring is the travel of the spool minus the
     travel of the slider. The friction state is not computed from the planned tension. The planned
     tension is a sum over estimated speeds, and these speeds are wrong by 0.1 mm/s per newton of
-    load-cell error. With such an error, the filter expects a force on the motor that does not
-    exist. When the digit comes to rest, the unexplained tension would then resemble a contact.
+    load-cell error. With a wrong friction state, the tension filter would expect a force on the
+    motor that does not exist. When the digit comes to rest, the unexplained tension would resemble
+    a contact.
 
     Args:
         x: state tables, with ``FRICTION_SLIDER`` of the last tick.
@@ -126,10 +132,10 @@ def update_friction_state(x: StateTables, c: ConstantTables, n: int, efficiency:
 def _sliding_speed(friction_state: float) -> float:
     """Return the speed at which a linear friction law has full friction [m/s].
 
-    The line goes through zero and through the present friction. In the friction model, friction is
-    proportional to the tanh of the speed. The line that ends at ``MIN_SLIDING_SPEED_M_S`` gives too
-    little friction for the slow motion at the end of a trajectory. The difference would resemble a
-    contact.
+    The linear friction law goes through zero and through the present friction. In the friction
+    model, friction is proportional to the tanh of the speed. A linear law with full friction at
+    ``MIN_SLIDING_SPEED_M_S`` gives too little friction for the slow motion at the end of a
+    trajectory. A predicted friction that is too small would resemble a contact.
 
     Args:
         friction_state: present friction, from 1 to -1, or NaN if it is unknown.
@@ -150,7 +156,7 @@ def _tension_with_friction(
     wound_length: float,
     sliding_speed: float,
 ) -> float:
-    """Return the tension of a tendon, or the net tension of a spool pair, at the end of a period [N].
+    """Return the tension of a tendon, or the net tension of a spool pair, at the end of a control period [N].
 
     Args:
         c: constants of the hand.
@@ -168,7 +174,7 @@ def _tension_with_friction(
         return tension_after_period(
             present_tension, load, efficiency, wound_length, stiffness, creep_length
         )
-    # Whenever a pair moves, one of its tendons is wound and the other is paid out.
+    # Whenever a spool pair moves, one of its tendons is wound and the other is paid out.
     lower, upper = _friction_band_of_pair(c, n, load, efficiency)
     creep_ratio = stiffness * creep_length / (0.5 * (upper - lower) + MIN_FRICTION_N)
     elastic_tension = (present_tension + stiffness * wound_length + creep_ratio * load) / (

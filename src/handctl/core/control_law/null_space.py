@@ -2,9 +2,9 @@
 
 Tensions in the null space of (R B)^T make no joint torque. The position feedback acts only on the
 coordinates of the digit. In the null space, the tensions are kept at their goals by a feedback of
-the tension error and of its integral. Neither motor friction nor a wrong tendon length can then
-make a tendon slack. Source: Abdallah et al. (2010), tension and joint space of tendon-driven
-fingers.
+the tension error and of its integral. With the null-space feedback, neither motor friction nor a
+wrong tendon length can make a tendon slack. Source: Abdallah et al. (2010), tension and joint space
+of tendon-driven fingers.
 """
 
 import math
@@ -28,8 +28,8 @@ INTEGRAL_LIMIT_N = 8.0
 MAX_ADDED_BALANCE_TENSION_N = 20.0
 """Largest balance tension, which makes no torque, that is added when the motion feedback unloads a tendon [N].
 
-Friction of the pulleys grows with balance tensions. Larger ones would lock the joints that the
-feedback has to move.
+Friction of the pulleys grows with balance tensions. Larger balance tensions would lock the joints
+that the motion feedback has to move.
 """
 
 
@@ -39,10 +39,10 @@ def raise_goals_to_tension_floor(
 ) -> None:
     """Raise the tension goals in digits with surplus tendons to the floor, and write null-space forces.
 
-    The position feedback may reduce the force on a tendon to less than the tension floor. Balance
-    tensions make no joint torque. A multiple of the balance tensions is therefore added to the
-    goals of all tendons of the digit. This multiple has an upper limit. If a larger multiple would
-    be necessary, the feedback is reduced instead.
+    The position feedback can reduce the force on a tendon to less than the tension floor. A
+    multiple of the balance tensions, which make no joint torque, is added to the tension goals of
+    all tendons of the digit. The multiple of the balance tensions has an upper limit. If a larger
+    multiple would be necessary, the position feedback is reduced.
 
     Args:
         x: state tables.
@@ -65,8 +65,8 @@ def raise_goals_to_tension_floor(
         ):
             continue
         for n in range(first_tendon, end):
-            # Only the part of the feedback that moves the digit may raise tension goals. The other
-            # part of the feedback, in the null space, damps the motion of the motors.
+            # Only the part of the feedback that moves the digit is allowed to raise tension goals.
+            # The part of the feedback in the null space damps the motion of the motors.
             feedback[n] = project_onto_digit_motion(c, n, motion_terms[1])
         bound = _max_balance_factor(c, first_tendon, end, limit, motion_terms)
         fraction = _max_feedback_fraction(c, first_tendon, end, bound, motion_terms, feedback)
@@ -119,8 +119,8 @@ def _max_feedback_fraction(
 
     Args:
         c: constants of the hand.
-        first, end: tendons of the digit.
-        bound: largest factor of the balance tensions.
+        first_tendon, end: index of the digit's first tendon, and index after its last tendon.
+        bound: largest allowed multiple of the balance tensions.
         motion_terms: (2, N) tension goals and feedback forces of the motion loop [N].
         feedback: (N,) part of the feedback forces that moves the digit [N].
     """

@@ -1,8 +1,8 @@
 """Tensions that the goals of the digits require.
 
-The tensions are those at the joints, after the friction of the pulleys. Compiled code computes the
-required tensions of most digits. For the other digits, Python code solves a bounded least-squares
-problem.
+The required tensions are the tensions at the joints, after the friction of the pulleys. Compiled
+code computes the required tensions of most digits. For digits without unique tensions within the
+bounds, Python code solves a bounded least-squares problem.
 """
 
 from dataclasses import replace
@@ -34,7 +34,7 @@ def write_tension_goals(
         layout: layout of the state block.
         constants: constants of the hand.
         block: state block, modified in place.
-        action: reaction of the safety monitor, as a number of ``safety.safety_action.SafetyAction``.
+        action: reaction of the safety monitor, as a value of ``safety.safety_action.SafetyAction``.
     """
     kernel_constants = constants.block, constants.layout.offsets
     unsolved_digits = tick_stages.evaluate_goals(block, layout.offsets, *kernel_constants, action)
@@ -67,7 +67,8 @@ def allocate_bounded_tensions(
         layout: layout of the state block.
         constants: constants of the hand, with the moment arms at the present joint angles.
         block: state block, modified in place.
-        unsolved_digits: a number with one bit for each digit. The bit is 1 for these digits.
+        unsolved_digits: an integer with one bit for each digit. The bit of a digit is 1 if its
+            least-squares problem must be solved.
         trajectory: (3, J) angles, rates and accelerations of the joints on their trajectories.
     """
     required = layout.view(block, "joint_required")
@@ -102,8 +103,8 @@ def _tensions_with_friction(
     """Return the tensions (n_t,) at the joints for a digit with antagonistic tendons, with friction [N].
 
     Each pulley of a tendon has its own friction. In a digit without springs, the torques of all
-    tendons must be in balance at each joint. Therefore the friction of each pulley is included in
-    the moment arms of the least-squares problem.
+    tendons must be in balance at each joint, so the moment arms of the least-squares problem
+    include the friction of each pulley.
 
     Args:
         model: model of the hand.
@@ -126,8 +127,8 @@ def _tensions_with_friction(
     high = model.ceiling[tendons]
     reduced_arms = (arms * factors) @ digit.coupling
     tension, _ = allocate_tension(reduced_arms, required @ digit.coupling, low, high)
-    # The control law later divides the tensions by the mean efficiency over the pulleys. The
-    # tensions are therefore multiplied by the mean efficiency here.
+    # The control law later divides the tensions by the mean efficiency over the pulleys, so the
+    # tensions are multiplied by the mean efficiency here.
     weights = model.pulley_weights[tendons, digit.joints]
     if digit.has_varying_arm:
         weights = np.abs(arms) / np.abs(arms).sum(axis=1, keepdims=True)

@@ -1,37 +1,39 @@
 """Commands to drives that close the position loop of a moving digit.
 
-A command consists of a position p_d, a velocity v_d, a stiffness kp, a damping kd and a torque t.
-Many times within a tick, the drive measures the position p and the velocity v, and computes its
-torque:
+A command to a drive with a position loop consists of a position p_d, a velocity v_d, a stiffness
+kp, a damping kd and a torque t. Many times within a tick, the drive measures the position p and the
+velocity v, and computes its torque:
 
     kp (p_d - p) + kd (v_d - v) + t
 
-The commanded position is a length, divided by the spool's radius r. This length is the sum of the
-planned excursion s_d, the stretch of the tendon under its planned tension f_0, and the estimated
-stretch offset o. The tendon has the stiffness k and the estimated tension f_hat = k (r p - s - o).
-The position error then contains the errors of excursion and tension:
+The commanded position, multiplied by the spool's radius r, is the sum of the planned excursion s_d,
+the stretch of the tendon under its planned tension f_0, and the estimated stretch offset o. The
+tendon has the stiffness k and the estimated tension f_hat = k (r p - s - o). The position error of
+the drive contains the errors of excursion and tension:
 
     r p_d = s_d + f_0 / k + o
     r (p_d - p) = (s_d - s) + (f_0 - f_hat) / k
 
-The controller does not know the torque that the drive will make. The controller therefore estimates
-p and v half a period ahead. From these estimates of p and v, the controller predicts the mean
-torque of the coming period. The controller limits the predicted torque in the same way as a torque
-command. The controller then chooses the commanded position with which the drive would make the
-limited torque. The torque limits therefore also limit the distance between the commanded position
-and the motor.
+The controller does not know the torque that the drive will make, so the controller estimates p and
+v half a control period ahead. From the estimated position and velocity, the controller predicts the
+mean motor torque of the coming period. The controller limits the predicted torque in the same way
+as a torque command. The controller chooses the commanded position with which the drive would make
+the limited torque. The torque limits of the controller limit not only the torque, but also the
+distance between the commanded position and the motor position.
 
-Most drives keep the commanded position unchanged until the next command. A command to such a drive
-includes the planned motion of half a period. Other drives change the commanded position
-continuously, at the commanded velocity. A command to these drives contains the position at the
-start of the period. If the host fails, these drives continue to change the commanded position until
-the watchdog fires. A command to these drives therefore also contains a torque limit slightly above
-the predicted torque.
+Most drives keep the commanded position unchanged until the next command. A command to a drive with
+a constant commanded position includes the planned motion of half a control period. Other drives
+change the commanded position continuously, at the commanded velocity. A command to a drive with a
+moving commanded position contains the position at the start of the control period. If the host
+fails, a moving commanded position continues to change until the watchdog of the drive fires. A
+command to a drive with a moving commanded position also contains a torque limit slightly above the
+predicted torque.
 
-In commands for a digit that moves freely on its trajectory, kp and kd are above 0. In all other
-commands, kp and kd are 0, and t is the whole torque. Commands with kp = kd = 0 are sent if the
-digit touches an object, if it relaxes, if the tendon takes up slack, or if the safety monitor holds
-the hand. They are also sent if the motor position was not measured in the tick.
+In commands for a digit that moves freely on its trajectory, kp and kd are above 0. In commands for
+any other digit, kp and kd are 0, and t is the whole torque. Commands with kp = kd = 0 are sent if
+the digit touches an object, if it relaxes, if the tendon takes up slack, or if the safety monitor
+holds the hand. Commands with kp = kd = 0 are also sent if the motor position was not measured in
+the tick.
 """
 
 import math
@@ -49,16 +51,16 @@ from handctl.core.tick_types import ACTIVE_MODE
 MAX_LOOP_PHASE_RAD = 0.3
 """Largest product of the natural frequency of a drive's position loop and the control period [rad].
 
-The tension filter assumes that the motor force is constant within a period. In simulation, stiffer
-loops oscillated. Examples are loops with 0.5 rad on the hand ``jamia`` at 100 Hz and on
-``orca_like`` at 250 Hz.
+The tension filter assumes that the motor force is constant within a period. In simulation, position
+loops with a larger product oscillated. Examples are position loops with 0.5 rad on the hand
+``jamia`` at 100 Hz and on the hand ``orca_like`` at 250 Hz.
 """
 SERVO_COMMAND_ROW_COUNT = 6
 """Number of rows of a command: position, velocity, kp, kd, torque, limit."""
 TORQUE_LIMIT_MARGIN_N = 10.0
 """Force [N] by which the torque limit in a command exceeds the predicted motor force.
 
-In free motions, the force changes by less than 1 N within a period.
+In free motions, the motor force changes by less than 1 N within a control period.
 """
 
 
@@ -66,8 +68,8 @@ In free motions, the force changes by less than 1 N within a period.
 def begin_servo_commands(x: StateTables, c: ConstantTables) -> None:
     """Store the commands of the last tick, and set the commands of the present tick to 0.
 
-    Some drives change the commanded position continuously, at the commanded velocity. For these
-    drives, the stored position is the present commanded position in the drive.
+    If a drive changes the commanded position continuously, at the commanded velocity, the stored
+    position is the present commanded position in the drive.
     """
     elapsed = c.run[h.CONTROL_PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
     for n in range(x.servo.shape[1]):
@@ -82,7 +84,7 @@ def begin_servo_commands(x: StateTables, c: ConstantTables) -> None:
 def command_torque_only(x: StateTables, n: int) -> None:
     """Replace the command of a drive by a command that contains only a torque.
 
-    The table of the commands is empty if no drive of the hand closes a position loop.
+    The table of the servo commands is empty if no drive of the hand closes a position loop.
     """
     x.servo[s.SERVO_KP, n] = x.servo[s.SERVO_KD, n] = 0.0
     x.servo[s.SERVO_TORQUE, n] = x.tendon[s.COMMANDED_TORQUE, n]
@@ -111,7 +113,7 @@ def is_loop_closed_by_drive(x: StateTables, c: ConstantTables, n: int) -> bool:
 def servo_stiffness(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the stiffness kp of a drive's position loop for the present goal [N m/rad].
 
-    The value is rounded to the counts of the command.
+    The stiffness is rounded to the counts of the command.
     """
     step = c.tendon[h.SERVO_KP_STEP, n]
     stiffness = x.tendon[s.STIFFNESS_FRACTION, n] * max(c.tendon[h.SERVO_STIFFNESS, n], step)
@@ -122,7 +124,7 @@ def servo_stiffness(x: StateTables, c: ConstantTables, n: int) -> float:
 def servo_damping(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the damping kd of a drive's position loop for the present goal [N m s/rad].
 
-    The value is rounded to the counts of the command.
+    The damping is rounded to the counts of the command.
     """
     step = c.tendon[h.SERVO_KD_STEP, n]
     damping = x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SERVO_DAMPING, n]
@@ -133,8 +135,8 @@ def servo_damping(x: StateTables, c: ConstantTables, n: int) -> float:
 def servo_speed_force(x: StateTables, c: ConstantTables, n: int, rate: float) -> float:
     """Return the mean force of a drive's position loop that is caused by the speed error [N].
 
-    The mean is taken over the coming period. Within the period, the speed error also increases the
-    position error. This adds a mean position error of the speed error times half a period.
+    The mean is taken over the coming control period. Within a control period, the speed error
+    increases the position error, on average by the speed error times half a control period.
 
     Args:
         x: state tables.
@@ -224,8 +226,8 @@ def predict_reported_forces(x: StateTables, c: ConstantTables) -> None:
     """Write the force [N] that each drive should report in the present tick.
 
     A report contains position, speed and torque at one instant. When a drive sends its report, the
-    drive still obeys the command before the last command. The expected torque follows from this
-    command, and from the position and speed in the report.
+    drive still obeys the command before the last command. The expected torque follows from the
+    command before the last command, and from the position and speed in the report.
     """
     for n in range(x.servo.shape[1]):
         torque = x.servo[s.LAST_SERVO_COMMAND + 4, n]

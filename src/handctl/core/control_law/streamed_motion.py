@@ -1,16 +1,17 @@
 """Motion along streamed targets.
 
 The motion to the latest target is interpolated, and its speed and acceleration are limited. A
-segment is a polynomial of time for each coordinate. A segment begins at the reference position at
-which a target arrives, and ends at this target. After the end of a segment, the reference position
-stays at the target, because targets are not extrapolated.
+segment of the motion is a polynomial of time for each coordinate. When a target arrives, a segment
+begins at the present reference position, and ends at the new target. After the end of a segment,
+the reference position stays at the target, because targets are not extrapolated.
 
 The reference position follows the segment exactly if speed and acceleration stay within their
-limits. Otherwise the reference position approaches the target as fast as the limits allow. It
-reaches the target with the rate of the stream. Near the end of a joint's range, the speed towards
-this end is limited, so that the motion can still stop. The reference position is never more than
-``MAX_LEAD_RAD`` ahead of the digit. If an object holds a digit, the reference position waits. If an
-object pushes a digit away, the reference position follows the digit.
+limits. If the segment exceeds a limit, the reference position approaches the target as fast as the
+limits allow. The reference position reaches the target with the rate of the stream. Near the end of
+a joint's range, the speed towards the end of the range is limited, so that the motion can stop
+before the end. The reference position is never more than ``MAX_LEAD_RAD`` ahead of the digit. If an
+object holds a digit, the reference position waits ahead of the digit. If an object pushes a digit
+away, the reference position follows the digit.
 """
 
 import math
@@ -26,19 +27,20 @@ from handctl.core.tick_types import Vector
 MAX_LEAD_RAD = math.radians(8.0)
 """Largest distance of the reference from the estimated position of the digit [rad], at full stiffness.
 
-If an object holds the digit, the reference waits at this distance, so that the digit does not jump
-when the object releases it.
+If an object holds the digit, the reference position waits at the distance ``MAX_LEAD_RAD``, so that
+the digit does not jump when the object releases it.
 """
 MIN_STIFFNESS_FRACTION = 0.05
 """Smallest divisor of ``MAX_LEAD_RAD``.
 
-Otherwise, the divisor is the stiffness fraction of the digit. A softer digit may be pushed away
-further.
+The divisor of ``MAX_LEAD_RAD`` is the stiffness fraction of the digit, but at least
+``MIN_STIFFNESS_FRACTION``. An object can push a softer digit further away from the reference
+position.
 """
 RATE_LIMIT_TOLERANCE = 1e-9
-"""Relative tolerance of the limits, for rounding errors."""
+"""Relative tolerance of the rate limits, for rounding errors."""
 CLIP_TOLERANCE = 1e-9
-"""Difference between requested and used value above which the request counts as clipped [rad, N]."""
+"""Difference between requested and used target above which the target counts as clipped [rad, N]."""
 
 
 @kernel("block", "layout", "vector", "vector", "real", "real", "real", "real", "count")
@@ -61,13 +63,13 @@ def begin_segments(
         block: state block, modified in place.
         at: ``BlockLayout.offsets`` of the state block.
         target_coordinates: (C,) requested coordinates [rad].
-        holdable_coordinates: (C,) coordinates nearest to the present ones that the hand can hold with
-            taut tendons [rad].
+        holdable_coordinates: (C,) coordinates that the hand can hold with taut tendons, as near as
+            possible to the present coordinates [rad].
         since: start of the motion [s].
         duration: duration of the motion [s].
-        target_interval: time between this target and the previous target [s]. If this time is
-            infinite, the motion ends at rest.
-        max_rate: largest rate that a coordinate may have when the target is reached [rad/s].
+        target_interval: time between the target and the previous target [s]. If the interval of the
+            targets is infinite, the motion ends at rest.
+        max_rate: largest allowed rate of a coordinate at the target [rad/s].
         minimum_jerk: 1 for a motion of minimum jerk, 0 for a motion at constant rate.
     """
     x = state_tables(block, at)
@@ -93,10 +95,11 @@ def _write_segment(
 ) -> None:
     """Write the polynomial for the motion of a coordinate to a target [rad, s].
 
-    The lowest power is written first. A motion of minimum jerk begins with the position, rate and
-    acceleration of the present reference. It ends at the target with the given rate. The
-    acceleration at the end of the motion is not prescribed, so the jerk is 0 at the end. If the
-    time u remains until the end, the jerk is b u + c u^2. The linear motion has a constant rate.
+    The coefficient of the lowest power is written first. A motion of minimum jerk begins with the
+    position, rate and acceleration of the present reference. The motion of minimum jerk ends at the
+    target with the given rate. The acceleration at the end of the motion is not prescribed, so the
+    jerk is 0 at the end. If the time u remains until the end of the motion, the jerk is b u + c
+    u^2. The linear motion has a constant rate.
 
     Args:
         x: state tables.
@@ -168,7 +171,7 @@ def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None
     candidate_position, candidate_rate = position_on_segment(x, k, now)
     remaining = max(x.run[s.STREAM_SEGMENT_START] + x.run[s.STREAM_DURATION] - now, 0.0)
     target_rate = x.coordinate[s.STREAM_TARGET_RATE, k] if remaining > 0.0 else 0.0
-    # This position moves at the rate of the targets, and reaches the latest target at the end of
+    # The moving target moves at the rate of the stream, and reaches the latest target at the end of
     # the segment.
     moving_target = x.coordinate[s.STREAM_TARGET, k] - target_rate * remaining
     mean = (candidate_position - position) / period
@@ -204,7 +207,7 @@ def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None
 def coordinate_scale(c: ConstantTables, d: int, k: int) -> float:
     """Return the scale of coordinate k of digit d, which converts limits in rad to the coordinate.
 
-    The value is 1 for hinges, and less than 1 for prismatic joints.
+    The scale is 1 for hinges, and less than 1 for prismatic joints.
     """
     for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
         if c.joint_coordinate_table[h.JOINT_COUPLING, j, k] != 0.0:
@@ -219,7 +222,7 @@ def _allowed_rates(
     """Return the lowest and the highest allowed rate of a coordinate's reference [rad/s].
 
     The speed limit, the range of the coordinate, and the distance of the reference from the digit
-    determine both rates.
+    determine the lowest and the highest rate.
 
     Args:
         x: state tables.
@@ -227,7 +230,8 @@ def _allowed_rates(
         d: index of the digit.
         k: index of the coordinate.
         period: time since the last tick [s].
-        scale: motion of the coordinate that is limited like 1 rad, see ``coordinate_scale``.
+        scale: motion of the coordinate to which the limits for 1 rad apply, see
+            ``coordinate_scale``.
         gain: largest change of the rate within the period [rad/s].
     """
     position = x.coordinate[s.TRAJECTORY, k]
@@ -281,8 +285,8 @@ def _stoppable_speed_towards(distance: float, gain: float, period: float) -> flo
 def max_stoppable_speed(distance: float, gain: float, period: float) -> float:
     """Return the largest speed that still allows a stop within a distance [rad/s].
 
-    In each control period T, the speed falls by at most g. Let the speed be w = n g + r, with 0 <=
-    r < g. The motion then covers the distance ((n + 1) w - g n (n + 1) / 2) T until it stops.
+    In each control period T, the speed falls by at most g. A motion with the speed w = n g + r,
+    with 0 <= r < g, covers the distance ((n + 1) w - g n (n + 1) / 2) T until it stops.
 
     Args:
         distance: distance to the stop [rad]. A distance of 0 or less allows no speed.

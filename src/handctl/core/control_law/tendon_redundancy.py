@@ -1,10 +1,10 @@
 """Digits without return springs, and digits with more tendons than coordinates.
 
-In a digit without springs, antagonistic tendons open the digit. In a digit with more tendons than
-coordinates, there are tensions in the null space of (R B)^T. These tensions make no joint torque,
-although all of them are above the tension floor. They are called the balance tensions of the digit.
-A digit with n coordinates and n + 1 tendons has a null space of one dimension. With 2 n tendons,
-the null space has n dimensions. Source: Lee & Tsai (1991), Salisbury & Craig (1982).
+In a digit without springs, antagonistic tendons open the digit. The balance tensions of a digit
+with more tendons than coordinates are tensions in the null space of (R B)^T. Balance tensions make
+no joint torque, although all of them are above the tension floor. A digit with n coordinates and n
++ 1 tendons has a null space of one dimension. A digit with n coordinates and 2 n tendons has a null
+space of n dimensions. Source: Lee & Tsai (1991), Salisbury & Craig (1982).
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from handctl.hand.moment_arms import joint_excursions
 
 BoolArray = NDArray[np.bool_]
 MAX_BALANCE_TORQUE_FRACTION = 1e-3
-"""Largest torque that balance tensions may make, as a fraction of the largest tension times the mean moment arm."""
+"""Largest allowed torque of balance tensions, as a fraction of the largest tension times the mean moment arm."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,10 +1,11 @@
 """Conversion of joint torques to tendon tensions, by a bounded least-squares problem per digit.
 
-The problem, with the mean moment arm r, is: minimise |R^T f - tau|^2 / r^2 + regularisation |f -
-f_min|^2 subject to f_min <= f <= f_max. If the equations R^T f = tau have a unique solution within
-the bounds, this solution is used. If no tensions within the bounds make the required torque, the
-solution is the tensions with the closest possible torque. All coordinates then have equal weights.
-The difference between required and possible torque is also returned. Source: Lee & Tsai (1991).
+The least-squares problem, with the mean moment arm r, is: minimise |R^T f - tau|^2 / r^2 +
+regularisation |f - f_min|^2 subject to f_min <= f <= f_max. If the equations R^T f = tau have a
+unique solution within the bounds, this solution is used. If no tensions within the bounds make the
+required torque, the solution is the tensions with the closest possible torque. The torque errors of
+all coordinates have equal weights. ``tensions_for_torque`` returns the tensions, and the difference
+between the required and the possible torque. Source: Lee & Tsai (1991).
 """
 
 from typing import NamedTuple
@@ -24,7 +25,7 @@ The weight is so small that it only selects one of several solutions with equal 
 def tensions_for_torque(
     moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector
 ) -> tuple[Vector, Vector]:
-    """Return the tensions of a digit for a required torque, and the torque that cannot be made.
+    """Return the tensions of a digit for a required torque, and the part of the torque that they cannot make.
 
     Args:
         moment_arms: (n_t, n_c) reduced moment arms [m].
@@ -45,7 +46,7 @@ def tensions_for_torque(
 
 
 def _unique_solution(moment_arms: Vector, torque: Vector) -> Vector | None:
-    """Return the solution of the problem without bounds, if this solution is unique.
+    """Return the solution of the least-squares problem without bounds, if the solution is unique.
 
     Return None if the digit has more tendons than coordinates.
     """
@@ -63,7 +64,8 @@ class _AllocationProblem(NamedTuple):
         arms: (n_t, n_c) moment arms divided by their mean.
         mean: mean of the moment arms [m].
         weight: (n_t, n_t) matrix of the quadratic form.
-        empty_constraints: (0, n_t) matrix without rows, because the program has no linear constraints.
+        empty_constraints: (0, n_t) matrix without rows, because the quadratic program has no linear
+            constraints.
     """
 
     arms: Vector
@@ -80,8 +82,8 @@ MAX_CACHED_ALLOCATIONS = 64
 def _cached_allocation_problem(moment_arms: Vector) -> _AllocationProblem:
     """Return the quadratic program for given moment arms.
 
-    If the array of moment arms is read-only, the program is cached for later calls with the same
-    array.
+    If the array of moment arms is read-only, the quadratic program is cached for later calls with
+    the same array.
     """
     result = _cached_problems.get(id(moment_arms))
     if result is not None and result[0] is moment_arms:
@@ -109,13 +111,13 @@ def solve_bounded_tensions(
         floor: see ``tensions_for_torque``.
         ceiling: see ``tensions_for_torque``.
         preferred_tension: (n_t,) start tensions [N], for example the solution without bounds. The
-            bounds that these tensions violate are the first active set of the solver. This halves
-            the number of steps of the solver.
+            bounds that the start tensions violate are the first active set of the solver. A good
+            first active set halves the number of steps of the solver.
     """
     arms, mean, weight, empty_constraints = _cached_allocation_problem(moment_arms)
     gradient_at_zero = -(arms.dot(torque / mean) + REGULARISATION_WEIGHT * floor)
     start = np.minimum(np.maximum(preferred_tension, floor), ceiling)
-    # The bounds and the weights are copied, because daqp may change the arrays in its arguments.
+    # The bounds and the weights are copied, because daqp can change the arrays in its arguments.
     result = solve(
         weight.copy(),
         gradient_at_zero,

@@ -29,10 +29,10 @@ class Trajectory(Protocol):
 class BlendTrajectory:
     """Part of a move that continues an earlier motion of the digit.
 
-    This part fades out during the move. The added position is the sum of two polynomials of degree
-    5. At the start, the first polynomial has a rate of 1, and the second polynomial has an
-    acceleration of 1. All other values, rates and accelerations of the two polynomials at the start
-    and at the end are 0.
+    The blend, which continues the earlier motion, fades out during the move. The position that the
+    blend adds is the sum of two polynomials of degree 5. At the start of the move, the first
+    polynomial has a rate of 1, and the second polynomial has an acceleration of 1. All other
+    values, rates and accelerations of the two polynomials at the start and at the end are 0.
 
     Attributes:
         speed: (n,) rate of the earlier motion at t = 0 [rad/s].
@@ -109,8 +109,8 @@ class StreamedTrajectory:
 class CurveTrajectory:
     """Motion of a digit along a cubic spline through given points.
 
-    The digit is at rest at both ends. Either all coordinates of a digit share one spline, or each
-    coordinate has its own spline.
+    The digit is at rest at both ends of the spline. Either all coordinates of a digit share one
+    spline, or each coordinate has its own spline.
 
     Attributes:
         times: (k,) times of the points [s], in rising order from 0.
@@ -163,7 +163,7 @@ class CurveTrajectory:
     def peak_speed(self) -> float:
         """Return the largest speed on the curve [rad/s].
 
-        The largest speed occurs at an end of a piece, or where the acceleration is 0.
+        The largest speed occurs at an end of a piece of the curve, or where the acceleration is 0.
         """
         a, b, c, _ = self.coefficients
         length = np.diff(self.times).reshape(-1, *(1,) * (a.ndim - 1))
@@ -179,7 +179,8 @@ class CurveTrajectory:
 class SampledTrajectory:
     """Motion of a digit at a single instant.
 
-    The motion comes from another source, for example from a log.
+    Position, velocity and acceleration come from another source than a trajectory, for example from
+    a log.
 
     Attributes:
         position: (n,) coordinates [rad].

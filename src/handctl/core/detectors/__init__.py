@@ -1,4 +1,4 @@
 """Compiled fault detectors.
 
-The detectors find the faults of a tick. They store values of earlier ticks.
+The detectors find the faults of a tick, and store values of earlier ticks.
 """

@@ -37,7 +37,7 @@ from handctl.safety.faults.bus import (
 EvidenceTable = NDArray[np.float64]
 """Result table of all detectors, (faults, instances).
 
-An element is a number that shows the fault, or NaN if the fault is absent.
+An element of the table is a number that shows the fault, or NaN if the fault is absent.
 """
 
 
@@ -66,8 +66,8 @@ def detect_bus_faults(
 def _detect_overdue_feedback(x: StateTables, c: ConstantTables, evidence: EvidenceTable) -> None:
     """Find motors whose feedback is overdue.
 
-    In a tick that the host has missed, no feedback was requested. Missed ticks therefore do not
-    cause the fault B01.
+    In a tick that the host has missed, the host requests no feedback, so missed ticks do not cause
+    the fault B01.
     """
     lowest_age = motor_ticks_overdue(x, c, 0, x.run_int[s.TICK_TIME_NS])
     for n in range(x.tendon.shape[1]):

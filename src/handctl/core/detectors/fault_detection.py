@@ -1,8 +1,8 @@
 """Fault detection of a tick.
 
-The detectors update their stored values and find faults. Then the consecutive ticks with each fault
-are counted. Afterwards ``safety.tick_verdict`` latches the faults that are active, adds the faults
-that the buses and the host report, and chooses the reaction.
+The detectors update their stored values and find faults. For each fault, the consecutive ticks with
+the fault are counted. After the fault detection, ``safety.tick_verdict`` latches the active faults,
+adds the faults that the buses and the host report, and chooses the reaction.
 """
 
 import math
@@ -60,7 +60,8 @@ def find_and_debounce_faults(
         The most severe action of all active faults.
     """
     mode = x.run_int[s.HAND_MODE]
-    # Motors may make torque in the states from ARMING to RELAX, but not in DISARM and CUT.
+    # Motors are allowed to make torque in the states from ARMING to RELAX, but not in DISARM and
+    # CUT.
     is_armed = ARMING_MODE <= mode <= RELAX_MODE
     is_torque_cut = mode == CUT_MODE or mode == DISARM_MODE
     for row in range(evidence.shape[0]):
@@ -91,7 +92,7 @@ def find_and_debounce_faults(
 
 @kernel_helper
 def update_fault_memory(x: StateTables, c: ConstantTables) -> None:
-    """Update the stored values of the detectors that run while the motors may make torque."""
+    """Update the stored values of the detectors that run while the motors are allowed to make torque."""
     missed_ticks = x.run_int[s.MISSED_TICKS]
     are_cells_tared = x.run_int[s.ARE_CELLS_TARED] == 1
     tendon_slip.update_tendon_slip(x, c, are_cells_tared)

@@ -1,8 +1,8 @@
 """Counts of lost frames, malformed frames and frames with unknown identifiers.
 
-Each node has an integer with one bit for each recent tick. The bit is 1 if a frame of the node was
-lost in this tick. Bit 0 belongs to the newest tick. A second integer of the node stores in the same
-form the ticks with malformed frames of the node.
+Each node has an integer with one bit for each recent tick. A bit is 1 if a frame of the node was
+lost in the tick of the bit. Bit 0 belongs to the newest tick. Each node has a second integer of the
+same form, in which a bit is 1 for a tick with a malformed frame of the node.
 """
 
 from handctl.compiled import kernel_helper
@@ -14,7 +14,7 @@ from handctl.safety.faults.bus import LOSS_WINDOW_TICKS, MALFORMED_WINDOW_TICKS
 from handctl.safety.faults.node import HALF_RATE_LOSS_COUNT
 
 TICKS_OVERDUE_BEFORE_FIRST_READING = 1_000_000
-"""Age that is used for a node from which no reading was received so far [ticks]."""
+"""Assumed age of the last reading of a node that has not sent a reading yet [ticks]."""
 BITS_PER_WORD = LOSS_WINDOW_TICKS // 2
 """Number of bits in each of the two words that store the lost frames of ``LOSS_WINDOW_TICKS`` ticks."""
 WORD_MASK = (1 << BITS_PER_WORD) - 1
@@ -27,7 +27,7 @@ MALFORMED_WINDOW_MASK = (1 << MALFORMED_WINDOW_TICKS) - 1
 def ticks_overdue(now_ns: int, last_reading_ns: int, send_period_ns: int, period_ns: int) -> int:
     """Return the number of whole ticks by which a reading of a node is overdue.
 
-    A reading from the last period is not overdue.
+    A reading from the last control period is not overdue.
 
     Args:
         now_ns: time of the tick [ns].
@@ -84,8 +84,8 @@ def update_loss_counts(
         c: constants of the hand.
         now_ns: time of the tick [ns].
         unknown_frame_count: number of frames with unknown identifiers in the tick.
-        count_missing_replies: True to count missing replies. Missing replies are counted if the motors may
-            make torque and the host missed no tick.
+        count_missing_replies: True to count missing replies. Missing replies are counted if the
+            motors are allowed to make torque and the host missed no tick.
     """
     tendons = x.tendon.shape[1]
     for node in range(tendons + 1):
@@ -130,7 +130,7 @@ def count_set_bits(bits: int) -> int:
 
 @kernel_helper
 def count_lost_replies(x: StateTables, node: int) -> int:
-    """Return the number of ticks without a reply of a node, of the last ``LOSS_WINDOW_TICKS`` ticks."""
+    """Return the number of ticks without a reply of a node among the last ``LOSS_WINDOW_TICKS`` ticks."""
     return count_set_bits(x.node_int[s.LOST_REPLY_BITS, node]) + count_set_bits(
         x.node_int[s.LOST_REPLY_BITS + 1, node]
     )
@@ -140,12 +140,12 @@ def count_lost_replies(x: StateTables, node: int) -> int:
 def misses_every_second_reply(x: StateTables, node: int) -> bool:
     """Return True if about every second reply of a node is missing.
 
-    The last ``MALFORMED_WINDOW_TICKS`` ticks are tested. In this pattern, two consecutive replies
-    are missing at most once.
+    The function tests the replies of the last ``MALFORMED_WINDOW_TICKS`` ticks. If every second
+    reply is missing, two consecutive replies are missing at most once.
     """
     recent_losses = x.node_int[s.LOST_REPLY_BITS, node] & MALFORMED_WINDOW_MASK
-    # The integer is combined by AND with itself, shifted by one bit. The result has a bit of 1 for
-    # each pair of consecutive missing replies.
+    # The integer of lost frames is combined by AND with the same integer, shifted by one bit. The
+    # result of the AND operation has a bit of 1 for each pair of consecutive missing replies.
     return (
         count_set_bits(recent_losses) >= HALF_RATE_LOSS_COUNT
         and count_set_bits(recent_losses & recent_losses >> 1) <= 1

@@ -62,7 +62,7 @@ _FAULT_ROW_BY_CAUSE = {
     DriveFaultCause.UNKNOWN: N11B_UNKNOWN_DRIVE_ERROR,
 }
 FAULT_ROW_BY_CAUSE_INDEX = tuple(_FAULT_ROW_BY_CAUSE[cause] for cause in sorted(DriveFaultCause))
-"""Fault for each value of ``drives.contract.DriveFaultCause``."""
+"""Row of the evidence table for each value of ``drives.contract.DriveFaultCause``."""
 FAULT_PHASE = int(DrivePhase.FAULT)
 """Value of ``drives.contract.DrivePhase.FAULT``."""
 
@@ -71,7 +71,7 @@ FAULT_PHASE = int(DrivePhase.FAULT)
 def detect_node_faults(
     x: StateTables, c: ConstantTables, is_armed: bool, evidence: EvidenceTable
 ) -> None:
-    """Run the detectors that also work without torque, and write their results into the evidence table."""
+    """Run the detectors that also work without motor torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
         if x.tendon[s.TEMPERATURE, n] > c.run[h.DERATING_START_TEMPERATURE]:
             evidence[N09A_WARM_DRIVE, n] = x.tendon[s.TEMPERATURE, n]
@@ -133,8 +133,8 @@ def _detect_rejected_positions(x: StateTables, evidence: EvidenceTable) -> None:
                 evidence[N05B_REPEATED_ENCODER_JUMPS, n] = x.tendon[s.REJECTED_MOTOR_STEP, n]
     for j in range(x.joint.shape[1]):
         if x.joint[s.REJECTED_JOINT_STEP, j] > 0.0:
-            # A fault that can occur in motors and in joints has two rows of the evidence table. The
-            # second row is for joints.
+            # A fault that can occur in motors and in joints has two rows of the evidence table: the
+            # first row for motors, and the second row for joints.
             evidence[N05A_ENCODER_JUMP + 1, j] = x.joint[s.REJECTED_JOINT_STEP, j]
             if x.joint[s.REJECTED_ANGLE_COUNT, j] > 1.0:
                 evidence[N05B_REPEATED_ENCODER_JUMPS + 1, j] = x.joint[s.REJECTED_JOINT_STEP, j]
@@ -144,7 +144,7 @@ def _detect_rejected_positions(x: StateTables, evidence: EvidenceTable) -> None:
 def detect_node_faults_under_torque(
     x: StateTables, c: ConstantTables, evidence: EvidenceTable
 ) -> None:
-    """Run the detectors that work only with torque, and write their results into the evidence table."""
+    """Run the detectors that work only with motor torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
         slip = abs(x.tendon[s.RESIDUAL + residuals.SLIP, n])
         if slip > SLIP_WARN_DEG:
@@ -215,8 +215,9 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
 def _overcomes_friction(c: ConstantTables, n: int, goal_change: float) -> bool:
     """Return True if a change of the goal [m] moves the motor against its friction.
 
-    Friction c may hold a motor at rest until the feedback force has changed by 2 c. With a soft
-    position loop, this is a long way of the goal. Position loops in drives are stiff.
+    Friction c can hold a motor at rest until the feedback force has changed by 2 c. With a soft
+    position loop, the goal must move a long way to change the feedback force by 2 c. Position loops
+    in drives are stiff.
     """
     if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
         return True
@@ -229,7 +230,7 @@ def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Eviden
     """Find tendons that are still under tension after the motor torque was cut.
 
     The tension is visible in the load-cell reading or in the torque that the drive reports. If a
-    spool has paid out its tendon, its motor no longer pulls. The tendon may still be taut.
+    spool has paid out its tendon, its motor no longer pulls, although the tendon can still be taut.
     """
     if x.run_int[s.TICKS_SINCE_CUT] * c.run[h.CONTROL_PERIOD] < PULL_AFTER_CUT_TIME_S:
         return
@@ -247,24 +248,25 @@ def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Eviden
 
 @kernel_helper
 def _has_spool_paid_out(x: StateTables, c: ConstantTables, n: int) -> bool:
-    """Return True if a motor's encoder shows that the spool has paid out its tendon since the cut."""
+    """Return True if a motor's encoder shows that the spool has paid out its tendon since the cut of the torque."""
     turned_angle = x.tendon[s.POSITION, n] - x.tendon[s.POSITION_AT_CUT, n]
-    # The comparison with NaN is False, so an unknown position does not count as released.
+    # The comparison with NaN is False, so a spool with an unknown position does not count as a
+    # spool that has paid out its tendon.
     return bool(c.tendon[h.SPOOL_RADIUS, n] * turned_angle < -RELEASED_SPOOL_TRAVEL_M)
 
 
 @kernel_helper
 def _reports_torque_after_cut(x: StateTables, c: ConstantTables, n: int) -> bool:
-    """Return True if a drive still reports a torque that is similar to its torque before the cut."""
-    # A drive that sends its torque in a separate frame sends no torque after a cut. The last torque
-    # report of such a drive is then old.
+    """Return True if the motor torque was cut, but the drive still reports a torque similar to the earlier torque."""
+    # After a cut of the motor torque, a drive that reports its torque in a separate frame sends no
+    # torque frames, so its last torque report is old.
     if not c.tendon_int[h.HAS_SINGLE_ANSWER, n]:
         return False
-    # The last report before the cut is in RECENT_MOTOR_FORCES, which is updated only while the motors may
-    # make torque.
+    # The last torque report before the cut of the torque is in RECENT_MOTOR_FORCES, which is
+    # updated only while the motors are allowed to make torque.
     last_force = abs(x.tendon[s.RECENT_MOTOR_FORCES + 3, n])
     reported_force = abs(x.tendon[s.MEASURED_FORCE, n])
-    # A drive that reports its torque in large steps may report one step although it makes no
+    # A drive that reports its torque in large steps can report one step although it makes no
     # torque.
     threshold = REPORTED_PULL_AFTER_CUT_N + c.tendon[h.TORQUE_STEP, n]
     return reported_force > threshold and reported_force > PULL_AFTER_CUT_FRACTION * last_force

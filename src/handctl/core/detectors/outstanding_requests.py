@@ -2,12 +2,12 @@
 
 A late reply answers an old request, so a late reply is not counted as a duplicate.
 
-The host sends a request to each motor in every tick. A missing reply may be lost. The missing reply
-may also come later, together with other replies. If a computer is busy, all replies may come a tick
-late. At first the host cannot distinguish these cases. Therefore a request stays outstanding until
-its reply comes, but at most for ``LOSS_WINDOW_TICKS`` ticks. The last request to a motor stays
-outstanding without a time limit. There may be more replies than outstanding requests. In this case,
-a reply is a duplicate or comes from another node.
+The host sends a request to each motor in every tick. A missing reply is either lost, or comes later
+together with other replies. On a busy computer, all replies can come a tick late. The host cannot
+distinguish a lost reply from a late reply, so a request stays outstanding until its reply comes,
+but at most for ``LOSS_WINDOW_TICKS`` ticks. The last request to a motor stays outstanding without a
+time limit. If there are more replies than outstanding requests, a reply is a duplicate or comes
+from another node.
 """
 
 from handctl.compiled import kernel_helper
@@ -21,7 +21,8 @@ from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
 MAX_OUTSTANDING_REQUESTS = 8
 """Largest number of outstanding requests of a motor.
 
-A motor with more outstanding requests is silent, and its older requests are dropped.
+A motor with more outstanding requests than ``MAX_OUTSTANDING_REQUESTS`` is silent, and its oldest
+requests are dropped.
 """
 READY_PHASE = int(DrivePhase.READY)
 """Value of ``drives.contract.DrivePhase.READY``."""
@@ -35,8 +36,8 @@ def close_answered_requests(x: StateTables, c: ConstantTables) -> bool:
 
     Returns:
         True if a motor or the sensor node sent more replies than it had open requests. For a motor
-        that sent too many replies, ``EXCESS_REPLIES`` is set to the number of its open requests
-        plus 1. For all other motors, ``EXCESS_REPLIES`` is set to 0.
+        that sent too many replies, ``EXCESS_REPLY_COUNT`` is set to the number of its open requests
+        plus 1. For all other motors, ``EXCESS_REPLY_COUNT`` is set to 0.
     """
     has_excess_replies = False
     for n in range(x.tendon.shape[1]):
@@ -56,15 +57,16 @@ def close_answered_requests(x: StateTables, c: ConstantTables) -> bool:
 def add_requests(x: StateTables, k: int) -> None:
     """Add an open request for every motor in tick k.
 
-    A motor that was not ready before tick k does not answer older requests. Therefore only the new
-    request of such a motor is open.
+    A motor that was not ready before tick k does not answer older requests, so only its new request
+    is open.
     """
     for n in range(x.tendon.shape[1]):
         count = x.tendon_int[s.OUTSTANDING_REQUEST_COUNT, n]
         if x.tendon_int[s.LAST_DRIVE_PHASE, n] < READY_PHASE:
             count = 0
         remaining = 0
-        # At most MAX_OUTSTANDING_REQUESTS - 1 old requests are kept, so that the new request has a place.
+        # At most MAX_OUTSTANDING_REQUESTS - 1 old requests are kept, so that the new request can be
+        # stored.
         for i in range(max(count - MAX_OUTSTANDING_REQUESTS + 1, 0), count):
             request_tick = x.tendon_int[s.OUTSTANDING_REQUEST_TICKS + i, n]
             if i == count - 1 or k - request_tick < LOSS_WINDOW_TICKS:

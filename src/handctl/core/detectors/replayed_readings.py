@@ -1,11 +1,11 @@
 """Detection of load-cell frames that contain old readings although their SYNC counter is new.
 
-The readings of a load cell vary by several counts, because of noise. The frames contain old
-readings if each reading of a load cell equals its reading a fixed number of ticks earlier. Such a
-repetition occurs at the start of a delay of n ticks. If every tick still has a reading, the last n
-readings are sent a second time. A load cell with a constant reading also repeats its readings.
-Readings also repeat if the tension control of the tendon oscillates with an amplitude of a few
-counts. This detector does not regard repeated constant readings as a fault. The detector
+The readings of a load cell vary by several counts, because of noise. Load-cell frames contain old
+readings if each reading of a load cell equals its reading a fixed number of ticks earlier. At the
+start of a delay of n ticks, the last n readings are sent a second time if every tick still has a
+reading. A load cell with a constant reading also repeats its readings. The readings of a load cell
+also repeat if the tension control of the tendon oscillates with an amplitude of a few counts. The
+detector of replayed readings does not regard repeated constant readings as a fault. The detector
 ``stuck_sensors`` tests for constant readings.
 """
 
@@ -17,7 +17,7 @@ from handctl.core.state_block import StateTables
 from handctl.safety.faults.tendon import MIN_REPEATED_READINGS, REPEAT_WINDOW
 
 MAX_READING_AGE_TICKS = 64
-"""Number of earlier readings of a channel with which each reading is compared."""
+"""Number of earlier readings of a load cell with which each new reading is compared."""
 MAX_LIMIT_CYCLE_READINGS = 5
 """Largest number of different readings in a limit cycle.
 
@@ -27,13 +27,14 @@ MIN_NEGATIVE_LOG_PROBABILITY = math.log(1e16)
 """Threshold for a repetition: negative logarithm of the probability that a run of equal readings occurs by chance.
 
 With noise of 8 counts, two readings are equal in 4 of 100 cases, and a run of 12 equal pairs
-reaches the threshold. With noise of 1.5 counts, a run of 22 pairs is necessary.
+reaches the threshold. With noise of 1.5 counts, a run of 22 equal pairs is necessary to reach the
+threshold.
 """
 
 
 @kernel_helper
 def count_repeated_readings(x: StateTables, are_cells_tared: bool) -> None:
-    """Compare the present load-cell readings with those of the last ``MAX_READING_AGE_TICKS`` ticks."""
+    """Compare the present load-cell readings with the readings of the last ``MAX_READING_AGE_TICKS`` ticks."""
     count = x.tendon.shape[1]
     for n in range(count):
         x.tendon[s.PRESENT_CELL_READING, n] = (
@@ -68,7 +69,7 @@ def age_of_repeated_readings(x: StateTables, n: int) -> int:
     Return 0 if the load cell does not repeat readings.
     """
     longest_run = x.tendon_int[s.LONGEST_READING_REPETITION, n]
-    # The probability of so many equal readings is compared as a logarithm, because the probability
+    # The probability of a run of equal readings is compared as a logarithm, because the probability
     # itself is too small a number.
     if (
         longest_run < MIN_REPEATED_READINGS

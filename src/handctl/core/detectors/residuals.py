@@ -5,10 +5,11 @@ The main residual is the motor force minus tension, inertial force and friction.
 The rotor of a motor obeys the equation m a = F - T - b v - c sign(v). The rotor has the mass m, and
 at the spool the acceleration a and the speed v. F is the motor force, and T is the tension. The
 coefficient b belongs to the viscous friction, and c is the Coulomb friction. If the measurements
-disagree with the equation for 0.2 s, the load cell, the motor or the friction differs from the
-model. The thresholds of the residuals are far above the noise. They cause less than one false alarm
-in ten thousand hours. The same residual is also filtered with a time constant of 20 ms. This faster
-residual shows a tension that is much larger than the commanded force of the motor.
+disagree with the equation of the rotor for 0.2 s, the load cell, the motor or the friction differs
+from the model. The thresholds of the residuals are far above the noise, and cause less than one
+false alarm in ten thousand hours. A second low-pass filter of the main residual has a time constant
+of 20 ms. The residual with the time constant of 20 ms shows a tension that is much larger than the
+commanded force of the motor.
 """
 
 import math
@@ -39,7 +40,8 @@ RESIDUAL_TIME_CONSTANTS_S = (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0, 0.02)
 TRUSTED_NOISE_FRACTION = 1.0 / 30.0
 """Fraction of the limit of fault N07 above which the noise of an encoder makes the acceleration useless.
 
-Two ticks of a noise of 0.04 rad reach a seventh of the limit. Exchanged power stages stay below a hundredth.
+Two ticks of an encoder noise of 0.04 rad reach a seventh of the limit of fault N07. Exchanged power
+stages of two drives reach less than a hundredth of the limit of fault N07.
 """
 TORQUE_CONSTANT_TOLERANCE = 0.1
 """Relative error of the motor force that the usual tolerance of a motor's torque constant K_t causes."""
@@ -66,7 +68,7 @@ def update_residuals(
     for n in range(x.tendon.shape[1]):
         position = x.tendon[s.MEASURED_POSITION, n] if missed_ticks == 0 else math.nan
         speed = x.tendon[s.SPOOL_SPEED, n] if missed_ticks == 0 else math.nan
-        # The reading of a saturated load cell is no tension. Fault T06 reports it.
+        # The reading of a saturated load cell is no tension. Fault T06 reports the saturation.
         is_cell_usable = are_cells_tared and not is_cell_saturated(x, c, n)
         tension = x.tendon[s.MEASURED_TENSION, n] if is_cell_usable else math.nan
         force = x.tendon[s.MEASURED_FORCE, n]
@@ -74,15 +76,16 @@ def update_residuals(
         motor_force = commanded_force if math.isnan(force) else force
         checked_tension = monitored_tension(x, c, n, are_cells_tared)
         if not has_started:
-            # The two fast filters start at the present tension and at the present motor force.
+            # The two fast low-pass filters start at the present tension and at the present motor
+            # force.
             x.tendon[s.RESIDUAL + TENSION, n] = (
                 0.0 if math.isnan(checked_tension) else checked_tension
             )
             x.tendon[s.RESIDUAL + QUICK_FORCE, n] = 0.0 if math.isnan(motor_force) else motor_force
         position_change = position - x.tendon[s.LAST_POSITION, n]
         # The friction is computed as proportional to tanh(1000 v), with the speed v in m/s. Above
-        # some millimetres per second, the computed friction has its full value. When the motor is
-        # at rest, the computed friction therefore does not change its sign in every tick.
+        # some millimetres per second, the computed friction has its full value. With tanh, the sign
+        # of the computed friction does not change in every tick while the motor is at rest.
         friction_force = c.tendon[h.MOTOR_DAMPING, n] * speed + c.tendon[
             h.MOTOR_COULOMB_FRICTION, n
         ] * math.tanh(speed * 1e3)
@@ -99,8 +102,8 @@ def update_residuals(
         residual_sums[QUICK_FORCE] = motor_force
         residual_sums[SLIP] = x.tendon[s.TENDON_SLIP, n]
         residual_sums[JERK] = square(position_change - x.tendon[s.LAST_POSITION_STEP, n])
-        # Friction has the sign of the speed. The excess friction is therefore the residual of the
-        # force balance, multiplied by the sign of the speed.
+        # Friction has the sign of the speed, so the excess friction is the residual of the force
+        # balance, multiplied by the sign of the speed.
         residual_sums[EXCESS_FRICTION] = (
             math.copysign(1.0, speed) * balance
             if abs(speed) > FULL_FRICTION_SPEED_M_S
@@ -121,8 +124,8 @@ def update_residuals(
 def unexplained_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the part of the main residual that the model cannot explain [N].
 
-    Friction and the tolerance of the motor explain the other part. The residual is filtered with a
-    time constant of 0.2 s. The result is 0 or more.
+    Friction and the tolerance of the motor force explain the other part of the residual. The main
+    residual is filtered with a time constant of 0.2 s. The result is 0 or more.
     """
     difference = abs(x.tendon[s.RESIDUAL + BALANCE, n])
     return max(difference - _max_explained_difference(x, c, n, MOTOR_FORCE), 0.0)
@@ -132,8 +135,9 @@ def unexplained_tension(x: StateTables, c: ConstantTables, n: int) -> float:
 def excess_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the excess of a tension over the largest tension that its motor explains [N], 0 or more.
 
-    The excess is filtered with a time constant of 20 ms. While the encoder of the motor is noisy,
-    the acceleration of the rotor is wrong, and the result is 0. Fault N07 reports the noise.
+    The excess tension is filtered with a time constant of 20 ms. While the encoder of the motor is
+    noisy, the acceleration of the rotor is wrong, and the excess tension is set to 0. Fault N07
+    reports the noise.
     """
     if abs(x.tendon[s.RESIDUAL + JERK, n]) > TRUSTED_NOISE_FRACTION * c.run[h.POSITION_NOISE_LIMIT]:
         return 0.0

@@ -1,7 +1,7 @@
 """Tension history of a tendon.
 
-The history contains the time since the tendon was taut, the duration of slack, and the tensions at
-and after a cut of the torque.
+The tension history contains the time since the tendon was taut, the duration of slack, and the
+tensions at and after a cut of the torque.
 """
 
 import math
@@ -20,7 +20,7 @@ MIN_READING_DELAY_AFTER_CUT_S = 0.08
 
 @kernel_helper
 def update_slack_history(x: StateTables, c: ConstantTables) -> None:
-    """Update the tension history while the motors may make torque.
+    """Update the tension history while the motors are allowed to make torque.
 
     For a spool pair, a tension in the direction of the commanded tension is positive.
     """
@@ -43,8 +43,8 @@ def update_slack_history(x: StateTables, c: ConstantTables) -> None:
         elif x.tendon_int[s.TICKS_SINCE_TAUT, n] >= 0:
             x.tendon_int[s.TICKS_SINCE_TAUT, n] += 1
             # Both tendons of a spool pair are taut if the net tension is below twice the
-            # pretension. So no tendon of a spool pair counts as slack while the commanded net
-            # tension is below twice the pretension.
+            # pretension. No tendon of a spool pair counts as slack while the commanded net tension
+            # is below twice the pretension.
             is_slack = tension < SLACK_TENSION_N and commanded_tension > max(
                 TAUT_TENSION_N, 2.0 * c.tendon[h.PRETENSION, n]
             )
@@ -61,8 +61,9 @@ def update_history_after_cut(x: StateTables, c: ConstantTables, are_cells_tared:
     """Update the tension history after the motor torque was cut.
 
     The tension at the cut is the load-cell reading of the tick in which the torque is cut. In a
-    tick in which a cut is necessary, this reading is often missing. Then the last reading before
-    the cut is used. If there is no reading before the cut, the first reading after the cut is used.
+    tick in which a cut of the torque is necessary, the load-cell reading is often missing. Instead
+    of a missing load-cell reading, the last reading before the cut of the torque is used. If there
+    is no load-cell reading before the cut of the torque, the first reading after the cut is used.
 
     Args:
         x: state tables.

@@ -3,12 +3,12 @@
 A reading is stuck if it stays constant although another measurement shows that the measured
 quantity changes.
 
-The other measurement is called the reference. A constant reading is no fault while the reference is
-also constant. The encoder of a motor has two references: the goal of the tendon's excursion, and
-the tension of the tendon. The reference of a load cell is the range of the motor force since the
-last change of the reading. The range is used because the tension loop may first raise the force and
-then lower it. The reference of a joint encoder is the joint angle that is computed from the
-positions of the spools.
+The other measurement is called the reference of the sensor. A constant reading is no fault while
+the reference of the sensor is constant. The encoder of a motor has two references: the goal of the
+tendon's excursion, and the tension of the tendon. The reference of a load cell is the range of the
+motor force since the last change of the reading. The range of the motor force is used because the
+tension loop can first raise the force and then lower it. The reference of a joint encoder is the
+joint angle that is computed from the positions of the spools.
 """
 
 import math
@@ -38,7 +38,7 @@ MIN_PRESSING_TENSION_N = 8.0
 def update_stuck_counts(x: StateTables, c: ConstantTables, are_cells_tared: bool) -> None:
     """Update the number of ticks with a constant reading, for each sensor.
 
-    If a reading is missing, the number does not change.
+    If a reading is missing, the number of ticks with a constant reading does not change.
 
     Args:
         x: state tables.
@@ -70,7 +70,8 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, are_cells_tared: bool
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n] = x.tendon[
                 s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n
             ] = force
-        # A comparison with NaN is False, so an unknown motor force changes nothing.
+        # A comparison with NaN is False, so an unknown motor force does not change the stored range
+        # of the force.
         if force < x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n]:
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n] = force
         if force > x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n]:
@@ -100,12 +101,13 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, are_cells_tared: bool
 def reference_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the tension that is the reference for the encoder of a motor [N].
 
-    Return NaN if other motors also change this tension. This is the case in every digit with several
-    tendons and load cells. The motor of another tendon turns a joint that both tendons pass. The
-    tension then changes, although friction holds the motor of the tendon at rest.
+    Return NaN if other motors also change the tension, as in every digit with several tendons and
+    load cells. If the motor of another tendon turns a joint that both tendons pass, the tension
+    changes although friction holds the tendon's own motor at rest.
 
-    Without a load cell, the tension is that of the motor's own torque. It then shows that a tendon
-    has torn. In a digit with surplus tendons, an antagonist also changes this tension.
+    Without a load cell, the tension is computed from the motor's own torque, and shows that a
+    tendon has torn. In a digit with surplus tendons, an antagonist also changes the tension that is
+    computed from the torque.
     """
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     has_other_tendons = c.digit_int[h.END_TENDON, d] - c.digit_int[h.FIRST_TENDON, d] > 1
@@ -146,7 +148,7 @@ def joint_angle_by_spools(x: StateTables, c: ConstantTables, j: int) -> float:
 def change_since_reading(reference: float, reference_at_reading: float) -> float:
     """Return the change of a sensor's reference since the reading of the sensor became constant.
 
-    Return 0 if this change is unknown.
+    Return 0 if the change of the reference is unknown.
     """
     distance = abs(reference - reference_at_reading)
     return 0.0 if math.isnan(distance) else distance
@@ -156,14 +158,14 @@ def change_since_reading(reference: float, reference_at_reading: float) -> float
 def filter_goals(x: StateTables, c: ConstantTables) -> None:
     """Filter the goal of each motor.
 
-    A filter is necessary because no motor can follow a sudden change of its goal. While the
-    encoder's reading changes, the filtered goal equals the goal. The detector judges how far the
-    filtered goal has moved since the reading became constant. The distance to the goal is not used,
-    because friction may stop the motor before the goal. When a motor has reached its goal, the
-    filtered goal is set to the estimated excursion. This change of the filtered goal does not count
-    as a motion of the motor's goal. A client may send targets beyond an object that is unknown to
-    the client. While a streamed digit presses on an object, the motion of its goal therefore does
-    not count either.
+    A filter of the goal is necessary because no motor can follow a sudden change of its goal. While
+    the encoder's reading changes, the filtered goal equals the goal. The detector judges how far
+    the filtered goal has moved since the reading became constant. The detector does not judge the
+    distance of the motor from the goal, because friction can stop the motor before the goal. When a
+    motor has reached its goal, the filtered goal is set to the estimated excursion. The jump of the
+    filtered goal to the estimated excursion does not count as a motion of the motor's goal. A
+    client can send targets beyond an object that is unknown to the client, so the motion of the
+    goal does not count while a streamed digit presses on an object.
     """
     fraction = 1.0 - math.exp(-c.run[h.CONTROL_PERIOD] / MOTOR_FOLLOWING_TIME_CONSTANT_S)
     min_step = MAX_UNDELAYED_GOAL_SPEED_M_S * c.run[h.CONTROL_PERIOD]
@@ -186,9 +188,9 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
         if abs(goal - present_excursion) < ARRIVAL_DISTANCE_M:
             x.tendon[s.FILTERED_GOAL, n] = present_excursion
             if abs(present_excursion - last_goal) > MIN_GOAL_JUMP_M:
-                # The filtered goal jumps to the estimated excursion. No motor had to follow this
-                # jump of the filtered goal. The value from which the motion of the filtered goal is
-                # counted therefore jumps too.
+                # The filtered goal jumps to the estimated excursion. No motor has to follow the
+                # jump of the filtered goal, so the value from which the motion of the filtered goal
+                # is counted jumps by the same amount.
                 x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE, n] += present_excursion - last_goal
         elif _is_digit_pressing(x, c, n):
             x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE, n] += (
@@ -200,7 +202,7 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
 def _is_digit_pressing(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if a tendon's tension shows that a streamed digit presses on an object.
 
-    The tension is then much larger than its goal.
+    The tension of a digit that presses on an object is much larger than the tension goal.
     """
     return (
         follows_streamed_angles(x, c, n)

@@ -59,7 +59,7 @@ from handctl.safety.faults.tendon import (
 def detect_tendon_faults(
     x: StateTables, c: ConstantTables, is_armed: bool, evidence: EvidenceTable
 ) -> None:
-    """Run the detectors that also work without torque, and write their results into the evidence table."""
+    """Run the detectors that also work without motor torque, and write their results into the evidence table."""
     saturation_tension = c.run[h.CELL_SATURATION]
     time_in_mode_s = x.run_int[s.TICK_TIME_NS] * 1e-9 - x.run[s.MODE_START_TIME]
     is_hand_relaxed = x.run_int[s.HAND_MODE] == RELAX_MODE and time_in_mode_s > RELAXING_TIME_S
@@ -71,7 +71,7 @@ def detect_tendon_faults(
         if c.tendon[h.TENSION_TRIP, n] < tension < saturation_tension:
             evidence[T03_OVER_TENSION, n] = tension
         # A measured tension above the drive's torque limit proves that the drive does not obey this
-        # limit. A tension that is only estimated proves nothing.
+        # limit. An estimated tension is no proof that the drive disobeys its torque limit.
         if (
             c.tendon[h.DRIVE_TENSION_LIMIT, n] < tension < saturation_tension
             and c.tendon_int[h.CELL_GROUP, n] >= 0
@@ -87,7 +87,7 @@ def detect_tendon_faults(
 def detect_tendon_faults_under_torque(
     x: StateTables, c: ConstantTables, evidence: EvidenceTable
 ) -> None:
-    """Run the detectors that work only with torque, and write their results into the evidence table."""
+    """Run the detectors that work only with motor torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
         _detect_slack(x, c, n, evidence)
         unexplained_tension = residuals.unexplained_tension(x, c, n)
@@ -125,9 +125,9 @@ def _planned_speed(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the speed of a tendon on the streamed trajectory of its joints [m/s].
 
     For a digit without a stream, the speed is 0. The moves of tasks are slow, and the spool of a
-    torn tendon still follows them. The planned speed is subtracted from the speed of the spool. If
-    the speed of such moves were also subtracted, a torn tendon would be found half a second later,
-    as a slack tendon (fault T02b).
+    torn tendon still follows the moves. The detector subtracts the planned speed of a stream from
+    the speed of the spool. If the speed of the moves of tasks were also subtracted, a torn tendon
+    would be found half a second later, as a slack tendon (fault T02b).
     """
     speed = 0.0
     if not follows_streamed_angles(x, c, n):
@@ -146,21 +146,22 @@ def _snapped_speed_threshold(
     """Return the spool speed above which a tendon without tension counts as snapped [m/s].
 
     In a hold, the commanded tension is f, the tension gain is K, and the speed gain is K_v. A torn
-    tendon has no tension. The tension loop then makes the force f + K (f - 0) - K_v v on the spool.
-    The spool therefore approaches the speed v at which this force equals the Coulomb friction c of
-    the motor:
+    tendon has no tension. After a tear of the tendon, the tension loop makes the force f + K (f -
+    0) - K_v v on the spool. The spool approaches the speed v at which the force of the tension loop
+    equals the Coulomb friction c of the motor:
 
         v = ((1 + K) f - c) / K_v.
 
     For a small commanded tension, such as that of an extensor in a grasp, the speed v is below
-    ``SNAP_SPOOL_SPEED``. The threshold is then a fraction of v. In a motion, there is no such final
-    speed, because the position feedback also moves the spool. In a stream of tensions, there is
-    none either, because the targets may change in every tick.
+    ``SNAP_SPOOL_SPEED``. If v is below ``SNAP_SPOOL_SPEED``, the threshold is a fraction of v. In a
+    motion, the spool of a torn tendon has no final speed, because the position feedback also moves
+    the spool. In a stream of tensions, the spool has no final speed either, because the targets can
+    change in every tick.
 
     For a tendon without load cell, the tension is an estimate that follows the commanded tension
-    with a delay. Two events then look like a torn tendon for some ticks: a joint overcomes its
-    friction and slips, or a target reverses the direction of a spool pair. The threshold for these
-    tendons is therefore larger.
+    with a delay. The threshold for a tendon without a load cell is larger, because two events look
+    like a torn tendon for some ticks: a joint overcomes its friction and slips, or a target
+    reverses the direction of a spool pair.
 
     Args:
         x: state tables.
@@ -182,7 +183,7 @@ def _snapped_speed_threshold(
     force = (1.0 + c.tendon[h.TENSION_GAIN, n]) * commanded_tension - c.tendon[
         h.MOTOR_COULOMB_FRICTION, n
     ]
-    # The comparison needs no division, because the damping may be zero.
+    # The comparison needs no division, because the damping can be zero.
     if FREE_SPOOL_SPEED_FRACTION * force >= SNAP_SPOOL_SPEED * damping:
         return SNAP_SPOOL_SPEED
     return max(FREE_SPOOL_SPEED_FRACTION * force / damping, MIN_SNAP_SPOOL_SPEED)
@@ -192,8 +193,8 @@ def _snapped_speed_threshold(
 def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: EvidenceTable) -> None:
     """Find a tendon that does not have its commanded tension.
 
-    After some time without tension, the tendon is slack (T02). If its spool also turns fast, the
-    tendon has snapped (T01).
+    After some time without tension, a tendon counts as slack (T02). If the spool of a tendon
+    without tension turns fast, the tendon counts as snapped (T01).
     """
     period = c.run[h.CONTROL_PERIOD]
     commanded_tension = x.tendon[s.COMMANDED_TENSION, n]

@@ -1,7 +1,8 @@
 """Slip of a tendon.
 
-The spool encoder and the joint encoders both measure the position of the tendon. The slip is the
-change of their difference since the tendon became taut.
+The spool encoder and the joint encoders both measure the position of the tendon. The slip of a
+tendon is the change of the difference between both measured positions (spool and joints) since the
+tendon became taut.
 """
 
 import math
@@ -20,7 +21,7 @@ from handctl.safety.faults.tendon import (
 )
 
 MIN_TAUT_DURATION_S = 0.1
-"""Time for which a tendon must be taut before the reference for its slip is measured [s]."""
+"""Time for which a tendon must be taut before the start value for its slip is measured [s]."""
 DEG_PER_RAD = 180.0 / math.pi
 
 
@@ -68,8 +69,8 @@ def update_tendon_slip(x: StateTables, c: ConstantTables, are_cells_tared: bool)
 def _is_tautness_unknown(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True for a tendon that has no load cell and no commanded torque.
 
-    After the torque of such a motor is cut, the motor turns freely, and its tendon becomes slack.
-    Without a load cell, the friction of a motor at rest looks like tension.
+    After a cut of its torque, a motor turns freely, and its tendon becomes slack. Without a load
+    cell, the friction of a motor at rest looks like tension.
     """
     return c.tendon_int[h.CELL_GROUP, n] < 0 and math.isnan(x.tendon[s.COMMANDED_TENSION, n])
 

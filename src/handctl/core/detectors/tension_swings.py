@@ -1,10 +1,10 @@
 """Detection of an oscillating tension.
 
-The cause may be torque ripple or an unstable control loop. The resonance of motor and tendon is at
-about 20 Hz. Near this resonance, a torque ripple of 0.1 N m makes the tension oscillate by tens of
-newtons. The other detectors do not find an oscillation of the tension. Cogging torque does not
-appear in the motor current. Therefore the comparison of reported and commanded torque (fault N14)
-cannot find the oscillation.
+Torque ripple or an unstable control loop can make the tension oscillate. The resonance of motor and
+tendon is at about 20 Hz. Near the resonance, a torque ripple of 0.1 N m makes the tension oscillate
+by tens of newtons. The other detectors do not find an oscillation of the tension. Cogging torque
+does not appear in the motor current, so the comparison of reported and commanded torque (fault N14)
+cannot find an oscillation that is caused by cogging.
 """
 
 import math
@@ -19,10 +19,10 @@ from handctl.safety.faults.node import OSCILLATION_RMS_N
 SLOW_DEVIATION_TIME_CONSTANT_S = 0.02
 """Time constant of the slow part that is subtracted from the tension error [s].
 
-The time constant belongs to the frequency ``MIN_OSCILLATION_HZ``.
+The time constant corresponds to the frequency ``MIN_OSCILLATION_HZ``.
 """
 MEAN_SQUARE_TIME_CONSTANT_S = 0.025
-"""Time constant of the mean square of the remaining, fast part [s]."""
+"""Time constant of the mean square of the tension error's fast part [s]."""
 
 
 @kernel_helper
@@ -39,7 +39,7 @@ def update_tension_swing(x: StateTables, c: ConstantTables, are_cells_tared: boo
                 deviation - x.tendon[s.SLOW_TENSION_DEVIATION, n]
             )
             fast_deviation = deviation - x.tendon[s.SLOW_TENSION_DEVIATION, n]
-        # A missing reading counts as a difference of 0.
+        # A missing reading counts as a tension error of 0.
         x.tendon[s.MEAN_SQUARE_TENSION_SWING, n] += mean_fraction * (
             fast_deviation * fast_deviation - x.tendon[s.MEAN_SQUARE_TENSION_SWING, n]
         )

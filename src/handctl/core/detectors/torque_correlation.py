@@ -1,30 +1,32 @@
 """Test if a drive obeys its commands, by the correlation of reported and commanded torque.
 
-If a drive obeys, it reports the commanded torque. The report includes the small changes that noise
-adds to every command. The reported torque does not follow these changes in three cases: the reports
-come from another drive, the torque acts on another joint, or the drive obeys late. The difference
-between commands and reports is visible even if all motors pull with equal force and no joint moves.
-From one tick to the next, a is the change of the command, and b is the change of the report, both
-as forces at the spool [N]. The test uses low-passed products S of a and b:
+If a drive obeys its commands, it reports the commanded torque. The report of the drive includes the
+small changes that noise adds to every command. The reported torque does not follow the changes of
+the command in three cases: the reports come from another drive, the torque acts on another joint,
+or the drive obeys late. The difference between commands and reports is visible even if all motors
+pull with equal force and no joint moves. From one tick to the next, a is the change of the command,
+and b is the change of the report, both as forces at the spool [N]. The test uses low-passed
+products S of a and b:
 
     S_ab + 4 sqrt(S_aa S_bb / n) < 0.4 S_aa      n = 2 tau / T samples
 
-Here tau is the time constant of the low-pass filter, and T is the control period. The fault is
-present if the drive reports less than 0.4 of the changes in the command. The test has a margin of
-four standard deviations of the estimated fraction. If the changes a and b are uncorrelated, their
-sample covariance has the variance S_aa S_bb / n. Source: Bartlett's formula for white noise.
+Here tau is the time constant of the low-pass filter, and T is the control period. A drive fails the
+test if it reports less than 0.4 of the changes in the command. The test has a margin of four
+standard deviations of the estimated fraction. If the changes a and b are uncorrelated, their sample
+covariance has the variance S_aa S_bb / n. Source: Bartlett's formula for white noise.
 
-When a digit touches an object, the changes of the command are a hundred times as large as while the
-digit is held. Without a limit, these large changes would dominate the products S for seconds after
-the contact. All changes of command and report are therefore limited to two counts of the torque.
-The limit does not change the signs. If a drive obeys, the limited changes of command and report
-have equal signs.
+When a digit touches an object, the changes of the command are a hundred times as large as in a
+hold. Without a limit, the large changes of the command would dominate the products S for seconds
+after the contact. The test limits all changes of command and report to two counts of the torque.
+The limit keeps the signs of the changes. If a drive obeys its commands, the limited changes of
+command and report have equal signs.
 
-The changes of command and report are used only after ``MIN_TICKS_WITH_REPLY`` consecutive ticks, each with
-a reply in time. After a pause, a drive replies to all waiting commands before it obeys the last
-command. The next report of the drive then belongs to an older command. On a slow bus, a report may
-come a tick late. The report then belongs to a command that is one tick older. The test computes the
-correlation with and without a delay of one tick, and uses the larger correlation.
+The changes of command and report are used only after ``MIN_TICKS_WITH_REPLY`` consecutive ticks,
+each with a reply in time. After a pause of the communication, a drive replies to all waiting
+commands before it obeys the last command. After a pause of the communication, the next report of
+the drive belongs to an older command. On a slow bus, a report can come a tick late, and then
+belongs to a command that is one tick older. The test computes the correlation with and without a
+delay of one tick, and uses the larger correlation.
 """
 
 import math
@@ -46,32 +48,32 @@ from handctl.safety.faults.node import (
 MIN_FILTER_RESPONSE = 0.9
 """Response of the low-pass filter to a constant input of 1, above which the test is made.
 
-The memory of the filter is then 90 % filled.
+At a response of 0.9, the memory of the filter is 90 % filled.
 """
 COVARIANCE_MARGIN_SIGMAS = 4.0
 """Margin of the test, in standard deviations of the estimated covariance."""
 MIN_TICKS_WITH_REPLY = 3
 """Number of ticks in a row, each with a reply in time, after which reports are matched with commands.
 
-A command takes effect a tick later, and an increment needs two commands.
+A command takes effect a tick later, and an increment is the difference of two commands.
 """
 MIN_INCREMENT_FRACTION = 1.0 / 4000.0
 """Smallest increment (rms) for the test, as a fraction of the largest force: half a count of a 12-bit torque.
 
-Smaller increments consist mostly of rounding errors. If one count of a drive's torque is larger,
-half of that count is used.
+Smaller increments of the torque consist mostly of rounding errors. If one torque count of a drive
+is larger than a 12-bit count, half of the drive's count is used.
 """
 MAX_INCREMENT_RATIO = 4.0
 """Limit of an increment, as a multiple of the smallest increment for the test.
 
-Noise reaches about this limit in a hold.
+In a hold, noise causes increments up to about the limit.
 """
 COMPARED_COMMAND_COUNT = 3
 """Number of last commands whose range a single report is compared with."""
 MIN_COMMAND_WINDOW_S = 6e-3
 """Shortest time of ``COMPARED_COMMAND_COUNT`` ticks in which a single report is compared [s].
 
-A reply on a busy computer may be some milliseconds late.
+A reply on a busy computer can be some milliseconds late.
 """
 MIN_SERVO_INCREMENT_COUNTS = 0.75
 """Smallest increment (rms) for a drive that closes the position loop, in counts of position and speed.
@@ -99,8 +101,8 @@ that comes a tick late), report squared, and the response of the filter to a con
 def update_correlation(x: StateTables, c: ConstantTables, missed_ticks: int) -> None:
     """Update the low-passed products of the changes of commands and reports.
 
-    A drive replies to a command before it obeys this command. The report of the present tick
-    therefore belongs to the command before the last command.
+    A drive replies to a command before it obeys the command, so the report of the present tick
+    belongs to the command before the last command.
 
     Args:
         x: state tables.
@@ -139,8 +141,8 @@ def update_correlation(x: StateTables, c: ConstantTables, missed_ticks: int) -> 
         x.tendon[s.REPLIES_ON_TIME, n] = replies_on_time
         if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
             # For a drive that closes its position loop, the predicted force of the report is stored
-            # instead of the command. The stored values of such a drive are therefore shifted by one
-            # tick.
+            # instead of the command. The stored forces of a drive that closes its position loop are
+            # shifted by one tick.
             x.tendon[s.RECENT_MOTOR_FORCES, n] = first_force
             x.tendon[s.RECENT_MOTOR_FORCES + 1, n] = second_force
         else:
@@ -216,7 +218,7 @@ def is_torque_command_ignored(x: StateTables, c: ConstantTables, n: int) -> bool
 def fraction_of_command_reported(x: StateTables, n: int) -> float:
     """Return the fraction of the changes in a motor's commands that the motor also reports.
 
-    The fraction is 1 for a drive that obeys.
+    The fraction is 1 for a drive that obeys its commands.
     """
     ab = max(
         x.tendon[s.FORCE_INCREMENT_PRODUCTS + COMMAND_REPORT_ROW, n],
@@ -230,19 +232,19 @@ def fraction_of_command_reported(x: StateTables, n: int) -> float:
 def does_report_contradict_commands(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if the force that a motor reports is outside the range of its last three commands.
 
-    A single report is not sufficient. The low-passed difference between command and report must
-    also be large, and must have the same sign. If a drive obeys, it reports one of the commands of
-    the last three ticks, even after a lost frame. The report is then within the range of the
-    commands, even if the command changes fast. This test finds some faults earlier than the
-    low-passed difference alone, for example if two drives are exchanged.
+    A single report outside the range is not sufficient. The low-passed difference between command
+    and report must also be large, and must have the same sign. If a drive obeys its commands, it
+    reports one of the commands of the last three ticks, even after a lost frame. The report of a
+    drive that obeys is within the range of the commands, even if the command changes fast. The test
+    of the range finds some faults earlier than the low-passed difference alone, for example if two
+    drives are exchanged.
 
-    Only motors of tendons without a load cell are tested. If a tendon has a load cell, another
-    detector finds a wrong force. On a busy computer, a reply may be older than three ticks. Because
-    replies may be late, the test is used only if three ticks take at least
-    ``MIN_COMMAND_WINDOW_S``.
+    The test covers only motors of tendons without a load cell. If a tendon has a load cell, another
+    detector finds a wrong force. On a busy computer, a reply can be older than three ticks, so the
+    test is used only if three ticks take at least ``MIN_COMMAND_WINDOW_S``.
 
     A drive that closes its position loop is not tested, because it has no torque command. A drive
-    that sends its torque in a separate frame is not tested either, because the torque may be older
+    that sends its torque in a separate frame is not tested either, because the torque can be older
     than the reply.
     """
     window = COMPARED_COMMAND_COUNT * c.run[h.CONTROL_PERIOD]

@@ -2,9 +2,9 @@
 
 A blocked digit is in an unplanned contact with a stop or an object. A digit counts as blocked if
 its unexplained tension is larger than any error of the model. For closing digits,
-``programs.task_program`` has a finer test. The tension filter must know which digits are blocked,
-because it assumes that a free digit follows its tendon. If the filter also assumed that a blocked
-digit follows its tendon, the control loop would oscillate.
+``programs.task_program`` has a finer test for a contact. The tension filter must know which digits
+are blocked, because it assumes that a free digit follows its tendon. If the tension filter assumed
+that a blocked digit follows its tendon, the control loop would oscillate.
 """
 
 from handctl.compiled import kernel_helper
@@ -20,17 +20,18 @@ MAX_UNBLOCKED_TENSION_N = 3.0
 MIN_BLOCKED_TENSION_N = 6.0
 """Mean unexplained tension of a digit's tendons above which the digit counts as blocked [N].
 
-In this mean, the tension of a tendon that opens the digit has the opposite sign.
+In the mean of a digit's tensions, the tension of a tendon that opens the digit has the opposite
+sign.
 
-In fast free motion, with friction that differs from the model by 50 %, the mean reaches 3.6 N. The
-tension is not converted to a force at the tip, because a force at the tip of a fully flexed digit
-has no lever about its joints.
+In fast free motion, with friction that differs from the model by 50 %, the mean unexplained tension
+reaches 3.6 N. The unexplained tension is not converted to a force at the tip, because a force at
+the tip of a fully flexed digit has no lever about its joints.
 """
 MAX_BLOCKED_EXTRA_TENSION_N = 30.0
 """Largest tension of a blocked digit in excess of the tension that the trajectory requires [N].
 
-Without this limit, the motion loop would raise the tension of a blocked digit up to the safety
-limits.
+Without the limit on the extra tension, the motion loop would raise the tension of a blocked digit
+up to the safety limits.
 """
 
 

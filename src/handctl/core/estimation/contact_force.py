@@ -2,21 +2,21 @@
 
 The force at the tip of a closing digit is a sign of contact. The opening of a digit that holds an
 object is a sign of slip. While a digit closes, the part of its tensions that the model does not
-explain is converted into a force at the tip. The weight of a tendon in this conversion is the
-tension that a force of 1 N at the tip causes in the tendon. A proximal tendon bears the largest
-tension and has the least friction, so its weight is the largest. The tip force is averaged over a
-few milliseconds by a low-pass filter. The force of a contact remains after this filter. The
-alternating force of a chattering tendon cancels out.
+explain is converted into a force at the tip. The weight of a tendon in the conversion to a tip
+force is the tension that a force of 1 N at the tip causes in the tendon. A proximal tendon bears
+the largest tension and has the least friction, so its weight is the largest. The tip force is
+averaged over a few milliseconds by a low-pass filter. The force of a contact remains after the
+low-pass filter. The alternating force of a chattering tendon cancels out in the low-pass filter.
 
 Two errors of the tip force are corrected. If the model expects too much tension, the tip force is
 negative and hides a contact. A contact force grows fast, and the error of a wrong model lasts
-longer. Therefore a negative average of the force is subtracted. If the reading of a load cell
-drifts, the tip force is positive during the whole closing motion. A positive average of the tip
-force over a long time is therefore also subtracted.
+longer, so a negative average of the tip force is subtracted. If the reading of a load cell drifts,
+the tip force is positive during the whole closing motion. To correct the drift, a positive average
+of the tip force over a long time is subtracted.
 
 While a digit holds an object, the length on each spool minus the stretch of the tendon is known to
-a few micrometres. If an object pushes the digit open, a fast and a slow average of this length
-differ.
+a few micrometres. If an object pushes the digit open, a fast and a slow average of the length minus
+the stretch differ.
 """
 
 import math
@@ -35,9 +35,9 @@ from handctl.core.state_block import StateTables
 Vector = NDArray[np.float64]
 
 TIP_FORCE_TIME_CONSTANT_S = 5e-3
-"""Time constant of the smoothed tip force [s]. A contact is found within four times this time."""
+"""Time constant of the smoothed tip force [s]. A contact is found within four times the time constant."""
 TIP_FORCE_MEAN_TIME_CONSTANT_S = 0.15
-"""Time constant of the mean tip force [s]. A contact force grows within a fraction of this time."""
+"""Time constant of the mean tip force [s]. A contact force grows within a fraction of the time constant."""
 TIP_FORCE_DRIFT_TIME_CONSTANT_S = 2.0
 """Time constant of the mean tip force that is subtracted as drift [s], about the time in which a digit closes."""
 FAST_GRIP_TIME_CONSTANT_S = 0.02
@@ -49,7 +49,7 @@ SLOW_GRIP_TIME_CONSTANT_S = 0.2
 MIN_SQUARED_RESPONSE = 1e-6
 """Sum of the squared tendon tensions under a tip force of 1 N [N^2], below which the tip force is unknown.
 
-The tendons of such a digit cannot feel a force at its tip.
+The tendons of a digit with a smaller sum cannot feel a force at the tip of the digit.
 """
 
 
@@ -90,8 +90,8 @@ def update_tip_forces(x: StateTables, c: ConstantTables) -> None:
 def _write_tip_levers(x: StateTables, c: ConstantTables, lever: Vector) -> None:
     """Write the levers (J,) of a force at the tip of each digit about its joints [m].
 
-    The digits are assumed to have the joint angles of free digits. A digit that closes counts as
-    free until its contact is found.
+    The function assumes that the digits have the joint angles of free digits. A digit that closes
+    counts as free until its contact is found.
     """
     q = np.zeros(x.joint.shape[1])
     write_free_angles(x, c, s.EXCURSION, q)
@@ -122,7 +122,7 @@ def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> 
 def update_grip_travel(x: StateTables, c: ConstantTables) -> None:
     """Update the fast and the slow average of the length on each spool minus the stretch of the tendon.
 
-    Both averages are equal until the detection of slip begins.
+    The fast and the slow average are equal until the detection of slip begins.
     """
     is_slip_judged = x.run[s.GOAL_TIME] + c.run[h.CONTROL_PERIOD] >= x.run[s.SLIP_DETECTION_START]
     for n in range(x.tendon.shape[1]):

@@ -1,10 +1,11 @@
 """Propagation of the covariance of the tension filter after a missing measurement.
 
 The steady-state gains of the filter assume a measurement in every tick. If measurements come only
-in every second tick, these gains overestimate the error of the speed. The filter then corrects the
-speed for too long. The estimate then oscillates or diverges. Therefore the covariances of all
-tendons are propagated from the first missing measurement on. The propagation ends when all
-covariances are close to their steady values.
+in every second tick, the steady-state gains overestimate the error of the speed. With steady-state
+gains, the filter would correct the speed for too long, and the estimate would oscillate or diverge.
+From the first missing measurement on, the covariances of all tendons are propagated, and the gains
+follow from the propagated covariances. The propagation of the covariances ends when all covariances
+are close to their steady values.
 """
 
 import math
@@ -27,14 +28,14 @@ CELL_ERROR = E
 MISSING_READING_VARIANCE_FACTOR = 1e12
 """Factor on the variance of a missing measurement.
 
-This factor makes the Kalman gain practically zero.
+The factor makes the Kalman gain of a missing measurement practically zero.
 """
 STEADY_VARIANCE_TOLERANCE = 0.02
-"""If each variance differs from its steady value by at most this fraction, the covariance counts as steady."""
+"""Largest relative difference between a variance and its steady value at which a covariance counts as steady."""
 MAX_TORQUE_HOLD_TIME_S = 0.05
 """Longest time without a command over which states are predicted [s].
 
-After this time the watchdogs of the drives have removed the torque.
+If no command comes for 0.05 s, the watchdogs of the drives remove the torque.
 """
 
 
@@ -57,7 +58,8 @@ def correct_tendon_covariance(
         c: constants of the hand.
         n: index of the tendon.
         z: (3,) measurements, NaN if missing.
-        gain: (7, 3) steady gains. Replace the first two columns of the gain: encoder and load cell.
+        gain: (7, 3) steady gains. The function replaces the first two columns of the gain, which
+            belong to the encoder and the load cell.
         predicted_covariances: (7, 7) result: covariance after the correction.
         information: (3,) result: inverse covariance of the two innovations, see
             ``constants.INFORMATION_OFFSET``.
@@ -90,7 +92,7 @@ def correct_tendon_covariance(
     information[2] = a / determinant
     for i in range(STATE_COUNT):
         # If no measurement distinguishes a load-cell error from tension, the load-cell error is not
-        # corrected. Instead, the variance of the load-cell error grows.
+        # corrected, and its variance grows.
         is_observable = is_cell_error_observable if i == CELL_ERROR else 1.0
         gain[i, 0] = (
             is_observable
@@ -145,7 +147,7 @@ def predict_covariances(
             for i in range(STATE_COUNT):
                 for j in range(STATE_COUNT):
                     P[i, j] += Q[i, j]
-        # The covariance that was computed so far belongs to the old filter design.
+        # The covariance before the change of the filter design belongs to the old design.
         if kind != x.tendon_int[s.LAST_FILTER_KIND, n]:
             P = _copy_design_matrix(c, n, kind, h.COVARIANCE_OFFSET)
         for i in range(STATE_COUNT):
@@ -178,8 +180,8 @@ def predicted_tension_sigma(x: StateTables, c: ConstantTables, n: int) -> float:
 def _present_covariance(x: StateTables, c: ConstantTables, n: int, design_kind: int) -> Matrix:
     """Return the covariance (7, 7) of a tendon's predicted states.
 
-    While the covariance is propagated, return the propagated covariance. Otherwise return the
-    constant covariance of the filter design.
+    While the covariance is propagated, return the propagated covariance. While the covariance is
+    not propagated, return the constant covariance of the filter design.
     """
     P = _copy_design_matrix(c, n, design_kind, h.COVARIANCE_OFFSET)
     if x.run_int[s.COVARIANCE_PROPAGATED]:
@@ -235,7 +237,8 @@ def _copy_design_matrix(c: ConstantTables, n: int, design_kind: int, first_colum
 def _multiply_matrices(left_matrix: Matrix, right_matrix: Matrix) -> Matrix:
     """Return the product of two matrices.
 
-    The products are always added in the same order, so that equal inputs give equal results.
+    The products of the matrix elements are always added in the same order, so that equal inputs
+    give equal results.
     """
     matrix = np.zeros((left_matrix.shape[0], right_matrix.shape[1]))
     for i in range(left_matrix.shape[0]):

@@ -17,21 +17,21 @@ MEASUREMENT_COUNT = 3
 X, V, S, W, D, E, O = range(STATE_COUNT)  # noqa: E741 - the names of the states, as below
 """States of a tendon in the tension filter.
 
-They are travel [m] and speed [m/s] at the spool, excursion [m] and its rate [m/s], disturbance
-force on the motor [N], load-cell error [N], stretch offset [m].
+The states are travel [m] and speed [m/s] at the spool, excursion [m] and its rate [m/s],
+disturbance force on the motor [N], load-cell error [N], stretch offset [m].
 """
 
 
 class TendonRegime(enum.IntEnum):
     """Regime of a tendon: free, held or slack.
 
-    Each regime has its own relation between motor and digit.
+    In each regime, the tendon connects motor and digit in a different way.
     """
 
     FREE = 0
     """The tendon is taut, and the digit follows it freely.
 
-    The tension changes no faster than friction reverses.
+    The tension of a free tendon changes no faster than the friction of the digit reverses.
     """
     HELD = 1
     """The tendon is taut.
@@ -105,10 +105,10 @@ class StateTransition(NamedTuple):
 
 
 TRANSITION_CACHE_SIZE = 256
-"""Number of cached transitions.
+"""Largest number of ``StateTransition`` objects in the cache.
 
-The transition of a hand with eleven tendons takes 60 kB, and its tendons have 6^11 combinations of
-design kinds.
+The ``StateTransition`` of a hand with eleven tendons takes 60 kB of memory, and the tendons of the
+hand have 6^11 combinations of design kinds.
 """
 
 
@@ -117,10 +117,10 @@ class FilterDesign:
     """Filter designs of all tendons, with one design for each tendon and kind of design.
 
     Attributes:
-        blocks: filter of each tendon and each kind of design, ``blocks[tendon][kind]``. The number
-            of a kind is the regime, plus 3 for a filter with added process noise.
+        blocks: filter of each tendon and each kind of design, ``blocks[tendon][kind]``. The index
+            of a kind is the value of the regime, plus 3 for a filter with added process noise.
         transition: function that returns the ``StateTransition`` of all tendons. The argument of
-            this function contains the kinds of design of the N tendons, as the bytes of int64
+            ``transition`` contains the kinds of design of the N tendons, as the bytes of int64
             numbers. The results of ``transition`` are cached, because the kinds of design rarely
             change.
     """
@@ -153,7 +153,8 @@ class FilterDesign:
 def _stack_blocks(blocks: list[Matrix]) -> Matrix:
     """Return a matrix for N tendons, which contains a block of shape (rows, columns) for each tendon.
 
-    Rows and columns are ordered by the row or column of the block first, and by the tendon second.
+    The order of the rows is row of the block first, and tendon second. The order of the columns is
+    column of the block first, and tendon second.
     """
     n, (rows, columns), indices = len(blocks), blocks[0].shape, np.arange(len(blocks))
     # The indices are (row, tendon, column, tendon), because each tendon is coupled only with

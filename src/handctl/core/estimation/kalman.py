@@ -1,12 +1,13 @@
 """Tension filter, which estimates tension, excursion and contact force of each tendon.
 
 The measurements come from load cells, motor encoders and joint encoders. One linear Kalman filter
-contains the states of all tendons. ``correct_tension_filter`` corrects the states by the
-measurements. ``filterpy`` predicts the states to the present (called in ``controller.tick``).
-``derive_estimate`` derives the estimate from the states. A missing or saturated measurement has no
-innovation. After such a measurement, the covariance is propagated until it is steady again. A
-single outlier of a load cell is rejected. The measurements that arrive in a tick are one period
-old. They were taken just before the command of the previous tick took effect.
+contains the states of all tendons. ``correct_tension_filter`` corrects the states of the filter by
+the measurements. The package ``filterpy``, called in ``controller.tick``, predicts the states to
+the present time. ``derive_estimate`` computes the estimate from the states of the filter. A missing
+or saturated measurement has no innovation. After a missing or saturated measurement, the covariance
+of the states is propagated until it is steady. A single outlier of a load cell is rejected. The
+measurements that arrive in a tick are one control period old, because they were taken just before
+the command of the previous tick took effect.
 """
 
 import math
@@ -65,12 +66,12 @@ OUTLIER_GATE_SIGMAS = 5.0
 STEP_GATE_SIGMAS = 2.5
 """Innovation above which two load-cell samples in a row count as a step of the tension, in standard deviations.
 
-Both innovations must have the same sign.
+The innovations of both load-cell samples must have the same sign.
 """
 TENSION_STEP_CORRECTION_FRACTION = 0.8
 """Fraction of the second innovation of a step by which the tension is corrected at once."""
 NIS_AVERAGING_TIME_S = 1.0
-"""Averaging time of the normalised innovation squared (NIS) that judges the model [s].
+"""Averaging time of the normalised innovation squared (NIS) by which the model of a tendon is judged [s].
 
 The ideal mean of NIS is 2.
 """
@@ -87,15 +88,15 @@ MAX_ADDED_NOISE_S = 20.0
 ADDED_NOISE_MAX_PERIOD_S = 5e-3
 """Longest control period at which process noise is added [s].
 
-At 100 Hz, a filter with added process noise passes encoder noise on to the torque. The tensions of
-the hand jamia11 with ODrives oscillated up to 234 N instead of 147 N, and a tendon was reported as
-snapped.
+At 100 Hz, a filter with added process noise passes encoder noise on to the torque. With added
+process noise, the tensions of the hand jamia11 with ODrives oscillated up to 234 N instead of 147
+N, and the controller reported a tendon as snapped.
 """
 NOISE_NIS_LIMIT_OF_HAND = 2.5
 """Mean NIS over all tendons of the hand above which process noise is added to all tendons.
 
-If the friction of all tendons differs from the hand file, this mean shows it sooner than the NIS of
-a single tendon.
+If the friction of all tendons differs from the hand file, the mean over all tendons shows the
+difference sooner than the NIS of a single tendon.
 """
 MAX_NIS_SAMPLE = 100.0
 """Upper limit of each NIS sample, so that a single sample does not make the model of a tendon inconsistent."""
@@ -105,7 +106,8 @@ MAX_NIS_SAMPLE = 100.0
 def filter_kind(x: StateTables, n: int) -> int:
     """Return the index of a tendon's filter design.
 
-    The index is the regime of the tendon. While process noise is added, the index is larger by 3.
+    The index is the value of the tendon's regime. While process noise is added to the filter, the
+    index is larger by 3.
     """
     regime = x.tendon_int[s.REGIME, n]
     return regime + 3 if x.tendon[s.ADDED_NOISE_TIME_S, n] > 0.0 else regime
@@ -125,8 +127,8 @@ def correct_tension_filter(x: StateTables, c: ConstantTables, missed_ticks: int)
     """
     count = x.tendon.shape[1]
     for n in range(count):
-        # The kind of filter design may change in the code below. The measurements are still judged
-        # by the kind of design that predicted them.
+        # The kind of filter design can change in the code below, but the measurements are judged by
+        # the kind of design that predicted them.
         x.tendon_int[s.FILTER_KIND, n] = x.tendon_int[s.LAST_FILTER_KIND, n] = filter_kind(x, n)
     z = _usable_measurements(x)
     innovation = _innovations(x, c, z)
@@ -165,7 +167,7 @@ def _usable_measurements(x: StateTables) -> Matrix:
 
     Missing measurements are NaN.
 
-    A lost or saturated measurement counts as missing. The load-cell reading of a slack tendon also
+    A lost or saturated measurement counts as missing. The load-cell reading of a slack tendon
     counts as missing, unless the spool must still wind up a known slack length.
     """
     z = np.empty((x.tendon.shape[1], 3))
@@ -211,7 +213,7 @@ def _innovations(x: StateTables, c: ConstantTables, z: Matrix) -> Matrix:
 
 @kernel_helper
 def _is_measurement_missing(x: StateTables, c: ConstantTables, z: Matrix) -> bool:
-    """Return True if a measurement is missing and the constant gains of the filter are therefore invalid.
+    """Return True if the constant gains of the filter are invalid because of a missing measurement.
 
     For a slack tendon, the constant gains need no load-cell reading.
     """
@@ -247,7 +249,7 @@ def _gate_and_correct_states(
     Args:
         x: state tables.
         c: constants of the hand.
-        innovations: (N, 3) innovations. The values are NaN if the measurement is missing. Rejected
+        innovations: (N, 3) innovations. The innovation of a missing measurement is NaN. Rejected
             innovations become NaN.
         gain: (N, 7, 3) gains.
         cell_sigma: (N,) standard deviation of the innovation of each load cell [N].
@@ -290,8 +292,8 @@ def _correct_slack_by_taut_tendons(x: StateTables, c: ConstantTables) -> None:
     """In digits with surplus tendons, correct the excursion of slack tendons by the other tendons.
 
     The excursions of a digit are the product R q of its moment arms and joint angles. If one tendon
-    is slack, its excursion follows from the excursions of the other tendons. If several tendons are
-    slack, each tick is one step of an iterative (Gauss-Seidel) solution.
+    of a digit is slack, its excursion follows from the excursions of the other tendons. If several
+    tendons of a digit are slack, each tick is one step of an iterative (Gauss-Seidel) solution.
     """
     for n in range(x.tendon.shape[1]):
         if c.tendon_int[h.IS_REDUNDANT_DIGIT, n] and x.tendon_int[s.REGIME, n] == SLACK_REGIME:
@@ -312,8 +314,8 @@ def _normalised_innovation_squared(
 
     Return NaN if the encoder or the load-cell measurement is missing.
 
-    For a tendon without a load cell (``has_no_cell``), the result is twice the value of the
-    encoder alone. In both cases, the result has a mean of 2 if the model is correct.
+    For a tendon without a load cell (``has_no_cell``), the result is twice the value of the encoder
+    alone. With and without a load cell, the result has a mean of 2 if the model is correct.
     """
     if has_no_cell:
         return 2.0 * information[0] * innovation[0] * innovation[0]
@@ -334,9 +336,10 @@ def _update_consistency(
 ) -> None:
     """Average the normalised innovations squared (NIS), and judge if each tendon's model is consistent.
 
-    The NIS is averaged over a long and over a short time. The long average decides when the
-    operator is informed. The short average decides when process noise is added. The short average
-    uses the covariance without added noise, because added noise would hide an error of the model.
+    The NIS is averaged over a long and over a short time. The long average of the NIS decides when
+    the controller informs the operator. The short average of the NIS decides when process noise is
+    added. The short average uses the covariance without added noise, because added noise would hide
+    an error of the model.
     """
     nominal = np.empty(3)
     for n in range(len(innovations)):
@@ -375,8 +378,8 @@ def _update_consistency(
 def _judge_noise(x: StateTables, c: ConstantTables) -> None:
     """Select the tendons that get added process noise, by the short average of the NIS.
 
-    The added noise is kept for ``MAX_ADDED_NOISE_S``. If the friction in the model is wrong, the
-    error is visible only while the tendon moves. The error is largest when the motion reverses.
+    The added noise is kept for ``MAX_ADDED_NOISE_S``. A wrong friction in the model is visible only
+    while the tendon moves. The error of the friction is largest when the motion reverses.
     """
     if c.run[h.CONTROL_PERIOD] > ADDED_NOISE_MAX_PERIOD_S:
         return
@@ -396,7 +399,7 @@ def _judge_noise(x: StateTables, c: ConstantTables) -> None:
 def filtered_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the tension of a tendon at its load cell [N], computed from the filter states.
 
-    The computed tension may be negative.
+    The computed tension can be negative.
     """
     tension = 0.0
     kind = x.tendon_int[s.FILTER_KIND, n]
@@ -431,12 +434,12 @@ def _resistance_and_pull_forces(x: StateTables, c: ConstantTables) -> Matrix:
     """Return three forces of each tendon (3, N) [N]: the resistance, the speed-signed pull, and the pull.
 
     The resistance is the tension at the joints that balances springs and gravity. The pull is the
-    estimated tension at the joints, after the loss by friction. For a moving tendon, friction is
-    computed from the friction state of the control law. For other tendons, friction is computed
-    from the speed of the tendon at the spool. The estimated speed of the digit is not used. This
-    estimate is rough, and its sign would chatter. For the speed-signed pull, friction is always
-    computed from the speed of the tendon at the spool. The speed-signed pull is the first sign that
-    a digit leaves a stop.
+    estimated tension at the joints, after the loss by friction. If the control law has computed a
+    friction state for a tendon, friction follows from the friction state. If the friction state of
+    a tendon is unknown, friction is computed from the speed of the tendon at the spool. The
+    estimated speed of the digit is not used, because the estimate is rough, and its sign would
+    chatter. For the speed-signed pull, friction is always computed from the speed of the tendon at
+    the spool. The speed-signed pull is the first sign that a digit leaves a stop.
     """
     count = x.tendon.shape[1]
     joints = x.joint.shape[1]
@@ -470,7 +473,7 @@ def _resistance_and_pull_forces(x: StateTables, c: ConstantTables) -> Matrix:
 def _update_regimes(x: StateTables, c: ConstantTables) -> Matrix:
     """Update the regime of each tendon, and set the stretch offset or excursion of newly taut tendons.
 
-    The regime of a tendon depends on slack, on the open stop and on contact. The result is that of
+    The regime of a tendon depends on slack, on the open stop and on contact. Return the forces of
     ``_resistance_and_pull_forces``, computed with the new regimes.
     """
     force = _resistance_and_pull_forces(x, c)
@@ -478,8 +481,8 @@ def _update_regimes(x: StateTables, c: ConstantTables) -> Matrix:
     for n in range(x.tendon.shape[1]):
         regime = x.tendon_int[s.REGIME, n]
         cell = x.tendon[s.MEASURED_TENSION, n]
-        # While a tendon is slack, only the encoder determines the length that must still be wound
-        # up.
+        # While a tendon is slack, only the motor encoder determines the slack length that the spool
+        # must still wind up.
         is_almost_taut = (
             regime == SLACK_REGIME
             and x.tendon_int[s.TENDON_LENGTH_KNOWN, n] == 1
@@ -489,8 +492,8 @@ def _update_regimes(x: StateTables, c: ConstantTables) -> Matrix:
         evidence_count = x.tendon_int[s.REGIME_EVIDENCE, n]
         tension = filtered_tension(x, c, n)
         if has_no_cell:
-            # In the model of a slack tendon, the tension is 0. When the tendon has become taut, the
-            # estimated disturbance force therefore equals minus the tension.
+            # In the model of a slack tendon, the tension is 0, so the estimated disturbance force
+            # of a newly taut tendon equals minus the tension.
             cell = -x.tendon[s.MOTOR_DISTURBANCE, n]
             evidence_count = regime_evidence_without_cell(regime, evidence_count, tension, cell)
         else:
@@ -498,8 +501,8 @@ def _update_regimes(x: StateTables, c: ConstantTables) -> Matrix:
                 regime, evidence_count, tension, cell, x.tendon[s.CELL_ERROR, n], is_almost_taut
             )
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-            # The spool of a pair turns the joint in both directions. At least one tendon of a spool
-            # pair is always taut.
+            # The spool of a spool pair turns the joint in both directions. At least one tendon of a
+            # spool pair is always taut.
             evidence_count = 0
             regime = FREE_REGIME
         elif is_regime_over(regime, evidence_count, has_no_cell):
@@ -512,8 +515,8 @@ def _update_regimes(x: StateTables, c: ConstantTables) -> Matrix:
         was_on_stop = x.tendon_int[s.DIGIT_ON_OPEN_STOP, n] == 1
         is_on_stop = c.tendon_int[h.HAS_RETURN_SPRINGS, n] == 1
         if is_on_stop:
-            # For a tendon that opens its digit, the pull and the excursion are negative in this
-            # test.
+            # For a tendon that opens its digit, the pull and the excursion are negative in the test
+            # for the open stop.
             side = c.tendon[h.CLOSING_SIGN, n]
             open_excursion = c.tendon[h.OPEN_EXCURSION, n]
             is_on_stop = _is_at_stop(
@@ -525,9 +528,9 @@ def _update_regimes(x: StateTables, c: ConstantTables) -> Matrix:
         x.tendon_int[s.DIGIT_ON_OPEN_STOP, n] = is_on_stop
         if regime != SLACK_REGIME:
             if is_on_stop and not was_on_stop:
-                # The digit has come to rest on its open stop. When a digit is on its open stop, the
-                # excursions of its tendons are known. The error of the estimated excursion is added
-                # to the stretch offset.
+                # The digit has come to rest on its open stop. While a digit is on its open stop,
+                # the excursions of its tendons are known, so the error of each estimated excursion
+                # is added to the stretch offset.
                 open_excursion = c.tendon[h.OPEN_EXCURSION, n]
                 x.tendon[s.STRETCH_OFFSET, n] += x.tendon[s.EXCURSION, n] - open_excursion
                 x.tendon[s.EXCURSION, n] = open_excursion
@@ -549,7 +552,7 @@ def _update_regimes(x: StateTables, c: ConstantTables) -> Matrix:
 
 @kernel_helper
 def is_in_contact(x: StateTables, d: int) -> bool:
-    """Return True if a digit is blocked, or if it is in a planned contact while motors may make torque."""
+    """Return True if a digit is blocked, or if it is in planned contact while its motors are allowed to make torque."""
     makes_torque = ARMING_MODE <= x.run_int[s.HAND_MODE] <= RELAX_MODE
     return (makes_torque and x.digit_int[s.PLANNED_CONTACT, d] == 1) or x.digit_int[
         s.IS_BLOCKED, d
@@ -598,7 +601,7 @@ def _write_external_tension(x: StateTables, c: ConstantTables, force: Matrix) ->
 def write_estimate_before_start(x: StateTables) -> None:
     """Write the estimate of a tick before the filter has started.
 
-    This estimate has no contact and no innovation.
+    The estimate before the start of the filter has no contact and no innovation.
     """
     for n in range(x.tendon.shape[1]):
         x.tendon[s.EXTERNAL_TENSION, n] = 0.0
@@ -611,7 +614,7 @@ def derive_estimate(x: StateTables, c: ConstantTables) -> None:
     """Compute tensions, standard deviations and free joint angles from the predicted states of the filter."""
     for n in range(x.tendon.shape[1]):
         tension = filtered_tension(x, c, n)
-        # Only a spool pair can push, and a single tendon cannot.
+        # Only a spool pair can have a negative tension, and a single tendon cannot.
         x.tendon[s.TENSION, n] = tension if c.tendon_int[h.IS_SPOOL_PAIR, n] else max(tension, 0.0)
         x.tendon[s.TENSION_SIGMA, n] = math.sqrt(
             c.design[n, x.tendon_int[s.FILTER_KIND, n], h.TENSION_VARIANCE_OFFSET]

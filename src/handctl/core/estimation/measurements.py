@@ -33,7 +33,7 @@ def write_measurements(x: StateTables, c: ConstantTables) -> None:
             cell_reading = x.tendon[s.CELL_READING, n]
             is_saturated = not c.run[h.MIN_CELL_RANGE] < cell_reading < c.run[h.MAX_CELL_RANGE]
             if is_saturated:
-                # When a load cell is overloaded, its amplifier may send NaN, or a number far
+                # When a load cell is overloaded, its amplifier can send NaN, or a number far
                 # outside of the range.
                 cell_reading = (
                     c.run[h.MAX_CELL_RANGE]
@@ -59,8 +59,8 @@ def reject_outliers(x: StateTables, c: ConstantTables, missed_ticks: int) -> Non
     Args:
         x: state tables.
         c: constants of the hand.
-        missed_ticks: ticks missed before the present tick. The hand moved on in the missed ticks, and a
-            reading may be the reply to an older request.
+        missed_ticks: ticks missed before the present tick. The hand moved on in the missed ticks,
+            and a reading can be the reply to an older request.
     """
     for n in range(x.tendon.shape[1]):
         _reject_outlier(
@@ -93,15 +93,15 @@ def _reject_outlier(
         i: column of the position in the table.
         measured_row: row of the measured position.
         accepted_row: row of the last accepted position.
-        gap_ticks_row: row of a number of ticks: the accepted position may have been measured this number
-            of ticks before the last tick.
+        gap_ticks_row: row of the largest possible number of ticks between the measurement of the
+            accepted position and the last tick.
         rejected_step_row: row of the rejected step.
         rejection_count_row: row for the number of consecutive rejections.
-        limit: largest possible step in a period [rad].
+        limit: largest possible change of the position in a control period [rad].
         missed_ticks: see ``reject_outliers``.
     """
     value = position_table[measured_row, i]
-    # A comparison with NaN is False. So no position is rejected if the measured or the accepted
+    # A comparison with NaN is False, so no position is rejected if the measured or the accepted
     # position is missing.
     step = abs(value - position_table[accepted_row, i])
     gap = position_table[gap_ticks_row, i] + 1.0 + missed_ticks
@@ -136,8 +136,8 @@ def convert_positions(x: StateTables, c: ConstantTables) -> None:
         spool = c.tendon[h.SPOOL_RADIUS, n]
         x.tendon[s.MEASURED_TRAVEL, n] = x.tendon[s.MEASURED_POSITION, n] * spool
         if c.run_int[h.HAS_CARRIER_ARMS]:
-            # The estimated joint angles were computed in the last tick, which predicted them to the
-            # time of this measurement.
+            # The last tick predicted the estimated joint angles to the time of the present
+            # measurement.
             x.tendon[s.MEASURED_TRAVEL, n] -= carrier_excursion(c, n, x.joint[s.Q])
         is_measured = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
         # A drive reports the torque that an ideal motor would make. The real motor makes the
@@ -157,8 +157,8 @@ def is_cell_saturated(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if a load cell is at an end of its range.
 
     A load cell counts as saturated if its raw reading is at an end of the range, or if its tared
-    reading is beyond any possible tension. Both readings are tested, because the tare may hide each
-    of these cases.
+    reading is beyond any possible tension. The raw and the tared reading are tested, because the
+    tare can hide a saturation in one of both readings.
     """
     tension = x.tendon[s.MEASURED_TENSION, n]
     is_out_of_range = tension >= c.run[h.CELL_SATURATION] or tension <= c.run[h.MIN_CELL_READING]
@@ -169,7 +169,8 @@ def is_cell_saturated(x: StateTables, c: ConstantTables, n: int) -> bool:
 def monitored_tension(x: StateTables, c: ConstantTables, n: int, is_tared: bool) -> float:
     """Return the tension that the detectors judge [N].
 
-    The tension is the load-cell reading. For a tendon without load cell, it is the estimate.
+    The tension is the load-cell reading. For a tendon without load cell, the result is the
+    estimated tension.
 
     Args:
         x: state tables.
@@ -186,7 +187,7 @@ def monitored_tension(x: StateTables, c: ConstantTables, n: int, is_tared: bool)
 def start_filter(x: StateTables, c: ConstantTables) -> None:
     """Start the tension filter as soon as all encoders and load cells have been read.
 
-    The first state assumes that the hand is open and its tendons are slack.
+    The first state of the filter assumes that the hand is open and its tendons are slack.
     """
     for n in range(x.tendon.shape[1]):
         group = c.tendon_int[h.CELL_GROUP, n]
@@ -204,7 +205,7 @@ def start_filter(x: StateTables, c: ConstantTables) -> None:
         ) * c.tendon[h.SPOOL_RADIUS, n]
         if c.run_int[h.HAS_CARRIER_ARMS]:
             # The tendons of a digit that carries other digits come before the tendons of the
-            # carried digits. The joint angles of the carrying digit are therefore known here.
+            # carried digits, so the joint angles of the carrying digit are known here.
             write_free_angles(x, c, s.EXCURSION, x.joint[s.Q])
             x.tendon[s.SPOOL_TRAVEL, n] -= carrier_excursion(c, n, x.joint[s.Q])
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:

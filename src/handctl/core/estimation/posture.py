@@ -1,23 +1,23 @@
 """Joint angles of digits with fewer tendons than joints, with their standard deviations.
 
-The excursions of the tendons do not fully determine the joint angles of such a digit. A motion in
-the null space of the moment arms changes no excursion. The joints of a free digit have the angles
-of its coupling, q = B theta. If the digit touches an object, the object turns the joints of the
-digit against each other. The turn of the joints is the torque of the contact times the compliance
-of the springs in the null space, N (N^T K N)^-1 N^T. The torque of the contact follows from the
-unexplained tension. The place of the contact is unknown. The estimate is therefore the mean over
-several assumed contacts: a force at the middle of each link, a force at the tip, and an equal
-torque on all joints. The standard deviation of an angle has several parts: the differences between
-the assumed places of contact,
+In a digit with fewer tendons than joints, the excursions of the tendons do not fully determine the
+joint angles. A motion in the null space of the moment arms changes no excursion. The joints of a
+free digit have the angles of its coupling, q = B theta. An object that a digit touches turns the
+joints of the digit against each other. The turn of the joints is the torque of the contact times
+the compliance of the springs in the null space, N (N^T K N)^-1 N^T. The torque of the contact
+follows from the unexplained tension. The place of the contact on the digit is unknown, so the
+estimate is the mean over several assumed contacts: a force at the middle of each link, a force at
+the tip, and an equal torque on all joints. The standard deviation of an angle has several parts:
+the differences between the assumed places of contact,
 
-- the error of the modelled tension, at each of these places,
+- the error of the modelled tension, at each assumed place of contact,
 - capstan friction, whose sign depends on the direction of motion,
 - springs and gravity that do not agree with the coupling of a free digit,
 - the error of the excursion.
 
 If the hand has joint encoders, a Kalman update with the full covariance combines the readings of
-the encoders with this estimate. In a digit with as many tendons as joints, the excursions fully
-determine the joint angles.
+the encoders with the estimate from the tendons. In a digit with as many tendons as joints, the
+excursions fully determine the joint angles.
 """
 
 import math
@@ -53,33 +53,33 @@ MODEL_ERROR_FRACTION = 0.15
 STIFFNESS_ERROR_FRACTION = 0.03
 """Relative error of the tendons' stiffness.
 
-Because of this error, the filter takes a part of the stretch for excursion.
+Because of the stiffness error, the tension filter mistakes a part of the stretch for excursion.
 """
 FRICTION_FRACTION = 0.5
-"""Standard deviation of the turn by friction, as a fraction of the turn that fully developed friction causes."""
+"""Standard deviation of a joint's turn by friction, as a fraction of the turn that fully developed friction causes."""
 MIN_SQUARED_LEVER_M2 = 1e-8
 """Smallest sum of squared levers of a place of contact [m^2].
 
-This value prevents a division by 0 for a place of contact without levers.
+The lower bound prevents a division by 0 for a place of contact without levers.
 """
 MAX_READING_AGE_S = 0.1
 """Largest age at which a joint encoder's reading is used [s]."""
 RATE_ERROR_FRACTION = 1.0
 """Relative error of the joint rate with which a reading is advanced to the present.
 
-The rate is that of a free digit.
+The joint rate is computed for a free digit.
 """
 MIN_TURN_RAD = 1e-9
-"""Smallest divisor where a turn is limited to the ranges of the joints [rad]."""
+"""Smallest divisor in the computation that limits a turn to the ranges of the joints [rad]."""
 CONTACT_DECAY_TIME_S = 0.15
 """Time constant with which the effect of a contact fades [s].
 
-Friction holds the joints after the contact has ended.
+Friction holds the joints for some time after the end of a contact.
 """
 POSTURE_UPDATE_PERIOD_S = 8e-3
-"""Time between two estimates of the turn in the null space [s]."""
+"""Time between two estimates of the turn of the joints in the null space [s]."""
 TURN_SMOOTHING_S = 20e-3
-"""Time constant of the low-pass filter for the turn that a contact causes [s]."""
+"""Time constant of the low-pass filter for the turn of the joints that a contact causes [s]."""
 
 
 @kernel_helper
@@ -133,9 +133,8 @@ def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Ve
             c.tendon[h.TENDON_STIFFNESS, n]
         )
         if c.run_int[h.HAS_CARRIER_ARMS]:
-            # This adds the error that the joint angles of carrying digits cause. The tendons of
-            # carrying digits come first, so ``total`` already contains the error of the carrying
-            # digits.
+            # Add the error that the joint angles of carrying digits cause. The tendons of carrying
+            # digits come first, so ``total`` already contains the error of the carrying digits.
             for j in range(joints):
                 variance += square(c.tendon_joint_table[h.CARRIER_ARMS, n, j]) * total[j]
         excursion = math.sqrt(variance)
@@ -152,8 +151,8 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
     The function also writes the turn of the joints that a contact causes.
 
     The covariance of two angles is the sum of the products of their deviations. H is the number of
-    places of contact. The levers are computed at the angles of the last estimate, so each tick is
-    an iteration towards a fixed point.
+    assumed places of contact. The levers of the contact forces are computed at the joint angles of
+    the last estimate, so each tick is an iteration towards a fixed point.
     """
     place_count = c.place_joint_table.shape[1]
     joints = x.joint.shape[1]
@@ -170,8 +169,8 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
         x.joint[s.CONTACT_TURN, j] = turn
         for place in range(place_count):
             root_probability = math.sqrt(c.place_joint_table[h.CONTACT_PLACE_PROBABILITY, place, j])
-            # The errors are multiplied by the square root of the probability of their place, so
-            # that the sum of their squares is the variance over the places.
+            # The errors are multiplied by the square root of the probability of their place of
+            # contact, so that the sum of their squares is the variance over the places.
             columns[place, j] = root_probability * (turns[place, j] - turn)
             columns[place_count + place, j] = root_probability * deviation[place, j]
     for row in range(place_count, 2 * place_count + 2):
@@ -225,8 +224,8 @@ def _write_levers_at_contact_place(
 ) -> None:
     """Write the levers (J,) of a contact force about the joints of a digit [m].
 
-    Place i is the middle of link i. The place after the last link is the tip. At all further
-    places, the levers are 0.
+    Place of contact i is the middle of link i. The place of contact after the last link is the tip.
+    At all further places of contact, the levers are 0.
     """
     first_joint = c.digit_int[h.FIRST_JOINT, d]
     end = c.digit_int[h.END_JOINT, d]
@@ -395,7 +394,7 @@ def _fuse_encoders(
         noise = c.joint[h.ENCODER_VARIANCE, j] + square(RATE_ERROR_FRACTION * change_since_reading)
         residual = x.joint[s.JOINT_ANGLE, j] + change_since_reading - x.joint[s.Q, j]
         for a in range(joints):
-            # A row of the covariance is copied before the loop below changes it.
+            # A row of the covariance is copied, because the loop below changes the row.
             gain[a] = covariance[a, j] / (covariance[j, j] + noise)
             covariance_row[a] = covariance[j, a]
         for a in range(joints):
@@ -412,9 +411,9 @@ def _fuse_encoders(
 def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
     """Write the tip-equivalent force of the contact of each digit, and the standard deviation of this force.
 
-    The tip-equivalent force acts at the tip, along the y axis of the last link. It makes the same
+    The tip-equivalent force acts at the tip, along the y axis of the last link, and makes the same
     torque as the contact. The tension of a finger with one tendon does not show the place of the
-    contact. For such a finger, the tip is therefore assumed as the place of the contact.
+    contact, so the tip is assumed as the place of the contact.
     """
     joints = x.joint.shape[1]
     coordinates = x.coordinate.shape[1]

@@ -10,9 +10,9 @@ from handctl.core.estimation.filter_types import SLACK_REGIME
 from handctl.core.state_block import StateTables
 
 MAX_SLACK_TENSION_N = 1.0
-"""A tendon may be slack if its estimated tension and its load-cell reading are below this tension [N].
+"""Upper limit of the estimated tension and of the load-cell reading of a possibly slack tendon [N].
 
-This tension is two standard deviations of the load cell's noise.
+The limit of 1 N is two standard deviations of the load cell's noise.
 """
 SLACK_TICKS = 3
 """Number of ticks in a row below ``MAX_SLACK_TENSION_N`` after which a tendon counts as slack."""
@@ -28,16 +28,16 @@ A sample below all three tensions subtracts ``POINTS_AGAINST``. A sample above t
 (five standard deviations) makes a slack tendon count as taut at once.
 """
 POINTS_AGAINST, TAUT_POINTS = 2, 6
-"""Points that a low sample subtracts, and points from which a tendon counts as taut.
+"""Points that a low load-cell sample subtracts, and number of points from which a tendon counts as taut.
 
 Load-cell noise of 0.5 N alone almost never reaches the points of a taut tendon. A drift of the load
-cell below 1 N does not reach them either.
+cell by less than 1 N does not reach the points of a taut tendon either.
 """
 NEARLY_TAUT_M, NEARLY_TAUT_FACTOR = 5e-5, 3
 """Slack length below which the encoder shows a nearly taut tendon [m], and the factor on the points of this tendon.
 
-With this factor, a load-cell sample of three standard deviations makes the tendon count as taut at
-once. The slack length is uncertain by about 50 um, because of stops and friction.
+With the factor, a load-cell sample of three standard deviations makes a nearly taut tendon count as
+taut at once. The slack length is uncertain by about 50 um, because of stops and friction.
 """
 
 EXCURSION_MARGIN_M = 1e-3
@@ -104,8 +104,8 @@ def regime_evidence_without_cell(
     """Return the evidence for the end of a regime, for a tendon without a load cell.
 
     ``regime_evidence`` explains the evidence. The motor of a slack tendon turns without load. When
-    the tendon has become taut, its tension reduces the force that accelerates the motor. This
-    reduction is called the missing force.
+    the tendon has become taut, its tension reduces the force that accelerates the motor. The
+    missing force is the reduction of the force that accelerates the motor.
 
     Args:
         regime: present regime of the tendon.
@@ -123,7 +123,7 @@ def regime_evidence_without_cell(
 
 @kernel_helper
 def is_nearly_taut(x: StateTables, n: int) -> bool:
-    """Return True if a slack tendon is nearly taut, by the encoder and the known tendon length."""
+    """Return True if a slack tendon is nearly taut, according to the motor encoder and the known tendon length."""
     return (
         x.tendon[s.SPOOL_TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n]
         > -NEARLY_TAUT_M
@@ -134,7 +134,8 @@ def is_nearly_taut(x: StateTables, n: int) -> bool:
 def is_regime_over(regime: int, evidence_count: int, has_no_cell: bool) -> bool:
     """Return True if the evidence (points or ticks) is sufficient to end a regime.
 
-    A taut tendon without load cell (``has_no_cell``) counts as slack only after more ticks.
+    A taut tendon without load cell (``has_no_cell``) counts as slack only after more ticks than a
+    tendon with load cell.
     """
     slack_ticks = SLACK_TICKS_WITHOUT_CELL if has_no_cell else SLACK_TICKS
     return evidence_count >= (TAUT_POINTS if regime == SLACK_REGIME else slack_ticks)
@@ -146,10 +147,11 @@ def set_offset_of_newly_taut_tendon(
 ) -> None:
     """Set the stretch offset or the excursion of a tendon that has become taut.
 
-    The new value makes the model agree with the load cell. If the digit has return springs or joint
-    encoders, the excursion is known, and the stretch offset is set. Otherwise the length of the
-    tendon is known from commissioning, and the excursion is set. If this excursion is outside the
-    range of the joints, the stretch offset is set instead.
+    The new stretch offset or excursion makes the model agree with the load cell. If the digit has
+    return springs or joint encoders, the excursion is known, and the stretch offset is set. If the
+    digit has neither return springs nor joint encoders, the length of the tendon is known from
+    commissioning, and the excursion is set. If the new excursion is outside the range of the
+    joints, the stretch offset is set instead of the excursion.
 
     Args:
         x: state tables.

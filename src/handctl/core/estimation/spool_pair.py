@@ -2,15 +2,16 @@
 
 A spool pair consists of two antagonistic tendons, which are wound on one spool in opposite
 directions. When the spool turns, it winds up a length dl of one tendon, and pays out the same
-length of the other tendon. Both tendons have the pretension p and the stiffness k. Their tensions
-are p + k dl and p - k dl, but never below 0. The net tension u of the pair is the difference of the
-two tensions. While both tendons are taut, u is 2 k dl. If |u| exceeds 2 p, one tendon is slack, and
-the other tendon carries the whole net tension u. In all cases, the first tendon has the tension
-max(p + u / 2, u, 0), and the second tendon has the tension max(p - u / 2, -u, 0).
+length of the other tendon. Both tendons have the pretension p and the stiffness k, so the tensions
+of the two tendons are p + k dl and p - k dl, but never below 0. The net tension u of the pair is
+the difference of the two tensions. While both tendons are taut, u is 2 k dl. If |u| exceeds 2 p,
+one tendon is slack, and the other tendon carries the whole net tension u. With two taut tendons or
+with one slack tendon, the first tendon has the tension max(p + u / 2, u, 0), and the second tendon
+has the tension max(p - u / 2, -u, 0).
 
 Behind the pulleys, friction makes the tension of the wound tendon smaller, and the tension of the
-other tendon larger. Both effects of friction resist the motion. Because of the pretension, a pair
-has friction even if its net tension is 0.
+other tendon larger. The friction of both tendons resists the motion. Because of the pretension, a
+spool pair has friction even if its net tension is 0.
 """
 
 from handctl.compiled import kernel_helper
@@ -38,7 +39,7 @@ def net_tension_at_joint(net_tension: float, pretension: float, tension_ratio: f
 def net_tension_at_spool(net_tension: float, pretension: float, tension_ratio: float) -> float:
     """Return the net tension at the spool for a net tension at a joint [N].
 
-    This function is the inverse of ``net_tension_at_joint``.
+    The function ``net_tension_at_spool`` is the inverse of ``net_tension_at_joint``.
     """
     tension_if_both_taut = (
         2.0

@@ -17,7 +17,7 @@ Matrix = NDArray[np.float64]
 MAX_CAPSTAN_EXPONENT = 700.0
 """Largest exponent of the capstan equation, just below the overflow of a float number.
 
-If the numbers of a bad hand exceed it, Python raises an error, but compiled code does not.
+If an exponent exceeds the limit, Python raises an error, but compiled code does not.
 """
 
 
@@ -242,8 +242,9 @@ def value_from_other_tendons(
 
     Return NaN if the other tendons do not determine the value.
 
-    The values of a digit's tendons are the product R q. In a digit with more tendons than
-    coordinates, the other tendons determine q, and q determines the value of tendon n.
+    The values of a digit's tendons are the product R q of the moment arms and the joint values. In
+    a digit with more tendons than coordinates, the other tendons determine q, and q determines the
+    value of tendon n.
 
     Args:
         c: constants of the hand.

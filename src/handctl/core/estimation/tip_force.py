@@ -1,8 +1,8 @@
 """Tip-equivalent force of a contact.
 
-This force acts at the tip, normal to the last link. It makes the same torque as the actual contact.
-The tension of a finger with one tendon does not depend on the place of contact. The tip is
-therefore used as the place of contact by convention.
+The tip-equivalent force acts at the tip, normal to the last link, and makes the same torque as the
+actual contact. The tension of a finger with one tendon does not depend on the place of contact, so
+the tip is used as the place of contact by convention.
 """
 
 import numpy as np
@@ -30,7 +30,7 @@ def joint_lever(digit: DigitModel, q: Vector) -> Vector:
 def reduced_tip_lever(digit: DigitModel, q: Vector) -> Vector:
     """Return the levers B^T J^T n (n_c,) about the digit's coordinates, for a force at the tip [m].
 
-    The direction of the force is the same as in ``joint_lever``.
+    The direction of the force at the tip is the same as in ``joint_lever``.
     """
     return np.asarray(digit.coupling.T @ joint_lever(digit, q))
 

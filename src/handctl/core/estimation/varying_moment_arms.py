@@ -1,21 +1,21 @@
 """Moment arms that depend on the joint angles.
 
-The tables with moment arms are computed for the present angles. Filter, control law and allocation
-use the linear relation q = B (R B)^+ s between joint angles q and excursions s. Some tables of
-``constants`` depend on R. For a digit with varying moment arms, these tables are evaluated at the
-angles q0 = B theta of the free digit. At these angles, the excursions e(q0) equal s. Near q0 the
+The tables with moment arms are computed for the present joint angles. Filter, control law and
+allocation use the linear relation q = B (R B)^+ s between joint angles q and excursions s. For a
+digit with varying moment arms, the tables of ``constants`` that depend on R are evaluated at the
+angles q0 = B theta of the free digit. At the angles q0, the excursions e(q0) equal s. Near q0 the
 excursion is e(q0) + R (q - q0), so the linear relation has an offset. If the moment arms are
-constant, the offsets are 0 and the tables do not change. The tables depend only on the state block.
-The tables are evaluated before each use in a tick. A tick that is computed again from a stored
-state therefore gives the same result.
+constant, the offsets are 0 and the tables do not change. The tables with moment arms depend only on
+the state block, and are evaluated before each use in a tick. A second computation of a tick from a
+stored state gives the same result, because the tables depend only on the state.
 
 The tendons of a finger pass the wrist that carries the finger. If a tendon does not pass through
 the axis of the wrist, a motion of the wrist moves the tendon, and the tension of the tendon turns
 the wrist. The motion of the tendon and the torque on the wrist are computed from the estimated
-angle of the wrist and from the tension. Carrying digits such as the wrist cause a part of the
-travel. This part is subtracted from the travel (``carrier_excursion``). The filter, the goals and
-the detectors therefore treat the finger as if its base were at rest. The tendons of the wrist must
-balance the torque of the tendons that pass the wrist
+angle of the wrist and from the tension. The part of the travel that carrying digits such as the
+wrist cause is subtracted from the travel (``carrier_excursion``). With the corrected travel, the
+filter, the goals and the detectors treat the finger as if its base were at rest. The tendons of the
+wrist must balance the torque of the tendons that pass the wrist
 (``statics.subtract_torque_of_passing_tendons``).
 
 Source: Tsai, Robot Analysis (1999), structure matrix; Gauss-Newton method.
@@ -40,12 +40,12 @@ Matrix = NDArray[np.float64]
 NEWTON_STEPS = 8
 """Largest number of Newton steps for a digit's joint angles in a tick.
 
-Usually, one or two steps are enough.
+Usually, one or two Newton steps are enough.
 """
 NEWTON_TOLERANCE_RAD = 1e-6
 """Newton step below which the iteration ends [rad].
 
-The remaining error is of the order of the step squared.
+After the iteration, the error of the joint angles is of the order of the squared last step.
 """
 MIN_SPRING_STIFFNESS = 1e-3
 """Smallest spring stiffness used in the null space [N m/rad].
@@ -74,7 +74,8 @@ def moment_arm(c: ConstantTables, n: int, j: int, q: float) -> float:
 def joint_excursion(c: ConstantTables, n: int, j: int, q: float) -> float:
     """Return the part of tendon n's excursion that joint j causes [m].
 
-    This part is the integral of the moment arm over the joint angle.
+    The part of the excursion that joint j causes is the integral of the moment arm over the joint
+    angle.
     """
     if not c.tendon_int[h.HAS_VARYING_ARM, n]:
         return c.tendon_joint_table[h.MOMENT_ARMS, n, j] * q
@@ -261,8 +262,9 @@ def _write_weights(c: ConstantTables, d: int) -> None:
             c.joint_tendon_table[h.POSTURE_TORQUE, j, n] = torque
         mean = c.tendon[h.MEAN_BALANCE_TENSION, n]
         if c.tendon_int[h.IS_REDUNDANT_DIGIT, n] and mean > 0.0:
-            # The balance tensions for the mean moment arms are known. The part of these tensions
-            # that makes no torque with the present moment arms becomes the new balance.
+            # The balance tensions for the mean moment arms are known. The part of the known balance
+            # tensions that makes no torque with the present moment arms becomes the new balance
+            # tensions.
             balance = mean - project_onto_digit_motion(c, n, c.tendon[h.MEAN_BALANCE_TENSION])
             c.tendon[h.BALANCE_TENSION, n] = c.tendon[h.RELAXED_TENSION, n] = max(
                 balance, MIN_BALANCE_FRACTION * mean
@@ -273,7 +275,7 @@ def _write_weights(c: ConstantTables, d: int) -> None:
 def _write_compliance(c: ConstantTables, d: int) -> None:
     """Write the turn of the joints per torque at constant excursions.
 
-    This compliance is K^-1 - K^-1 R^T (R K^-1 R^T)^-1 R K^-1.
+    The compliance (turn per torque) is K^-1 - K^-1 R^T (R K^-1 R^T)^-1 R K^-1.
     """
     joints = (c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d])
     tendons = (c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d])

@@ -8,13 +8,13 @@ change of a moving digit's tension [N/s]. The measurements are the encoder trave
 
 The model does not contain the equation of motion of the digit. The mass of the digit is a twentieth
 of the mass of the rotor. A stiff tendon connects the digit to the rotor. The friction at the
-pulleys of the digit is up to a third of the tension. The direction of this friction depends on the
-sign of a very low speed, which is only micrometres per second. In a filter with the digit's
-equation of motion, the sign of the friction would change all the time. The tension error would be 9
-N instead of 0.5 N. Two assumptions replace this equation of motion. A free digit follows its
-tendon, with slowly changing tension. A held digit is at rest. Source: linearised tendon plant, van
-Loan (1978) for the discretisation. The function that solves the Riccati equation comes from the
-package ``control``.
+pulleys of the digit is up to a third of the tension. The direction of the pulley friction depends
+on the sign of a very low speed, which is only micrometres per second. In a filter with the digit's
+equation of motion, the sign of the friction would change all the time, and the tension error would
+be 9 N instead of 0.5 N. Two assumptions replace the digit's equation of motion: a free digit
+follows its tendon with slowly changing tension, and a held digit is at rest. Source: linearised
+tendon plant, van Loan (1978) for the discretisation. The function that solves the Riccati equation
+comes from the package ``control``.
 """
 
 import math
@@ -52,8 +52,8 @@ Without any decay the Riccati equation has no solution. A faster decay changes t
 tension: if an offset of one millimetre decays in a minute, the tension changes by 1.7 N per second.
 """
 
-# This noise is added while the model of a tendon does not fit the measurements of the tendon, see
-# ``kalman``.
+# The constants below describe process noise that is added while the model of a tendon does not fit
+# the measurements of the tendon, see ``kalman``.
 DISTURBANCE_FACTOR_WITH_ADDED_NOISE = 5.0
 """Factor on the motor disturbance of a free tendon while noise is added to its filter.
 
@@ -64,27 +64,27 @@ HELD_DISTURBANCE_FACTOR_WITH_ADDED_NOISE = 2.0
 ADDED_TENSION_RANDOM_WALK = 8.0
 """Random walk [N/s^0.5] that is added to the tension of a free tendon.
 
-The walk covers joint friction that differs from the hand file.
+The random walk covers joint friction that differs from the hand file.
 """
 HELD_TENSION_RANDOM_WALK = 3.0
 """Random walk [N/s^0.5] that is added to the tension of a held tendon."""
 PLANNED_CHANGE_FRACTION_WITH_ADDED_NOISE = 0.25
-"""Fraction of the planned change of tension that the filter expects while noise is added."""
+"""Fraction of the planned change of tension that the filter expects while process noise is added."""
 FRICTION_SIGMA_WITHOUT_CELL = 0.6
 """Standard deviation of a motor's friction as a fraction of the Coulomb friction, for tendons without load cell.
 
-The friction may have any value between those of the two directions of motion. A uniform
-distribution has the standard deviation 1 / sqrt(3).
+The friction can have any value between the friction values of the two directions of motion. A
+uniform distribution between -1 and 1 has the standard deviation 1 / sqrt(3).
 """
 FRICTION_TIME_WITHOUT_CELL_S = 0.3
 """Correlation time of a motor's friction, for tendons without load cell [s].
 
-This time is about the time between two reversals of the motor.
+The correlation time is about the time between two reversals of the motor.
 """
 TAUT_REGIMES = (TendonRegime.FREE, TendonRegime.HELD)
 """Regimes with a second filter design, which has added noise.
 
-The regimes are in the order of the design indices 3 and 4.
+The order of the two regimes is the order of the design indices 3 and 4.
 """
 
 
@@ -103,7 +103,7 @@ def design_filter(
             without joint encoders.
 
     Raises:
-        ConfigError: no filter follows from the gains.
+        ConfigError: no filter can be designed from the gains.
     """
     blocks_by_constants: dict[tuple[float, ...], tuple[FilterBlock, ...]] = {}
     blocks = []
@@ -133,7 +133,7 @@ def _continuous_model(
 ) -> tuple[Matrix, Matrix, Matrix]:
     """Return the continuous model of a tendon: A (7, 7), B (7, 2), and the tension row (7,).
 
-    The tension is the product of this row and the states.
+    The tension is the product of the tension row and the states.
     """
     is_taut = regime != TendonRegime.SLACK
     k, c = (tendons.stiffness[i], tendons.damping[i]) if is_taut else (0.0, 0.0)
@@ -193,8 +193,8 @@ def _process_noise(
     Q = np.zeros((STATE_COUNT, STATE_COUNT))
     disturbance, correlation_time_s, acceleration_noise = _motor_noise(regime, gains)
     if not tendons.has_cell[i]:
-        # Without a load cell, the tension is estimated as motor force minus friction. An error of
-        # the friction is then an error of the tension.
+        # Without a load cell, the tension is estimated as motor force minus friction, so an error
+        # of the friction is an error of the tension.
         disturbance = math.hypot(
             disturbance, FRICTION_SIGMA_WITHOUT_CELL * tendons.coulomb_friction[i]
         )
@@ -259,18 +259,20 @@ def _design_filter_block(
 
     A kind of design is a pair: the regime, and True if process noise is added.
 
-    For a tendon without a load cell, the filter uses only the motor encoder. The tension of such a
-    tendon is computed from the motor force, and is uncertain because of friction.
+    For a tendon without a load cell, the filter uses only the motor encoder. The tension of a
+    tendon without a load cell is computed from the motor force, and is uncertain because of
+    friction.
 
     The load-cell error is estimated only while a tendon is slack, because the tension is then known
-    to be 0. In other regimes, no measurement distinguishes the load-cell error from tension, so the
-    estimated error stays constant. The growing variance of the load-cell error is then added to the
-    variance of the tension. In these regimes, the gains are computed for a filter without the
-    load-cell error among its states. Source: Schmidt (1966), consider states.
+    to be 0. While a tendon is taut, no measurement distinguishes the load-cell error from tension,
+    so the estimated load-cell error stays constant. For a taut tendon, the growing variance of the
+    load-cell error is added to the variance of the tension. The gains for a taut tendon are
+    computed for a filter without the load-cell error among its states. Source: Schmidt (1966),
+    consider states.
 
     The encoder and the load cell determine only the sum of excursion and stretch offset. Joint
     encoders separate the excursion from the stretch offset within ``joint_time_s``, and correct no
-    other state. The gains for all other states therefore do not depend on joint encoders.
+    other state, so the gains for all other states do not depend on joint encoders.
     """
     regime, has_added_noise = regime_and_noise
     A, B, tension = _continuous_model(tendons, i, regime, gains)
@@ -303,8 +305,8 @@ def _design_filter_block(
     K[S, 2] = (
         1.0 - math.exp(-joint_period / gains.joint_time_s) if math.isfinite(joint_period) else 0.0
     )
-    # Travel and tension determine the sum of excursion and stretch offset. If the excursion is
-    # corrected, the stretch offset is therefore corrected by the opposite amount.
+    # Travel and tension determine the sum of excursion and stretch offset, so each correction of
+    # the excursion requires the opposite correction of the stretch offset.
     K[O, 2] = -K[S, 2]
     drift = (
         0.0

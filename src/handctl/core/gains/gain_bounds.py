@@ -1,6 +1,7 @@
 """Bounds of the gains.
 
-Each key of the gains has a range, a default and a meaning. Some keys may change during a run.
+Each key of the gains has a range, a default and a meaning. The values of some keys are allowed to
+change during a run.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,10 +21,10 @@ GAIN_SECTIONS = ("filter", "motion", "tension", "contact")
 TENDON_SECTION = "tendon"
 """Section of forces for single tendons, with keys such as ``tendon.wrist_flex.motion_force_N``."""
 LIVE_GAIN_SECTIONS = ("motion", "tension", "contact", TENDON_SECTION)
-"""Sections whose values may change while the controller runs.
+"""Sections of the gains whose values are allowed to change while the controller runs.
 
-The section of the filter is missing, because the design of a filter takes longer than a tick
-allows.
+The section of the tension filter is not in the list, because the design of a filter takes longer
+than a tick allows.
 """
 
 
@@ -39,7 +40,7 @@ class GainBounds:
         is_low_excluded: True if the value must be greater than ``low``.
         default: default value of the key.
         is_integer: True if the value must be an integer.
-        is_changeable_live: True if the value may be changed while the controller runs.
+        is_changeable_live: True if the value is allowed to change while the controller runs.
         meaning: meaning of the key, in words. The text is empty if the name of the key is clear.
     """
 
@@ -128,7 +129,7 @@ def _range_of_field(field_metadata: list[Any]) -> tuple[float, float, bool]:
 def bounds_of_key(key: str) -> GainBounds | None:
     """Return the bounds of a key, or None for an unknown key.
 
-    The key may belong to the whole hand or to a single tendon.
+    The key can belong to the whole hand or to a single tendon.
     """
     key_parts = tendon_key(key)
     if key_parts is None:
@@ -170,7 +171,7 @@ def changed_gain_values(old_gains: Gains, new_gains: Gains) -> dict[str, tuple[f
 def _gain_of_key(gain_values: Mapping[str, float], key: str) -> float:
     """Return the value of a key.
 
-    If a single tendon has no value, return the value for all tendons.
+    If the gains contain no value for a single tendon, return the value for all tendons.
     """
     key_parts = tendon_key(key)
     return (
@@ -189,7 +190,7 @@ def gains_with_values(
         gains: gains to copy.
         gain_values: new values by key.
         source_name: name of the source of the values, for messages.
-        is_live: True to accept only keys that may change during a run.
+        is_live: True to accept only keys whose values are allowed to change during a run.
 
     Raises:
         ConfigError: a key is unknown, a value is out of bounds, or a key must not change during a

@@ -1,10 +1,10 @@
 """Gains of the controller: values that can be tuned, with units, bounds and defaults.
 
 With the default gains, both control loops of the Jamia hands have a gain margin of at least 6 dB
-and a phase margin of at least 45 degrees. Both margins hold at 500 Hz (jamia) and at 200 Hz
-(jamia11 on a single bus). They hold for the plant of the hand file, and for random variants of this
-plant. Some packaged hands do not have these margins with the default gains. For such a hand, the
-folder ``packaged`` contains a gains file.
+and a phase margin of at least 45 degrees. Both margins hold at control rates of 500 Hz (jamia) and
+200 Hz (jamia11 on a single bus). Both margins hold for the plant of the hand file, and for random
+variants of the plant. If a packaged hand does not have these margins with the default gains, the
+folder ``packaged`` contains a gains file for the hand.
 """
 
 from pathlib import Path
@@ -15,14 +15,15 @@ from handctl.document import Document, load_document
 from handctl.hand.file.toml_text import toml_text
 
 PACKAGED_GAINS_FOLDER = Path(__file__).parent / "packaged"
-"""Folder with the gains of packaged hands for which the defaults do not fit."""
+"""Folder with the gains of packaged hands for which the default gains do not fit."""
 
 
 class FilterGains(Document):
     """Noise that the tension filter assumes.
 
     The disturbances stand for effects that are not in the model: friction, springs and contact. The
-    correlation times of the disturbances are those of the motions that cause them.
+    correlation time of a disturbance is the correlation time of the motion that causes the
+    disturbance.
     """
 
     motor_disturbance_N: float = Field(0.12, gt=0, le=50)
@@ -67,14 +68,14 @@ class FilterGains(Document):
     encoder_noise_counts: float = Field(0.3, gt=0, le=100)
     """Standard deviation of a motor encoder's noise in counts.
 
-    It is 1 / sqrt(12) for rounding alone.
+    Rounding alone causes a standard deviation of 1 / sqrt(12) counts.
     """
 
 
 class MotionGains(Document):
     """Weights of the motion loop by Bryson's rule.
 
-    The weights are an excursion error, a speed error and a force. All three have the same cost.
+    The weights are an excursion error, a speed error and a force, which have equal costs.
     """
 
     position_error_m: float = Field(6e-4, gt=0, le=0.1)
@@ -84,14 +85,14 @@ class MotionGains(Document):
     force_N: float = Field(13.0, gt=0, le=500)
     """Motor force with the cost of ``position_error_m`` or ``speed_error_m_s``, at 500 Hz and above [N].
 
-    At lower control rates a smaller force is used, see ``motion_design``.
+    At control rates below 500 Hz, a smaller force is used, see ``motion_design``.
     """
     inertia_share: float = Field(1.0, ge=0, le=1)
     """Fraction of the rotor's inertia that the feedforward compensates."""
     friction_share: float = Field(1.0, ge=0, le=1)
     """Fraction of pulley and motor friction that the feedforward compensates."""
     disturbance_rejection: float = Field(0.7, ge=0, le=1)
-    """Fraction of the estimated motor disturbance that is cancelled."""
+    """Fraction of the estimated motor disturbance that the motor force cancels."""
     tension_feedback: float = Field(0.3, ge=0, le=5)
     """Gain of the inner tension loop of a moving digit: added motor force per newton of tension error."""
 
@@ -127,17 +128,17 @@ class ContactGains(Document):
 class TendonForces(Document):
     """Forces for a single tendon.
 
-    They replace the forces for all tendons. Digits of different mass need different forces. For
-    example, the force for a wrist that carries five fingers is a thirtieth of the force for a
-    fingertip.
+    The forces of a single tendon replace the forces that apply to all tendons. Digits of different
+    mass need different forces. For example, the force for a wrist that carries five fingers is a
+    thirtieth of the force for a fingertip.
     """
 
     name: str
     """Name of the tendon."""
     motion_force_N: float | None = Field(None, gt=0, le=500)
-    """Force of this tendon in place of ``motion.force_N`` [N]."""
+    """Force of the tendon ``name`` in place of ``motion.force_N`` [N]."""
     tension_force_N: float | None = Field(None, gt=0, le=500)
-    """Force of this tendon in place of ``tension.force_N`` [N]."""
+    """Force of the tendon ``name`` in place of ``tension.force_N`` [N]."""
 
 
 class Gains(Document):
@@ -194,17 +195,17 @@ class GainsProvenance(Document):
     fit: str = ""
     """Calibration file whose identified parameters were used for the design."""
     study: str = ""
-    """Search that found these gains."""
+    """Search that found the gains of the file."""
     note: str = ""
-    """Note of the user about these gains."""
+    """Note of the user about the gains of the file."""
     number: int = Field(0, ge=0)
-    """Number in the history of gains, 0 outside of a history."""
+    """Number of the gains in the history of gains, 0 for gains outside of a history."""
     replaces: int = Field(0, ge=0)
-    """Number of the gains that were replaced, 0 for the packaged gains."""
+    """Number of the replaced gains in the history of gains, 0 for the packaged gains."""
     restores: int | None = Field(None, ge=0)
-    """Number of the gains that a rollback restored, 0 for the packaged gains.
+    """Number of the gains in the history that a rollback restored, 0 for the packaged gains.
 
-    None without a rollback.
+    The value is None if no rollback was made.
     """
 
 
@@ -226,7 +227,7 @@ class GainsFile(Gains):
 
 
 def load_gains(path: Path | None) -> Gains:
-    """Return gains from a TOML file, or the defaults.
+    """Return gains from a TOML file, or the default gains.
 
     Raises:
         ConfigError: the file cannot be read, or a value is out of range.

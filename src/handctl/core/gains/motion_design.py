@@ -1,11 +1,11 @@
 """Feedback gains of the motion loop and the tension loop, designed by LQR on the discrete model.
 
 The gains are designed before arming, and again when the gains change during a run. Both loops use
-the prediction of the tension filter, which includes the delay of the bus. The loops therefore have
-no state for the delay. Errors of the prediction grow with the prediction horizon, and reduce the
-phase margin. At control rates below 500 Hz, the force weights are therefore reduced. Source:
-Bryson's rule for the weights. The function that solves the Riccati equation comes from the package
-``control``.
+the prediction of the tension filter, which includes the delay of the bus, so the loops have no
+state for the delay. Errors of the prediction grow with the prediction horizon, and reduce the phase
+margin. To keep the phase margin at control rates below 500 Hz, the force weights are reduced.
+Source: Bryson's rule for the weights. The function that solves the Riccati equation comes from the
+package ``control``.
 """
 
 import math
@@ -49,8 +49,9 @@ FULL_FORCE_WEIGHT_PERIOD_S = 2e-3
 def force_weight_at_period(force: float, period_s: float) -> float:
     """Return the force weight for a control period [N].
 
-    Above the period ``FULL_FORCE_WEIGHT_PERIOD_S``, the weight is reduced. The stiffness of a loop is
-    proportional to the weight. The bandwidth is proportional to the square root of the weight.
+    For control periods above ``FULL_FORCE_WEIGHT_PERIOD_S``, the force weight is reduced. The
+    stiffness of a control loop is proportional to its force weight. The bandwidth of a control loop
+    is proportional to the square root of its force weight.
     """
     return force * min(1.0, math.sqrt(FULL_FORCE_WEIGHT_PERIOD_S / period_s))
 
@@ -64,8 +65,8 @@ def design_motion(tendons: TendonConstants, gains: Gains, period_s: float) -> Mo
         period_s: control period [s].
 
     Raises:
-        ConfigError: no gains follow from the weights, or they name a tendon that the hand does not
-            have.
+        ConfigError: no feedback gains follow from the weights, or the weights name a tendon that
+            the hand does not have.
     """
     check_tendon_names(gains, tendons.names)
     return combine_loop_designs(
@@ -93,7 +94,7 @@ def design_control_loop(
     Loops 0 to N - 1 are motion loops, and loops N to 2 N - 1 are tension loops.
 
     Raises:
-        ConfigError: no gains follow from the weights.
+        ConfigError: no feedback gains follow from the weights.
     """
     n = len(tendons.spool_radius)
     if loop_index < n:
@@ -142,8 +143,8 @@ def _sampled_lqr_gain(
 def _design_motion_loop(tendons: TendonConstants, i: int, gains: Gains, period_s: float) -> Vector:
     """Design the motion loop.
 
-    In the model of this loop, motor and digit are one mass, because the tendon is rigid. The states
-    are excursion error [m] and speed error [m/s].
+    In the model of the motion loop, motor and digit are one mass, because the tendon is rigid. The
+    states of the motion loop are excursion error [m] and speed error [m/s].
     """
     weights = gains.motion
     mass = float(tendons.motor_mass[i] + tendons.load_mass[i])
@@ -158,8 +159,8 @@ def _design_motion_loop(tendons: TendonConstants, i: int, gains: Gains, period_s
 def _design_tension_loop(tendons: TendonConstants, i: int, gains: Gains, period_s: float) -> Vector:
     """Design the tension loop.
 
-    In the model of this loop, the digit is blocked, and the rotor stretches the tendon. The states
-    are tension error [N] and tendon speed [m/s].
+    In the model of the tension loop, the digit is blocked, and the rotor stretches the tendon. The
+    states of the tension loop are tension error [N] and tendon speed [m/s].
     """
     weights = gains.tension
     mass = tendons.motor_mass[i]

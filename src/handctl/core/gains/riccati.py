@@ -8,8 +8,9 @@ import numpy as np
 from handctl.core.deferred_imports import DeferredModule, import_without_package_init
 from handctl.core.tick_types import Vector
 
-# control.dlqr and control.dlqe also call this solver. An import of the whole package control would
-# also import matplotlib and scipy.signal, which takes longer than the design of the gains.
+# The functions control.dlqr and control.dlqe call the same solver of the Riccati equation. An
+# import of the whole package control would also import matplotlib and scipy.signal, which takes
+# longer than the design of the gains.
 _matrix_equations = DeferredModule("control.mateqn", import_without_package_init)
 
 

@@ -1,6 +1,6 @@
 """Conversion of solver failures into error messages of one line.
 
-A solver may fail although each weight is within its bounds, because the weights differ too much.
+A solver can fail although each weight is within its bounds, because the weights differ too much.
 """
 
 from collections.abc import Iterator

@@ -1,11 +1,11 @@
 """Conversion of received cyclic frames to values of the state block, and of commands to frames.
 
-``receive_frames`` decodes all frames of the sensor node, and the feedback of steady drives. It uses
+``receive_frames`` decodes all frames of the sensor node, and the feedback of steady drives, by
 tables of signals. A drive is steady while it is enabled and its state machine (``drives.contract``)
 has nothing to do. ``receive_frames`` stops at each frame that a state machine must handle. The
-caller handles this frame, and calls ``receive_frames`` again for the remaining frames.
-``encode_commands`` encodes the commands of steady drives, and stops at each drive that is not
-steady. ``wire_tables`` builds the tables for a hand.
+caller passes the frame to the state machine, and calls ``receive_frames`` again for the remaining
+frames. ``encode_commands`` encodes the commands of steady drives, and stops at each drive that is
+not steady. The module ``wire_tables`` builds the tables of signals for a hand.
 """
 
 import math
@@ -71,7 +71,7 @@ from handctl.drives.signals import (
 from handctl.drives.signals import LENGTH_COLUMN as LENGTH_BITS
 
 NO_FRAME_ENTRY = -1
-"""Index that stands for a missing entry."""
+"""Index that stands for a missing entry of the frame table."""
 ENABLED_PHASE = int(DrivePhase.ENABLED)
 """Value of ``drives.contract.DrivePhase.ENABLED``."""
 POSITION, VELOCITY, TORQUE, TEMPERATURE, STATUS, CELL, ANGLE, COUNTER = map(
@@ -79,7 +79,7 @@ POSITION, VELOCITY, TORQUE, TEMPERATURE, STATUS, CELL, ANGLE, COUNTER = map(
 )
 """Values of ``drives.signals.SignalQuantity``, for compiled code."""
 CAN_ID_MASK = 0x1FFFFFFF
-"""Mask of a CAN identifier without its flags."""
+"""Mask of the CAN identifier in a word that also contains the flags of the identifier."""
 STANDARD_ID_COUNT = 0x800
 """Number of possible 11-bit identifiers."""
 OTHER_FRAME, RIGHT_REPLY, WRONG_REPLY = range(3)
@@ -148,12 +148,12 @@ def receive_frames(
         recheck_ranges: see ``WireTables``.
         rechecks: see ``WireTables``.
         first_frame: index of the first frame.
-        min_receive_ns: earliest time at which an answer to the latest SYNC can arrive [ns]. The time is
-            negative if answers contain the counter of the SYNC.
+        min_receive_ns: earliest time at which an answer to the latest SYNC can arrive [ns]. The
+            time is negative if the answers of the sensor node contain the counter of the SYNC.
 
     Returns:
-        Index of the first frame that a state machine must handle or that only this host may send,
-        or n if there is no such frame.
+        Index of the first frame that a state machine must handle or that only this host is allowed
+        to send, or n if no frame is of these two kinds.
     """
     x = state_tables(block, at)
     c = constant_tables(constants, constant_offsets)
@@ -238,7 +238,7 @@ def _compare_recheck(
 ) -> int:
     """Compare a frame with the expected reply to the open read-back request of an enabled drive.
 
-    After a reply with the required value, the next setting is requested.
+    After a reply with the required value, the host requests the next setting of the drive.
 
     Args:
         x: state tables.
@@ -284,9 +284,9 @@ def _is_recheck_due(x: StateTables, n: Any, now_ns: Any, ranges: IntArray) -> bo
 def _is_recheck_regular(x: StateTables, n: Any, now_ns: Any) -> bool:
     """Return True if compiled code can send the next read-back request.
 
-    Otherwise, the state machine of the drive must send the request. If the request is late by a
-    whole period, the state machine calculates the time of the next request. If the drive sends no
-    reply for a setting, the state machine reports this.
+    If the result is False, the state machine of the drive must send the request. If the request is
+    late by a whole period, the state machine calculates the time of the next request. If the drive
+    sends no reply for a setting, the state machine reports the missing reply.
     """
     regular: bool = (
         now_ns < x.tendon_int[s.RECHECK_DUE_NS, n] + RECHECK_PERIOD_NS
@@ -321,9 +321,9 @@ def _count_unknown_frame(
 ) -> None:
     """Count a frame whose identifier is unknown.
 
-    A remote frame or 29-bit frame with the identifier of a node counts as a malformed frame of this
+    A remote frame or 29-bit frame with the identifier of a node counts as a malformed frame of the
     node. A 29-bit identifier of 0x800 or more belongs to another protocol, even if its lower 11
-    bits are those of a node.
+    bits equal the identifier of a node.
     """
     x.run_int[s.UNKNOWN_FRAME_COUNT] += 1
     if can_id & (EXTENDED_FLAG | REMOTE_FLAG) and can_id & CAN_ID_MASK < STANDARD_ID_COUNT:
@@ -400,8 +400,9 @@ def _decode_sensor_frame(
 def _is_nearer_to_prediction(x: StateTables, c: ConstantTables, n: Any, position: float) -> bool:
     """Return True if a position is nearer to the predicted position than the stored position.
 
-    The stored position was received earlier in this tick. The tension filter predicts the position
-    for the time of the request. Before the filter has started, the later position is used.
+    The stored position was received earlier in the present tick. The tension filter predicts the
+    position for the time of the request. Before the tension filter has started, the position that
+    arrived later is used.
     """
     travel = x.tendon[s.SPOOL_TRAVEL, n]
     if c.run_int[h.HAS_CARRIER_ARMS]:
@@ -491,7 +492,7 @@ def _decode_drive_frame(
 def _store_tendon_value(x: StateTables, table_row: int, n: int, value: float) -> None:
     """Write a value into the table of tendons, unless the value is NaN.
 
-    NaN means that the frame has no signal for this value.
+    A value of NaN means that the frame has no signal for the value.
     """
     if not math.isnan(value):
         x.tendon[table_row, n] = value
@@ -599,8 +600,9 @@ def encode_commands(
 
     Returns:
         Index of the first drive that is not steady (N if all drives are steady), and the number of
-        records. The function also stops at a drive whose commanded torque exceeds the torque limit.
-        The state machine of this drive then reports that the torque limit is exceeded.
+        records. ``encode_commands`` also stops at a drive whose commanded torque exceeds the torque
+        limit. The state machine of a drive with a too large commanded torque reports that the
+        torque limit is exceeded.
     """
     x = state_tables(block, at)
     now_ns = x.run_int[s.TICK_TIME_NS]

@@ -33,14 +33,14 @@ FloatArray = NDArray[np.float64]
 ) = range(7)
 """Columns of an entry, which describes the frames with one identifier.
 
-The columns are: index of the drive or ``SENSOR_NODE_OWNER``, kind of frame, first signal, signal
-after the last, payload length [bytes], group, and 1 if only the frame nearest to the expected
-position is used.
+The columns are: index of the drive or ``SENSOR_NODE_OWNER``, kind of frame, index of the first
+signal, index after the last signal, payload length [bytes], group, and 1 if only the frame nearest
+to the expected position is used.
 """
 SENSOR_NODE_OWNER = -1
 """Value of the column ``OWNER_COLUMN`` for frames of the sensor node."""
 STATE_MACHINE_FRAMES, FEEDBACK_FRAMES, VALUE_FRAMES, SENSOR_FRAMES, HOST_FRAMES = range(5)
-"""Kinds of frames: for a state machine, reply to a command, more drive values, sensor node, sent by this host only."""
+"""Kinds of frames: for a state machine, reply to a command, other drive values, sensor values, sent by this host."""
 (
     REPLY_WORD,
     REPLY_KEY_MASK_WORD,
@@ -49,10 +49,11 @@ STATE_MACHINE_FRAMES, FEEDBACK_FRAMES, VALUE_FRAMES, SENSOR_FRAMES, HOST_FRAMES 
     REPLY_BYTES_WORD,
     WORDS_PER_RECHECK,
 ) = range(WORDS_PER_RECORD, WORDS_PER_RECORD + 6)
-"""Words of a repeated read-back after the record of its request, and the number of all words.
+"""Words of a repeated read-back after the record of its request, and the total number of words.
 
-The words are: payload of the reply with the required value, bits that identify the reply, bits
-that are compared, index of the reply's entry, and length of the reply's payload [bytes].
+The words of a repeated read-back are: payload of the reply with the required value, bits that
+identify the reply, bits that are compared, index of the reply's entry, and length of the reply's
+payload [bytes].
 """
 
 
@@ -71,15 +72,17 @@ class WireTables:
         command_signal_scalings: (t, 3) real numbers of the sent torques, with the limit [N m] in the third
             column.
         templates: (f, WORDS_PER_RECORD) records of the commands with zero torque.
-        servos: (N, 2) first row of each drive in ``servo_signal_integers``, and the row after its last. Both
-            are equal for a drive that receives only torques.
+        servos: (N, 2) first row of each drive in ``servo_signal_integers``, and the row after the
+            drive's last row. The first row and the row after the last row are equal for a drive
+            that receives only torques.
         servo_templates: (N, WORDS_PER_RECORD) records of the position commands with all signals 0.
         servo_signal_integers: (p, INTEGER_COLUMN_COUNT) integers of the signals of position commands.
         servo_signal_scalings: (p, 4) scale, offset, smallest and largest value of the signals of position
             commands, for the real torque of the motor.
-        recheck_ranges: (N, 2) first row of each drive in ``rechecks``, and the row after its last.
+        recheck_ranges: (N, 2) first row of each drive in ``rechecks``, and the row after the
+            drive's last row.
         rechecks: (r, WORDS_PER_RECHECK) settings that are read again while a drive is enabled: the
-            record of the request, then the words of the reply from ``REPLY_WORD`` on.
+            record of the request, followed by the words of the reply from ``REPLY_WORD`` on.
         max_frames: largest number of frames, including SYNC, that one tick sends to steady drives.
     """
 
@@ -95,8 +98,8 @@ class WireTables:
         Args:
             drives: drives of the hand.
             sensors: sensor node of the hand.
-            is_loop_closed_by_drive: for each drive, True if the drive closes the position loop, empty if no
-                drive does this.
+            is_loop_closed_by_drive: for each drive, True if the drive closes the position loop. The
+                sequence is empty if no drive of the hand closes a position loop.
             torque_gain: (N,) torque at the spool divided by the commanded torque, or None if all
                 values are 1.
         """

@@ -23,7 +23,7 @@ LOST_FRAMES_FOR_HOLD = 20
 LOST_FRAMES_FOR_RELAX = 40
 """Numbers of lost frames of a node, within ``LOSS_WINDOW_TICKS`` ticks, that are faults.
 
-The reaction is HOLD above the first number, and RELAX above the second.
+The reaction is HOLD above the first number of lost frames, and RELAX above the second number.
 """
 MALFORMED_FRAMES_LIMIT = 3
 """Smallest number of malformed frames from a node, within ``MALFORMED_WINDOW_TICKS`` ticks, that is a fault."""
@@ -188,8 +188,8 @@ B11A_FLOODED_BUS = declare_fault(
     cause="A node or another program sends without pause (babbling idiot).",
     remedy="Unplug one node after the other until the traffic stops. Replace or reconfigure the last one.",
 )  # fmt: skip
-# B11b is the second stage of the fault B11a. B11b has the same condition as B11a, but a longer
-# debounce.
+# B11b is the second stage of the fault B11a. The fault B11b has the same condition as the fault
+# B11a, but a longer debounce.
 B11B_LASTING_FLOOD = declare_fault(
     "B11b", "the bus stays flooded", "In ten ticks, more frames arrive than all nodes can send",
     SafetyAction.CUT, CLEARED_BY_OPERATOR, FAULT_PLACE_HAND, debounce_ticks=10, name="bus",

@@ -2,15 +2,16 @@
 
 A row of the fault catalogue describes a possible failure. A fault is a row of the catalogue or a
 stage of a row. The controller checks each fault in every tick. Each row and each fault is declared
-once. The declaration is in the module of its kind: ``bus``, ``node``, ``tendon`` or ``host``. The
-tables in the documents, the deadlines in the fault campaign, the event texts and the reactions all
-come from these declarations.
+once, in the module of its kind: ``bus``, ``node``, ``tendon`` or ``host``. The tables in the
+documents, the deadlines in the fault campaign, the event texts and the reactions all come from the
+declarations of rows and faults.
 
-There are two ways to find a fault. A fault with the argument ``fault_places`` is detected by
-compiled code in ``core.detectors``. This argument lists the parts that the fault can affect, such
-as motors or tendons. The declaration returns the row of the fault in the detectors' table of
-results. Detectors use this row as in ``evidence[N07_NOISY_ENCODER, motor]``. A fault with the argument
-``reports`` is reported by a bus, the host or the recorder.
+There are two ways to find a fault. Compiled code in ``core.detectors`` detects a fault that is
+declared with the argument ``fault_places``. The argument ``fault_places`` lists the kinds of parts
+that the fault can affect, such as motors or tendons. The declaration returns the row of the fault
+in the detectors' table of results. Detectors use the row of the fault as in
+``evidence[N07_NOISY_ENCODER, motor]``. A fault with the argument ``reports`` is reported by a bus,
+the host or the recorder.
 """
 
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ CLEARED_BY_OPERATOR = "by the operator"
 CLEARED_BY_ITSELF = "by itself"
 """Ways in which a fault ends. The operator clears a latched fault.
 
-Any other fault ends by itself when its cause ends.
+A fault that is not latched ends by itself when its cause ends.
 """
 
 FAULT_PLACE_TENDON = "tendon"
@@ -44,7 +45,7 @@ CHECKED_BEFORE_ARMING = "before arming"
 CHECKED_BY_DRIVE = "the drive itself"
 CHECKED_BY_CONTROL_LOOP = "loop and recorder"
 CHECKED_IN_FILES = "files"
-"""Places where a row of the catalogue is checked."""
+"""Parts of handctl that check a row of the catalogue."""
 
 
 class CatalogueRow(NamedTuple):
@@ -57,22 +58,22 @@ class CatalogueRow(NamedTuple):
         mit: visibility with the MIT protocol: detected, "replaced: SIGN" or "lost: REASON".
         odrive: visibility with ODrive.
         cia402: visibility with CiA 402.
-        ticks: the part of the longest reaction time that is counted in ticks. ``ms`` is added to
-            this part.
-        ms: the part of the longest reaction time that does not depend on the tick [ms]. ``ticks``
-            is added to this part.
+        ticks: the part of the longest reaction time that is counted in ticks. The longest reaction
+            time is the sum of ``ticks`` and ``ms``.
+        ms: the part of the longest reaction time that does not depend on the tick [ms]. The longest
+            reaction time is the sum of ``ticks`` and ``ms``.
         odrive_extra_ms: additional reaction time with an ODrive [ms], because the heartbeat of an ODrive
             has a period of 100 ms.
         required: reaction time that the project's fault catalogue requires with an ideal drive
-            [ticks of 5 ms]. The value is 0 if the catalogue gives no time, for example for a fault
-            before any torque.
-        why: the reason if ``ticks`` is larger than ``required``, or an empty text.
+            [ticks of 5 ms]. The value is 0 if the catalogue gives no reaction time, for example for
+            a fault before any torque.
+        why: the reason why ``ticks`` is larger than ``required``, or an empty text.
         tested_by: ``campaign``, or the name of the test that covers the fault.
-        moteus: visibility with moteus. The text is empty if it equals ``mit``, because both
-            protocols answer each command once.
-        robstride: visibility with RobStride. The text is empty if it equals ``mit``.
-        reaction_time_start: event from which the longest reaction time counts, as the end of a sentence.
-            The text is empty if the time counts from the failure itself.
+        moteus: visibility with moteus. The text is empty if the visibility equals ``mit``, because
+            both protocols answer each command once.
+        robstride: visibility with RobStride. The text is empty if the visibility equals ``mit``.
+        reaction_time_start: event from which the longest reaction time counts, as the end of a
+            sentence. The text is empty if the reaction time counts from the failure itself.
     """
 
     id: str
@@ -94,7 +95,7 @@ class CatalogueRow(NamedTuple):
     def visibility(self, protocol: str) -> str:
         """Return the visibility of the failure with a drive protocol.
 
-        The argument is one of ``VERIFIABLE_PROTOCOLS``.
+        The argument ``protocol`` is one of ``VERIFIABLE_PROTOCOLS``.
         """
         visibility: str = getattr(self, protocol)
         return visibility or self.mit
@@ -102,7 +103,7 @@ class CatalogueRow(NamedTuple):
     def max_reaction_time_ms(self, rate_hz: float) -> float:
         """Return the longest time from the failure to the reaction, for a control rate [ms].
 
-        This time does not include ``odrive_extra_ms``.
+        The reaction time does not include ``odrive_extra_ms``.
         """
         return self.ticks * 1e3 / rate_hz + self.ms
 
@@ -122,15 +123,17 @@ class Fault:
         cause: usual causes, for the operator, in whole sentences.
         remedy: instruction for the operator in one line, in whole sentences.
         debounce_ticks: number of consecutive ticks with the fault after which the fault becomes active.
-        relax_method: method of removing the torque if the action is RELAX.
+        relax_method: method of removing the motor torque if the action is RELAX.
         fault_places: kinds of parts that the fault can affect. The value is empty for a reported fault.
         name: name of the only instance, if the fault has the kind ``FAULT_PLACE_HAND``.
         reports: kinds of bus and host events that report the fault. Kinds of recorder events begin
             with ``recorder:``.
-        makes_tension_unreliable: True if the true tension may be larger than the measured tension.
+        makes_tension_unreliable: True if the fault makes it possible that the true tension is
+            larger than the measured tension.
         caused_by_lateness: True if late answers of drives, late sensor frames or late ticks can
             latch the fault.
-        shows_torque_after_cut: True if the fault shows that a motor still makes torque after a cut.
+        shows_torque_after_cut: True if the fault shows that a motor still makes torque after a cut
+            of the torque.
         needs_load_cell: True if the fault cannot be detected for a tendon without a load cell.
         needs_joint_encoders: True if the fault cannot be detected for a tendon whose joints have no
             encoders.
@@ -156,7 +159,7 @@ class Fault:
 
     @property
     def reaction_name(self) -> str:
-        """Return the name of the reaction for tables. The name includes the method of relaxing."""
+        """Return the name of the reaction for tables, including the method of relaxing."""
         return self.relax_method.value if self.action == SafetyAction.RELAX else self.action.name
 
     @property
@@ -209,8 +212,8 @@ def declare_fault(
     """Declare a fault. For the arguments see ``Fault``.
 
     Returns:
-        First row of the fault in the table of the detectors' results. For a reported fault, which
-        has no detector, it is -1.
+        First row of the fault in the table of the detectors' results. The result is -1 for a
+        reported fault, which has no detector.
     """
     fault = Fault(
         fault_id,
@@ -232,9 +235,9 @@ def declare_fault(
         needs_joint_encoders,
     )
     DECLARED_FAULTS.append(fault)
-    # A fault may concern several kinds of parts, such as tendons and joints. Detectors write their
-    # results into a table. In this table, the fault has one row for tendons and one row for joints.
-    # For the second kind of part, detectors add 1 to the row of the first kind.
+    # A fault can concern several kinds of parts, such as tendons and joints. In the table of the
+    # detectors' results, a fault of tendons and joints has one row for tendons and one row for
+    # joints. For the second kind of part, detectors add 1 to the row of the first kind.
     first_row = len(DETECTOR_ROWS)
     DETECTOR_ROWS.extend((fault, kind) for kind in fault_places)
     return first_row if fault_places else -1

@@ -219,5 +219,5 @@ ON_HARDWARE: tuple[tuple[str, str], ...] = (
 )
 """Tests that must be done on hardware: row of the catalogue, and instruction.
 
-``docs/evidence/faults.md`` contains these tests as a checklist with dates.
+The document ``docs/evidence/faults.md`` contains the tests on hardware as a checklist with dates.
 """

@@ -10,7 +10,7 @@ CATALOGUE_PERIOD_MS = 5.0
 CATALOGUE_RATE_HZ = 500.0
 """Control rate for which the catalogue states reaction times [Hz].
 
-The packaged hand with one motor per digit has this rate.
+The packaged hand with one motor per digit has a control rate of 500 Hz.
 """
 
 
@@ -49,8 +49,8 @@ def catalogue_markdown(rows: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
 
 
 def _catalogue_row(row: CatalogueRow) -> str:
-    # The faults that belong to a row are its stages. A row that the controller does not check in
-    # each tick has no faults.
+    # The faults that belong to a row of the catalogue are the stages of the row. A row that the
+    # controller does not check in each tick has no faults.
     condition_text = (
         ", ".join(f"{f.id} {f.action.name}" for f in FAULT_TABLE if f.row == row.id)
         or row.checked_by
@@ -89,7 +89,7 @@ def reacts_too_late(row: CatalogueRow) -> bool:
 
 
 def late_reactions_markdown(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
-    """Return as Markdown all rows with a later reaction than allowed, with the reasons.
+    """Return as Markdown all catalogue rows with a later reaction than allowed, with the reasons.
 
     The project's fault catalogue states the allowed reaction times.
     """

@@ -26,18 +26,19 @@ STUCK_SENSOR_TIME_S = 0.1
 STUCK_SENSOR_GOAL_CHANGE_M = 0.5e-3
 STUCK_SENSOR_TENSION_CHANGE_N = 8.0
 STUCK_SENSOR_JOINT_CHANGE_DEG = 10.0
-"""Thresholds for a stuck sensor: time with a constant reading, and motion of each of its references in this time.
+"""Thresholds for a stuck sensor: duration of a constant reading, and motion of each reference of the sensor.
 
-A motor's encoder is stuck if meanwhile the goal moves by 0.5 mm, or the tension changes by 8 N (80
-um of tendon stretch). In a digit with several tendons and load cells, only the goal counts,
-because the other tendons also change the tension. A joint encoder is stuck if the joint angle
-computed from the spools changes by 10 degrees.
+A motor's encoder is stuck if its reading is constant while the goal moves by 0.5 mm, or while the
+tension changes by 8 N (80 um of tendon stretch). In a digit with several tendons and load cells,
+only the goal counts, because the other tendons also change the tension. A joint encoder is stuck if
+its reading is constant while the joint angle computed from the spools changes by 10 degrees.
 """
 SLIP_WARN_DEG = 3.0
 SLIP_TRIP_DEG = 6.0
 """Differences between joint encoder and spool that are faults [deg].
 
-The reaction is WARN above the first difference, and RELAX above the second.
+The reaction is WARN above the first difference of the angles, and RELAX above the second
+difference.
 """
 POSITION_NOISE_FACTOR = 9.0
 """Mean squared jerk of a noisy position, as a multiple of the value expected from torque and encoder rounding."""
@@ -47,30 +48,32 @@ TORQUE_DIFFERENCE_LIMIT_N = 15.0
 TORQUE_DIFFERENCE_LIMIT_FRACTION = 0.1
 """Difference between commanded and reported torque above which there is a fault.
 
-The two thresholds are a tension [N], and a fraction of the tension at the drive's torque limit. The smaller one
-applies. A drive of a hand with small tensions also commands small tensions, and would otherwise be found later.
+The two thresholds are a tension [N], and a fraction of the tension at the drive's torque limit. The
+smaller threshold applies. A hand with small tensions has small commands, so a fault of its drives
+would be found later with a constant threshold.
 """
 CONTRADICTORY_REPORT_N = 6.0
 CONTRADICTORY_REPORT_FRACTION = 0.25
 CONTRADICTORY_REPORT_MEAN_N = 4.0
 """Thresholds for a report that contradicts its command: force [N], fraction of the command, filtered difference [N].
 
-A drive that obeys reports one of its last three commands, within 0.1 N in simulation. A drive whose current follows
-a step with a time constant of 4 ms still differs by 15 % of the step after three ticks of 2.5 ms.
+A drive that obeys its commands reports one of the last three commands, within 0.1 N in simulation.
+A drive whose current follows a step with a time constant of 4 ms still differs by 15 % of the step
+after three ticks of 2.5 ms.
 """
 OSCILLATION_RMS_N = 8.0
 OSCILLATION_DURATION_S = 0.25
 MIN_OSCILLATION_HZ = 8.0
 """Thresholds for an oscillation of the tension: RMS [N], duration [s], lowest frequency [Hz].
 
-The RMS belongs to an amplitude of 11 N. After a command step of 75 N at 5000 N/s this RMS is
-exceeded for only 0.15 s.
+The RMS threshold corresponds to an amplitude of 11 N. After a command step of 75 N at 5000 N/s, the
+RMS of the tension exceeds the threshold for only 0.15 s.
 """
 HALF_RATE_LOSS_COUNT = 7
 """Number of missing replies in ``MALFORMED_WINDOW_TICKS`` ticks from which a node counts as slow.
 
-A slow node replies at half the control rate. Two replies in a row are missing when the phase between
-ticks and replies shifts.
+A slow node replies at half the control rate. Two replies in a row are missing when the time between
+the start of a tick and the reply drifts past a control period.
 """
 PULL_AFTER_CUT_TIME_S = 0.1
 PULL_AFTER_CUT_FRACTION = 0.5
@@ -78,14 +81,16 @@ PULL_AFTER_CUT_N = 10.0
 REPORTED_PULL_AFTER_CUT_N = 1.0
 """Thresholds for a tendon that is still pulled after a cut: time [s], fraction of the tension at the cut, tension [N].
 
-The last threshold is for the motor force that the drive reports, in addition to one step of this report. A drive
-without torque reports less than 0.1 N in simulation, and the reading of a load cell drifts by newtons.
+The last threshold is for the motor force that the drive reports, in addition to one step of the
+reported force. A drive without torque reports less than 0.1 N in simulation, and the reading of a
+load cell drifts by newtons.
 
-After this time, tendons of the packaged hands have at most a third of their tension if the motor is
-off, and at least 0.74 of their tension if the motor still pulls.
+``PULL_AFTER_CUT_TIME_S`` after a cut of the torque, tendons of the packaged hands have at most a
+third of their tension if the motor is off, and at least 0.74 of their tension if the motor still
+pulls.
 """
 RELEASED_SPOOL_TRAVEL_M = 3e-3
-"""Length of tendon that a spool pays out after a cut, above which the spool is regarded as released [m].
+"""Length of tendon that a spool pays out after a cut, above which the spool counts as released [m].
 
 A spring that opens a digit keeps its tendon taut while the tendon accelerates the rotor. On jamia11,
 a released tendon had 10 N for 150 ms, and its spool had paid out 6 mm after 100 ms. A motor that
@@ -93,7 +98,7 @@ still pulls holds its spool or winds the tendon.
 """
 MIN_REPORTED_TORQUE_FRACTION = 0.4
 TORQUE_CORRELATION_TIME_S = 0.25
-"""Smallest ratio of reported to commanded torque changes, and time constant of the comparison [s]."""
+"""Smallest ratio of the reported to the commanded torque changes, and time constant of the comparison [s]."""
 
 # Texts of the fault catalogue for faults that the messages of a drive protocol do not report.
 _HEARTBEAT_TEXT = f"{VISIBLE_FAULT}: by the heartbeat, every 100 ms"

@@ -15,9 +15,9 @@ FAULT_CATALOGUE: tuple[CatalogueRow, ...] = tuple(declared.DECLARED_ROWS)
 DETECTOR_ROWS: tuple[tuple[Fault, str], ...] = tuple(declared.DETECTOR_ROWS)
 """Fault and kind of instance for each row of the detectors' result table."""
 DEBOUNCE_TICKS = np.array([fault.debounce_ticks for fault, _ in DETECTOR_ROWS], dtype=np.int64)
-"""(rows,) number of consecutive ticks after which a fault becomes active."""
+"""(rows,) number of consecutive ticks with a fault after which the fault becomes active."""
 ACTION_NUMBERS = np.array([int(fault.action) for fault, _ in DETECTOR_ROWS], dtype=np.int64)
-"""(rows,) reaction to the fault, a number of ``SafetyAction``."""
+"""(rows,) reaction to the fault, as a value of ``SafetyAction``."""
 
 FAULTS_BY_EVENT_KIND: dict[str, tuple[Fault, ...]] = {
     kind: tuple(fault for fault in FAULT_TABLE if kind in fault.reports)
@@ -29,7 +29,7 @@ FAULTS_BY_EVENT_KIND: dict[str, tuple[Fault, ...]] = {
 def remedy_for(text: str) -> str:
     """Return the remedy for the fault that an event text reports.
 
-    The result is empty if the text does not begin with a fault id.
+    The result is empty if the event text does not begin with the identifier of a fault.
     """
     fault = FAULT_BY_ID.get(text.partition(" ")[0])
     return fault.remedy if fault else ""

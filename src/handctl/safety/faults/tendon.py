@@ -27,23 +27,24 @@ TAUT_BEFORE_SNAP_TIME_S = 0.1
 """Thresholds for a snapped tendon: tension fraction, commanded tension [N], spool speeds [m/s], memory [s].
 
 A tendon counts as snapped if more than ``SNAP_MIN_COMMAND_N`` is commanded and its tension is below
-``SNAP_TENSION_FRACTION`` of the command, while the spool winds faster than ``SNAP_SPOOL_SPEED``. The tendon must
-also have been taut within the last ``TAUT_BEFORE_SNAP_TIME_S``. So a slack tendon whose spool takes it up
-does not count as snapped. The second speed is for tendons without load cell. Of 60 random streams to ``orca_like``, 6
-ended with a false T01 at 0.03 m/s, and none at 0.06 m/s. Joint encoders report such a torn tendon sooner (T08).
+``SNAP_TENSION_FRACTION`` of the command, while the spool winds faster than ``SNAP_SPOOL_SPEED``. A
+tendon counts as snapped only if it was taut within the last ``TAUT_BEFORE_SNAP_TIME_S``, so a slack
+tendon whose spool takes it up does not count as snapped. The second spool speed is for tendons
+without load cell. Of 60 random streams to ``orca_like``, 6 ended with a false T01 at 0.03 m/s, and
+none at 0.06 m/s. With joint encoders, the fault T08 reports a torn tendon without load cell sooner.
 """
 FREE_SPOOL_SPEED_FRACTION = 0.6
 MIN_SNAP_SPOOL_SPEED = 0.01
 """Lower speed threshold of a tension loop: fraction of the speed of a free spool, and smallest threshold [m/s].
 
-The tension loop damps its spool, so the spool of a torn tendon reaches only a final speed. This
-speed is proportional to the commanded tension, and may be below ``SNAP_SPOOL_SPEED``.
+The tension loop damps its spool, so the speed of a torn tendon's spool approaches a final speed.
+The final speed is proportional to the commanded tension, and can be below ``SNAP_SPOOL_SPEED``.
 """
 SLACK_WARN_S = 0.05
 SLACK_TRIP_S = 0.5
 """Durations of slack that are faults [s].
 
-The reaction is WARN above the first duration, and RELAX above the second.
+The reaction is WARN above the first duration of slack, and RELAX above the second duration.
 """
 RELAXING_TIME_S = 0.1
 """Time after the start of relaxing in which the tension falls below its trip limit if the motor obeys [s]."""
@@ -51,36 +52,36 @@ RESIDUAL_WARN_N = 5.0
 RESIDUAL_TRIP_N = 10.0
 """Unexplained tensions that are faults [N].
 
-The reaction is WARN above the first tension, and RELAX above the second.
+The reaction is WARN above the first unexplained tension, and RELAX above the second.
 """
 EXCESS_TENSION_TRIP_N = 20.0
 """Tension in excess of the tension that the motor explains, filtered with 20 ms, that is a fault [N].
 
 The reaction is RELAX. If the power stages of two drives are exchanged, the tension loops of the two
-tendons drive each other. The excess tension then rises from 10 to 80 N in 30 ms. Without a fault,
-and with three times the usual noise, it stays below 3 N.
+tendons drive each other. With exchanged power stages, the excess tension rises from 10 to 80 N in
+30 ms. Without a fault, and with three times the usual noise, the excess tension stays below 3 N.
 
-A tension that is too small is judged only by ``RESIDUAL_TRIP_N``. A drive that switches off then has
-the time to report its own error.
+A tension that is too small is judged only by ``RESIDUAL_TRIP_N``. The slower judgement by
+``RESIDUAL_TRIP_N`` gives a drive that switches off the time to report its own error.
 """
 EXCESS_FRICTION_WARN_N = 3.0
 """Friction in excess of the friction in the hand file above which there is a fault [N]."""
 STUCK_CELL_READINGS = 40
 STUCK_CELL_FORCE_RANGE_N = 5.0
 FORCE_RANGE_ERROR_N = 0.5
-"""Thresholds for a stuck load cell: equal readings in a row, and range of the motor force during these readings [N].
+"""Thresholds for a stuck load cell: equal readings in a row, and range of the motor force meanwhile [N].
 
 ``FORCE_RANGE_ERROR_N`` is the largest error of the range because of noise in the torque report [N].
 
 Until the motor force has varied, a stuck load cell is not visible, because its reading is still
-right. The friction c of a motor at rest balances a variation of its force by 2 c, 6 N on ``jamia``,
-while the tension stays the same. So a smaller variation proves nothing about a load cell with
-little noise. The noise of a healthy load cell is eight counts in simulation, and may be below one
-count on hardware.
+right. The friction c of a motor at rest balances a variation of the motor force by 2 c (6 N on
+``jamia``) while the tension stays the same. A variation of the motor force by less than 2 c is no
+proof that a load cell with little noise is stuck. The noise of a healthy load cell is eight counts
+in simulation, and can be below one count on hardware.
 """
 MIN_REPEATED_READINGS = 8
 REPEAT_WINDOW = 16
-"""Number of repeated readings after which chance is tested as a cause, and of readings that give its probability."""
+"""Number of repeated readings after which chance is tested as a cause, and of readings that show its probability."""
 SATURATED_CELL_TICKS = 3
 """Number of consecutive ticks with a saturated load cell after which there is a fault."""
 DERAILED_TENDON_DEG = 15.0
@@ -88,9 +89,10 @@ DERAILED_TENDON_WITHOUT_CELL_DEG = 10.0
 DERAILED_READING_COUNT = 3
 """Thresholds for a derailed tendon: joint minus spool angle that no stretch explains [deg], and readings in a row.
 
-The second threshold is for a tendon without load cell, because no other fault reports soon that such a tendon has
-torn. Without a fault, three readings in a row of ``orca_like`` differed by 2.8 degrees with three times the usual
-noise, and by 5.1 degrees with a stiffness that was 30 % too low.
+The second threshold is for a tendon without load cell, because no other fault reports soon that a
+tendon without load cell has torn. Without a fault, three readings in a row of ``orca_like``
+differed by 2.8 degrees with three times the usual noise, and by 5.1 degrees with a stiffness that
+was 30 % too low.
 """
 
 _SLACK_TEXT = (
