@@ -45,9 +45,9 @@ class MotorRig:
     pending_replies: list[Frame] = field(default_factory=list)
 
     def tick(self, target: DriveTarget, torque: float = 0.0) -> DriveState:
-        """Let the drive receive the replies of the motor, and advance the drive by a tick.
+        """Let the drive receive the frames that the motor has sent, and advance the drive by a tick.
 
-        The motor then makes its replies for the next tick.
+        After the tick, the motor makes the reply frames for the next tick.
         """
         for frame in self.pending_replies:
             self.state = self.drive.receive(self.state, frame)
@@ -64,9 +64,9 @@ class MotorRig:
     def run_until_phase(
         self, target: DriveTarget, *phases: DrivePhase, max_ticks: int = 300
     ) -> DriveState:
-        """Run ticks until the drive is in one of the given phases.
+        """Run ticks until the drive is in one of the given drive phases.
 
-        If the drive does not reach any of these phases, the test fails.
+        If the drive does not reach any of the given drive phases, the test fails.
         """
         for _ in range(max_ticks):
             if self.tick(target).phase in phases:

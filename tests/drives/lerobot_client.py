@@ -13,8 +13,8 @@ from lerobot.motors.robstride import RobstrideMotorsBus
 REPLY_TIMEOUT_S = 0.5
 """Time that the client waits for a reply [s].
 
-The client's default of 1 ms is too short, because the simulated motor is another process and the
-machine may be busy.
+The client's default of 1 ms is too short: the simulated motor is another process, and the machine
+can be busy.
 """
 WAIT_TIMEOUT_S = 20.0
 

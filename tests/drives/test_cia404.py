@@ -40,7 +40,7 @@ SENSOR_NODE_KEYS = ("base_id", "joints", "joint_decimation", "joint_noise_rad")
 
 @dataclass(frozen=True)
 class AmplifierSection:
-    """Section of a hand file for three load cells on two amplifiers."""
+    """Section of a hand file that describes three load cells on two amplifiers."""
 
     sync_id: int = 0x080
     tendons: tuple[str, ...] = TENDON_NAMES
@@ -70,7 +70,7 @@ def test_hand_made_frames_become_newtons() -> None:
     assert cells.ids == (0x1A1, 0x1A2)
     wired_drives = WiredDrives((), cells)
     assert wired_drives.begin_tick_with_sync(7) == Frame(0x080, b"")
-    # In these frames, a count is 0.001 N, and the lowest byte comes first.
+    # In the amplifier frames of these tests, a count is 0.001 N, and the lowest byte comes first.
     first_payload, second_payload = bytes.fromhex("39300000 0cfeffff"), bytes.fromhex("df930400")
     wired_drives.receive(
         [
@@ -181,9 +181,9 @@ class AmplifierBench:
         self.k += 1
 
     def run_until_phase(self, phase: DrivePhase, max_ticks: int = 400) -> None:
-        """Run ticks until all amplifiers are in a given phase.
+        """Run ticks until all amplifiers are in a given drive phase.
 
-        If the amplifiers do not all reach this phase, the test fails.
+        If the amplifiers do not all reach the given drive phase, the test fails.
         """
         for _ in range(max_ticks):
             self.tick()
@@ -294,9 +294,9 @@ def test_a_missing_amplifier_is_named() -> None:
 
 
 def test_frames_before_the_set_up_are_not_used() -> None:
-    """In this test, the amplifiers already send before their set-up, in the unit of a new amplifier.
+    """In this test, the amplifiers already send tensions before their set-up, in the unit of a new amplifier.
 
-    In this unit, the numbers are 100 times the tension.
+    In the unit of a new amplifier, the numbers in the frames are 100 times the tension in newtons.
     """
     with homed_run(hand_with_amplifiers(), 500.0, 0) as simulation:
         for node in simulated_nodes(simulation):
@@ -335,10 +335,10 @@ def simulated_nodes(simulation: SimulatedRun) -> list[Any]:
 def observed_faults(
     hand: Hand, seed: int, disturb: Callable[[SimulatedRun], None], tick_count: int = 60
 ) -> tuple[set[str], int]:
-    """Disturb a grasp.
+    """Disturb the amplifiers of a hand during a grasp.
 
-    Return the faults that occur, and the number of ticks until the controller reacts. If the
-    controller does not react, the number is -1.
+    Return the faults that occur, and the number of ticks until the controller reacts to the
+    disturbance. If the controller does not react, the number of ticks is -1.
     """
     with homed_run(hand, 500.0, seed) as simulation:
         advance_to_stage(simulation, GRASP_STAGE)

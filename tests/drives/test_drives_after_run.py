@@ -1,7 +1,7 @@
 """Test the state of the drives after a run.
 
-Between two runs, the host sends nothing. A drive reports this silence as a fault only if the first
-run has failed.
+Between two runs, the host sends nothing. A drive reports the silence of the host as a fault only if
+the earlier run has failed.
 """
 
 from pathlib import Path

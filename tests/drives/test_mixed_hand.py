@@ -1,6 +1,6 @@
 """Test a hand with three drive protocols on two buses.
 
-The tests also cover combinations in a hand file that are refused.
+The tests include hand files that handctl refuses because of their combination of drives.
 """
 
 import re
@@ -175,7 +175,7 @@ def test_the_load_is_that_of_the_table(
 
 
 def test_the_numbers_that_the_page_recommends_for_odrives_are_free_beside_canopen() -> None:
-    """Reproduce a defect: the page recommended the node number 0x10 for an ODrive.
+    """Reproduce a defect: the documentation page recommended the node number 0x10 for an ODrive.
 
     An ODrive with this node number uses the same identifiers as RPDO1 of the CANopen nodes 1 to 31.
     """

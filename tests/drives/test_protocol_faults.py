@@ -55,7 +55,7 @@ def first_cia402_node(bench: ProtocolBench) -> Cia402Node:
 def error_of_first_drive(
     bench: ProtocolBench, phase: DrivePhase, target: DriveTarget, max_ticks: int
 ) -> str:
-    """Run ticks until the first drive is in a phase, and return the error text of this drive."""
+    """Run ticks until the first drive is in a given drive phase, and return the error text of the first drive."""
     for _ in range(max_ticks):
         bench.tick(target)
         if bench.states[0].phase == phase:
@@ -66,11 +66,11 @@ def error_of_first_drive(
 def lose_first_frames(
     node: OdriveNode, command_number: int, payload_start: bytes = b"", frame_count: int = 1
 ) -> list[WireFrame]:
-    """Drop the first frames of a command to the first ODrive.
+    """Drop the first frames that contain a given command to the first ODrive.
 
     The returned list collects the dropped frames.
 
-    If ``payload_start`` is given, drop only frames whose data begin with ``payload_start``.
+    If ``payload_start`` is given, drop only frames whose payload begins with ``payload_start``.
     """
     original_receive, lost_frames = node.receive, list[WireFrame]()
 

@@ -24,7 +24,7 @@ OPTIONS_BY_PROTOCOL = {
 
 
 class VirtualBench:
-    """Bench that is the bus and the clock of a host.
+    """Bench that serves a host as its bus and as its clock.
 
     When the host waits for a tick, the time of the drive advances.
     """
@@ -36,7 +36,7 @@ class VirtualBench:
     ):
         """Put a simulated drive on the bench.
 
-        The drive may have a fault, and its frames may have a delay in ticks.
+        The drive can have a fault, and its frames can have a delay in ticks.
         """
         spec = drive_spec(protocol, DRIVE_NODE_ID, inertia=shaft_inertia)
         self.bench = SimulatedDriveBench(
@@ -45,10 +45,10 @@ class VirtualBench:
         self.frames_on_bus, self.largest_torque, self.origin_ns = [], 0.0, 0
         self.delayed_frames = [
             [] for _ in range(delay_ticks)
-        ]  # frames that have not arrived yet, one list for each tick
+        ]  # frames of the drive that have not arrived yet, one list for each tick
 
     def start(self):
-        """Begin a run. The present time becomes the time of tick 0."""
+        """Begin a run. The present virtual time becomes the time of tick 0."""
         self.origin_ns = self.bench.t_ns
 
     def wait(self, k):
@@ -84,7 +84,7 @@ class VirtualBench:
         self.bench.advance(self.bench.t_ns + round(duration_s * 1e9))
 
     def take_events(self):
-        """Return an empty list, because this bus has no events."""
+        """Return an empty list of bus events, because a bench has no bus events."""
         return []
 
 

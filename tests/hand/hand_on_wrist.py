@@ -1,4 +1,4 @@
-"""Build packaged hands on a wrist. The tendons of the digits have moment arms about this wrist."""
+"""Build packaged hands on a wrist. The tendons of the digits have moment arms about the axis of the wrist."""
 
 import json
 from typing import Any
@@ -9,7 +9,7 @@ from handctl.hand.hand_loading import hand_from_content, load_hand
 WRIST_MOMENT_ARM_M = 0.005
 """Distance at which the digits' tendons pass the axis of the wrist [m].
 
-The tendon that moves the wrist has a larger distance from this axis.
+The tendon that moves the wrist has a larger distance from the axis of the wrist.
 """
 
 

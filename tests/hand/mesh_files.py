@@ -33,7 +33,7 @@ def tetrahedron_obj(scale: float = 1.0, mixes_face_notations: bool = False) -> b
     """Return the tetrahedron as the text of an OBJ file.
 
     With ``mixes_face_notations``, the faces of the tetrahedron use all notations that OBJ has for a
-    corner. MuJoCo cannot read a file with such a mixture.
+    corner. MuJoCo cannot read a file in which the notations are mixed.
     """
     lines = [
         "# a tetrahedron",
@@ -64,7 +64,7 @@ def write_meshes(mesh_folder: Path) -> None:
 
 
 def hand_with_meshes(hand_name: str) -> Hand:
-    """Return a packaged hand with the meshes of ``write_meshes`` on its palm and links.
+    """Return a packaged hand whose palm and links have the meshes of ``write_meshes``.
 
     The first link of a digit with several links has no mesh.
 

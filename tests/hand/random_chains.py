@@ -18,7 +18,7 @@ SEEDS_WITH_PRISMATIC_JOINTS = range(20, 40)
 def build_random_hand_tree(seed: int) -> Hand:
     """Return a hand of five random digits of 1 to 3 links.
 
-    Each digit is mounted on the palm or on an earlier digit.
+    Each random digit is mounted on the palm or on a digit with a smaller index.
     """
     rng = np.random.default_rng(seed + 100)
     return random_hand(seed, *rng.integers(1, 4, 5).tolist(), rng=rng)

@@ -21,7 +21,7 @@ OPTIONAL_KEYS = {"coupling"}
 
 
 def content_leaves(content_node, node_path=()):
-    """Yield key path and value of each single value in the content of a hand. Tables and lists are not yielded."""
+    """Yield key path and value of each single value in the content of a hand. Skip tables and lists."""
     entries = (
         content_node.items()
         if isinstance(content_node, dict)
@@ -81,10 +81,10 @@ HANDS_WITH_PLANAR_DIGITS = tuple(name for name in packaged_hands() if name != "o
 
 
 def first_case_per_key(cases: list[ParameterSet]) -> list[ParameterSet]:
-    """Return one case for each key.
+    """Return one test case for each key of a hand file.
 
-    The case may belong to any hand, and to any entry of a list. In a nightly test run, return all
-    cases.
+    The returned test case can belong to any hand, and to any entry of a list. In a nightly test
+    run, return all test cases.
     """
     case_by_key = {re.sub(r"^\w+-|\[[^]]*\]", "", str(case.id)): case for case in reversed(cases)}
     return cases if NIGHTLY else list(case_by_key.values())
@@ -105,7 +105,8 @@ NUMBER_CASES = [
 ]
 """Numeric values of the packaged hand files.
 
-The entries of middle and ring finger are left out, because they repeat entries of the index finger.
+The list leaves out the values of the middle and ring finger, because they repeat values of the
+index finger.
 """
 SAMPLED_NUMBER_CASES = first_case_per_key(NUMBER_CASES)
 
@@ -139,7 +140,9 @@ def test_no_number_may_be_absurdly_large(refusal, content, key_path, wrong_numbe
 def test_a_missing_key_is_refused(refusal, hand_name):
     for path, table in content_tables(CONTENT_BY_HAND_NAME[hand_name]):
         for key in table:
-            if key in ("schema", "sensor_node") or "mesh" in key:  # these keys are optional
+            if (
+                key in ("schema", "sensor_node") or "mesh" in key
+            ):  # these keys of a hand file are optional
                 continue
             content = content_with_value(CONTENT_BY_HAND_NAME[hand_name], (*path, key), None)
             node = content
@@ -197,7 +200,7 @@ def test_random_change_is_read_or_refused_in_one_line():
 def is_usable_or_refused(content):
     """Return True if a usable hand can be built from a content.
 
-    Also return True if the content is refused with a single error line.
+    Return True, too, if handctl refuses the content with a single error line.
     """
     try:
         hand = hand_from_content(content, "f")

@@ -1,6 +1,6 @@
-"""Compare the kinematics with finite differences, the inverse kinematics, and the library pinocchio.
+"""Compare the kinematics of a digit with finite differences, with the inverse kinematics, and with pinocchio.
 
-The library reads the exported URDF.
+The library pinocchio reads the exported URDF.
 """
 
 import math

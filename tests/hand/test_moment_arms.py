@@ -1,7 +1,7 @@
 """Test the moment arms that depend on the joint angle.
 
-The excursion of a tendon is the integral of its moment arms over the joint angles. Mistakes in a
-hand file are reported.
+The excursion of a tendon is the integral of its moment arms over the joint angles. Further tests
+check that handctl reports mistakes in the moment arms of a hand file.
 """
 
 import numpy as np

@@ -41,7 +41,7 @@ PHASE_END_FRACTIONS = (
     ("release", 0.85),
     ("open", 0.98),
 )
-"""Phases of the run, each with its end as a fraction of the run. A phase "end" follows.
+"""Phases of the run, each with the fraction of the run at which it ends. The last phase, "end", is not in the list.
 """
 
 
