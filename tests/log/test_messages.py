@@ -39,7 +39,7 @@ STANDARD_PACKAGES = (
 SNAPSHOT_BY_TICK = {30: b"one state", 136: bytes(range(256)) * 100}
 """Snapshots of the controller's state in the run.
 
-Each key is the number of the tick before the snapshot.
+Each key of the dictionary is the number of the tick before the snapshot.
 """
 
 

@@ -1,4 +1,4 @@
-"""Fixtures with the golden logs, and with the log of a newly recorded run with faults."""
+"""Provide fixtures: the golden logs, and the log of a newly recorded run with faults."""
 
 import sys
 from pathlib import Path

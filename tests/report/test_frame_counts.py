@@ -1,4 +1,4 @@
-"""Test the counts of late and lost frames in a log.
+"""Test the numbers of late and lost frames that the report counts in a log.
 
 The tests delay or remove frames in copies of a golden log.
 """

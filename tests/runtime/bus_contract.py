@@ -125,7 +125,7 @@ def test_stamps_are_the_runs_time_of_reception(bus_under_test: BusUnderTest) -> 
     for number in range(20):
         sender.send([Frame(number, b"")])
     stamps = [frame.t_ns - offset for frame in drain_bus(receiver, 20)]
-    slack = 20_000_000  # the wall clock and the monotonic clock may differ
+    slack = 20_000_000  # the wall clock and the monotonic clock can differ
     assert len(stamps) == 20
     assert stamps == sorted(stamps)
     assert start - slack <= stamps[0]

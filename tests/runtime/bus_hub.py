@@ -1,7 +1,7 @@
 """Hubs that serve the local bus in tests.
 
-One hub is that of the simulator, in a separate process. The other hub sends bytes that a test
-writes.
+The first kind of hub is the hub of the simulator, in a separate process. The second kind of hub
+sends bytes that a test writes.
 """
 
 import os
@@ -43,7 +43,7 @@ class ScriptedHub:
         self._listener.listen()
 
     def accept_client(self) -> socket.socket:
-        """Accept the client, and return the end of the connection that belongs to the hub."""
+        """Accept the client, and return the hub's socket of the connection to the client."""
         link, _ = self._listener.accept()
         link.settimeout(20.0)
         return link

@@ -1,4 +1,4 @@
-"""Fixtures with a working folder, a simulated hand and a calibration for the processes of these tests."""
+"""Provide a working folder, a simulated hand and a calibration as fixtures for tests that start processes."""
 
 import tempfile
 
@@ -21,7 +21,8 @@ from tests.runtime.processes import (
 def work_folder(tmp_path, monkeypatch):
     """Change to a folder that contains only two tasks.
 
-    The sockets are in another folder, because the path of a Unix socket must be short.
+    The Unix sockets of the processes are in another folder, because the path of a Unix socket must
+    be short.
     """
     with tempfile.TemporaryDirectory(prefix="h-") as short_folder:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short_folder)
@@ -47,7 +48,7 @@ def started_processes():
 def time_scale_options(request, attempt_time_scale):
     """Return the command-line options for the time scale.
 
-    A test module may define its own ``TIME_SCALE``.
+    A test module can define its own ``TIME_SCALE``.
     """
     return make_time_scale_options(
         getattr(request.module, "TIME_SCALE", TIME_SCALE) * attempt_time_scale

@@ -16,7 +16,8 @@ REALTIME_MARK = pytest.mark.realtime
 async def use_hand_as_client(*connect_options):
     """Move, stream, observe and cancel with a client.
 
-    Meanwhile, another asyncio task counts, to show that the client does not block the event loop.
+    At the same time, another asyncio task counts, to show that the client does not block the event
+    loop.
     """
     loop_count = 0
 
@@ -93,7 +94,7 @@ def test_a_hand_is_opened_and_closed_without_a_block(
         hand_truth_file = await library.connect_async("jamia", LOCAL_BUS, *options).open()
         phase = hand_truth_file.observe().phase
         await hand_truth_file.close()
-        await hand_truth_file.close()  # the second call has no effect
+        await hand_truth_file.close()  # the second call of this method has no effect
         return phase, hand_truth_file.result
 
     phase, result = asyncio.run(connect_and_use_hand())

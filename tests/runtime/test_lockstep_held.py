@@ -1,6 +1,6 @@
 """Test a simulated run in which a fault stops the hand (reaction HOLD).
 
-In lockstep, no operator can clear the fault. A time limit must therefore end the run.
+In lockstep, no operator can clear the fault, so a time limit must end the run.
 """
 
 from pathlib import Path

@@ -1,6 +1,6 @@
 """Test the state that the safety monitor keeps between ticks.
 
-The values are exactly at the limits of faults, to the last bit.
+The tested values are exactly at the limits of faults, to the last bit.
 """
 
 import math
@@ -39,7 +39,7 @@ ZERO_JOINT_READINGS = {"excursion": 0.0, "joints": 0.0, "read": True}
 def monitor() -> SyntheticMonitor:
     """Return the safety monitor of two tendons.
 
-    A test sets the filtered tensions and forces of these tendons.
+    A test sets the filtered tensions and forces of the two tendons.
     """
     monitor = make_monitor(SOFT_STIFFNESS)
     monitor.set_constants(residual_fraction=0.0)
@@ -62,7 +62,7 @@ def joint_rotations_from_spools(
 def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: SyntheticMonitor) -> None:
     """When the tension rises, the spool winds up the length by which the tendon stretches.
 
-    This length does not move the joint.
+    The joint does not move when the spool winds up the stretch of the tendon.
     """
     np.testing.assert_allclose(
         joint_rotations_from_spools(monitor, travel=20.0 / SOFT_STIFFNESS, **ZERO_JOINT_READINGS),
@@ -115,8 +115,8 @@ def stuck_sensor_names(
 ) -> dict[str, list[str]]:
     """Return the names of the sensors that count as stuck after one more equal reading.
 
-    ``changed_state`` contains the changes of other signals. These signals should change together
-    with the readings.
+    ``changed_state`` contains the changes of other signals, which should change together with the
+    readings.
     """
     zero = [0.0, 0.0]
     findings = monitor.tick(
@@ -208,7 +208,8 @@ def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
 ) -> None:
     """The test uses excursions that differ from the limit only in the last four bits.
 
-    The test calls interpreted code. A tendon without a load cell has a smaller limit.
+    The test calls interpreted code. Without a load cell, a tendon has a smaller limit for the
+    difference between joint and spool.
     """
     monitor.set_constants(cell_group=cell_group)
 
@@ -248,8 +249,8 @@ def test_a_tendon_without_load_cell_and_torque_is_not_off_its_pulley(
 ) -> None:
     """Reproduce a defect: a commissioning without springs and load cells ended with T08 (a tendon left its pulley).
 
-    The rotor of a released tendon turned back by 1.6 mm. At that time, the detector still
-    interpreted the friction of the motor as tension.
+    The rotor of a released tendon turned back by 1.6 mm. While the rotor turned back, the detector
+    still interpreted the friction of the motor as tension.
     """
     monitor.set_constants(cell_group=cell_group)
     monitor.set_state_values(

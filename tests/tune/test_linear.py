@@ -1,6 +1,6 @@
 """The linear models of the control loops predict the behaviour of the running controller.
 
-Their stability margins equal those that the package `control` computes.
+The stability margins of the linear models equal those that the package `control` computes.
 """
 
 import math
@@ -55,8 +55,8 @@ def test_a_tick_acts_on_the_samples_of_the_tick_before(
 ) -> None:
     """Compare the impulse responses of the open loop and of a simulation.
 
-    On the bus, a tick of the controller gets the samples of the tick before. The simulation
-    advances plant and controller in the same order.
+    On the bus, a tick of the controller gets the sensor samples of the previous tick. The
+    simulation advances plant and controller in the same order.
     """
     P, K, L = (
         plant_system(jamia, 0, loop_kind),
@@ -78,7 +78,7 @@ def test_a_tick_acts_on_the_samples_of_the_tick_before(
 def test_the_frequency_response_solves_the_equations_of_the_system(
     hand_name: str, loop_kind: LoopKind, rate_hz: float
 ) -> None:
-    """The product over the eigenvalues equals C (zI - A)^-1 B + D, as control computes it."""
+    """The product over the eigenvalues equals C (zI - A)^-1 B + D, as the package ``control`` computes it."""
     system = open_loop(HandModel.from_hand(load_hand(hand_name), Gains(), rate_hz), 0, loop_kind)
     omega = frequency_grid(system.period)
     expected = ss(system.A, system.B, system.C, system.D, system.period)(
@@ -110,7 +110,7 @@ def test_the_gain_margin_is_where_the_loop_becomes_unstable(
 ) -> None:
     """The loop is unstable if the torque is multiplied by slightly more than the gain margin.
 
-    The loop is stable if the factor is slightly smaller than the gain margin.
+    The loop is stable if the factor of the torque is slightly smaller than the gain margin.
     """
     margin = 10.0 ** (margins_of_loop(open_loop(jamia, 0, loop_kind)).gain_db / 20.0)
     assert margins_of_loop(

@@ -16,13 +16,13 @@ from tests.runtime.processes import HOMED_HAND_OPTIONS, write_homed_calibration
 from tests.vcan.inside.conftest import SIMULATOR_CODE, STALL_FAULTS, TIME_SCALE
 
 TIME_SCALE_BY_ATTEMPT = (TIME_SCALE, 0.7 * TIME_SCALE, 0.4 * TIME_SCALE)
-"""Time scale of each attempt.
+"""Time scale of each attempt to complete the stream.
 
-With a smaller time scale, an interruption of the guest system lasts less simulated time. A defect
+With a smaller time scale, an interruption of the guest system takes less simulated time. A defect
 has the same effect at any time scale.
 """
 TRACKED_DURATION_S = 2.5
-"""Duration of the motion [s]. The tracking error of the first second is not counted."""
+"""Duration of the streamed motion [s]. The tracking error of the first second does not count."""
 MAX_ERROR_RATIO = 1.5
 """Largest permitted tracking error of a stream, divided by the error of the same motion in a task."""
 
@@ -62,7 +62,9 @@ def measure_tracking(time_scale: float, calibration_file: Path) -> dict[str, Any
         return streaming.measure_tracking(
             "socketcan:vcan0", time_scale, (calibration_file, HOMED_HAND_OPTIONS)
         )
-    except UnconfirmedError as error:  # the controller ended before it received a request
+    except (
+        UnconfirmedError
+    ) as error:  # the controller ended before it received a request of the client
         raise GuestStoppedError from error
     except DriveError as error:
         if any(fault in str(error) for fault in STALL_FAULTS):
