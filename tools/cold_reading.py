@@ -28,7 +28,7 @@ OTHER_PROJECTS = (
 """Packages of other projects. The program leaves out packages that are not installed."""
 SHORTEST_NAME = 3
 SENTENCE_WORDS = range(6, 45)
-"""Permitted number of words of a drawn sentence. Shorter sentences are mostly headings, and longer ones are mostly lists."""
+"""Permitted number of words of a sentence. Shorter sentences are mostly headings, and longer ones mostly lists."""
 
 
 class Line(NamedTuple):

@@ -18,9 +18,8 @@ FRAMES_PER_TICK = 24
 
 
 def test_nothing_is_dropped_and_the_recorder_has_a_core_to_spare(tmp_path: Path) -> None:
-    with multiprocessing.get_context("spawn").Pool(
-        1
-    ) as pool:  # the control loop locks the memory of its process
+    # the control loop locks the memory of its process, so the measurement has its own process
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
         result = pool.apply(measure_sustained, (tmp_path / "run.mcap", DURATION_S))
     assert (result["dropped"], result["lost"]) == (0, 0)
     assert result["ticks"] == result["ticks_in_log"] > 0.9 * 1000 * DURATION_S

@@ -447,9 +447,8 @@ def test_the_syncing_process_does_not_hold_the_reserved_space(two_megabyte_disk:
     writer._reserved.release()
     assert _wait_until(lambda: shutil.disk_usage(two_megabyte_disk).free > 256 << 10, 5.0)
     writer.finish("finished", 0)
-    os.close(
-        disk_syncer._request_pipe
-    )  # without the pipe to the syncer, the process of the syncer ends
+    # without the pipe to the syncer, the process of the syncer ends
+    os.close(disk_syncer._request_pipe)
 
 
 def test_recording_a_tick_is_fast(start_recorder: Callable[..., Recorder]) -> None:

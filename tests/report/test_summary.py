@@ -212,9 +212,7 @@ def test_hold_error_is_the_worst_mean_of_a_tendon_that_holds() -> None:
     alternating_error = np.where(np.arange(400) % 2, 1.5, -1.5)
     set_truth_column(truth, f"tension/{index}", 25.0 - 0.4 + alternating_error)
     set_truth_column(truth, f"tension/{thumb}", 25.0 + 0.7)
-    set_truth_column(
-        truth, f"tension/{middle}", 3.0
-    )  # the tendon of the middle finger has tension without contact
+    set_truth_column(truth, f"tension/{middle}", 3.0)  # the middle tendon is taut without contact
     result = summarise_run(log, JAMIA_HAND, truth, 0)
     assert result["tension_hold_error_n"] == pytest.approx(0.7, abs=0.02)
     assert result["tension_hold_peak_error_n"] == pytest.approx(1.9, abs=0.02)

@@ -123,9 +123,8 @@ def test_a_law_at_its_limit_is_judged_as_the_linear_law(force_N: float) -> None:
     assert force_per_newton > 0.5
     states = K.C[0]
     integral = states[np.isclose(states, 1.0)]
-    assert (
-        len(integral) >= 1
-    )  # the gain of the control law's integral while the torque is below its limit
+    # ``integral`` has the gain of the integral while the torque is below its limit
+    assert len(integral) >= 1
     assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).are_sufficient
 
 

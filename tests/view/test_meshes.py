@@ -108,9 +108,7 @@ def test_the_live_view_sends_the_same_meshes(
         "send_chunks",
         lambda chunks, recording: sent.extend(chunk.entity_path for chunk in chunks),
     )
-    monkeypatch.setattr(
-        log_follower, "FLUSH_TIMEOUT_S", 0.05
-    )  # no viewer listens, so the test waits only briefly
+    monkeypatch.setattr(log_follower, "FLUSH_TIMEOUT_S", 0.05)  # no viewer listens to the follower
     run = run_info_of(mesh_log)
     follower = log_follower.LogFollower(mesh_log, run, "rerun+http://127.0.0.1:1/proxy")
     follower.close()

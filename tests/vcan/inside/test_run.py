@@ -88,9 +88,8 @@ def test_a_run_grasps_holds_and_releases(tmp_path: Path) -> None:
     assert result["log_complete"]
     assert log.stat().st_size == result["log_bytes"]
     assert result["ticks"] > 4 * result["rate_hz"]  # the run was longer than four seconds
-    assert (
-        result["frames_rx"] > 4 * result["ticks"]
-    )  # four motors and the load cells reply in each tick
+    # four motors and the load cells reply in each tick
+    assert result["frames_rx"] > 4 * result["ticks"]
     assert result["frames_lost"] < 0.01 * result["frames_rx"]
     assert result["tension_hold_error_n"] < 2.0
     assert result["object_motion_mm"] < 5.0

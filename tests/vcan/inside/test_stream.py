@@ -62,9 +62,7 @@ def measure_tracking(time_scale: float, calibration_file: Path) -> dict[str, Any
         return streaming.measure_tracking(
             "socketcan:vcan0", time_scale, (calibration_file, HOMED_HAND_OPTIONS)
         )
-    except (
-        UnconfirmedError
-    ) as error:  # the controller ended before it received a request of the client
+    except UnconfirmedError as error:  # the controller ended before it received a request
         raise GuestStoppedError from error
     except DriveError as error:
         if any(fault in str(error) for fault in STALL_FAULTS):
