@@ -46,7 +46,7 @@ def policy_action(policy, observation):
     A policy is an array of weights (inputs + 1,). The last weight belongs to the constant 1.
     """
     input_angles = [np.degrees(observation[names == name]) for name in INPUT_NAMES]
-    # this matrix converts joint angles to digit angles
+    # matrix that converts joint angles to digit angles
     input_angles[-1] = env.coordinates_of_joints(input_angles[-1])
     scaled = [
         2.0 * (angles - env.low_deg) / (env.high_deg - env.low_deg) - 1.0 for angles in input_angles

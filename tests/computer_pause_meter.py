@@ -1,9 +1,9 @@
 """Detect stalls of the machine.
 
 A host sometimes pauses a virtual machine for tens of milliseconds. If the machine stalls, a
-controller correctly ends its run. For this reason, a test that runs in real time can fail although
-the code has no defect. A sleeping process on each core detects the stall, independently of the
-tested processes.
+controller correctly ends its run. If a stall ends the run, a test that runs in real time fails
+although the code has no defect. A sleeping process on each core detects the stall, independently of
+the tested processes.
 """
 
 import contextlib

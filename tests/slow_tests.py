@@ -14,8 +14,8 @@ time. `make nightly` and plain pytest run all listed tests. The cost of a test i
 time. For a test that runs in real time, the cost is its elapsed time. A test run that leaves out
 tests still executes the first cases of each test function. The total cost of the first cases is at
 most ``TEST_FUNCTION_BUDGET_S`` or ``REAL_CLOCK_BUDGET_S``. In each file, an incomplete test run
-executes the cheapest test, too, if it costs no more than ``CHEAPEST_TEST_LIMIT_S``. In this way, at
-least one test of nearly every file is executed.
+executes the cheapest test, too, if it costs no more than ``CHEAPEST_TEST_LIMIT_S``. An incomplete
+test run executes at least one test of nearly every file.
 """
 
 import json
@@ -57,7 +57,7 @@ def read_slow_test_costs() -> dict[str, float]:
 def processor_time() -> float:
     """Return the processor time of the present process and of its child processes [s].
 
-    Child processes that still run are not included.
+    The returned time does not include child processes that still run.
     """
     usages = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(usage.ru_utime + usage.ru_stime for usage in usages)

@@ -184,7 +184,7 @@ class HandctlLog(Leader):
         self._start_s: float | None = None
 
     def connect(self, calibrate: bool = True) -> None:
-        """Connect the teleoperator, and prepare to repeat the run from its first angles.
+        """Connect the teleoperator, and prepare to repeat the recorded run from its first angles.
 
         The repetition of the run starts at the first call of ``get_action``.
         """

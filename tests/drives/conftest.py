@@ -35,7 +35,7 @@ class MotorSection:
 
 @dataclass
 class MotorRig:
-    """A drive, its state, and the motor that it controls. Each tick advances time by one period."""
+    """A drive, its state, and the motor that it controls. Each tick advances the time by one control period."""
 
     drive: MitDrive
     motor: ScriptedMotor

@@ -143,7 +143,7 @@ async def _use_odrive(bus: can.BusABC, node_id: int) -> None:
 def use_odrive_can_modes(bus: can.BusABC, node_id: int = 1) -> None:
     """Use odrive-can to command a velocity, and then a trapezoidal trajectory.
 
-    The client odrive-can also sends the speed and acceleration limits of the trajectory.
+    In addition, the client odrive-can sends the speed and acceleration limits of the trajectory.
     """
     asyncio.run(_use_odrive_modes(bus, node_id))
 

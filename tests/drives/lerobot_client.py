@@ -25,7 +25,7 @@ def use_lerobot_robstride(
     """Use LeRobot to control a motor and to read all motors.
 
     Connect to the bus, enable a motor, turn the motor by a torque, hold a position, and disable the
-    motor. Then read all motors.
+    motor. After that, read all motors on the bus.
     """
     monkeypatch.setattr(
         RobstrideMotorsBus._recv_motor_response, "__defaults__", (None, REPLY_TIMEOUT_S)

@@ -1,4 +1,4 @@
-"""Test load-cell amplifiers of CiA 404: frames, set-up, and faults of a hand with such amplifiers."""
+"""Test load-cell amplifiers of CiA 404: their frames, their set-up, and the faults of a hand with amplifiers."""
 
 import math
 import struct
@@ -200,7 +200,7 @@ def bench(tmp_path: Any) -> Iterator[AmplifierBench]:
 
 
 def make_bench(hand_folder: Any, **changed_keys: Any) -> AmplifierBench:
-    """Return a bench whose hand has other values for some keys of its sensor section."""
+    """Return an amplifier bench whose hand has other values for some keys of its sensor section."""
     hand = hand_with_amplifiers(**changed_keys)
     path = hand_folder / "hand.toml"
     path.write_text(hand.to_toml())

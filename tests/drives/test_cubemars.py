@@ -132,7 +132,8 @@ def test_missing_drive_limits_are_reported(tmp_path: Path) -> None:
 def test_the_help_names_the_motor_types_of_the_drives() -> None:
     """A command must print its help without importing the code of the drives.
 
-    To avoid this import, the help text has its own list of protocol names.
+    The help text has its own list of protocol names, so that handctl need not import the code of
+    the drives.
     """
     ranges = {
         "cubemars": MOTOR_MODEL_RANGES,

@@ -1,4 +1,4 @@
-"""Test faults of ODrive and CiA 402 drives, and the error messages about these faults.
+"""Test faults of ODrive and CiA 402 drives, and the error messages about the faults.
 
 The simulated firmware injects the faults.
 """
@@ -283,7 +283,7 @@ def test_a_bus_without_sync_is_reported(cia402_bench: ProtocolBench) -> None:
 def refuse_sync_counter(bench: ProtocolBench) -> ProtocolBench:
     """Make the CiA 402 drives of a bench ignore every SYNC frame with data, and return the bench.
 
-    The CANopen stack CANopenNode ignores such a frame while object 0x1019 is 0.
+    The CANopen stack CANopenNode ignores a SYNC frame with data while object 0x1019 is 0.
     """
     for node in bench.simulated_hand.world.nodes[0]:
         if isinstance(node, Cia402Node):

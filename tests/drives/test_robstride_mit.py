@@ -164,7 +164,7 @@ def test_a_watchdog_set_before_in_the_private_protocol_removes_the_torque() -> N
 def test_numbers_and_protocol_change_by_special_commands() -> None:
     """The simulated motor replies to each special command with its identity.
 
-    The drives of handctl send none of these commands.
+    The drives of handctl never send a special command that changes node number or protocol.
     """
     virtual_bench = VirtualBench("robstride_mit")
     node = virtual_bench.bench.nodes[0]

@@ -1,4 +1,4 @@
-"""Compare frames of the sensor node with the DBC file of this node.
+"""Compare frames of the sensor node with the DBC file of the node.
 
 A separate decoder reads the DBC file. Further tests check the state that the host keeps about the
 sensor node.

@@ -49,7 +49,7 @@ def hand_without_sensors() -> Hand:
 def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
     """Reproduce a defect.
 
-    A bus without a sensor node had no SYNC frame, so a hand with CiA 402 drives on this bus was
+    A bus without a sensor node had no SYNC frame, so a hand with CiA 402 drives on the bus was
     never armed.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))

@@ -1,4 +1,4 @@
-"""A simulated drive that is alone on a bus in virtual time, and a host that commands this drive."""
+"""A simulated drive that is alone on a bus in virtual time, and a host that commands the drive."""
 
 from dataclasses import replace
 

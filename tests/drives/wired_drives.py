@@ -85,7 +85,7 @@ class WiredDrives:
         return frame
 
     def receive(self, frames: Iterable[Frame]) -> "WiredDrives":
-        """Receive frames in the same way as a tick of the controller does, and return this object."""
+        """Receive frames in the same way as a tick of the controller does, and return ``self``."""
         frames, known_tables, at = frames_as_records(frames), self.tables, 0
         self.frames_for_drives, self.foreign_frames = [], []
         while True:

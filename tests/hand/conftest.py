@@ -14,7 +14,7 @@ from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_han
 SPATIAL_HANDS = ("orca_like",)
 """Packaged hands whose digits are spatial chains on a wrist.
 
-``test_random_chains`` tests these hands together with random hands.
+``test_random_chains`` tests hands with spatial chains together with random hands.
 """
 
 

@@ -414,7 +414,7 @@ def test_value_at_its_limit_is_accepted():
 
 
 def edit_on_a_wrist(content_edit):
-    """Return an edit function that puts the hand jamia on a wrist, and then applies another edit function."""
+    """Return an edit function that puts the hand jamia on a wrist, and after that applies ``content_edit``."""
 
     def change(content):
         content.update(copy.deepcopy(mount_on_wrist("jamia").content))

@@ -131,7 +131,7 @@ def test_exports_and_the_simulator_s_own_model_are_the_same_hand(
 ):
     """The exported MJCF has the same dynamics as the hand.
 
-    The model that the simulator makes with separate code also has the same dynamics.
+    The model that the simulator makes with separate code has the same dynamics, too.
     """
     hand, digits = random_hand_and_digits
     path = tmp_path / "random.toml"

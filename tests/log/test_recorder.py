@@ -320,8 +320,8 @@ def test_a_file_that_cannot_be_created_is_refused(
 FILE_SIZE_LIMIT_BYTES = 800_000
 """Largest permitted size of a file [bytes].
 
-This limit simulates a full disk. A file of the largest permitted size can contain only a part of
-the run.
+The size limit simulates a full disk. A file of the largest permitted size can contain only a part
+of the run.
 """
 
 

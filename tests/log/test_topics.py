@@ -39,7 +39,7 @@ def _write_log(
     chunk_borders: frozenset[int] = frozenset(),
     event_texts: tuple[str, ...] = (),
 ) -> Path:
-    """Write a log in this process, and begin a new chunk at each index in ``chunk_borders``.
+    """Write a log in the test process, and begin a new MCAP chunk at each index in ``chunk_borders``.
 
     Check the reports of the log writer, too.
     """

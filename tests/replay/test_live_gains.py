@@ -1,6 +1,6 @@
 """A log contains the gains that were set during the recorded run, and the identified parameters of the hand.
 
-With these gains and parameters, a re-execution of the log gives the same results to the last bit.
+With the gains and parameters in the log, a re-execution gives the same results to the last bit.
 """
 
 from pathlib import Path
@@ -106,8 +106,8 @@ def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(
 def test_a_drive_with_identified_torque_error_is_no_fault(torque_gain: float) -> None:
     """A drive reports its nominal torque, which differs from the torque that the controller intends.
 
-    Earlier defect: because of this difference, the controller reported the fault N14 (a command is
-    not obeyed).
+    Earlier defect: because of the difference between both torques, the controller reported the
+    fault N14 (a command is not obeyed).
     """
     hand = load_hand("jamia")
     plan = RunPlan(hand, Gains(), 500.0, ())

@@ -1,7 +1,7 @@
 """Define tests of the contract that every bus class must fulfil.
 
-A test module that imports these tests must define the fixture ``bus_under_test``, which returns the bus
-under test.
+A test module that imports the tests must define the fixture ``bus_under_test``, which returns the
+tested bus.
 """
 
 import random

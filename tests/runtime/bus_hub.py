@@ -35,7 +35,7 @@ def hub_process(bus_name: str, socket_folder: Path) -> Iterator[None]:
 
 
 class ScriptedHub:
-    """Hub of a local bus for one client. The test itself exchanges bytes with this client."""
+    """Hub of a local bus for one client. The test itself exchanges bytes with the client of the hub."""
 
     def __init__(self, socket_folder: Path, bus_name: str) -> None:
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)

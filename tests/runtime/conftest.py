@@ -66,6 +66,6 @@ def hand_truth_file(work_folder, started_processes, time_scale_options):
 
 @pytest.fixture
 def calibration_options(work_folder):
-    """Write a calibration of the simulated hand, and return the command-line options for a controller of this hand."""
+    """Write a calibration of the simulated hand, and return the command-line options for a controller of the hand."""
     write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
     return ("--hand", "jamia", "--bus", LOCAL_BUS, "--calibration", "c.toml")

@@ -43,7 +43,7 @@ from tests.runtime.processes import (
 )
 
 SYNC_ID = 0x080
-"""CAN identifier of the SYNC frame. The first byte of this frame is the tick count."""
+"""CAN identifier of the SYNC frame. The first byte of a SYNC frame is the tick count."""
 FRAME_RECORD_BYTES = 72
 """Size of the record of a frame on the local bus [bytes]."""
 RATE_HZ = 500.0

@@ -74,7 +74,7 @@ def call_as_user_nobody(function) -> str:
 def shared_tmp(monkeypatch):
     """Return a folder for temporary files in which every user is allowed to write, as in /tmp.
 
-    The run directory (the folder for sockets) is inside this folder.
+    The run directory (the folder for sockets) is inside the returned folder.
     """
     folder = Path(tempfile.mkdtemp(prefix="h-"))
     folder.chmod(0o1777)

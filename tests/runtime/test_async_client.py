@@ -94,7 +94,7 @@ def test_a_hand_is_opened_and_closed_without_a_block(
         hand_truth_file = await library.connect_async("jamia", LOCAL_BUS, *options).open()
         phase = hand_truth_file.observe().phase
         await hand_truth_file.close()
-        await hand_truth_file.close()  # the second call of this method has no effect
+        await hand_truth_file.close()  # a second call of ``close`` has no effect
         return phase, hand_truth_file.result
 
     phase, result = asyncio.run(connect_and_use_hand())

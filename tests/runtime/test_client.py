@@ -121,8 +121,8 @@ def test_a_hold_without_a_tension_brings_the_hand_to_rest(unserved_client, monke
 def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
     """Reproduce a defect.
 
-    If the first argument of a call was a mapping, the client used the mapping as the duration. It
-    raised the error "no digit".
+    If the first argument of a call was a mapping, the client used the mapping as the duration. The
+    call raised the error "no digit".
     """
     requests = []
     monkeypatch.setattr(unserved_client, "_set_goal", requests.append)

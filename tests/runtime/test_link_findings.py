@@ -1,6 +1,6 @@
 """Test the findings about a CAN interface, which handctl derives from the output of ``ip``.
 
-The outputs of ``ip`` were written for these tests, in the format of iproute2.
+The outputs of ``ip`` in the tests are invented, in the format of iproute2.
 """
 
 import json

@@ -37,7 +37,7 @@ with handctl.connect("jamia", {LOCAL_BUS!r}, **{{options}}) as hand:
 def start_holding_client(**connect_options):
     """Start another client in a separate process.
 
-    The started client requests a tension, and then does nothing.
+    The started client requests a tension, and does nothing afterwards.
     """
     command = [sys.executable, "-c", CLIENT_PROGRAM.format(options=connect_options)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)

@@ -38,7 +38,7 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def send_request(bus_name: str, request_text: str) -> None:
-    """Send a request to the mailbox of a bus, and wait for no reply. Any program of the same user can do this."""
+    """Send a request to the mailbox of a bus without waiting for a reply, as any program of the same user can."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         out.sendto(request_text.encode(), str(mailbox_path(bus_name)))
 

@@ -61,8 +61,8 @@ def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, time_scale_options
     result = json.loads(done.stdout)
     # At the first contact, the joints of a digit do not yield at the same moment in both runs. At
     # the first contact, the joint angles of the two runs differ by 2.7 deg, and by more after a
-    # late tick. For this reason, the test limits only the RMS difference of each joint, and the
-    # difference of the mean angle of each digit.
+    # late tick. Because of the different moments of contact, the test limits only the RMS
+    # difference of each joint, and the difference of the mean angle of each digit.
     single = 6.0
     assert {name for name, row in result["joint_deg"].items() if row["peak"] > single} == set()
     assert max(row["rms"] for row in result["joint_deg"].values()) < 1.0, (

@@ -199,7 +199,7 @@ def test_a_half_written_record_is_not_returned() -> None:
     writer = ObservationWriter("local:x", AXIS_LENGTHS, {})
     reader = ObservationReader("local:x")
     write_observation(writer, 1)
-    writer._counters[0][0] = 3  # the ring's counter has this value while record 2 is written
+    writer._counters[0][0] = 3  # the ring's counter is 3 while record 2 is written
     assert reader.read_record(0) is None
     assert reader.latest_record() is None, "a reader does not wait for a dead writer"
     reader.close()

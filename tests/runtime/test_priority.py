@@ -57,7 +57,7 @@ def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyP
 
 
 def test_only_ticks_have_realtime_priority() -> None:
-    """Reproduce a defect: a control loop also had real-time priority while it started or closed its log.
+    """Reproduce a defect: a control loop had real-time priority even while it started or closed its log.
 
     With real-time priority, a control loop blocked all other processes on its processor core.
     """

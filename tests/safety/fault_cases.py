@@ -204,7 +204,7 @@ def input_without_torque(tick_input: TickInput) -> TickInput:
 def slack_tendon(earlier_slack_ticks: int, tendon_index: int = 3) -> TickInput:
     """Return an input with a slack tendon.
 
-    The tendon was also slack in the last ``earlier_slack_ticks`` ticks.
+    The tendon was slack in the previous ``earlier_slack_ticks`` ticks, too.
     """
     return state_input(
         slack_ticks={tendon_index: earlier_slack_ticks},

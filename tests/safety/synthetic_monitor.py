@@ -235,8 +235,8 @@ class SyntheticMonitor:
     ) -> TickVerdict:
         """Return the verdict of the safety monitor on one tick.
 
-        The verdict contains the action and the reported faults. It depends on the findings of the
-        detectors, the latched faults, and events of buses and host.
+        The verdict contains the action and the reported faults. The verdict depends on the findings
+        of the detectors, the latched faults, and events of buses and host.
         """
         self.tick(value_by_field)
         return self.conclude(self.demanded_action, reports)

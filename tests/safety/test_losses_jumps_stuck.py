@@ -402,7 +402,7 @@ def test_missing_reference_is_used_once_it_is_read():
 
 
 def test_goal_jump_moves_the_reference_of_the_stuck_test():
-    """A target jumps when it is reset to the measured position. No motor has to follow the jump of such a reset."""
+    """A target jumps when it is reset to the measured position. No motor has to follow the jump of the target."""
     monitor = SyntheticMonitor(synthetic_limits(3), moment_arms=0.02 * np.eye(3))
     rows = {
         "followed": [0.0, 1e-3, 2e-3], "motor_anchor": [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "motor_stuck": [7, 8, 9],

@@ -30,7 +30,7 @@ from tests.safety.synthetic_monitor import PERIOD_S, SyntheticMonitor, call_inte
 from tests.safety.test_monitor_state import make_monitor, measurements_at_rest
 
 SOFT_STIFFNESS = 5e3
-"""Low stiffness of a tendon [N/m]. With this stiffness, 20 N stretch the tendon by 4 mm."""
+"""Low stiffness of a tendon [N/m]. With the low stiffness, 20 N stretch the tendon by 4 mm."""
 ZERO_JOINT_READINGS = {"excursion": 0.0, "joints": 0.0, "read": True}
 """Readings of joint encoders whose angle is zero."""
 
@@ -181,9 +181,9 @@ def test_a_repeating_load_cell_is_reported_in_the_same_tick() -> None:
 
 
 def test_a_motor_force_that_rises_and_then_falls_shows_a_stuck_load_cell() -> None:
-    """The motor force rises by 4 N, and then falls to 4 N below its first value.
+    """The motor force rises by 4 N, and after that falls to 4 N below its first value.
 
-    At the end, the motor force has its first value again.
+    At the end of the test, the motor force has its first value again.
 
     Reproduce a defect: the detector used only the difference between the present motor force and
     its start value. On ``n_plus_1``, a stuck load cell of an extensor was reported only after 5 s.

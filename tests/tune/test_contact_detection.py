@@ -137,8 +137,8 @@ def unexplained_ramp_of_line(
 ) -> ResidualRamp | None:
     """Fit a straight line to generated data, and return the steepest ramp in the residuals.
 
-    The generated data are noise in two sweeps of a digit. Beyond the angle ``kink_start``, the data
-    also rise by ``kink_size`` per unit of angle.
+    The generated data are noise in two sweeps of a digit. Beyond the angle ``kink_start``, the
+    generated data rise by ``kink_size`` per unit of angle, too.
     """
     random = np.random.default_rng(seed)
     angle = np.abs(np.linspace(-1.0, 1.0, ROW_COUNT)) * 0.6

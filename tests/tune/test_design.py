@@ -56,7 +56,7 @@ def test_the_packaged_gains_keep_their_margins(hand_name: str) -> None:
 
 
 def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
-    """The stability margins of a tendon limit only the force weight of this tendon.
+    """The stability margins of a tendon limit only the force weight of the tendon itself.
 
     The force weights of other tendons do not change.
     """

@@ -194,7 +194,7 @@ def margins_by_brute_force(system: LinearSystem) -> tuple[float, float]:
 def test_margins_are_those_of_brute_force(hand_name: str, seed: int) -> None:
     """A computed stability margin is never larger than the true margin.
 
-    It is smaller than the true margin only if the frequency response and the eigenvalues disagree.
+    A computed margin is too small only if the frequency response and the eigenvalues disagree.
     """
     model = model_of(hand_name, seed)
     for kind in LoopKind:
@@ -455,7 +455,7 @@ def test_an_oscillating_loop_is_not_hidden_by_chatter(
 def test_gains_that_fail_at_the_least_friction_are_refused(
     monkeypatch: pytest.MonkeyPatch, jamia: HandModel
 ) -> None:
-    """If the run without feedback also fails, the oscillation of the hand without feedback is unknown.
+    """If even the run without feedback fails, the oscillation of the hand without feedback is unknown.
 
     If the oscillation without feedback is unknown, the gains are refused.
     """

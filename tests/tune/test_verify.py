@@ -177,7 +177,8 @@ def test_a_lag_of_a_prismatic_joint_counts_like_an_angle(
 ) -> None:
     """Reproduce a defect: the score used metres as if they were rad.
 
-    With this defect, a lag of 1 mm counted as 0.06 deg. A lag of 1 mm must count as 0.1 rad.
+    Because of the wrong unit, a lag of 1 mm counted as 0.06 deg. A lag of 1 mm must count as 0.1
+    rad.
     """
     hand = load_hand(GRIPPER_FOLDER / hand_file)
     goal = np.zeros((2, len(hand.joints)))

@@ -1,4 +1,4 @@
-"""Draw the blocks, arrows and labels of diagrams. Each diagram has its own units of length."""
+"""Draw the blocks, arrows and labels of diagrams. Each diagram has its own unit of length."""
 
 from collections.abc import Sequence
 from itertools import pairwise

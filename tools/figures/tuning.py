@@ -134,7 +134,7 @@ def search_picture(folder: Path) -> Path:
 def verify_picture(folder: Path) -> Path:
     """Verify the result of the search for gains on a simulated hand with other parameters.
 
-    If the search has no result yet, run the search first.
+    If the search has no result yet, run the search before the verification.
     """
     gains_file = folder / "search" / "search.toml"
     if not gains_file.exists():

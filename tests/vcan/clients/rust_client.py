@@ -4,7 +4,7 @@ The test uses three simulated DM4340 motors on vcan0.
 
 The program needs an environment with the package ``can-motor-control``. The simulated motors use
 CAN FD. Version 0.0.8 of the client decodes the feedback of each motor type with the ranges of a
-DM4340. In this version, torque and velocity of other motor types are wrong by a constant factor.
+DM4340. With version 0.0.8, torque and velocity of other motor types are wrong by a constant factor.
 """
 
 from collections.abc import Callable
