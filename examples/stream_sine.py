@@ -8,7 +8,7 @@ import sys
 
 import matplotlib
 
-matplotlib.use("Agg")  # draws into files and needs no screen
+matplotlib.use("Agg")  # matplotlib draws into files and needs no screen
 import matplotlib.pyplot as plt
 import numpy as np
 

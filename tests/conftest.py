@@ -126,7 +126,7 @@ class RepeatAfterStallPlugin:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
-        """Store the time at which a test started."""
+        """Store the time at which a try of a test started."""
         if item.get_closest_marker("realtime"):
             self.pause_meter = self.pause_meter or ComputerPauseMeter()
             self._test = item.nodeid

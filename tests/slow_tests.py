@@ -77,7 +77,7 @@ class DurationRecorder:
         self._elapsed_s: defaultdict[str, float] = defaultdict(float)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Add the elapsed time of one phase of a test (set-up, call or tear-down).
+        """Add the elapsed time of one stage of a test (set-up, call or tear-down).
 
         For a test in a virtual machine, use the time that the test took in the virtual machine.
         """

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 OUR_FOLDERS = ("src/handctl", "firmware_sim", "tests", "benchmarks", "fuzz")
-"""Folders of this repository whose subfolders form the groups."""
+"""Folders of this repository whose subfolders form the groups of files."""
 OTHER_PROJECTS = (
     "can", "cantools", "control", "mcap", "gymnasium", "rich", "click", "pluggy", "_pytest", "hypothesis", "grimp",
     "attr", "msgpack",
@@ -124,7 +124,7 @@ def draw_lines(
     count: int,
     chance: random.Random,
 ) -> list[Line]:
-    """Draw lines from all groups in turn. No text occurs twice in the drawn lines.
+    """Draw random lines from all groups of files in turn. No text occurs twice in the drawn lines.
 
     Args:
         groups: files of each group.

@@ -98,7 +98,7 @@ class FolderTally:
 
 
 def count_prose(tally: FolderTally, text: str, location: str) -> None:
-    """Count the words of a docstring or document, and the hard phrases in it."""
+    """Count the words and the hard phrases of a docstring or document."""
     tally.totals["words"] += len(re.findall(r"[A-Za-z']+", text))
     for name, pattern in _PROSE_PATTERNS.items():
         matches = pattern.findall(text)

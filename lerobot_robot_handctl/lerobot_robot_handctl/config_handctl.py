@@ -1,7 +1,7 @@
 """Configurations of the LeRobot robot and teleoperators that use a hand of handctl.
 
-LeRobot finds the class of a robot or teleoperator by removing ``Config`` from the name of the
-configuration class.
+LeRobot finds the class of a robot or teleoperator in this way: It removes ``Config`` from the name
+of the configuration class.
 """
 
 from dataclasses import dataclass, field

@@ -161,7 +161,7 @@ class HandctlLog(Leader):
     name = "handctl_log"
 
     def __init__(self, config: HandctlLogConfig) -> None:
-        """Read the commanded angles of the run from its log.
+        """Read the commanded angles of the recorded run from its log.
 
         Raises:
             LogError: the file is not a log of handctl.

@@ -43,7 +43,7 @@ class HandctlRobot(Robot):
         self._names = position_names(self.description.joints, self.description.prismatic_joints)
         self.cameras = make_cameras_from_configs(config.cameras)
         self._low, self._high = self.description.joint_limits
-        # For the speed limit, 10 mm of a prismatic joint correspond to 1 rad.
+        # For the speed limit, 10 mm of a prismatic joint correspond to 1 rad of a revolute joint.
         scale = self.description.display_units.scale
         self._step = np.radians(config.speed_deg_s) * scale / config.rate_Hz
         self._hand: HandClient | None = None

@@ -1,6 +1,6 @@
 """Test fixtures: a drive of handctl, and the model of a motor.
 
-The drive runs tick by tick, as in the controller.
+The drive of handctl runs tick by tick, as in the controller.
 """
 
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ PERIOD_NS = 2_000_000
 
 @dataclass(frozen=True)
 class MotorSection:
-    """Content of a ``[[motor]]`` section of a hand file."""
+    """Keys and values of a ``[[motor]]`` section of a hand file."""
 
     name: str = "index_motor"
     protocol: str = "mit"

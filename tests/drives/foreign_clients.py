@@ -68,7 +68,7 @@ def _motor_states(motor: object) -> dict[str, float]:
 def use_damiao_modes(interface: str, channel: str, node_id: int = 2) -> None:
     """Use damiao-motor to change the mode of an enabled motor.
 
-    The modes are velocity, position-velocity and force-position.
+    The modes of the motor are velocity, position-velocity and force-position.
     """
     controller = DaMiaoController(channel=channel, bustype=interface)
     try:
@@ -103,7 +103,7 @@ def use_damiao_modes(interface: str, channel: str, node_id: int = 2) -> None:
 
 
 def use_odrive_can(bus: can.BusABC, node_id: int = 1) -> None:
-    """Use odrive-can to control a drive in closed loop.
+    """Use odrive-can to control an ODrive in closed loop.
 
     Command a torque and a position, send an emergency stop to the drive, and clear the error that
     the stop causes.
@@ -114,8 +114,8 @@ def use_odrive_can(bus: can.BusABC, node_id: int = 1) -> None:
 async def _use_odrive(bus: can.BusABC, node_id: int) -> None:
     """Use odrive-can within its event loop.
 
-    The function reads positions from the cyclic message of the drive. A request with a remote frame
-    could wait forever for the reply of the drive.
+    The function reads positions from the cyclic encoder message of the drive. A request with a
+    remote frame could wait forever for the reply of the drive.
     """
     drive = ODriveCAN(axis_id=node_id, can_bus=bus)
     positions = [0.0]
@@ -178,9 +178,10 @@ async def _use_odrive_modes(bus: can.BusABC, node_id: int) -> None:
 async def _set_control_mode(
     drive: ODriveCAN, control_mode: str, final_state: str, input_mode: str = "PASSTHROUGH"
 ) -> None:
-    """Set a drive to idle, set its control mode, and then set another state.
+    """Set a drive to the axis state idle, set its control mode, and set the axis state ``final_state``.
 
-    The waiting functions of the client are not used, because they give up after a second.
+    The function does not use the waiting functions of odrive-can, because they give up after a
+    second.
     """
     drive.set_axis_state_no_wait("IDLE")
     await _wait_for_async(lambda: drive.axis_state == "IDLE", "idle")
@@ -246,7 +247,7 @@ def use_canopen(interface: str, channel: str, node_id: int = 33) -> None:
 def use_canopen_modes(interface: str, channel: str, node_id: int = 33) -> None:
     """Use canopen to home a drive, and then to select two modes by name.
 
-    The drive is a BaseNode402. The modes are profile position and cyclic velocity.
+    The drive is a BaseNode402. The two modes of the drive are profile position and cyclic velocity.
     """
     with _canopen_network(interface, channel) as network:
         node = BaseNode402(node_id, str(EDS_PATH))

@@ -11,7 +11,7 @@ from lerobot.motors import Motor, MotorNormMode
 from lerobot.motors.robstride import RobstrideMotorsBus
 
 REPLY_TIMEOUT_S = 0.5
-"""Time that the client waits for a reply [s].
+"""Time that the LeRobot client waits for a reply of a motor [s].
 
 The client's default of 1 ms is too short: the simulated motor is another process, and the machine
 can be busy.

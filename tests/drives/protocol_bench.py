@@ -1,4 +1,4 @@
-"""Make hand files with any drive protocol, and run their drives tick by tick with the simulated firmware."""
+"""Make hand files with any drive protocol, and run the drives tick by tick with the simulated firmware."""
 
 import json
 import re
@@ -29,9 +29,9 @@ OPTIONS_TEXT_BY_PROTOCOL = {
 
 
 def hand_file(hand_folder: Path, protocols: Sequence[str], added_text: str = "") -> Path:
-    """Write the file of the packaged hand with other drive protocols.
+    """Write a hand file that differs from the packaged hand in its drive protocols.
 
-    Return the path of the new file.
+    Return the path of the new hand file.
 
     Args:
         hand_folder: folder of the new file.

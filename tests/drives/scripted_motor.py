@@ -1,6 +1,7 @@
 """Independent model of a motor, written from the manual of the motor.
 
-The model receives bytes and returns bytes. Tests can inject faults into the model.
+The model of the motor receives bytes and returns bytes. Tests can inject faults into the model of
+the motor.
 """
 
 import struct
@@ -41,7 +42,7 @@ class ScriptedMotor:
     written_registers: list[int] = field(default_factory=list)
 
     def answer_frame(self, frame: Frame, t_ns: int) -> list[Frame]:
-        """Return a list with the reply to a frame of the host.
+        """Return a list with the motor's reply to a frame of the host.
 
         If the motor sends no reply to the frame, the list is empty.
         """

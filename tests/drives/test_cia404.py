@@ -28,7 +28,7 @@ from tests.drives.wired_drives import WiredDrives
 TENDON_NAMES = ("a", "b", "c")
 PERIOD_NS = 2_000_000
 REPLY_DELAY_NS = 300_000
-"""Time from the start of a tick to the arrival of a reply [ns]."""
+"""Time from the start of a tick to the arrival of an amplifier's reply [ns]."""
 AMPLIFIER_KEYS: dict[str, Any] = {
     "protocol": "cia404",
     "node_ids": [0x21, 0x22],
@@ -163,7 +163,7 @@ class AmplifierBench:
         return self.simulated_hand.world.sensor_nodes
 
     def tick(self, target: DriveTarget = DriveTarget.POLL, with_sync: bool = True) -> None:
-        """Exchange the frames of one tick."""
+        """Exchange the frames of one tick between the host and the amplifiers."""
         out = [self.sensors.sync(self.k)] if with_sync else []
         for i, amplifier in enumerate(self.sensors.amplifiers):
             self.states[i], frames = amplifier.advance(self.states[i], self.k * PERIOD_NS, target)

@@ -180,7 +180,7 @@ RECHECKED_VARIANTS = [name for name in DRIVE_VARIANTS if name not in UNCHECKED_V
 
 @pytest.mark.parametrize("name", RECHECKED_VARIANTS)
 def test_compiled_code_reads_every_setting_again(name: str) -> None:
-    """Compiled code sends each request and accepts each right reply.
+    """Compiled code sends each request for a drive setting, and accepts each right reply.
 
     Only wrong replies to a settings request reach the Python state machine of the drive.
     """

@@ -32,7 +32,7 @@ ENABLED_STATE = DriveState(
 
 @pytest.mark.parametrize(
     ("torque", "payload_hex"),
-    [  # p = 0x7FFF, v = 0x7FF, kp = kd = 0. The last twelve bits are the torque
+    [  # p = 0x7FFF, v = 0x7FF, kp = kd = 0. The last twelve bits of the payload are the torque
         (-0.8, "7fff7ff000000000"),
         (0.8, "7fff7ff000000fff"),
         (0.0, "7fff7ff000000800"),

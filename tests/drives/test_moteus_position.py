@@ -47,7 +47,7 @@ NAN_SETTINGS = (
 
 
 def make_position_drive(**option_changes: object) -> MoteusDrive:
-    """Return a drive that closes the position loop."""
+    """Return a moteus drive that closes the position loop itself."""
     motor_options = {
         "control": "position",
         "kp_N_m_per_rad": KP,

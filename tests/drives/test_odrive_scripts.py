@@ -102,7 +102,7 @@ def _endpoints_file(firmware_version: str) -> dict[str, Any]:
 def _await_message(
     bus: can.BusABC, command_number: int, accepts_payload: Callable[[bytes], bool]
 ) -> bytes:
-    """Return the payload of the next accepted message with a given command number."""
+    """Return the payload of the next message that has a given command number and an accepted payload."""
     end_s = time.monotonic() + WAIT_TIMEOUT_S
     while time.monotonic() < end_s:
         message = bus.recv(0.1)
@@ -137,7 +137,7 @@ def _read_endpoint(bus: can.BusABC, endpoint_number: int, format_code: str) -> A
 
 
 def _request_state(bus: can.BusABC, axis_state: int) -> int:
-    """Request an axis state, and return the axis state of a later heartbeat."""
+    """Request an axis state of the drive, and return the axis state in a later heartbeat."""
     _send(bus, 0x07, struct.pack("<I", axis_state))
     time.sleep(0.5)
     _flush(bus)

@@ -68,7 +68,7 @@ def lose_first_frames(
 ) -> list[WireFrame]:
     """Drop the first frames that contain a given command to the first ODrive.
 
-    The returned list collects the dropped frames.
+    Return a list that collects the dropped frames.
 
     If ``payload_start`` is given, drop only frames whose payload begins with ``payload_start``.
     """

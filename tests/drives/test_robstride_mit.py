@@ -162,7 +162,7 @@ def test_a_watchdog_set_before_in_the_private_protocol_removes_the_torque() -> N
 
 
 def test_numbers_and_protocol_change_by_special_commands() -> None:
-    """The simulated motor replies to each special command with its identity.
+    """To each special command, the simulated motor replies with the identity of the motor.
 
     The drives of handctl never send a special command that changes node number or protocol.
     """

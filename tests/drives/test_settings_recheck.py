@@ -44,7 +44,7 @@ def run_drive_with_registers(
     register_values: dict[int, float],
     motor_is_heard: bool = True,
 ):
-    """Run a drive whose motor replies to commands and requests.
+    """Run a drive whose motor replies to torque commands and register requests.
 
     Return the final state of the drive, and the tick and the register of each register request.
     """

@@ -116,7 +116,7 @@ def test_the_packaged_hand_on_two_buses_has_sync_on_both() -> None:
 def test_one_drive_of_a_bus_sends_sync(
     original_text: str, replacement_text: str, expected_senders: list[str], tmp_path: Path
 ) -> None:
-    """If the sensor node uses another identifier than SYNC, a drive sends SYNC.
+    """If the request to the sensor node has another identifier than SYNC, one drive sends the SYNC frame.
 
     A drive with the option ``sync`` sends SYNC in any case.
     """

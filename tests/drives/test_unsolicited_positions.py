@@ -21,8 +21,8 @@ SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 1)
 RATE_HZ = 250.0
 """Control rate [Hz].
 
-The drive sends unrequested messages every 10 ms. At a control rate of 250 Hz, some ticks fall
-between two unrequested messages.
+The drive sends unrequested position messages every 10 ms. At a control rate of 250 Hz, some ticks
+fall between two unrequested messages.
 """
 MAX_TENSION_SWING_N = 5.0
 """Largest permitted oscillation of a tension in motion [N RMS].

@@ -52,7 +52,7 @@ class VirtualBench:
         self.origin_ns = self.bench.t_ns
 
     def wait(self, k):
-        """Advance the time to tick k, and return how late the host is [ns].
+        """Advance the virtual time to tick ``k``, and return how late the host is [ns].
 
         The host is late only if ``advance_time`` was called before.
         """
@@ -65,7 +65,7 @@ class VirtualBench:
         return self.bench.t_ns - self.origin_ns
 
     def send(self, frames):
-        """Deliver frames to the drive at once."""
+        """Deliver frames of the host to the drive without a delay."""
         for frame in frames:
             self.frames_on_bus += self.bench.receive(SimFrame(*frame))
         return len(frames)

@@ -68,7 +68,7 @@ def hand_with_meshes(hand_name: str) -> Hand:
 
     The first link of a digit with several links has no mesh.
 
-    The mesh on the last link of each digit has a scale and a pose.
+    The mesh on the last link of each digit has a scale factor and a pose relative to the link.
     """
     content = hand_without_meshes(hand_name).content
     content["mount"] = content["mount"] | {
@@ -99,7 +99,7 @@ def hand_without_meshes(hand_name: str) -> Hand:
 
 
 def corners_by_link(model: mujoco.MjModel, q: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the corners of the mesh of each link in the palm frame [m], as MuJoCo places them."""
+    """Return the corners of each link's mesh in the palm frame [m], as MuJoCo places them."""
     data = mujoco.MjData(model)
     data.qpos[: len(q)] = q
     mujoco.mj_kinematics(model, data)
@@ -115,7 +115,7 @@ def corners_by_link(model: mujoco.MjModel, q: np.ndarray) -> dict[str, np.ndarra
 
 
 def corners_of_hand(hand, mesh_folder: Path, q: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the corners of the mesh of each link in the palm frame [m], as the kinematics of handctl places them."""
+    """Return the corners of each link's mesh in the palm frame [m], as the kinematics of handctl places them."""
     poses = {PALM_LINK: (np.zeros(3), np.eye(3))}
     tree = LinkTree.from_hand(hand)
     all_poses = tree.poses(q)
@@ -140,7 +140,7 @@ def assert_same_corners(
 ) -> None:
     """Assert that two sets of mesh corners agree for each link.
 
-    Each corner is at most a micrometre away from a corner of the other set.
+    Each corner of one set must be at most a micrometre away from a corner of the other set.
     """
     assert computed_corners.keys() == expected_corners.keys()
     for link, corners in expected_corners.items():

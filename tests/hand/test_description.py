@@ -1,4 +1,4 @@
-"""Test the hands that are read from valid files, and the error lines for invalid files."""
+"""Test the hands that handctl reads from valid hand files, and the error lines for invalid hand files."""
 
 import copy
 import re
@@ -223,7 +223,7 @@ def test_a_directory_is_no_hand(tmp_path):
 def test_a_copy_with_other_buses_has_their_names() -> None:
     """Reproduce a defect: a copy of a hand with changed fields still had the cached properties of the original hand.
 
-    One of the cached properties is the list of bus names.
+    One of the cached properties of a hand is the list of bus names.
     """
     hand = load_hand("jamia")
     assert hand.bus_names == ("main",)

@@ -62,7 +62,7 @@ def content_with_value(original_content, key_path, new_value):
 
 
 def key_path_text(hand_content_tree, key_path):
-    """Return a key path as an error message would write it."""
+    """Return a key path of a hand file as an error message would write it."""
     text, node = "", hand_content_tree
     for key in key_path:
         node = node[key]
@@ -76,7 +76,8 @@ def key_path_text(hand_content_tree, key_path):
 HANDS_WITH_PLANAR_DIGITS = tuple(name for name in packaged_hands() if name != "orca_like")
 """Packaged hands with planar digits on the palm.
 
-``orca_like`` has the same keys, and additional keys for joint axes and inertias.
+The hand file ``orca_like`` has the same keys as the other hand files, and additional keys for joint
+axes and inertias.
 """
 
 

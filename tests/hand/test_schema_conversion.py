@@ -18,7 +18,7 @@ from tests.contracts.random_hands import random_hand
 from tests.hand.test_hand_file_templates import IDENTITY_BY_HAND
 
 SCHEMA_1_FILE = Path(__file__).with_name("jamia_schema_1.toml")
-"""The packaged hand file of jamia from before schema 2, with a comment at every number."""
+"""The earlier packaged hand file of jamia in schema 1, with a comment at every number."""
 
 
 def hand_after_conversion(hand_file_text: str) -> Hand:

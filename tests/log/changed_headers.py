@@ -41,7 +41,7 @@ def log_with_changed_metadata(
 def write_log_with_run_metadata(log_path: Path, out: Path, **json_by_key: str) -> Path:
     """Write a copy of a log to `out`, with other JSON texts in its metadata record `handctl.run`.
 
-    Return the path of the copy.
+    Return the path of the copied log.
     """
     out.write_bytes(
         log_with_changed_metadata(

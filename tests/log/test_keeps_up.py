@@ -1,6 +1,6 @@
 """Test that one processor core can record a run in real time.
 
-The run has eleven motors, a control rate of 1 kHz, and raw frames.
+The recorded run has eleven motors, a control rate of 1 kHz, and raw frames.
 """
 
 import multiprocessing

@@ -37,7 +37,7 @@ STANDARD_PACKAGES = (
 
 
 SNAPSHOT_BY_TICK = {30: b"one state", 136: bytes(range(256)) * 100}
-"""Snapshots of the controller's state in the run.
+"""Snapshots of the controller's state that the recorded run contains.
 
 Each key of the dictionary is the number of the tick before the snapshot.
 """

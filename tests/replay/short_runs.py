@@ -1,4 +1,4 @@
-"""Short runs in lockstep, and the golden logs.
+"""Record short runs in lockstep, and write the golden logs.
 
 `python tests/replay/short_runs.py logs/golden` writes new golden logs.
 """

@@ -101,7 +101,7 @@ def test_unknown_values_have_no_difference_and_no_delay() -> None:
 
 
 def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
-    """If a joint is at rest, its signal is only noise in both runs.
+    """If a joint is at rest, the signal of its angle is only noise in both runs.
 
     The noise of the two runs always agrees best at some time shift, but this time shift is not a
     delay of the joint.

@@ -79,7 +79,7 @@ class RunWithRepetition:
     def mean_values_at_rest(self, *truth_columns: str) -> tuple[FloatArray, FloatArray]:
         """Return the mean values of both runs while the grasp is at rest.
 
-        The result of each run has one mean for each named column (names,).
+        The result of each run has one mean value for each named column of the truth file (names,).
         """
         times, recorded_values, repeated_values = self.true_values(*truth_columns)
         start, end = self.rest_interval()

@@ -104,7 +104,7 @@ def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(
 
 @pytest.mark.parametrize("torque_gain", [0.72, 1.35])
 def test_a_drive_with_identified_torque_error_is_no_fault(torque_gain: float) -> None:
-    """A drive reports its nominal torque, which differs from the torque that the controller intends.
+    """A drive with a torque error reports its nominal torque, which differs from the torque that is intended.
 
     Earlier defect: because of the difference between both torques, the controller reported the
     fault N14 (a command is not obeyed).

@@ -1,6 +1,6 @@
 """Generate runs and true values for tests of the report.
 
-All generated numbers can be checked by hand.
+All generated numbers are so simple that they can be checked by hand.
 """
 
 import json

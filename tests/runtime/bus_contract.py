@@ -27,7 +27,7 @@ class BusUnderTest:
 
     Attributes:
         spec: specification of the bus, as ``open_bus`` takes it.
-        opened: functions that close the connected nodes after the test.
+        opened: functions that close the nodes of the bus after the test.
     """
 
     spec: str

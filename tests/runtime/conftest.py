@@ -46,7 +46,7 @@ def started_processes():
 
 @pytest.fixture
 def time_scale_options(request, attempt_time_scale):
-    """Return the command-line options for the time scale.
+    """Return the command-line options for the time scale of a test.
 
     A test module can define its own ``TIME_SCALE``.
     """

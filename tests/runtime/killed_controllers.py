@@ -45,7 +45,7 @@ from tests.runtime.processes import (
 SYNC_ID = 0x080
 """CAN identifier of the SYNC frame. The first byte of a SYNC frame is the tick count."""
 FRAME_RECORD_BYTES = 72
-"""Size of the record of a frame on the local bus [bytes]."""
+"""Size of a frame record on the local bus [bytes]."""
 RATE_HZ = 500.0
 WATCHDOG_MS = 50.0
 """Watchdog time of the drives in the hand file [ms].
@@ -94,7 +94,7 @@ class DisturbedRun(NamedTuple):
 
 
 class KillVerdict(NamedTuple):
-    """Result of the comparison of one run with the truth file of the simulator.
+    """Result of the comparison of one disturbed run with the truth file of the simulator.
 
     Attributes:
         run: record of the run.
@@ -311,7 +311,7 @@ def wait_for_process_end(controller_pid: int, listener: SyncListener) -> None:
 def read_sync_records(log_path: Path) -> tuple[str, bytes]:
     """Read a log after its recorder has ended.
 
-    Return the warning of the log, and the tick counts of its SYNC frames.
+    Return the warning about the log, and the tick counts of the SYNC frames in the log.
     """
     until = time.monotonic() + 20.0
     while True:

@@ -1,8 +1,8 @@
 """Test the protection against another user of the machine.
 
-The folder for sockets is private. A request to the controller counts as done only after the
-controller has confirmed it. A test that needs a second user forks a process, and the forked process
-changes its own user. Without root rights, tests with a second user are skipped.
+The folder for the sockets of handctl is private. A request to the controller counts as done only
+after the controller has confirmed it. A test that needs a second user forks a process, and the
+forked process changes its own user. Without root rights, tests with a second user are skipped.
 """
 
 import json
@@ -140,7 +140,7 @@ def test_a_folder_that_another_user_made_is_refused(
 
 @SECOND_USER
 def test_a_folder_above_that_another_user_owns_or_can_write_in_is_refused(shared_tmp, monkeypatch):
-    """The owner of the parent folder could rename the private folder, and create another folder in its place."""
+    """The owner of the parent folder could rename the private run directory, and create another folder in its place."""
     above = shared_tmp / "above"
     above.mkdir()
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(above / "run"))

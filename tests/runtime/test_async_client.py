@@ -58,8 +58,8 @@ async def use_hand_as_client(*connect_options):
 async def observe_hand(hand):
     """Observe a hand 200 times.
 
-    Return the ticks of the observations, and the range of the first joint angle [deg]. The range is
-    the largest angle minus the smallest.
+    Return the ticks of the observations, and the range of the first joint angle [deg]. The range of
+    a joint angle is the largest angle minus the smallest angle.
     """
     ticks, angles = [], []
     async for observation in hand.observations():

@@ -271,7 +271,7 @@ def test_the_kernels_stamps_become_the_runs_time(
 ) -> None:
     bus, peer_socket = udp_bus
     bus._convert_time = lambda t_ns: int((t_ns - 1000) * time_scale)
-    time.sleep(0.3)  # the kernel adds time stamps after a delay
+    time.sleep(0.3)  # the Linux kernel begins to add time stamps after a delay
     for _ in range(3):
         time_ns_before = time.monotonic_ns()
         for number in range(11):

@@ -43,7 +43,7 @@ class SimulatedBuses:
     def wait(self, tick_index):
         """Advance the virtual time to the tick ``tick_index``, and let the drives reply to the frames of the last tick.
 
-        Return 0, the number of missed ticks.
+        Return 0, because the simulated clock misses no ticks.
         """
         self.t_ns = tick_index * PERIOD_NS
         self.incoming = [

@@ -76,7 +76,7 @@ def status_with_events(*event_texts):
     "foreign_reply", ["refused: no digit 'x'", "request: Invalid JSON", "move index 3"]
 )
 def test_replies_to_other_programs_are_ignored(unserved_client, monkeypatch, foreign_reply):
-    """Reproduce a defect: if two programs used one hand, each reported the refused requests of the other program."""
+    """Reproduce a defect: if two programs used one hand, each program reported refused requests of the other one."""
     sent = []
     monkeypatch.setattr(
         unserved_client._watcher, "send", lambda data, timeout: sent.append(json.loads(data))
@@ -153,7 +153,7 @@ def test_an_unknown_space_of_a_stream_names_all_spaces(unserved_client):
 
 
 def test_the_names_of_a_stream_are_a_list(unserved_client):
-    """Reproduce a defect: for a text in place of a list of names, the client took each letter as a name.
+    """Reproduce a defect: for a string in place of a list of digit names, the client took each letter as a name.
 
     The error message was "no digit 'i'".
     """
@@ -268,7 +268,7 @@ def test_a_program_moves_holds_and_reads_the_state(
 def test_a_stopped_run_and_a_closed_client_are_named(
     work_folder, hand_truth_file, calibration_options, time_scale_options
 ):
-    """Reproduce a defect: the message about a stopped run quoted an unrelated notice of the controller.
+    """Reproduce a defect: the error message about a stopped run quoted an unrelated notice of the controller.
 
     Earlier defect: a client that was used after its ``with`` block raised the error "mmap closed or
     invalid".

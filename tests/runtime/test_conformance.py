@@ -120,7 +120,7 @@ def test_a_good_drive_passes_although_the_host_is_late(protocol, seed, monkeypat
 
 
 def test_a_good_drive_passes_three_times_running(protocol):
-    """Reproduce a defect: after the checks, ODrives and CiA 402 drives had a latched error.
+    """Reproduce a defect: after the conformance checks, ODrives and CiA 402 drives had a latched error.
 
     Because of the latched error, a good drive failed when the checks ran a second time.
     """
@@ -341,7 +341,7 @@ def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(clear_
 
 @pytest.mark.parametrize("watchdog_ms", ["commands", "frames", "always"])
 def test_a_disabled_motor_is_ready_whenever_its_watchdog_fires(watchdog_ms):
-    """Register requests do not reset the watchdog.
+    """Register requests do not reset the watchdog of a motor.
 
     Earlier defect: the watchdog of a disabled motor fired, so the motor had a fault before the hand
     was armed.

@@ -52,7 +52,7 @@ def test_missed_ticks_are_skipped_and_not_executed_later(protocol: str, missed_t
 
 @pytest.mark.parametrize("protocol", OPTIONS_BY_PROTOCOL)
 def test_a_drive_that_was_never_heard_is_not_confirmed_off(protocol: str) -> None:
-    """Reproduce a defect: a drive counted as off although none of its replies had arrived.
+    """Reproduce a defect: a drive counted as disabled although none of its replies had arrived.
 
     Another host has possibly enabled a drive that sends no replies.
     """

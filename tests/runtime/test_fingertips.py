@@ -1,4 +1,4 @@
-"""Test the fingertip positions of a client, without a running hand."""
+"""Test the fingertip positions that a client computes, without a running hand."""
 
 import numpy as np
 import pytest

@@ -22,7 +22,7 @@ from tests.runtime.processes import MOVE_PHASE, TASK_HEAD
 
 @pytest.mark.timeout(120)
 def test_a_run_held_by_a_fault_ends_with_its_reason(tmp_path: Path) -> None:
-    """While a fault holds the hand, the task makes no progress.
+    """While a fault holds the hand, the task of the run makes no progress.
 
     Earlier defect: a run in which a fault held the hand never ended.
     """

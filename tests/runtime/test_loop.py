@@ -26,7 +26,7 @@ TORQUE_CUT_FRAMES = (Frame(1, b"\xfd"), Frame(2, b"\xfd", bus=1))
 
 @dataclass
 class ScriptedClock:
-    """A clock that records all waits.
+    """A clock that records all waits of the control loop.
 
     ``late`` contains the delays of the first waits [ns]. All later waits of the clock end in time.
     """
@@ -102,7 +102,7 @@ class FakeControllerTick:
 
 @dataclass
 class RecordedControlLoop:
-    """A control loop that runs a few ticks. The test records all calls of the loop."""
+    """A control loop that runs a few ticks. The test records all calls that the loop makes."""
 
     ticks: int = 5
     clock: ScriptedClock = field(default_factory=ScriptedClock)
@@ -316,8 +316,8 @@ def times_of_polls(
 ) -> list[int]:
     """Return the times at which a loop polls the drives after a failure [ns].
 
-    The loop fails in its third tick. For each poll of the drives, ``motors_by_poll`` lists the
-    drives that have not confirmed that they are disabled.
+    The loop of this test fails in its third tick. For each poll of the drives, ``motors_by_poll``
+    lists the drives that have not confirmed that they are disabled.
     """
     times: list[int] = []
 
@@ -426,7 +426,7 @@ def test_drives_that_cannot_be_polled_do_not_count_as_disabled() -> None:
 
 
 def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
-    """The frames that disable the drives must not be lost, because no later tick repeats them.
+    """The frames that disable the drives must not be lost, because no later tick sends them again.
 
     If the disabling frames were lost, a drive without a watchdog would keep its torque.
     """

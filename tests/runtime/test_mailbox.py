@@ -1,7 +1,7 @@
 """Test the mailbox, the socket for requests to a controller.
 
-Requests arrive in order and never block. A bus can have only one controller at a time. Clients that
-have subscribed (watchers) get status lines.
+Requests arrive at the controller in order and never block their sender. A bus can have only one
+controller at a time. Clients that have subscribed (watchers) get status lines.
 """
 
 import json

@@ -23,7 +23,8 @@ def open_files() -> set[str]:
     """Return the paths of all files that the test process has open."""
     paths = set()
     for descriptor in os.listdir("/proc/self/fd"):
-        with suppress(OSError):  # the descriptor that was used for this list is already closed
+        # the file descriptor that was used to list the folder is already closed
+        with suppress(OSError):
             paths.add(os.readlink(f"/proc/self/fd/{descriptor}"))
     return paths
 

@@ -164,7 +164,7 @@ def test_a_simulator_that_stopped_is_not_waited_for_again(clock_pair) -> None:
 
 
 def test_a_simulator_behind_its_time_is_waited_for(clock_pair) -> None:
-    """In this test, the simulator has replied to all frames.
+    """In this test, the simulator has replied to all frames, but its time is behind the present time.
 
     Although the simulator has replied, the controller waits until the simulated sensors have sent
     all frames up to the present time.

@@ -17,7 +17,7 @@ from tests.runtime.processes import (
 pytestmark = [pytest.mark.realtime, pytest.mark.alone, pytest.mark.nightly]
 HAND_SIDES = ("left", "right")
 RATE_OPTION = ("--rate", "100")
-"""Options for a low control rate.
+"""Command-line options for a low control rate.
 
 The control rate is low because four real-time processes share the processors.
 """

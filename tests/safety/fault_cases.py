@@ -84,7 +84,7 @@ class FaultCase(NamedTuple):
 
 
 def state_input(**values_by_field: object) -> TickInput:
-    """Return an input with values of the state.
+    """Return an input of the safety monitor with given values of the state.
 
     If a field of the state applies to the whole run, its value is a single number. The value of any
     other field is a dictionary from an index to a number.
@@ -145,7 +145,7 @@ def malformed_frames(node_index: int, earlier_frames: int) -> TickInput:
 
 
 def filtered_residuals(residual_kind: int, **residual_by_part: float) -> TickInput:
-    """Return an input with one kind of filtered residual, for the named tendons or motors."""
+    """Return an input with given values of one kind of filtered residual, for the named tendons or motors."""
     return state_input(
         residual={(residual_kind, int(name[1:])): value for name, value in residual_by_part.items()}
     )
@@ -251,7 +251,8 @@ def stuck_joint(joint_index: int, spool_turn_deg: float) -> TickInput:
 def replayed_readings(tendon_index: int, repeated_readings: int) -> TickInput:
     """Return an input with repeated load-cell readings.
 
-    Each of the last ``repeated_readings`` readings equals the reading of 16 ticks earlier.
+    Each of the last ``repeated_readings`` readings of the load cell equals its reading of 16 ticks
+    earlier.
     """
     past_readings = {(age, tendon_index): 20.0 + (age - 15) / 16.0 for age in range(64)}
     return state_input(past=past_readings, same={(15, tendon_index): repeated_readings - 1})

@@ -132,7 +132,7 @@ class SyntheticMonitor:
         self.block_at_rest = self.block.copy()
 
     def replace_limits(self, limits: SafetyLimits) -> None:
-        """Replace the names and thresholds of the hand from the next tick on."""
+        """Replace the part names and the fault thresholds of the hand from the next tick on."""
         self.limits = limits
         self.set_constants(
             tension_trip=limits.tension_trip, drive_limit=limits.drive_limit, noise_limit=limits.max_position_noise,
@@ -242,7 +242,7 @@ class SyntheticMonitor:
         return self.conclude(self.demanded_action, reports)
 
     def conclude(self, demanded_action: int, reports: Iterable[EventReport]) -> TickVerdict:
-        """Latch the findings of a tick, add events of buses and host, and select the action."""
+        """Latch the findings of a tick, add events of buses and host, and select the action of the monitor."""
         fresh = newly_active_faults(self.limits, self.found_values, self.view("fault_ticks"))
         verdict = judge_tick(self.latched, self.reported_faults, fresh, demanded_action, reports)
         self.latched, self.reported_faults = verdict.latched_faults, verdict.reported_faults

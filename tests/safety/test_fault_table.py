@@ -65,7 +65,7 @@ def judge_ticks(
 def check_fault_alone(
     fault_id: str, *tick_inputs: TickInput, monitor: SyntheticMonitor | None = None
 ) -> tuple[SyntheticMonitor, list[SafetyAction], list[tuple[str, str]]]:
-    """Judge several ticks, and evaluate only one fault.
+    """Judge several ticks, and evaluate only the fault ``fault_id``.
 
     Return the monitor after the judged ticks, the action that the monitor demands in each tick, and
     the findings that the monitor reports.
@@ -348,7 +348,7 @@ def fault_trace(fault_id: str) -> list[tuple[SafetyAction, int]]:
 
 @pytest.fixture
 def redeclare_fault(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
-    """Return a function that replaces the declaration of a fault by a changed declaration."""
+    """Return a function that replaces the declaration of a fault in the fault table by a changed declaration."""
 
     def declare_fault(changed_fault: Fault) -> None:
         changed_rows = tuple(

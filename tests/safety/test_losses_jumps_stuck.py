@@ -29,9 +29,9 @@ NAN = np.nan
 
 
 def loss_bits(bits_text: str) -> int:
-    """Convert a text of the characters 0 and 1 to a number. Each character becomes one bit.
+    """Convert a string of the characters 0 and 1 to a number. Each character becomes one bit.
 
-    The last character of the text stands for the newest tick.
+    The last character of ``bits_text`` stands for the newest tick.
     """
     return int(bits_text, 2)
 
@@ -205,7 +205,7 @@ def test_lost_and_malformed_replies_are_counted_separately():
 
 
 class PositionJumpMonitor(SyntheticMonitor):
-    """Motors whose reported positions are checked for jumps.
+    """Motors with a safety monitor that checks their reported positions for jumps.
 
     Each motor has its own largest permitted change of the position in a control period [rad].
     """
@@ -292,9 +292,10 @@ def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
 
 @pytest.mark.parametrize(("missed_ticks", "position_steps", "allowed_steps"), [
     # In the test cases, the change between two positions is given in units of the largest change
-    # that one control period allows. The number 1 marks a jump. The first reading after missed
-    # ticks is the reply to a request from before or from after the missed ticks. If it is a reply
-    # to an earlier request, the second reading comes from a time that is later by the missed ticks.
+    # that one control period allows. In the expected results, the number 1 marks a jump. The first
+    # reading after missed ticks is the reply to a request from before or from after the missed
+    # ticks. If it is a reply to an earlier request, the second reading comes from a time that is
+    # later by the missed ticks.
     (0, (1.0, 1.0), (0, 0)), (0, (1.1, 0.9), (1, 0)), (0, (1.0, 1.1), (0, 1)),
     (1, (2.0, 1.0), (0, 0)), (1, (1.0, 2.0), (0, 0)), (1, (2.1, 0.0), (1, 0)), (1, (1.0, 2.1), (0, 1)),
     (1, (1.0, 2.0, 1.1), (0, 0, 1)), (4, (5.0, 5.0), (0, 0)), (4, (5.1, 0.0), (1, 0)), (4, (5.0, 5.1), (0, 1)),
@@ -302,7 +303,7 @@ def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
 def test_allowed_step_grows_over_skipped_ticks(missed_ticks, position_steps, allowed_steps):
     """In one run of this test, the position of the second motor is known.
 
-    In another run, the second motor has never been read.
+    In another run of this test, the position of the second motor has never been read.
     """
     for other_position in (0.0, NAN):
         positions, at, jump_flags = (

@@ -67,8 +67,8 @@ STATE_FIELD_BY_READING = {"tension": "measured_tension", "travel": "measured_tra
 def measurements_at_rest(**changed_measurements: Any) -> dict[str, Any]:
     """Return the measurements of two tendons that rest under 20 N.
 
-    ``changed_measurements`` replaces some of the measurements at rest. A single number applies to
-    both tendons.
+    ``changed_measurements`` replaces some of the measurements at rest. A single number in place of
+    two values applies to both tendons.
     """
     resting_measurements = {
         "tension": 20.0,
@@ -316,7 +316,7 @@ def run_with_sparse_joint_readings(
 ) -> list[FindingsByFault]:
     """Run ticks of a hand whose joints are read only in every fourth tick.
 
-    Return the findings of each tick.
+    Return the findings of the safety monitor in each tick.
     """
     reported = []
     for k in range(tick_count):
@@ -356,7 +356,7 @@ def test_good_reading_restarts_the_count_of_derailed_readings():
 
 
 def test_the_joint_spool_filter_has_one_time_constant_at_any_joint_rate():
-    """A filter with a time constant of 0.3 s reaches 3 deg at 0.58 s after a step to 3.5 deg.
+    """A filter with a time constant of 0.3 s reaches 3 deg 0.58 s after a step of its input to 3.5 deg.
 
     The time of 0.58 s is 0.3 s ln 7.
     """

@@ -1,7 +1,7 @@
 """Test the reactions to several faults at once.
 
-The most severe action is executed, latched faults stay, and further faults never make the action
-weaker.
+The controller executes the most severe action, latched faults stay, and further faults never weaken
+the action.
 """
 
 from itertools import pairwise

@@ -36,7 +36,7 @@ class FilteredTensionMonitor(SyntheticMonitor):
     def run_tick(
         self, tension: TensionList, commanded_tension: TensionList, **value_by_field: Any
     ) -> list[tuple[int, int]]:
-        """Run a tick with given tensions and commands.
+        """Run a tick with given measured tensions and commanded tensions.
 
         Return two numbers for each tendon. The first number counts the ticks since the tendon was
         taut. The second number counts the ticks in which the tendon was slack.
@@ -153,7 +153,7 @@ def test_a_snapped_tendon_is_detected(
 def test_the_speed_of_a_snapped_tendon_depends_on_its_tension_loop(
     commanded_tension_N, speed_gain, friction_N, is_digit_moving, speed_limit
 ):
-    """The extensor of a grasp has a small commanded tension.
+    """During a grasp, the extensor tendon of a digit has a small commanded tension.
 
     Reproduce a defect: when an extensor snapped, its tension loop kept the spool slower than 0.03
     m/s. The slow spool hid the fault T01 (a tendon snapped).
@@ -220,8 +220,8 @@ def test_a_tendon_without_a_sample_before_the_cut_counts_from_its_first_reading(
     (50, 30.0, 30.0, True),
     (51, 30.0, 30.0, True),
     (50, 30.0, 15.1, True),
-    (50, 30.0, 14.9, False),          # the tension has fallen below half
-    (50, 24.0, 12.0, False),          # the tension has fallen to exactly half
+    (50, 30.0, 14.9, False),          # the tension has fallen below half of its value before the CUT
+    (50, 24.0, 12.0, False),          # the tension has fallen to exactly half of its value before the CUT
     (50, 10.0, 10.0, False),          # the tension is no more than springs and weight cause
     (50, 10.1, 10.1, True),
     (50, 5.0, 40.0, True),            # the tension has grown
@@ -256,10 +256,11 @@ def test_a_tendon_still_pulled_by_its_motor_is_detected(
 def test_a_spool_that_has_paid_out_is_released(paid_out_m, is_detected):
     """Reproduce two defects.
 
-    On jamia11, the fault N16 was reported at the end of a run without a defect. The springs of a
-    digit accelerated the rotor of a released tendon, and the tension stayed at 10 N during the
-    acceleration. The first correction of the detector used the estimated speed of the spool. On t42
-    with ODrive drives, the speed estimate hid a motor that did not release.
+    On jamia11, the controller reported the fault N16 at the end of a run although every drive had
+    released. The springs of a digit accelerated the rotor of a released tendon, and the tension
+    stayed at 10 N during the acceleration. The first correction of the detector used the estimated
+    speed of the spool. On t42 with ODrive drives, the speed estimate hid a motor that did not
+    release.
     """
     position = 1.0 - paid_out_m / SPOOL_RADIUS_M
     tendons = FilteredTensionMonitor(
@@ -304,7 +305,7 @@ def test_the_last_tension_counts_if_the_latest_sample_is_missing():
 def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(
     cell_group, force_before_cut, present_force, is_detected
 ):
-    """If a disabled drive keeps its torque, the drive is detected from the torque in its reports.
+    """The controller detects a disabled drive that keeps its torque from the torque in the reports of the drive.
 
     Reproduce two defects. The fault N16 (a drive does not release) was not reported for a tendon
     without load cell. With a load cell, N16 was not reported for a drive that kept a force of 9 N.

@@ -93,7 +93,7 @@ def residuals_after(
 ) -> MotorWithTendon:  # fmt: skip
     """Return a motor and its tendon after a simulation of ``duration_s`` seconds.
 
-    The tension, the force and the speed are functions of time.
+    The arguments for tension, force and speed are functions of time.
     """
     rotor = MotorWithTendon()
     for k in range(round(duration_s / PERIOD_S)):
@@ -159,7 +159,7 @@ def test_a_tendon_pulled_much_harder_than_commanded_is_found_within_20_ms(
     """The output of the filter reaches 63 % of a tension step after 20 ms.
 
     Friction explains 3 N of the tension, and the tolerance of the motor explains 1.5 N. A tension
-    that is too small does not count as excess.
+    that is too small does not count as excess tension.
     """
     state = residuals_after(0.02, lambda t: 24.0 + excess, lambda t: 24.0, noise_N=0.0)
     assert (state.excess_tension > EXCESS_TENSION_TRIP_N) == found

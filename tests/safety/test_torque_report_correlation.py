@@ -33,7 +33,7 @@ class TorqueReportMonitor(SyntheticMonitor):
         self.ticks = 0
 
     def run_tick(self, commanded_force: np.ndarray, reported_force: np.ndarray) -> None:
-        """Run one tick with the force commands of the last tick and the present reports."""
+        """Run one tick with the force commands of the last tick and the force reports of the present tick."""
         findings = self.tick(asked=commanded_force, measured_force=reported_force)
         self.now_unfollowed = findings.get("N17", {})
         self.disobeyed += [self.ticks] * ("N14" in findings)
@@ -235,7 +235,7 @@ def test_a_drive_without_torque_is_found_although_its_command_is_small() -> None
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("ticks", [1, 2])
 def test_a_drive_that_obeys_fast_commands_is_not_a_fault(seed: int, ticks: int) -> None:
-    """In this test, commands jump by up to 50 N and have ramps of 10 N per tick.
+    """In this test, force commands jump by up to 50 N and have ramps of 10 N per tick.
 
     Some torque reports and torque commands are lost.
     """

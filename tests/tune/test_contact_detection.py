@@ -31,7 +31,7 @@ THUMB_MOUNT_LINE = "mount_position_m = [0.0, -0.025, 0.0]"
 def write_near_thumb_hand(hand_name: str, thumb_shift_mm: int, hand_folder: Path) -> str:
     """Write a copy of a packaged hand file, and return the path of the copy.
 
-    In the copy, the thumb is nearer to the middle finger.
+    In the copied hand, the thumb is nearer to the middle finger.
     """
     text = load_hand(hand_name).to_toml()
     assert THUMB_MOUNT_LINE in text
@@ -70,7 +70,7 @@ QUICK_UNDISTURBED_CASES = {("jamia", 5)}
 def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     tmp_path: Path, hand: str, thumb_shift_mm: int, seed: int
 ) -> None:
-    """Reproduce a defect: the values 1.41 and 1.73 of a spring parameter were accepted without a message.
+    """Reproduce a defect: the identification accepted the values 1.41 and 1.73 of a spring parameter without a message.
 
     The true value of the spring parameter is 1.2.
     """
@@ -101,7 +101,7 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
 def test_parameters_of_a_digit_without_contact_are_kept(
     tmp_path: Path, hand: str, seed: int
 ) -> None:
-    """No contact is reported for a digit without contact.
+    """The identification reports no contact for a digit without contact.
 
     The parameters of the simulated hand differ by up to 30 % from the hand file.
     """

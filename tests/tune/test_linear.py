@@ -108,7 +108,7 @@ def test_margins_are_those_of_control(
 def test_the_gain_margin_is_where_the_loop_becomes_unstable(
     jamia: HandModel, loop_kind: LoopKind
 ) -> None:
-    """The loop is unstable if the torque is multiplied by slightly more than the gain margin.
+    """A control loop is unstable if the torque is multiplied by slightly more than the gain margin.
 
     The loop is stable if the factor of the torque is slightly smaller than the gain margin.
     """
@@ -124,7 +124,7 @@ def test_the_gain_margin_is_where_the_loop_becomes_unstable(
 def test_closed_loop_responds_to_a_force_step(jamia: HandModel) -> None:
     """After a step of the force by 1 N, the controller brings the tension back to its goal.
 
-    Without a controller, the tension would stay 1 N away from its goal.
+    Without a controller, the tension would stay 1 N away from its goal after the force step.
     """
     _, tension = step_response(jamia, 0, LoopKind.TENSION, 1.0)
     assert abs(tension[-1]) < 0.3 < np.abs(tension).max() < 2.0

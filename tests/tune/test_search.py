@@ -183,8 +183,8 @@ def long_search(
 ) -> tuple[SearchPlan, SearchResult, bytes]:
     """Run a search that begins with random trials.
 
-    After the random trials, the sampler chooses the trials of each batch. Return the plan, the
-    result, and the bytes of the search's journal.
+    After the random trials, the sampler chooses the trials of each batch. Return the plan of the
+    search, its result, and the bytes of its journal.
     """
     longer_plan = replace(
         search_plan,

@@ -103,7 +103,7 @@ def model_of(hand_name: str, seed: int, gain_range: float = 10.0) -> HandModel:
 
 
 def model_with_force_weight(force_N: float) -> HandModel:
-    """Return the model of jamia with the weights ``SATURATED_GAINS`` and the force weight ``force_N`` [N]."""
+    """Return the model of the hand jamia with the weights ``SATURATED_GAINS`` and the force weight ``force_N`` [N]."""
     table = SATURATED_GAINS | {"tension": SATURATED_GAINS["tension"] | {"force_N": force_N}}
     return HandModel.from_hand(load_hand("jamia"), Gains.model_validate(table), 500.0)
 
@@ -276,7 +276,7 @@ def test_a_failed_rest_test_gives_no_design(jamia: HandModel) -> None:
 def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
     """A simulated hand with unstable gains does not come to rest.
 
-    Earlier defect: unstable gains were written as a design with infinite margins.
+    Earlier defect: ``tune design`` wrote unstable gains as a design with infinite margins.
     """
     model = model_with_force_weight(393.0)
     assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).stable
@@ -326,7 +326,7 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
     chatter_N: float,
     is_accepted: bool,
 ) -> None:
-    """Gains are refused if the tension oscillates in the hand with the lowest friction.
+    """The rest test refuses gains if the tension oscillates in the simulated hand with the lowest friction.
 
     In this test, all other hands of the ensemble come to rest.
     """

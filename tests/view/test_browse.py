@@ -73,7 +73,7 @@ def test_a_viewer_gets_all_of_a_log(
 
 
 def write_ten_minute_log(log_path: Path) -> None:
-    """Write a log of ten minutes at 500 Hz, which repeats the same five seconds."""
+    """Write a log of ten minutes at 500 Hz, in which the same five seconds of a run repeat."""
     import synthetic_run
 
     run = synthetic_run.synthetic_header(rate_hz=500)

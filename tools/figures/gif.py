@@ -102,7 +102,7 @@ def grasp_frames(folder: Path) -> list[Any]:
 def add_arrow(
     mujoco: Any, scene: Any, start: Any, force: Any, colour: tuple[float, float, float, float]
 ) -> None:
-    """Add an arrow for a contact force [N] at a point of the scene."""
+    """Add an arrow for a contact force [N] at a point of the rendered scene."""
     if np.linalg.norm(force) < 0.2 or scene.ngeom >= scene.maxgeom:
         return
     geom = scene.geoms[scene.ngeom]

@@ -77,7 +77,7 @@ RECORDED_FIELDS = ("q", "tension", "motor_torque_goal", "tip_force")
 
 
 def record_run(run: SimulatedRun, seconds: float, end_phase: str = "") -> RunRecording:
-    """Continue a run and record it.
+    """Continue a simulated run and record it.
 
     The recording stops when the phase ``end_phase`` begins, when the run is done, or after
     ``seconds``.
@@ -209,7 +209,7 @@ def tip_on_wall() -> RunRecording:
 
 
 def tip_in_grasp() -> RunRecording:
-    """Record a hand that holds a cylinder.
+    """Record a simulated hand that holds a cylinder.
 
     Each finger gets three commanded tip forces, one after another.
 

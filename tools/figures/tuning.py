@@ -73,7 +73,7 @@ def empty_folder(folder: Path, name: str) -> Iterator[Path]:
 def identify_picture(folder: Path) -> Path:
     """Identify a simulated index finger whose parameters differ from the hand file.
 
-    Return the path of the picture that shows the result.
+    Return the path of the picture that shows the identified parameters.
     """
     with empty_folder(folder, "identify") as path:
         call_handctl(path, "identify", "--hand", "jamia", "--lockstep", "--seed", "7", "--digits", "index", "--perturb",

@@ -1,4 +1,4 @@
-"""Test the motor chain of i2rt with four simulated DM4310 motors on vcan0.
+"""Test the class for a motor chain in i2rt with four simulated DM4310 motors on vcan0.
 
 The program needs an environment with the package ``dreamscale-i2rt``, which installs i2rt.
 """

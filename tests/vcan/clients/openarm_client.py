@@ -25,7 +25,7 @@ The client's default of 500 us is too short for a simulated motor in another pro
 
 
 def request_feedback(arm: Any) -> list[Any]:
-    """Request the feedback of all motors, and return the motors."""
+    """Request the feedback of all motors of the arm, and return the motors."""
     arm.refresh_all()
     arm.recv_all(REPLY_TIMEOUT_US)
     return list(arm.get_arm().get_motors())

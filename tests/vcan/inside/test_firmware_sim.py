@@ -79,7 +79,7 @@ def test_the_drives_hold_the_limits_of_the_hand_file(bus: RawCanBus) -> None:
 def test_a_sync_brings_the_tensions_of_that_moment(bus: RawCanBus, sync_counter: int) -> None:
     bus.send(SYNC_ID, bytes([sync_counter]))
     reply = bus.receive(TENSIONS_ID)
-    assert len(reply) == 7  # a counter of 4 bits, and four channels of 12 bits each
+    assert len(reply) == 7  # the payload has a counter of 4 bits, and four channels of 12 bits each
     bits = int.from_bytes(reply, "little")
     assert bits & 0xF == sync_counter & 0xF
     assert bits >> 52 == 0

@@ -24,7 +24,7 @@ has the same effect at any time scale.
 TRACKED_DURATION_S = 2.5
 """Duration of the streamed motion [s]. The tracking error of the first second does not count."""
 MAX_ERROR_RATIO = 1.5
-"""Largest permitted tracking error of a stream, divided by the error of the same motion in a task."""
+"""Largest permitted tracking error of a stream, divided by the tracking error of the same motion in a task."""
 
 
 @pytest.mark.nightly
