@@ -93,8 +93,8 @@ def random_frame(
 def are_states_equal(first_state: DriveState, second_state: DriveState, drive: Drive) -> bool:
     """Return True if two states of a drive are equal.
 
-    Two states of a CiA 402 drive also count as equal if only the times of the last sign of life
-    differ, and the last feedback is later than both times.
+    Two states of a CiA 402 drive can differ in the time of the last sign of life. They count as
+    equal if the last feedback is later than both times.
     """
     if isinstance(drive, Cia402Drive):
         first_state, second_state = (
