@@ -1,6 +1,6 @@
 """Test the contract that the clocks for real time, scaled time and virtual time must fulfil.
 
-All clock classes pass the same tests.
+Each kind of clock must fulfil the same contract.
 """
 
 import statistics
