@@ -1,7 +1,7 @@
 """Move a hand, hold a tension with one digit, and read an observation.
 
 Start a simulated hand in another terminal: handctl sim --hand jamia --bus local:lab --scene none
-Then start this program: python connect_and_move.py [options of handctl run, e.g. --rate 250]
+When the hand is ready, start: python connect_and_move.py [options of handctl run, e.g. --rate 250]
 """
 
 import sys

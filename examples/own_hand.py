@@ -1,4 +1,4 @@
-"""Describe your own hand in a file, show the message about a mistake, and let the simulated hand grasp.
+"""Describe your own hand in a hand file, show the error message about a mistake, and let the simulated hand grasp.
 
 python own_hand.py writes mine.toml.
 """
@@ -27,13 +27,13 @@ print(
     f"{hand.name}: {len(hand.joints)} joints, {len(hand.tendon)} tendons, {len(hand.motor)} motors"
 )
 
-task, _ = default_task(hand)  # close until contact, hold, release, open
+task, _ = default_task(hand)  # phases: close until contact, hold, release, open
 controller = make_controller(hand, Gains(), 500.0, TaskProgram(task), None, arm_at_once=True)
 touching_digits: set[str] = set()
 
 
 def note_contacts(entry, out):
-    """Record which digits have touched the object in this run."""
+    """Record which digits have touched the object in the run."""
     touching_digits.update(event.where for event in out.events if event.name == "contact")
 
 

@@ -26,7 +26,7 @@ LINE_STYLES = ("-", "--", ":", "-.")
 def line_looks(line_names):
     """Return a colour and a line style for each name.
 
-    Each digit has its own colour. Each part of a digit has its own line style.
+    Each digit has its own colour. Each joint or tendon of a digit has its own line style.
     """
     digits = [name.partition("_")[0] for name in line_names]
     colours = {digit: f"C{number}" for number, digit in enumerate(dict.fromkeys(digits))}
@@ -49,7 +49,7 @@ with RunLog(sys.argv[1]) as log:
     for change, start, end in zip(log.phases, starts, [*starts[1:], log.times[-1]], strict=True):
         for axis in axes:
             axis.axvline(start, color="0.8", linewidth=0.8, zorder=0)
-        if end - start > 0.3:  # without names of short phases, because these would overlap
+        if end - start > 0.3:  # short phases get no name, because the names would overlap
             above = axes[0].get_xaxis_transform()
             axes[0].text(start, 1.02, change.name, transform=above, rotation=30, fontsize="small")
     axes[-1].set_xlabel("time [s]")

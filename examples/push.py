@@ -1,4 +1,4 @@
-"""Push an object that a simulated hand holds, and compare the forces at two stiffnesses of the grip.
+"""Push an object that a simulated hand holds, and compare the push forces at two stiffnesses of the grip.
 
 python push.py writes push.png.
 """
@@ -38,7 +38,7 @@ PUSH_START_S, PUSH_RATE_N_PER_S, LARGEST_PUSH_N, SHOWN_MOTION_MM = 3.5, 8.0, 8.0
 def push_task(stiffness_N_per_mm):
     """Return a task in which the hand closes on an object and holds it.
 
-    In the hold phase, the tension of a tendon rises when the object pulls this tendon out.
+    In the hold phase, the tension of a tendon rises when the object pulls it out.
     """
     hold = {
         "kind": "hold",

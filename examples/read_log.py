@@ -12,7 +12,7 @@ from handctl.log.read.reader import RunLog
 
 with RunLog(sys.argv[1]) as log:
     print(f"{len(log)} ticks of {log.header.period_ns / 1e6:g} ms, fields: {', '.join(log.fields)}")
-    tension = log.field("tension")  # numpy, (ticks, tendons) [N]
+    tension = log.field("tension")  # numpy array (ticks, tendons) [N]
     print("largest tension of each tendon [N]:", tension.max(axis=0).round(1))
 
     columns = {f"{field}/{name}": log.field(field)[:, i] for field in ("q", "tension", "tip_force")

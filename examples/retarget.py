@@ -1,21 +1,21 @@
 """Let a robot hand follow the fingertips of a human hand.
 
-The positions of the fingertips are scaled to the lengths of the robot's fingers.
+The program scales the positions of the human fingertips to the lengths of the robot's fingers.
 
 In another terminal: handctl sim --hand jamia11 --bus local:lab --scene none
-Then: python retarget.py [options of handctl run] writes retarget.png.
+When the hand is ready: python retarget.py [options of handctl run] writes retarget.png.
 
 This program computes the human motion: index, middle, ring and thumb close one after another, and
-then open. The lengths of the human finger segments are fractions of the hand's length (Buchholz,
-Armstrong and Goldstein 1992, Ergonomics 35(3), 261-273). The last joint of a finger turns by 2/3 of
-the angle of the middle joint (Rijpkema and Girard 1991).
+after that they open. The lengths of the human finger segments are fractions of the hand's length
+(Buchholz, Armstrong and Goldstein 1992, Ergonomics 35(3), 261-273). The last joint of a finger
+turns by 2/3 of the angle of the middle joint (Rijpkema and Girard 1991).
 """
 
 import sys
 
 import matplotlib
 
-matplotlib.use("Agg")  # draws into files and needs no screen
+matplotlib.use("Agg")  # matplotlib draws into files and needs no screen
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -39,7 +39,7 @@ CLOSED_ANGLES_DEG = {
     "middle": 30.0,
     "ring": 30.0,
     "thumb": 8.0,
-}  # at larger angles, the fingers would touch the thumb
+}  # at larger joint angles, the fingers would touch the thumb
 
 
 def human_tip(finger_name, t):
@@ -63,7 +63,7 @@ def human_tip(finger_name, t):
 def retargeted_tip(digit, finger_name, t):
     """Return the position of a human fingertip in the frame of the robot's palm [m].
 
-    The position is scaled by the ratio of the finger lengths.
+    The function scales the position by the ratio of the finger lengths.
     """
     scale = sum(digit.lengths) / (HAND_LENGTH_M * sum(SEGMENT_FRACTIONS[finger_name]))
     return to_palm_frame(digit, scale * human_tip(finger_name, t))
@@ -82,9 +82,9 @@ with handctl.connect("jamia11", "local:lab", *sys.argv[1:]) as hand:
     with hand.stream(RATE_HZ, "fingertip", list(SEGMENT_FRACTIONS)) as stream:
         began_s = hand.observe().t_s
         for _ in range(round(DURATION_S * RATE_HZ)):
-            # Time at which the hand must reach the target. This time comes from the clock of the
-            # hand. A time that is computed from the number of targets would lag behind after each
-            # delay of this program.
+            # Time at which the hand must reach the target. The target time comes from the clock of
+            # the hand. A time that is computed from the number of targets would lag behind after
+            # each delay of the program.
             t = hand.observe().t_s - began_s + stream.horizon_s
             stream.send(
                 np.array([retargeted_tip(digits[name], name, t) for name in SEGMENT_FRACTIONS])
@@ -126,7 +126,7 @@ for d, (name, ax) in enumerate(zip(SEGMENT_FRACTIONS, paths, strict=True)):
     ax.plot(path[0][:, 0], path[0][:, 1], "k--", label="human, scaled")
     ax.plot(0.0, 0.0, "o", color="0.6", label="knuckle")
     ax.set(title=f"{name}: {errors[-1]:.1f} mm rms", xlabel="along the finger [mm]", aspect="equal")
-    distances[d].plot(times - began_s, distance)  # equal paths may be passed at different times
+    distances[d].plot(times - began_s, distance)  # equal paths can be passed at different times
     distances[d].set_xlabel("time [s]")
 paths[0].set_ylabel("to the palm [mm]")
 distances[0].set_ylabel("distance of the tips [mm]")

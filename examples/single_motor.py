@@ -3,10 +3,10 @@
 The motor of this example belongs to no hand and moves no tendon.
 
 Start in another terminal: python -m firmware_sim drive mit --ids 1 --bus local:bench
-Then start: python single_motor.py
+When the motor is ready, start: python single_motor.py
 
 The shaft of a real motor must be free. Change the torque limit and the bus of the motor in the
-lines below.
+first constants of the program.
 """
 
 from handctl.drives.contract import DrivePhase, DriveTarget
@@ -26,7 +26,7 @@ MOTOR_SPEC = Motor.model_validate({
     "position_range_rad": 12.5, "velocity_range_rad_s": 30.0, "watchdog_ms": WATCHDOG_MS,
 })  # fmt: skip
 
-with bus_lock(BUS_SPEC):  # only one host may use the bus
+with bus_lock(BUS_SPEC):  # only one host is allowed to use the bus
     clock = RealClock(PERIOD_NS)
     bus = open_bus(BUS_SPEC, 0, 1_000_000, convert_time=clock.convert_to_run_time)
     rig = DriveRig(make_drive(MOTOR_SPEC, 0), bus, clock)

@@ -1,14 +1,14 @@
 """Stream a sine of 1 Hz to a digit at 100 Hz, and plot the motion of the digit beside the sine.
 
 Start in another terminal: handctl sim --hand jamia --bus local:lab --scene none
-Then start: python stream_sine.py [options of handctl run] writes sine.png.
+When the hand is ready, start: python stream_sine.py [options of handctl run] writes sine.png.
 """
 
 import sys
 
 import matplotlib
 
-matplotlib.use("Agg")  # draws into files and needs no screen
+matplotlib.use("Agg")  # matplotlib draws into files and needs no screen
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -28,10 +28,10 @@ with handctl.connect("jamia", "local:lab", *sys.argv[1:]) as hand:
     hand.move(index=SINE_MIDDLE_DEG)
     with hand.stream(rate_Hz=100, space="digit", names=["index"]) as stream:
         began_s = hand.observe().t_s
-        # The time comes from the clock of the hand. A time that is computed from the number of
-        # targets would lag behind after each delay of this program.
+        # The time of a target comes from the clock of the hand. A time that is computed from the
+        # number of targets would lag behind after each delay of the program.
         while (t := hand.observe().t_s - began_s) < DURATION_S:
-            stream.send([sine_deg(t + stream.horizon_s)])  # reached after the horizon
+            stream.send([sine_deg(t + stream.horizon_s)])  # the angle at the end of the horizon
             stream.sleep()
         print(stream.status)
     hand.move(index=0)

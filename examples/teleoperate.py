@@ -1,10 +1,11 @@
 """Teleoperate a hand with lines from the standard input, such as "index=30 thumb=10" with angles in degrees.
 
 Start in another terminal: handctl sim --hand jamia --bus local:lab --scene none
-Then start: python teleoperate.py [options of handctl run]
+When the hand is ready, start: python teleoperate.py [options of handctl run]
 
-Any program that prints such lines can move the hand, for example the program of a data glove or of a camera. The latest
-line is the goal, and the targets approach this goal with a limited speed. The program ends when its input ends:
+Any program that prints lines with digits and angles can move the hand, for example the program of a
+data glove or of a camera. The latest line is the goal, and the targets of the stream approach the
+goal with a limited speed. The program ends when its standard input ends:
 printf 'index=40\\nindex=0\\n' | python teleoperate.py
 """
 
@@ -20,7 +21,7 @@ SPEED_DEG_S = 60.0
 
 
 def arrived_lines():
-    """Yield the lines that have arrived since the last step, without waiting.
+    """Yield the lines that have arrived since the last call, without waiting.
 
     Stop at the end of the standard input.
     """

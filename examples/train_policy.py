@@ -2,9 +2,9 @@
 
 The training takes one minute on an idle core.
 
-All digits use the same policy. The action for a digit is a weighted sum of four values: the
-reference at the time at which the hand reaches the target, the present reference, the angle of the
-digit, and 1. The first three values have the same scale as an action.
+All digits of the hand use the same policy. The action for a digit is a weighted sum of four values:
+the reference at the time at which the hand reaches the target, the present reference, the angle of
+the digit, and 1. The references and the angle have the same scale as an action.
 
 pip install '.[gym]' in a copy of the repository
 python train_policy.py [iterations] writes policy.npy and training.png.
@@ -46,7 +46,7 @@ def policy_action(policy, observation):
     A policy is an array of weights (inputs + 1,). The last weight belongs to the constant 1.
     """
     input_angles = [np.degrees(observation[names == name]) for name in INPUT_NAMES]
-    # this matrix converts joint angles to digit angles
+    # matrix that converts joint angles to digit angles
     input_angles[-1] = env.coordinates_of_joints(input_angles[-1])
     scaled = [
         2.0 * (angles - env.low_deg) / (env.high_deg - env.low_deg) - 1.0 for angles in input_angles
@@ -74,7 +74,7 @@ first_policy = policy.copy()
 curve = []
 for iteration in range(ITERATION_COUNT):
     directions = rng.standard_normal((DIRECTION_COUNT, len(policy)))
-    # the weights plus and minus a perturbation are tried in the same episode
+    # both policies (weights plus and minus a perturbation) are tried with the same episode
     seed = int(rng.integers(1000))
     scores = np.array(
         [

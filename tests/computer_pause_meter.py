@@ -1,9 +1,9 @@
 """Detect stalls of the machine.
 
-A host sometimes pauses a virtual machine for tens of milliseconds. During such a stall, a
-controller correctly ends its run. A test that runs in real time may therefore fail although the
-code has no defect. A sleeping process on each core detects the stall, independently of the tested
-processes.
+A host sometimes pauses a virtual machine for tens of milliseconds. If the machine stalls, a
+controller correctly ends its run. If a stall ends the run, a test that runs in real time fails
+although the code has no defect. A sleeping process on each core detects the stall, independently of
+the tested processes.
 """
 
 import contextlib
@@ -13,25 +13,25 @@ import sys
 import time
 
 SLEEP_PERIOD_S = 0.002
-"""Duration of one sleep of a sleeping process [s]."""
+"""Duration of one sleep of a process that measures stalls [s]."""
 MIN_STALL_S = 0.010
 """If a sleeping process wakes up late by at least this time, the machine has stalled [s].
 
-Even a busy core wakes such a process within some milliseconds.
+Even a busy core wakes a sleeping process within some milliseconds.
 """
 
 
 class ComputerPauseMeter:
     """Processes that sleep and report when they wake up late.
 
-    These processes run until :meth:`close`.
+    The sleeping processes run until :meth:`close`.
 
     Attributes:
         pids: process ids of the sleeping processes, one for each core.
     """
 
     def __init__(self) -> None:
-        """Start the sleeping processes and wait until each has started."""
+        """Start the sleeping processes and wait until each process has started."""
         command = [sys.executable, "-I", "-S", __file__]
         self._sleepers = [
             subprocess.Popen([*command, str(core)], stdout=subprocess.PIPE)
@@ -47,7 +47,7 @@ class ComputerPauseMeter:
     def longest_stall_since(self, start_time_s: float) -> float:
         """Return the duration of the longest stall that ended after a given time of ``time.monotonic`` [s].
 
-        If there was no stall, return zero.
+        If the machine had no stall, return zero.
         """
         for sleeper in self._sleepers:
             assert sleeper.stdout

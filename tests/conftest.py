@@ -1,4 +1,4 @@
-"""Settings of all tests: property tests, nightly tests, and the repetition of tests on the real clock."""
+"""Settings of all tests: property tests, nightly tests, and the repetition of tests that run in real time."""
 
 import os
 import signal
@@ -18,7 +18,7 @@ NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SLOW_TEST_S = float("inf") if NIGHTLY else float(os.environ.get("HANDCTL_SLOW_S", "inf"))
 """Longest duration of a test in an incomplete test run [s]. tests/slow_tests.txt has the durations."""
 PROPERTY_TEST_SETTINGS = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
-"""Property tests have no time limit per example.
+"""Settings of property tests, which have no time limit per example.
 
 Property tests check results and not durations. Other processes that share the processor cores can
 delay an example.
@@ -37,51 +37,52 @@ STALL_FREE_TIME_S = 1.0
 MAX_STALL_WAIT_S = 15.0
 """Longest wait for a time without a stall of the machine before a test is repeated [s]."""
 REAL_CLOCK_TIMEOUT_S = 900.0
-"""Time limit for a test on the real clock, including its repetitions [s].
+"""Time limit for a test that runs in real time, including the repetitions of the test [s].
 
-A test may set a shorter limit.
+A test can set a shorter time limit.
 """
 
-# With these kernels, the golden logs repeat to the bit on every x86 processor. numpy reads the choice
-# when it is imported, so none of the imports above may import numpy.
+# With these BLAS kernels, the golden logs repeat to the bit on every x86 processor. numpy reads the
+# choice of the kernels when it is imported, so no earlier import of conftest.py is allowed to
+# import numpy.
 use_portable_kernels()
 # A shell starts its background jobs with SIGINT ignored, and nohup ignores SIGHUP. Restore both
-# signals, because every program that the tests start would otherwise ignore them too.
+# signals, so that the programs that the tests start do not ignore them.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 # Without stored byte code, each program that the tests start compiles 300 modules. The compilation
-# takes half of the start-up time of such a program.
+# takes half of the start-up time of a program without byte code.
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
     BYTE_CODE_FOLDER = tempfile.TemporaryDirectory(
         prefix="handctl-byte-code-", ignore_cleanup_errors=True
     )
     """Folder for the byte code of the programs that tests start.
 
-    The folder is removed at the end of this process.
+    At the end of the pytest process, the folder is removed.
     """
     os.environ["PYTHONPYCACHEPREFIX"] = BYTE_CODE_FOLDER.name
 if "HANDCTL_RUN_DIR" not in os.environ:
     RUN_DIR = tempfile.TemporaryDirectory(prefix="handctl-", ignore_cleanup_errors=True)
-    """Folder for sockets of buses and truth files of tests.
+    """Folder for the sockets of buses and the truth files of tests.
 
-    The folder is removed at the end of this process.
+    At the end of the pytest process, the folder is removed.
     """
     os.environ["HANDCTL_RUN_DIR"] = RUN_DIR.name
 
 
 REAL_CLOCK_MARKER_EXPRESSIONS = ("alone", "realtime and not alone")
-"""Test selections of `make realtime`. These selections contain only tests on the real clock."""
+"""Test selections of `make realtime`. The selections contain only tests that run in real time."""
 REAL_CLOCK_MARKERS = ("mark.realtime", "mark.alone")
-"""Markers of tests on the real clock.
+"""Markers of tests that run in real time.
 
-Every file with tests on the real clock contains one of these markers. The folder tests/vcan is an
-exception, because its conftest.py marks all tests.
+Every file with tests in real time contains ``mark.realtime`` or ``mark.alone``. The folder
+tests/vcan is an exception, because its conftest.py marks all tests.
 """
 VCAN_TESTS_FOLDER = Path(__file__).parent / "vcan"
 
 
 def has_real_clock_tests(path: Path) -> bool:
-    """Return True if a test file may have tests on the real clock."""
+    """Return True if a test file possibly has tests that run in real time."""
     text = path.read_text(encoding="utf-8")
     return path.is_relative_to(VCAN_TESTS_FOLDER) or any(
         mark in text for mark in REAL_CLOCK_MARKERS
@@ -89,9 +90,9 @@ def has_real_clock_tests(path: Path) -> bool:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """If only tests on the real clock are selected, leave out a file that has no such test.
+    """If only tests in real time are selected, leave out every file without a test in real time.
 
-    The import of all test files would take 15 s.
+    To import all test files would take 15 s.
     """
     if config.getoption(
         "markexpr"
@@ -101,24 +102,23 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 class RepeatAfterStallPlugin:
-    """Plugin that repeats a failed test on the real clock.
+    """Plugin that repeats a test if it runs in real time and has failed.
 
-    The test is repeated only if the machine stalled during the test. A test has at most three
+    The plugin repeats a test only if the machine stalled during the test. A test has at most three
     tries.
 
-    In some tests, the simulated time runs slower than the real clock. In a repetition, the
-    simulated time of such a test runs even slower. The fixture ``attempt_time_scale`` returns the
-    factor. In slower time, a stall of the machine has less effect, but a defect has the same
-    effect.
+    In some tests, simulated time runs slower than real time. In a repetition, the simulated time of
+    a test runs even slower. The fixture ``attempt_time_scale`` returns the factor of the simulated
+    time. In slower time, a stall of the machine has less effect, but a defect has the same effect.
 
     Attributes:
         stalls: name of each repeated test, with the longest stall of the machine during the test
             [s].
-        pause_meter: stall meter, which starts before the first test on the real clock.
+        pause_meter: stall meter, which starts before the first test that runs in real time.
     """
 
     def __init__(self) -> None:
-        """Start without a stall meter, because most runs have no test on the real clock."""
+        """Start without a stall meter, because most test runs contain no test in real time."""
         self.stalls: list[tuple[str, float]] = []
         self.pause_meter: ComputerPauseMeter | None = None
         self._test = ""
@@ -126,14 +126,14 @@ class RepeatAfterStallPlugin:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
-        """Store the time at which a test started."""
+        """Store the time at which a try of a test started."""
         if item.get_closest_marker("realtime"):
             self.pause_meter = self.pause_meter or ComputerPauseMeter()
             self._test = item.nodeid
             self._start = time.monotonic()
 
     def is_failure_by_stall(self, error: BaseException | None) -> bool:
-        """Return True if the present try failed and the machine stalled during this try.
+        """Return True if the present try of a test failed and the machine stalled during the try.
 
         ``error`` is None if the try passed.
         """
@@ -148,7 +148,7 @@ class RepeatAfterStallPlugin:
     def wait_without_stall(self) -> None:
         """Wait until the machine has had no stall for ``STALL_FREE_TIME_S``, but for at most ``MAX_STALL_WAIT_S``.
 
-        After a stall, other stalls often follow.
+        After a stall of the machine, other stalls often follow.
         """
         assert self.pause_meter
         until = time.monotonic() + MAX_STALL_WAIT_S
@@ -159,14 +159,14 @@ class RepeatAfterStallPlugin:
                 return
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        """Mark the tests on the real clock as tests that may be repeated."""
+        """Mark the tests that run in real time as tests that can be repeated."""
         for item in items:
             if item.get_closest_marker("realtime"):
                 item.add_marker(pytest.mark.flaky(reruns=2, condition=self.is_failure_by_stall))
                 item.add_marker(pytest.mark.timeout(REAL_CLOCK_TIMEOUT_S))
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        """Report each repeated test with the longest stall of the machine during this test."""
+        """Report each repeated test with the longest stall of the machine during the test."""
         for test, longest in self.stalls:
             terminalreporter.write_line(
                 f"failed while the machine stalled for {longest * 1e3:.0f} ms: {test}"
@@ -192,9 +192,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the repetition of tests, except in the virtual machine of the vcan tests.
+    """Register the plugin that repeats tests, except in the virtual machine of the vcan tests.
 
-    This virtual machine has only one processor core, so its processes delay each other in every
+    The virtual machine has only one processor core, so its processes delay each other in every
     test.
     """
     if "HANDCTL_VCAN_REPORTS" not in os.environ:
@@ -204,9 +204,9 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Skip the nightly tests unless this run is a nightly run.
+    """Skip the nightly tests unless the present test run is a nightly test run.
 
-    If ``HANDCTL_SLOW_S`` is set, also leave out the slow tests.
+    If ``HANDCTL_SLOW_S`` is set, leave out the slow tests, too.
     """
     if not NIGHTLY:
         for item in items:

@@ -9,13 +9,13 @@
     python -m tests.slow_tests times.jsonl --add                              # adds those that have become slow
 
 A test run leaves out the listed tests whose cost is higher than ``HANDCTL_SLOW_S``. `make test`
-sets the value 0. CI sets the value 3, but a higher value for tests on the real clock. `make
-nightly` and plain pytest run all listed tests. The cost of a test is its processor time. For a test
-on the real clock, the cost is its elapsed time. A run that leaves out tests still executes the
-first cases of each test function. The total cost of these cases is at most
-``TEST_FUNCTION_BUDGET_S`` or ``REAL_CLOCK_BUDGET_S``. Such a run also executes the cheapest test of
-each file, if that test costs no more than ``CHEAPEST_TEST_LIMIT_S``. At least one test of nearly
-every file is therefore executed.
+sets ``HANDCTL_SLOW_S`` to 0. CI sets it to 3, and to a higher value for tests that run in real
+time. `make nightly` and plain pytest run all listed tests. The cost of a test is its processor
+time. For a test that runs in real time, the cost is its elapsed time. A test run that leaves out
+tests still executes the first cases of each test function. The total cost of the first cases is at
+most ``TEST_FUNCTION_BUDGET_S`` or ``REAL_CLOCK_BUDGET_S``. In each file, an incomplete test run
+executes the cheapest test, too, if it costs no more than ``CHEAPEST_TEST_LIMIT_S``. An incomplete
+test run executes at least one test of nearly every file.
 """
 
 import json
@@ -30,15 +30,15 @@ import pytest
 
 SLOW_TESTS_FILE = Path(__file__).parent / "slow_tests.txt"
 TEST_FUNCTION_BUDGET_S = 0.5
-"""Processor time that the cases of one test function may take in `make test` [s]."""
+"""Largest total processor time of the cases of one test function in `make test` [s]."""
 REAL_CLOCK_BUDGET_S = 3.0
-"""Elapsed time that the cases of one test function on the real clock may take in `make test` [s]."""
+"""Largest total elapsed time of the cases of one real-time test function in `make test` [s]."""
 MIN_SLOW_TEST_COST_S = 0.05
-"""A test case that costs no more than this never counts as slow [s]."""
+"""Cost limit [s]. A test case that costs no more never counts as slow."""
 CHEAPEST_TEST_LIMIT_S = 15.0
 """Largest cost of a file's cheapest test [s].
 
-If this test costs more, an incomplete test run leaves out the whole file.
+If the cheapest test of a file costs more, an incomplete test run leaves out the whole file.
 """
 
 
@@ -55,9 +55,9 @@ def read_slow_test_costs() -> dict[str, float]:
 
 
 def processor_time() -> float:
-    """Return the processor time of this process and of its child processes [s].
+    """Return the processor time of the present process and of its child processes [s].
 
-    Child processes that still run are not included.
+    The returned time does not include child processes that still run.
     """
     usages = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(usage.ru_utime + usage.ru_stime for usage in usages)
@@ -77,9 +77,9 @@ class DurationRecorder:
         self._elapsed_s: defaultdict[str, float] = defaultdict(float)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Add the elapsed time of one phase of a test (set-up, call or tear-down).
+        """Add the elapsed time of one stage of a test (set-up, call or tear-down).
 
-        For a test in a virtual machine, use the time that the test took in this machine.
+        For a test in a virtual machine, use the time that the test took in the virtual machine.
         """
         self._elapsed_s[report.nodeid] += report.duration
 
@@ -100,7 +100,7 @@ class DurationRecorder:
 
 
 def choose_slow_tests(rows: list[tuple[str, float, float, bool]]) -> dict[str, float]:
-    """Choose the slow tests, and return the time of each [s].
+    """Choose the slow tests, and return the cost of each slow test [s].
 
     Args:
         rows: for each test, its node identifier, processor time and elapsed time [s], and True for
@@ -130,9 +130,9 @@ def main(path: Path, add: bool) -> None:
     """Write the list of slow tests from a file of durations.
 
     Args:
-        path: file with the times of a run.
-        add: True to keep the tests that are already listed. This option is necessary if the test
-            run has left out listed tests.
+        path: file with the times of the tests of a run.
+        add: True to keep the tests that are already listed. The option ``add`` is necessary if the
+            test run has left out listed tests.
     """
     rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     slow = choose_slow_tests(rows) | (read_slow_test_costs() if add else {})

@@ -2,10 +2,10 @@
 
 ``python tools/cold_reading.py sample FOLDER --seed 1`` writes three files: ``names.txt`` and
 ``sentences.txt`` for the reader, and ``key.json``. Half of the lines come from well-known projects
-that are installed in the environment. The reader does not know which lines these are. The reader
-writes down the numbers of all lines that must be read twice. ``python tools/cold_reading.py score
-FOLDER names 3,17,42`` counts these numbers for both halves. Readers are not equally strict.
-Therefore compare the two counts with each other, and ignore their absolute values.
+that are installed in the environment. The reader does not know which lines come from other
+projects. The reader writes down the numbers of all lines that must be read twice. ``python
+tools/cold_reading.py score FOLDER names 3,17,42`` counts the marked lines of both halves. Readers
+are not equally strict, so compare the two counts with each other, and ignore their absolute values.
 """
 
 import argparse
@@ -20,19 +20,19 @@ from typing import NamedTuple
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 OUR_FOLDERS = ("src/handctl", "firmware_sim", "tests", "benchmarks", "fuzz")
-"""Folders of this repository whose subfolders form the groups."""
+"""Folders of this repository whose subfolders form the groups of files."""
 OTHER_PROJECTS = (
     "can", "cantools", "control", "mcap", "gymnasium", "rich", "click", "pluggy", "_pytest", "hypothesis", "grimp",
     "attr", "msgpack",
 )  # fmt: skip
-"""Packages of other projects. Packages that are not installed are left out."""
+"""Packages of other projects. The program leaves out packages that are not installed."""
 SHORTEST_NAME = 3
 SENTENCE_WORDS = range(6, 45)
-"""Number of words of a sentence. Shorter sentences are mostly headings, and longer ones are mostly lists."""
+"""Permitted number of words of a sentence. Shorter sentences are mostly headings, and longer ones mostly lists."""
 
 
 class Line(NamedTuple):
-    """Line of a sample.
+    """Line of a sample of names or sentences.
 
     Attributes:
         text: name with its kind, or sentence.
@@ -46,7 +46,7 @@ class Line(NamedTuple):
 
 
 def main() -> None:
-    """Write a sample, or count the marks of a reader."""
+    """Write a sample of names and sentences, or count the lines that a reader has marked."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     actions = parser.add_subparsers(dest="action", required=True)
     sample = actions.add_parser("sample", help="write a sample")
@@ -88,7 +88,7 @@ def write_sample(folder: Path, seed: int, count: int) -> None:
 
 
 def print_score(folder: Path, part: str, numbers: Sequence[int]) -> None:
-    """Print the marked lines, and their number for this repository and for the other projects."""
+    """Print the marked lines, and the number of marked lines for this repository and for the other projects."""
     lines = [Line(*row) for row in json.loads((folder / "key.json").read_text())[part]]
     marked = [lines[number - 1] for number in numbers]
     ours = [line for line in marked if line.project == "handctl"]
@@ -124,7 +124,7 @@ def draw_lines(
     count: int,
     chance: random.Random,
 ) -> list[Line]:
-    """Draw lines from all groups in turn. No text occurs twice.
+    """Draw random lines from all groups of files in turn. No text occurs twice in the drawn lines.
 
     Args:
         groups: files of each group.
@@ -148,7 +148,7 @@ def draw_lines(
 
 
 def names_in_file(path: Path) -> list[str]:
-    """Return all names that a file defines, each with its kind. Tests of pytest are left out."""
+    """Return all names that a file defines, each with its kind. Leave out tests of pytest."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     definitions = [
         ("module", path.stem),

@@ -3,8 +3,8 @@
 ``python tools/language.py`` is a part of ``make lint``. The program prints a line for each count
 above its limit and exits 1. ``--table`` prints all counts. ``--places COUNT FOLDER`` prints each
 place that contributes to a count. ``--tighten`` lowers the limits in ``language_limits.toml`` to
-the current counts. No option raises a limit. A private word is one that only this project uses. A
-count of words is only a hint. A reader must judge whether a sentence is plain.
+the current counts. No option raises a limit. A private word is a word that only this project uses.
+The counts are only a hint, and a reader must judge whether a sentence is plain.
 """
 
 import argparse
@@ -26,7 +26,7 @@ LANGUAGE_TERMS = tomllib.loads(
 LIMITS_FILE = Path(__file__).with_name("language_limits.toml")
 COUNTED_FOLDERS = ("src", "firmware_sim", "tests", "benchmarks", "fuzz", "tools")
 DOCUMENTS_NAME = "documents"
-"""Name under which all Markdown files are counted together."""
+"""Name under which the program counts all Markdown files together."""
 
 QUANTITY_PER_COUNT = {
     "names": ("name words", 1000),
@@ -40,16 +40,16 @@ QUANTITY_PER_COUNT = {
     "long_lines": ("lines", 100),
     "repeated_classes": ("", 1),
 }
-"""For each count, the quantity by which the count is divided, and a factor that multiplies the ratio.
+"""For each count of words or phrases, the quantity by which it is divided, and a factor that multiplies the ratio.
 
-A count without a quantity is not divided.
+The program does not divide a count without a quantity.
 """
 LONG_LINE_CHARACTERS = 100
-"""A line with more characters than this counts as long."""
+"""A source line with more characters than this constant counts as long."""
 LIMITS_PER_UNIT = 2
 """Limits are multiples of 1 / LIMITS_PER_UNIT.
 
-If limits had finer steps, a single sentence could exceed a limit.
+If the limits had finer steps, a single new sentence could exceed a limit.
 """
 
 _WORD_PATTERN = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+")
@@ -68,9 +68,9 @@ class FolderTally:
     """Counts of hard words and phrases in one folder.
 
     Attributes:
-        counts: number of findings for each key of ``QUANTITY_PER_COUNT``.
+        counts: number of hard words and phrases for each key of ``QUANTITY_PER_COUNT``.
         totals: total number of each quantity in ``QUANTITY_PER_COUNT``, such as words. A ratio is a
-            count divided by the total of its quantity.
+            count divided by the total of the quantity.
         places: ``file:line: finding`` of each count.
     """
 
@@ -79,15 +79,15 @@ class FolderTally:
     places: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
 
     def add(self, count_name: str, location: str, finding: str, times: int = 1) -> None:
-        """Add findings of one kind at one place."""
+        """Add findings (hard words or phrases) of one kind at one place of a file."""
         self.counts[count_name] += times
         if times:
             self.places[count_name].append(f"{location}: {finding}")
 
     def ratio(self, count_name: str) -> float:
-        """Return how often something occurs, for example per 1000 words.
+        """Return how often a kind of finding occurs, for example per 1000 words.
 
-        The unit of each count is in ``QUANTITY_PER_COUNT``.
+        The constant ``QUANTITY_PER_COUNT`` contains the unit of each ratio.
         """
         quantity, factor = QUANTITY_PER_COUNT[count_name]
         return (
@@ -98,7 +98,7 @@ class FolderTally:
 
 
 def count_prose(tally: FolderTally, text: str, location: str) -> None:
-    """Count the words of a docstring or document, and the hard phrases in it."""
+    """Count the words and the hard phrases of a docstring or document."""
     tally.totals["words"] += len(re.findall(r"[A-Za-z']+", text))
     for name, pattern in _PROSE_PATTERNS.items():
         matches = pattern.findall(text)
@@ -106,13 +106,13 @@ def count_prose(tally: FolderTally, text: str, location: str) -> None:
 
 
 def count_module(tally: FolderTally, tree: ast.Module, text: str, name: str) -> None:
-    """Count findings in the names, docstrings and lines of a module.
+    """Count hard words and phrases in the names, docstrings and lines of a module.
 
     Args:
-        tally: counts of the folder, to which this function adds.
+        tally: counts of the folder, to which this function adds the findings.
         tree: parsed module.
         text: source of the module.
-        name: path of the module, for places.
+        name: path of the module, which the places of findings contain.
     """
     lines = [line for line in text.splitlines() if line.strip()]
     tally.totals["lines"] += len(lines)
@@ -142,7 +142,7 @@ def count_module(tally: FolderTally, tree: ast.Module, text: str, name: str) -> 
 
 
 def _defined_names(node: ast.AST) -> list[str]:
-    """Return the names that a node defines."""
+    """Return the names that a node of a syntax tree defines."""
     match node:
         case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name) | ast.ClassDef(name=name):
             return [name]
@@ -156,7 +156,7 @@ def _defined_names(node: ast.AST) -> list[str]:
 
 
 def _is_parallel(node: ast.AST) -> bool:
-    """Return True for an assignment such as ``a, b = x, y``. Return False for a swap."""
+    """Return True for an assignment such as ``a, b = x, y``. Return False for a swap of two variables."""
     match node:
         case ast.Assign(targets=[ast.Tuple(elts=targets)], value=ast.Tuple(elts=values)):
             return {ast.unparse(each) for each in targets} != {ast.unparse(each) for each in values}
@@ -164,7 +164,7 @@ def _is_parallel(node: ast.AST) -> bool:
 
 
 def _count_docstring(tally: FolderTally, node: ast.AST, location: str) -> None:
-    """Count the docstring of a module, class or function.
+    """Count hard words and phrases in the docstring of a module, class or function.
 
     Docstrings of functions must begin with a verb.
     """
@@ -197,7 +197,7 @@ def _attribute_docs(tree: ast.Module) -> Iterator[str]:
 def comments(text: str) -> int:
     """Return the number of comments in a module.
 
-    Comments that are directives for tools are not counted.
+    Leave out comments that are directives for tools.
     """
     tokens = tokenize.generate_tokens(io.StringIO(text).readline)
     return sum(
@@ -207,7 +207,7 @@ def comments(text: str) -> int:
 
 
 def count_folder(folder: Path) -> FolderTally:
-    """Count the findings in all modules of a folder."""
+    """Count the hard words and phrases in all modules of a folder."""
     tally, classes = FolderTally(), defaultdict(list)
     for path in sorted(folder.rglob("*.py")):
         text, name = path.read_text(encoding="utf-8"), path.relative_to(folder.parent).as_posix()
@@ -228,7 +228,7 @@ def count_folder(folder: Path) -> FolderTally:
 
 
 def count_documents(repository_folder: Path) -> FolderTally:
-    """Count the findings in the Markdown documents at the top of the project and in ``docs``."""
+    """Count the hard words and phrases in the Markdown documents at the top of the project and in ``docs``."""
     tally = FolderTally()
     for path in sorted([*repository_folder.glob("*.md"), *repository_folder.glob("docs/**/*.md")]):
         count_prose(
@@ -240,7 +240,7 @@ def count_documents(repository_folder: Path) -> FolderTally:
 
 
 def count_all_folders(repository_folder: Path) -> dict[str, FolderTally]:
-    """Count the findings in every folder and in the documents."""
+    """Count the hard words and phrases in every folder and in the documents."""
     folders = {
         name: count_folder(repository_folder / name)
         for name in COUNTED_FOLDERS
@@ -252,7 +252,7 @@ def count_all_folders(repository_folder: Path) -> dict[str, FolderTally]:
 def count_ratios(tally: FolderTally) -> dict[str, float]:
     """Return the ratio of each count, rounded up to a multiple of one half.
 
-    A count is left out if the folder contains nothing of its quantity.
+    Leave out a count if the folder contains nothing of the quantity by which the count is divided.
     """
     measured = [
         count
@@ -271,7 +271,7 @@ Limits = dict[str, dict[str, float]]
 def limit_excesses(tallies: dict[str, FolderTally], limits: Limits) -> Iterator[str]:
     """Yield a line for each count above its limit.
 
-    For a folder without limits in the file, all limits are zero.
+    For a folder that has no limits in the limits file, all limits are zero.
     """
     for name, tally in tallies.items():
         for count, ratio in count_ratios(tally).items():
@@ -287,7 +287,7 @@ def limit_excesses(tallies: dict[str, FolderTally], limits: Limits) -> Iterator[
 
 
 def lowered_limits(tallies: dict[str, FolderTally], limits: Limits) -> Limits:
-    """Return new limits. Each of them is the lower value of the current ratio and the old limit."""
+    """Return new limits. Each new limit is the lower value of the current ratio and the old limit."""
     return {
         name: {
             count: min(ratio, limits.get(name, {}).get(count, ratio))
@@ -325,7 +325,7 @@ def print_table(tallies: dict[str, FolderTally]) -> None:
 
 
 def main(words: list[str] | None = None) -> int:
-    """Check the counts, or execute the requested option. Return the exit code."""
+    """Compare the counts with their limits, or execute the requested option. Return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--table", action="store_true", help="print all counts")
     parser.add_argument(

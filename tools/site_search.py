@@ -1,6 +1,6 @@
 """Change the site search through a hook of mkdocs.
 
-Pages with answers get a higher rank. One page is excluded from the search.
+Pages that answer questions get a higher rank in the search. The search excludes one page.
 """
 
 from typing import Any
@@ -9,7 +9,7 @@ SEARCH_BOOSTS = {
     "how-to/stop.md": 10.0, "how-to/why-a-run-ended.md": 3.0, "how-to/adapters.md": 3.0, "reference/topics.md": 4.0,
     "reference/faults.md": 3.0, "how-to/adding-a-drive.md": 2.0, "how-to/other-tools.md": 3.0,
 }  # fmt: skip
-"""Factor that multiplies the search score of a page."""
+"""Factor that multiplies the search score of a page, by the path of the page."""
 EXCLUDED_PAGES = ("evidence/lookups.md",)
 """Pages that the search leaves out, because they quote questions without the answers."""
 

@@ -1,6 +1,6 @@
 """Provide hands of handctl as robots of LeRobot, and two teleoperators.
 
-LeRobot finds this package by its name.
+LeRobot finds the package ``lerobot_robot_handctl`` by its name.
 """
 
 from lerobot_robot_handctl.config_handctl import (

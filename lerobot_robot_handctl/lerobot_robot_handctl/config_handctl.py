@@ -1,7 +1,7 @@
-"""Configurations of the robot and the teleoperators.
+"""Configurations of the LeRobot robot and teleoperators that use a hand of handctl.
 
-LeRobot finds the class of a robot or teleoperator by removing ``Config`` from the name of the
-configuration class.
+LeRobot finds the class of a robot or teleoperator in this way: It removes ``Config`` from the name
+of the configuration class.
 """
 
 from dataclasses import dataclass, field
@@ -22,7 +22,7 @@ class HandctlRobotConfig(RobotConfig):
         rate_Hz: expected rate of the actions, measured with the clock of the hand.
         speed_deg_s: largest rate at which the target of a joint changes [deg/s].
         options: further options of ``handctl run``.
-        cameras: cameras of LeRobot, by name.
+        cameras: camera configurations of LeRobot, by the name of the camera.
     """
 
     hand: str = "jamia"

@@ -25,7 +25,7 @@ from handctl.log.read.reader import RunLog
 CLOSE, OPEN, OPEN_ALL = "qwertyuiop", "asdfghjkl;", " "
 """Keys that close the digits, and keys that open the digits, in the order of the hand file.
 
-The last key opens all digits.
+The key in ``OPEN_ALL`` opens all digits.
 """
 
 
@@ -61,7 +61,7 @@ class Leader(Teleoperator):
     _is_open = False
 
     def connect(self, calibrate: bool = True) -> None:
-        """Begin to give actions."""
+        """Connect the teleoperator, which begins to give actions."""
         if self._is_open:
             raise DeviceAlreadyConnectedError(f"{self} is connected")
         self._is_open = True
@@ -76,7 +76,7 @@ class Leader(Teleoperator):
         """Do nothing, because the teleoperator takes no feedback."""
 
     def disconnect(self) -> None:
-        """Stop giving actions."""
+        """Disconnect the teleoperator, which stops giving actions."""
         self._check_open()
         self._is_open = False
 
@@ -89,7 +89,7 @@ class Leader(Teleoperator):
 class HandctlKeyboard(Leader):
     """Teleoperator that reads keys from the standard input.
 
-    Each key closes or opens a digit by one step.
+    Each pressed key closes or opens a digit by the angle ``step_deg``.
     """
 
     config_class = HandctlKeyboardConfig
@@ -110,7 +110,7 @@ class HandctlKeyboard(Leader):
     def connect(self, calibrate: bool = True) -> None:
         """Connect the teleoperator, and make the terminal deliver single keys.
 
-        A standard input that is no terminal is left unchanged.
+        If the standard input is no terminal, leave it unchanged.
         """
         super().connect(calibrate)
         self._angles[:] = 0.0
@@ -139,7 +139,7 @@ class HandctlKeyboard(Leader):
         )
 
     def _press(self, key: str) -> None:
-        """Move the target angles of the digit that a key selects."""
+        """Change the target angles of the digit that a key selects."""
         if key == OPEN_ALL:
             self._angles[:] = 0.0
         for keys, step in ((CLOSE, self._step), (OPEN, -self._step)):
@@ -161,7 +161,7 @@ class HandctlLog(Leader):
     name = "handctl_log"
 
     def __init__(self, config: HandctlLogConfig) -> None:
-        """Read the commanded angles of the run from its log.
+        """Read the commanded angles of the recorded run from its log.
 
         Raises:
             LogError: the file is not a log of handctl.
@@ -173,7 +173,7 @@ class HandctlLog(Leader):
             active = log.mode == HandMode.ACTIVE
             goal = log.field("q_goal")[active]
             # The joints of a digit that was commanded to hold a tension have no commanded angles.
-            # For such joints, the teleoperator uses the estimated angles.
+            # For joints without commanded angles, the teleoperator uses the estimated angles.
             self._angles = np.where(np.isnan(goal), log.field("q")[active], goal)
             self._times = log.times[active]
         if not len(self._times):
@@ -184,15 +184,15 @@ class HandctlLog(Leader):
         self._start_s: float | None = None
 
     def connect(self, calibrate: bool = True) -> None:
-        """Connect the teleoperator, and prepare to repeat the run from its first angles.
+        """Connect the teleoperator, and prepare to repeat the recorded run from its first angles.
 
-        The repetition starts at the first ``get_action``.
+        The repetition of the run starts at the first call of ``get_action``.
         """
         super().connect(calibrate)
         self._start_s = None
 
     def get_action(self) -> dict[str, Any]:
-        """Return the angles that the recorded run commanded at the present time of the repetition [rad].
+        """Return the joint angles that the recorded run commanded at the present time of the repetition [rad].
 
         After the end of the log, the function returns the last angles.
         """

@@ -13,7 +13,7 @@ def named(names: Iterable[str], positions: Iterable[float]) -> dict[str, float]:
     """Return joint positions [rad, or m for prismatic joints] by their names in a dataset.
 
     Args:
-        names: names of the elements, see ``position_names``.
+        names: names of the elements of an action, see ``position_names``.
         positions: position of each joint.
     """
     return {name: float(position) for name, position in zip(names, positions, strict=True)}

@@ -19,17 +19,17 @@ from handctl.hand.hand_loading import load_hand
 from handctl.log.export.element_names import position_names
 
 PAUSE_S = 0.4
-"""Time without an action after which the stream closes and the hand comes to rest [s]."""
+"""Time without an action after which the robot closes its stream of targets and the hand comes to rest [s]."""
 
 
 class HandctlRobot(Robot):
     """Robot of LeRobot whose hand follows actions.
 
-    The actions are sent to the controller as a stream of targets.
+    The robot sends the actions to the controller as a stream of targets.
 
-    If no actions arrive for some time, a thread closes the stream. This thread never sends targets.
-    If the whole program hangs, no targets arrive, so the controller first holds the hand, and later
-    relaxes the hand.
+    If no actions arrive for some time, a thread of the robot closes the stream. The thread never
+    sends targets. If the whole program hangs, the controller gets no targets, so it holds the hand
+    at first, and later relaxes the hand.
     """
 
     config_class = HandctlRobotConfig
@@ -43,7 +43,7 @@ class HandctlRobot(Robot):
         self._names = position_names(self.description.joints, self.description.prismatic_joints)
         self.cameras = make_cameras_from_configs(config.cameras)
         self._low, self._high = self.description.joint_limits
-        # For the speed limit, 10 mm of a prismatic joint correspond to 1 rad.
+        # For the speed limit, 10 mm of a prismatic joint correspond to 1 rad of a revolute joint.
         scale = self.description.display_units.scale
         self._step = np.radians(config.speed_deg_s) * scale / config.rate_Hz
         self._hand: HandClient | None = None
@@ -80,7 +80,7 @@ class HandctlRobot(Robot):
     def connect(self, calibrate: bool = True) -> None:
         """Connect to the controller on the bus.
 
-        If no controller runs there, start a controller, which commissions and arms the hand.
+        If no controller runs on the bus, start a controller, which commissions and arms the hand.
         """
         if self._hand is not None:
             raise DeviceAlreadyConnectedError(f"{self} is connected")
@@ -119,7 +119,7 @@ class HandctlRobot(Robot):
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
         """Limit the angles of an action to the ranges and speed limits of the joints.
 
-        Send and return the limited angles.
+        Send the limited angles to the hand, and return them.
         """
         hand = self._connected()
         expected_positions = np.clip(positions_of(self._names, action), self._low, self._high)
@@ -136,7 +136,8 @@ class HandctlRobot(Robot):
     def disconnect(self) -> None:
         """Close the stream of targets and the client of the hand.
 
-        If this robot has started the controller, the controller then relaxes and disarms the hand.
+        If the robot has started the controller, the controller relaxes and disarms the hand after
+        the client is closed.
         """
         hand = self._connected()
         self._ended.set()
@@ -164,9 +165,9 @@ class HandctlRobot(Robot):
         return self._hand
 
     def _close_in_pauses(self) -> None:
-        """Close the stream whenever no action has come for `PAUSE_S`.
+        """Close the stream of targets whenever no action has come for `PAUSE_S`.
 
-        This function runs in a thread until the robot disconnects.
+        The method runs in a thread until the robot disconnects.
         """
         while not self._ended.wait(PAUSE_S / 4):
             with self._lock:

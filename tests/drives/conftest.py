@@ -1,6 +1,6 @@
 """Test fixtures: a drive of handctl, and the model of a motor.
 
-The drive runs tick by tick, as in the controller.
+The drive of handctl runs tick by tick, as in the controller.
 """
 
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ PERIOD_NS = 2_000_000
 
 @dataclass(frozen=True)
 class MotorSection:
-    """Content of a ``[[motor]]`` section of a hand file."""
+    """Keys and values of a ``[[motor]]`` section of a hand file."""
 
     name: str = "index_motor"
     protocol: str = "mit"
@@ -35,7 +35,7 @@ class MotorSection:
 
 @dataclass
 class MotorRig:
-    """A drive, its state, and the motor that it controls. Each tick advances time by one period."""
+    """A drive, its state, and the motor that it controls. Each tick advances the time by one control period."""
 
     drive: MitDrive
     motor: ScriptedMotor
@@ -45,9 +45,9 @@ class MotorRig:
     pending_replies: list[Frame] = field(default_factory=list)
 
     def tick(self, target: DriveTarget, torque: float = 0.0) -> DriveState:
-        """Let the drive receive the replies of the motor, and advance the drive by a tick.
+        """Let the drive receive the frames that the motor has sent, and advance the drive by a tick.
 
-        The motor then makes its replies for the next tick.
+        After the tick, the motor makes the reply frames for the next tick.
         """
         for frame in self.pending_replies:
             self.state = self.drive.receive(self.state, frame)
@@ -64,9 +64,9 @@ class MotorRig:
     def run_until_phase(
         self, target: DriveTarget, *phases: DrivePhase, max_ticks: int = 300
     ) -> DriveState:
-        """Run ticks until the drive is in one of the given phases.
+        """Run ticks until the drive is in one of the given drive phases.
 
-        If the drive does not reach any of these phases, the test fails.
+        If the drive does not reach any of the given drive phases, the test fails.
         """
         for _ in range(max_ticks):
             if self.tick(target).phase in phases:

@@ -4,7 +4,7 @@ The clients command simulated drives of ``python -m firmware_sim drive`` on any 
 
 Each function enables a drive, commands a torque, checks that the free shaft turns, and disables the
 drive. The clients give up after waiting 0.4 s to 1 s for a reply. The functions of this module wait
-longer for a reply.
+longer than the clients for a reply of a drive.
 """
 
 import asyncio
@@ -68,7 +68,7 @@ def _motor_states(motor: object) -> dict[str, float]:
 def use_damiao_modes(interface: str, channel: str, node_id: int = 2) -> None:
     """Use damiao-motor to change the mode of an enabled motor.
 
-    The modes are velocity, position-velocity and force-position.
+    The modes of the motor are velocity, position-velocity and force-position.
     """
     controller = DaMiaoController(channel=channel, bustype=interface)
     try:
@@ -103,10 +103,10 @@ def use_damiao_modes(interface: str, channel: str, node_id: int = 2) -> None:
 
 
 def use_odrive_can(bus: can.BusABC, node_id: int = 1) -> None:
-    """Use odrive-can to control a drive in closed loop.
+    """Use odrive-can to control an ODrive in closed loop.
 
-    Command a torque and a position, stop the drive in an emergency, and clear the error of this
-    stop.
+    Command a torque and a position, send an emergency stop to the drive, and clear the error that
+    the stop causes.
     """
     asyncio.run(_use_odrive(bus, node_id))
 
@@ -114,8 +114,8 @@ def use_odrive_can(bus: can.BusABC, node_id: int = 1) -> None:
 async def _use_odrive(bus: can.BusABC, node_id: int) -> None:
     """Use odrive-can within its event loop.
 
-    The function reads positions from the cyclic message of the drive. A request with a remote frame
-    could wait forever.
+    The function reads positions from the cyclic encoder message of the drive. A request with a
+    remote frame could wait forever for the reply of the drive.
     """
     drive = ODriveCAN(axis_id=node_id, can_bus=bus)
     positions = [0.0]
@@ -143,7 +143,7 @@ async def _use_odrive(bus: can.BusABC, node_id: int) -> None:
 def use_odrive_can_modes(bus: can.BusABC, node_id: int = 1) -> None:
     """Use odrive-can to command a velocity, and then a trapezoidal trajectory.
 
-    The client also sends the limits of the trajectory.
+    In addition, the client odrive-can sends the speed and acceleration limits of the trajectory.
     """
     asyncio.run(_use_odrive_modes(bus, node_id))
 
@@ -178,9 +178,10 @@ async def _use_odrive_modes(bus: can.BusABC, node_id: int) -> None:
 async def _set_control_mode(
     drive: ODriveCAN, control_mode: str, final_state: str, input_mode: str = "PASSTHROUGH"
 ) -> None:
-    """Set a drive to idle, set its control mode, and then set another state.
+    """Set a drive to the axis state idle, set its control mode, and set the axis state ``final_state``.
 
-    The waiting functions of the client are not used, because they give up after a second.
+    The function does not use the waiting functions of odrive-can, because they give up after a
+    second.
     """
     drive.set_axis_state_no_wait("IDLE")
     await _wait_for_async(lambda: drive.axis_state == "IDLE", "idle")
@@ -227,7 +228,7 @@ def use_canopen(interface: str, channel: str, node_id: int = 33) -> None:
         node.nmt.state = "RESET COMMUNICATION"
         wait_for(
             lambda: node.nmt.state == "PRE-OPERATIONAL", "boot-up"
-        )  # wait_for_bootup may miss a message that arrives early
+        )  # wait_for_bootup can miss a boot-up message that arrives early
         assert node.sdo[0x1018][1].raw == node.object_dictionary[0x1018][1].default
         node.setup_402_state_machine()
         node.tpdo[1].trans_type = 1
@@ -246,7 +247,7 @@ def use_canopen(interface: str, channel: str, node_id: int = 33) -> None:
 def use_canopen_modes(interface: str, channel: str, node_id: int = 33) -> None:
     """Use canopen to home a drive, and then to select two modes by name.
 
-    The drive is a BaseNode402. The modes are profile position and cyclic velocity.
+    The drive is a BaseNode402. The two modes of the drive are profile position and cyclic velocity.
     """
     with _canopen_network(interface, channel) as network:
         node = BaseNode402(node_id, str(EDS_PATH))
@@ -263,7 +264,7 @@ def use_canopen_modes(interface: str, channel: str, node_id: int = 33) -> None:
         assert abs(node.sdo["Position actual value"].raw - 1000) < 10
         node.op_mode = "PROFILED POSITION"
         assert node.op_mode == "PROFILED POSITION"
-        node.controlword = 0x0F  # homing has left bit 4 of the control word set
+        node.controlword = 0x0F  # after homing, bit 4 of the control word is still set
         node.state = "OPERATION ENABLED"
         node.sdo["Target position"].raw = 30_000
         wait_for(lambda: node.statusword & 1 << 12 == 0, "a status word of this mode")

@@ -11,10 +11,10 @@ from lerobot.motors import Motor, MotorNormMode
 from lerobot.motors.robstride import RobstrideMotorsBus
 
 REPLY_TIMEOUT_S = 0.5
-"""Time that the client waits for a reply [s].
+"""Time that the LeRobot client waits for a reply of a motor [s].
 
-The client's default of 1 ms is too short, because the simulated motor is another process and the
-machine may be busy.
+The client's default of 1 ms is too short: the simulated motor is another process, and the machine
+can be busy.
 """
 WAIT_TIMEOUT_S = 20.0
 
@@ -25,7 +25,7 @@ def use_lerobot_robstride(
     """Use LeRobot to control a motor and to read all motors.
 
     Connect to the bus, enable a motor, turn the motor by a torque, hold a position, and disable the
-    motor. Then read all motors.
+    motor. After that, read all motors on the bus.
     """
     monkeypatch.setattr(
         RobstrideMotorsBus._recv_motor_response, "__defaults__", (None, REPLY_TIMEOUT_S)

@@ -1,4 +1,4 @@
-"""Make hand files with any drive protocol, and run their drives tick by tick with the simulated firmware."""
+"""Make hand files with any drive protocol, and run the drives tick by tick with the simulated firmware."""
 
 import json
 import re
@@ -25,18 +25,18 @@ OPTIONS_TEXT_BY_PROTOCOL = {
     else ""
     for name, traits in PROTOCOL_TRAITS.items()
 }
-"""For each protocol, the necessary options of a motor, as text of a section of the hand file."""
+"""For each drive protocol, the necessary options of a motor, as text of a section of the hand file."""
 
 
 def hand_file(hand_folder: Path, protocols: Sequence[str], added_text: str = "") -> Path:
-    """Write the file of the packaged hand with other drive protocols.
+    """Write a hand file that differs from the packaged hand in its drive protocols.
 
-    Return the path of the new file.
+    Return the path of the new hand file.
 
     Args:
         hand_folder: folder of the new file.
-        protocols: protocol of each motor, in the order of the motors. All remaining motors get the
-            last protocol.
+        protocols: drive protocol of each motor, in the order of the motors. If there are more
+            motors than protocols, the remaining motors get the last protocol.
         added_text: text with further options of every motor.
     """
     text_before_motors, *motor_texts = load_hand("jamia").to_toml().split("[[motor]]")
@@ -117,9 +117,9 @@ class ProtocolBench:
         self.k += 1
 
     def run_until_phase(self, target: DriveTarget, phase: DrivePhase, max_ticks: int = 400) -> None:
-        """Run ticks until all drives are in a given phase.
+        """Run ticks until all drives are in a given drive phase.
 
-        If the drives do not all reach this phase, the test fails.
+        If the drives do not all reach the given drive phase, the test fails.
         """
         for _ in range(max_ticks):
             self.tick(target)
@@ -130,7 +130,7 @@ class ProtocolBench:
         )
 
     def clear(self) -> None:
-        """Clear the errors of all drives, as a request of the operator does."""
+        """Clear the errors of all drives, as the controller does when the operator requests it."""
         frames: list[Frame] = []
         for i, drive in enumerate(self.drives):
             self.states[i], clear_frames = drive.clear(self.states[i])
@@ -147,7 +147,7 @@ def motor_on_bench(
 ) -> Motor:
     """Return the hand-file section of a motor that is alone on a bus.
 
-    This motor has the ranges of a Damiao motor.
+    The position, velocity and torque ranges in the section are those of a Damiao motor.
     """
     return Motor.model_validate(
         {

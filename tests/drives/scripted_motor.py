@@ -1,6 +1,7 @@
-"""Independent model of a motor, written from its manual.
+"""Independent model of a motor, written from the manual of the motor.
 
-The model receives bytes and returns bytes. Tests can inject faults into the model.
+The model of the motor receives bytes and returns bytes. Tests can inject faults into the model of
+the motor.
 """
 
 import struct
@@ -19,9 +20,8 @@ class ScriptedMotor:
     Position, velocity and torque of the motor are integer codes, as in a frame.
 
     Attributes:
-        unanswered_registers: numbers of registers. The motor does not answer requests for these
-            registers.
-        fixed_registers: registers that keep their value when a host writes them.
+        unanswered_registers: numbers of the registers for which the motor answers no request.
+        fixed_registers: numbers of the registers that keep their value when a host writes them.
         ignored_commands: codes of special commands that have no effect.
         is_silent: True if the motor sends no replies at all.
     """
@@ -42,9 +42,9 @@ class ScriptedMotor:
     written_registers: list[int] = field(default_factory=list)
 
     def answer_frame(self, frame: Frame, t_ns: int) -> list[Frame]:
-        """Return a list with the reply to a frame of the host.
+        """Return a list with the motor's reply to a frame of the host.
 
-        If the motor sends no reply, the list is empty.
+        If the motor sends no reply to the frame, the list is empty.
         """
         data = self._reply_data(frame)
         if data is None or self.is_silent:
@@ -87,7 +87,7 @@ class ScriptedMotor:
         return request_data[:4] + struct.pack(layout, self.registers[register])
 
     def feedback_bytes(self) -> bytes:
-        """Return the 8 bytes of a feedback frame, packed bit by bit from the table in the manual."""
+        """Return the 8 bytes of a feedback frame, packed bit by bit as in the table of the motor's manual."""
         position, velocity, torque = (
             format(code, f"0{bits}b")
             for code, bits in zip(self.feedback_codes, (16, 12, 12), strict=True)

@@ -61,9 +61,9 @@ class PackagedHandBench:
         self.k += 1
 
     def run_until_phase(self, target: DriveTarget, phase: DrivePhase, max_ticks: int = 200) -> None:
-        """Run ticks until all drives are in a given phase.
+        """Run ticks until all drives are in a given drive phase.
 
-        If the drives do not all reach this phase, the test fails.
+        If the drives do not all reach the given drive phase, the test fails.
         """
         for _ in range(max_ticks):
             self.tick(target)
@@ -102,7 +102,7 @@ def test_the_watchdog_fires_on_silence_and_clear_makes_the_drive_ready(
     bench: PackagedHandBench,
 ) -> None:
     bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    for _ in range(40):  # 80 ms, which is longer than the watchdog time of 50 ms
+    for _ in range(40):  # 40 ticks take 80 ms, which is longer than the watchdog time of 50 ms
         bench.tick(DriveTarget.LISTEN)
     bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.FAULT, max_ticks=3)
     assert {state.error_text for state in bench.states} == {

@@ -1,7 +1,7 @@
 """Test the predicted bus load.
 
-The expected values come from a table of frame lengths in bits, and from frames whose stuff bits are
-counted.
+The expected bus loads come from a table of frame lengths in bits, and from frames whose stuff bits
+are counted.
 """
 
 import pytest
@@ -50,7 +50,7 @@ def test_tick_time_of_mit_motors_and_load_cells_matches_reference_values(
 random_payloads = st.lists(
     st.one_of(st.integers(0, 255), st.sampled_from([0x00, 0x0F, 0xF0, 0xFF])), max_size=8
 ).map(bytes)
-"""Random payloads. Bytes that need many stuff bits are frequent."""
+"""Random payloads. Bytes that need many stuff bits are frequent in the payloads."""
 
 
 def stuff_bits(bit_text: str) -> str:

@@ -1,4 +1,4 @@
-"""Test load-cell amplifiers of CiA 404: frames, set-up, and faults of a hand with such amplifiers."""
+"""Test load-cell amplifiers of CiA 404: their frames, their set-up, and the faults of a hand with amplifiers."""
 
 import math
 import struct
@@ -28,7 +28,7 @@ from tests.drives.wired_drives import WiredDrives
 TENDON_NAMES = ("a", "b", "c")
 PERIOD_NS = 2_000_000
 REPLY_DELAY_NS = 300_000
-"""Time from the start of a tick to the arrival of a reply [ns]."""
+"""Time from the start of a tick to the arrival of an amplifier's reply [ns]."""
 AMPLIFIER_KEYS: dict[str, Any] = {
     "protocol": "cia404",
     "node_ids": [0x21, 0x22],
@@ -40,7 +40,7 @@ SENSOR_NODE_KEYS = ("base_id", "joints", "joint_decimation", "joint_noise_rad")
 
 @dataclass(frozen=True)
 class AmplifierSection:
-    """Section of a hand file for three load cells on two amplifiers."""
+    """Section of a hand file that describes three load cells on two amplifiers."""
 
     sync_id: int = 0x080
     tendons: tuple[str, ...] = TENDON_NAMES
@@ -70,7 +70,7 @@ def test_hand_made_frames_become_newtons() -> None:
     assert cells.ids == (0x1A1, 0x1A2)
     wired_drives = WiredDrives((), cells)
     assert wired_drives.begin_tick_with_sync(7) == Frame(0x080, b"")
-    # In these frames, a count is 0.001 N, and the lowest byte comes first.
+    # In the amplifier frames of these tests, a count is 0.001 N, and the lowest byte comes first.
     first_payload, second_payload = bytes.fromhex("39300000 0cfeffff"), bytes.fromhex("df930400")
     wired_drives.receive(
         [
@@ -163,7 +163,7 @@ class AmplifierBench:
         return self.simulated_hand.world.sensor_nodes
 
     def tick(self, target: DriveTarget = DriveTarget.POLL, with_sync: bool = True) -> None:
-        """Exchange the frames of one tick."""
+        """Exchange the frames of one tick between the host and the amplifiers."""
         out = [self.sensors.sync(self.k)] if with_sync else []
         for i, amplifier in enumerate(self.sensors.amplifiers):
             self.states[i], frames = amplifier.advance(self.states[i], self.k * PERIOD_NS, target)
@@ -181,9 +181,9 @@ class AmplifierBench:
         self.k += 1
 
     def run_until_phase(self, phase: DrivePhase, max_ticks: int = 400) -> None:
-        """Run ticks until all amplifiers are in a given phase.
+        """Run ticks until all amplifiers are in a given drive phase.
 
-        If the amplifiers do not all reach this phase, the test fails.
+        If the amplifiers do not all reach the given drive phase, the test fails.
         """
         for _ in range(max_ticks):
             self.tick()
@@ -200,7 +200,7 @@ def bench(tmp_path: Any) -> Iterator[AmplifierBench]:
 
 
 def make_bench(hand_folder: Any, **changed_keys: Any) -> AmplifierBench:
-    """Return a bench whose hand has other values for some keys of its sensor section."""
+    """Return an amplifier bench whose hand has other values for some keys of its sensor section."""
     hand = hand_with_amplifiers(**changed_keys)
     path = hand_folder / "hand.toml"
     path.write_text(hand.to_toml())
@@ -294,9 +294,9 @@ def test_a_missing_amplifier_is_named() -> None:
 
 
 def test_frames_before_the_set_up_are_not_used() -> None:
-    """In this test, the amplifiers already send before their set-up, in the unit of a new amplifier.
+    """In this test, the amplifiers already send tensions before their set-up, in the unit of a new amplifier.
 
-    In this unit, the numbers are 100 times the tension.
+    In the unit of a new amplifier, the numbers in the frames are 100 times the tension in newtons.
     """
     with homed_run(hand_with_amplifiers(), 500.0, 0) as simulation:
         for node in simulated_nodes(simulation):
@@ -335,10 +335,10 @@ def simulated_nodes(simulation: SimulatedRun) -> list[Any]:
 def observed_faults(
     hand: Hand, seed: int, disturb: Callable[[SimulatedRun], None], tick_count: int = 60
 ) -> tuple[set[str], int]:
-    """Disturb a grasp.
+    """Disturb the amplifiers of a hand during a grasp.
 
-    Return the faults that occur, and the number of ticks until the controller reacts. If the
-    controller does not react, the number is -1.
+    Return the faults that occur, and the number of ticks until the controller reacts to the
+    disturbance. If the controller does not react, the number of ticks is -1.
     """
     with homed_run(hand, 500.0, seed) as simulation:
         advance_to_stage(simulation, GRASP_STAGE)

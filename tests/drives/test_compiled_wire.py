@@ -1,7 +1,7 @@
 """Test the compiled code that receives and sends frames.
 
-For any input, compiled code gives the same values and the same frames as the Python code of each
-drive.
+For any received frames, compiled code gives the same values and sends the same frames as the Python
+code of each drive.
 """
 
 import math
@@ -60,7 +60,7 @@ def enable_drive(variant_name: str) -> tuple[Drive, DriveState, int, tuple[Frame
 def random_frame(
     random_source: random.Random, received_frames: tuple[Frame, ...], t_ns: int
 ) -> Frame:
-    """Return one of the frames of a drive, unchanged or with one random change."""
+    """Return one of the frames that a drive has sent, unchanged or with one random change."""
     frame = random_source.choice(received_frames)._replace(t_ns=t_ns)
     data, change_kind = bytearray(frame.data), random_source.randrange(12)
     if change_kind == 0:
@@ -93,8 +93,8 @@ def random_frame(
 def are_states_equal(first_state: DriveState, second_state: DriveState, drive: Drive) -> bool:
     """Return True if two states of a drive are equal.
 
-    For CiA 402 drives, the times of the last sign of life may differ if the last feedback is later
-    than both. Such states count as equal.
+    Two states of a CiA 402 drive can differ in the time of the last sign of life. They count as
+    equal if the last feedback is later than both times.
     """
     if isinstance(drive, Cia402Drive):
         first_state, second_state = (
@@ -154,7 +154,7 @@ def test_compiled_code_and_state_machine_give_equal_results(variant_name: str, s
 def state_enabled_at(state: DriveState, node_id: int, t_ns: int) -> DriveState:
     """Return the state of a drive as if the drive had been enabled at the time ``t_ns``.
 
-    In this state, the next read-back of a setting is already due.
+    In the returned state, the next read-back of a drive setting is already due.
     """
     protocol_state = state.protocol_state
     clocks = ("heartbeat_ns", "life_sign_ns", "heartbeat_sent_ns", "temperature_request_ns")
@@ -168,7 +168,7 @@ def state_enabled_at(state: DriveState, node_id: int, t_ns: int) -> DriveState:
 def reply_to_open_request(drive: Drive, state: DriveState) -> list[Frame]:
     """Return several copies of the correct reply to a request for a drive setting.
 
-    Several copies make the right reply frequent among random frames.
+    Several copies of the correct reply make it frequent among random frames.
     """
     if not (state.recheck.is_waiting and drive.rechecks):
         return []
@@ -180,9 +180,9 @@ RECHECKED_VARIANTS = [name for name in DRIVE_VARIANTS if name not in UNCHECKED_V
 
 @pytest.mark.parametrize("name", RECHECKED_VARIANTS)
 def test_compiled_code_reads_every_setting_again(name: str) -> None:
-    """Compiled code sends each request and accepts each right reply.
+    """Compiled code sends each request for a drive setting, and accepts each right reply.
 
-    Only wrong replies reach the Python state machine of the drive.
+    Only wrong replies to a settings request reach the Python state machine of the drive.
     """
     drive, state, t_ns, _ = enable_drive(name)
     wired_drives = WiredDrives([drive], NO_SENSORS)
@@ -261,7 +261,8 @@ def test_an_enabled_drive_is_steady_until_it_is_due(variant_name: str) -> None:
 def test_cyclic_frames_are_what_the_bus_is_planned_for(variant_name: str) -> None:
     """`bus plan` computes the bus load from the cyclic commands and replies of a drive.
 
-    Other messages that handctl decodes are unsolicited or rare.
+    All other messages that handctl decodes are unsolicited or rare, and do not count for the bus
+    load.
     """
     drive, _, _, _ = enable_drive(variant_name)
     command_layouts = sorted(

@@ -1,6 +1,7 @@
 """Test CubeMars motors in MIT mode with simulated firmware.
 
-The payloads of handctl and of the firmware are compared with those of the library TMotorCANControl.
+The tests compare payloads of handctl and of the simulated firmware with payloads of the library
+TMotorCANControl.
 """
 
 import math
@@ -113,8 +114,8 @@ def test_an_error_has_a_text_and_ends_only_by_a_clear(
 def test_missing_drive_limits_are_reported(tmp_path: Path) -> None:
     """An AK80-9 motor obeys commands up to 18 N m.
 
-    The motor itself has no smaller limit. Only the host can keep the torque below the limit in the
-    hand file.
+    The motor itself has no smaller torque limit. Only the host can keep the torque below the torque
+    limit in the hand file.
     """
     protections = " ".join(
         ProtocolBench(hand_file(tmp_path, ["cubemars"])).drives[0].unverified_protections
@@ -131,7 +132,8 @@ def test_missing_drive_limits_are_reported(tmp_path: Path) -> None:
 def test_the_help_names_the_motor_types_of_the_drives() -> None:
     """A command must print its help without importing the code of the drives.
 
-    The help text therefore has its own list of protocol names.
+    The help text has its own list of protocol names, so that handctl need not import the code of
+    the drives.
     """
     ranges = {
         "cubemars": MOTOR_MODEL_RANGES,
@@ -147,7 +149,7 @@ def test_the_help_names_the_motor_types_of_the_drives() -> None:
 def test_the_manual_s_byte_of_temperature_counts_from_minus_forty() -> None:
     """The byte of a temperature covers -40 to 215 degC. Source: CubeMars AK Series Actuator Driver Manual, 5.3.
 
-    Some motors send the temperature without the offset of 40.
+    Some CubeMars motors send the temperature without the offset of 40.
     """
     for more_options, temperature in (
         ({}, 45.0),

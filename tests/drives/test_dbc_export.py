@@ -1,6 +1,6 @@
 """Test the DBC file for the buses of a hand.
 
-With this file, cantools decodes the same values as the controller.
+With the DBC file, cantools decodes the same values as the controller.
 """
 
 import math
@@ -55,7 +55,7 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[ProtocolBe
 def values_read_by_controller(
     wired_drives: WiredDrives, message: CyclicMessage, drive_index: int
 ) -> dict[str, float]:
-    """Return the values that the controller has decoded from a frame of drive i."""
+    """Return the values that the controller has decoded from a frame of the drive with the index ``drive_index``."""
     values = {
         signal.name: signal.quantity
         for signal in message.signals
@@ -89,7 +89,7 @@ def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
         bench.tick(DriveTarget.ENABLE, torque)
         for frame in bench.received_frames:
             wired_drives.receive([frame])
-            # A reply to a register request has the same identifier as the feedback, but another
+            # A reply to a register request has the same identifier as a feedback frame, but another
             # length.
             if frame.can_id in owners and len(frame.data) == owners[frame.can_id][1].length:
                 decoded_signals = dbc.decode_message(frame.can_id, frame.data)
@@ -119,7 +119,7 @@ def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
 def is_torque_command(dbc: Database, frame: Frame, bench: ProtocolBench, torque: float) -> bool:
     """Return True if a frame is a torque command.
 
-    Also check that the torque in the frame equals the commanded torque within one count.
+    Check, too, that the torque in a torque command equals the commanded torque within one count.
     """
     for drive in bench.drives:
         for message in drive.cyclic_messages.commands:
@@ -127,8 +127,8 @@ def is_torque_command(dbc: Database, frame: Frame, bench: ProtocolBench, torque:
                 signal for signal in message.signals if signal.quantity == SignalQuantity.TORQUE
             ]
             is_command_frame = message.can_id == frame.can_id and message.length == len(frame.data)
-            # A frame that writes a setting may have the identifier and the length of a torque
-            # command. Only the first bytes tell the two apart.
+            # A frame that writes a setting can have the identifier and the length of a torque
+            # command. Only the first bytes distinguish a torque command from a written setting.
             first_signal_byte = min((signal.start for signal in message.signals), default=0) // 8
             is_big_endian = any(signal.is_big_endian for signal in message.signals)
             is_command_frame = is_command_frame and (

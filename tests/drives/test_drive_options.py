@@ -1,4 +1,4 @@
-"""Test the options of a drive that a hand file may contain.
+"""Test the options of a drive that a hand file is allowed to contain.
 
 Every accepted option value must give finite numbers in the computations of the drive.
 """
@@ -78,7 +78,7 @@ def test_a_whole_number_may_be_written_with_a_point(heartbeat_s: float) -> None:
 
 
 def test_position_step_is_reported() -> None:
-    """The tension filter needs the resolution of the position that a drive reports.
+    """The filter that estimates tensions needs the resolution of the position that a drive reports.
 
     In this test, the encoder has 1000 counts per turn, which is coarser than the 16 bits of a
     position report.
@@ -133,7 +133,7 @@ def test_an_unknown_option_is_refused_with_the_declared_options(protocol: str) -
 def test_a_declared_option_is_known(protocol: str, option_key: str) -> None:
     """If an option has a wrong value, the error message names the option.
 
-    The message does not call the option unknown.
+    The error message for a wrong option value does not call the option unknown.
     """
     options = REQUIRED_OPTIONS.get(protocol, {}) | {option_key: "wrong"}
     with pytest.raises(ConfigError, match=option_key) as refused:

@@ -24,7 +24,7 @@ from tests.drives.wired_drives import WiredDrives
 TORQUE_LIMIT_N_M = 0.8
 STANDARD_IDS, PAYLOAD_LENGTHS = range(0x800), range(65)
 RANDOM_ID_COUNT = 200
-"""Number of random 29-bit identifiers that each protocol is tested with."""
+"""Number of random 29-bit identifiers with which each drive protocol is tested."""
 
 
 @pytest.fixture(params=sorted(PROTOCOL_ENTRIES), scope="module")
@@ -41,7 +41,7 @@ def bench(
 def extended_ids(bench: ProtocolBench, random_source: random.Random) -> set[int]:
     """Return random 29-bit identifiers, and some 29-bit identifiers that a drive and its host use.
 
-    Each identifier also appears with one bit changed.
+    Each 29-bit identifier also appears with one bit changed.
     """
     own_ids = sorted(
         identifier
@@ -72,7 +72,7 @@ def frames_of_all_kinds(bench: ProtocolBench, seed: int, t_ns: int) -> Iterator[
 def silent_ready_and_enabled_states(bench: ProtocolBench) -> list[DriveState]:
     """Return a silent, a ready and an enabled state of the first drive.
 
-    The enabled state comes from a run on the bench.
+    The enabled state comes from a run of the drives on the bench.
     """
     ready_state = bench.states[0]._replace(phase=DrivePhase.READY)
     return [bench.drives[0].initial_state(), ready_state, bench.states[0]]
@@ -139,8 +139,8 @@ def test_a_number_is_refused_or_arrives_as_it_is(protocol: str, torque: float) -
     if abs(torque) <= TORQUE_LIMIT_N_M:
         _, frames = rig.drive.advance(rig.state, rig.t_ns, DriveTarget.ENABLE, torque)
         virtual_bench.send(frames)
-        # In these two protocols, the motor model determines the range of the torque codes. In the
-        # other protocols, the torque limit determines this range.
+        # In the protocols of this list, the motor model determines the range of the torque codes.
+        # In the other protocols, the torque limit determines the range of the torque codes.
         step = {"cubemars": 36.0 / 4095, "robstride_mit": 11.0 / 4095}.get(
             protocol, TORQUE_LIMIT_N_M / 1000
         )

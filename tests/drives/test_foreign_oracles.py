@@ -1,4 +1,4 @@
-"""Compare encoded and decoded frames with those of other software.
+"""Compare frames that handctl encodes and decodes with the frames and values of other software.
 
 Frames of an ODrive are compared with ODrive's own DBC file. Frames of CiA 402 drives are compared
 with the package canopen and the packaged EDS file.

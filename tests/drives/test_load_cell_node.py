@@ -93,7 +93,7 @@ class LoadCellNodeStruct(ctypes.Structure):
 
 
 def crc_16_ccitt(message: bytes) -> int:
-    """Compute the CRC-16-CCITT that the data sheet defines, bit by bit over the whole message."""
+    """Compute the CRC-16-CCITT that the data sheet of the ADC defines, bit by bit over the whole message."""
     remainder = 0xFFFF
     for byte in message:
         for bit in range(7, -1, -1):
@@ -106,7 +106,8 @@ def crc_16_ccitt(message: bytes) -> int:
 class Ads131m04Chip:
     """Model of an ADS131M04 chip.
 
-    The chip has registers and channels, replies to the last command, and adds a checksum.
+    The model has registers and channels, replies to the last command, and adds a checksum to the
+    reply.
     """
 
     counts: list[int] = field(default_factory=lambda: [0, 0, 0, 0])
@@ -114,9 +115,9 @@ class Ads131m04Chip:
     answer: int | None = None
     new_data_channels: int = 0xF
     corrupt_reply: Callable[[bytes], bytes] = bytes
-    """Function that changes the reply on its way, to simulate faults of transmission."""
+    """Function that changes each reply of the chip on its way to the firmware, to simulate faults of transmission."""
     writable_registers: frozenset[int] = frozenset((MODE_REGISTER, CLOCK_REGISTER, GAIN_REGISTER))
-    """Registers that store a value when a host writes it."""
+    """Registers of the chip that store the value that a host writes."""
 
     def transfer_frame(self, sent_frame: bytes) -> bytes:
         """Receive a frame of 18 bytes and return the reply of the chip, as in an SPI transfer."""
@@ -168,7 +169,7 @@ class FirmwareBench:
         ]
 
     def initialize_firmware(self) -> bool:
-        """Initialize the firmware with its settings.
+        """Initialize the firmware with the settings of the bench.
 
         Return True if the firmware has accepted the settings.
         """
@@ -191,7 +192,7 @@ class FirmwareBench:
             self.chips[i // 4].counts[i % 4] = round(tension * 1e9 / NANONEWTON_PER_COUNT)
 
     def receive(self, can_id: int, data: bytes) -> list[tuple[int, bytes]]:
-        """Deliver a CAN frame to the firmware, and return the frames that it sends."""
+        """Deliver a CAN frame to the firmware, and return the frames that the firmware sends."""
         self.sent_frames.clear()
         self.library.node_receive(ctypes.byref(self.node), can_id, data, len(data))
         return list(self.sent_frames)
@@ -242,7 +243,8 @@ def test_frames_are_those_of_the_simulated_node_and_of_the_dbc(
 ) -> None:
     """The frames of the firmware equal those of the simulator.
 
-    With the DBC file, cantools decodes the right tensions and the right counter from these frames.
+    With the DBC file, cantools decodes the right tensions and the right counter from the frames of
+    the firmware.
     """
     chance = random.Random(seed)
     database: Any = cantools.database.load_file(SENSOR_NODE_DBC)
@@ -266,7 +268,8 @@ def test_frames_are_those_of_the_simulated_node_and_of_the_dbc(
             ]
             assert len(data) == len(pack(counter, ours))
             assert data == pack(counter, ours)
-            # If a tension is halfway between two codes, the firmware may round it up or down.
+            # If a tension is halfway between two codes, the firmware is allowed to round it up or
+            # down.
             assert all(
                 abs(code - tension_code(tension)) <= 1
                 for code, tension in zip(ours, group, strict=True)
@@ -333,7 +336,7 @@ def test_a_flipped_bit_is_no_tension(firmware_library: Any, seed: int) -> None:
 def test_a_chip_that_was_reset_is_set_up_again(firmware_library: Any) -> None:
     """After a reset, the gain of the chip is 1 instead of 128.
 
-    Without a new set-up, every tension would read near zero.
+    Without a new set-up of the chip, every measured tension would be near zero.
     """
     bench = FirmwareBench(firmware_library, 4)
     bench.set_cell_tensions([100.0] * 4)

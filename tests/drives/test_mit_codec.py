@@ -32,7 +32,7 @@ ENABLED_STATE = DriveState(
 
 @pytest.mark.parametrize(
     ("torque", "payload_hex"),
-    [  # p = 0x7FFF, v = 0x7FF, kp = kd = 0. The last twelve bits are the torque
+    [  # p = 0x7FFF, v = 0x7FF, kp = kd = 0. The last twelve bits of the payload are the torque
         (-0.8, "7fff7ff000000000"),
         (0.8, "7fff7ff000000fff"),
         (0.0, "7fff7ff000000800"),
@@ -46,7 +46,7 @@ def test_commands_have_the_bytes_of_the_manual(torque: float, payload_hex: str) 
 
 @pytest.mark.parametrize(
     ("payload_hex", "expected_values"),
-    [  # state and identifier of the motor, 16 bits of position, 12 of velocity, 12 of torque, two temperatures
+    [  # state and identifier of the motor, position (16 bits), velocity (12 bits), torque (12 bits), two temperatures
         ("01000000000000ff", (0, -12.5, -50.0, -0.8, 255.0)),
         ("11ffffffffff2a19", (1, 12.5, 50.0, 0.8, 42.0)),
         ("d17fff7ff7ff1e1f", (13, -12.5 / 65535, -50 / 4095, -0.8 / 4095, 31.0)),
@@ -191,8 +191,8 @@ drive_states = st.builds(
         disable_command_ns=st.integers(0, 10),
         errors_to_ignore=st.integers(0, 6),
     ),
-    # Draw only indices of existing settings. Without this limit, hypothesis would generate an index
-    # that no setting has.
+    # Draw only indices of existing settings. Without a limit of the index, hypothesis would
+    # generate an index that no setting has.
     recheck=st.builds(
         RecheckCursor,
         st.integers(0, len(make_mit_drive().rechecked_settings) - 1),

@@ -1,6 +1,6 @@
 """Test a hand with three drive protocols on two buses.
 
-The tests also cover combinations in a hand file that are refused.
+The tests include hand files that handctl refuses because of their combination of drives.
 """
 
 import re
@@ -51,7 +51,8 @@ def test_two_buses_and_three_protocols_work_as_one_hand(tmp_path: Path) -> None:
 def test_no_drive_is_silent_while_the_others_are_enabled(tmp_path: Path) -> None:
     """Reproduce a defect: an ODrive verified its settings again before it was enabled.
 
-    During this verification, the drive sent no feedback for five ticks, which counted as a fault.
+    During the verification of its settings, the drive sent no feedback for five ticks, which
+    counted as a fault.
     """
     bench = ProtocolBench(hand_file(tmp_path, ["mit", "odrive", "cubemars", "cia402"]))
     bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
@@ -158,7 +159,7 @@ def test_the_load_is_that_of_the_table(
 ) -> None:
     """The bus load includes the frames of the motors and one load-cell frame with 8 bytes.
 
-    With CiA 402 drives, the bus load also includes an empty SYNC frame.
+    With CiA 402 drives, the bus load includes an empty SYNC frame, too.
     """
     bench = ProtocolBench(hand_file(tmp_path, [protocol], added_text))
     frames = [(size, fd, 1.0) for drive in bench.drives for size, fd in drive.frames_per_tick] + [
@@ -175,9 +176,10 @@ def test_the_load_is_that_of_the_table(
 
 
 def test_the_numbers_that_the_page_recommends_for_odrives_are_free_beside_canopen() -> None:
-    """Reproduce a defect: the page recommended the node number 0x10 for an ODrive.
+    """Reproduce a defect: the documentation page recommended the node number 0x10 for an ODrive.
 
-    An ODrive with this node number uses the same identifiers as RPDO1 of the CANopen nodes 1 to 31.
+    An ODrive with the node number 0x10 uses the same identifiers as RPDO1 of the CANopen nodes 1 to
+    31.
     """
     page_text = (Path(__file__).parents[2] / "docs" / "how-to" / "adding-a-drive.md").read_text(
         encoding="utf-8"
@@ -215,7 +217,8 @@ def test_an_identifier_with_two_meanings_is_refused_whatever_the_protocols(
 ) -> None:
     """A CubeMars motor replies with its node number as the identifier.
 
-    In each case of this test, another motor or the SYNC frame already has this identifier.
+    In each case of this test, another motor or the SYNC frame already has the identifier of the
+    reply.
     """
     sensors = make_sensors(load_hand("jamia"))
     first_drive = make_drive(

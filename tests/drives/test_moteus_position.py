@@ -47,7 +47,7 @@ NAN_SETTINGS = (
 
 
 def make_position_drive(**option_changes: object) -> MoteusDrive:
-    """Return a drive that closes the position loop."""
+    """Return a moteus drive that closes the position loop itself."""
     motor_options = {
         "control": "position",
         "kp_N_m_per_rad": KP,
@@ -147,9 +147,9 @@ def test_a_setting_that_is_lost_while_enabled_is_found(setting_name: str) -> Non
 
 
 def test_a_restart_is_found_by_two_reads() -> None:
-    """The controller reads one setting after the other.
+    """The controller reads the settings of a moteus back one after the other.
 
-    After a restart of the drive, at least one of two consecutive settings has a wrong value.
+    After a restart of the drive, at least one of two consecutively read settings has a wrong value.
     """
     settings = position_configuration(codec.PositionGains(*GAIN_BY_ITEM.values()))
     for first_setting, second_setting in zip(settings, settings[1:] + settings[:1], strict=True):
@@ -194,7 +194,7 @@ def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(
         layout, tables = run.state.layout, run.controller.derived_constants.wire_tables
         torque = run.state.tendon[s.COMMANDED_TORQUE].copy()
         if target_row == s.SERVO_KP and math.isnan(target_value):
-            # A comparison of NaN with 0 is false. A command with a kp of NaN is therefore always a
+            # A comparison of NaN with 0 is false. A command whose kp is NaN is therefore always a
             # torque command.
             target_value = math.inf
         block = run.state.block.copy()
@@ -211,7 +211,7 @@ def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(
 
 
 def sent_frames(block, layout, tables, torque) -> list[bytes]:
-    """Encode the commands that a state block contains, and return their payloads."""
+    """Encode the drive commands that a state block contains, and return the payloads of their frames."""
     out = np.zeros((tables.max_frames, WORDS_PER_RECORD), np.uint64)
     first_drive, count = cyclic_frames.encode_commands(
         block, layout.offsets, out, tables.commands, tables.command_signal_integers, tables.command_signal_scalings,
@@ -236,9 +236,9 @@ def test_every_signal_has_its_range() -> None:
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed: int) -> None:
-    """A moteus that loses its gains changes its torque at once.
+    """A moteus that loses the gains of its position loop changes its torque at once.
 
-    The repeated read-back of the settings then finds the loss.
+    The repeated read-back of the settings finds that the gains are lost.
     """
     hand = hand_with_position_loop(protocol="moteus")
     with homed_run(hand, 500.0, seed) as hand_run:

@@ -1,7 +1,8 @@
 """Test ODrives with firmware 0.5.x.
 
-Such ODrives are set up, enabled and disabled in the same way as ODrives with later firmware. Their
-heartbeat is different. For these drives, handctl cannot verify protections such as the watchdog.
+ODrives with firmware 0.5.x are set up, enabled and disabled in the same way as ODrives with later
+firmware. The heartbeat of firmware 0.5.x is different. In an ODrive with firmware 0.5.x, handctl
+cannot verify protections such as the watchdog.
 """
 
 import struct

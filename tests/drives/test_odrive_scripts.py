@@ -1,10 +1,10 @@
 """Run ODrive's own scripts for CAN with simulated drives.
 
-One script restores a configuration, and another one calibrates a drive. The scripts are in no
-package. The tests use the scripts in the folder that the environment variable
-``HANDCTL_ODRIVE_SCRIPTS`` names. Without this variable, they download a fixed version of the
-scripts. If the download fails, the tests are skipped. The scripts open a bus of python-can, so they
-run on a local bus.
+One of ODrive's scripts restores a configuration, and another one calibrates a drive. No Python
+package contains ODrive's scripts. The tests use the scripts in the folder that the environment
+variable ``HANDCTL_ODRIVE_SCRIPTS`` names. If ``HANDCTL_ODRIVE_SCRIPTS`` is not set, the tests
+download a fixed version of the scripts. If the download of the scripts fails, the tests are
+skipped. The scripts open a bus of python-can, so they run on a local bus.
 """
 
 import json
@@ -41,12 +41,12 @@ ENDPOINT_BY_PATH = {
     "axis0.config.torque_soft_max": ("endpoint_torque_max", "float", "f", 0.5),
     "axis0.config.torque_soft_min": ("endpoint_torque_min", "float", "f", -0.5),
 }
-"""Path of each setting, its option in the hand file, its type, its format, and the value to write."""
+"""For the path of each ODrive setting: its option in the hand file, its type, its format, and the value to write."""
 
 
 @pytest.fixture(scope="module")
 def odrive_script_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of the scripts."""
+    """Return the folder that contains ODrive's scripts."""
     if folder_name := os.environ.get("HANDCTL_ODRIVE_SCRIPTS"):
         return Path(folder_name)
     folder = tmp_path_factory.mktemp("scripts")
@@ -65,7 +65,7 @@ def odrive_script_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run_script(odrive_script_folder: Path, tmp_path: Path) -> Callable[..., Any]:
     """Return a function that runs a script on the local bus.
 
-    This function returns the completed process.
+    The returned function returns the completed process of the script.
     """
     (tmp_path / "flat_endpoints.json").write_text(json.dumps(_endpoints_file("0.6.10")))
 
@@ -102,7 +102,7 @@ def _endpoints_file(firmware_version: str) -> dict[str, Any]:
 def _await_message(
     bus: can.BusABC, command_number: int, accepts_payload: Callable[[bytes], bool]
 ) -> bytes:
-    """Return the payload of the next accepted message with a given command number."""
+    """Return the payload of the next message that has a given command number and an accepted payload."""
     end_s = time.monotonic() + WAIT_TIMEOUT_S
     while time.monotonic() < end_s:
         message = bus.recv(0.1)
@@ -137,7 +137,7 @@ def _read_endpoint(bus: can.BusABC, endpoint_number: int, format_code: str) -> A
 
 
 def _request_state(bus: can.BusABC, axis_state: int) -> int:
-    """Request an axis state, and return the axis state of a later heartbeat."""
+    """Request an axis state of the drive, and return the axis state in a later heartbeat."""
     _send(bus, 0x07, struct.pack("<I", axis_state))
     time.sleep(0.5)
     _flush(bus)
@@ -158,7 +158,7 @@ def test_a_configuration_is_restored_and_survives_a_reboot_if_it_was_saved(
         done = run_script("can_restore_config.py", *words, *(["--save-config"] if is_saved else []))
         assert done.returncode == 0, done.stderr
         assert f"writing {len(values)} variables" in done.stdout
-        _send(bus, 0x16, b"\0")  # a reboot that saves nothing
+        _send(bus, 0x16, b"\0")  # a reboot of the drive that saves no settings
         time.sleep(0.2)
         read = {
             path: _read_endpoint(bus, ENDPOINT_NUMBERS[option], code)

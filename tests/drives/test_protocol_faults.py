@@ -1,4 +1,4 @@
-"""Test faults of ODrive and CiA 402 drives, and the error messages about these faults.
+"""Test faults of ODrive and CiA 402 drives, and the error messages about the faults.
 
 The simulated firmware injects the faults.
 """
@@ -55,7 +55,7 @@ def first_cia402_node(bench: ProtocolBench) -> Cia402Node:
 def error_of_first_drive(
     bench: ProtocolBench, phase: DrivePhase, target: DriveTarget, max_ticks: int
 ) -> str:
-    """Run ticks until the first drive is in a phase, and return the error text of this drive."""
+    """Run ticks until the first drive is in a given drive phase, and return the error text of the first drive."""
     for _ in range(max_ticks):
         bench.tick(target)
         if bench.states[0].phase == phase:
@@ -66,11 +66,11 @@ def error_of_first_drive(
 def lose_first_frames(
     node: OdriveNode, command_number: int, payload_start: bytes = b"", frame_count: int = 1
 ) -> list[WireFrame]:
-    """Drop the first frames of a command to the first ODrive.
+    """Drop the first frames that contain a given command to the first ODrive.
 
-    The returned list collects the dropped frames.
+    Return a list that collects the dropped frames.
 
-    If ``payload_start`` is given, drop only frames whose data begin with ``payload_start``.
+    If ``payload_start`` is given, drop only frames whose payload begins with ``payload_start``.
     """
     original_receive, lost_frames = node.receive, list[WireFrame]()
 
@@ -283,7 +283,7 @@ def test_a_bus_without_sync_is_reported(cia402_bench: ProtocolBench) -> None:
 def refuse_sync_counter(bench: ProtocolBench) -> ProtocolBench:
     """Make the CiA 402 drives of a bench ignore every SYNC frame with data, and return the bench.
 
-    The CANopen stack CANopenNode ignores such a frame while object 0x1019 is 0.
+    The CANopen stack CANopenNode ignores a SYNC frame with data while object 0x1019 is 0.
     """
     for node in bench.simulated_hand.world.nodes[0]:
         if isinstance(node, Cia402Node):

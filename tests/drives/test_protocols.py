@@ -1,6 +1,6 @@
 """Test the behaviour that every drive protocol must have.
 
-The simulated firmware in these tests shares no code with the drives.
+The simulated firmware in these tests shares no code with the drives of handctl.
 """
 
 import math
@@ -51,7 +51,7 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Protoc
 def test_any_control_rate_that_the_watchdogs_allow_comes_to_torque(
     protocol: str, period_ms: int, tmp_path: Path
 ) -> None:
-    """A setting that was verified in the last tick counts as verified, even if a tick takes long."""
+    """A drive setting that was verified in the last tick counts as verified, even if a tick takes long."""
     slow_bench = ProtocolBench(hand_file(tmp_path, [protocol]), period_ns=period_ms * 1_000_000)
     slow_bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     for _ in range(5):
@@ -96,8 +96,8 @@ def test_a_cut_removes_the_torque_in_the_same_tick_and_disarms(bench: ProtocolBe
 def test_a_cut_removes_the_torque_before_the_node_leaves_operational(bench: ProtocolBench) -> None:
     """The command that disables a CiA 402 drive arrives before the node leaves the NMT state operational.
 
-    A node accepts PDOs only in this state (CiA 301). CiA 402-2 does not require that a drive stops
-    its motor when it leaves this state.
+    A node accepts PDOs only in the NMT state operational (CiA 301). CiA 402-2 does not require that
+    a drive stops its motor when it leaves the NMT state operational.
     """
     for drive in bench.drives:
         command_ids = [frame.can_id for frame in drive.torque_cut_frames()]
@@ -117,7 +117,7 @@ def test_disabling_is_not_confirmed_by_silence(bench: ProtocolBench) -> None:
 def test_an_enabled_drive_is_cut_as_soon_as_a_repeated_read_back_fails(
     bench: ProtocolBench, target: DriveTarget
 ) -> None:
-    """A drive that handctl has enabled may still make torque, although its feedback shows no error."""
+    """A drive that handctl has enabled can still make torque although its feedback shows no error."""
     bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     t_ns = bench.k * bench.period_ns
     for drive, state in zip(bench.drives, bench.states, strict=True):

@@ -1,8 +1,8 @@
 """The Python package ``robstride`` reads and sets up the simulated motor in the private protocol of RobStride.
 
-This package reads and writes parameters and enables the motor, but cannot send control commands.
-The package decodes only one of the two bits of the motor mode, so the test does not compare the
-mode.
+The package ``robstride`` reads and writes parameters and enables the motor, but cannot send control
+commands. The package ``robstride`` decodes only one of the two bits of the motor mode, so the test
+does not compare the mode.
 """
 
 import can

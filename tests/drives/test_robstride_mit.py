@@ -1,6 +1,6 @@
 """Test RobStride motors in MIT mode with simulated firmware.
 
-The tests cover faults, node numbers, and protections that cannot be verified.
+The tests cover faults, node numbers, and protections that handctl cannot verify.
 """
 
 from collections.abc import Iterator
@@ -89,9 +89,9 @@ def test_faults_are_read_before_torque_and_await_a_clear(
 
 
 def test_only_a_disabled_motor_is_asked_for_its_faults(bench: ProtocolBench) -> None:
-    """The frame that requests faults would be a motion command for other MIT motors.
+    """The frame that requests the faults of a RobStride motor would be a motion command for other MIT motors.
 
-    Therefore handctl sends this frame only while the motor is disabled.
+    A RobStride motor gets a fault request from handctl only while the motor is disabled.
     """
     fault_requests = []
     for target, phase in (
@@ -143,7 +143,7 @@ def test_a_wrong_option_is_refused_by_its_path(
 def test_no_numbers_share_an_identifier() -> None:
     """All new RobStride motors have the host number 0.
 
-    On one bus, all of them would reply with the same identifier 0.
+    On one bus, all RobStride motors with the host number 0 would reply with the same identifier 0.
     """
     assert robstride_mit_drive(host_id=0).node_ids == {0}
     drive = robstride_mit_drive()
@@ -162,9 +162,9 @@ def test_a_watchdog_set_before_in_the_private_protocol_removes_the_torque() -> N
 
 
 def test_numbers_and_protocol_change_by_special_commands() -> None:
-    """The simulated motor replies to each special command with its identity.
+    """To each special command, the simulated motor replies with the identity of the motor.
 
-    The drives of handctl send none of these commands.
+    The drives of handctl never send a special command that changes node number or protocol.
     """
     virtual_bench = VirtualBench("robstride_mit")
     node = virtual_bench.bench.nodes[0]

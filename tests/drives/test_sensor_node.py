@@ -1,7 +1,7 @@
-"""Compare frames of the sensor node with the DBC file of this node.
+"""Compare frames of the sensor node with the DBC file of the node.
 
-A separate decoder reads this file. Further tests check the state that the host keeps about the
-node.
+A separate decoder reads the DBC file. Further tests check the state that the host keeps about the
+sensor node.
 """
 
 import math
@@ -102,22 +102,23 @@ def test_counters_keep_the_turn_of_the_joints(joint_decimation: int) -> None:
 def test_no_age_of_a_frame_makes_it_fresh(joint_decimation: int) -> None:
     """A frame that is up to 7 ticks old never counts as a new frame.
 
-    An even older frame may count as new by chance. Of 100 such frames, more than 40 still count as
-    lost, which causes the fault B03b (many replies are being lost).
+    A frame that is more than 7 ticks old can count as new by chance. Of 100 frames that are more
+    than 7 ticks old, more than 40 still count as lost, which causes the fault B03b (many replies
+    are being lost).
     """
     counter_nibbles = [counter & 0xF for counter in sync_counters(joint_decimation)]
     n = len(counter_nibbles)
     for age in range(1, 200):
         is_same_counter = [
             k >= age and counter_nibbles[k] == counter_nibbles[k - age] for k in range(n)
-        ]  # in the first ticks, there is no older frame
+        ]  # in the first ticks of the test, there is no older frame
         assert sum(is_same_counter) <= (0 if age < 8 else 0.4 * n), age
         max_equal_count = max(sum(is_same_counter[k : k + 100]) for k in range(n - 100))
         assert max_equal_count < 60, age
 
 
 def state_after_sync(node: SensorNode, tick_index: int) -> WiredDrives:
-    """Return the state that the host keeps about the sensor node, after the SYNC frame of tick k."""
+    """Return the state that the host keeps about the sensor node, after the SYNC frame of tick ``tick_index``."""
     wired_drives = WiredDrives((), node)
     wired_drives.begin_tick_with_sync(tick_index)
     return wired_drives
@@ -164,7 +165,7 @@ def test_sensor_frames_are_decoded_to_known_values() -> None:
     """The codes in this test were computed by hand.
 
     0 N has the code 96 = 0x060, 10 N has 256 = 0x100, the upper end of the range has 0xFFF, and 0
-    rad has 0x800. The counter in these frames is 7.
+    rad has 0x800. The counter in the frames of this test is 7.
     """
     node = SensorNode.from_description(
         SensorNodeSection(tendons=TENDON_NAMES[:3], joints=("j4",)), 0, TENDON_NAMES, JOINT_NAMES
@@ -198,10 +199,10 @@ def test_only_the_answer_to_the_last_sync_counts(tick_index: int, counter: int) 
 def test_a_stale_frame_that_comes_after_the_fresh_one_is_reported(
     node: SensorNode, first_id: int, message_prefix: str
 ) -> None:
-    """If a stale frame arrives after the fresh frame of its tick, it is reported.
+    """If a stale sensor frame arrives after the fresh sensor frame of a tick, the controller reports the stale frame.
 
-    Two causes are possible: frames changed their order on the bus, or another node sends an old
-    frame again.
+    A stale frame has two possible causes: frames changed their order on the bus, or another node
+    sends an old frame again.
     """
     (fresh_frame, *_), (stale_frame, *_) = (
         encode_frames(first_id, message_prefix, nibble, [7] * CHANNEL_COUNT) for nibble in (3, 2)
@@ -392,9 +393,9 @@ def test_channels_that_are_empty_or_full(node: SensorNode) -> None:
 
 
 def test_all_load_cells_are_read_when_each_has_been_read_once(node: SensorNode) -> None:
-    """The first readings of the load cells may arrive in any order, and in different ticks.
+    """The first readings of the load cells can arrive in any order, and in different ticks.
 
-    The host does not wait for joint encoders.
+    The host does not wait for readings of joint encoders.
     """
     wired, bare = (
         WiredDrives((), sensor_interface)
@@ -416,7 +417,7 @@ def test_all_load_cells_are_read_when_each_has_been_read_once(node: SensorNode) 
             ).observe_readings()
         assert wired.field_number("started") == done, hex(base)
         # The last frame contains only the load cell of the last tendon. The second hand of this
-        # test has no such load cell.
+        # test has no load cell for the last tendon.
         assert bare.field_number("started") == (done or base == 0x1A1), hex(base)
 
 

@@ -1,6 +1,6 @@
 """Test how the settings of a drive are written and read back.
 
-This procedure is the same for all drive protocols.
+The procedure of writing and reading back is the same for all drive protocols.
 """
 
 import pytest

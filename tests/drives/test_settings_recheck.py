@@ -1,6 +1,6 @@
 """Test drives that lose their settings while they are enabled.
 
-The torque limit and watchdog of a drive are read again while the drive is enabled.
+The controller reads the torque limit and the watchdog of a drive again while the drive is enabled.
 """
 
 import os
@@ -44,9 +44,9 @@ def run_drive_with_registers(
     register_values: dict[int, float],
     motor_is_heard: bool = True,
 ):
-    """Run a drive whose motor replies to commands and requests.
+    """Run a drive whose motor replies to torque commands and register requests.
 
-    Return the final state, and the tick and the register of each request.
+    Return the final state of the drive, and the tick and the register of each register request.
     """
     requests = []
     feedback = bytes((codec.ENABLED << 4 | drive.node_id & 0xF, 0x80, 0, 0x7F, 0xF7, 0xFF, 25, 25))
@@ -73,7 +73,8 @@ CORRECT_REGISTERS = {codec.TIMEOUT: 1000, codec.TMAX: 0.8}
 def test_two_registers_are_read_by_turns_and_feedback_goes_on(node_id):
     """A reply that contains a register is not decoded as feedback.
 
-    The first byte of such a reply may equal the first byte of the feedback of an enabled motor.
+    The first byte of a reply with a register can equal the first byte of the feedback of an enabled
+    motor.
     """
     drive, state = enabled_mit_drive(node_id)
     state, requests = run_drive_with_registers(drive, state, 2001, CORRECT_REGISTERS)
@@ -135,10 +136,10 @@ def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed):
-    """A moteus that lost its settings may no longer obey.
+    """A moteus that has lost its settings possibly no longer obeys its commands.
 
-    The first fault is N14 (a command is not obeyed) if the controller notices the wrong torque
-    before it reads the settings again.
+    If the controller notices the wrong torque before it reads the settings again, the first fault
+    is N14 (a command is not obeyed).
     """
     hand = hand_with_protocol("jamia", "moteus")
     with homed_run(hand, default_control_rate(hand), seed) as hand_run:

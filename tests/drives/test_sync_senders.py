@@ -1,7 +1,8 @@
 """Test the SYNC frame and the heartbeat of the host for CiA 402 drives.
 
-On some buses, the request to the sensor node is the SYNC frame. On each other bus, the host sends a
-SYNC frame on behalf of one drive. One drive of each bus sends the heartbeat.
+On some buses, the request to the sensor node is the SYNC frame. On a bus without a request to the
+sensor node, the host sends a SYNC frame on behalf of one drive. One drive of each bus sends the
+heartbeat of the host.
 """
 
 import tomllib
@@ -48,7 +49,7 @@ def hand_without_sensors() -> Hand:
 def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
     """Reproduce a defect.
 
-    A bus without a sensor node had no SYNC frame, so a hand with CiA 402 drives on this bus was
+    A bus without a sensor node had no SYNC frame, so a hand with CiA 402 drives on the bus was
     never armed.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
@@ -75,7 +76,7 @@ def test_the_host_sends_one_heartbeat_on_each_bus(tmp_path: Path) -> None:
     """Reproduce a defect.
 
     The host sent its heartbeat once for each drive. One heartbeat on each bus is enough, because
-    every drive on a bus receives this heartbeat.
+    every drive on a bus receives it.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
     model = HandModel.from_hand(load_hand(str(path)), Gains(), 250.0)
@@ -115,9 +116,9 @@ def test_the_packaged_hand_on_two_buses_has_sync_on_both() -> None:
 def test_one_drive_of_a_bus_sends_sync(
     original_text: str, replacement_text: str, expected_senders: list[str], tmp_path: Path
 ) -> None:
-    """If the sensor node uses another identifier than SYNC, a drive sends SYNC.
+    """If the request to the sensor node has another identifier than SYNC, one drive sends the SYNC frame.
 
-    A drive with the option ``sync`` continues to send SYNC.
+    A drive with the option ``sync`` sends SYNC in any case.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
     text = path.read_text()

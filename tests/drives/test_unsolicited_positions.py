@@ -21,7 +21,8 @@ SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 1)
 RATE_HZ = 250.0
 """Control rate [Hz].
 
-The drive sends unrequested messages every 10 ms. At this rate, ticks fall between these messages.
+The drive sends unrequested position messages every 10 ms. At a control rate of 250 Hz, some ticks
+fall between two unrequested messages.
 """
 MAX_TENSION_SWING_N = 5.0
 """Largest permitted oscillation of a tension in motion [N RMS].
@@ -46,7 +47,8 @@ BEND_AND_OPEN_TASK = Task.model_validate(
 def test_the_tension_does_not_oscillate_by_late_positions(seed: int) -> None:
     """Reproduce a defect: the tensions of a hand without springs oscillated by 15 N RMS.
 
-    The default task therefore ended with the fault N14b (the tension oscillates).
+    Because of these oscillations, the default task ended with the fault N14b (the tension
+    oscillates).
     """
     model = HandModel.from_hand(hand_with_protocol("n_plus_1", "odrive"), Gains(), RATE_HZ)
     with SimulatorSettings(model.hand, None, seed, homed=True).begin_run(

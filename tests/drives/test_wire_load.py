@@ -1,6 +1,6 @@
 """Test that the load of a simulated bus is the load that ``bus plan`` predicts.
 
-Also test a hand on a disturbed bus.
+Further tests run a hand on a disturbed bus.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ PERIOD_NS = 4_000_000
 def planned_tick_s(hand_path: Path, period_ns: int = PERIOD_NS) -> list[float]:
     """Return the planned bus time per tick on each bus [s].
 
-    This time includes the frames that nodes send by a timer.
+    The planned bus time includes the frames that nodes send by a timer.
     """
     return [
         load.load_at_rate(1e9 / period_ns) * period_ns * 1e-9
@@ -129,7 +129,7 @@ def test_feedback_is_as_late_as_the_usb_frames_of_the_adapter(
 ) -> None:
     """With each class of USB adapter, the drives become ready at 250 Hz.
 
-    Because of the latency of the adapter, some ticks get no feedback.
+    Because of the latency of the adapter, some ticks get no drive feedback.
     """
     bench = ProtocolBench(hand_file(tmp_path, ["mit"]), [f"adapter={adapter_class}"], PERIOD_NS)
     bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY, 1000)

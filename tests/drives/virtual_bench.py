@@ -1,4 +1,4 @@
-"""A simulated drive that is alone on a bus in virtual time, and a host that commands this drive."""
+"""A simulated drive that is alone on a bus in virtual time, and a host that commands the drive."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ OPTIONS_BY_PROTOCOL = {
 
 
 class VirtualBench:
-    """Bench that is the bus and the clock of a host.
+    """Bench that serves a host as its bus and as its clock.
 
     When the host waits for a tick, the time of the drive advances.
     """
@@ -36,7 +36,7 @@ class VirtualBench:
     ):
         """Put a simulated drive on the bench.
 
-        The drive may have a fault, and its frames may have a delay in ticks.
+        The drive can have a fault, and its frames can have a delay in ticks.
         """
         spec = drive_spec(protocol, DRIVE_NODE_ID, inertia=shaft_inertia)
         self.bench = SimulatedDriveBench(
@@ -45,14 +45,14 @@ class VirtualBench:
         self.frames_on_bus, self.largest_torque, self.origin_ns = [], 0.0, 0
         self.delayed_frames = [
             [] for _ in range(delay_ticks)
-        ]  # frames that have not arrived yet, one list for each tick
+        ]  # frames of the drive that have not arrived yet, one list for each tick
 
     def start(self):
-        """Begin a run. The present time becomes the time of tick 0."""
+        """Begin a run. The present virtual time becomes the time of tick 0."""
         self.origin_ns = self.bench.t_ns
 
     def wait(self, k):
-        """Advance the time to tick k, and return how late the host is [ns].
+        """Advance the virtual time to tick ``k``, and return how late the host is [ns].
 
         The host is late only if ``advance_time`` was called before.
         """
@@ -65,7 +65,7 @@ class VirtualBench:
         return self.bench.t_ns - self.origin_ns
 
     def send(self, frames):
-        """Deliver frames to the drive at once."""
+        """Deliver frames of the host to the drive without a delay."""
         for frame in frames:
             self.frames_on_bus += self.bench.receive(SimFrame(*frame))
         return len(frames)
@@ -84,7 +84,7 @@ class VirtualBench:
         self.bench.advance(self.bench.t_ns + round(duration_s * 1e9))
 
     def take_events(self):
-        """Return an empty list, because this bus has no events."""
+        """Return an empty list of bus events, because a bench has no bus events."""
         return []
 
 

@@ -1,6 +1,7 @@
 """Connect drives and a sensor node with a state block.
 
-Compiled code receives and sends their frames, as in a tick of the controller.
+Compiled code receives and sends the frames of the drives and of the sensor node, as in a tick of
+the controller.
 """
 
 from collections.abc import Iterable, Sequence
@@ -27,8 +28,9 @@ class WiredDrives:
     """State of the drives and of the sensor node between two ticks.
 
     Attributes:
-        block: numbers of the state. states: states of the drives after the last run of their state
-            machines. The values of the drives are in the block.
+        block: state block with the numbers of the drives and of the sensor node.
+        states: states of the drives after the last run of their state machines. The values of the
+            drives are in the state block.
         frames_for_drives: frames of the last ``receive`` that compiled code left to the state
             machine of a drive.
         foreign_frames: frames of the last ``receive`` whose identifiers only the host may use.
@@ -57,7 +59,7 @@ class WiredDrives:
             self.store_drive_state(i, state)
 
     def field_view(self, field_name: str) -> NDArray:
-        """Return a field of the block."""
+        """Return a field of the state block."""
         return self.layout.view(self.block, field_name)
 
     def field_number(self, field_name: str) -> int:
@@ -72,7 +74,7 @@ class WiredDrives:
     def begin_tick_with_sync(self, k: int) -> Frame:
         """Begin the next tick.
 
-        Return the request to the sensors, which is sent at the end of a tick.
+        Return the frame that requests the sensor values, which the host sends at the end of a tick.
         """
         frame = self.sensors.sync(k)
         self.field_view("sync_asked")[...], self.field_view("syncs")[...] = (
@@ -83,7 +85,7 @@ class WiredDrives:
         return frame
 
     def receive(self, frames: Iterable[Frame]) -> "WiredDrives":
-        """Receive frames in the same way as a tick does, and return this object."""
+        """Receive frames in the same way as a tick of the controller does, and return ``self``."""
         frames, known_tables, at = frames_as_records(frames), self.tables, 0
         self.frames_for_drives, self.foreign_frames = [], []
         while True:
@@ -105,7 +107,7 @@ class WiredDrives:
             at += 1
 
     def send(self, target: DriveTarget, torque: Sequence[float], t_ns: int) -> list[Frame]:
-        """Return the frames that a tick sends to the drives for a requested state and given torques."""
+        """Return the frames that a tick sends to the drives for a requested drive state and given torques."""
         self.field_view("t_ns")[...] = t_ns
         tables, sent, first_drive = self.tables, list[Frame](), 0
         while True:
@@ -128,7 +130,7 @@ class WiredDrives:
             first_drive += 1
 
     def store_drive_state(self, drive_index: int, drive_state: DriveState) -> None:
-        """Store the state of drive i. The values of the drive go into the state block."""
+        """Store the state of the drive ``drive_index``. The values of the drive go into the state block."""
         drive, integers, table = (
             self.drives[drive_index],
             *(self.layout.table(self.block, name) for name in ("tendon_int", "tendon")),
@@ -147,7 +149,7 @@ class WiredDrives:
         self.states[drive_index] = drive_state
 
     def drive_state(self, drive_index: int) -> DriveState:
-        """Return the state of drive i with its values from the block."""
+        """Return the state of the drive ``drive_index`` with its values from the state block."""
         table, integers = (self.layout.table(self.block, name) for name in ("tendon", "tendon_int"))
         return self.states[drive_index].with_values(*drive_values(table, integers, drive_index))
 
@@ -155,23 +157,23 @@ class WiredDrives:
 
     @property
     def tensions(self) -> dict[int, float]:
-        """Return the load-cell readings that arrived in this tick [N], by tendon."""
+        """Return the load-cell readings that arrived in the present tick [N], by tendon."""
         fresh_field_values, cells = self.field_view("cell_fresh"), self.field_view("cell")
         return {i: float(cells[i]) for i in np.flatnonzero(fresh_field_values).tolist()}
 
     @property
     def joints(self) -> dict[int, float]:
-        """Return the joint-encoder readings that arrived in this tick [rad], by joint."""
+        """Return the joint-encoder readings that arrived in the present tick [rad], by joint."""
         fresh_field_values, angles = self.field_view("joint_fresh"), self.field_view("joint_angle")
         return {j: float(angles[j]) for j in np.flatnonzero(fresh_field_values).tolist()}
 
     @property
     def has_malformed_frame(self) -> bool:
-        """Return True if a frame of the sensor node had a wrong form in this tick."""
+        """Return True if a frame of the sensor node had a wrong form in the present tick."""
         return bool(self.field_view("misread_now")[-1])
 
     def observe_readings(self) -> "WiredDrives":
-        """Convert received values to measurements.
+        """Convert the received sensor values to the measurements of the filter.
 
         The filter starts as soon as every sensor has been read once.
         """
@@ -182,7 +184,7 @@ class WiredDrives:
     def _load_cell_constants(self) -> tuple[NDArray, NDArray]:
         """Return the block of a hand's constants.
 
-        Only the constants for load-cell frames have values.
+        In the returned block, only the constants for load-cell frames have values.
         """
         axes = self.layout.axes
         used_axes = {name: axes[name] for name in ("tendon", "joint", "digit", "coordinate")}

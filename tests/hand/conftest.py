@@ -1,4 +1,4 @@
-"""Fixtures with hands and digits for the tests of this folder."""
+"""Provide hands and digits as fixtures for the tests of the folder ``tests/hand``."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -14,7 +14,7 @@ from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_han
 SPATIAL_HANDS = ("orca_like",)
 """Packaged hands whose digits are spatial chains on a wrist.
 
-``test_random_chains`` tests these hands together with random hands.
+``test_random_chains`` tests hands with spatial chains together with random hands.
 """
 
 
@@ -22,7 +22,7 @@ SPATIAL_HANDS = ("orca_like",)
 def hand(request: pytest.FixtureRequest) -> Hand:
     """Return a packaged hand with planar digits on the palm.
 
-    A test that uses this fixture runs once for each such hand.
+    A test that uses this fixture runs once for each packaged hand with planar digits on the palm.
     """
     return load_hand(request.param)
 
@@ -41,9 +41,9 @@ def rng() -> np.random.Generator:
 
 @pytest.fixture
 def refusal() -> Callable[[Mapping[str, Any]], str]:
-    """Return a function that builds a hand from wrong content, and returns the error line.
+    """Return a function. The function builds a hand from wrong content and returns the error line.
 
-    This line contains the file, the key path, the wrong value and the expected value.
+    The error line contains the file name, the key path, the wrong value and the expected value.
     """
 
     def refusal_line(content: Mapping[str, Any]) -> str:

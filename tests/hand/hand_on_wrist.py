@@ -1,4 +1,4 @@
-"""Build packaged hands on a wrist. The tendons of the digits have moment arms about this wrist."""
+"""Build packaged hands on a wrist. The tendons of the digits have moment arms about the axis of the wrist."""
 
 import json
 from typing import Any
@@ -9,7 +9,7 @@ from handctl.hand.hand_loading import hand_from_content, load_hand
 WRIST_MOMENT_ARM_M = 0.005
 """Distance at which the digits' tendons pass the axis of the wrist [m].
 
-The tendon that moves the wrist has a larger distance from this axis.
+The tendon that moves the wrist has a larger distance from the axis of the wrist.
 """
 
 
@@ -20,9 +20,9 @@ def mount_on_wrist(hand_name: str, moment_arm_m: float = WRIST_MOMENT_ARM_M) -> 
 
     Args:
         hand_name: name of a packaged hand.
-        moment_arm_m: moment arm of every digit tendon about the wrist [m]. With 0, the tendons pass through
-            the axis of the wrist. Tendons of digits that close towards -y flex the wrist, and
-            tendons of other digits extend the wrist.
+        moment_arm_m: moment arm of every digit tendon about the wrist [m]. If the moment arm is 0,
+            the tendons pass through the axis of the wrist. Tendons of digits that close towards -y
+            flex the wrist, and tendons of other digits extend the wrist.
     """
     hand = load_hand(hand_name)
     content: dict[str, Any] = json.loads(json.dumps(hand.content))

@@ -1,6 +1,6 @@
 """Hands that have more motors than the packaged hands.
 
-The functions of this module make such hands from jamia11.
+The functions of this module make hands with many motors from the packaged hand jamia11.
 """
 
 from typing import Any
@@ -11,8 +11,8 @@ from handctl.hand.hand_loading import hand_content
 def fifteen_motor_hand() -> dict[str, Any]:
     """Return the description of a hand with five fingers.
 
-    Each finger has three joints, and each joint has its own motor. The hand is jamia11 without its
-    thumb and with two more fingers.
+    Each finger has three joints, and each joint has its own motor. The returned hand is jamia11
+    without its thumb and with two more fingers.
     """
     raw = hand_content("jamia11")
     entries_by_section = {

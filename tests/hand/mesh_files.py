@@ -33,7 +33,7 @@ def tetrahedron_obj(scale: float = 1.0, mixes_face_notations: bool = False) -> b
     """Return the tetrahedron as the text of an OBJ file.
 
     With ``mixes_face_notations``, the faces of the tetrahedron use all notations that OBJ has for a
-    corner. MuJoCo cannot read a file with such a mixture.
+    corner. MuJoCo cannot read a file in which the notations are mixed.
     """
     lines = [
         "# a tetrahedron",
@@ -64,11 +64,11 @@ def write_meshes(mesh_folder: Path) -> None:
 
 
 def hand_with_meshes(hand_name: str) -> Hand:
-    """Return a packaged hand with the meshes of ``write_meshes`` on its palm and links.
+    """Return a packaged hand whose palm and links have the meshes of ``write_meshes``.
 
     The first link of a digit with several links has no mesh.
 
-    The mesh on the last link of each digit has a scale and a pose.
+    The mesh on the last link of each digit has a scale factor and a pose relative to the link.
     """
     content = hand_without_meshes(hand_name).content
     content["mount"] = content["mount"] | {
@@ -99,7 +99,7 @@ def hand_without_meshes(hand_name: str) -> Hand:
 
 
 def corners_by_link(model: mujoco.MjModel, q: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the corners of the mesh of each link in the palm frame [m], as MuJoCo places them."""
+    """Return the corners of each link's mesh in the palm frame [m], as MuJoCo places them."""
     data = mujoco.MjData(model)
     data.qpos[: len(q)] = q
     mujoco.mj_kinematics(model, data)
@@ -115,7 +115,7 @@ def corners_by_link(model: mujoco.MjModel, q: np.ndarray) -> dict[str, np.ndarra
 
 
 def corners_of_hand(hand, mesh_folder: Path, q: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the corners of the mesh of each link in the palm frame [m], as the kinematics of handctl places them."""
+    """Return the corners of each link's mesh in the palm frame [m], as the kinematics of handctl places them."""
     poses = {PALM_LINK: (np.zeros(3), np.eye(3))}
     tree = LinkTree.from_hand(hand)
     all_poses = tree.poses(q)
@@ -140,7 +140,7 @@ def assert_same_corners(
 ) -> None:
     """Assert that two sets of mesh corners agree for each link.
 
-    Each corner is at most a micrometre away from a corner of the other set.
+    Each corner of one set must be at most a micrometre away from a corner of the other set.
     """
     assert computed_corners.keys() == expected_corners.keys()
     for link, corners in expected_corners.items():

@@ -18,7 +18,7 @@ SEEDS_WITH_PRISMATIC_JOINTS = range(20, 40)
 def build_random_hand_tree(seed: int) -> Hand:
     """Return a hand of five random digits of 1 to 3 links.
 
-    Each digit is mounted on the palm or on an earlier digit.
+    Each random digit is mounted on the palm or on a digit with a smaller index.
     """
     rng = np.random.default_rng(seed + 100)
     return random_hand(seed, *rng.integers(1, 4, 5).tolist(), rng=rng)
@@ -28,8 +28,8 @@ def random_hand(seed: int, *joint_counts: int, rng: np.random.Generator | None =
     """Return a hand of random digits that have one tendon per joint.
 
     ``joint_counts`` has the number of links of each digit. Without ``joint_counts``, the hand has a digit of 1
-    to 8 links and a digit of 1 to 7 links. If ``rng`` is given, some digits are mounted on other
-    digits.
+    to 8 links and a digit of 1 to 7 links. If ``rng`` is given, some digits of the random hand are
+    mounted on other digits.
     """
     is_mounted = rng
     rng = np.random.default_rng(seed)
@@ -118,7 +118,7 @@ def random_digit(rng: np.random.Generator, digit_name: str, joint_count: int) ->
 def make_some_joints_prismatic(random_source: np.random.Generator, digit: dict[str, Any]) -> None:
     """Make some joints of a digit prismatic.
 
-    In some hands, the first digits have only prismatic joints.
+    In some random hands, the first digits have only prismatic joints.
     """
     count = len(digit["link_length_m"])
     is_prismatic = random_source.random(count) < (1.0 if random_source.random() < 0.2 else 0.5)

@@ -1,6 +1,6 @@
 """Test the postures that bring a fingertip as close as possible to a point.
 
-All postures are within the joint limits.
+All returned postures are within the joint limits.
 """
 
 import time
@@ -32,7 +32,7 @@ def palm_digits(hand_name: str) -> list[DigitModel]:
 def tip_position(digit: DigitModel, joint_angles: np.ndarray) -> np.ndarray:
     """Return the position of the tip of a digit [m].
 
-    The digit is at the joint coordinates ``joint_angles``.
+    The joint coordinates of the digit are ``joint_angles``.
     """
     return joint_points(digit, digit.coupling @ joint_angles)[-1]
 
@@ -53,7 +53,7 @@ def test_a_point_in_reach_is_reached_within_the_limits(hand: str) -> None:
 
 @pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_a_point_anywhere_is_met_as_closely_as_by_scipy(hand: str) -> None:
-    """The expected distance comes from scipy's bounded least squares.
+    """The expected distance from the fingertip to the point comes from scipy's bounded least squares.
 
     The search of scipy starts in the middle of the joint ranges.
     """

@@ -16,7 +16,7 @@ JAMIA_HAND_CONTENT = hand_content("jamia")
 
 @pytest.fixture
 def refusal_of_edit(refusal):
-    """Return a function that edits the packaged hand, and returns the error line without the file name."""
+    """Return a function. The function edits the packaged hand and returns the error line without the file name."""
 
     def refusal_line(content_edit):
         content = copy.deepcopy(JAMIA_HAND_CONTENT)
@@ -27,7 +27,7 @@ def refusal_of_edit(refusal):
 
 
 def section_edit(section_name, section_index, **field_values):
-    """Return an edit that sets values in one section of a hand's content."""
+    """Return an edit function that sets values in one section of a hand's content."""
     return lambda content: (
         content[section_name] if section_index is None else content[section_name][section_index]
     ).update(field_values)
@@ -63,9 +63,9 @@ def test_the_message_about_a_wrong_unit_suggests_a_unit(
 
 
 def test_entries_that_are_refused_cause_no_further_message():
-    """Reproduce a defect: two wrong values in a list caused three messages.
+    """Reproduce a defect: two wrong values in a list caused three error messages.
 
-    The third message demanded at least 1 value.
+    The third error message demanded at least 1 value.
     """
     content = copy.deepcopy(JAMIA_HAND_CONTENT)
     content["digit"][0]["link_length_m"] = [50, 40]
@@ -414,7 +414,7 @@ def test_value_at_its_limit_is_accepted():
 
 
 def edit_on_a_wrist(content_edit):
-    """Return an edit that first puts jamia on a wrist, and then applies another edit."""
+    """Return an edit function that puts the hand jamia on a wrist, and after that applies ``content_edit``."""
 
     def change(content):
         content.update(copy.deepcopy(mount_on_wrist("jamia").content))

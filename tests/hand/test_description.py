@@ -1,4 +1,4 @@
-"""Test the hands that are read from valid files, and the error lines for invalid files."""
+"""Test the hands that handctl reads from valid hand files, and the error lines for invalid hand files."""
 
 import copy
 import re
@@ -80,7 +80,7 @@ def test_identity_is_of_the_content_and_not_of_its_spelling(hand):
 def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
     """Reproduce a defect: a hand lost its calibration when its stream limits changed.
 
-    The log of a hand with the default stream limits did not contain these limits.
+    The log of a hand with the default stream limits did not contain the stream limits.
     """
     slow_hand = hand_from_content(
         CONTENT_BY_HAND_NAME[hand.name] | {"stream": {"speed_deg_s": 200.0}}, "x"
@@ -97,7 +97,7 @@ def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
 def changeable_numbers(content):
     """Yield the path and the value of some numbers in a hand's content.
 
-    The hand stays valid if one of these numbers changes slightly.
+    The hand stays valid if one of the yielded numbers changes slightly.
     """
     for key in ("stiffness_N_per_m", "damping_N_s_per_m", "friction_coefficient", "tension_max_N"):
         yield ("tendon", 0, key), content["tendon"][0][key]
@@ -221,9 +221,9 @@ def test_a_directory_is_no_hand(tmp_path):
 
 
 def test_a_copy_with_other_buses_has_their_names() -> None:
-    """Reproduce a defect: a copy with changed fields still had the cached properties of the original.
+    """Reproduce a defect: a copy of a hand with changed fields still had the cached properties of the original hand.
 
-    One of the cached properties is the list of bus names.
+    One of the cached properties of a hand is the list of bus names.
     """
     hand = load_hand("jamia")
     assert hand.bus_names == ("main",)

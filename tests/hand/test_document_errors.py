@@ -14,14 +14,14 @@ from handctl.errors import ConfigError
 
 
 class ExampleMoveStep(Document):
-    """Step of a plan that has a speed."""
+    """Step of an example plan. The step has a speed."""
 
     kind: Literal["move"]
     speed_deg_s: float = Field(gt=0)
 
 
 class ExampleHoldStep(Document):
-    """Step of a plan that has a tension. It may also contain a further step."""
+    """Step of an example plan. The step has a tension, and possibly contains a further step."""
 
     kind: Literal["hold"]
     tension_N: float
@@ -29,14 +29,14 @@ class ExampleHoldStep(Document):
 
 
 class ExamplePlanPart(Document):
-    """Part of a plan."""
+    """Part of an example plan."""
 
     name: str
     size_m: float = 1.0
 
 
 class ExamplePlanDocument(Document):
-    """Document that has a field of each kind."""
+    """Example document that has a field of each kind."""
 
     name: str
     part: tuple[ExamplePlanPart, ...] = ()
@@ -68,8 +68,8 @@ LINE_BY_MISTAKE: dict[str, tuple[dict[str, Any], str]] = {
         {"name": "a", "step": [MOVE_CONTENT, MOVE_CONTENT | {"speed": 3}]},
         "step[1].speed: unknown key; expected speed_deg_s?",
     ),
-    # The wrong key of this case is a key of another kind of step. Earlier defect: the error line
-    # suggested exactly the key that it refused.
+    # The wrong key of this test case is a valid key of another kind of step. Earlier defect: the
+    # error line suggested exactly the key that it refused.
     "unknown in this alternative": (
         {"name": "a", "step": [MOVE_CONTENT | {"tension_N": 1.0}]},
         "step[0].tension_N: unknown key; expected one of kind, speed_deg_s",

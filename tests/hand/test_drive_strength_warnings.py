@@ -26,8 +26,8 @@ def hand_with_ratings(
 ) -> Hand:
     """Return a hand whose joints all have the rating ``rated_torque`` [N m].
 
-    All its motors have the torque ``peak_torque`` [N m]. All its tendons have the breaking force
-    ``breaking_strength`` [N].
+    All motors of the hand have the torque ``peak_torque`` [N m]. All tendons of the hand have the
+    breaking force ``breaking_strength`` [N].
     """
     digits, motors, tendons = hand.digit, hand.motor, hand.tendon
     if rated_torque is not None:
@@ -53,8 +53,8 @@ def hand_with_ratings(
 def test_check_warns_of_each_jamia_and_accepts_it(hand_name, capsys):
     """`config check` warns that a runaway drive of a jamia hand could break its tendon.
 
-    A motor of these hands pulls with at least 250 N. If its drive runs away, the tension reaches
-    500 N. The breaking force of 620 N is less than 1.5 times this tension.
+    A motor of a jamia hand pulls with at least 250 N. If the drive of the motor runs away, the
+    tension reaches 500 N. The breaking force of 620 N is less than 1.5 times the tension of 500 N.
     """
     assert main(["config", "check", "--hand", hand_name]) == 0
     warning_lines = [
@@ -103,7 +103,7 @@ def test_joints_without_rating_are_reported_and_weak_ones_by_name():
     strong, weak = (
         hand_with_ratings(hand, rated_torque=2.26),
         hand_with_ratings(hand, rated_torque=2.24),
-    )  # 1.5 times the torque of 500 N at a moment arm of 3 mm is 2.25 N m
+    )  # 500 N at a moment arm of 3 mm make 1.5 N m, and 1.5 times this torque is 2.25 N m
     assert not any(
         "joint_rated" in line or "its rating" in line for line in strength_warnings(strong)
     )

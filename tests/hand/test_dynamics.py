@@ -1,4 +1,4 @@
-"""Compare the equations of motion with pinocchio and MuJoCo, and with laws that hold for any mechanical system."""
+"""Compare the equations of motion of a digit with pinocchio and MuJoCo, and with general laws of mechanics."""
 
 import mujoco
 import numpy as np
@@ -36,7 +36,7 @@ def arrays_agree(computed, reference):
 
 
 def pinocchio_by_hand(digit: DigitModel, gravity_m_s2) -> pinocchio.Model:
-    """Build a digit in pinocchio as a chain of hinges and prismatic joints, without using its URDF."""
+    """Build a digit in pinocchio as a chain of hinges and prismatic joints, without the URDF of the digit."""
     model, parent = pinocchio.Model(), 0
     placement = pinocchio.SE3(np.array(digit.mount_rotation), np.array(digit.mount_position))
     for i in range(digit.joint_count):
@@ -55,7 +55,7 @@ def pinocchio_by_hand(digit: DigitModel, gravity_m_s2) -> pinocchio.Model:
 
 
 def joint_rotation(digit: DigitModel, link_index: int) -> np.ndarray:
-    """Return the orientation of link i at angle zero, relative to the frame of the link before it."""
+    """Return the orientation of the link ``link_index`` at angle zero, relative to the frame of the previous link."""
     rotation_at_zero = (
         digit.table[rigid_body.FIXED_ROTATION_ROW : rigid_body.COSINE_ROTATION_ROW, link_index]
         + digit.table[rigid_body.COSINE_ROTATION_ROW : rigid_body.SINE_ROTATION_ROW, link_index]
@@ -175,7 +175,7 @@ def test_mass_matrix_is_symmetric_and_positive(digits, rng):
 def test_coriolis_forces_do_no_work_of_their_own(digits, rng):
     """The matrix M' - 2 C is skew-symmetric.
 
-    The power q'^T C q' therefore equals q'^T M' q' / 2.
+    Because M' - 2 C is skew-symmetric, the power q'^T C q' equals q'^T M' q' / 2.
     """
     for digit in digits:
         for q, dq, _ in random_motions(rng, digit.joint_count, 200):
@@ -285,13 +285,14 @@ def test_lists_tuples_and_arrays_give_equal_results(digits, rng):
 
 
 def test_known_numbers_of_the_paper_s_finger():
-    """The weight torque and the inertia at joint 1 equal separately computed values.
+    """The weight torque and the inertia at joint 1 of a finger equal separately computed values.
 
-    The weight torque is that of a straight finger. The inertia is that of a bent finger.
+    The compared weight torque is that of a straight finger. The compared inertia is that of a bent
+    finger.
     """
     digit = DigitModel.from_hand(load_hand("jamia"), "index").with_gravity(
         (0.0, 9.81, 0.0)
-    )  # gravity along -y of the digit
+    )  # gravity acts along -y of the digit
     m1, m2, m3 = digit.masses
     weight = 9.81 * (m1 * 0.015 + m2 * 0.0375 + m3 * 0.050)
     assert np.isclose(dynamics.gravity_torque(digit, (0.0, 0.0, 0.0))[0], weight, rtol=1e-12)

@@ -21,7 +21,7 @@ OPTIONAL_KEYS = {"coupling"}
 
 
 def content_leaves(content_node, node_path=()):
-    """Yield key path and value of each single value in the content of a hand. Tables and lists are not yielded."""
+    """Yield key path and value of each single value in the content of a hand. Skip tables and lists."""
     entries = (
         content_node.items()
         if isinstance(content_node, dict)
@@ -62,7 +62,7 @@ def content_with_value(original_content, key_path, new_value):
 
 
 def key_path_text(hand_content_tree, key_path):
-    """Return a key path as an error message would write it."""
+    """Return a key path of a hand file as an error message would write it."""
     text, node = "", hand_content_tree
     for key in key_path:
         node = node[key]
@@ -76,15 +76,16 @@ def key_path_text(hand_content_tree, key_path):
 HANDS_WITH_PLANAR_DIGITS = tuple(name for name in packaged_hands() if name != "orca_like")
 """Packaged hands with planar digits on the palm.
 
-``orca_like`` has the same keys, and additional keys for joint axes and inertias.
+The hand file ``orca_like`` has the same keys as the other hand files, and additional keys for joint
+axes and inertias.
 """
 
 
 def first_case_per_key(cases: list[ParameterSet]) -> list[ParameterSet]:
-    """Return one case for each key.
+    """Return one test case for each key of a hand file.
 
-    The case may belong to any hand, and to any entry of a list. In a nightly test run, return all
-    cases.
+    The returned test case can belong to any hand, and to any entry of a list. In a nightly test
+    run, return all test cases.
     """
     case_by_key = {re.sub(r"^\w+-|\[[^]]*\]", "", str(case.id)): case for case in reversed(cases)}
     return cases if NIGHTLY else list(case_by_key.values())
@@ -105,7 +106,8 @@ NUMBER_CASES = [
 ]
 """Numeric values of the packaged hand files.
 
-The entries of middle and ring finger are left out, because they repeat entries of the index finger.
+The list leaves out the values of the middle and ring finger, because they repeat values of the
+index finger.
 """
 SAMPLED_NUMBER_CASES = first_case_per_key(NUMBER_CASES)
 
@@ -197,7 +199,7 @@ def test_random_change_is_read_or_refused_in_one_line():
 def is_usable_or_refused(content):
     """Return True if a usable hand can be built from a content.
 
-    Also return True if the content is refused with a single error line.
+    Return True, too, if handctl refuses the content with a single error line.
     """
     try:
         hand = hand_from_content(content, "f")

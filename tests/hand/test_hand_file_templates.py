@@ -29,7 +29,7 @@ IDENTITY_BY_HAND = {
 }
 """Identities (hashes) of the packaged hands from the time when their files had schema 1.
 
-Existing calibrations and logs refer to these identities.
+Existing calibrations and logs refer to the identity of a hand.
 """
 MAX_FILE_LINES = 120
 """Largest number of lines of a packaged hand file."""

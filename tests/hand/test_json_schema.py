@@ -1,6 +1,7 @@
 """Test the JSON Schema that editors read.
 
-The generated schema equals the packaged file, accepts valid hand files, and refuses wrong values.
+The generated JSON Schema equals the packaged schema file, accepts valid hand files, and refuses
+wrong values.
 """
 
 import copy

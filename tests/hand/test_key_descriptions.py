@@ -1,4 +1,4 @@
-"""Test the descriptions of keys, which are read from the source text of their models."""
+"""Test the descriptions of hand-file keys, which handctl reads from the source text of the pydantic models."""
 
 from typing import ClassVar
 

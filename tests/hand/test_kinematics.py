@@ -1,6 +1,6 @@
-"""Compare the kinematics with finite differences, the inverse kinematics, and the library pinocchio.
+"""Compare the kinematics of a digit with finite differences, with the inverse kinematics, and with pinocchio.
 
-The library reads the exported URDF.
+The library pinocchio reads the exported URDF.
 """
 
 import math
@@ -43,7 +43,7 @@ def random_angles(rng, digit, sample_count=100):
 
 
 def hand_with_general_mounts() -> Hand:
-    """Return a hand whose digits are rotated about all three axes."""
+    """Return a hand whose digits are mounted on the palm with rotations about all three axes."""
     content = load_hand("jamia").content
     tilt_angles_deg = (
         (25.0, -40.0, 70.0),

@@ -1,7 +1,7 @@
 """Test the meshes of links and palm.
 
-The tests cover valid and refused files, the pose of a mesh on its link, and the export. Meshes have
-no effect on the dynamics.
+The tests cover valid and refused mesh files, the pose of a mesh on its link, and the export of
+meshes. Meshes have no effect on the dynamics.
 """
 
 import re
@@ -127,7 +127,7 @@ def test_a_file_that_is_no_mesh_is_named_with_what_is_right(
 
 
 def hand_with_mesh_keys(hand_name: str, **mesh_keys: object):
-    """Return a packaged hand whose digits have the given keys in place of their meshes."""
+    """Return a packaged hand in which the mesh keys of the digits are replaced by the given keys."""
     content = hand_without_meshes(hand_name).content
     content["digit"] = [digit | mesh_keys for digit in content["digit"]]
     return hand_from_content(content, hand_name)
@@ -335,7 +335,7 @@ def test_meshes_have_no_effect_on_the_dynamics(
         "mjcf": mujoco.MjModel.from_xml_string(mjcf_text(bare_hand)),
         "simulator": mujoco.MjModel.from_xml_string(model_text(simulated, load_scene(None))),
     }
-    # The MuJoCo text that a run simulates is the same with and without meshes.
+    # The MuJoCo model that a simulated run uses has the same text with and without meshes.
     meshed_plant = model_text(
         simulated_hand(str(mesh_folder / "hand.toml")), load_scene("cylinder")
     )

@@ -1,7 +1,7 @@
 """Test the moment arms that depend on the joint angle.
 
-The excursion of a tendon is the integral of its moment arms over the joint angles. Mistakes in a
-hand file are reported.
+The excursion of a tendon is the integral of its moment arms over the joint angles. Further tests
+check that handctl reports mistakes in the moment arms of a hand file.
 """
 
 import numpy as np
@@ -32,8 +32,8 @@ def test_moment_arms_are_the_derivative_of_the_excursion(
     hand = hand_with_varying_arms(hand_name, 0.3, polynomial_kind)
     for digit in (DigitModel.from_hand(hand, digit_name) for digit_name in hand.digit_names):
         for seed in ANGLE_SEEDS:
-            # The test includes angles outside the joint limits. Beyond a joint limit, a moment arm
-            # is constant.
+            # The test includes joint angles outside the joint limits. Beyond a joint limit, a
+            # moment arm is constant.
             q = np.random.default_rng(seed).uniform(digit.joint_min - 0.2, digit.joint_max + 0.2)
             step = 1e-6
             slope = [

@@ -48,7 +48,7 @@ from tests.hand.test_dynamics import (
 EXAMPLE_HAND = str(Path(__file__).parents[2] / "examples" / "hands" / "shadow_like.toml")
 """Hand file of an example with 24 joints.
 
-The wrist carries the base of the thumb, and this base carries the thumb.
+The wrist of the example hand carries the base of the thumb, and the base carries the thumb.
 """
 
 
@@ -116,7 +116,7 @@ def test_dynamics_and_kinematics_equal_those_of_pinocchio(random_hand_and_digits
 
 
 def inverse_by_mujoco(model, q, dq, ddq):
-    """Return inverse dynamics and mass matrix of a MuJoCo model without constraints, damping and springs."""
+    """Return the inverse dynamics and the mass matrix of a MuJoCo model that has no constraints, damping or springs."""
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     model.dof_damping[:] = model.jnt_stiffness[:] = model.tendon_damping[:] = 0.0
     data, mass_matrix = mujoco.MjData(model), np.zeros((model.nv, model.nv))
@@ -131,7 +131,7 @@ def test_exports_and_the_simulator_s_own_model_are_the_same_hand(
 ):
     """The exported MJCF has the same dynamics as the hand.
 
-    The model that the simulator makes with separate code also has the same dynamics.
+    The model that the simulator makes with separate code has the same dynamics, too.
     """
     hand, digits = random_hand_and_digits
     path = tmp_path / "random.toml"
@@ -176,7 +176,7 @@ def test_the_urdf_describes_the_same_hand(random_hand_and_digits, rng):
 
 
 def link_position(link: LinkFrame, q: np.ndarray) -> np.ndarray:
-    """Return the position of the origin of a link in the frame of its parent, from the transforms in the log."""
+    """Return the position of a link's origin in the frame of its parent link, from the transforms in the log."""
     return link_positions(link, q[[max(link.joint, 0)]])[0]
 
 
@@ -258,8 +258,8 @@ def test_jacobians_and_levers_are_derivatives(random_hand_and_digits, rng):
 def random_hand_tree(request: pytest.FixtureRequest) -> tuple[Hand, LinkTree]:
     """Return a hand in which digits carry other digits.
 
-    A test that uses this fixture runs with each random hand, with the packaged hand of this kind,
-    and with the example ``shadow_like``.
+    A test that uses this fixture runs with each random hand, with the packaged hand in which digits
+    carry digits, and with the example ``shadow_like``.
     """
     hand = (
         load_hand(request.param)
@@ -333,7 +333,7 @@ def test_logged_transforms_of_a_tree_equal_the_model(random_hand_tree, rng):
 def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(random_hand_tree, rng):
     """A digit in the hand needs the same static torque as the digit alone.
 
-    The digits that carry this digit are at angle zero.
+    In this test, the digits that carry another digit are at angle zero.
     """
     hand, tree = random_hand_tree
     for digit in tree.digits:
@@ -347,7 +347,7 @@ def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(random_hand_tr
 
 
 def test_each_number_of_a_table_matters(rng):
-    """These tests would detect a change of 0.1 % in any number of the middle link."""
+    """The comparisons with pinocchio would detect a change of 0.1 % in any number of the middle link."""
     hand = random_hand(3, 3)
     digit = DigitModel.from_hand(hand, "d0")
     q, dq, ddq = next(iter(random_motions(rng, 3, 1)))

@@ -1,6 +1,7 @@
 """Test the conversion of hand files from schema 1 to schema 2.
 
-The converted file describes the same hand and keeps the comments. A repeated value is written once.
+The converted hand file describes the same hand and keeps the comments. It contains a repeated value
+only once.
 """
 
 import re
@@ -17,11 +18,11 @@ from tests.contracts.random_hands import random_hand
 from tests.hand.test_hand_file_templates import IDENTITY_BY_HAND
 
 SCHEMA_1_FILE = Path(__file__).with_name("jamia_schema_1.toml")
-"""The packaged hand file of jamia from before schema 2, with a comment at every number."""
+"""The earlier packaged hand file of jamia in schema 1, with a comment at every number."""
 
 
 def hand_after_conversion(hand_file_text: str) -> Hand:
-    """Convert the text of a hand file, and return the hand of the result."""
+    """Convert the text of a hand file from schema 1 to schema 2, and return the hand that the new text describes."""
     content = parse_toml(convert_to_schema_2(hand_file_text, "old"), "new")
     assert content["schema"] == 2
     return hand_from_content(content, "new")

@@ -108,7 +108,7 @@ def test_known_numbers_of_the_packaged_tendon():
 def test_work_of_tendons_is_work_of_joints(digits, rng):
     """The work f . ds of the tendons equals the work tau . dq of the joints.
 
-    Here ds is the change of the tendon excursions.
+    In the work f . ds, the vector ds is the change of the tendon excursions.
     """
     for digit in digits:
         for _ in range(50):
@@ -178,8 +178,8 @@ def test_reflected_inertia_is_the_rotors_kinetic_energy(hand, digits, rng):
 def test_one_tendon_per_joint_pulls_the_absolute_torques():
     """With one tendon per joint, the moment arms are R = r S.
 
-    A tendon tension times r is therefore the torque of one joint minus the torque of the next
-    joint.
+    With one tendon per joint, a tendon tension times r is the torque of one joint minus the torque
+    of the next joint.
     """
     digit = DigitModel.from_hand(load_hand("jamia11"), "ring")
     tau = np.array([0.33, 0.15, 0.06])

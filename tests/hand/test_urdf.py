@@ -1,4 +1,4 @@
-"""Test the URDF export as a document.
+"""Test the XML document of the URDF export.
 
 Other tests compare the dynamics and kinematics of the exported URDF.
 """

@@ -22,9 +22,9 @@ def hand_with_varying_arms(
     Args:
         hand_name: name of a packaged hand.
         arm_variation: largest variation of each moment arm, relative to the constant moment arm.
-        polynomial_kind: how the moment arm depends on the angle. "polynomial" gives a straight line, and
-            "table" half a period of a sine. For "content", the function returns the content of the
-            hand file with constant moment arms.
+        polynomial_kind: how the moment arm depends on the angle. "polynomial" gives a straight
+            line, and "table" gives half a period of a sine. For "content", the function returns the
+            content of the hand file with constant moment arms.
         with_joint_encoders: True if the hand keeps its joint encoders.
     """
     hand = load_hand(hand_name)

@@ -1,6 +1,6 @@
 """Write copies of logs with a changed header.
 
-The functions replace metadata records, and leave all other records unchanged.
+The functions replace metadata records of a log, and leave all other records unchanged.
 """
 
 import struct
@@ -20,7 +20,7 @@ def log_with_changed_metadata(
 ) -> bytes:
     """Return the bytes of a log whose metadata were changed.
 
-    The checksums over the whole file are left out.
+    The returned bytes contain no checksums over the whole file.
 
     Args:
         log_bytes: bytes of a complete log.
@@ -41,7 +41,7 @@ def log_with_changed_metadata(
 def write_log_with_run_metadata(log_path: Path, out: Path, **json_by_key: str) -> Path:
     """Write a copy of a log to `out`, with other JSON texts in its metadata record `handctl.run`.
 
-    Return the path of the copy.
+    Return the path of the copied log.
     """
     out.write_bytes(
         log_with_changed_metadata(

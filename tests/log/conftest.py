@@ -1,4 +1,4 @@
-"""Fixtures with short logs for the tests of this folder."""
+"""Provide short logs as fixtures for the tests of the folder ``tests/log``."""
 
 import sys
 from pathlib import Path

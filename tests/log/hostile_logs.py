@@ -1,6 +1,6 @@
-"""Files of logs that an attacker could make.
+"""Log files that an attacker could make.
 
-Examples are decompression bombs, wrong lengths, and a million records of one kind.
+Examples are decompression bombs, wrong record lengths, and a million records of one kind.
 """
 
 import struct

@@ -1,7 +1,7 @@
 """Measure the CPU time that a log costs per tick.
 
-`python tests/log/log_cpu_time.py` prints microseconds per tick on this machine. The program prints the
-times, but checks no limits.
+`python tests/log/log_cpu_time.py` prints microseconds of CPU time per tick on the present machine.
+The program checks no limits.
 """
 
 import tempfile
@@ -38,9 +38,9 @@ def _write_log(
 
 
 def main() -> None:
-    """Measure the time per tick of four steps of recording.
+    """Measure the CPU time per tick of four steps of recording.
 
-    The steps are packing, writing, the pipe to the recorder in lockstep, and reading.
+    The steps of recording are packing, writing, the pipe to the recorder in lockstep, and reading.
     """
     for hand, rate_hz in (("jamia", 500), ("jamia11", 1000)):
         run = synthetic_run.synthetic_header(hand, rate_hz)

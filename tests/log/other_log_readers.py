@@ -1,6 +1,6 @@
-"""Read logs with packages of other projects.
+"""Read handctl logs by means of Python packages of other projects.
 
-Tests compare the result with that of handctl's own reader.
+Tests compare the messages that other packages read with those that handctl's own reader reads.
 """
 
 from collections.abc import Iterator
@@ -63,7 +63,7 @@ class Ros2SupportSerialiser:
 class RosbagsSerialiser:
     """Serialiser of the package rosbags for one message type.
 
-    The serialiser gets the definition of the type from the log.
+    The serialiser gets the definition of the message type from the log.
     """
 
     def __init__(self, type_name: str, type_definition: str) -> None:

@@ -41,7 +41,7 @@ PHASE_END_FRACTIONS = (
     ("release", 0.85),
     ("open", 0.98),
 )
-"""Phases of the run, each with its end as a fraction of the run. A phase "end" follows.
+"""Phases of the run, each with the fraction of the run at which it ends. The last phase, "end", is not in the list.
 """
 
 
@@ -208,7 +208,7 @@ class SyntheticRunTicks:
 def write_synthetic_run(
     log_path: Path, run_header: RunHeader, duration_s: float, seed: int = 0
 ) -> dict[str, object]:
-    """Record a generated run with a real recorder, and return the summary of the recorder."""
+    """Record a generated run with a real recorder, and return the summary that the recorder gives."""
     recorder = Recorder.start(log_path, run_header)
     for tick_in, out in SyntheticRunTicks(run_header, duration_s, seed):
         recorder.send_record(pack_tick_record(tick_in, out))

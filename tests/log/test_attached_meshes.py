@@ -1,7 +1,7 @@
-"""Test the meshes in a log.
+"""Test the mesh files that a log contains as attachments.
 
-A log contains the meshes of its hand, up to a maximum total size. A program that shows these meshes
-needs only the log, and no hand file. Meshes that are missing in the log are named.
+A log contains the meshes of its hand, up to a maximum total size. A program that shows the meshes
+of a hand needs only the log, and no hand file. The log names the meshes that it does not contain.
 """
 
 from pathlib import Path

@@ -40,7 +40,7 @@ def test_a_step_of_the_wall_clock_shows_in_the_pairs(tmp_path: Path) -> None:
     """The log of this test lasts half a minute.
 
     The log contains readings of the wall clock and of the monotonic clock at the same moments.
-    After the second such moment, the wall clock is set forward by an hour.
+    After the second reading of both clocks, the wall clock is set forward by an hour.
     """
     start, hour = 1_800_000_000_000_000_000, 3_600_000_000_000
     clocks = [(start + n * 10**10 + (hour if n > 1 else 0), 5 + n * 10**10) for n in range(4)]

@@ -1,4 +1,4 @@
-"""Test the limits on the work that a single chunk of an MCAP file can cause in a reader."""
+"""Test the limits on the computing work that a single chunk of an MCAP file can cause in a reader."""
 
 import struct
 

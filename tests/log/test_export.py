@@ -76,7 +76,7 @@ def test_csv_reads_back_bit_for_bit(golden_log: RunLog, tmp_path: Path) -> None:
 def test_units_are_those_that_the_telemetry_declares() -> None:
     """The units in the exported files equal the units in the class `Telemetry`.
 
-    In this class, the docstring of a field with a unit ends with the unit in brackets.
+    In the class `Telemetry`, the docstring of a field with a unit ends with the unit in brackets.
     """
     source = ast.parse(inspect.getsource(tick_types))
     (telemetry,) = (
@@ -147,8 +147,8 @@ def test_time_stamps_of_the_candump_rise(
 ) -> None:
     """On a local bus, the time stamp of a frame is the time at which the frame is read.
 
-    The time of reading may be after the start of the tick. The frames that the tick sends follow in
-    the file, with later time stamps.
+    A frame is possibly read after the start of the tick. In the exported file, the frames that a
+    tick sends follow the frames that it has read, with later time stamps.
     """
     path = tmp_path / "x.log"
     ticks = [tick for tick, _ in zip(golden_log.ticks(), range(500), strict=False)]

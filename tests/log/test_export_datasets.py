@@ -120,7 +120,7 @@ def test_every_feature_is_declared_as_it_is(exported_dataset: Path) -> None:
 
 
 def test_the_episode_has_its_statistics(exported_dataset: Path) -> None:
-    """When LeRobot splits a dataset, it computes the statistics of each part from the statistics of the episodes."""
+    """When LeRobot splits a dataset, it computes the statistics of each part from those of the episodes."""
     whole_content = json.loads((exported_dataset / "meta" / "stats.json").read_text())
     table = polars.read_parquet(exported_dataset / "meta/episodes/chunk-000/file-000.parquet")
     names = {"min", "max", "mean", "std", "count", "q01", "q10", "q50", "q90", "q99"}
@@ -241,7 +241,8 @@ def test_a_lower_frame_rate_takes_the_latest_tick(
             "--csv --camera wrist one.mp4",
             "log export --csv: frame rate or camera; expected --lerobot",
         ),
-        # Reproduce a defect: the option for the time of a camera was accepted, but had no effect.
+        # Reproduce a defect: the export accepted the option for the time of a camera, but the
+        # option had no effect.
         ("--csv --camera-start 3", "log export --csv: frame rate or camera; expected --lerobot"),
         (
             "--lerobot --camera wrist",

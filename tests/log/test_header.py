@@ -1,7 +1,7 @@
 """Test how handctl reads logs from an unknown source.
 
-The headers of such logs may contain wrong values. Every command checks the type and the range of
-each header value that it uses in a computation.
+The header of a log from an unknown source can contain wrong values. Every command of handctl checks
+the type and the range of each header value that it uses in a computation.
 """
 
 import json
@@ -86,7 +86,7 @@ def log_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def _refusal_line(capsys: pytest.CaptureFixture[str], *command_words: str) -> str:
     """Return the error line that a command prints when it refuses a log.
 
-    For `log check`, return the finding on standard output. The exit code of this command is 1.
+    For `log check`, return the finding on standard output. The exit code of `log check` must be 1.
     """
     checks = command_words[:2] == ("log", "check")
     assert main(command_words) == (1 if checks else 2), command_words

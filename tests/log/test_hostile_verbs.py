@@ -1,6 +1,7 @@
 """For a hostile log file, every command prints one clear line.
 
-The command ends after at most one second, and uses at most 256 MiB.
+With a hostile log file, a command ends after at most one second, and uses at most 256 MiB of
+memory.
 """
 
 import json
@@ -24,7 +25,8 @@ EXIT_CODES = {
 }
 """Commands whose exit code for a hostile log is not the usual code of bad input.
 
-`replay drive` first checks the name of the hand, which is missing in these logs.
+`replay drive` checks the name of the hand before all else, and a hostile log contains no name of a
+hand.
 """
 PROBE_PROGRAM = """
 import contextlib, io, json, resource, sys, time

@@ -37,9 +37,9 @@ STANDARD_PACKAGES = (
 
 
 SNAPSHOT_BY_TICK = {30: b"one state", 136: bytes(range(256)) * 100}
-"""Snapshots of the controller's state in the run.
+"""Snapshots of the controller's state that the recorded run contains.
 
-Each key is the number of the tick before the snapshot.
+Each key of the dictionary is the number of the tick before the snapshot.
 """
 
 

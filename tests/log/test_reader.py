@@ -72,7 +72,7 @@ def test_every_field_comes_back_bit_for_bit(
 def test_a_log_without_the_latest_fields_is_read(
     varied_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A log of an older version may not have every field.
+    """A log of an older version possibly does not have every field.
 
     For example, logs of version 0.1 do not have q_sigma.
 

@@ -1,6 +1,6 @@
 """The bytes of a tick pass through the pipe to the recorder without a change.
 
-Bytes that do not describe a tick are refused.
+The recorder refuses bytes that do not describe a tick.
 """
 
 import contextlib

@@ -1,4 +1,4 @@
-"""The recorder continues when the controller ends, never delays the controller, and reports writes that have failed."""
+"""The recorder continues when the controller ends, never delays the controller, and reports failed writes."""
 
 import os
 import random
@@ -83,7 +83,7 @@ def _is_finished(log_path: Path) -> bool:
 def test_a_recorder_that_does_not_start_in_time_is_named(
     start_recorder: Callable[..., Recorder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The error states how long the command waited for the recorder, and recommends a computer with less load."""
+    """The error message states how long the command waited for the recorder, and recommends a less busy computer."""
     python = tmp_path / "python"
     python.write_text("#!/bin/sh\nexec sleep 10\n")
     python.chmod(0o755)
@@ -211,8 +211,8 @@ def test_a_stalled_recorder_never_holds_up_the_controller(
 def test_a_deterministic_run_has_no_event_of_the_time_that_its_recorder_takes(
     start_recorder: Callable[..., Recorder],
 ) -> None:
-    # A deterministic run waits while the pipe is full, so it loses no tick. The run records no
-    # event about this wait, because two equal runs would then differ.
+    # A deterministic run waits while the pipe to the recorder is full, so it loses no tick. The run
+    # records no event about a full pipe, because two equal runs would then differ.
     recorder = start_recorder(deterministic=True)
     os.kill(recorder._child.pid, signal.SIGSTOP)
     events, sent = [], 0
@@ -318,9 +318,10 @@ def test_a_file_that_cannot_be_created_is_refused(
 
 
 FILE_SIZE_LIMIT_BYTES = 800_000
-"""Largest permitted size of a file [bytes]. This limit simulates a full disk.
+"""Largest permitted size of a file [bytes].
 
-A file of this size can contain only a part of the run.
+The size limit simulates a full disk. A file of the largest permitted size can contain only a part
+of the run.
 """
 
 
@@ -391,7 +392,7 @@ def test_a_full_disk_leaves_a_whole_file(
 
 
 def test_a_log_that_is_renamed_during_the_run_is_completed(tmp_path: Path) -> None:
-    """Reproduce a defect: the recorder process ended with FileNotFoundError, and the log had no end."""
+    """Reproduce a defect: the recorder process ended with FileNotFoundError, and the log had no end mark."""
     path = tmp_path / "run.mcap"
     writer = LogWriter(path, synthetic_run.synthetic_header(), lambda *arguments: None, 1)
     records = _make_records(100)
@@ -446,7 +447,8 @@ def test_the_syncing_process_does_not_hold_the_reserved_space(two_megabyte_disk:
     writer._reserved.release()
     assert _wait_until(lambda: shutil.disk_usage(two_megabyte_disk).free > 256 << 10, 5.0)
     writer.finish("finished", 0)
-    os.close(disk_syncer._request_pipe)  # without this pipe, the process of the syncer ends
+    # without the pipe to the syncer, the process of the syncer ends
+    os.close(disk_syncer._request_pipe)
 
 
 def test_recording_a_tick_is_fast(start_recorder: Callable[..., Recorder]) -> None:
@@ -467,9 +469,10 @@ def test_recording_a_tick_is_fast(start_recorder: Callable[..., Recorder]) -> No
 def test_the_recorder_needs_no_compiler(tmp_path: Path) -> None:
     """The recorder imports no compiler.
 
-    The import would delay every run, because a run waits until its recorder is ready.
+    The import of a compiler would delay every run, because a run waits until its recorder is ready.
 
-    Earlier defect: the recorder imported numba, llvmlite and scipy in order to check a single text.
+    Earlier defect: the recorder imported numba, llvmlite and scipy in order to check a single
+    string.
     """
     run = varied_run.varied_header()
     path = tmp_path / "run.mcap"

@@ -1,4 +1,4 @@
-"""A log may be cut at any byte. Exactly its complete chunks are then recovered."""
+"""From a log that was cut off at any byte, ``log recover`` recovers exactly the complete chunks."""
 
 import random
 from collections.abc import Iterable
@@ -22,8 +22,8 @@ SAMPLE_COUNT = 500
 def smallest_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write a complete log of at most 68 KiB, and return its path.
 
-    The tests cut this log at every byte. The log has eight chunks. The log contains no URDF, so
-    that the file is small.
+    The tests cut the returned log off at every byte. The log has eight chunks. The log contains no
+    URDF, so the file is small.
     """
     path = tmp_path_factory.mktemp("log") / "least.mcap"
     attachments = {

@@ -1,7 +1,7 @@
 """The topics of a log are complete, wherever the log is divided into chunks.
 
-Messages of different topics can be joined by their sequence numbers, and other tools can read the
-topics.
+Sequence numbers make it possible to join messages of different topics. Tools of other projects can
+read the topics.
 """
 
 import json
@@ -39,9 +39,9 @@ def _write_log(
     chunk_borders: frozenset[int] = frozenset(),
     event_texts: tuple[str, ...] = (),
 ) -> Path:
-    """Write a log in this process, and begin a new chunk at each index in ``chunk_borders``.
+    """Write a log in the test process, and begin a new MCAP chunk at each index in ``chunk_borders``.
 
-    Also check the reports of the writer.
+    Check the reports of the log writer, too.
     """
     log_path.unlink(missing_ok=True)
     problems: list[str] = []
@@ -244,7 +244,7 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
         ),
         3: (
             target_request_text(StreamTarget("s", 2**63 - 1, 0, ())),
-            # a refused target has no message
+            # the log has no message for a refused target
             target_request_text(StreamTarget("s", 2**70, 0, ())),
             '{"do": "target", nonsense',
             '{"do": "stop"}',

@@ -1,6 +1,6 @@
-"""Send ticks to a recorder until this process is killed: `python tick_sender.py PATH`.
+"""Send ticks to a recorder until the sending process is killed: `python tick_sender.py PATH`.
 
-The program prints the number of each tick that the pipe has accepted.
+The program prints the number of each tick that the pipe to the recorder has accepted.
 """
 
 import itertools

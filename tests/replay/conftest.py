@@ -1,4 +1,4 @@
-"""Fixtures with the golden logs, and with the log of a newly recorded run with faults."""
+"""Provide fixtures: the golden logs, and the log of a newly recorded run with faults."""
 
 import sys
 from pathlib import Path
@@ -17,7 +17,7 @@ def golden_folder() -> Path:
 
 @pytest.fixture(scope="session")
 def recorded_grasp_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Record a grasp with a fault, a bus event and requests on this machine, and return the path of its log."""
+    """Record a grasp with a fault, a bus event and requests on the present machine, and return the path of its log."""
     import short_runs
 
     from handctl.core.tick_types import IoEvent

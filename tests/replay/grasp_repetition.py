@@ -1,4 +1,4 @@
-"""Compare the log of a grasp with the log of a run in which a hand repeats this grasp."""
+"""Compare the log of a grasp with the log of a run in which a hand repeats the grasp."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,11 +10,11 @@ from handctl.replay.run_comparison import resampled_field
 from handctl.report.run_summary import mean_angles
 
 SETTLING_TIME_S = 0.4
-"""Time from the start of a hold until the grasp is at rest [s]."""
+"""Time from the start of a hold phase until the grasp is at rest [s]."""
 
 
 def mean_angle_differences(original_log: RunLog, repeated_log: RunLog) -> NDArray[np.float64]:
-    """Return the difference of the mean joint angle of each digit between the two runs (times, digits) [deg]."""
+    """Return how much the mean joint angle of each digit differs between two runs (times, digits) [deg]."""
     start, end = active_interval(original_log)
     times = np.arange(0.0, end - start, 0.005)
     hand = load_hand(original_log.header.metadata["hand"])
@@ -31,7 +31,7 @@ def mean_angle_differences(original_log: RunLog, repeated_log: RunLog) -> NDArra
 def mean_held_tensions(
     original_log: RunLog, repeated_log: RunLog
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the mean tensions of each run (tendons,) while the grasp is at rest [N]."""
+    """Return the mean tensions of both runs (tendons,) while the grasp is at rest [N]."""
     starts = {change.name: change.t_ns * 1e-9 for change in original_log.phases}
     start, _ = active_interval(original_log)
     rest_interval = starts["hold"] + SETTLING_TIME_S - start, starts["release"] - start

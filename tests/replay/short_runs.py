@@ -1,4 +1,4 @@
-"""Short runs in lockstep, and the golden logs.
+"""Record short runs in lockstep, and write the golden logs.
 
 `python tests/replay/short_runs.py logs/golden` writes new golden logs.
 """
@@ -75,12 +75,12 @@ sink_speed_m_s = 0.2
 class PeerWithLostReplies:
     """Wrapper of a lockstep simulator.
 
-    From a given time on, the wrapper drops all replies with the identifier ``can_id``.
+    From the time ``since_ns`` on, the wrapper drops all replies with the identifier ``can_id``.
 
     Attributes:
         simulator: the wrapped simulator, which sends all replies.
-        can_id: identifier of the lost replies.
-        since_ns: start of the loss [ns].
+        can_id: CAN identifier of the replies that the wrapper drops.
+        since_ns: time from which on replies are dropped [ns].
     """
 
     simulator: LockstepSimulator
@@ -88,7 +88,7 @@ class PeerWithLostReplies:
     since_ns: int
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
-        """Step the wrapped simulator, and return its replies without the dropped replies."""
+        """Step the wrapped simulator, and return those of its replies that the wrapper does not drop."""
         replies = self.simulator.step(t_ns, frames)
         return [
             reply
@@ -102,7 +102,7 @@ class PeerWithLostReplies:
 
 
 def short_task(task_folder: Path) -> TaskProgram:
-    """Return the program of a short grasp. The task file is written into a folder."""
+    """Write the task file of a short grasp into a folder, and return the program of the task."""
     path = task_folder / "task.toml"
     path.write_text(SHORT_GRASP_TASK)
     return TaskProgram(load_task(path))
@@ -129,9 +129,9 @@ def record_lockstep_run(
         hand_name, rate_hz, seed: name of the hand, control rate [Hz], and seed of the simulator.
         friction_factor: friction coefficient of the cylinder.
         wrap_simulator: function that wraps the simulator, for example to drop some replies.
-        io_events, requests: events of buses and host, and requests, by the number of the tick in
-            which they arrive.
-        truth: path of the truth file. The value is None to write no truth file.
+        io_events, requests: events of the buses and of the host, and requests to the controller,
+            each by the number of the tick in which it arrives.
+        truth: path of the truth file. If the path is None, the simulator writes no truth file.
     """
     hand = load_hand(hand_name)
     plan = RunPlan(hand, Gains(), rate_hz, ())
@@ -179,16 +179,16 @@ def record_lockstep_run(
 
 
 def drop_index_motor_replies(peer: LockstepSimulator) -> LockstepSimulator:
-    """Wrap a simulator.
+    """Wrap a simulator so that replies of the index motor are lost.
 
-    From 2.2 s on, the replies of the index motor are dropped. At this time, the run is in the hold
-    phase.
+    From 2.2 s on, the wrapper drops the replies of the index motor. At 2.2 s, the run is in the
+    hold phase.
     """
     return PeerWithLostReplies(peer, 0x11, 2_200_000_000)
 
 
 def write_golden_logs(log_folder: Path) -> None:
-    """Write new golden logs."""
+    """Write new golden logs into a folder."""
     log_folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
         task = short_task(Path(scratch))

@@ -1,6 +1,6 @@
-"""A changed byte in a log is reported, together with the first tick that has a wrong byte.
+"""The check of a log reports a changed byte, together with the first tick that has a wrong byte.
 
-A changed byte is also reported if all checksums were adjusted.
+The check reports a changed byte even if all checksums were adjusted.
 """
 
 import json
@@ -36,9 +36,9 @@ def _scan_chunks(path: Path) -> tuple[LogFile, RecordScan]:
 def _change_message(
     log_path: Path, topic: str, tick_index: int, byte_offset: int, has_valid_checksum: bool
 ) -> None:
-    """Change a byte in the message of tick k.
+    """Change a byte in the message of the tick ``tick_index``.
 
-    If ``has_valid_checksum`` is True, also adjust all checksums, as somebody would do who forges a log.
+    If ``has_valid_checksum`` is True, adjust all checksums, as an attacker would do to forge a log.
     """
     file, scan = _scan_chunks(log_path)
     names = {
@@ -76,7 +76,7 @@ def _put_chunk(
 ) -> None:
     """Write a log in which the content of one chunk is replaced.
 
-    The file then ends before its last checksum.
+    The written file ends before its last checksum.
     """
     raw = log_path.read_bytes()
     packed = lz4.frame.compress(new_content)

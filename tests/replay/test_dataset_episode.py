@@ -1,6 +1,7 @@
-"""Test the programs that are made from episodes of a LeRobot dataset.
+"""Test the controller programs that handctl makes from episodes of a LeRobot dataset.
 
-A hand follows an episode in lockstep. An episode that does not suit the hand is refused.
+A hand follows an episode in lockstep. The tests check that handctl refuses an episode that does not
+suit the hand.
 """
 
 import json
@@ -54,7 +55,7 @@ def episode_actions(exported_dataset: Path, episode_index: int) -> np.ndarray:
 def change_action(
     exported_dataset: Path, frame_index: int, joint_index: int, joint_angle: float
 ) -> None:
-    """Change one joint angle in the action of a frame."""
+    """Change one joint angle in the action of one frame of a dataset."""
     path = exported_dataset / "data" / "chunk-000" / "file-000.parquet"
     table = pq.read_table(path)
     rows = table["action"].to_pylist()
@@ -68,7 +69,7 @@ def change_action(
 def sine_dataset(exported_dataset: Path) -> np.ndarray:
     """Replace the actions of the first episode by a smooth motion.
 
-    Return the angles of this motion (frames, J) [rad].
+    Return the joint angles of the smooth motion (frames, J) [rad].
     """
     path = exported_dataset / "data" / "chunk-000" / "file-000.parquet"
     table = pq.read_table(path)
@@ -98,7 +99,7 @@ def test_the_curve_passes_through_the_actions(exported_dataset: Path) -> None:
     slope = np.diff(recording.q, axis=0) / PERIOD_S
     np.testing.assert_allclose(
         slope[:-10], recording.dq[1:-10], atol=0.3
-    )  # near its end, the motion stops
+    )  # near the end of the episode, the motion stops
 
 
 def test_a_hand_follows_an_episode_in_lockstep(exported_dataset: Path) -> None:

@@ -38,8 +38,8 @@ def test_a_lost_object_is_seen_in_the_hold_phase(golden_folder: Path) -> None:
         RunLog(golden_folder / "jamia-lost.mcap") as b,
     ):
         comparison = compare_logs(a, b, "b")
-    # While a digit is in contact, its tension determines its joint angles. A difference of one
-    # newton changes these angles by some degrees.
+    # While a digit is in contact, its tension determines its joint angles. A tension difference of
+    # one newton changes the joint angles of the digit by some degrees.
     assert comparison["phases"]["preshape"]["joint_deg"]["index_j1"]["peak"] < 5.0
     assert comparison["phases"]["hold"]["joint_deg"]["index_j1"]["peak"] > 20.0
 
@@ -101,10 +101,10 @@ def test_unknown_values_have_no_difference_and_no_delay() -> None:
 
 
 def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
-    """If a joint is at rest, its signal is only noise in both runs.
+    """If a joint is at rest, the signal of its angle is only noise in both runs.
 
-    The noise of the two runs always agrees best at some time shift. This time shift is not a delay
-    of the joint.
+    The noise of the two runs always agrees best at some time shift, but this time shift is not a
+    delay of the joint.
     """
     noise = np.random.default_rng(3).normal(scale=0.02, size=(2, 400))
     sine_signal = np.sin(np.linspace(0.0, 9.0, 420))
@@ -124,9 +124,10 @@ def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
 
 
 def test_unknown_differences_are_not_printed() -> None:
-    """In a phase of one or two ticks, the differences are NaN and are not printed.
+    """In a task phase of one or two ticks, the differences of the two runs are NaN, and handctl does not print them.
 
-    If the second run is ahead of the first, the delay is not printed as "-10 ms behind".
+    If the second run is ahead of the first run, handctl does not print the delay as "-10 ms
+    behind".
     """
     unknown = {"rms": float("nan"), "peak": float("nan"), "delay_s": float("nan")}
     unknown_difference = {"rms": 0.5, "peak": 1.0, "delay_s": -0.01}

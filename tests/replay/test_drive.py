@@ -29,9 +29,9 @@ from handctl.replay.run_comparison import (
 
 @pytest.fixture(scope="module")
 def replayed_logs(golden_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Let a simulated hand perform the golden grasp again at another rate and with other noise.
+    """Let a simulated hand perform the golden grasp again at another control rate and with other sensor noise.
 
-    Return the path of the log.
+    Return the path of the new log.
     """
     path = tmp_path_factory.mktemp("drive") / "again.mcap"
     with RunLog(golden_folder / "jamia-grasp.mcap") as original_log:

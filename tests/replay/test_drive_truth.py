@@ -1,8 +1,9 @@
-"""Test the repetition of a recorded grasp, using true values.
+"""Test the repetition of a recorded grasp with the true values of the simulator.
 
-The truth files of the simulator contain the angles, tensions and forces of both runs.
+The truth files of the simulator contain the angles, tensions and forces of the recorded run and of
+the repetition.
 
-Both runs are in lockstep, so the tests get the same numbers every time. The second run has another
+Both runs are in lockstep, so the tests get the same numbers every time. The repetition has another
 control rate and other sensor noise.
 """
 
@@ -25,7 +26,7 @@ DIGIT_NAMES = ("index", "middle", "ring", "thumb")
 
 @dataclass(frozen=True)
 class RunWithRepetition:
-    """The logs of a run and its repetition, and the true values of both runs in the same interval."""
+    """The logs of a run and its repetition, and the true values of both runs in a common interval."""
 
     folder: Path
     raw: bool
@@ -42,9 +43,9 @@ class RunWithRepetition:
         return self.folder / f"again-{self.raw}.mcap"
 
     def true_values(self, *truth_columns: str) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the times since the start of the interval, and the true values of both runs.
+        """Return the times since the start of the common interval, and the true values of both runs.
 
-        The times are in seconds. The values of each run have the shape (times, names).
+        The returned times are in seconds. The values of each run have the shape (times, names).
         """
         with (
             RunLog(self.folder / "first.mcap") as original_log,
@@ -68,7 +69,7 @@ class RunWithRepetition:
     def rest_interval(self) -> tuple[float, float]:
         """Return start and end of the time in which the grasp is at rest.
 
-        Both times are measured from the start of the interval [s].
+        Start and end are measured from the start of the common interval [s].
         """
         with RunLog(self.folder / "first.mcap") as original_log:
             starts = {change.name: change.t_ns * 1e-9 for change in original_log.phases}
@@ -78,7 +79,7 @@ class RunWithRepetition:
     def mean_values_at_rest(self, *truth_columns: str) -> tuple[FloatArray, FloatArray]:
         """Return the mean values of both runs while the grasp is at rest.
 
-        The result of each run has one mean for each named column (names,).
+        The result of each run has one mean value for each named column of the truth file (names,).
         """
         times, recorded_values, repeated_values = self.true_values(*truth_columns)
         start, end = self.rest_interval()
@@ -88,7 +89,7 @@ class RunWithRepetition:
 
 @pytest.fixture(scope="module")
 def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Record the first run, and return the folder that contains its log and its truth file."""
+    """Record a run, and return the folder that contains its log and its truth file."""
     folder = tmp_path_factory.mktemp("pair")
     short_runs.record_lockstep_run(
         folder / "first.mcap",
@@ -101,7 +102,7 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module", params=[False, True], ids=["trajectories", "tensions"])
 def run_with_repetition(run_folder: Path, request: pytest.FixtureRequest) -> RunWithRepetition:
-    """Return the first run and its repetition.
+    """Return a recorded run and its repetition.
 
     The repetition follows either the recorded angles or the recorded tensions.
     """
@@ -121,10 +122,11 @@ def run_with_repetition(run_folder: Path, request: pytest.FixtureRequest) -> Run
 def test_second_replay_gives_the_same_log(run_with_repetition: RunWithRepetition) -> None:
     """If a replay repeats only the tensions, no control loop corrects the angle of a moving digit.
 
-    An error of half a newton then turns the digit against its springs by six degrees.
+    Without an angle control loop, a tension error of half a newton turns the digit against its
+    springs by six degrees.
 
-    When a digit makes its first contact, one newton changes the estimated angles of its joints by
-    two more degrees.
+    When a digit makes its first contact, a tension error of one newton changes the estimated angles
+    of its joints by two more degrees.
     """
     comparison = run_with_repetition.compare_replay()
     worst = (
@@ -148,8 +150,8 @@ def test_second_replay_gives_the_same_truth(
 ) -> None:
     """The test compares the mean joint angle of each digit.
 
-    The test does not compare single joints, because contact and friction determine how the motion
-    of a tendon is divided among the joints.
+    The test does not compare the angles of single joints, because contact and friction determine
+    how the motion of a tendon is divided among the joints.
     """
     joints = [f"q/{digit}_j{n}" for n in range(1, 3 if digit == "thumb" else 4)]
     _, recorded_angles, repeated_angles = run_with_repetition.true_values(*joints)

@@ -1,7 +1,8 @@
-"""Test the execution of the ticks in a log.
+"""Test the re-execution of the ticks in a log.
 
-An unchanged log gives results that are equal to the last bit. If an output of the re-execution
-differs from the log, the test checks that the command finds the first tick with a difference.
+The re-execution of an unchanged log gives results that are equal to the last bit. If an output of
+the re-execution differs from the log, the test checks that the command finds the first tick with a
+difference.
 """
 
 import math
@@ -72,7 +73,7 @@ def test_a_fresh_run_with_faults_and_requests_repeats_to_the_last_bit(
 
 @pytest.mark.parametrize("log_name", GOLDEN_LOG_NAMES)
 def test_golden_logs_decide_the_same_within_1e_9(golden_folder: Path, log_name: str) -> None:
-    """The golden logs were recorded on another machine, whose processor may round the last bits differently."""
+    """The golden logs were recorded on another machine, whose processor possibly rounds the last bits differently."""
     with RunLog(golden_folder / f"{log_name}.mcap") as log:
         assert not log.warning
         result = execute_log(log)
@@ -84,9 +85,9 @@ def test_golden_logs_decide_the_same_within_1e_9(golden_folder: Path, log_name: 
 def test_one_bit_of_a_gain_is_found_at_the_first_tick_with_an_effect(
     recorded_grasp_log: Path,
 ) -> None:
-    """The gain that is changed here is the integral gain of the tension loop.
+    """The test changes the integral gain of the tension loop.
 
-    This gain has an effect from the first tick in which the tendons are tightened.
+    The integral gain has an effect from the first tick in which the tendons are tightened.
     """
     with RunLog(recorded_grasp_log) as log:
         gains = logged_gains(log)

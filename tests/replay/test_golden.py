@@ -1,10 +1,10 @@
 """Re-execute all golden logs.
 
-A change of the code for other hands must not change any bit in the telemetry of these hands.
+A change of the code for other hands must not change any bit in the telemetry of the golden logs.
 
-Earlier defects: with the matrix kernels for AVX-512, the last bits differed from those of other
-processors. A sum of products was computed in another order, which changed the last bits of ``q_sigma`` in
-jamia11-grasp.
+Earlier defect: with the matrix kernels for AVX-512, the last bits of the telemetry differed from
+those of other processors. Another defect: a changed order of a sum of products changed the last
+bits of ``q_sigma`` in jamia11-grasp.
 """
 
 from pathlib import Path

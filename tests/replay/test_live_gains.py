@@ -1,6 +1,6 @@
-"""A log contains the gains that were set during the recorded run, and the identified parameters.
+"""A log contains the gains that were set during the recorded run, and the identified parameters of the hand.
 
-A re-execution of the log therefore gives the same results to the last bit.
+With the gains and parameters in the log, a re-execution gives the same results to the last bit.
 """
 
 from pathlib import Path
@@ -54,7 +54,8 @@ def test_a_run_whose_gains_were_set_repeats(tmp_path: Path) -> None:
 def identified_calibration(hand: Hand, torque_gain: float) -> Calibration:
     """Return the calibration of a hand with known motor zeros.
 
-    In this calibration, the drives make only the fraction ``torque_gain`` of a commanded torque.
+    The calibration states that the drives make only the fraction ``torque_gain`` of a commanded
+    torque.
     """
     calibration = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     identified = IdentifiedParameters(
@@ -74,8 +75,8 @@ def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(
 ) -> None:
     """In this test, the drives make 0.8 of each commanded torque.
 
-    The identified parameters contain this factor. The controller therefore commands 1.25 times the
-    torque.
+    The identified parameters contain the torque factor 0.8, so the controller commands 1.25 times
+    the torque that the motors must make.
     """
     hand, log = load_hand("jamia"), tmp_path / "identified.mcap"
     plan = RunPlan(hand, Gains(), 500.0, ())
@@ -103,10 +104,10 @@ def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(
 
 @pytest.mark.parametrize("torque_gain", [0.72, 1.35])
 def test_a_drive_with_identified_torque_error_is_no_fault(torque_gain: float) -> None:
-    """A drive reports its nominal torque, which differs from the torque that the controller intends.
+    """A drive with a torque error reports its nominal torque, which differs from the torque that is intended.
 
-    Earlier defect: because of this difference, the controller reported the fault N14 (a command is
-    not obeyed).
+    Earlier defect: because of the difference between both torques, the controller reported the
+    fault N14 (a command is not obeyed).
     """
     hand = load_hand("jamia")
     plan = RunPlan(hand, Gains(), 500.0, ())

@@ -1,8 +1,8 @@
-"""Record ten simulated minutes with injected faults, and execute the log again.
+"""Record a simulated run of ten minutes with injected faults, and execute the log again.
 
-This test runs only in nightly runs.
+The test of ten minutes runs only in nightly test runs.
 
-`python tests/replay/test_long.py OUT.mcap` stores the log.
+`python tests/replay/test_long.py OUT.mcap` stores the log of the run.
 """
 
 import random
@@ -32,8 +32,8 @@ MOVE_PHASE = (
 class SimulatorWithLostReplies:
     """Wrapper of a lockstep simulator.
 
-    The wrapper drops one reply in two hundred, and sometimes all replies of two ticks. These losses
-    are so small that the run continues.
+    The wrapper drops one reply in two hundred, and sometimes all replies of two ticks. The losses
+    of replies are so small that the run continues.
     """
 
     peer: LockstepSimulator
@@ -41,7 +41,7 @@ class SimulatorWithLostReplies:
     silent: int = 0
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
-        """Step the wrapped simulator, and return its replies without the dropped replies."""
+        """Step the wrapped simulator, and return those of its replies that the wrapper does not drop."""
         replies = self.peer.step(t_ns, frames)
         if self.chance.random() < 0.002:
             self.silent = 2
@@ -54,9 +54,9 @@ class SimulatorWithLostReplies:
 
 
 def write_long_log(log_path: Path) -> None:
-    """Record ten minutes with a grasp and many moves.
+    """Record a simulated run of ten minutes with a grasp and many moves.
 
-    Frames are lost during the whole run, and a motor stops sending at the end.
+    Frames are lost during the whole run, and a motor stops sending at the end of the run.
     """
     chance = random.Random(7)
     move_phases = [

@@ -1,7 +1,7 @@
 """Test the re-execution of unusual logs.
 
-Some of the logs have gaps, or values that handctl refuses. Other logs come from runs that ended
-early.
+Some of the unusual logs have gaps, or contain values that handctl refuses. Other unusual logs come
+from runs that ended early.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Test the check of a recorded run against other safety limits."""
+"""Test the check of a recorded run against safety limits that differ from those of the run."""
 
 from pathlib import Path
 

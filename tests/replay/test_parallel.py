@@ -1,7 +1,7 @@
-"""Test the snapshots of the state in a log.
+"""Test the snapshots of the controller state in a log.
 
-Several processes can execute parts of a log again, and each process starts at a snapshot. The parts together
-give the same outputs as one execution of the whole log.
+Several processes can execute parts of a log again, and each process starts at a snapshot. The
+executions of all parts together give the same outputs as one execution of the whole log.
 """
 
 from collections.abc import Callable
@@ -37,8 +37,8 @@ def execute_serial_and_parallel(
 ) -> ExecuteSerialAndParallel:
     """Return a function that executes a log with one process and with three processes.
 
-    The returned function has one argument. This argument is a function that makes a number in the
-    state of the controller wrong.
+    The returned function takes another function as its only argument. The function in the argument
+    makes a number in the state of the controller wrong.
     """
 
     def run(change: StateChange | None = None) -> tuple[LogExecution, LogExecution]:
@@ -69,7 +69,7 @@ def results_without_times(execution: LogExecution) -> dict[str, Any]:
 def change_state_at_tick(field_name: str, first_wrong_tick: int) -> StateChange:
     """Return a function that changes the controller state before tick ``first_wrong_tick``.
 
-    The function changes the field ``field_name`` of the second tendon.
+    The returned function changes the field ``field_name`` of the second tendon.
     """
 
     def change(state_before: ControllerState, entry: TickIn) -> None:
@@ -82,8 +82,8 @@ def change_state_at_tick(field_name: str, first_wrong_tick: int) -> StateChange:
 def test_a_snapshot_restores_the_state_unchanged(recorded_grasp_log: Path) -> None:
     """A state that is restored from a snapshot has the same bytes and the same hash.
 
-    The test checks this in every tick of a run with faults and requests. The next tick from the
-    restored state also gives the same result.
+    The test restores the state in every tick of a run with faults and requests. From the restored
+    state, the next tick gives the same result as in the run.
     """
     with RunLog(recorded_grasp_log) as log:
         controller = rebuild_controller(log)
@@ -141,9 +141,9 @@ def test_three_processes_find_no_difference_where_one_finds_none(
 def test_three_processes_find_the_first_difference_wherever_it_is(
     execute_serial_and_parallel: ExecuteSerialAndParallel, first_wrong_tick: int
 ) -> None:
-    """The test changes the field in the part of each process.
+    """The test changes a field of the controller state in the part of the log that each process executes.
 
-    Some cases are at the border between two parts.
+    In some test cases, the changed tick is at the border between two parts of the log.
     """
     one_process, three_processes = execute_serial_and_parallel(
         change_state_at_tick("travel", first_wrong_tick)

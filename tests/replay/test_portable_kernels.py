@@ -1,6 +1,6 @@
 """Test the choice of the BLAS kernels.
 
-The last bits of the results of a run depend on these kernels.
+The last bits of the results of a run depend on the BLAS kernels.
 """
 
 import os
@@ -47,7 +47,7 @@ def test_kernels_are_chosen_where_the_processor_can_execute_them(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The last case is a system without the file ``/proc/cpuinfo``."""
+    """The last test case is a system without the file ``/proc/cpuinfo``."""
     path = tmp_path / "cpuinfo"
     if description is not None:
         path.write_text(description)
@@ -81,7 +81,7 @@ def test_command_line_chooses_the_kernels_before_numpy_is_imported() -> None:
 )
 @pytest.mark.parametrize("log_name", ["jamia-grasp", "jamia11-grasp"])
 def test_golden_log_repeats_to_the_bit_in_a_new_process(log_name: str) -> None:
-    """A new process chooses the same kernels as the tests, without inheriting their choice."""
+    """A new process does not inherit the BLAS kernels of the test process, but chooses the same kernels."""
     environment = {
         name: value for name, value in os.environ.items() if name != OPENBLAS_CORE_VARIABLE
     }

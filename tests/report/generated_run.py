@@ -1,6 +1,6 @@
 """Generate runs and true values for tests of the report.
 
-All generated numbers can be checked by hand.
+All generated numbers are so simple that they can be checked by hand.
 """
 
 import json
@@ -21,7 +21,7 @@ PERIOD_NS = 10_000_000
 class GeneratedRunLog:
     """Fake log with the parts of a `RunLog` that the report uses.
 
-    All telemetry is NaN until a test sets it.
+    All telemetry values are NaN until a test sets them.
     """
 
     def __init__(self, hand: Hand, tick_count: int, phase_by_tick: dict[int, str]) -> None:
@@ -61,9 +61,9 @@ class GeneratedRunLog:
 
 
 def zero_truth_record(hand: Hand, tick_count: int, offset_ns: int = 0) -> TruthRecord:
-    """Create a truth record of zeros with one row for each tick.
+    """Create a truth record whose values are zero, with one row for each tick.
 
-    The record also has two rows before the run, and two rows after the run.
+    In addition, the truth record has two rows before the run, and two rows after the run.
     """
     columns = [f"tension/{name}" for name in hand.tendon_names]
     columns += [f"q/{name}" for name in hand.joints]
@@ -76,7 +76,7 @@ def zero_truth_record(hand: Hand, tick_count: int, offset_ns: int = 0) -> TruthR
 def set_truth_column(truth: TruthRecord, column_name: str, values: np.ndarray | float) -> None:
     """Set a column of a truth record in the ticks of the run.
 
-    The rows outside of the run get the first and the last value.
+    The rows before and after the run get the first and the last value of the column.
     """
     column = truth.values[:, truth.columns.index(column_name)]
     column[2:-2] = values

@@ -1,4 +1,4 @@
-"""Test the counts of late and lost frames in a log.
+"""Test the numbers of late and lost frames that the report counts in a log.
 
 The tests delay or remove frames in copies of a golden log.
 """
@@ -39,7 +39,7 @@ def count_frames(golden_ticks: list[TickRecord]) -> tuple[int, ...]:
 def ticks_without_frame(
     golden_ticks: list[TickRecord], tick_index: int
 ) -> tuple[list[TickRecord], object]:
-    """Remove the first load-cell frame of one tick. Return the changed ticks and the removed frame."""
+    """Remove the first load-cell frame of one tick. Return the changed ticks of the log and the removed frame."""
     first_tension_frame = make_sensors(JAMIA_HAND).ids[0]
     entry = golden_ticks[tick_index].tick_in
     [lost] = [frame for frame in entry.frames if frame.can_id == first_tension_frame][:1]

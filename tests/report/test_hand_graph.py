@@ -1,4 +1,4 @@
-"""The text picture and the drawing of a hand both name all parts of the hand."""
+"""The text picture of a hand and the drawing of a hand both name all parts of the hand."""
 
 import xml.etree.ElementTree as ET
 from pathlib import Path

@@ -1,6 +1,6 @@
 """Test how the report judges whether a hand has lifted an object.
 
-The verdict depends on the motion of the table and of the object.
+The result of the report depends on the motion of the table and of the object.
 """
 
 from dataclasses import replace
@@ -21,7 +21,7 @@ from tests.report.generated_run import (
 
 TICK_COUNT = 400
 SINK_START_TICK, SINK_END_TICK = 200, 350
-"""Tick at which the table begins to sink, and tick at which the hold phase ends."""
+"""Index of the tick at which the table begins to sink, and index of the tick at which the hold phase ends."""
 
 
 def log_and_truth_of_lift(
@@ -29,7 +29,7 @@ def log_and_truth_of_lift(
 ) -> tuple[GeneratedRunLog, TruthRecord]:
     """Create a log and the true values of a run in which table and object sink with constant speeds.
 
-    Table and object sink from SINK_START_TICK to SINK_END_TICK.
+    Table and object sink from the tick SINK_START_TICK to the tick SINK_END_TICK.
     """
     log = GeneratedRunLog(
         JAMIA_HAND, TICK_COUNT, {0: "close", 100: "carry", SINK_END_TICK: "release"}

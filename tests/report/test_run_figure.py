@@ -102,7 +102,7 @@ def test_hidden_values_do_not_affect_the_height(drawn_figures: list[Any]) -> Non
 def test_all_tensions_are_inside_the_plot(
     drawn_figures: list[Any], hand_name: str, field: str
 ) -> None:
-    """Reproduce a defect: with a dead load cell, commanded and true tension were outside of the plotted range."""
+    """Reproduce a defect: without load-cell readings, commanded and true tension were outside of the plotted range."""
     hand = load_hand(hand_name)
     log, truth = generate_run_log(hand_name, True), zero_truth_record(hand, 120)
     for field_name in ("tension", "tension_goal", "tension_sigma"):
@@ -127,7 +127,7 @@ def test_all_tensions_are_inside_the_plot(
 def test_every_unit_of_the_digits_is_named(
     drawn_figures: list[Any], hand_name: str, axis_labels: list[str]
 ) -> None:
-    """Reproduce a defect: the angle of a finger beside a jaw had no label, so that it seemed to be in mm."""
+    """Reproduce a defect: the angle axis of a finger beside a jaw had no label, so the angle seemed to be in mm."""
     hand = load_hand(Path(__file__).parents[1] / "hand" / f"{hand_name}.toml")
     log = GeneratedRunLog(hand, 120, {0: "silent"})
     draw_run(Path("x.png"), log, hand, None, 0, "t")  # type: ignore[arg-type]

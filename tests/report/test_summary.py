@@ -34,7 +34,7 @@ def log_without_faults() -> GeneratedRunLog:
 def log_with_hold_phase(ramp_ticks: int = 20) -> GeneratedRunLog:
     """Create a run of four seconds with a hold phase.
 
-    In this phase, the tension goal rises, and index finger and thumb are in contact.
+    In the hold phase, the tension goal rises, and index finger and thumb are in contact.
     """
     log = GeneratedRunLog(JAMIA_HAND, 400, {0: "home", 100: "hold", 300: "release"})
     for name in ("tension", "tension_raw", "tip_force"):
@@ -106,9 +106,9 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
     log.fields["q_goal"][:, joints] = 0.5
     for joint in JAMIA_HAND.joints[joints]:
         motion = np.full(200, 0.49)
-        motion[100:120] = 0.2  # during this time, the controller detects contact
-        motion[120:140] = 0.1  # during this time, only the true values show contact
-        motion[140:160] = 0.0  # during this time, the hand is not active
+        motion[100:120] = 0.2  # in these ticks, the controller detects contact
+        motion[120:140] = 0.1  # in these ticks, only the true values show contact
+        motion[140:160] = 0.0  # in these ticks, the hand is not active
         set_truth_column(truth, f"q/{joint}", motion)
     log.fields["contact"][100:120, 0] = 1.0
     force = np.zeros(200)
@@ -127,10 +127,10 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
 
 
 def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
-    """The estimate of a tick is compared with the true tension at the time of this tick.
+    """The summary compares the tension estimate of a tick with the true tension at the time of the tick.
 
-    A load-cell reading is taken one period earlier. It is compared with the true tension at that
-    time.
+    A load-cell reading is taken one period before its tick. The summary compares it with the true
+    tension at the time of the reading.
     """
     log, truth = log_without_faults(), zero_truth_record(JAMIA_HAND, 200)
     real = 20.0 + np.arange(200) * 0.1
@@ -171,7 +171,7 @@ def test_a_hold_is_judged_from_half_a_second_after_its_ramp_to_its_end() -> None
 
 
 def test_a_hold_is_a_phase_of_that_kind_whatever_its_name() -> None:
-    """Reproduce a defect: the tension error, tip forces and motion of a hold named "squeeze" were missing."""
+    """Reproduce a defect: for a hold phase named "squeeze", tension error, tip forces and motion were missing."""
     log = log_with_hold_phase()
     log.phases = [
         phase._replace(name={"hold": "squeeze"}.get(phase.name, phase.name)) for phase in log.phases
@@ -212,7 +212,7 @@ def test_hold_error_is_the_worst_mean_of_a_tendon_that_holds() -> None:
     alternating_error = np.where(np.arange(400) % 2, 1.5, -1.5)
     set_truth_column(truth, f"tension/{index}", 25.0 - 0.4 + alternating_error)
     set_truth_column(truth, f"tension/{thumb}", 25.0 + 0.7)
-    set_truth_column(truth, f"tension/{middle}", 3.0)  # tension without contact
+    set_truth_column(truth, f"tension/{middle}", 3.0)  # the middle tendon is taut without contact
     result = summarise_run(log, JAMIA_HAND, truth, 0)
     assert result["tension_hold_error_n"] == pytest.approx(0.7, abs=0.02)
     assert result["tension_hold_peak_error_n"] == pytest.approx(1.9, abs=0.02)
@@ -232,7 +232,7 @@ def test_contact_forces_and_tip_forces_are_means_over_the_hold() -> None:
 def test_object_motion_is_the_largest_distance_from_the_start_of_a_hold() -> None:
     log, truth = log_with_hold_phase(), zero_truth_record(JAMIA_HAND, 400)
     x = np.zeros(400)
-    x[:169] = 0.050  # before the hold
+    x[:169] = 0.050  # before the hold phase
     x[200], x[201] = 3e-4, -4e-4
     x[300:] = 0.080  # after the release
     set_truth_column(truth, "object/x", x)
@@ -256,7 +256,7 @@ def test_rms_ignores_nan() -> None:
 
 
 def test_measured_load_equals_a_hand_calculation() -> None:
-    """In a classical frame of 8 bytes, 34 + 64 bits may cause stuff bits, at most one for every four bits.
+    """In a classical frame of 8 bytes, 34 + 64 bits can cause stuff bits, at most one for every four bits.
 
     The other 13 bits of the frame get no stuff bits.
     """

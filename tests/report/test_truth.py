@@ -1,4 +1,4 @@
-"""Test the reader of truth files with a complete file, with a file that is cut at any byte, and with a missing file."""
+"""Test the reader of truth files with a complete, a missing, and a shortened file that ends at any byte."""
 
 import json
 from pathlib import Path

@@ -1,7 +1,7 @@
 """Define tests of the contract that every bus class must fulfil.
 
-A test module that imports these tests must define the fixture ``bus_under_test``, which returns the bus
-under test.
+A test module that imports the tests must define the fixture ``bus_under_test``, which returns the
+tested bus.
 """
 
 import random
@@ -27,7 +27,7 @@ class BusUnderTest:
 
     Attributes:
         spec: specification of the bus, as ``open_bus`` takes it.
-        opened: functions that close the connected nodes after the test.
+        opened: functions that close the nodes of the bus after the test.
     """
 
     spec: str
@@ -125,7 +125,7 @@ def test_stamps_are_the_runs_time_of_reception(bus_under_test: BusUnderTest) -> 
     for number in range(20):
         sender.send([Frame(number, b"")])
     stamps = [frame.t_ns - offset for frame in drain_bus(receiver, 20)]
-    slack = 20_000_000  # the wall clock and the monotonic clock may differ
+    slack = 20_000_000  # the wall clock and the monotonic clock can differ
     assert len(stamps) == 20
     assert stamps == sorted(stamps)
     assert start - slack <= stamps[0]

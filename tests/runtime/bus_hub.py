@@ -1,7 +1,7 @@
 """Hubs that serve the local bus in tests.
 
-One hub is that of the simulator, in a separate process. The other hub sends bytes that a test
-writes.
+The first kind of hub is the hub of the simulator, in a separate process. The second kind of hub
+sends bytes that a test writes.
 """
 
 import os
@@ -35,7 +35,7 @@ def hub_process(bus_name: str, socket_folder: Path) -> Iterator[None]:
 
 
 class ScriptedHub:
-    """Hub of a local bus for one client. The test itself exchanges bytes with this client."""
+    """Hub of a local bus for one client. The test itself exchanges bytes with the client of the hub."""
 
     def __init__(self, socket_folder: Path, bus_name: str) -> None:
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -43,7 +43,7 @@ class ScriptedHub:
         self._listener.listen()
 
     def accept_client(self) -> socket.socket:
-        """Accept the client, and return the end of the connection that belongs to the hub."""
+        """Accept the client, and return the hub's socket of the connection to the client."""
         link, _ = self._listener.accept()
         link.settimeout(20.0)
         return link

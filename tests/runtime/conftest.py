@@ -1,4 +1,4 @@
-"""Fixtures with a working folder, a simulated hand and a calibration for the processes of these tests."""
+"""Provide a working folder, a simulated hand and a calibration as fixtures for tests that start processes."""
 
 import tempfile
 
@@ -21,7 +21,8 @@ from tests.runtime.processes import (
 def work_folder(tmp_path, monkeypatch):
     """Change to a folder that contains only two tasks.
 
-    The sockets are in another folder, because the path of a Unix socket must be short.
+    The Unix sockets of the processes are in another folder, because the path of a Unix socket must
+    be short.
     """
     with tempfile.TemporaryDirectory(prefix="h-") as short_folder:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short_folder)
@@ -45,9 +46,9 @@ def started_processes():
 
 @pytest.fixture
 def time_scale_options(request, attempt_time_scale):
-    """Return the command-line options for the time scale.
+    """Return the command-line options for the time scale of a test.
 
-    A test module may define its own ``TIME_SCALE``.
+    A test module can define its own ``TIME_SCALE``.
     """
     return make_time_scale_options(
         getattr(request.module, "TIME_SCALE", TIME_SCALE) * attempt_time_scale
@@ -65,6 +66,6 @@ def hand_truth_file(work_folder, started_processes, time_scale_options):
 
 @pytest.fixture
 def calibration_options(work_folder):
-    """Write a calibration of the simulated hand, and return the command-line options for a controller of this hand."""
+    """Write a calibration of the simulated hand, and return the command-line options for a controller of the hand."""
     write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
     return ("--hand", "jamia", "--bus", LOCAL_BUS, "--calibration", "c.toml")

@@ -12,7 +12,7 @@ from handctl.runtime.buses.socketcan import SocketCanBus
 
 @contextmanager
 def datagram_bus(bus_index: int) -> Iterator[tuple[SocketCanBus, socket.socket]]:
-    """Yield an open bus with the given index, and the socket at the other end of this bus."""
+    """Yield an open bus with the given index, and the socket at the other end of the bus."""
     near, peer_socket = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
     near.bind(("127.0.0.1", 0))
     peer_socket.bind(("127.0.0.1", 0))

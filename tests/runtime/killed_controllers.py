@@ -1,10 +1,10 @@
 """Start controllers one after the other, and kill or stop each of them at a random time.
 
-The simulated hand continues to run.
+The simulated hand continues to run when a controller ends.
 
-Each controller is a fork of this process, because a new process would have to import all modules
-again. As in any run, the recorder and the simulator are separate processes. The truth file of the
-simulator shows how the drives react.
+Each controller is a fork of the test process, because a new process would have to import all
+modules again. As in any run, the recorder and the simulator are separate processes. The truth file
+of the simulator shows how the drives react.
 """
 
 import json
@@ -43,14 +43,14 @@ from tests.runtime.processes import (
 )
 
 SYNC_ID = 0x080
-"""CAN identifier of the SYNC frame. The first byte of this frame is the tick count."""
+"""CAN identifier of the SYNC frame. The first byte of a SYNC frame is the tick count."""
 FRAME_RECORD_BYTES = 72
-"""Size of the record of a frame on the local bus [bytes]."""
+"""Size of a frame record on the local bus [bytes]."""
 RATE_HZ = 500.0
 WATCHDOG_MS = 50.0
 """Watchdog time of the drives in the hand file [ms].
 
-After this time plus ``TORQUE_DECAY_MS``, no motor may make torque.
+When the watchdog time plus ``TORQUE_DECAY_MS`` is over, no motor is allowed to make torque.
 """
 TORQUE_DECAY_MS = 4.0
 """Time that the current of a motor needs to decay after the motor was disabled [ms]."""
@@ -61,9 +61,9 @@ MIN_TAUT_N = 8.0
 FINGER_OPENING_TIME_S = 0.3
 """Time that the fingers need to open after the watchdogs have removed the torque [s]."""
 MAX_DELAY_S = 1.8
-"""Longest time from the first SYNC of a controller to the signal that kills or stops this controller [s].
+"""Longest time from the first SYNC frame of a controller to the signal that kills or stops the controller [s].
 
-Within this time, a run arms the hand, bends the fingers and holds them.
+Within 1.8 s, a run arms the hand, bends the fingers and holds them.
 """
 PROCESS_TIMEOUT_S = 60.0
 """Longest time that a test waits for a process [s]."""
@@ -80,7 +80,7 @@ class DisturbedRun(NamedTuple):
             [ns].
         bus_sync_counts: tick counts of the SYNC frames that were on the bus.
         log_sync_counts: tick counts of the SYNC frames that are in the log.
-        warning: text about a damaged or incomplete log file. The value is empty if the log is
+        warning: text about a damaged or incomplete log file. The text is empty if the log is
             complete.
     """
 
@@ -94,7 +94,7 @@ class DisturbedRun(NamedTuple):
 
 
 class KillVerdict(NamedTuple):
-    """Result of the comparison of one run with the truth file of the simulator.
+    """Result of the comparison of one disturbed run with the truth file of the simulator.
 
     Attributes:
         run: record of the run.
@@ -114,15 +114,15 @@ class KillVerdict(NamedTuple):
 
     @property
     def torque_ended_in_time(self) -> bool:
-        """Return True if all motors lost their torque within the watchdog time of the drives."""
+        """Return True if no motor made torque after the watchdog time of the drives."""
         return self.min_torque_off_ms <= WATCHDOG_MS + TORQUE_DECAY_MS
 
     @property
     def has_complete_log(self) -> bool:
         """Return True if the log contains every tick whose SYNC frame was on the bus.
 
-        The last tick may be missing, because the signal may come just after the SYNC frame of this
-        tick.
+        The last tick is allowed to be missing, because the signal possibly comes just after the
+        SYNC frame of the last tick.
         """
         on_bus = self.run.bus_sync_counts
         is_in_log = self.run.log_sync_counts
@@ -134,7 +134,7 @@ class KillVerdict(NamedTuple):
 
 
 class KillTestSetup:
-    """A simulated hand, and the plan with which each controller of this hand starts."""
+    """A simulated hand, and the plan of the run with which each controller of the hand starts."""
 
     def __init__(self, work_folder: Path, time_scale: float) -> None:
         """Start the simulator with a time scale.
@@ -170,7 +170,7 @@ class KillTestSetup:
         )
 
     def now_ns(self) -> tuple[int, int]:
-        """Return the time of the simulator, and the total time in which it did not run [ns]."""
+        """Return the time of the simulator, and the total time in which the simulator did not run [ns]."""
         reply_path = run_dir() / f"kills-{os.getpid()}"
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
             link.bind(str(reply_path))
@@ -181,7 +181,7 @@ class KillTestSetup:
         return int(answer["t_ns"]), int(answer["slip_ns"])
 
     def start_controller(self, log_path: Path) -> int:
-        """Start a controller as a fork of this process, and return its process id."""
+        """Start a controller as a fork of the test process, and return the process id of the controller."""
         child = os.fork()
         if child:
             return child
@@ -197,9 +197,9 @@ class KillTestSetup:
     def disturb_controller(
         self, run_number: int, sent_signal: signal.Signals, delay_s: float
     ) -> DisturbedRun:
-        """Start a controller, and send it a signal ``delay_s`` after its first SYNC frame.
+        """Start a controller, and send a signal to it ``delay_s`` after its first SYNC frame.
 
-        Return the record of this run.
+        Return the record of the disturbed run.
         """
         log = self.folder / f"{run_number}.mcap"
         with SyncListener() as listener:
@@ -233,21 +233,21 @@ class KillTestSetup:
         )
 
     def kill_verdicts(self, runs: list[DisturbedRun]) -> list[KillVerdict]:
-        """Compare the runs with the truth file of the simulator.
+        """Compare the disturbed runs with the truth file of the simulator.
 
-        Before the call, the simulator must have ended.
+        The simulator must have ended before ``kill_verdicts`` is called.
         """
         truth = read_truth(self.truth)
         return [verdict_of_kill(truth, run) for run in runs]
 
 
 class SyncListener:
-    """A further node on the bus.
+    """A further node on the bus of the hand.
 
     The node collects the tick counts of all SYNC frames from the controller.
 
     Attributes:
-        syncs: tick counts of the SYNC frames, one byte each.
+        syncs: tick counts of the SYNC frames, one byte for each frame.
     """
 
     def __init__(self) -> None:
@@ -267,7 +267,7 @@ class SyncListener:
     def listen(self, duration_s: float) -> None:
         """Read the bus for a given time [s].
 
-        Without reading, the socket would become full and lose frames.
+        If nobody read the socket of the bus, the socket would become full and lose frames.
         """
         until = time.monotonic() + duration_s
         while True:
@@ -299,7 +299,7 @@ class SyncListener:
 
 
 def wait_for_process_end(controller_pid: int, listener: SyncListener) -> None:
-    """Wait for the end of a controller process. If the process does not end, terminate it."""
+    """Wait until a controller process ends. If the process does not end in time, terminate it."""
     until = time.monotonic() + 3.0
     while os.waitpid(controller_pid, os.WNOHANG) == (0, 0):
         if time.monotonic() > until:
@@ -311,7 +311,7 @@ def wait_for_process_end(controller_pid: int, listener: SyncListener) -> None:
 def read_sync_records(log_path: Path) -> tuple[str, bytes]:
     """Read a log after its recorder has ended.
 
-    Return the warning of the log, and the tick counts of its SYNC frames.
+    Return the warning about the log, and the tick counts of the SYNC frames in the log.
     """
     until = time.monotonic() + 20.0
     while True:
@@ -357,7 +357,7 @@ def disturb_controllers(
 ) -> list[KillVerdict]:
     """Kill or stop ``controller_count`` controllers of one simulated hand.
 
-    The signals SIGKILL and SIGSTOP alternate.
+    The controllers get the signals SIGKILL and SIGSTOP alternately.
     """
     chance = random.Random(seed)
     test_hand = KillTestSetup(work_folder, time_scale)
@@ -374,16 +374,16 @@ def disturb_controllers(
 CONTROLLERS_PER_SIMULATOR = 25
 """Number of controllers that run one after the other with the same simulator (a batch).
 
-After a batch, its truth file is read and deleted.
+After each batch of controllers, the test reads and deletes the truth file of the batch.
 """
 
 
 def disturb_controllers_in_batches(
     controller_count: int, seed: int, time_scale: float
 ) -> Iterator[list[KillVerdict]]:
-    """Kill or stop ``controller_count`` controllers in batches, and yield the verdicts of each batch.
+    """Kill or stop ``controller_count`` controllers in batches, and yield the verdicts on the runs of each batch.
 
-    For each batch, a new simulator is started.
+    Each batch has a new simulator.
     """
     for first_number in range(0, controller_count, CONTROLLERS_PER_SIMULATOR):
         with tempfile.TemporaryDirectory(prefix="h-") as folder:

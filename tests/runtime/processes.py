@@ -17,20 +17,20 @@ from handctl.runtime.mailbox import StatusWatcher
 from handctl.session.calibration import write_calibration
 
 READY_TIMEOUT_S = 60.0
-"""Longest time that a simulator may take to start [s]."""
+"""Longest permitted time for the start of a simulator [s]."""
 COMMAND_TIMEOUT_S = 200.0
-"""Longest time that a command of handctl may run [s]."""
+"""Longest permitted duration of a command of handctl [s]."""
 LOCAL_BUS = "local:t"
 TIME_SCALE = 1.0
-"""Time scale of simulator and controller. 1 is real time.
+"""Time scale of simulator and controller.
 
-If the machine is too slow for this time scale, the clock that simulator and controller share
-pauses.
+1 is real time. If the machine is too slow for the time scale, the clock that simulator and
+controller share pauses.
 """
 SERIAL_NUMBER_BASE = 0x4000
 """Base of the serial numbers of simulated drives.
 
-The serial number of a drive is this base plus its node number.
+The serial number of a simulated drive is the base plus the node number of the drive.
 """
 HOMED_HAND_OPTIONS = ("--homed", "--serial", f"{SERIAL_NUMBER_BASE:#x}")
 """Options of a simulated hand that match the calibration of ``write_homed_calibration``."""
@@ -118,7 +118,7 @@ def wait_for_phase(
     process: "subprocess.Popen[str]",
     timeout_s: float = 60.0,
 ) -> None:
-    """Wait until a running controller is in a phase."""
+    """Wait until a running controller is in a given phase of its program."""
     until = time.monotonic() + timeout_s
     while time.monotonic() < until:
         assert process.poll() is None, process.communicate()
@@ -134,9 +134,9 @@ def socket_names() -> list[str]:
 
 
 def write_homed_calibration(calibration_file: Path, hand: Hand) -> None:
-    """Write the calibration of a simulated hand with ``HOMED_HAND_OPTIONS``.
+    """Write the calibration that suits a simulated hand with ``HOMED_HAND_OPTIONS``.
 
-    All tares and zeros in this calibration are zero.
+    All tares and zeros in the written calibration are zero.
     """
     zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     calibration = Calibration(

@@ -1,8 +1,8 @@
 """Test the protection against another user of the machine.
 
-The folder for sockets is private. A request counts as done only after the controller has confirmed
-it. A test that needs a second user forks a process, which then changes its own user. Without root
-rights, tests with a second user are skipped.
+The folder for the sockets of handctl is private. A request to the controller counts as done only
+after the controller has confirmed it. A test that needs a second user forks a process, and the
+forked process changes its own user. Without root rights, tests with a second user are skipped.
 """
 
 import json
@@ -72,9 +72,9 @@ def call_as_user_nobody(function) -> str:
 
 @pytest.fixture
 def shared_tmp(monkeypatch):
-    """Return a folder for temporary files in which every user may write, as in /tmp.
+    """Return a folder for temporary files in which every user is allowed to write, as in /tmp.
 
-    The run directory (the folder for sockets) is inside this folder.
+    The run directory (the folder for sockets) is inside the returned folder.
     """
     folder = Path(tempfile.mkdtemp(prefix="h-"))
     folder.chmod(0o1777)
@@ -92,7 +92,7 @@ def folder_of_nobody(shared_tmp: Path) -> Path:
 def check_refusals(expected_word: str) -> None:
     """Check that controller, simulator and all requests refuse the run directory.
 
-    The reason contains ``expected_word``.
+    Check that the reason of each refusal contains ``expected_word``.
     """
     for refused in (
         lambda: Mailbox("local:x"),
@@ -140,7 +140,7 @@ def test_a_folder_that_another_user_made_is_refused(
 
 @SECOND_USER
 def test_a_folder_above_that_another_user_owns_or_can_write_in_is_refused(shared_tmp, monkeypatch):
-    """The owner of the parent folder could rename the private folder, and create another folder in its place."""
+    """The owner of the parent folder could rename the private run directory, and create another folder in its place."""
     above = shared_tmp / "above"
     above.mkdir()
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(above / "run"))
@@ -163,9 +163,9 @@ def test_a_folder_that_others_can_write_in_is_refused(shared_tmp, has_run_folder
 
 @pytest.mark.parametrize("make_folder", [run_dir, simulated.run_dir])
 def test_a_new_or_readable_folder_is_made_private(shared_tmp, make_folder):
-    """If the parent folder has the mode 0755, handctl also makes this folder private.
+    """If the parent folder of the run directory has the mode 0755, handctl makes the parent folder private, too.
 
-    Earlier versions of handctl created the parent folder with this mode.
+    Earlier versions of handctl created the parent folder with the mode 0755.
     """
     folder = make_folder()
     assert folder == folder_of_nobody(shared_tmp) / "handctl"
@@ -178,7 +178,7 @@ def test_a_new_or_readable_folder_is_made_private(shared_tmp, make_folder):
 
 @pytest.mark.parametrize("has_run_folder", [False, True])
 def test_a_link_is_refused(shared_tmp, has_run_folder):
-    """A run directory that is a symbolic link is refused, with any target and any owner of the link."""
+    """If the run directory is a symbolic link, handctl refuses it, with any target and any owner of the link."""
     target = shared_tmp / "elsewhere"
     target.mkdir(mode=0o700)
     if has_run_folder:
@@ -204,9 +204,9 @@ def test_a_link_of_another_user_above_is_refused(shared_tmp, monkeypatch):
 def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(
     shared_tmp, short_confirmation_wait
 ):
-    """In this test, an attacker renames the mailbox and binds another socket to its path.
+    """In this test, an attacker renames the mailbox of a controller and binds another socket to its path.
 
-    The attacker's socket would then receive the requests for the hand.
+    Without a protection, the attacker's socket would receive the requests for the hand.
     """
     box = Mailbox("local:x")
     folder = run_dir()
@@ -247,7 +247,7 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(
 
 @SECOND_USER
 def test_requests_and_status_lines_of_another_user_are_ignored(shared_tmp):
-    """Requests of other users are ignored even in an open folder.
+    """The controller ignores requests of other users even if the folder of the mailbox is open to them.
 
     With each datagram, Linux gives the receiver the user id of the sender.
     """
@@ -336,7 +336,7 @@ class AnsweringController:
             line = {"k": k, "t_s": k * 0.002, "mode": mode, "phase": "", "events": events}
             if mode == "RELAX" and (
                 self.box.watchers or self._deaf
-            ):  # wait until a watcher has subscribed
+            ):  # wait until a client has subscribed to the status of the controller
                 mode = "" if self._deaf == "RELAX" else "DONE"
                 line |= {"mode": mode, "events": [{"name": "mode", "where": "", "text": self._end}]}
             if mode == "ACTIVE" and "stop" in self.taken:
@@ -410,7 +410,7 @@ def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(work_folder
 
 
 def fill_mailbox(mailbox_path: Path) -> int:
-    """Send datagrams to the mailbox at a path until it is full, and return the number of datagrams."""
+    """Send datagrams to the mailbox at a path until the mailbox is full, and return the number of datagrams."""
     count = 0
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         out.setblocking(False)

@@ -16,7 +16,8 @@ REALTIME_MARK = pytest.mark.realtime
 async def use_hand_as_client(*connect_options):
     """Move, stream, observe and cancel with a client.
 
-    Meanwhile, another asyncio task counts, to show that the client does not block the event loop.
+    At the same time, another asyncio task counts, to show that the client does not block the event
+    loop.
     """
     loop_count = 0
 
@@ -57,8 +58,8 @@ async def use_hand_as_client(*connect_options):
 async def observe_hand(hand):
     """Observe a hand 200 times.
 
-    Return the ticks of the observations, and the range of the first joint angle [deg]. The range is
-    the largest angle minus the smallest.
+    Return the ticks of the observations, and the range of the first joint angle [deg]. The range of
+    a joint angle is the largest angle minus the smallest angle.
     """
     ticks, angles = [], []
     async for observation in hand.observations():
@@ -93,7 +94,7 @@ def test_a_hand_is_opened_and_closed_without_a_block(
         hand_truth_file = await library.connect_async("jamia", LOCAL_BUS, *options).open()
         phase = hand_truth_file.observe().phase
         await hand_truth_file.close()
-        await hand_truth_file.close()  # the second call has no effect
+        await hand_truth_file.close()  # a second call of ``close`` has no effect
         return phase, hand_truth_file.result
 
     phase, result = asyncio.run(connect_and_use_hand())

@@ -1,6 +1,6 @@
-"""Test the effects of clients that misbehave. The tests run in real time.
+"""Test in real time how clients that misbehave affect the hand.
 
-The tests check the effects of these clients with the true values of the simulator.
+The tests check the effects of misbehaving clients with the true values of the simulator.
 
 tests/controller/test_target_streams.py contains similar tests in lockstep.
 """
@@ -17,19 +17,19 @@ NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 TIME_SCALE = 0.6
 TESTED_CLIENTS = list(CLIENT_BEHAVIOURS) if NIGHTLY else ["flooding", "killed"]
 HOLD_FAULT = "I11a"
-"""Fault of a stream in which no target arrives for 100 ms. The controller then holds the hand."""
+"""Fault of a stream in which no target arrives for 100 ms. After the fault, the controller holds the hand."""
 RELAX_FAULT = "I11b"
 """Fault of a stream in which no target arrives for a second.
 
-The controller then relaxes the hand.
+After the fault, the controller relaxes the hand.
 """
 EXPECTED_FAULTS_BY_CLIENT = {
     "paused-500": {HOLD_FAULT}, "nan": {HOLD_FAULT}, "1e308": {HOLD_FAULT}, "late-150": {HOLD_FAULT},
     "killed": {HOLD_FAULT, RELAX_FAULT}, "killed-owner": set(),
 }  # fmt: skip
-"""For each client, the stream faults that it must cause.
+"""For each misbehaving client, the stream faults that it must cause.
 
-A client without an entry must cause no fault.
+A client without an entry in the dictionary must cause no fault.
 """
 
 

@@ -1,7 +1,7 @@
 """Test how all kinds of buses treat unusual batches of frames.
 
-Some batches contain frames of mixed kinds with 0 to 64 bytes. Others contain more frames than a
-buffer can store, or error frames.
+Some batches contain frames of mixed kinds with 0 to 64 bytes. Other batches contain more frames
+than a buffer can store, or error frames.
 """
 
 import random
@@ -73,7 +73,7 @@ def frame_contents(frames: Frames) -> list[tuple[int, bytes, int, int]]:
 def has_zeros_behind_payloads(frames: Frames) -> bool:
     """Return True if frame records contain only zeros after each payload.
 
-    Also check the size of a record.
+    Check the size of a frame record, too.
     """
     assert frames.rows.shape == (len(frames), WORDS_PER_RECORD)
     is_behind_payload = np.arange(64) >= frames.records["length"][:, np.newaxis]
@@ -110,9 +110,9 @@ def drain_frames(bus: Bus, frame_count: int) -> Frames:
 
 
 def kernel_datagram(frame: Frame, trailing_bytes: bytes = b"") -> bytes:
-    """Return a frame as Linux may deliver it, with arbitrary bytes after the payload.
+    """Return a frame as Linux can deliver it, with arbitrary bytes after the payload.
 
-    The driver of a CAN adapter may leave such bytes there.
+    The driver of a CAN adapter is free to leave arbitrary bytes after the payload.
     """
     can_id, data, flags, *_ = frame
     if flags & FDF:
@@ -271,7 +271,7 @@ def test_the_kernels_stamps_become_the_runs_time(
 ) -> None:
     bus, peer_socket = udp_bus
     bus._convert_time = lambda t_ns: int((t_ns - 1000) * time_scale)
-    time.sleep(0.3)  # the kernel adds time stamps after a delay
+    time.sleep(0.3)  # the Linux kernel begins to add time stamps after a delay
     for _ in range(3):
         time_ns_before = time.monotonic_ns()
         for number in range(11):
@@ -292,7 +292,7 @@ def test_the_kernels_stamps_become_the_runs_time(
 def test_frames_in_read_only_memory_are_sent(
     local_bus: tuple[Bus, socket.socket], udp_bus: tuple[SocketCanBus, socket.socket]
 ) -> None:
-    compile_kernels()  # afterwards, a kernel accepts only arguments of its declared types
+    compile_kernels()  # from here on, a compiled kernel accepts only arguments of its declared types
     batch = equal_frames(8, 0)
     frames = Frames(np.frombuffer(frames_as_records(batch).records.tobytes(), FRAME_RECORD_DTYPE))
     for bus, link in (local_bus, udp_bus):

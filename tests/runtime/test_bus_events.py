@@ -1,6 +1,6 @@
 """Test the decoding of error frames with constants from the Linux header file.
 
-A state of the CAN controller, such as bus off, is reported for as long as it lasts.
+The bus reports a state of the CAN controller, such as bus off, for as long as the state lasts.
 """
 
 import errno
@@ -34,7 +34,7 @@ def event_kinds(events: BusEvents) -> set[str]:
 def test_error_frame_gives_the_events_of_its_class(
     can_id: int, status_byte: int, expected_kinds: set[str]
 ) -> None:
-    """The numbers in these cases are CAN_ERR_* and CAN_ERR_CRTL_* in the Linux header ``can/error.h``."""
+    """The numbers in the test cases are CAN_ERR_* and CAN_ERR_CRTL_* in the Linux header ``can/error.h``."""
     events = BusEvents("can0")
     events.add_error_frame(ERROR_FLAG | can_id, bytes((0, status_byte, 0, 0, 0, 0, 0, 0)))
     assert event_kinds(events) == expected_kinds

@@ -1,6 +1,6 @@
 """Test the edge cases of the local bus.
 
-They are partial records, a slow or lost hub, dropped frames, and error frames.
+The edge cases are partial frame records, a slow or lost hub, dropped frames, and error frames.
 """
 
 import socket

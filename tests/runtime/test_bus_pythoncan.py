@@ -23,7 +23,7 @@ from tests.runtime.bus_hub import RUN_DIR_VARIABLE, ScriptedHub, frame_record, h
 class BrokenCanBus(can.BusABC):
     """Interface of python-can that raises a given error.
 
-    The first ``failure_count`` calls raise the error.
+    The first ``failure_count`` calls of the interface raise the error.
     """
 
     def __init__(self, error: Exception, failure_count: int = 1_000_000) -> None:
@@ -54,7 +54,8 @@ def virtual_bus() -> Iterator[PythonCanBus]:
 def test_frames_that_an_adapter_echoes_are_not_received(virtual_bus: PythonCanBus) -> None:
     """A gs_usb adapter returns every sent frame to the host as if it were received.
 
-    The bus must discard this echo, because it looks like a frame of a second controller.
+    The bus must discard the echo of a sent frame, because the echo looks like a frame of a second
+    controller.
     """
     virtual_bus._bus.shutdown()
     virtual_bus._bus = can.Bus("broken", interface="virtual", receive_own_messages=True)
@@ -196,7 +197,7 @@ def test_a_notifier_receives_messages(handctl_bus: Bus) -> None:
 def test_a_notifier_in_an_event_loop_receives_a_complete_batch(handctl_bus: Bus) -> None:
     """The notifier of python-can reads one message for each event of the file descriptor.
 
-    The file descriptor must therefore stay readable as long as messages wait.
+    The file descriptor of the bus must stay readable as long as messages wait.
     """
     received: list[int] = []
 
@@ -222,7 +223,7 @@ def test_python_cans_logger_writes_what_was_sent(
     logger = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         end = time.monotonic() + 30.0
-        while not file.exists():  # the process creates this file after it has opened the bus
+        while not file.exists():  # the other process creates this file after it has opened the bus
             assert time.monotonic() < end
             time.sleep(0.02)
         for _ in range(20):

@@ -18,7 +18,7 @@ FD_FRAME_STRUCT = struct.Struct("=IBB2x64s")
 
 @pytest.fixture
 def udp_bus() -> Iterator[tuple[SocketCanBus, socket.socket]]:
-    """Yield a bus, and the socket at its other end. Bus and socket are connected over UDP.
+    """Yield a bus, and the socket at the other end of the bus. Bus and socket are connected over UDP.
 
     Like CAN sockets, UDP sockets have time stamps and count dropped datagrams.
     """
@@ -103,7 +103,7 @@ def test_batches_beyond_the_buffers_keep_their_order(
 TIME_STAMP_DELAY_S = 0.3
 """Time from the first request for time stamps until Linux adds time stamps [s].
 
-For the first request, Linux has to patch the code of its kernel.
+For the first request of time stamps, Linux has to patch the code of its kernel.
 """
 
 
@@ -128,7 +128,8 @@ def test_stamps_never_run_backwards_or_ahead(
 ) -> None:
     """In this test, the wall clock is set while frames wait in the socket.
 
-    Even so, the time stamps of these frames are in order and not in the future.
+    Although the wall clock is set, the time stamps of the waiting frames are in order and not in
+    the future.
     """
     bus, peer_socket = udp_bus
     real = time.time_ns
@@ -149,7 +150,7 @@ def test_stamps_are_right_although_the_wall_clock_was_set(
 ) -> None:
     """The host measures the offset between wall clock and monotonic clock.
 
-    Then the wall clock is set, and Linux stamps a frame.
+    After this measurement, the test sets the wall clock, and Linux stamps a frame.
     """
     bus, peer_socket = udp_bus
     time.sleep(TIME_STAMP_DELAY_S)
@@ -167,7 +168,7 @@ def test_stamps_are_right_although_the_wall_clock_was_set(
 def overflow_socket(bus: SocketCanBus, peer_socket: socket.socket) -> None:
     """Send more frames than a small buffer can store.
 
-    Then send a frame that carries the number of dropped frames.
+    After these frames, send a frame that carries the number of dropped frames.
     """
     with socket.socket(fileno=bus.fileno()) as link:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -186,7 +187,7 @@ def test_after_a_loss_frames_are_converted_as_batches_again(
 ) -> None:
     """Reproduce a defect: after the first lost frame, every frame of the run was converted separately.
 
-    Such a conversion is slow.
+    The separate conversion of each frame is slow.
 
     Linux adds the counter of lost frames to each frame that follows a loss.
     """
@@ -258,7 +259,7 @@ def test_a_full_queue_refuses_without_waiting() -> None:
 def test_a_broken_socket_is_an_event(udp_bus: tuple[SocketCanBus, socket.socket]) -> None:
     bus, peer_socket = udp_bus
     peer_socket.close()
-    bus.send([Frame(1, b"")])  # this call makes the next call fail
+    bus.send([Frame(1, b"")])  # this call of ``send`` makes the next call of ``drain`` fail
     assert bus.drain() == []
     assert bus.take_events() == [("enodev", "socketcan:test", 1)]
     for _ in range(3):

@@ -1,6 +1,6 @@
 """``handctl bus watch`` reads every drive and every load cell of a hand.
 
-While this command runs, no motor makes torque.
+While ``handctl bus watch`` runs, no motor makes torque.
 """
 
 import json
@@ -25,7 +25,7 @@ PERIOD_NS = 10_000_000
 TURNED_ANGLE_RAD = -0.5
 """Angle to which an operator turns the first spool [rad].
 
-A negative angle makes the tendon of this spool slack.
+A negative angle makes the tendon of the first spool slack.
 """
 
 
@@ -41,9 +41,9 @@ class SimulatedBuses:
         self.max_torque_N_m = 0.0
 
     def wait(self, tick_index):
-        """Advance the time to tick k, and let the drives reply to the frames of the last tick.
+        """Advance the virtual time to the tick ``tick_index``, and let the drives reply to the frames of the last tick.
 
-        Return 0, the number of missed ticks.
+        Return 0, because the simulated clock misses no ticks.
         """
         self.t_ns = tick_index * PERIOD_NS
         self.incoming = [
@@ -148,7 +148,7 @@ def test_amplifiers_are_set_up_and_read(process_value, tmp_path):
 
 @pytest.mark.parametrize("missed_ticks", [0, 1, 50])
 def test_missed_ticks_are_skipped_and_not_executed_later(missed_ticks):
-    """Reproduce a defect: after a stall of the host, the requests of all missed ticks were sent at once."""
+    """Reproduce a defect: after a stall of the host, the host sent the requests of all missed ticks at once."""
     simulated_buses, watch = make_bus_watch("jamia")
     for _ in range(120):
         watch.run_tick()

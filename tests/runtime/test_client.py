@@ -1,4 +1,4 @@
-"""Test the Python client of a running hand: requests, replies, errors, and the end of a run."""
+"""Test the Python client of a running hand: its requests, the replies, the errors, and the end of a run."""
 
 import json
 import re
@@ -35,7 +35,7 @@ with handctl.connect("jamia", "local:t", *{words}):
 
 @pytest.fixture
 def unserved_client(work_folder):
-    """Return a Python client of a bus that no controller serves."""
+    """Return a Python client for a bus on which no controller runs."""
     client = HandClient("local:nobody")
     yield client
     client.close()
@@ -57,8 +57,8 @@ def test_every_numeric_type_is_accepted(unserved_client, angle, monkeypatch):
 def test_an_invalid_angle_is_refused_before_it_is_sent(unserved_client, invalid_angle):
     """The client refuses an invalid angle before it sends a request.
 
-    Without this check, the controller would refuse the request. After three refused requests within
-    a second, the controller would relax the hand.
+    If the client sent invalid angles, the controller would refuse the requests. After three refused
+    requests within a second, the controller would relax the hand.
     """
     with pytest.raises(ConfigError, match=r"move: angle_deg.index: .*; expected"):
         unserved_client.move(index=invalid_angle)
@@ -76,7 +76,7 @@ def status_with_events(*event_texts):
     "foreign_reply", ["refused: no digit 'x'", "request: Invalid JSON", "move index 3"]
 )
 def test_replies_to_other_programs_are_ignored(unserved_client, monkeypatch, foreign_reply):
-    """Reproduce a defect: if two programs used one hand, each reported the refused requests of the other program."""
+    """Reproduce a defect: if two programs used one hand, each program reported refused requests of the other one."""
     sent = []
     monkeypatch.setattr(
         unserved_client._watcher, "send", lambda data, timeout: sent.append(json.loads(data))
@@ -121,8 +121,8 @@ def test_a_hold_without_a_tension_brings_the_hand_to_rest(unserved_client, monke
 def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
     """Reproduce a defect.
 
-    The first argument of a call was a mapping. The client used this mapping as the duration, and
-    raised the error "no digit".
+    If the first argument of a call was a mapping, the client used the mapping as the duration. The
+    call raised the error "no digit".
     """
     requests = []
     monkeypatch.setattr(unserved_client, "_set_goal", requests.append)
@@ -144,7 +144,7 @@ def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
 
 
 def test_an_unknown_space_of_a_stream_names_all_spaces(unserved_client):
-    """Reproduce a defect: the message did not name the space ``fingertip``."""
+    """Reproduce a defect: the error message about an unknown space did not name the space ``fingertip``."""
     expected_message = (
         "stream.space: 'torque'; expected joint or digit or tension or tip_force or fingertip"
     )
@@ -153,9 +153,9 @@ def test_an_unknown_space_of_a_stream_names_all_spaces(unserved_client):
 
 
 def test_the_names_of_a_stream_are_a_list(unserved_client):
-    """Reproduce a defect: for a text in place of a list of names, the client took each letter as a name.
+    """Reproduce a defect: for a string in place of a list of digit names, the client took each letter as a name.
 
-    The message was "no digit 'i'".
+    The error message was "no digit 'i'".
     """
     with pytest.raises(
         ConfigError, match=r"stream.names: 'index'; expected a list, as in \['index'\]"
@@ -268,7 +268,7 @@ def test_a_program_moves_holds_and_reads_the_state(
 def test_a_stopped_run_and_a_closed_client_are_named(
     work_folder, hand_truth_file, calibration_options, time_scale_options
 ):
-    """Reproduce a defect: the message about a stopped run quoted an unrelated notice of the controller.
+    """Reproduce a defect: the error message about a stopped run quoted an unrelated notice of the controller.
 
     Earlier defect: a client that was used after its ``with`` block raised the error "mmap closed or
     invalid".
@@ -279,8 +279,8 @@ def test_a_stopped_run_and_a_closed_client_are_named(
         with library.connect("jamia", LOCAL_BUS) as other_client:
             ticks = other_client.observations()
             next(ticks)
-        # Earlier defect: a program that asked for another hand got a client of this hand, without
-        # any error.
+        # Earlier defect: a program that asked for another hand than the running one got a client of
+        # the running hand, without any error.
         with (
             pytest.raises(
                 ConfigError, match=r"controls jamia; expected hand='jamia', or the bus of"
@@ -310,7 +310,7 @@ def test_every_thread_gets_the_end_of_the_run(
 ):
     """Reproduce a defect: threads that shared a client raised "Bad file descriptor" and "flush of closed file".
 
-    At the end of the run, all these threads read the output of the controller.
+    At the end of the run, all threads that share a client read the output of the controller.
     """
     client = library.connect(
         "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *time_scale_options
@@ -326,7 +326,8 @@ def test_every_thread_gets_the_end_of_the_run(
         running = [threads.submit(repeat, client_method) for client_method in calls]
         assert run_handctl("stop", "--bus", LOCAL_BUS).returncode == 0
         exceptions = [future.exception(60.0) for future in running]
-    # A goal that arrives while the hand relaxes is refused. This is an error of the caller.
+    # The controller refuses a goal that arrives while the hand relaxes. A refused goal is an error
+    # of the caller.
     expected_errors = {
         DriveError: "the controller ended: it was stopped|the hand no longer accepts goals",
         ConfigError: "the hand is letting go",

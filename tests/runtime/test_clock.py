@@ -1,6 +1,6 @@
-"""Test the contract of the clocks for real time, scaled time and virtual time.
+"""Test the contract that the clocks for real time, scaled time and virtual time must fulfil.
 
-All clocks must fulfil this contract.
+Each kind of clock must fulfil the same contract.
 """
 
 import statistics

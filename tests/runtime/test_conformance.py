@@ -1,6 +1,7 @@
 """Test the conformance checks on simulated drives in virtual time.
 
-A good drive passes all checks. A broken drive fails the check that is made for its fault.
+A good drive passes all conformance checks. A defective drive fails the check that is made for its
+defect.
 """
 
 import random
@@ -38,14 +39,14 @@ def check_results(
 
 
 def run_checks_by_name(rig: DriveRig) -> dict[str, ConformanceCheck]:
-    """Run the checks on a drive, and return them by name."""
+    """Run the conformance checks on a drive, and return the results by the name of the check."""
     return {check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.05))}
 
 
 def run_checks_three_times(virtual_bench, protocol, drive_options=None):
-    """Run the checks of a drive three times.
+    """Run the conformance checks of a drive three times.
 
-    After each run, two seconds pass without frames from the host.
+    After each run of the checks, two seconds pass without frames from the host.
     """
     for _ in range(3):
         rig = make_drive_rig(virtual_bench, protocol, TORQUE_LIMIT_N_M, drive_options)
@@ -56,7 +57,7 @@ def run_checks_three_times(virtual_bench, protocol, drive_options=None):
 
 
 def read_defect_table() -> list[tuple[str, str, str]]:
-    """Return the rows of the table of defects in the documentation, as (defect, column, result)."""
+    """Return the entries of the table of drive defects in the documentation, as (defect, column, result)."""
     text = DRIVES_PAGE.read_text(encoding="utf-8").split(DEFECT_TABLE_MARK)[1].strip()
     table = text.split("\n\n")[0].splitlines()
     head, _, *rows = (
@@ -97,8 +98,8 @@ def test_a_good_drive_passes_every_conformance_check(protocol):
 def test_a_good_drive_passes_although_the_host_is_late(protocol, seed, monkeypatch):
     """In this test, the host stalls and misses up to six ticks in a row.
 
-    On average, one of 40 ticks is followed by a stall. Such a stall is shorter than the watchdog
-    time of the drive.
+    On average, one of 40 ticks is followed by a stall of the host. Each stall of the host is
+    shorter than the watchdog time of the drive.
     """
     source = random.Random(seed)
     wait = VirtualBench.wait
@@ -119,9 +120,9 @@ def test_a_good_drive_passes_although_the_host_is_late(protocol, seed, monkeypat
 
 
 def test_a_good_drive_passes_three_times_running(protocol):
-    """Reproduce a defect: after the checks, ODrives and CiA 402 drives had a latched error.
+    """Reproduce a defect: after the conformance checks, ODrives and CiA 402 drives had a latched error.
 
-    So these drives failed when the checks ran a second time.
+    Because of the latched error, a good drive failed when the checks ran a second time.
     """
     virtual_bench = VirtualBench(protocol)
     for checks in run_checks_three_times(virtual_bench, protocol):
@@ -164,8 +165,8 @@ def test_each_defect_is_found_or_not_as_the_documentation_says(
     """Reproduce three defects.
 
     A CubeMars drive that ignores commands passed all checks. An ODrive without endpoint options
-    passed although the read-back of its settings was wrong. Such an ODrive failed although its
-    watchdog worked.
+    passed although the read-back of its settings was wrong. An ODrive without endpoint options
+    failed the watchdog check although its watchdog worked.
     """
     protocol = protocol_column.split()[0]
     options = OPTIONS_WITHOUT_ENDPOINTS if "without" in protocol_column else None
@@ -200,7 +201,7 @@ def test_the_documentation_has_each_defect_of_each_protocol():
     ("protocol", "expected_identifier"), [("cubemars", "0x021"), ("robstride_mit", "0x000")]
 )
 def test_a_silent_motor_is_reported_with_the_expected_identifier(protocol, expected_identifier):
-    """Reproduce a defect: the reason "stays in SILENT" did not name the expected frames."""
+    """Reproduce a defect: the reason "stays in SILENT" of a failed check did not name the expected frames."""
     checks, _, _ = check_results(protocol, "mute")
     check = checks[FAILED_CHECK["mute"]]
     assert check.reason == f"no reply; expected frames with the identifier {expected_identifier}"
@@ -218,7 +219,7 @@ def test_an_odrive_of_firmware_05_is_judged_without_torque_reports(drive_fault):
 
 
 def test_a_second_drive_never_turns(protocol):
-    """The second drive is never enabled, because the checks stop when a second drive replies."""
+    """The second drive on a bus is never enabled, because the checks stop when a second drive replies."""
     _, virtual_bench, _ = check_results(protocol, "twin")
     assert virtual_bench.largest_torque == 0.0
 
@@ -243,7 +244,7 @@ ENDPOINT_OPTIONS = [key for key in OPTIONS_BY_PROTOCOL["odrive"] if key.startswi
 def test_an_odrive_names_the_options_without_which_a_check_is_not_made(given_options):
     """Reproduce a defect: a good ODrive without endpoint options failed the check of its watchdog.
 
-    The read-back of its settings passed, although handctl reads no setting without these options.
+    The check of the read-back passed, although handctl reads no setting without endpoint options.
     """
     all_options = OPTIONS_BY_PROTOCOL["odrive"]
     options = OPTIONS_WITHOUT_ENDPOINTS | {
@@ -262,9 +263,10 @@ def test_an_odrive_names_the_options_without_which_a_check_is_not_made(given_opt
 
 
 def test_an_odrive_that_confirms_writes_passes_every_check():
-    """Reproduce a defect: handctl counted each confirmation as a frame that it could not decode.
+    """Reproduce a defect: handctl counted each confirmation of a written setting as a frame that it could not decode.
 
-    Firmware 0.6.11 and later confirms writes. The confirmation has no value, so it is 4 bytes long.
+    ODrive firmware 0.6.11 and later confirms each write of a setting. The confirmation frame
+    contains no value, so it is 4 bytes long.
     """
     options = OPTIONS_BY_PROTOCOL["odrive"]
     virtual_bench = VirtualBench("odrive", **options, confirms_writes=True)
@@ -287,7 +289,7 @@ def test_an_odrive_whose_watchdog_was_set_over_usb_passes_without_options():
 
 @pytest.mark.parametrize("protocol", sorted(PROTOCOL_TRAITS.keys() - set(VERIFIABLE_PROTOCOLS)))
 def test_a_good_motor_without_guards_passes_all_that_can_be_checked_three_times(protocol):
-    """Reproduce a defect: each good motor of these protocols failed the checks of watchdog and cut."""
+    """Reproduce a defect: a good motor whose protections cannot be read failed the checks of watchdog and CUT."""
     virtual_bench = VirtualBench(protocol)
     for checks in run_checks_three_times(virtual_bench, protocol):
         assert failed_checks(checks) == []
@@ -304,13 +306,13 @@ def test_an_odrive_without_endpoint_options_passes_all_that_can_be_checked_three
 
 
 def test_a_reason_names_a_few_identifiers_of_many():
-    """Reproduce a defect: the reason contained the 1025 identifiers of the replies of a RobStride motor."""
+    """Reproduce a defect: the reason of a failed check contained all 1025 reply identifiers of a RobStride motor."""
     checks, _, _ = check_results("robstride", "mute")
     assert len(checks[FAILED_CHECK["mute"]].reason) < 160
 
 
 def test_a_motor_in_velocity_mode_is_set_to_mit_mode():
-    """An earlier client may have left the value 3 (velocity mode) in the register CTRL_MODE."""
+    """An earlier client has possibly left the value 3 (velocity mode) in the register CTRL_MODE."""
     virtual_bench = VirtualBench("mit")
     node = virtual_bench.bench.nodes[0]
     node.registers.write(10, (3).to_bytes(4, "little"))
@@ -324,7 +326,7 @@ def test_a_motor_in_velocity_mode_is_set_to_mit_mode():
 def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(clear_is_answered):
     """Reproduce a defect: the host waited for a reply to the clear command.
 
-    Without this reply, the host never regarded the motor as ready.
+    Without a reply to the clear command, the host never regarded the motor as ready.
     """
     virtual_bench = VirtualBench("mit", clear_answers=clear_is_answered)
     rig = make_drive_rig(virtual_bench, "mit", TORQUE_LIMIT_N_M)
@@ -339,9 +341,10 @@ def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(clear_
 
 @pytest.mark.parametrize("watchdog_ms", ["commands", "frames", "always"])
 def test_a_disabled_motor_is_ready_whenever_its_watchdog_fires(watchdog_ms):
-    """Register requests do not reset the watchdog.
+    """Register requests do not reset the watchdog of a motor.
 
-    Earlier defect: the watchdog of a disabled motor fired, so the motor had a fault before arming.
+    Earlier defect: the watchdog of a disabled motor fired, so the motor had a fault before the hand
+    was armed.
     """
     virtual_bench = VirtualBench("mit", watchdog=watchdog_ms)
     rig = make_drive_rig(virtual_bench, "mit", TORQUE_LIMIT_N_M)

@@ -1,6 +1,6 @@
 """Test ``handctl demo`` in real and scaled time.
 
-Simulator and controller share one clock in these tests.
+In the tests of ``handctl demo``, simulator and controller share one clock.
 """
 
 import os
@@ -37,8 +37,8 @@ def test_the_clock_of_the_demo_pauses_on_a_slow_machine(work_folder, started_pro
     assert max(result["tracking_rmse_deg"].values()) < 1.0
     assert result["clock_pauses"] > 0
     modes_of_complete_log(work_folder / "run.mcap")
-    # Reproduce a defect: each demo left its truth file of 10 MB in the run folder, although it had
-    # copied the file. The run folder may be in memory.
+    # Reproduce a defect: each demo left its truth file of 10 MB in the run folder, although the
+    # demo had copied the file. The run folder is possibly a file system in memory.
     assert result["truth"] == "run.truth"
     assert not list(Path(os.environ["HANDCTL_RUN_DIR"]).rglob("*.truth"))
     with RunLog(work_folder / "run.mcap") as log:

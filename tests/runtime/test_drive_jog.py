@@ -1,4 +1,4 @@
-"""Test the jogging of a simulated drive in virtual time: modes, limits, protections, final state."""
+"""Test the jogging of a simulated drive in virtual time: drive modes, limits, protections, and final drive state."""
 
 import math
 import struct
@@ -130,7 +130,8 @@ def test_no_command_beyond_its_range_is_encoded(protocol, drive_mode, target_val
 def test_a_drive_that_is_turned_away_stays_where_it_is_when_it_is_enabled(protocol, drive_mode):
     """The drive of this test starts at 5 rad.
 
-    A position command of zero at the moment of enabling would therefore move the drive by 5 rad.
+    If the drive is at 5 rad, a position command of zero at the moment of enabling would move it by
+    5 rad.
     """
     virtual_bench, rig, torque_drive = make_jog_bench(protocol, drive_mode)
     virtual_bench.bench.motors[0].theta = 5.0
@@ -246,8 +247,8 @@ def stall_host(virtual_bench, rig, stall_time_s, missed_ticks):
             and commands
             and (k * PERIOD_NS - commands[0][0]) * 1e-9 >= stall_time_s
         ):
-            # During the stall, the test sends commands to the drive. Without these commands, the
-            # watchdog of the drive would end the jog.
+            # During the stall of the host, the test sends commands to the drive. Without commands,
+            # the watchdog of the drive would end the jog.
             for n in range(remaining_stalls.pop()):
                 wait(k + n)
                 command = commands[-1][1]
@@ -265,7 +266,7 @@ def stall_host(virtual_bench, rig, stall_time_s, missed_ticks):
 @pytest.mark.parametrize("stall_time_s", [0.1, 1.98])
 @pytest.mark.parametrize("drive_mode", [DriveMode.TORQUE, DriveMode.POSITION, DriveMode.VELOCITY])
 def test_a_ramp_keeps_its_time_although_ticks_are_missed(drive_mode, stall_time_s, missed_ticks):
-    """Reproduce a defect: after a stall of the host, the commands of all missed ticks were sent at once."""
+    """Reproduce a defect: after a stall of the host, the host sent the commands of all missed ticks at once."""
     ramp_samples = []
     for stall in (0, missed_ticks):
         virtual_bench, rig, _ = make_jog_bench("mit", drive_mode)
@@ -282,8 +283,9 @@ def test_a_ramp_keeps_its_time_although_ticks_are_missed(drive_mode, stall_time_
     assert max(gaps) == (missed_ticks + 1) * PERIOD_NS
     at_time = dict(undisturbed_ramp)
     late = gaps.index(max(gaps)) + 1
-    # The command of the late tick was computed before the stall. All later commands follow the ramp
-    # again. If a stall lasts beyond the planned end of the motion, the motion ends later.
+    # The command of the late tick was computed before the stall of the host. All later commands
+    # follow the ramp. If the host stalls beyond the planned end of the motion, the motion ends
+    # later.
     if stall_time_s < 1.0:
         for t_ns, command in ramp[late + 1 : late + 20]:
             assert command == pytest.approx(at_time[t_ns], abs=1e-6)
@@ -294,8 +296,8 @@ def test_a_ramp_keeps_its_time_although_ticks_are_missed(drive_mode, stall_time_
 def test_a_host_that_misses_too_many_ticks_ends_the_jog(protocol, drive_mode):
     """The jog ends because of the missed ticks.
 
-    The watchdog of the drive cannot be the reason, because the drive gets commands during the
-    stall.
+    The watchdog of the drive cannot be the reason for the end, because the drive gets commands
+    during the stall of the host.
     """
     virtual_bench, rig, _ = make_jog_bench(protocol, drive_mode)
     commands = stall_host(virtual_bench, rig, 0.5, MAX_MISSED_TICKS + 1)

@@ -13,7 +13,7 @@ from tests.drives.virtual_bench import OPTIONS_BY_PROTOCOL, VirtualBench, make_d
 def test_everything_is_compiled_before_the_clock_begins(monkeypatch: pytest.MonkeyPatch) -> None:
     """Reproduce a defect: at the first command, the rig compiled code, which took a second.
 
-    During this second, the watchdog of the drive fired.
+    During the compilation, the watchdog of the drive fired.
     """
     order = []
 
@@ -41,7 +41,7 @@ def test_missed_ticks_are_skipped_and_not_executed_later(protocol: str, missed_t
     virtual_bench.send = lambda frames: times.append(virtual_bench.now_ns()) or send(frames)  # type: ignore[method-assign]
     for _ in range(5):
         rig.run_tick(DriveTarget.POLL)
-    # The time before the first tick is the half period that remains after the deadline of this
+    # The time before the first tick is the half period that remains after the deadline of the first
     # tick.
     assert [t_ns // PERIOD_NS for t_ns in times] == [
         first_tick - 1 + missed_ticks + i for i in range(5)
@@ -52,9 +52,9 @@ def test_missed_ticks_are_skipped_and_not_executed_later(protocol: str, missed_t
 
 @pytest.mark.parametrize("protocol", OPTIONS_BY_PROTOCOL)
 def test_a_drive_that_was_never_heard_is_not_confirmed_off(protocol: str) -> None:
-    """Reproduce a defect: a drive counted as off although none of its replies had arrived.
+    """Reproduce a defect: a drive counted as disabled although none of its replies had arrived.
 
-    Another host may have enabled this drive.
+    Another host has possibly enabled a drive that sends no replies.
     """
     virtual_bench = VirtualBench(protocol, "mute")
     rig = make_drive_rig(virtual_bench, protocol, 0.1)
@@ -94,8 +94,8 @@ def test_the_velocity_after_missed_ticks_is_that_of_the_shaft(
 ) -> None:
     """Reproduce a defect.
 
-    The velocity was computed as if the ticks before and after a stall were adjacent. The shaft
-    therefore seemed to turn too fast.
+    The rig computed the velocity as if the ticks before and after a stall of the host were
+    adjacent. Because of the defect, the shaft seemed to turn too fast.
     """
     virtual_bench = VirtualBench("mit", delay_ticks=delay_ticks)
     motor = virtual_bench.bench.motors[0]
@@ -103,7 +103,7 @@ def test_the_velocity_after_missed_ticks_is_that_of_the_shaft(
 
     def wait_while_shaft_turns(k: int) -> int:
         late = wait(k)
-        motor.theta, motor.omega = virtual_bench.now_ns() * 1e-9, 0.0  # a speed of 1 rad/s
+        motor.theta, motor.omega = virtual_bench.now_ns() * 1e-9, 0.0  # the shaft turns at 1 rad/s
         return int(late)
 
     virtual_bench.wait = wait_while_shaft_turns  # type: ignore[method-assign]

@@ -1,6 +1,6 @@
 """Test runs that fail when they start.
 
-The recorder and the buses that are already open must be closed again.
+If the start of a run fails, the recorder and the buses that are already open must be closed.
 """
 
 from dataclasses import replace
@@ -81,7 +81,7 @@ def started_recorders(tmp_path, monkeypatch):
 
 
 def plan_and_controller(tmp_path, start_display):
-    """Return a plan of a short run on a local bus, and its controller."""
+    """Return the plan of a short run on a local bus, and the controller of the run."""
     path = hand_file(tmp_path, ["mit"])
     task = tmp_path / "short.toml"
     task.write_text(TASK_HEAD + MOVE_PHASE.format(name="bend", angle=10.0, duration=0.1))

@@ -1,4 +1,4 @@
-"""Test the fingertip positions of a client, without a running hand."""
+"""Test the fingertip positions that a client computes, without a running hand."""
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def test_wrong_digits_are_refused(digit_names):
 
 
 class StreamOwner:
-    """Fake client that owns a stream. Its hand is at rest."""
+    """Fake client that owns a stream. The hand of the client is at rest."""
 
     description = JAMIA11_HAND
 

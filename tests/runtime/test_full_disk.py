@@ -1,7 +1,7 @@
 """Test a run whose disk becomes full.
 
 The controller reports the full disk at once, and continues to control the hand. The part of the log
-that was written before can be read.
+that was written before the disk became full can be read.
 """
 
 import contextlib
@@ -31,7 +31,7 @@ DISK_SIZE = "96m"
 """Size of the disk.
 
 The recorder ends a log while the disk still has some free space. The disk of this test must be
-larger than this space.
+larger than the free space that the recorder leaves.
 """
 
 

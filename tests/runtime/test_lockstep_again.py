@@ -23,7 +23,7 @@ RUN_COUNT = 2
 
 
 PROTOCOL_CASES = [
-    ("cia402", None),  # CiA 402 drives still get frames after they were disabled
+    ("cia402", None),  # in this protocol, the drives still get frames after they were disabled
     *(
         pytest.param(name, None, marks=pytest.mark.nightly)
         for name in sorted(PROTOCOL_ENTRIES)

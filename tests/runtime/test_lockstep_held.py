@@ -1,6 +1,6 @@
 """Test a simulated run in which a fault stops the hand (reaction HOLD).
 
-In lockstep, no operator can clear the fault. A time limit must therefore end the run.
+In lockstep, no operator can clear the fault, so a time limit must end the run.
 """
 
 from pathlib import Path
@@ -22,7 +22,7 @@ from tests.runtime.processes import MOVE_PHASE, TASK_HEAD
 
 @pytest.mark.timeout(120)
 def test_a_run_held_by_a_fault_ends_with_its_reason(tmp_path: Path) -> None:
-    """While a fault holds the hand, the task makes no progress.
+    """While a fault holds the hand, the task of the run makes no progress.
 
     Earlier defect: a run in which a fault held the hand never ended.
     """

@@ -26,9 +26,9 @@ TORQUE_CUT_FRAMES = (Frame(1, b"\xfd"), Frame(2, b"\xfd", bus=1))
 
 @dataclass
 class ScriptedClock:
-    """A clock that records all waits.
+    """A clock that records all waits of the control loop.
 
-    ``late`` contains the delays of the first waits [ns]. All later waits end in time.
+    ``late`` contains the delays of the first waits [ns]. All later waits of the clock end in time.
     """
 
     late: list[int] = field(default_factory=list)
@@ -79,7 +79,7 @@ class FakeBus:
 
 @dataclass
 class FakeControllerTick:
-    """A tick that does all its work in the step ``command``."""
+    """A controller tick that does all its work in the step ``command``."""
 
     tick: Callable[[int, TickIn], tuple[int, TickOut]]
     state: int
@@ -102,7 +102,7 @@ class FakeControllerTick:
 
 @dataclass
 class RecordedControlLoop:
-    """A control loop that runs a few ticks. The test records all calls of the loop."""
+    """A control loop that runs a few ticks. The test records all calls that the loop makes."""
 
     ticks: int = 5
     clock: ScriptedClock = field(default_factory=ScriptedClock)
@@ -150,7 +150,8 @@ def test_ticks_follow_one_another_at_their_times() -> None:
 def test_the_warm_up_tick_has_no_effect() -> None:
     """Before the clock starts, the loop runs one tick to warm up.
 
-    This tick sends and records nothing, and the state after it is discarded.
+    The warm-up tick sends and records nothing, and the loop discards the state after the warm-up
+    tick.
     """
     run = RecordedControlLoop(frames=(Frame(7, b""),))
     run.go()
@@ -301,7 +302,7 @@ def test_any_error_cuts_the_drives_and_is_raised_again(failing_stage: str) -> No
             failing_stage,
             lambda *words: raise_error() if run.recorded_ticks else original_method(*words),
         )
-    # the frames that disable the drives were not sent
+    # an error is raised because the frames that disable the drives were not sent
     with pytest.raises(PowerError if failing_stage == "send" else InjectedError):
         run.go()
     assert right_bus.sent[-1] == (TORQUE_CUT_FRAMES[1],)
@@ -315,8 +316,8 @@ def times_of_polls(
 ) -> list[int]:
     """Return the times at which a loop polls the drives after a failure [ns].
 
-    The loop fails in its third tick. ``motors_by_poll`` lists, for each poll, the drives that have
-    not confirmed that they are disabled.
+    The loop of this test fails in its third tick. For each poll of the drives, ``motors_by_poll``
+    lists the drives that have not confirmed that they are disabled.
     """
     times: list[int] = []
 
@@ -342,8 +343,8 @@ def test_an_error_after_the_commands_disables_from_the_state_with_these_commands
 ) -> None:
     """Reproduce a defect.
 
-    After an error, the loop used the state before the tick to disable the drives. If a drive was
-    enabled in this tick, it counted as disabled in this state.
+    After an error, the loop used the state before the tick to disable the drives. A drive that was
+    enabled in the failed tick counted as disabled in the state before the tick.
     """
     bus = FakeBus()
     run = RecordedControlLoop(5, buses=[bus], frames=(Frame(9, b"enable"),))
@@ -397,8 +398,8 @@ def test_a_drive_that_does_not_report_off_is_named_with_the_error() -> None:
 def test_after_a_stall_drives_are_polled_from_the_present_time_on() -> None:
     """Reproduce a defect.
 
-    After a stall, the loop sent the polls of all missed ticks at once, so the drives had no time to
-    answer.
+    After a stall of the loop, the loop sent the polls of all missed ticks at once, so the drives
+    had no time to reply.
     """
     run = RecordedControlLoop(600, clock=ScriptedClock([0, 600 * PERIOD_NS]))
     times: list[int] = []
@@ -425,9 +426,9 @@ def test_drives_that_cannot_be_polled_do_not_count_as_disabled() -> None:
 
 
 def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
-    """The frames that disable the drives must not be lost, because no later tick repeats them.
+    """The frames that disable the drives must not be lost, because no later tick sends them again.
 
-    If they were lost, a drive without a watchdog would keep its torque.
+    If the disabling frames were lost, a drive without a watchdog would keep its torque.
     """
     left_bus = FakeBus()
     right_bus = FakeBus(1)
@@ -454,7 +455,8 @@ def test_a_bus_that_refuses_every_cut_delays_no_other(
 ) -> None:
     """If a bus refuses the disabling frames, the loop sends them again for a limited time.
 
-    The other bus gets its disabling frames before the first of these retries.
+    The other bus gets its disabling frames before the loop sends the frames to the refusing bus
+    again.
     """
     pauses: list[float] = []
     monkeypatch.setattr(loop.time, "sleep", pauses.append)
@@ -526,9 +528,9 @@ def test_garbage_collection_is_restored_when_the_clock_does_not_begin(
 
 
 def test_a_long_run_has_the_lateness_of_its_last_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The loop stores how late each of its last ticks was.
+    """The loop stores the lateness of each of its last ticks.
 
-    To store this for all ticks of a day at 500 Hz would take 330 MiB of locked memory.
+    To store the lateness of all ticks of a day at 500 Hz would take 330 MiB of locked memory.
     """
     monkeypatch.setattr(loop, "LATENESS_RING_TICKS", 16)
     run = RecordedControlLoop(200, clock=ScriptedClock(list(range(200))))

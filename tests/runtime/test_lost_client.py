@@ -1,6 +1,6 @@
-"""Test a client that dies or hangs while the hand holds a tension for this client.
+"""Test a client that dies or hangs while the hand holds a tension for it.
 
-The hand must relax when the lease of this client has ended. The test checks the tensions in the
+The hand must relax when the lease of the lost client has ended. The test checks the tensions in the
 truth file of the simulator.
 """
 
@@ -37,7 +37,7 @@ with handctl.connect("jamia", {LOCAL_BUS!r}, **{{options}}) as hand:
 def start_holding_client(**connect_options):
     """Start another client in a separate process.
 
-    This client requests a tension, and then does nothing.
+    The started client requests a tension, and does nothing afterwards.
     """
     command = [sys.executable, "-c", CLIENT_PROGRAM.format(options=connect_options)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -113,9 +113,9 @@ def test_a_lost_client_makes_the_hand_relax(
 def test_a_program_that_waits_keeps_its_hold(
     work_folder, hand_truth_file, calibration_options, time_scale_options
 ):
-    """A thread of the client renews its lease while the program waits.
+    """A thread of the client renews the lease of the client while the program waits.
 
-    A client without a lease sends no signs of life.
+    A client that has no lease sends no signs of life to the controller.
     """
     factor = float(time_scale_options[1])
     options = ("--calibration", "c.toml", "--log", "live.mcap", *time_scale_options)
@@ -150,7 +150,7 @@ def test_a_wrong_lease_is_one_line(request_options, expected_message):
 def test_a_watchdog_stops_the_signs_of_life(work_folder):
     """A watchdog in the client ends the signs of life when the program has not called the client for some time.
 
-    The next call starts the signs of life again.
+    The next call of the client starts the signs of life again.
     """
     box = Mailbox("local:beats")
     heartbeat_sender = Heartbeat("local:beats", "one", 0.01, 0.15)

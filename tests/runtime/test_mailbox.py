@@ -1,7 +1,7 @@
-"""Test the socket for requests.
+"""Test the mailbox, the socket for requests to a controller.
 
-Requests arrive in order and never block. A bus can have only one controller at a time. Watchers get
-status lines.
+Requests arrive at the controller in order and never block their sender. A bus can have only one
+controller at a time. Clients that have subscribed (watchers) get status lines.
 """
 
 import json
@@ -38,7 +38,7 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def send_request(bus_name: str, request_text: str) -> None:
-    """Send a request to the mailbox of a bus without waiting for a reply, as any program of this user can."""
+    """Send a request to the mailbox of a bus without waiting for a reply, as any program of the same user can."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         out.sendto(request_text.encode(), str(mailbox_path(bus_name)))
 
@@ -101,9 +101,9 @@ def test_a_second_controller_is_refused_and_disturbs_nothing() -> None:
 def test_a_mailbox_that_fails_leaves_no_lock_and_no_socket(
     failing_stage: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Reproduce a defect: a failed start did not release its lock.
+    """Reproduce a defect: a failed start of the mailbox did not release its lock.
 
-    A retry in the same process was therefore refused.
+    Because of the lock, a second start in the same process was refused.
     """
     path = mailbox_path("local:x")
     open_files_before = set(os.listdir("/proc/self/fd"))
@@ -151,7 +151,7 @@ def test_a_hand_whose_second_bus_has_a_controller_is_refused(
 def test_a_killed_controller_leaves_no_lock(run_folder: Path) -> None:
     """After a controller was killed, its socket file still exists.
 
-    Even so, the next controller can use the same name.
+    Although the socket file exists, the next controller can use the same name.
     """
     code = "import time; from handctl.runtime.mailbox import Mailbox as M; m = M('local:x'); print(1, flush=1)"
     code += "; time.sleep(60)"

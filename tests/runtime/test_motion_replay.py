@@ -1,6 +1,6 @@
-"""Test ``handctl replay drive`` on the real clock.
+"""Test ``handctl replay drive`` in real time.
 
-The command repeats a recorded grasp on a simulated hand in another process.
+The command ``replay drive`` repeats a recorded grasp on a simulated hand in another process.
 """
 
 import json
@@ -59,9 +59,10 @@ def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, time_scale_options
         end_process(simulated_hand_process)
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
-    # At the first contact, the joints of a digit do not yield at the same moment in both runs. The
-    # joint angles then differ by 2.7 deg, and by more after a late tick. The test therefore limits
-    # only the RMS difference of each joint, and the difference of the mean angle of each digit.
+    # At the first contact, the joints of a digit do not yield at the same moment in both runs. At
+    # the first contact, the joint angles of the two runs differ by 2.7 deg, and by more after a
+    # late tick. Because of the different moments of contact, the test limits only the RMS
+    # difference of each joint, and the difference of the mean angle of each digit.
     single = 6.0
     assert {name for name, row in result["joint_deg"].items() if row["peak"] > single} == set()
     assert max(row["rms"] for row in result["joint_deg"].values()) < 1.0, (

@@ -1,6 +1,6 @@
 """Test the ring buffer of observations in shared memory, and the socket for streamed targets.
 
-In these tests, writer and reader are in one process.
+In the tests of the ring buffer, writer and reader are in one process.
 """
 
 import copy
@@ -58,7 +58,7 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def telemetry_of_tick(tick_index: int) -> PackedTelemetry:
-    """Return telemetry in which each number is computed from the tick and from its index."""
+    """Return telemetry in which each number is computed from the tick index and from the index of the number."""
     places, first_element = TelemetrySlices(), 0
     for name in TELEMETRY_FIELDS:
         places[name] = slice(first_element, first_element + AXIS_LENGTHS[TELEMETRY_AXES[name]])
@@ -80,7 +80,7 @@ def ticks_of_unread_records(reader: ObservationReader) -> list[int]:
 def write_observation(
     writer: ObservationWriter, tick_index: int, status: StreamStatus = CLOSED_STREAM_STATUS
 ) -> None:
-    """Write the record of tick k into the ring of observations."""
+    """Write the record of the tick ``tick_index`` into the ring of observations."""
     out = TickOut(
         (), HandMode.ACTIVE, "live", SafetyAction.WARN, telemetry_of_tick(tick_index), (), bytes(8)
     )
@@ -131,7 +131,8 @@ def test_a_record_comes_back_with_every_field() -> None:
 def test_an_observation_is_copied_pickled_and_listed(attribute_name: str) -> None:
     """Reproduce a defect: ``copy.copy`` and ``pickle`` ended in a RecursionError, and ``dir`` left out all fields.
 
-    Programs put observations into queues of processes, and notebooks complete names with ``dir``.
+    Programs put observations into queues between processes, and notebooks complete names with
+    ``dir``.
     """
     hand = load_hand(attribute_name)
     axes = {"joint": len(hand.joints), "tendon": len(hand.tendon), "motor": len(hand.motor)}
@@ -198,7 +199,7 @@ def test_a_half_written_record_is_not_returned() -> None:
     writer = ObservationWriter("local:x", AXIS_LENGTHS, {})
     reader = ObservationReader("local:x")
     write_observation(writer, 1)
-    writer._counters[0][0] = 3  # the state of the counter while record 2 is written
+    writer._counters[0][0] = 3  # the ring's counter is 3 while record 2 is written
     assert reader.read_record(0) is None
     assert reader.latest_record() is None, "a reader does not wait for a dead writer"
     reader.close()
@@ -250,9 +251,9 @@ def test_targets_arrive_in_order_with_the_time_of_the_run() -> None:
 
 
 def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
-    """If too many targets arrive at the stream socket, the tick gets the newest targets.
+    """If too many targets arrive at the socket for streams, the next tick gets the newest targets.
 
-    Requests such as a stop use another socket and are not delayed.
+    Requests such as a stop use another socket, so the flood of targets does not delay them.
     """
     box, mail = TargetReceiver("local:x", int), Mailbox("local:x")
     sender, sent = TargetSender("local:x", 1, 1), 0

@@ -1,4 +1,4 @@
-"""After the control loop has ended, a process gives back its real-time priority and unlocks its memory."""
+"""After its control loop has ended, a controller process gives back its real-time priority and unlocks its memory."""
 
 import os
 import sys
@@ -20,10 +20,11 @@ def scheduling_policy() -> int:
 
 
 def open_files() -> set[str]:
-    """Return the paths of all files that this process has open."""
+    """Return the paths of all files that the test process has open."""
     paths = set()
     for descriptor in os.listdir("/proc/self/fd"):
-        with suppress(OSError):  # the descriptor that was used for this list is already closed
+        # the file descriptor that was used to list the folder is already closed
+        with suppress(OSError):
             paths.add(os.readlink(f"/proc/self/fd/{descriptor}"))
     return paths
 
@@ -57,9 +58,9 @@ def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyP
 
 
 def test_only_ticks_have_realtime_priority() -> None:
-    """Reproduce a defect: a control loop also had real-time priority while it started or closed its log.
+    """Reproduce a defect: a control loop had real-time priority even while it started or closed its log.
 
-    The control loop thus blocked all other processes on its processor core.
+    With real-time priority, a control loop blocked all other processes on its processor core.
     """
     granted_priority = realtime_priority.prepare_priority()
     policies = []
@@ -73,7 +74,7 @@ def test_only_ticks_have_realtime_priority() -> None:
 
 
 def test_processors_stay_awake_only_during_the_ticks(tmp_path, monkeypatch) -> None:
-    """Processors must not sleep during ticks.
+    """Processors must not enter a sleep state during ticks.
 
     In a virtual machine, an idle processor needs a millisecond to wake up.
     """

@@ -1,7 +1,7 @@
-"""Test handctl and the simulated hand in two processes on the real clock.
+"""Test handctl and the simulated hand in two processes with a real-time clock.
 
-The tests cover the start and the end of runs. Simulated time is slower than real time, because a
-stall of the machine would otherwise end a run.
+The tests cover the start and the end of runs. Simulated time is slower than real time, so that a
+stall of the machine does not end a run.
 """
 
 import itertools
@@ -73,7 +73,7 @@ def test_a_run_commissions_moves_and_reports_its_result(
 
 
 def start_long_task(started_processes, calibration_options, *extra_options):
-    """Start a run that stays in its last phase until it is stopped, and wait until it reaches this phase."""
+    """Start a run that stays in the last phase of its task until it is stopped. Wait for the last phase."""
     process = start_handctl(
         "run",
         *calibration_options,
@@ -147,7 +147,7 @@ def test_the_second_ctrl_c_cuts(
 ):
     process = start_long_task(started_processes, calibration_options, *time_scale_options)
     process.send_signal(signal.SIGINT)
-    process.send_signal(signal.SIGTERM)  # Linux may merge two SIGINT signals into one
+    process.send_signal(signal.SIGTERM)  # Linux can merge two SIGINT signals into one
     code, _, err = process_result(process)
     assert code == 0, err
     assert modes_of_complete_log(work_folder / "run.mcap")[-3:] == [

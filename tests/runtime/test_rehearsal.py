@@ -18,7 +18,7 @@ GOLDEN_LOGS = sorted((Path(__file__).parents[2] / "logs" / "golden").glob("*.mca
 
 
 class WallClock:
-    """A simulated CLOCK_MONOTONIC, which sleeps and ticks move forward."""
+    """A simulated CLOCK_MONOTONIC. The simulated time advances when the loop sleeps or executes a tick."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, wake_up_delay_ns: int = 0) -> None:
         self.now_ns = 10_000_000

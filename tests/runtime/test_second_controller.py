@@ -1,6 +1,6 @@
-"""If a controller already runs on a bus, a second controller is refused with one error line.
+"""If a controller already runs on a bus, a second controller does not start and prints one error line.
 
-The first controller continues to run.
+The controller that already runs on the bus continues to run.
 """
 
 import time

@@ -1,6 +1,6 @@
 """Test the clock that controller and simulator share.
 
-The tests cover pauses of the clock, and the time that the simulator reads.
+The tests cover pauses of the shared clock, and the time that the simulator reads from it.
 """
 
 import random
@@ -24,15 +24,15 @@ NS_PER_MS = 1_000_000
 
 
 class SharedClockPair:
-    """The clocks of a simulator and of a controller. Both use a simulated CLOCK_MONOTONIC.
+    """The clocks of a simulator and of a controller. Both clocks use a simulated CLOCK_MONOTONIC.
 
     Attributes:
         now: time of the simulated CLOCK_MONOTONIC [ns].
-        overshoots: for each of the next sleeps, the time by which it lasts too long [ns]. All later
-            sleeps last 10 us too long.
+        overshoots: for each of the next sleeps of the clock, the time by which the sleep lasts too
+            long [ns]. All later sleeps last 10 us too long.
         simulator: clock of the simulator.
         controller: clock of the controller.
-        between: function that is called at the end of each sleep.
+        between: function that the pair of clocks calls at the end of each sleep.
     """
 
     def __init__(
@@ -138,9 +138,9 @@ def test_the_clock_waits_for_the_simulator(clock_pair) -> None:
 
 
 def test_a_simulator_that_stopped_is_not_waited_for_again(clock_pair) -> None:
-    """The controller waits once for a simulator that has stopped, and then continues.
+    """The controller waits once for a simulator that has stopped, and then continues without it.
 
-    The missing frames cause the same faults as on a real bus.
+    The missing frames of the simulator cause the same faults as missing frames on a real bus.
     """
     clock = clock_pair.controller
     clock.start()
@@ -164,10 +164,10 @@ def test_a_simulator_that_stopped_is_not_waited_for_again(clock_pair) -> None:
 
 
 def test_a_simulator_behind_its_time_is_waited_for(clock_pair) -> None:
-    """In this test, the simulator has replied to all frames.
+    """In this test, the simulator has replied to all frames, but its time is behind the present time.
 
-    The controller still waits for the simulator, because the simulated sensors must send all frames
-    up to the present time.
+    Although the simulator has replied, the controller waits until the simulated sensors have sent
+    all frames up to the present time.
     """
     clock = clock_pair.controller
     clock.start()
@@ -210,8 +210,8 @@ def test_a_closed_clock_opens_the_gate(clock_pair, tmp_path) -> None:
 def test_a_time_stamp_before_the_last_pause_is_converted(clock_pair) -> None:
     """A client stamps its targets with CLOCK_MONOTONIC, which never pauses.
 
-    The controller therefore converts the time stamp to the time of the run, in which pauses do not
-    count.
+    The controller converts the time stamp of a target to the time of the run, in which pauses do
+    not count.
     """
     clock = clock_pair.controller
     clock.start()
@@ -271,9 +271,9 @@ def test_only_buses_of_this_machine_share_a_clock() -> None:
 def test_a_short_stop_of_a_process_is_no_fault(
     hand_truth_file, calibration_options, started_processes, stopped_process
 ) -> None:
-    """The test repeatedly stops a process for 20 ms, as a busy machine may do.
+    """The test repeatedly stops a process for 20 ms, as a busy machine can do.
 
-    Without the shared clock, ten ticks would be late after each such stop.
+    Without the shared clock, ten ticks would be late after each stop of the process.
     """
     started_processes.append(
         start_handctl(

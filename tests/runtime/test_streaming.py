@@ -105,7 +105,7 @@ def test_a_stream_is_followed_observed_logged_and_repeated(
 def test_a_move_ends_with_an_error_if_another_client_takes_over(live_hand):
     """Reproduce a defect: a move that another client had stopped counted as complete.
 
-    The call of this move returned without an error.
+    The call that had started the stopped move returned without an error.
     """
     ended = []
 
@@ -131,7 +131,7 @@ def test_a_move_ends_with_an_error_if_another_client_takes_over(live_hand):
 def test_only_one_of_several_clients_commands_the_hand(live_hand):
     """Reproduce a defect: when one of several clients disconnected, the hand stopped.
 
-    Earlier defect: two threads of one client did not get the results of their moves.
+    Another defect: two threads of one client did not get the results of their moves.
     """
     live_hand.move(index=10.0, duration_s=0.3)
     with library.connect("jamia", LOCAL_BUS) as other_client:
@@ -171,9 +171,9 @@ def test_only_one_of_several_clients_commands_the_hand(live_hand):
 
 
 def test_every_watcher_gets_its_lines(work_folder):
-    """Every watcher gets status lines.
+    """Every client that has subscribed to the status (a watcher) gets status lines.
 
-    Earlier defect: when a fifth watcher subscribed, the first one got no more status lines.
+    Earlier defect: when a fifth watcher subscribed, the first watcher got no more status lines.
     """
     box = Mailbox("local:many")
     watchers = [StatusWatcher("local:many") for _ in range(MAX_WATCHERS + 3)]
@@ -235,8 +235,8 @@ def test_values_are_checked_before_they_are_sent(fake_stream):
 def test_a_program_may_reuse_the_array_of_a_target(fake_stream):
     """Reproduce a defect: a joint got a target that the program had never sent.
 
-    The last call contained no target for this joint. The stream had stored the program's array
-    without a copy, and the program later changed this array.
+    The last call of the stream contained no target for the joint. The stream had stored the
+    program's array without a copy, and the program later changed its array.
     """
     stream, sent = fake_stream
     angles = np.array([0.1, 0.2])

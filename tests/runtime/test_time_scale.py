@@ -1,7 +1,7 @@
 """Test the time scale of a run.
 
 By default, a run uses the time scale of the running simulator. The operator can request another
-time scale.
+time scale for a run.
 """
 
 import pytest

@@ -17,9 +17,9 @@ from tests.runtime.processes import (
 pytestmark = [pytest.mark.realtime, pytest.mark.alone, pytest.mark.nightly]
 HAND_SIDES = ("left", "right")
 RATE_OPTION = ("--rate", "100")
-"""Options for a low control rate.
+"""Command-line options for a low control rate.
 
-The rate is low because four real-time processes share the processors.
+The control rate is low because four real-time processes share the processors.
 """
 TIME_SCALE = 0.5
 
@@ -57,8 +57,7 @@ def test_a_stop_of_one_hand_leaves_the_other_moving(
         assert stop_result.returncode == 0, stop_result.stderr
         code, result, err = process_result(runs[0])
         assert (code, result["failure"]) == (0, ""), err
-        # The stop of the first hand has no effect on the second hand, which still holds its own
-        # goal.
+        # When the first hand is stopped, the second hand still holds its own goal.
         assert runs[1].poll() is None
         wait_for_phase("stay", watchers[1], runs[1])
     finally:

@@ -1,7 +1,8 @@
 """Test cases for each fault.
 
-A case has two inputs: one with the fault, and one just below the limit. It also has the required
-action, and a flag that is True if only an operator may clear the fault.
+A test case has two inputs of the safety monitor: one with the fault, and one just below the limit
+of the fault. A test case contains the required action, and a flag that is True if only an operator
+is allowed to clear the fault.
 """
 
 from collections.abc import Mapping
@@ -35,7 +36,7 @@ from tests.safety.synthetic_monitor import (
 TENDON_COUNT = 8
 """Number of tendons of the hand in the test cases.
 
-Some faults cannot occur together in one tendon. With this number of tendons, all faults can occur
+Some faults cannot occur together in one tendon. In a hand with eight tendons, all faults can occur
 at once.
 """
 EIGHT_TENDON_LIMITS = replace(
@@ -48,8 +49,9 @@ LOAD_CELLS_NODE = TENDON_COUNT
 class TickInput(NamedTuple):
     """Input of the safety monitor for one tick.
 
-    ``state_values`` contains the values of the state that differ from a hand at rest. Its keys are
-    the name of a field and an index. The input also contains events of the buses and of the host.
+    ``state_values`` contains the values of the state that differ from a hand at rest. The keys of
+    ``state_values`` are the name of a field and an index. The input contains events of the buses
+    and of the host, too.
     """
 
     state_values: Mapping[str, dict[object, float]] = MappingProxyType({})
@@ -65,9 +67,10 @@ class FaultCase(NamedTuple):
     Attributes:
         input_with_fault: input that shows the fault.
         input_below_limit: input that is just below the limit of the fault.
-        faulty_part: name of the part that has the fault. debounce: number of ticks with the fault
-            until it is reported. action: action that the fault demands. latched: True if only an
-            operator can clear the fault.
+        faulty_part: name of the part of the hand that has the fault.
+        debounce: number of ticks with the fault until it is reported.
+        action: action that the fault demands.
+        latched: True if only an operator can clear the fault.
         is_found_only_while_armed: True if the fault is reported only while a drive is armed.
     """
 
@@ -81,10 +84,10 @@ class FaultCase(NamedTuple):
 
 
 def state_input(**values_by_field: object) -> TickInput:
-    """Return an input with values of the state.
+    """Return an input of the safety monitor with given values of the state.
 
-    If a field applies to the whole run, its value is a single number. The value of any other field
-    is a dictionary from an index to a number.
+    If a field of the state applies to the whole run, its value is a single number. The value of any
+    other field is a dictionary from an index to a number.
     """
     return TickInput(
         {name: c if isinstance(c, dict) else {...: c} for name, c in values_by_field.items()}
@@ -94,9 +97,9 @@ def state_input(**values_by_field: object) -> TickInput:
 def frame_ages(field: str, **age_by_node: int) -> TickInput:
     """Return an input with old frames.
 
-    Each keyword is the name of a node. Its value is the age of the latest frame of this node
-    [ticks]. Examples are m1=... for motor 1, t1=... for load cell 1, and j1=... for joint encoder
-    1.
+    Each keyword is the name of a node. The value of the keyword is the age of the latest frame of
+    the node [ticks]. Examples of keywords are m1=... for motor 1, t1=... for load cell 1, and
+    j1=... for joint encoder 1.
     """
     first_index = TENDON_COUNT if field == "group_ns" and min(age_by_node)[0] == "j" else 0
     return state_input(
@@ -120,8 +123,8 @@ def late_sensor_frames(**age_by_sensor: int) -> TickInput:
 def lost_frames(**lost_frames_by_node: int) -> TickInput:
     """Return an input in which nodes have lost frames in the ticks before the present tick.
 
-    Each keyword is the name of a node. Its value is the number of frames that this node has lost.
-    Examples are m1=... for motor 1, and cells=... for the load cells.
+    Each keyword is the name of a node. The value of the keyword is the number of frames that the
+    node has lost. Examples of keywords are m1=... for motor 1, and cells=... for the load cells.
     """
     return state_input(
         lost={
@@ -134,7 +137,7 @@ def lost_frames(**lost_frames_by_node: int) -> TickInput:
 def malformed_frames(node_index: int, earlier_frames: int) -> TickInput:
     """Return an input in which a frame of a node has a wrong length.
 
-    ``earlier_frames`` such frames have arrived in earlier ticks.
+    In earlier ticks, ``earlier_frames`` frames with a wrong length have arrived.
     """
     return state_input(
         misread_now={node_index: 1}, misshapen={node_index: (1 << earlier_frames) - 1}
@@ -142,7 +145,7 @@ def malformed_frames(node_index: int, earlier_frames: int) -> TickInput:
 
 
 def filtered_residuals(residual_kind: int, **residual_by_part: float) -> TickInput:
-    """Return an input with one kind of filtered residual, for the named tendons or motors."""
+    """Return an input with given values of one kind of filtered residual, for the named tendons or motors."""
     return state_input(
         residual={(residual_kind, int(name[1:])): value for name, value in residual_by_part.items()}
     )
@@ -192,7 +195,7 @@ def merge_inputs(*tick_input: TickInput) -> TickInput:
 
 
 def input_without_torque(tick_input: TickInput) -> TickInput:
-    """Return a copy of an input with the mode READY. In this mode, the hand can be armed."""
+    """Return a copy of an input with the mode READY. In the mode READY, the hand can be armed."""
     return TickInput(
         {**tick_input.state_values, "mode": {...: int(HandMode.READY)}}, tick_input.reports
     )
@@ -201,7 +204,7 @@ def input_without_torque(tick_input: TickInput) -> TickInput:
 def slack_tendon(earlier_slack_ticks: int, tendon_index: int = 3) -> TickInput:
     """Return an input with a slack tendon.
 
-    The tendon was also slack in the last ``earlier_slack_ticks`` ticks.
+    The tendon was slack in the previous ``earlier_slack_ticks`` ticks, too.
     """
     return state_input(
         slack_ticks={tendon_index: earlier_slack_ticks},
@@ -213,7 +216,7 @@ def slack_tendon(earlier_slack_ticks: int, tendon_index: int = 3) -> TickInput:
 def derailed_tendon(tendon_index: int, deviation_deg: float) -> TickInput:
     """Return an input in which the angles of a tendon's joint and spool disagree by ``deviation_deg`` [deg].
 
-    The two angles disagree in the third reading in a row.
+    The angles of joint and spool disagree in the third reading in a row.
     """
     excursion = -20.0 / 1e5 - 0.02 * np.radians(deviation_deg)
     return state_input(
@@ -248,7 +251,8 @@ def stuck_joint(joint_index: int, spool_turn_deg: float) -> TickInput:
 def replayed_readings(tendon_index: int, repeated_readings: int) -> TickInput:
     """Return an input with repeated load-cell readings.
 
-    Each of the last ``repeated_readings`` readings equals the reading of 16 ticks earlier.
+    Each of the last ``repeated_readings`` readings of the load cell equals its reading of 16 ticks
+    earlier.
     """
     past_readings = {(age, tendon_index): 20.0 + (age - 15) / 16.0 for age in range(64)}
     return state_input(past=past_readings, same={(15, tendon_index): repeated_readings - 1})
@@ -265,7 +269,7 @@ RELAX_STATE_VALUES = {
     "mode": {...: int(HandMode.RELAX)},
     "mode_since": {...: NOW_NS * 1e-9 - 0.2},
 }
-"""Values of the state of a hand that has already been relaxing for longer than this usually takes."""
+"""Values of the state of a hand that has already been relaxing for longer than a hand usually needs to relax."""
 CUT_STATE_VALUES = {"mode": {...: int(HandMode.CUT)}, "cut_ticks": {...: 49}}
 """Values of the state of a hand whose motors were disabled 100 ms ago."""
 
@@ -287,7 +291,8 @@ def swinging_tension(tendon_index: int, duration_before: float) -> TickInput:
 def partial_torque_reports(motor_index: int, reported_fraction: float) -> TickInput:
     """Return an input with a motor whose torque reports change too little.
 
-    After a change of the command, the report changes only by the fraction ``reported_fraction``.
+    After a change of the torque command, the torque report changes only by the fraction
+    ``reported_fraction`` of the change.
     """
     return state_input(
         report_moments={

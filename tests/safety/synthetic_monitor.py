@@ -1,6 +1,6 @@
 """Safety monitor of a generated hand.
 
-A test sets values of the state, and each call is one tick of ``find_faults``.
+A test sets values of the state, and each call of the monitor is one tick of ``find_faults``.
 """
 
 from collections.abc import Iterable
@@ -54,13 +54,13 @@ All ticks have the same time, because the detectors use only the ages of reading
 """
 PERIOD_NS = round(PERIOD_S * 1e9)
 StateValues = dict[str, Any]
-"""Values of the state by the name of a field: one value for all elements of the field, or values by index."""
+"""Values of the state by the name of a field: one value for all elements of the field, or one value per index."""
 
 
 def synthetic_limits(tendon_count: int) -> SafetyLimits:
     """Return limits of a generated hand with the tendons t0, t1, ...
 
-    Each tendon has one motor and one joint.
+    Each tendon of the generated hand has one motor and one joint.
     """
     names = [tuple(f"{letter}{i}" for i in range(tendon_count)) for letter in "tmj"]
     return SafetyLimits(
@@ -71,7 +71,7 @@ def synthetic_limits(tendon_count: int) -> SafetyLimits:
 
 
 class SyntheticMonitor:
-    """A hand of N tendons.
+    """Safety monitor of a generated hand with N tendons.
 
     Each tendon has a motor, a joint, and separate frames for its load cell and its joint encoder.
 
@@ -79,9 +79,9 @@ class SyntheticMonitor:
     the commanded and the reported motor force is 20 N.
 
     Attributes:
-        limits: names of the parts of the hand, and thresholds of its faults.
-        layout, block: layout and block of the state. constants_layout, constants: layout and block of the
-            constants. Tests may change them.
+        limits: names of the parts of the hand, and thresholds of the faults of the hand.
+        layout, block: layout and block of the state. constants_layout, constants: layout and block
+            of the constants. Tests can change the constants.
         latched, reported_faults: faults that are latched, and faults that were reported, in the
             form that ``safety.tick_verdict`` uses.
     """
@@ -132,7 +132,7 @@ class SyntheticMonitor:
         self.block_at_rest = self.block.copy()
 
     def replace_limits(self, limits: SafetyLimits) -> None:
-        """Replace the names and thresholds of the hand from the next tick on."""
+        """Replace the part names and the fault thresholds of the hand from the next tick on."""
         self.limits = limits
         self.set_constants(
             tension_trip=limits.tension_trip, drive_limit=limits.drive_limit, noise_limit=limits.max_position_noise,
@@ -143,12 +143,12 @@ class SyntheticMonitor:
         )  # fmt: skip
 
     def set_constants(self, **constant_by_name: Any) -> None:
-        """Set constants of the hand by name."""
+        """Set constants of the hand by the name of their field."""
         for name, value in constant_by_name.items():
             self.constants_layout.view(self.constants, name)[...] = value
 
     def set_state_values(self, value_by_field: StateValues) -> None:
-        """Set rows of the state by name."""
+        """Set values of the state by the name of their field."""
         for name, value in value_by_field.items():
             if isinstance(value, dict):
                 for index, element in value.items():
@@ -167,7 +167,7 @@ class SyntheticMonitor:
     def reset_to_rest(self) -> None:
         """Reset all values to those of a hand at rest.
 
-        Only one value is kept: for how many ticks each fault has been present.
+        Keep only one value of the state: for how many ticks each fault has been present.
         """
         present = self.view("fault_ticks").copy()
         self.block[:] = self.block_at_rest
@@ -188,7 +188,7 @@ class SyntheticMonitor:
     ) -> dict[str, dict[str, float]]:
         """Set values of the state, and run the fault detectors for one tick.
 
-        Return the value of each finding by fault and by part of the hand.
+        Return the value of each finding of the detectors, by fault and by part of the hand.
         """
         self.set_state_values({**(value_by_field or {}), **more_values})
         self.demanded_action = tick_stages.find_faults(
@@ -210,7 +210,7 @@ class SyntheticMonitor:
     def observe_readings(self, value_by_field: StateValues | None = None) -> None:
         """Convert received values to measurements, and reject impossible positions.
 
-        In a tick, this happens before the detectors run.
+        A tick of a run makes this conversion before the detectors run.
         """
         self.set_state_values(value_by_field or {})
         tick_stages.observe_tick(
@@ -221,7 +221,7 @@ class SyntheticMonitor:
         )
 
     def store_commands(self, value_by_field: StateValues | None = None) -> None:
-        """Store the commands of this tick. In a run, this happens at the end of each tick."""
+        """Store the commands of the present tick. A run stores the commands at the end of each tick."""
         self.set_state_values(value_by_field or {})
         tick_stages.store_commands(
             self.block,
@@ -235,20 +235,21 @@ class SyntheticMonitor:
     ) -> TickVerdict:
         """Return the verdict of the safety monitor on one tick.
 
-        The verdict depends on the findings, the latched faults, and events of buses and host.
+        The verdict contains the action and the reported faults. The verdict depends on the findings
+        of the detectors, the latched faults, and events of buses and host.
         """
         self.tick(value_by_field)
         return self.conclude(self.demanded_action, reports)
 
     def conclude(self, demanded_action: int, reports: Iterable[EventReport]) -> TickVerdict:
-        """Latch the findings of a tick, add events of buses and host, and select the action."""
+        """Latch the findings of a tick, add events of buses and host, and select the action of the monitor."""
         fresh = newly_active_faults(self.limits, self.found_values, self.view("fault_ticks"))
         verdict = judge_tick(self.latched, self.reported_faults, fresh, demanded_action, reports)
         self.latched, self.reported_faults = verdict.latched_faults, verdict.reported_faults
         return verdict
 
     def clear_latched(self) -> None:
-        """Clear the latched faults. In a run, a request of the operator has this effect."""
+        """Clear the latched faults. In a run, a request of the operator clears the latched faults."""
         decisions = ControllerDecisions((), None, self.latched, self.reported_faults)  # type: ignore[arg-type]
         state = ControllerState(self.layout, self.block, decisions)
         clear_latched_faults(state)
@@ -274,9 +275,9 @@ class SyntheticMonitor:
 
 
 def _uncompiled_helper(kernel_helper: Any) -> Any:
-    """Return an uncompiled copy of a function that only kernels call.
+    """Return an uncompiled copy of a function that only compiled kernels call.
 
-    The copy calls uncompiled copies of the other functions that only kernels call.
+    The uncompiled copy calls uncompiled copies of the other functions that only kernels call.
     """
     if not hasattr(kernel_helper, "py_func"):
         return kernel_helper
@@ -293,8 +294,8 @@ def _uncompiled_helper(kernel_helper: Any) -> Any:
 def call_interpreted(kernel_helper: Any, *arguments: Any) -> Any:
     """Run a kernel helper as Python code, without compiling it.
 
-    A kernel helper is a function that only kernels call. A kernel helper may call other kernel
-    helpers of its module.
+    A kernel helper is a function that only compiled kernels call. A kernel helper can call other
+    kernel helpers of its module.
     """
     with np.errstate(all="ignore"):
         return _uncompiled_helper(kernel_helper)(*arguments)

@@ -1,6 +1,6 @@
 """A developer who adds a fault writes only a declaration and a detector.
 
-The test adds such a fault to a copy of the package.
+The test adds an example fault to a copy of the package handctl.
 """
 
 import json
@@ -36,7 +36,7 @@ print(json.dumps({
 
 
 def add_example_fault(package_folder: Path) -> None:
-    """Add the example fault of the how-to page to a copy of the package."""
+    """Add the example fault of the how-to page to a copy of the package handctl."""
     declaration, detector = re.findall(r"```python\n(.*?) *```", ADDING_A_FAULT_PAGE, re.DOTALL)
     kind = package_folder / "safety" / "faults" / "tendon.py"
     with kind.open("a", encoding="utf-8") as file:

@@ -1,7 +1,7 @@
 """Test the fault detectors.
 
-The tests cover causes of drive errors, thresholds of a hand, newly declared faults, and generated
-pages.
+The tests cover causes of drive errors, thresholds of a hand, newly declared faults, and the
+generated pages of the documentation.
 """
 
 import pytest

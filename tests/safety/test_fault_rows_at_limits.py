@@ -27,7 +27,7 @@ INPUT_WITHOUT_TENSIONS = measured_tensions(**dict.fromkeys(EIGHT_TENDON_LIMITS.t
 
 
 def findings_of_fault(fault_id: str, tick_input: TickInput) -> list[tuple[str, float]]:
-    """Run the detectors for one tick, and return the findings of one fault as pairs of a part and a value."""
+    """Run the detectors for one tick, and return the findings of one fault as pairs (part of the hand, value)."""
     monitor = monitor_at_rest()
     return list(
         monitor.tick(reset_monitor_for_input(monitor, tick_input)).get(fault_id, {}).items()

@@ -1,6 +1,7 @@
 """Test every fault just below and just above its limit.
 
-The tests also check the action of each fault, and whether only an operator may clear the fault.
+The tests check the action of each fault, too, and whether only an operator is allowed to clear the
+fault.
 """
 
 import math
@@ -53,7 +54,7 @@ SAFETY_PAGE = Path(__file__).parents[2] / "docs/explanation/safety.md"
 def judge_ticks(
     *tick_inputs: TickInput, monitor: SyntheticMonitor | None = None
 ) -> tuple[SyntheticMonitor, list[TickVerdict]]:
-    """Judge several ticks one after the other, and return the monitor and the verdicts."""
+    """Judge several ticks one after the other. Return the monitor and its verdict on each tick."""
     monitor = monitor or monitor_at_rest()
     return monitor, [
         monitor.judge(reset_monitor_for_input(monitor, tick_input), tick_input.reports)
@@ -64,10 +65,10 @@ def judge_ticks(
 def check_fault_alone(
     fault_id: str, *tick_inputs: TickInput, monitor: SyntheticMonitor | None = None
 ) -> tuple[SyntheticMonitor, list[SafetyAction], list[tuple[str, str]]]:
-    """Judge several ticks, and evaluate only one fault.
+    """Judge several ticks, and evaluate only the fault ``fault_id``.
 
-    Return the monitor after these ticks, the action that the monitor demands in each tick, and the
-    findings that the monitor reports.
+    Return the monitor after the judged ticks, the action that the monitor demands in each tick, and
+    the findings that the monitor reports.
     """
     monitor, actions, reported = monitor or monitor_at_rest(), [], []
     for tick_input in tick_inputs:
@@ -114,7 +115,7 @@ def test_a_fault_counts_after_its_ticks_and_is_reported_once(fault_id: str) -> N
 
 
 def test_a_drive_with_a_small_limit_disobeys_at_a_tenth_of_it() -> None:
-    """The drive limit of motor m1 is 60 N. The threshold of N14 was 15 N for every drive."""
+    """Reproduce a defect: the threshold of the fault N14 was 15 N even for a drive with a limit of 60 N."""
     tick = filtered_residuals(COMMAND_DIFFERENCE, m1=6.1)
     _, _, reported = check_fault_alone("N14", tick)
     assert reported == [("N14", "m1")]
@@ -227,7 +228,8 @@ FAULTS_OF_TENSION_LOOP = {
 }
 """Faults after which the tension loop is not reliable.
 
-Measurements of the loop may be wrong, or a drive may not obey the commands of the loop.
+Measurements of the tension loop are possibly wrong, or a drive possibly does not obey the commands
+of the loop.
 """
 
 
@@ -285,7 +287,7 @@ def test_the_safety_page_lists_how_each_fault_relaxes() -> None:
 def test_a_fault_is_either_found_or_reported() -> None:
     """Each fault is either found by a detector, or reported by a bus or the host.
 
-    For each kind of part, a detector has one row in the fault table.
+    The fault table has one row for each detector and kind of part.
     """
     for fault in FAULT_TABLE:
         assert bool(fault.fault_places) != bool(fault.reports), fault.id
@@ -315,7 +317,7 @@ def test_a_time_is_rounded_to_ticks(
 def fault_trace(fault_id: str) -> list[tuple[SafetyAction, int]]:
     """Return the action and the number of findings of one fault in each tick.
 
-    The first ticks are before the onset of the fault.
+    The first ticks of the trace are before the onset of the fault.
 
     In this test, interpreted code debounces the fault.
     """
@@ -346,7 +348,7 @@ def fault_trace(fault_id: str) -> list[tuple[SafetyAction, int]]:
 
 @pytest.fixture
 def redeclare_fault(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
-    """Return a function that replaces the declaration of a fault by a changed declaration."""
+    """Return a function that replaces the declaration of a fault in the fault table by a changed declaration."""
 
     def declare_fault(changed_fault: Fault) -> None:
         changed_rows = tuple(
@@ -373,9 +375,9 @@ def redeclare_fault(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
 
 @pytest.mark.parametrize("fault_id", CASE_BY_FAULT)
 def test_a_changed_row_would_be_noticed(fault_id: str, redeclare_fault) -> None:
-    """If any value in the declaration of a fault is changed by one step, its test cases fail.
+    """If any value in the declaration of a fault is changed by one step, test cases of the fault fail.
 
-    The failure shows that the test cases notice wrong declarations.
+    The failed test cases show that they notice wrong declarations.
     """
     fault = FAULT_BY_ID[fault_id]
     other_clearing = CLEARED_BY_ITSELF if fault.is_latched else CLEARED_BY_OPERATOR

@@ -41,7 +41,7 @@ def test_tensions_possible_for_a_tendon_are_no_fault(tension: float) -> None:
 def test_a_saturated_load_cell_is_reported_once_with_its_reading_for_any_tare() -> None:
     """With a tare of -3 N, a load cell with a broken wire reads -3 N.
 
-    An intact load cell may also read -3 N for a moment.
+    Even an intact load cell can read -3 N for a moment.
     """
     tick_input = merge_inputs(measured_tensions(t1=-3.0), state_input(saturated={1: 1}))
     assert SyntheticMonitor(LOAD_CELL_RAIL_LIMITS).tick(tick_input.state_values)["T06"] == {

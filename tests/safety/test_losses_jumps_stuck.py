@@ -29,17 +29,17 @@ NAN = np.nan
 
 
 def loss_bits(bits_text: str) -> int:
-    """Convert a text of the characters 0 and 1 to a number. Each character becomes one bit.
+    """Convert a string of the characters 0 and 1 to a number. Each character becomes one bit.
 
-    The last character of the text stands for the newest tick.
+    The last character of ``bits_text`` stands for the newest tick.
     """
     return int(bits_text, 2)
 
 
 def loss_window_words(loss_window: int) -> tuple[int, int]:
-    """Return the two words that store a window of losses.
+    """Return the two words that store a window of lost frames.
 
-    One has the newer half of the window, and the other the older half.
+    One word has the newer half of the window, and the other word has the older half.
     """
     return loss_window & frame_losses.WORD_MASK, loss_window >> frame_losses.BITS_PER_WORD
 
@@ -47,7 +47,7 @@ def loss_window_words(loss_window: int) -> tuple[int, int]:
 class LostFrameWindows(SyntheticMonitor):
     """A motor and a load cell with their windows of lost frames.
 
-    A window has one bit per tick, which is set if a frame was lost.
+    A window of lost frames has one bit per tick, which is set if a frame was lost.
     """
 
     def __init__(self, motor_losses: int = 0, cell_losses: int = 0, **constants: Any) -> None:
@@ -66,7 +66,7 @@ class LostFrameWindows(SyntheticMonitor):
     ) -> tuple[int, int]:
         """Run one tick in which the given nodes have not replied.
 
-        Return the windows of losses of motor and load cell.
+        Return the windows of lost frames of the motor and of the load cell.
         """
         self.tick(
             {
@@ -79,7 +79,7 @@ class LostFrameWindows(SyntheticMonitor):
 
     @property
     def loss_windows(self) -> tuple[int, int]:
-        """Return the losses of the motor and the load cells, with one bit for each tick."""
+        """Return the lost frames of the motor and of the load cells, with one bit for each tick."""
         lost = self.view("lost")
         return tuple(
             int(lost[1, node]) << frame_losses.BITS_PER_WORD | int(lost[0, node]) for node in (0, 1)
@@ -95,7 +95,7 @@ HALF_WINDOW = LOSS_WINDOW_TICKS // 2
     ((0, 0), (True, True), (0b1, 0b1)),
     ((0b1, 0b0), (False, True), (0b10, 0b1)),
     ((0b101, 0b1), (True, True), (0b1011, 0b11)),
-    # In this tick, the bit of the oldest tick is dropped from the window.
+    # In the tick of this test case, the bit of the oldest tick is dropped from the window.
     ((1 << (LOSS_WINDOW_TICKS - 1), 0), (False, False), (0, 0)),
     ((1 << (LOSS_WINDOW_TICKS - 1), 0), (True, False), (1, 0)),
     ((1 << (LOSS_WINDOW_TICKS - 2), 0), (False, False), (1 << (LOSS_WINDOW_TICKS - 1), 0)),
@@ -167,8 +167,9 @@ def test_the_count_of_unknown_frames_decays_in_a_second():
 def refusal_counter(control_rate_hz: float) -> Any:
     """Return a function that counts refused targets.
 
-    Its arguments are the number of targets that were refused in a tick, and the number of this
-    tick. The function returns the ticks of all refusals that are recent enough to count.
+    The arguments of the returned function are the number of targets that were refused in a tick,
+    and the index of the tick. The returned function returns the ticks of all refusals that are
+    recent enough to count.
     """
     window = LostFrameWindows()
     state = ControllerState(window.layout, window.block, ControllerDecisions((), None))  # type: ignore[arg-type]
@@ -204,9 +205,9 @@ def test_lost_and_malformed_replies_are_counted_separately():
 
 
 class PositionJumpMonitor(SyntheticMonitor):
-    """Motors whose reported positions are checked for jumps.
+    """Motors with a safety monitor that checks their reported positions for jumps.
 
-    Each motor has its own largest permitted step in a period [rad].
+    Each motor has its own largest permitted change of the position in a control period [rad].
     """
 
     def __init__(self, step_limits: list[float], **value_by_field: list[float]) -> None:
@@ -236,7 +237,7 @@ def test_the_first_position_is_accepted_wherever_it_is():
 
 @pytest.mark.parametrize(("reported_position", "missed_readings", "expected_jump"), [
     (1.1, 0, 0.0), (1.125, 0, 0.0), (1.13, 0, 0.13), (0.8, 0, 0.2),
-    (1.25, 1, 0.0), (1.26, 1, 0.26),       # after one missed reading, the step may be twice as large
+    (1.25, 1, 0.0), (1.26, 1, 0.26),       # after one missed reading, the permitted change is twice as large
     (1.5, 3, 0.0), (1.51, 3, 0.51),
 ])  # fmt: skip
 def test_an_impossible_step_is_rejected_and_the_allowed_step_grows(
@@ -290,10 +291,11 @@ def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
 
 
 @pytest.mark.parametrize(("missed_ticks", "position_steps", "allowed_steps"), [
-    # In these cases, a step between two readings is given in units of the largest step that one
-    # period allows. The number 1 marks a jump. The first reading after missed ticks may be the
-    # reply to a request from before or after these ticks. The second reading may then come from a
-    # time that is later by the missed ticks.
+    # In the test cases, the change between two positions is given in units of the largest change
+    # that one control period allows. In the expected results, the number 1 marks a jump. The first
+    # reading after missed ticks is the reply to a request from before or from after the missed
+    # ticks. If it is a reply to an earlier request, the second reading comes from a time that is
+    # later by the missed ticks.
     (0, (1.0, 1.0), (0, 0)), (0, (1.1, 0.9), (1, 0)), (0, (1.0, 1.1), (0, 1)),
     (1, (2.0, 1.0), (0, 0)), (1, (1.0, 2.0), (0, 0)), (1, (2.1, 0.0), (1, 0)), (1, (1.0, 2.1), (0, 1)),
     (1, (1.0, 2.0, 1.1), (0, 0, 1)), (4, (5.0, 5.0), (0, 0)), (4, (5.1, 0.0), (1, 0)), (4, (5.0, 5.1), (0, 1)),
@@ -301,7 +303,7 @@ def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
 def test_allowed_step_grows_over_skipped_ticks(missed_ticks, position_steps, allowed_steps):
     """In one run of this test, the position of the second motor is known.
 
-    In another run, the second motor has never been read.
+    In another run of this test, the position of the second motor has never been read.
     """
     for other_position in (0.0, NAN):
         positions, at, jump_flags = (
@@ -331,8 +333,9 @@ def add_reading(
 ) -> tuple[int, float, float]:
     """Run a tick with an encoder reading, a target and a tension.
 
-    Return three values. The first is the number of ticks in which the reading has not changed. The
-    other two are the changes of the target and of the tension in these ticks.
+    Return three values. The first value is the number of ticks in which the encoder reading has not
+    changed. The other two values are the changes of the target and of the tension since the last
+    changed reading.
     """
     rows: StateValues = {
         "measured_position": motor_position,
@@ -351,7 +354,7 @@ def add_reading(
 def add_readings(motor_positions, goals_and_tensions):
     """Return the monitor and, for each tick, the results of ``add_reading``.
 
-    The target and the tension are the signals that should move together with a reading.
+    The target and the tension are the signals that should change together with an encoder reading.
     """
     monitor = SyntheticMonitor(synthetic_limits(1), residual_fraction=0.0)
     return monitor, [
@@ -376,7 +379,7 @@ def test_constant_reading_counts_while_its_references_move():
 def test_an_encoder_is_stuck_although_the_carrier_of_its_digit_moves():
     """The motion of a wrist changes the excursion of the tendons that pass the wrist.
 
-    The motors of these tendons need not turn for this change.
+    The motors of tendons that pass the wrist need not turn when the wrist moves.
     """
     monitor = SyntheticMonitor(synthetic_limits(1), residual_fraction=0.0)
     for k in range(5):
@@ -400,7 +403,7 @@ def test_missing_reference_is_used_once_it_is_read():
 
 
 def test_goal_jump_moves_the_reference_of_the_stuck_test():
-    """A target jumps when it is reset to the measured position. No motor has to follow this jump."""
+    """A target jumps when it is reset to the measured position. No motor has to follow the jump of the target."""
     monitor = SyntheticMonitor(synthetic_limits(3), moment_arms=0.02 * np.eye(3))
     rows = {
         "followed": [0.0, 1e-3, 2e-3], "motor_anchor": [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "motor_stuck": [7, 8, 9],

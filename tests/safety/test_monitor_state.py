@@ -45,7 +45,8 @@ def make_monitor(
 ) -> SyntheticMonitor:
     """Return the safety monitor of two tendons.
 
-    The arguments are stiffnesses [N/m] and the sampling periods of motors and joints [s].
+    The arguments are the tendon stiffnesses [N/m] and the sampling periods of motors and joints
+    [s].
     """
     arms = np.array([0.02, 0.01])
     monitor = SyntheticMonitor(
@@ -66,8 +67,8 @@ STATE_FIELD_BY_READING = {"tension": "measured_tension", "travel": "measured_tra
 def measurements_at_rest(**changed_measurements: Any) -> dict[str, Any]:
     """Return the measurements of two tendons that rest under 20 N.
 
-    ``changed_measurements`` replaces some of these measurements. A single number applies to both
-    tendons.
+    ``changed_measurements`` replaces some of the measurements at rest. A single number in place of
+    two values applies to both tendons.
     """
     resting_measurements = {
         "tension": 20.0,
@@ -90,7 +91,7 @@ def measurements_at_rest(**changed_measurements: Any) -> dict[str, Any]:
 def monitor_at_20_newton(
     monitor: SyntheticMonitor | None = None, **changed_measurements: Any
 ) -> SyntheticMonitor:
-    """Return the monitor of a hand at rest. Its commanded and planned tensions are 20 N."""
+    """Return the monitor of a hand at rest. The commanded and planned tensions of the hand are 20 N."""
     monitor = monitor or make_monitor()
     monitor.set_state_values(
         {"asked": 20.0, "wanted": 20.0, "followed": 0.0} | changed_measurements
@@ -103,8 +104,8 @@ def run_ticks(
 ) -> tuple[SyntheticMonitor, FindingsByFault]:
     """Run the same tick several times.
 
-    Return the monitor and the findings of the last tick. The value of a keyword may be a function
-    that computes the value from the number of the tick.
+    Return the monitor and the findings of the last tick. The value of a keyword can be a function
+    that computes the value from the index of the tick.
     """
     monitor, findings = monitor or monitor_at_20_newton(), {}
     for k in range(tick_count):
@@ -129,8 +130,8 @@ def test_at_rest_nothing_is_reported():
 def test_a_hand_that_is_armed_while_its_tendons_are_taut_is_not_stuck():
     """When a hand is armed, its filters start at the present values of tension and force.
 
-    In this test, both values then stay constant. Constant readings are therefore no sign of a stuck
-    sensor.
+    In this test, tension and force stay constant after the hand was armed. Constant readings of a
+    hand at rest are no sign of a stuck sensor.
     """
     _, findings = run_ticks(200, monitor_at_20_newton(wanted=NAN, followed=NAN, asked=NAN))
     assert findings == {}
@@ -192,8 +193,8 @@ def unexplained_tensions(monitor: SyntheticMonitor) -> list[float]:
 def test_lasting_residual_is_a_fault(tension, expected_residual):
     """The residual is the measured tension minus the tension that the model explains.
 
-    In this test, friction may cause a residual of 3 N. The tolerance of the torque constant may
-    cause a tenth of 20 N.
+    In this test, friction is allowed to cause a residual of 3 N. The tolerance of the torque
+    constant is allowed to cause a tenth of 20 N.
     """
     monitor, findings = run_ticks(1200, tension=tension)
     assert unexplained_tensions(monitor) == pytest.approx([expected_residual] * 2, abs=0.05)
@@ -214,7 +215,7 @@ def test_lasting_residual_is_a_fault(tension, expected_residual):
     ],
 )
 def test_missing_torque_is_a_fault(commanded_force_N, reported_force_N, is_reported):
-    """Without a load cell, the limit is 6 N plus a quarter of the command, but at most 15 N."""
+    """Without a load cell, the limit of a missing force is 6 N plus a quarter of the command, but at most 15 N."""
     monitor = monitor_at_20_newton(asked=commanded_force_N, wanted=commanded_force_N)
     monitor.set_constants(cell_group=[-1, -1])
     _, findings = run_ticks(600, monitor, force=reported_force_N, tension=reported_force_N)
@@ -227,8 +228,8 @@ def test_missing_torque_is_a_fault(commanded_force_N, reported_force_N, is_repor
 def test_friction_above_the_hand_file_is_a_fault(excess_friction_N, is_reported):
     """Friction is a fault if it exceeds the modelled friction by more than a limit for some seconds of motion.
 
-    In this test, the limit is 3 N plus a tenth of the force of 29 N. The tenth is the tolerance of
-    the torque constant.
+    In this test, the limit of additional friction is 3 N plus a tenth of the force of 29 N. A tenth
+    of the force is the tolerance of the torque constant.
     """
     monitor = run_ticks(30)[0]
     monitor.set_state_values({"residual": {EXCESS_FRICTION: excess_friction_N, MOTOR_FORCE: 29.0}})
@@ -245,7 +246,7 @@ def test_friction_above_the_hand_file_is_a_fault(excess_friction_N, is_reported)
 def test_a_noisy_encoder_is_detected():
     """In this test, an encoder position alternates between -d and d.
 
-    The mean square of the second difference of this position is 16 d^2.
+    The mean square of the second difference of the encoder position is 16 d^2.
     """
     for size, expected in (
         (2.4e-3, {}),
@@ -268,7 +269,7 @@ def test_a_slack_tendon_and_a_torn_tendon_are_distinguished():
 def test_joint_and_spool_are_compared_once_the_tendon_is_taut():
     """The moment arms of tendon a have a sum of 20 mm, so an angle of 3 deg corresponds to 1.05 mm.
 
-    The limit of 15 deg applies to unfiltered readings.
+    The limit of 15 deg between joint and spool applies to unfiltered readings.
     """
 
     def findings_after_slip(deg):
@@ -306,7 +307,7 @@ def test_joint_and_spool_are_not_compared_during_slack_or_shortly_after():
 TICKS_PER_JOINT_READING = 4
 """Number of ticks from one joint reading to the next.
 
-On a slow bus, more readings may not be possible.
+A slow bus possibly cannot transmit more joint readings.
 """
 
 
@@ -315,7 +316,7 @@ def run_with_sparse_joint_readings(
 ) -> list[FindingsByFault]:
     """Run ticks of a hand whose joints are read only in every fourth tick.
 
-    Return the findings of each tick.
+    Return the findings of the safety monitor in each tick.
     """
     reported = []
     for k in range(tick_count):
@@ -355,9 +356,9 @@ def test_good_reading_restarts_the_count_of_derailed_readings():
 
 
 def test_the_joint_spool_filter_has_one_time_constant_at_any_joint_rate():
-    """A filter with a time constant of 0.3 s reaches 3 deg at 0.58 s after a step to 3.5 deg.
+    """A filter with a time constant of 0.3 s reaches 3 deg 0.58 s after a step of its input to 3.5 deg.
 
-    The time is 0.3 s ln 7.
+    The time of 0.58 s is 0.3 s ln 7.
     """
     for every in (1, TICKS_PER_JOINT_READING):
         monitor = monitor_at_20_newton(make_monitor(joint_period=every * PERIOD_S))
@@ -419,7 +420,7 @@ def monitor_after_motion(
 ) -> SyntheticMonitor:
     """Return the monitor of a hand whose motors moved in the last tick.
 
-    Before this tick, the filters of the hand have settled.
+    Before the last tick, the filters of the hand have settled.
     """
     return run_ticks(
         1,
@@ -462,7 +463,7 @@ def test_constant_joint_reading_is_stuck_while_the_spool_turns():
 def test_a_turning_spool_with_a_slack_tendon_does_not_make_a_joint_stuck():
     """The spool of a slack tendon turns without moving the joint.
 
-    Spool and joint move together only after the tendon has become taut.
+    The spool and the joint of a tendon move together only after the tendon has become taut.
     """
     turn, joints = np.radians(10.1) / 50.0, {"joints": 0.3, "excursion": 0.0, "read": True}
 
@@ -494,7 +495,7 @@ def test_a_joint_is_compared_with_its_spool_until_the_tendon_is_slack(
 
 
 def test_each_joint_is_checked_with_its_own_tendons():
-    """Tendon b moves joint b. If tendon a is slack, the check of joint b does not change."""
+    """Tendon b moves joint b. If tendon a is slack, the check of joint b against its tendon does not change."""
     joints = {"joints": 0.3, "excursion": 0.0, "read": True}
     monitor, _ = run_ticks(200, None, tension=[0.5, 20.0], force=[0.5, 20.0], **joints)
     travel = [np.radians(12.0) / 50.0, np.radians(12.0) / 100.0]
@@ -522,8 +523,8 @@ def test_constant_load_cell_is_stuck_while_the_torque_moves(
 def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(reply_late_ticks):
     """After a gap of missing readings, one reading contains the motion of five ticks.
 
-    This reading arrives in the first tick after the gap, or in the second if the reply is late by a
-    tick.
+    The reading with the motion of five ticks arrives in the first tick after the gap. If the reply
+    is late by a tick, the reading arrives in the second tick.
     """
 
     def noise_and_balance_after_gap(missed_ticks):
@@ -548,7 +549,7 @@ def position_jumps(
     joint_positions: list[float] | None,
     missed_ticks: int = 0,
 ) -> tuple[Any, Any]:
-    """Check the positions of motors and joints for jumps, and return how far each has jumped.
+    """Check the positions of motors and joints for jumps, and return how far each position has jumped.
 
     ``joint_positions`` is None if no joint was read.
     """

@@ -1,6 +1,6 @@
 """Test the state that the safety monitor keeps between ticks.
 
-The values are exactly at the limits of faults, to the last bit.
+The tested values are exactly at the limits of faults, to the last bit.
 """
 
 import math
@@ -30,7 +30,7 @@ from tests.safety.synthetic_monitor import PERIOD_S, SyntheticMonitor, call_inte
 from tests.safety.test_monitor_state import make_monitor, measurements_at_rest
 
 SOFT_STIFFNESS = 5e3
-"""Low stiffness of a tendon [N/m]. With this stiffness, 20 N stretch the tendon by 4 mm."""
+"""Low stiffness of a tendon [N/m]. With the low stiffness, 20 N stretch the tendon by 4 mm."""
 ZERO_JOINT_READINGS = {"excursion": 0.0, "joints": 0.0, "read": True}
 """Readings of joint encoders whose angle is zero."""
 
@@ -39,7 +39,7 @@ ZERO_JOINT_READINGS = {"excursion": 0.0, "joints": 0.0, "read": True}
 def monitor() -> SyntheticMonitor:
     """Return the safety monitor of two tendons.
 
-    A test sets the filtered tensions and forces of these tendons.
+    A test sets the filtered tensions and forces of the two tendons.
     """
     monitor = make_monitor(SOFT_STIFFNESS)
     monitor.set_constants(residual_fraction=0.0)
@@ -62,7 +62,7 @@ def joint_rotations_from_spools(
 def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: SyntheticMonitor) -> None:
     """When the tension rises, the spool winds up the length by which the tendon stretches.
 
-    This length does not move the joint.
+    The joint does not move when the spool winds up the stretch of the tendon.
     """
     np.testing.assert_allclose(
         joint_rotations_from_spools(monitor, travel=20.0 / SOFT_STIFFNESS, **ZERO_JOINT_READINGS),
@@ -115,8 +115,8 @@ def stuck_sensor_names(
 ) -> dict[str, list[str]]:
     """Return the names of the sensors that count as stuck after one more equal reading.
 
-    ``changed_state`` contains the changes of other signals. These signals should change together
-    with the readings.
+    ``changed_state`` contains the changes of other signals, which should change together with the
+    readings.
     """
     zero = [0.0, 0.0]
     findings = monitor.tick(
@@ -181,9 +181,9 @@ def test_a_repeating_load_cell_is_reported_in_the_same_tick() -> None:
 
 
 def test_a_motor_force_that_rises_and_then_falls_shows_a_stuck_load_cell() -> None:
-    """The motor force rises by 4 N, and then falls to 4 N below its first value.
+    """The motor force rises by 4 N, and after that falls to 4 N below its first value.
 
-    At the end, the motor force has its first value again.
+    At the end of the test, the motor force has its first value again.
 
     Reproduce a defect: the detector used only the difference between the present motor force and
     its start value. On ``n_plus_1``, a stuck load cell of an extensor was reported only after 5 s.
@@ -208,7 +208,8 @@ def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
 ) -> None:
     """The test uses excursions that differ from the limit only in the last four bits.
 
-    The test calls interpreted code. A tendon without a load cell has a smaller limit.
+    The test calls interpreted code. Without a load cell, a tendon has a smaller limit for the
+    difference between joint and spool.
     """
     monitor.set_constants(cell_group=cell_group)
 
@@ -248,8 +249,8 @@ def test_a_tendon_without_load_cell_and_torque_is_not_off_its_pulley(
 ) -> None:
     """Reproduce a defect: a commissioning without springs and load cells ended with T08 (a tendon left its pulley).
 
-    The rotor of a released tendon turned back by 1.6 mm. At that time, the detector still
-    interpreted the friction of the motor as tension.
+    The rotor of a released tendon turned back by 1.6 mm. While the rotor turned back, the detector
+    still interpreted the friction of the motor as tension.
     """
     monitor.set_constants(cell_group=cell_group)
     monitor.set_state_values(

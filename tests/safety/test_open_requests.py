@@ -1,6 +1,6 @@
 """Test the requests to drives that have no reply yet.
 
-A reply to such a request may be late. A reply without any request is a duplicate.
+A reply to an open request is possibly late. A reply without any request is a duplicate.
 """
 
 import pytest
@@ -29,7 +29,7 @@ class OpenRequests(SyntheticMonitor):
 
     @property
     def outstanding_request_ticks(self) -> RequestTicks:
-        """Return the ticks of the requests to each motor that have no reply yet."""
+        """Return, for each motor, the ticks of the requests that have no reply yet."""
         numbers, ticks = (
             self.view("open_questions"),
             self.view("question").reshape(MAX_OUTSTANDING_REQUESTS, -1),
@@ -41,7 +41,7 @@ class OpenRequests(SyntheticMonitor):
     ) -> None:
         """Send one request to every motor.
 
-        A motor that is not in ``motors_must_reply`` may leave its request unanswered.
+        A motor that is not in ``motors_must_reply`` is allowed to leave its request unanswered.
         """
         if motors_must_reply:
             self.set_state_values(
@@ -69,13 +69,13 @@ class OpenRequests(SyntheticMonitor):
 @pytest.mark.parametrize(("open_request_ticks", "replies_to_each_request", "outstanding_after_tick"), [
     (((), ()), (True, True), ((7,), (7,))),
     (((5, 6), ()), (True, True), ((5, 6, 7), (7,))),
-    (((5, 6), (3, 4, 5)), (False, True), ((7,), (3, 4, 5, 7))),    # this drive need only reply to the last request
+    (((5, 6), (3, 4, 5)), (False, True), ((7,), (3, 4, 5, 7))),    # the first drive need only reply to the last request
     (((), ()), (False, False), ((7,), (7,))),
     ((tuple(range(7)), tuple(range(-1, 7))), (True, True), ((*range(7), 7), tuple(range(8)))),
     (((7 - LOSS_WINDOW_TICKS, 6), (8 - LOSS_WINDOW_TICKS, 6)), (True, True),
         ((6, 7), (8 - LOSS_WINDOW_TICKS, 6, 7))),    # the oldest request expires
     (((-LOSS_WINDOW_TICKS, 7 - LOSS_WINDOW_TICKS), (-LOSS_WINDOW_TICKS,)), (True, True),
-        ((7 - LOSS_WINDOW_TICKS, 7), (-LOSS_WINDOW_TICKS, 7))),    # not the last request
+        ((7 - LOSS_WINDOW_TICKS, 7), (-LOSS_WINDOW_TICKS, 7))),    # the last request does not expire
 ])  # fmt: skip
 def test_a_request_increases_the_number_of_outstanding_replies(
     open_request_ticks, replies_to_each_request, outstanding_after_tick
@@ -128,9 +128,9 @@ def test_replies_match_requests_and_the_rest_is_excess(
 def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(
     ticks_without_reply: int,
 ) -> None:
-    """After some ticks without a reply, all missing replies may arrive at once.
+    """After some ticks without a reply, all missing replies can arrive at once.
 
-    A further reply after these replies is a duplicate.
+    A further reply after the missing replies is a duplicate.
     """
     questions = OpenRequests(((),))
     for start in range(2 * LOSS_WINDOW_TICKS):

@@ -1,6 +1,6 @@
 """Test the detection of repeated load-cell readings, and of oscillating tensions.
 
-Without such readings or oscillations, nothing is reported.
+Without repeated readings or oscillations, the detectors report nothing.
 """
 
 import math
@@ -37,7 +37,7 @@ def noisy_readings(seed: int, tick_count: int, noise_N: float, cell_count: int =
 def first_repetition_tick(cell_readings: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
     """Return the first tick in which repeated readings are detected, or -1.
 
-    Also return the affected tendons, each with the age of the readings that are repeated.
+    Return the affected tendons, too, each with the age of its repeated readings.
     """
     monitor = SyntheticMonitor(synthetic_limits(cell_readings.shape[1]))
     for k, row in enumerate(cell_readings):
@@ -64,7 +64,8 @@ def test_repeated_content_is_found_within_sixteen_ticks(seed: int, repetition_ag
 def test_fresh_readings_are_no_repetition_at_any_noise(seed: int, noise_N: float) -> None:
     """New readings with any noise are not regarded as repeated readings.
 
-    This also holds for readings that are constant, or that alternate between two counts.
+    Readings that are constant, or that alternate between two counts, are not regarded as repeated
+    readings either.
     """
     assert first_repetition_tick(noisy_readings(seed, 20_000 if NIGHTLY else 3_000, noise_N)) == (
         -1,
@@ -78,7 +79,7 @@ def test_fresh_readings_are_no_repetition_at_any_noise(seed: int, noise_N: float
 def test_limit_cycle_of_a_few_counts_is_no_repetition(limit_cycle_N: list[float]) -> None:
     """With coarse load cells, a tension loop has a limit cycle even without noise.
 
-    Such a limit cycle has occurred during commissioning.
+    A limit cycle of the tension loop has occurred during commissioning.
     """
     assert first_repetition_tick(
         np.array([[limit_cycle_N[k % len(limit_cycle_N)]] for k in range(500)])

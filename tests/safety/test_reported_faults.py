@@ -57,7 +57,7 @@ def test_only_missing_acknowledges_mean_alone_on_the_bus() -> None:
 def test_missing_acknowledges_are_reported_only_until_a_node_has_answered() -> None:
     """The fault B18 (alone on the bus) is reported only before the hand is armed, and only until a node has replied.
 
-    A reply proves that the bus has other nodes.
+    A reply proves that the bus has other nodes than the host.
     """
     missing_acknowledge_report = ("error_frame", "can0 no acknowledge", 3.0)
     for word in ("no acknowledge", "bus error", "protocol"):

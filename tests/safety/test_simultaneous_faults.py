@@ -1,7 +1,7 @@
 """Test the reactions to several faults at once.
 
-The most severe action is executed, latched faults stay, and further faults never make the action
-weaker.
+The controller executes the most severe action, latched faults stay, and further faults never weaken
+the action.
 """
 
 from itertools import pairwise
@@ -69,9 +69,9 @@ def test_of_two_simultaneous_faults_the_more_severe_action_wins_and_both_are_rep
 def test_a_second_fault_neither_ends_nor_hides_the_first(
     first_fault_id: str, second_fault_id: str
 ) -> None:
-    """In this test, the first fault ends before the second begins.
+    """In this test, the first fault ends before the second fault begins.
 
-    The first fault stays latched, and the second is still reported.
+    The first fault stays latched, and the second fault is still reported.
     """
     a, b = CASE_BY_FAULT[first_fault_id], CASE_BY_FAULT[second_fault_id]
     monitor, first_verdicts = judge_ticks(*[a.input_with_fault] * a.debounce_ticks, INPUT_AT_REST)
@@ -122,7 +122,8 @@ def test_two_events_of_one_bus_in_one_tick_are_one_tick() -> None:
 INPUTS_WITH_MANY_FRAMES = {id_: state_input(frames=6 * 64 + 1) for id_ in ("B11a", "B11b")}
 """Inputs with too many frames.
 
-The number exceeds the limit even if ticks were missed because of another fault of the test.
+The number of frames exceeds the limit even if ticks were missed because of another fault of the
+test.
 """
 INPUT_BY_FAULT = {
     id_: INPUTS_WITH_MANY_FRAMES.get(id_, CASE_BY_FAULT[id_].input_with_fault)
@@ -137,7 +138,7 @@ fault_sequences = st.lists(st.tuples(inputs_with_faults, fault_ids, st.booleans(
 def test_additional_faults_never_weaken_the_action(
     ticks: list[tuple[TickInput, list[str], bool]],
 ) -> None:
-    """Two runs have the same requests to clear faults.
+    """The test makes two runs with the same requests to clear faults.
 
     The second run has additional faults in some ticks. The action in the second run is never weaker
     than in the first run.

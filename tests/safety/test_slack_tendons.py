@@ -27,7 +27,7 @@ TensionList = list[float]
 
 
 class FilteredTensionMonitor(SyntheticMonitor):
-    """Tendons with a safety monitor. The test sets the filtered tensions of these tendons."""
+    """Tendons with a safety monitor. The test sets the filtered tensions of the tendons."""
 
     def __init__(self, tendon_count: int, **value_by_field: Any) -> None:
         super().__init__(synthetic_limits(tendon_count), residual_fraction=0.0)
@@ -36,10 +36,10 @@ class FilteredTensionMonitor(SyntheticMonitor):
     def run_tick(
         self, tension: TensionList, commanded_tension: TensionList, **value_by_field: Any
     ) -> list[tuple[int, int]]:
-        """Run a tick with given tensions and commands.
+        """Run a tick with given measured tensions and commanded tensions.
 
-        Return two numbers for each tendon. The first is the number of ticks since the tendon was
-        taut. The second is the number of ticks in which the tendon was slack.
+        Return two numbers for each tendon. The first number counts the ticks since the tendon was
+        taut. The second number counts the ticks in which the tendon was slack.
         """
         self.reported = self.tick(
             residual={TENSION: tension}, wanted=commanded_tension, **value_by_field
@@ -61,7 +61,7 @@ class FilteredTensionMonitor(SyntheticMonitor):
 @pytest.mark.parametrize(("cell_tension_N", "commanded_tension_N", "counts_before", "counts_after"), [
     # Columns: tension [N], commanded tension [N], (ticks since taut, ticks slack) before the tick
     # and after it
-    (2.6, 20.0, (-1, 0), (0, 0)),     # taut for the first time
+    (2.6, 20.0, (-1, 0), (0, 0)),     # the tendon is taut for the first time
     (2.6, 20.0, (7, 5), (0, 0)),      # taut again
     (2.5, 20.0, (-1, 0), (-1, 0)),    # the tendon has never been taut, so it cannot become slack
     (0.0, 20.0, (-1, 0), (-1, 0)),
@@ -71,7 +71,7 @@ class FilteredTensionMonitor(SyntheticMonitor):
     (1.9, 20.0, (3, 4), (4, 5)),
     (1.9, 2.5, (3, 4), (4, 0)),       # the commanded tension is so low that slack is allowed
     (1.9, 2.6, (3, 4), (4, 5)),
-    (1.9, NAN, (3, 4), (-1, 0)),      # a digit without tension control may be slack, but must become taut again
+    (1.9, NAN, (3, 4), (-1, 0)),      # without tension control, slack is allowed, and the tendon counts as never taut
     (30.0, NAN, (3, 4), (-1, 0)),
     (NAN, 20.0, (3, 4), (4, 0)),      # without a reading, a tendon is neither slack nor taut
 ])  # fmt: skip
@@ -104,7 +104,7 @@ def test_slack_is_reported_by_name_and_in_seconds():
 @pytest.mark.parametrize(("ticks_since_taut", "cell_tension_N", "commanded_tension_N", "spool_speed", "is_detected"), [
     (0, 0.0, 24.0, 0.05, True),
     (49, 0.0, 24.0, 0.05, True),
-    (50, 0.0, 24.0, 0.05, False),     # last taut 100 ms ago
+    (50, 0.0, 24.0, 0.05, False),     # the tendon was last taut 100 ms ago
     (-1, 0.0, 24.0, 0.05, False),     # the tendon has never been taut
     (0, 4.7, 24.0, 0.05, True),
     (0, 4.81, 24.0, 0.05, False),     # more than a fifth of the commanded tension is left
@@ -123,7 +123,7 @@ def test_a_snapped_tendon_is_detected(
 ):
     """In this test, one tendon is neither slack nor taut, so the count of ticks since it was taut continues.
 
-    The other tendon of this digit is taut.
+    The other tendon of the digit is taut.
     """
     tendons = FilteredTensionMonitor(
         2, taut_ago=[0, ticks_since_taut - 1 if ticks_since_taut > 0 else ticks_since_taut]
@@ -148,15 +148,15 @@ def test_a_snapped_tendon_is_detected(
     (8.1, 460.0, 3.0, False, 0.01),                 # 0.6 times the speed of the free spool is 0.0077 m/s
     (8.1, 460.0, 9.0, False, 0.01),                 # the friction is larger than the force
     (11.0, 0.0, 3.0, False, 0.03),                  # a tension loop without damping
-    (11.0, 460.0, 3.0, True, 0.03),                 # the final speed of a motion is unknown
+    (11.0, 460.0, 3.0, True, 0.03),                 # the final speed of a moving digit is unknown
 ])  # fmt: skip
 def test_the_speed_of_a_snapped_tendon_depends_on_its_tension_loop(
     commanded_tension_N, speed_gain, friction_N, is_digit_moving, speed_limit
 ):
-    """The extensor of a grasp has a small commanded tension.
+    """During a grasp, the extensor tendon of a digit has a small commanded tension.
 
-    Reproduce a defect: when such a tendon snapped, its tension loop kept the spool slower than 0.03
-    m/s. The fault T01 was therefore not reported.
+    Reproduce a defect: when an extensor snapped, its tension loop kept the spool slower than 0.03
+    m/s. The slow spool hid the fault T01 (a tendon snapped).
     """
 
     def is_snapped(spool_speed):
@@ -216,24 +216,25 @@ def test_a_tendon_without_a_sample_before_the_cut_counts_from_its_first_reading(
 
 
 @pytest.mark.parametrize(("ticks_after_cut", "tension_before_cut", "present_tension", "is_detected"), [
-    (49, 30.0, 30.0, False),          # the time limit has not passed
+    (49, 30.0, 30.0, False),          # the time limit for the release has not passed
     (50, 30.0, 30.0, True),
     (51, 30.0, 30.0, True),
     (50, 30.0, 15.1, True),
-    (50, 30.0, 14.9, False),          # the tension has fallen below half
-    (50, 24.0, 12.0, False),          # the tension has fallen to exactly half
+    (50, 30.0, 14.9, False),          # the tension has fallen below half of its value before the CUT
+    (50, 24.0, 12.0, False),          # the tension has fallen to exactly half of its value before the CUT
     (50, 10.0, 10.0, False),          # the tension is no more than springs and weight cause
     (50, 10.1, 10.1, True),
     (50, 5.0, 40.0, True),            # the tension has grown
     (50, 30.0, NAN, False),
-    (50, NAN, 30.0, False),           # the tendon had no reading before this tick
+    (50, NAN, 30.0, False),           # the tendon had no reading before the present tick
 ])  # fmt: skip
 def test_a_tendon_still_pulled_by_its_motor_is_detected(
     ticks_after_cut, tension_before_cut, present_tension, is_detected
 ):
     """The detector compares a tendon's tension with the tension before the motors were disabled.
 
-    Without an earlier reading, the detector compares with the first reading.
+    Without a reading from before the motors were disabled, the detector compares the tension with
+    the first reading.
     """
     tendons = FilteredTensionMonitor(
         2, cut_ticks=ticks_after_cut - 1, cut_from=[0.0, tension_before_cut], cut_bears=NAN
@@ -255,10 +256,11 @@ def test_a_tendon_still_pulled_by_its_motor_is_detected(
 def test_a_spool_that_has_paid_out_is_released(paid_out_m, is_detected):
     """Reproduce two defects.
 
-    On jamia11, the fault N16 was reported at the end of a run without a defect. The springs of a
-    digit accelerated the rotor of a released tendon, and the tension stayed at 10 N in this time.
-    The first correction used the estimated speed of the spool. On t42 with ODrive drives, this
-    estimate hid a motor that did not release.
+    On jamia11, the controller reported the fault N16 at the end of a run although every drive had
+    released. The springs of a digit accelerated the rotor of a released tendon, and the tension
+    stayed at 10 N during the acceleration. The first correction of the detector used the estimated
+    speed of the spool. On t42 with ODrive drives, the speed estimate hid a motor that did not
+    release.
     """
     position = 1.0 - paid_out_m / SPOOL_RADIUS_M
     tendons = FilteredTensionMonitor(
@@ -274,9 +276,9 @@ def test_a_spool_that_has_paid_out_is_released(paid_out_m, is_detected):
 
 
 def test_the_last_tension_counts_if_the_latest_sample_is_missing():
-    """The detector uses readings from at least 80 ms after the motors were disabled.
+    """The detector uses load-cell readings from at least 80 ms after the motors were disabled.
 
-    Earlier readings do not show whether a motor has released its tendon.
+    Earlier load-cell readings do not show whether a motor has released its tendon.
     """
     tendons = FilteredTensionMonitor(2)
     for k in range(50):
@@ -294,19 +296,19 @@ def test_the_last_tension_counts_if_the_latest_sample_is_missing():
     (8.5, 8.5, True),
     (-1.4, -1.4, True),      # a motor with two tendons that pulls the second one
     (8.5, 0.05, False),
-    (8.5, 4.2, False),       # the force has fallen below half
-    (0.9, 0.9, False),       # the force is no more than the noise of a current sensor
+    (8.5, 4.2, False),       # the reported force has fallen below half
+    (0.9, 0.9, False),       # the reported force is no more than the noise of a current sensor
     (8.5, NAN, False),
-    (NAN, 8.5, False),       # the drive has never reported under torque
+    (NAN, 8.5, False),       # the drive has sent no report while it made torque
 ])  # fmt: skip
 @pytest.mark.parametrize("cell_group", [-1, 0])
 def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(
     cell_group, force_before_cut, present_force, is_detected
 ):
-    """If a disabled drive keeps its torque, the drive is detected from the torque in its reports.
+    """The controller detects a disabled drive that keeps its torque from the torque in the reports of the drive.
 
     Reproduce two defects. The fault N16 (a drive does not release) was not reported for a tendon
-    without load cell. With a load cell, it was not reported for a drive that kept 9 N.
+    without load cell. With a load cell, N16 was not reported for a drive that kept a force of 9 N.
     """
     tendons = FilteredTensionMonitor(1)
     tendons.set_constants(cell_group=cell_group)
@@ -323,7 +325,7 @@ def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(
 def test_a_step_of_a_coarse_torque_report_is_no_pull(torque_step_N, is_detected):
     """Reproduce a defect.
 
-    A CubeMars AK70-10 has no code for zero torque. After such a motor was disabled, it reports a
+    A CubeMars AK70-10 has no code for zero torque. After an AK70-10 was disabled, it reports a
     torque that corresponds to 1.2 N. The reported torque caused the fault N16 (a drive does not
     release).
     """
@@ -339,7 +341,8 @@ def test_a_step_of_a_coarse_torque_report_is_no_pull(torque_step_N, is_detected)
 def test_an_old_torque_is_no_sign_of_a_drive_that_does_not_release():
     """If a drive sends no torque after it was disabled, its last reported torque is ignored.
 
-    An example is an ODrive with torque feedback.
+    An example of a drive that sends no torque after it was disabled is an ODrive with torque
+    feedback.
     """
     tendons = FilteredTensionMonitor(1)
     tendons.set_constants(answers_once=0)

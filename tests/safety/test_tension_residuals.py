@@ -1,6 +1,6 @@
 """Test the tension residual: the measured tension minus the part that torque, inertia and friction explain.
 
-The expected values were computed by hand.
+The expected residuals were computed by hand.
 """
 
 from collections.abc import Callable
@@ -60,7 +60,7 @@ class MotorWithTendon(SyntheticMonitor):
         self.tick(speed=speed, measured_tension=tension, measured_force=force, asked=commanded)
 
     def filtered_residual(self, residual_kind: int) -> float:
-        """Return the filtered residual in one row of the field ``residual``."""
+        """Return the filtered residual of one kind from the field ``residual``."""
         return float(self.view("residual")[residual_kind, 0])
 
     @property
@@ -74,7 +74,7 @@ class MotorWithTendon(SyntheticMonitor):
     def excess_tension(self) -> float:
         """Return the measured tension minus the largest tension that the motor can explain [N].
 
-        The value is filtered with a time constant of 20 ms.
+        The returned tension is filtered with a time constant of 20 ms.
         """
         return float(
             call_interpreted(residuals.excess_tension, self.state_tables, self.hand_tables, 0)
@@ -93,7 +93,7 @@ def residuals_after(
 ) -> MotorWithTendon:  # fmt: skip
     """Return a motor and its tendon after a simulation of ``duration_s`` seconds.
 
-    The tension, the force and the speed are functions of time.
+    The arguments for tension, force and speed are functions of time.
     """
     rotor = MotorWithTendon()
     for k in range(round(duration_s / PERIOD_S)):
@@ -132,7 +132,8 @@ def test_inertia_friction_and_damping_are_explained():
 def test_acceleration_torque_is_no_residual():
     """In this test, a rotor accelerates with 10 m/s2 for 0.1 s.
 
-    The acceleration needs 52 N of the motor force. This force must not appear in the residual.
+    The acceleration needs 52 N of the motor force. The force that accelerates the rotor must not
+    appear in the residual.
     """
 
     def force(t):
@@ -155,17 +156,17 @@ def test_a_load_cell_that_is_wrong_is_seen_within_a_second(cell_drift_N):
 def test_a_tendon_pulled_much_harder_than_commanded_is_found_within_20_ms(
     excess: float, found: bool
 ) -> None:
-    """After 20 ms, the output of the filter is 63 % of a step.
+    """The output of the filter reaches 63 % of a tension step after 20 ms.
 
-    Friction explains 3 N, and the tolerance of the motor explains 1.5 N. A tension that is too
-    small does not count as excess.
+    Friction explains 3 N of the tension, and the tolerance of the motor explains 1.5 N. A tension
+    that is too small does not count as excess tension.
     """
     state = residuals_after(0.02, lambda t: 24.0 + excess, lambda t: 24.0, noise_N=0.0)
     assert (state.excess_tension > EXCESS_TENSION_TRIP_N) == found
 
 
 def test_the_reading_of_a_saturated_load_cell_is_no_excess_tension() -> None:
-    """Otherwise T04b (a load cell is wrong) would be reported before T06 (a load cell is saturated)."""
+    """If a saturated reading were excess tension, T04b would be reported before T06 (a load cell is saturated)."""
     rotor = MotorWithTendon(saturated=1)
     for _ in range(10):
         rotor.run_tick(250.0, 24.0)
@@ -201,7 +202,7 @@ def test_friction_that_has_grown_is_seen_in_motion_only():
 def test_missing_torque_is_detected():
     """If 39 N of the motor force are missing, the limit of a fault is exceeded within 20 ticks.
 
-    A missing force of 14.9 N does not exceed this limit.
+    A missing force of 14.9 N does not exceed the limit of any fault.
     """
     state = residuals_after(
         20 * PERIOD_S, lambda t: 0.0, lambda t: 0.0, commanded_force=lambda t: 39.0

@@ -1,6 +1,6 @@
 """Test the correlation of torque reports with torque commands.
 
-In these tests, some drives follow their commands, and others do not.
+In the tests, some drives follow their torque commands, and others do not.
 """
 
 import numpy as np
@@ -28,12 +28,12 @@ class TorqueReportMonitor(SyntheticMonitor):
         self.disobeyed: list[int] = []
         """Numbers of the ticks in which the fault N14 (a command is not obeyed) was present.
 
-        The first tick is 0.
+        The first tick has the number 0.
         """
         self.ticks = 0
 
     def run_tick(self, commanded_force: np.ndarray, reported_force: np.ndarray) -> None:
-        """Run one tick with the force commands of the last tick and the present reports."""
+        """Run one tick with the force commands of the last tick and the force reports of the present tick."""
         findings = self.tick(asked=commanded_force, measured_force=reported_force)
         self.now_unfollowed = findings.get("N17", {})
         self.disobeyed += [self.ticks] * ("N14" in findings)
@@ -44,7 +44,7 @@ class TorqueReportMonitor(SyntheticMonitor):
     def reported_torque_fractions(self) -> list[float]:
         """Return one fraction for each motor.
 
-        It is the fraction of a command change that appears in the torque reports.
+        The fraction is the part of a command change that appears in the torque reports.
         """
         return [
             call_interpreted(fraction_of_command_reported, self.state_tables, n) for n in range(2)
@@ -75,7 +75,7 @@ def rounded_to_counts(reported_force: np.ndarray) -> np.ndarray:
 def delayed_reports(commanded: np.ndarray, delay_ticks: int = 1) -> np.ndarray:
     """Return the torque reports of drives that obey with a delay [ticks].
 
-    Row k contains the reports that arrive in tick k.
+    Row k of the returned array contains the reports that arrive in tick k.
     """
     return rounded_to_counts(np.roll(commanded, delay_ticks, axis=0))
 
@@ -147,7 +147,7 @@ def test_one_outlier_is_not_a_fault() -> None:
 def test_a_report_that_is_a_tick_late_is_not_a_fault(seed: int, noise_N: float) -> None:
     """Reproduce a defect: a demo in real time ended with the fault N17 (drives are exchanged, or obey late).
 
-    In that demo, a busy host had read each reply one tick late.
+    In the demo that ended with N17, a busy host had read each reply one tick late.
     """
     commanded = noisy_commands(seed, noise_N)
     assert not motors_with_doubtful_reports(commanded, delayed_reports(commanded, 2)).any()
@@ -156,8 +156,9 @@ def test_a_report_that_is_a_tick_late_is_not_a_fault(seed: int, noise_N: float) 
 def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Return commands (COMMAND_TICK_COUNT, 2) [N], and the torque that healthy drives report [N].
 
-    The bus sometimes transmits no frames for one to five ticks, while the commands continue to change. The first
-    reports after a stop still show the command from before the stop.
+    The bus sometimes transmits no frames for one to five ticks, while the commands continue to
+    change. After a time without frames, the first reports still show the last command that a drive
+    has received.
     """
     random = np.random.default_rng(seed)
     commanded, torque_reports = noisy_commands(seed), np.full((COMMAND_TICK_COUNT, 2), np.nan)
@@ -178,7 +179,7 @@ def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
 def motors_with_doubtful_reports(commanded: np.ndarray, reported: np.ndarray) -> np.ndarray:
     """Return one truth value for each of two motors.
 
-    The value is True if, in any tick, the reports of the motor do not follow its commands.
+    The truth value is True if, in any tick, the reports of the motor do not follow its commands.
     """
     return motors_after_reports(commanded, reported).ever_unfollowed
 
@@ -208,12 +209,12 @@ def diverging_commands() -> np.ndarray:
 def test_exchanged_drives_are_found_before_their_rotors_gain_speed() -> None:
     """Exchanged drives cause the fault N14 (a command is not obeyed) before the force reaches 40 N.
 
-    Earlier defect: with the hand orca_like, the fault was reported only at 80 N, and tensions
+    Earlier defect: with the hand orca_like, the fault N14 was reported only at 80 N, and tensions
     reached 208 N.
     """
     commanded = diverging_commands()
     torque_reports = delayed_reports(commanded)[:, ::-1]
-    torque_reports[0] = 0.0  # delayed_reports puts the last command into this row
+    torque_reports[0] = 0.0  # delayed_reports puts the last command into this row of the reports
     motors = motors_after_reports(commanded, torque_reports)
     assert abs(commanded[motors.disobeyed[0]]).max() < 40.0
 
@@ -221,7 +222,7 @@ def test_exchanged_drives_are_found_before_their_rotors_gain_speed() -> None:
 def test_a_drive_without_torque_is_found_although_its_command_is_small() -> None:
     """If 9 N of the motor force are missing, the fault is detected within 60 ms.
 
-    Earlier defect: with the hand orca_like, this detection took 280 ms.
+    Earlier defect: with the hand orca_like, the detection of the missing force took 280 ms.
     """
     commanded = np.full((100, 2), 9.0)
     silent = np.zeros((100, 2))
@@ -234,9 +235,9 @@ def test_a_drive_without_torque_is_found_although_its_command_is_small() -> None
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("ticks", [1, 2])
 def test_a_drive_that_obeys_fast_commands_is_not_a_fault(seed: int, ticks: int) -> None:
-    """In this test, commands jump by up to 50 N and have ramps of 10 N per tick.
+    """In this test, force commands jump by up to 50 N and have ramps of 10 N per tick.
 
-    Some reports and commands are lost.
+    Some torque reports and torque commands are lost.
     """
     random = np.random.default_rng(seed)
     command_steps = (

@@ -1,4 +1,4 @@
-"""Fixtures with models of hands. Each model is made only once, for all tests."""
+"""Provide models of hands as fixtures. The model of a hand is made only once, for all tests."""
 
 import pytest
 

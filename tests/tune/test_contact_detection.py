@@ -1,7 +1,7 @@
 """Test the detection of contact during the sweeps of a digit.
 
 The identification notices the contact because the model of a free digit does not fit the data.
-Parameters that depend on the contact are not stored.
+The identification does not store parameters that depend on the contact.
 """
 
 from pathlib import Path
@@ -31,7 +31,7 @@ THUMB_MOUNT_LINE = "mount_position_m = [0.0, -0.025, 0.0]"
 def write_near_thumb_hand(hand_name: str, thumb_shift_mm: int, hand_folder: Path) -> str:
     """Write a copy of a packaged hand file, and return the path of the copy.
 
-    In the copy, the thumb is nearer to the middle finger.
+    In the copied hand, the thumb is nearer to the middle finger.
     """
     text = load_hand(hand_name).to_toml()
     assert THUMB_MOUNT_LINE in text
@@ -70,9 +70,9 @@ QUICK_UNDISTURBED_CASES = {("jamia", 5)}
 def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     tmp_path: Path, hand: str, thumb_shift_mm: int, seed: int
 ) -> None:
-    """Reproduce a defect: the values 1.41 and 1.73 of a spring parameter were accepted without a message.
+    """Reproduce a defect: the identification accepted the values 1.41 and 1.73 of a spring parameter without a message.
 
-    The true value of this parameter is 1.2.
+    The true value of the spring parameter is 1.2.
     """
     fits = identify_touching_finger(hand, thumb_shift_mm, seed, tmp_path)
     for result in fits.values():
@@ -101,7 +101,7 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
 def test_parameters_of_a_digit_without_contact_are_kept(
     tmp_path: Path, hand: str, seed: int
 ) -> None:
-    """No contact is reported for a digit without contact.
+    """The identification reports no contact for a digit without contact.
 
     The parameters of the simulated hand differ by up to 30 % from the hand file.
     """
@@ -119,7 +119,7 @@ def test_parameters_of_a_digit_without_contact_are_kept(
 def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
     """The true springs are stiffer than in the hand file, and the controller has detuned gains.
 
-    The fit nevertheless reports no contact, and identifies the springs.
+    Although the springs are stiffer, the fit reports no contact, and identifies the springs.
     """
     results, row = excite_and_fit(
         "jamia", "index", 8, draw_plant(8), draw_gains(Gains(), 8), tmp_path
@@ -137,8 +137,8 @@ def unexplained_ramp_of_line(
 ) -> ResidualRamp | None:
     """Fit a straight line to generated data, and return the steepest ramp in the residuals.
 
-    The data are noise in two sweeps. Beyond the angle ``kink_start``, the data also rise by ``kink_size`` per
-    unit of angle.
+    The generated data are noise in two sweeps of a digit. Beyond the angle ``kink_start``, the
+    generated data rise by ``kink_size`` per unit of angle, too.
     """
     random = np.random.default_rng(seed)
     angle = np.abs(np.linspace(-1.0, 1.0, ROW_COUNT)) * 0.6

@@ -1,7 +1,7 @@
-"""Test the design of gains.
+"""Test the design of controller gains.
 
-The hands of an ensemble have different parameters. Designed gains have the required stability
-margins for all these hands.
+The simulated hands of an ensemble have different parameters. Designed gains have the required
+stability margins for all hands of an ensemble.
 """
 
 import math
@@ -31,16 +31,16 @@ from handctl.tune.search.ensemble import MIN_FACTOR_SPREAD, factor_half_widths, 
 from tests.conftest import NIGHTLY
 
 DEFAULT_PLANT_COUNT = 8
-"""Number of plants of the default ensemble of `tune design`."""
+"""Number of plants (simulated hands) in the default ensemble of `tune design`."""
 REDUCED_PLANT_COUNT = 2
-"""Number of plants for a hand with many different tendons, in an ordinary test run."""
+"""Number of plants (simulated hands) for a hand with many different tendons, in an ordinary test run."""
 
 
 @pytest.mark.parametrize("hand_name", packaged_hands())
 def test_the_packaged_gains_keep_their_margins(hand_name: str) -> None:
     """Reproduce a defect: with the gains of the hand jamia, the hand orca_like oscillated at 140 Hz.
 
-    With the same gains, the hand t42 had a gain margin of only 2.4 dB.
+    With the gains of the hand jamia, the hand t42 had a gain margin of only 2.4 dB.
     """
     hand = load_hand(hand_name)
     model = HandModel.from_hand(
@@ -56,7 +56,7 @@ def test_the_packaged_gains_keep_their_margins(hand_name: str) -> None:
 
 
 def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
-    """The stability margins of a tendon limit only the force weight of this tendon.
+    """The stability margins of a tendon limit only the force weight of the tendon itself.
 
     The force weights of other tendons do not change.
     """
@@ -98,7 +98,7 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
 def stiffness_of_motion_loop(model: HandModel, gains: Gains) -> float:
     """Return the stiffness of the motion loop of the second tendon [1/s^2].
 
-    The model of the hand has the given gains.
+    The motion loop has the given gains.
     """
     return float(model_with_gains(model, gains).motion_design.stiffness[1])
 
@@ -147,7 +147,7 @@ def test_the_closed_loop_has_the_requested_poles(
     """The closed loop has the requested poles.
 
     The test computes the poles for a single mass (rotor and digit) under sampled state feedback.
-    The control rate is far above the poles.
+    In this test, the control rate is far above the frequencies of the poles.
     """
     gains = gains_with_poles(jamia, LoopKind.MOTION, pole_frequency_hz, 1.0)
     fast_model = HandModel.from_hand(jamia.hand, gains, 4000.0)
@@ -174,7 +174,7 @@ def test_placed_poles_that_no_weights_have_are_refused(
     damping_ratio: float,
     expected_message: str,
 ) -> None:
-    """The error message proposes poles, or a weight, with which the design would be possible."""
+    """The error message of a refused design proposes poles, or a weight, with which the design would be possible."""
     with pytest.raises(ValueError, match=expected_message):
         design_with_poles(jamia, (PlantFactors(),), *pole_frequency_hz, damping_ratio)
 

@@ -1,6 +1,6 @@
 """Test how files with gains are written, read and restored.
 
-Every change can be undone, and a reader never sees a file that is only partly written.
+Every change of the gains can be undone, and a reader never sees a file that is only partly written.
 """
 
 import os

@@ -58,9 +58,9 @@ WEAK_MOTOR, STIFF_MOTOR = (23, "thumb"), (39, "thumb")
 def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
     tmp_path: Path, seed: int, digit: str
 ) -> None:
-    """The identification distinguishes a motor that makes 29 % less torque from a wrong load cell.
+    """The identification can tell whether a motor makes 29 % less torque or a load cell is wrong.
 
-    Even a motor with high friction moves its tendon.
+    In this test, even a motor with high friction moves its tendon.
     """
     row = measure_digit(seed, digit, tmp_path)
     assert "failure" not in row
@@ -76,8 +76,8 @@ def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
 def test_springs_behind_several_tendons_are_found_by_the_joint_encoders(tmp_path: Path) -> None:
     """In a digit with several tendons, the identification of the spring stiffness needs joint encoders.
 
-    At 200 Hz, the inertia and the friction of a motor are identified less accurately. The
-    confidence intervals of these two parameters are therefore wider.
+    At 200 Hz, the inertia and the friction of a motor are identified less accurately. Because of
+    the lower accuracy, the confidence intervals of inertia and friction are wider.
     """
     row = measure_digit(3, "thumb", tmp_path, "jamia11")
     assert {parameter["name"] for parameter in row["parameters"]} == SPRING_DIGIT_PARAMETERS
@@ -225,7 +225,7 @@ def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
 def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
     """The hand model and the centre of the ensemble use the identified parameters.
 
-    The identity in the gain file is still that of the hand file.
+    The hand identity in the gain file is still that of the hand file.
     """
     hand, path = load_hand("jamia"), tmp_path / "c.toml"
     rows = dict.fromkeys(
@@ -259,8 +259,8 @@ def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
 def test_delay_is_judged_by_an_absolute_limit() -> None:
     """The width of a delay's confidence interval is compared with an absolute limit.
 
-    For other parameters, the limit is a fraction of the value. The value of a delay may be zero,
-    and the limit would then also be zero.
+    For other parameters, the limit of the width is a fraction of the parameter value. The value of
+    a delay can be zero, and a fraction of zero is no useful limit.
     """
     rows = np.ones((3, len(PARAMETER_NAMES)))
     assert (
@@ -273,7 +273,7 @@ def test_delay_is_judged_by_an_absolute_limit() -> None:
 
 @pytest.mark.parametrize("parameter_name", ["jamia", "jamia11"])
 def test_each_parameter_has_one_row_with_its_value_or_the_reason(parameter_name: str) -> None:
-    """Reproduce a defect: a parameter without a value appeared twice, and the unit "1" looked like a value."""
+    """Reproduce a defect: a parameter without a value had two rows in the report. The unit "1" looked like a value."""
     hand = load_hand(parameter_name)
     with RunLog(GOLDEN_LOGS / f"{parameter_name}-grasp.mcap") as log:
         results = identify_tendons(log, hand)
@@ -295,7 +295,7 @@ def test_each_parameter_has_one_row_with_its_value_or_the_reason(parameter_name:
 def test_springs_of_a_digit_with_several_tendons_need_joint_encoders(
     with_joint_encoders: bool,
 ) -> None:
-    """Reproduce a defect: the reason in the report was "no data depend on this parameter"."""
+    """Reproduce a defect: for spring parameters, the reason in the report was "no data depend on this parameter"."""
     content = hand_content("jamia11")
     node = content["sensor_node"]
     content["sensor_node"] = node | {"joints": node["joints"] if with_joint_encoders else []}

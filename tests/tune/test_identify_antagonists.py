@@ -1,7 +1,7 @@
 """Test the identification of digits without springs.
 
-Some of these digits have n + 1 tendons for n joints. Other digits have pairs of tendons. The two
-tendons of a pair share one motor and have no load cells.
+Some digits without springs have n + 1 tendons for n joints. Other digits have pairs of tendons. The
+two tendons of a pair share one motor and have no load cells.
 """
 
 from pathlib import Path
@@ -35,9 +35,10 @@ MIN_COVERED_FRACTION = 0.9
 The expected fraction is 0.95.
 """
 MIN_COVERED_FRACTION_PER_PARAMETER = 0.8
-"""For each single parameter, at least this fraction of the true values must lie inside the intervals.
+"""For each single parameter, at least this fraction of the true values must lie inside the confidence intervals.
 
-The limit is lower, because a parameter has only 40 to 70 values in this test.
+The limit for a single parameter is lower, because a single parameter has only 40 to 70 values in
+this test.
 """
 COMMON_PAIR_PARAMETERS = {"motor_coulomb", "tendon_stiffness", "moment_arm"}
 """Parameters that can be identified for every pair of tendons on one motor in the packaged hand."""
@@ -139,8 +140,8 @@ def test_a_stretched_tendon_does_not_lift_its_digit_off_the_stops() -> None:
 def test_both_tendons_of_a_pair_balance_its_joint(passes_wrist: float) -> None:
     """Two antagonistic tendons share one motor in this test.
 
-    At the joint, friction lowers the tension of one tendon and raises that of the other. The
-    difference of both tensions turns the joint.
+    At the joint, friction lowers the tension of one tendon and raises the tension of the other
+    tendon. The difference of both tensions turns the joint.
     """
     net_tensions = np.linspace(-40.0, 40.0, 81)
     spool = spool_pair_tension(net_tensions, 10.0, np.full(81, passes_wrist))
@@ -155,8 +156,8 @@ def test_both_tendons_of_a_pair_balance_its_joint(passes_wrist: float) -> None:
 def test_the_stretch_of_a_pair_makes_its_net_tension() -> None:
     """Two antagonistic tendons on one motor have the tensions p + k d and p - k d, but never less than 0.
 
-    Here p is the pretension, k the stiffness and d the stretch. The net tension is the difference
-    of the two tensions.
+    In these tensions, p is the pretension, k the stiffness and d the stretch. The net tension of
+    the pair is the difference of the two tensions.
     """
     stretch = spool_pair_stretch(np.linspace(-50.0, 50.0, 101), 5e4, 10.0)
     single_tensions = [np.maximum(10.0 + 5e4 * side * stretch, 0.0) for side in (1.0, -1.0)]
@@ -168,8 +169,8 @@ def test_the_stretch_of_a_pair_makes_its_net_tension() -> None:
 def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
     """Reproduce a defect.
 
-    While a fault holds the hand, the identification makes no progress. Such a run therefore never
-    ended.
+    While a fault holds the hand, the identification makes no progress. Because of the defect, a run
+    with a held hand never ended.
     """
     limit = HoldTimeout()
 

@@ -1,4 +1,4 @@
-"""Test which parts of the log of an ordinary run count as free motion."""
+"""Test which parts of an ordinary run's log count as free motion of a digit."""
 
 from pathlib import Path
 
@@ -13,9 +13,10 @@ GRASP_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 def test_a_digit_that_is_held_or_rests_on_a_stop_is_not_free() -> None:
-    """Reproduce a defect: data of digits at their stops were used.
+    """Reproduce a defect: the identification used data of digits at their joint stops.
 
-    Because of these data, the identified spring stiffness and friction were too large by a third.
+    Because of the data at the stops, the identified spring stiffness and friction were too large by
+    a third.
     """
     hand = load_hand("jamia")
     with RunLog(GRASP_LOG) as log:

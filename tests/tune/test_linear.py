@@ -1,6 +1,6 @@
 """The linear models of the control loops predict the behaviour of the running controller.
 
-Their stability margins equal those that the package `control` computes.
+The stability margins of the linear models equal those that the package `control` computes.
 """
 
 import math
@@ -55,8 +55,8 @@ def test_a_tick_acts_on_the_samples_of_the_tick_before(
 ) -> None:
     """Compare the impulse responses of the open loop and of a simulation.
 
-    On the bus, a tick of the controller gets the samples of the tick before. The simulation
-    advances plant and controller in the same order.
+    On the bus, a tick of the controller gets the sensor samples of the previous tick. The
+    simulation advances plant and controller in the same order.
     """
     P, K, L = (
         plant_system(jamia, 0, loop_kind),
@@ -78,7 +78,7 @@ def test_a_tick_acts_on_the_samples_of_the_tick_before(
 def test_the_frequency_response_solves_the_equations_of_the_system(
     hand_name: str, loop_kind: LoopKind, rate_hz: float
 ) -> None:
-    """The product over the eigenvalues equals C (zI - A)^-1 B + D, as control computes it."""
+    """The product over the eigenvalues equals C (zI - A)^-1 B + D, as the package ``control`` computes it."""
     system = open_loop(HandModel.from_hand(load_hand(hand_name), Gains(), rate_hz), 0, loop_kind)
     omega = frequency_grid(system.period)
     expected = ss(system.A, system.B, system.C, system.D, system.period)(
@@ -108,9 +108,9 @@ def test_margins_are_those_of_control(
 def test_the_gain_margin_is_where_the_loop_becomes_unstable(
     jamia: HandModel, loop_kind: LoopKind
 ) -> None:
-    """The loop is unstable if the torque is multiplied by slightly more than the gain margin.
+    """A control loop is unstable if the torque is multiplied by slightly more than the gain margin.
 
-    The loop is stable if the factor is slightly smaller than the gain margin.
+    The loop is stable if the factor of the torque is slightly smaller than the gain margin.
     """
     margin = 10.0 ** (margins_of_loop(open_loop(jamia, 0, loop_kind)).gain_db / 20.0)
     assert margins_of_loop(
@@ -124,7 +124,7 @@ def test_the_gain_margin_is_where_the_loop_becomes_unstable(
 def test_closed_loop_responds_to_a_force_step(jamia: HandModel) -> None:
     """After a step of the force by 1 N, the controller brings the tension back to its goal.
 
-    Without a controller, the tension would stay 1 N away from its goal.
+    Without a controller, the tension would stay 1 N away from its goal after the force step.
     """
     _, tension = step_response(jamia, 0, LoopKind.TENSION, 1.0)
     assert abs(tension[-1]) < 0.3 < np.abs(tension).max() < 2.0

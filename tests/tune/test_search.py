@@ -1,7 +1,7 @@
 """Test the search for gains.
 
-All kinds of workers give the same result, no trial is lost, and an interrupted search can be
-resumed.
+All kinds of worker processes give the same result, no trial of the search is lost, and an
+interrupted search can be resumed.
 """
 
 import os
@@ -58,7 +58,7 @@ def _ignore_result(search_result: SearchResult) -> None:
 def search_result(
     search_plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory
 ) -> SearchResult:
-    """Run a search in this process, and return its result."""
+    """Run a search in the test process, and return the result of the search."""
     return run_search(
         search_plan, tmp_path_factory.mktemp("study") / "one", InProcessWorkers(), _ignore_result
     )
@@ -81,7 +81,7 @@ def test_the_sampler_knows_which_trials_keep_their_margins(
 ) -> None:
     """The sampler of Optuna uses the stability margins of all trials as constraints.
 
-    The random trials are included. Optuna prints no warnings.
+    The trials with random gains are included. Optuna prints no warnings.
     """
     run_search(search_plan, tmp_path / "study", RecordedWorkers(search_result), _ignore_result)
     finished_trials = [
@@ -98,7 +98,7 @@ def test_the_sampler_knows_which_trials_keep_their_margins(
 
 
 class RecordedWorkers:
-    """Workers that return the scores of an earlier search."""
+    """Workers of a search that return the scores of an earlier search."""
 
     def __init__(self, search_result: SearchResult) -> None:
         self.found = search_result
@@ -114,7 +114,7 @@ class RecordedWorkers:
 
 
 class InterruptedWorkers:
-    """Workers that raise KeyboardInterrupt after some jobs, as after Ctrl-C."""
+    """Workers of a search that raise KeyboardInterrupt after some jobs, as after Ctrl-C."""
 
     def __init__(self, completed_jobs: int) -> None:
         self.left = completed_jobs
@@ -159,7 +159,7 @@ def test_interrupted_search_gives_the_same_result(
 
 
 class FakeWorkers:
-    """Workers that compute a score from the gains with a formula, without a simulation."""
+    """Workers of a search that compute a score from the gains with a formula, without a simulation."""
 
     def compute_scores(
         self, jobs: Sequence[dict[str, Any]]
@@ -183,8 +183,8 @@ def long_search(
 ) -> tuple[SearchPlan, SearchResult, bytes]:
     """Run a search that begins with random trials.
 
-    After these trials, the sampler chooses the trials of each batch. Return the plan, the result,
-    and the bytes of the search's journal.
+    After the random trials, the sampler chooses the trials of each batch. Return the plan of the
+    search, its result, and the bytes of its journal.
     """
     longer_plan = replace(
         search_plan,
@@ -203,10 +203,10 @@ def long_search(
 def test_search_resumes_from_a_truncated_journal(
     long_search: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path, journal_fraction: float
 ) -> None:
-    """In this test, the journal of a search is cut in the middle of a line.
+    """In this test, the journal of a search is cut off in the middle of a line.
 
-    Some cuts are in the part of the journal after the random trials. In this part, the sampler
-    chooses the trials.
+    Some of the shortened journals contain trials that the sampler has chosen after the random
+    trials.
     """
     longer_plan, complete_result, journal = long_search
     path, lines = tmp_path / "study", journal.splitlines(keepends=True)

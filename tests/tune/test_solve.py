@@ -1,8 +1,8 @@
 """Test the jackknife method, which computes the confidence intervals of a fit.
 
-The method leaves out one block of time after the other.
+The jackknife method leaves out one block of time after the other.
 
-A damaged log may have all its rows in one block.
+In a damaged log, all rows are possibly in one block of time.
 """
 
 import time
@@ -30,7 +30,7 @@ def test_rows_are_in_one_block_each(seed: int) -> None:
 
 @pytest.mark.parametrize("time_span_s", [0.0, 0.1, 20.0])
 def test_equal_times_take_a_few_seconds_at_most(time_span_s: float) -> None:
-    """Reproduce a defect: the jackknife took minutes for 4000 rows in one block."""
+    """Reproduce a defect: the jackknife method took minutes for 4000 rows in one block of time."""
     random = np.random.default_rng(0)
     jacobian, residual = random.normal(size=(4010, 10)), random.normal(size=4010)
     begin = time.process_time()
@@ -46,8 +46,8 @@ def test_equal_times_take_a_few_seconds_at_most(time_span_s: float) -> None:
 def test_a_block_with_large_residuals_leaves_the_degrees_of_freedom(seed: int) -> None:
     """A block of time with large residuals does not reduce the degrees of freedom.
 
-    Earlier defect: such a block left only three degrees of freedom, so the confidence intervals
-    were 1.5 times as wide.
+    Earlier defect: a block with large residuals left only three degrees of freedom, so the
+    confidence intervals were 1.5 times as wide.
     """
     random = np.random.default_rng(seed)
     jacobian, times = (

@@ -1,6 +1,6 @@
 """Test that designed gains are stable.
 
-The tests use eigenvalues, margins that are found by trial, and runs in lockstep.
+The tests use eigenvalues, stability margins that are found by trial, and runs in lockstep.
 """
 
 import math
@@ -58,16 +58,16 @@ CONTROL_RATES_HZ = {"jamia": 500.0, "n_plus_1": 250.0, "orca_like": 400.0, "t42"
 SATURATED_GAINS = {"tension": {"tension_error_N": 0.5, "speed_error_m_s": 0.1}}
 """Weights of the tension loop in the LQR design.
 
-With these weights and a force weight of 390 N, the control law commands more torque than the motor
-has, even at the operating point.
+With the weights ``SATURATED_GAINS`` and a force weight of 390 N, the control law commands more
+torque than the motor has, even at the operating point.
 """
 
 
 def random_gains(seed: int, gain_range: float = 10.0) -> Gains:
     """Return random gains.
 
-    The LQR weights, the integral gain and the filter parameters differ from the default gains by up
-    to the factor ``gain_range``.
+    The returned LQR weights, the integral gain and the filter parameters differ from the default
+    gains by up to the factor ``gain_range``.
     """
     random = np.random.default_rng(seed)
 
@@ -103,7 +103,7 @@ def model_of(hand_name: str, seed: int, gain_range: float = 10.0) -> HandModel:
 
 
 def model_with_force_weight(force_N: float) -> HandModel:
-    """Return the model of jamia with the weights ``SATURATED_GAINS`` and the force weight ``force_N`` [N]."""
+    """Return the model of the hand jamia with the weights ``SATURATED_GAINS`` and the force weight ``force_N`` [N]."""
     table = SATURATED_GAINS | {"tension": SATURATED_GAINS["tension"] | {"force_N": force_N}}
     return HandModel.from_hand(load_hand("jamia"), Gains.model_validate(table), 500.0)
 
@@ -112,8 +112,8 @@ def model_with_force_weight(force_N: float) -> HandModel:
 def test_a_law_at_its_limit_is_judged_as_the_linear_law(force_N: float) -> None:
     """At its torque limit, the output of the control law does not depend on its inputs.
 
-    The linear model must therefore be computed from the gains instead of from differences of the
-    output.
+    The linear model must be computed from the gains, because differences of the output are zero at
+    the torque limit.
     """
     model = model_with_force_weight(force_N)
     K = controller_system(model, 0, LoopKind.TENSION)
@@ -123,7 +123,8 @@ def test_a_law_at_its_limit_is_judged_as_the_linear_law(force_N: float) -> None:
     assert force_per_newton > 0.5
     states = K.C[0]
     integral = states[np.isclose(states, 1.0)]
-    assert len(integral) >= 1  # the gain of the integral while the torque is below its limit
+    # ``integral`` has the gain of the integral while the torque is below its limit
+    assert len(integral) >= 1
     assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).are_sufficient
 
 
@@ -170,7 +171,7 @@ def test_an_unstable_loop_has_no_margin(jamia: HandModel) -> None:
 def margins_by_brute_force(system: LinearSystem) -> tuple[float, float]:
     """Find the gain margin [dB] and the phase margin [deg] of a loop by trying many values.
 
-    At the margin, an eigenvalue of the closed loop just leaves the unit circle.
+    At a stability margin, an eigenvalue of the closed loop just leaves the unit circle.
     """
 
     def radius(factor: complex) -> float:
@@ -191,9 +192,9 @@ def margins_by_brute_force(system: LinearSystem) -> tuple[float, float]:
 @pytest.mark.parametrize("seed", SEED_RANGE)
 @pytest.mark.parametrize("hand_name", TESTED_HANDS)
 def test_margins_are_those_of_brute_force(hand_name: str, seed: int) -> None:
-    """A computed margin is never larger than the true margin.
+    """A computed stability margin is never larger than the true margin.
 
-    A computed margin is smaller only if the frequency response and the eigenvalues disagree.
+    A computed margin is too small only if the frequency response and the eigenvalues disagree.
     """
     model = model_of(hand_name, seed)
     for kind in LoopKind:
@@ -211,7 +212,7 @@ def test_margins_are_those_of_brute_force(hand_name: str, seed: int) -> None:
 def check_design_is_stable(model: HandModel, gain_design: GainDesign, seed: int) -> HandModel:
     """Check that all loops of a design are stable for both hands of an ensemble.
 
-    Return the model with the gains of this design.
+    Return the model with the gains of the design.
     """
     model_after = HandModel.from_hand(model.hand, gain_design.gains, 1.0 / model.period)
     for factors in sample_ensemble(2, seed):
@@ -225,7 +226,7 @@ def check_design_is_stable(model: HandModel, gain_design: GainDesign, seed: int)
 
 @pytest.mark.parametrize("seed", SEED_RANGE if NIGHTLY else SEED_RANGE[:1])
 def test_design_is_stable_by_its_eigenvalues(seed: int) -> None:
-    """All eigenvalues of a design are inside the unit circle, even without a test in simulation."""
+    """All eigenvalues of a design's loops are inside the unit circle, even without a test in simulation."""
     model = model_of("jamia", seed, 3.0)
     gain_design = design_gains(
         model, tuple(linear_factors(plant_factors) for plant_factors in sample_ensemble(2, seed))
@@ -237,10 +238,10 @@ def test_design_is_stable_by_its_eigenvalues(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("hand_name", TESTED_HANDS)
 def test_written_design_is_stable(hand_name: str, seed: int) -> None:
-    """If a design is written, all its eigenvalues are inside the unit circle.
+    """If ``tune design`` writes gains, all eigenvalues of the loops are inside the unit circle.
 
-    With this design, the simulated hand comes to rest, even with a seed that the design has not
-    used.
+    With the written gains, the simulated hand comes to rest, even with a seed that the design has
+    not used.
     """
     model, factors = model_of(hand_name, seed, 3.0), sample_ensemble(2, seed)
     plants = tuple(linear_factors(factor) for factor in factors)
@@ -249,7 +250,7 @@ def test_written_design_is_stable(hand_name: str, seed: int) -> None:
             model, plants, RestTest(model.hand, factors, plants, seed, DESIGN_LIMIT_FRACTION)
         )
     except ValueError:
-        return  # in this case, no design is written
+        return  # in this test case, no gains are written
     designed_gains = check_design_is_stable(model, gain_design, seed)
     assert RestTest(model.hand, factors, plants, seed + 100)(designed_gains)
 
@@ -257,8 +258,8 @@ def test_written_design_is_stable(hand_name: str, seed: int) -> None:
 def test_tendons_that_share_joints_keep_their_margins_together() -> None:
     """Reproduce a defect: ``tune design`` gave up for n_plus_1.
 
-    The design gave the first tendon of a finger a large force weight of its own. The gain margins
-    of the finger's other tendons then fell below 6 dB.
+    The design gave the first tendon of a finger a large force weight of its own. Because of the
+    large force weight, the gain margins of the finger's other tendons fell below 6 dB.
     """
     model = HandModel.from_hand(load_hand("n_plus_1"), Gains(), 250.0)
     plants = (linear_factors({}),)
@@ -275,7 +276,7 @@ def test_a_failed_rest_test_gives_no_design(jamia: HandModel) -> None:
 def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
     """A simulated hand with unstable gains does not come to rest.
 
-    Earlier defect: unstable gains were written as a design with infinite margins.
+    Earlier defect: ``tune design`` wrote unstable gains as a design with infinite margins.
     """
     model = model_with_force_weight(393.0)
     assert not margins_of_loop(open_loop(model, 0, LoopKind.TENSION)).stable
@@ -285,7 +286,7 @@ def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
 def rest_test_of(model: HandModel, friction_fraction: float = 1.0) -> RestTest:
     """Return a `RestTest`, which checks whether simulated hands come to rest.
 
-    The test uses the nominal hand, and an ensemble of hands with changed parameters.
+    The returned rest test uses the nominal hand, and an ensemble of hands with changed parameters.
     """
     factors = sample_ensemble(2, 0)
     plants = tuple(linear_factors(factor) for factor in factors)
@@ -295,8 +296,8 @@ def rest_test_of(model: HandModel, friction_fraction: float = 1.0) -> RestTest:
 def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
     """Reproduce a defect.
 
-    A digit without load cells that closed with 30 N caused the fault T01 (a tendon snapped). Every
-    step test therefore ended with this fault.
+    A digit without load cells that closed with 30 N caused the fault T01 (a tendon snapped).
+    Because of the fault T01, every step test of the gains ended early.
     """
     model = HandModel.from_hand(load_hand("orca_like"), Gains(), CONTROL_RATES_HZ["orca_like"])
     swing_amplitude = simulate_swing(model.hand, model, {}, 0)
@@ -305,7 +306,7 @@ def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
 
 @pytest.mark.parametrize("hand_name", QUICK_TEST_HANDS)
 def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand_name: str) -> None:
-    """An oscillation that also occurs without feedback is not an oscillation of the control loop."""
+    """If an oscillation occurs without feedback, too, it is not an oscillation of the control loop."""
     model = HandModel.from_hand(
         load_hand(hand_name), packaged_gains(hand_name), CONTROL_RATES_HZ.get(hand_name, 200.0)
     )
@@ -325,9 +326,9 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
     chatter_N: float,
     is_accepted: bool,
 ) -> None:
-    """Gains are refused if the tension oscillates in the hand with the lowest friction.
+    """The rest test refuses gains if the tension oscillates in the simulated hand with the lowest friction.
 
-    All other hands of the ensemble come to rest.
+    In this test, all other hands of the ensemble come to rest.
     """
     model = HandModel.from_hand(
         load_hand(hand_name), Gains(), CONTROL_RATES_HZ.get(hand_name, 200.0)
@@ -351,10 +352,10 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
 def test_one_peak_in_five_runs_does_not_decide_about_gains(
     monkeypatch: pytest.MonkeyPatch, jamia: HandModel
 ) -> None:
-    """Reproduce a defect: the seed of the noise decided whether the same gains passed or failed.
+    """Reproduce a defect: the seed of the sensor noise decided whether the same gains passed or failed.
 
-    The links of a pressed digit slip at random times. A slip causes a peak of several newtons. In
-    this defect, only one run of each plant decided about a design.
+    The links of a pressed digit slip at random times. A slip causes a peak of several newtons. The
+    defect was that only one run of each plant (simulated hand) decided about a design.
     """
     runs = [5.0, 0.9, 1.0, 0.9, 1.1]
 
@@ -373,7 +374,7 @@ def test_a_design_keeps_a_distance_from_the_limits(
 ) -> None:
     """A hand with an oscillation of 1.6 N counts as at rest.
 
-    With other noise, the oscillation could exceed the limit of 2 N.
+    With other sensor noise, an oscillation of 1.6 N could grow beyond the limit of 2 N.
     """
     monkeypatch.setattr(
         "handctl.tune.loops.step_tests.simulate_swing",
@@ -430,9 +431,9 @@ def test_chatter_of_a_tendon_does_not_hide_swings_of_others(
 def test_an_oscillating_loop_is_not_hidden_by_chatter(
     monkeypatch: pytest.MonkeyPatch, jamia: HandModel
 ) -> None:
-    """In this test, the oscillation is not larger than without feedback.
+    """In this test, the oscillation with the gains is not larger than without feedback.
 
-    The gains are nevertheless refused, because the eigenvalues show that the loop oscillates.
+    Even so, the gains are refused, because the eigenvalues show that the loop oscillates.
     """
     chatter_N = (4.0, 4.0, 4.0, 4.0)
     slow_gains = {"tension": {"integral_per_s": 30.0, "force_N": 1.0}}
@@ -454,9 +455,9 @@ def test_an_oscillating_loop_is_not_hidden_by_chatter(
 def test_gains_that_fail_at_the_least_friction_are_refused(
     monkeypatch: pytest.MonkeyPatch, jamia: HandModel
 ) -> None:
-    """If the run without feedback also fails, the oscillation of the hand without feedback is unknown.
+    """If even the run without feedback fails, the oscillation of the hand without feedback is unknown.
 
-    The gains are then refused.
+    If the oscillation without feedback is unknown, the gains are refused.
     """
     failed_oscillation = StepOscillation(math.inf, math.inf, (math.inf,) * 4, "N14b")
     no_oscillation = StepOscillation(0.0, 0.0, (0.0,) * 4)
@@ -478,7 +479,7 @@ def test_a_coupled_digit_is_linearised_at_a_posture_that_it_can_have(
 ) -> None:
     """The controller of a coupled digit is linearised at joint angles that obey the coupling.
 
-    These joint angles are inside the joint limits.
+    The joint angles of the linearisation are inside the joint limits.
     """
     hand = load_hand("jamia")
     content = {

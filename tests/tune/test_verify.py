@@ -1,7 +1,7 @@
 """Test the verification of gains.
 
 If the control loops of a run oscillate with new gains, the run uses the old gains again. The log
-contains this change.
+contains the return to the old gains.
 """
 
 import argparse
@@ -91,7 +91,7 @@ TOUCHING_DIGIT_CASES = [("1", "40,30", "each"), ("1", "24,16", "each"), ("1", "6
 def test_digits_that_meet_are_named_and_not_blamed_on_the_gains(
     tmp_path: Path, finger_count: str, link_lengths_mm: str, tendon_choice: str
 ) -> None:
-    """Reproduce a defect: two digits blocked each other, but a tracking error was reported.
+    """Reproduce a defect: two digits blocked each other, but handctl reported a tracking error.
 
     The digits met near 17 deg, and the reported tracking error was 20 deg.
     """
@@ -118,7 +118,7 @@ def test_digits_that_meet_are_named_and_not_blamed_on_the_gains(
         scores = scores_by_round(log, hand, None, 0)
     limit_deg = math.degrees(VerifyLimits().max_tracking_error_rad)
     assert all(score.tracking_deg < limit_deg / 4 for score in scores)
-    # With the amplitude that the command proposes, the digits do not touch each other.
+    # With the amplitude that ``tune verify`` proposes, the digits do not touch each other.
     assert 0.05 <= blocked.proposed_amplitude < 1.0
     run_with_proposed_amplitude = _verify_gains(
         GAINS_WITHOUT_RINGING, tmp_path / "free.mcap", hand, blocked.proposed_amplitude
@@ -143,9 +143,9 @@ GRIPPER_FOLDER = Path(__file__).parents[1] / "hand"
 def test_the_tracking_limit_holds_for_prismatic_joints(
     hand_file: str, joint_index: int, lag_rad_or_m: float, expected_reason: str
 ) -> None:
-    """Reproduce a defect: no lag of a prismatic joint was too large.
+    """Reproduce a defect: no lag of a prismatic joint counted as too large.
 
-    The lag is a length in metres, but it was compared with 0.35 rad.
+    The lag of a prismatic joint is a length in metres, but handctl compared it with 0.35 rad.
     """
     hand = load_hand(GRIPPER_FOLDER / hand_file)
     observer = VerifyObserver(hand, GAINS_WITHOUT_RINGING, GAINS_WITHOUT_RINGING)
@@ -177,7 +177,8 @@ def test_a_lag_of_a_prismatic_joint_counts_like_an_angle(
 ) -> None:
     """Reproduce a defect: the score used metres as if they were rad.
 
-    A lag of 1 mm therefore counted as 0.06 deg. It must count as 0.1 rad.
+    Because of the wrong unit, a lag of 1 mm counted as 0.06 deg. A lag of 1 mm must count as 0.1
+    rad.
     """
     hand = load_hand(GRIPPER_FOLDER / hand_file)
     goal = np.zeros((2, len(hand.joints)))
@@ -195,7 +196,7 @@ def test_a_lag_of_a_prismatic_joint_counts_like_an_angle(
 
 
 def test_the_proposed_command_has_quoted_names(capsys: pytest.CaptureFixture[str]) -> None:
-    """Reproduce a defect: the proposed command split a file name with a space."""
+    """Reproduce a defect: the shell split a file name with a space in the command that handctl proposed."""
     result = {
         "judged_by": "truth", "returned": None, "amplitudes": (), "log": "a.mcap", "picture": "a.png",
         "verified": True,

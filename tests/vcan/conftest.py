@@ -1,10 +1,10 @@
 """Run the tests in the folder inside/ in three guest systems that have real vcan interfaces.
 
-Each test is reported as if it had run in this process.
+Pytest reports each test of a guest system as if the test had run in the pytest process of the host.
 
-A guest is a virtual machine with user-mode Linux, or a network namespace. In the guest, this file
-writes each report of pytest to the file that HANDCTL_VCAN_REPORTS names. With
-HANDCTL_REQUIRE_VCAN=1 a skipped test counts as failed.
+A guest system (guest) is either a network namespace or a virtual machine of user-mode Linux. In the
+guest, ``conftest.py`` writes each report of pytest to the file that HANDCTL_VCAN_REPORTS names.
+With HANDCTL_REQUIRE_VCAN=1, a skipped test counts as failed.
 """
 
 import json
@@ -28,10 +28,11 @@ TEST_FILES_BY_GUEST = (
     ("test_run.py", "test_drive.py", "test_bus_doctor.py"),
     ("test_protocols.py", "test_foreign_clients.py", "test_python_can.py"),
 )
-"""Test files that two of the guests run. All other test files run in a third guest.
+"""Test files that two of the guest systems run.
 
-The three groups take about the same time. A guest has one core and uses less than half of the
-core's time, because hands run in slowed time.
+All other test files run in a third guest system. The three groups of test files take about the same
+time. A guest system has one core and uses less than half of the core's time, because hands run in
+slowed time.
 """
 ReportsByTest = dict[str, list[pytest.TestReport]]
 _reports_key = pytest.StashKey[ReportsByTest]()
@@ -45,7 +46,7 @@ def pytest_itemcollected(item: pytest.Item) -> None:
         if not REPORTS_FILE:
             item.add_marker(
                 pytest.mark.timeout(0), append=False
-            )  # the first test of a guest waits until all tests of this guest have run
+            )  # the first test of a guest system waits until all tests of the guest have run
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
@@ -80,7 +81,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
 
 
 def _run_in_guests(items: Sequence[pytest.Item]) -> ReportsByTest:
-    """Run each test in the guest for its test file, and return the reports of all tests."""
+    """Run each test in the guest system that is assigned to its test file, and return the reports of all tests."""
     kind, reason = uml_guest.vcan_access()
     if not kind:
         return {
@@ -105,7 +106,7 @@ def _run_in_guests(items: Sequence[pytest.Item]) -> ReportsByTest:
 
 
 def _run_in_guest(items: Sequence[pytest.Item]) -> ReportsByTest:
-    """Run tests in one guest, and return their reports. A test without a report counts as failed."""
+    """Run tests in one guest system, and return the reports of the tests. A test without a report counts as failed."""
     output: list[str] = []
     with tempfile.TemporaryDirectory(prefix="handctl-vcan-reports-") as folder:
         file = Path(folder) / "reports"

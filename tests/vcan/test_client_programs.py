@@ -1,11 +1,12 @@
 """Run motor clients of other authors, each in an environment of its own, with simulated drives on real SocketCAN.
 
 The clients open a SocketCAN interface themselves, so the tests run them in a virtual machine that
-has one. The environments are made before the virtual machine starts, because it has no network.
+has one.
 
-These tests run only in nightly runs. If pip cannot install a client, its test is skipped with
-pip's reason. ``HANDCTL_CLIENT_ENVIRONMENTS`` names a folder that keeps the environments for the next
-run.
+The Python environments of the clients are made before the virtual machine starts, because it has no
+network. The tests with motor clients run only in nightly test runs. If pip cannot install a client,
+its test is skipped with pip's reason. ``HANDCTL_CLIENT_ENVIRONMENTS`` names a folder that keeps the
+Python environments for the next test run.
 """
 
 import os
@@ -22,7 +23,7 @@ from tests.vcan.clients.check_list import FAILED_WORD, PASSED_WORD
 INSTALL_TIMEOUT_S = 900.0
 RUN_TIMEOUT_S = 400.0
 READY_FILE = "handctl-requirements.txt"
-"""File of a complete environment that lists its requirements."""
+"""File that lists the requirements of a Python environment. Only a complete environment contains this file."""
 
 pytestmark = [
     pytest.mark.nightly,
@@ -36,10 +37,10 @@ class ClientProgram(NamedTuple):
 
     Attributes:
         module: module of the program in ``tests.vcan.clients``.
-        expected_check_count: number of checks of the program.
+        expected_check_count: number of checks that the program must make.
         drive_arguments: protocol and options of the simulated drives.
-        package: requirement of the client, installed without its own requirements.
-        requirements: requirements that the used part of the client imports.
+        package: pip requirement of the client, which is installed without its own requirements.
+        requirements: pip requirements that the used part of the client imports.
     """
 
     module: str
@@ -86,7 +87,7 @@ CLIENT_PROGRAMS = {
 
 
 def _install_client(environment: Path, program: ClientProgram) -> None:
-    """Make an environment, or skip the test if pip cannot install the client."""
+    """Make a Python environment with a client. If pip cannot install the client, skip the test."""
     requirements = "\n".join((program.package, *program.requirements))
     ready = environment / READY_FILE
     if ready.exists() and ready.read_text(encoding="utf-8") == requirements:
@@ -113,7 +114,7 @@ def _install_client(environment: Path, program: ClientProgram) -> None:
 def _pip_failure_reason(text: str) -> str:
     """Return the most specific line of an error message of pip."""
     lines = [line.strip() for line in text.splitlines()]
-    for word in ("fatal:", "ERROR:", "error:"):  # fatal: is the word of git
+    for word in ("fatal:", "ERROR:", "error:"):  # a line of git begins with "fatal:"
         if reasons := [line for line in lines if line.startswith(word)]:
             return reasons[0]
     return text[-300:]
@@ -121,7 +122,7 @@ def _pip_failure_reason(text: str) -> str:
 
 @pytest.fixture
 def client_python(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """Return the Python of an environment with a client."""
+    """Return the path of the Python interpreter in an environment with a client."""
     name = str(request.node.callspec.params["name"])
     folder = Path(os.environ.get("HANDCTL_CLIENT_ENVIRONMENTS") or tmp_path) / name
     _install_client(folder, CLIENT_PROGRAMS[name])
@@ -129,7 +130,7 @@ def client_python(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 
 
 def _client_variables(client_python: Path) -> dict[str, str]:
-    """Return the variables that the client needs. The package odrive loads libusb by its file name."""
+    """Return the environment variables that a client needs. The package odrive loads libusb by its file name."""
     code = "import libusb_package; print(libusb_package.get_library_path())"
     result = subprocess.run(
         [str(client_python), "-c", code], capture_output=True, text=True, check=False

@@ -1,4 +1,4 @@
-"""Test the program that runs guest systems.
+"""Test the program ``uml_guest``, which runs a command in a guest system.
 
 The program always returns the exit status of the command. After the end of the program, none of its
 processes still runs.
@@ -25,7 +25,7 @@ def _require_guest() -> None:
 def guest_processes(folder: str) -> list[int]:
     """Return the processes whose command lines contain the name of a folder.
 
-    These processes belong to a running guest.
+    The returned processes belong to a running guest system.
     """
     pids = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
@@ -37,7 +37,7 @@ def guest_processes(folder: str) -> list[int]:
 
 @pytest.mark.parametrize("end", ["exit 7", "kill -SEGV $$"])
 def test_a_kernel_with_vcan_needs_no_guest(monkeypatch: pytest.MonkeyPatch, end: str) -> None:
-    # with this change, Linux seems to have vcan
+    # with this change of the program, Linux seems to have vcan
     monkeypatch.setattr(uml_guest, "MAKE_INTERFACES_SCRIPT", "true\n")
     monkeypatch.setattr(uml_guest, "_namespace_command", lambda: ["env"])
     output: list[str] = []
@@ -80,7 +80,8 @@ def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.M
     def record_line(line: str) -> None:
         output.append(line)
         for process in guest_processes(folder):
-            # A process of the guest may end between the listing and the query.
+            # A process of the guest system can end between the listing of the processes and the
+            # query of a process.
             with contextlib.suppress(ProcessLookupError):
                 cores.append(os.sched_getaffinity(process))
 
@@ -88,7 +89,7 @@ def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.M
     assert uml_guest.run_with_vcan(["true"]) == 0
     started_s = time.monotonic() - start_s
     with tempfile.TemporaryDirectory() as folder:
-        # this name marks the processes of this run
+        # the name of the folder marks the processes of the present test
         monkeypatch.setattr(tempfile, "tempdir", folder)
         script = "echo started; sleep 1000"
         status = uml_guest.run_with_vcan(
@@ -103,7 +104,7 @@ def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.M
         end = time.monotonic() + 20.0
         while (
             guest_processes(folder) and time.monotonic() < end
-        ):  # killed processes end with a delay
+        ):  # killed processes end after a delay
             time.sleep(0.1)
         assert not guest_processes(folder)
         assert not list(Path(folder).iterdir())

@@ -1,8 +1,8 @@
 """Run a command where the SocketCAN interfaces vcan0 and vcan1 exist: ``python tests/vcan/uml_guest.py -- COMMAND...``.
 
-If the kernel has vcan, the command runs in a network namespace. Without vcan, the command runs in a
-guest of user-mode Linux (Debian package user-mode-linux), which needs no special rights. All files
-of the guest are on the disk of the host, except those in /dev/shm.
+If the kernel has vcan, the command runs in a network namespace. If the kernel has no vcan, the
+command runs in a guest of user-mode Linux (Debian package user-mode-linux), which needs no special
+rights. All files of the guest are on the disk of the host, except those in /dev/shm.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 TIMED_OUT_STATUS, NO_EXIT_STATUS, NO_VCAN_STATUS = 124, 125, 126
-"""Exit statuses of a run that took too long, that ended without a status, and that had no vcan."""
+"""Exit statuses of a command that took too long, of one that ended without a status, and of one without vcan."""
 PACKAGE_BY_PROGRAM = {"linux.uml": "user-mode-linux", "ip": "iproute2", "insmod": "kmod"}
 SYSTEM_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 KERNEL_MODULES = Path("/usr/lib/uml/modules")
@@ -40,7 +40,7 @@ ip link set lo up
 
 
 def vcan_access() -> tuple[str, str]:
-    """Return the way in which this machine provides vcan: "native" or "uml".
+    """Return the way in which the present machine provides vcan: "native" or "uml".
 
     If the machine does not provide vcan, return an empty text and the reason.
     """
@@ -72,16 +72,17 @@ def run_with_vcan(
 ) -> int:
     """Run a command with the interfaces vcan0 and vcan1.
 
-    The command runs in the present folder, and with the environment variables of this process.
+    The command runs in the present folder, and with the environment variables of the calling
+    process.
 
     Args:
         command: program and its arguments.
-        extra_env: environment variables in addition to those of this process.
-        timeout_s: time after which the whole guest is killed [s].
+        extra_env: environment variables in addition to those of the calling process.
+        timeout_s: time after which the whole guest system is killed [s].
         print_line: function that is called with each line of the command's output.
 
-    Returns: The exit status of the command. If the command has none, it is TIMED_OUT_STATUS,
-        NO_EXIT_STATUS or NO_VCAN_STATUS.
+    Returns: The exit status of the command. If the command has no exit status, the returned status
+    is TIMED_OUT_STATUS, NO_EXIT_STATUS or NO_VCAN_STATUS.
     """
     kind, reason = vcan_access()
     if not kind:
@@ -109,7 +110,7 @@ def _job_script(command: Sequence[str], environment: Mapping[str, str]) -> str:
 
 
 def _environment() -> dict[str, str]:
-    """Return the environment variables of this process.
+    """Return the environment variables of the present process.
 
     The variable PATH contains the folders of system programs, even for an ordinary user.
     """
@@ -134,7 +135,7 @@ def _run_natively(job: Path, timeout_s: float, print_line: Callable[[str], None]
         for line in _read_lines(process, time.monotonic() + timeout_s):
             print_line(line)
         status = process.wait(timeout=10)
-        # a shell reports a signal in the same way
+        # a shell reports the end by a signal in the same way
         return status if status >= 0 else 128 - status
     except TimeoutError:
         return TIMED_OUT_STATUS
@@ -165,12 +166,12 @@ def _run_in_guest(job: Path, timeout_s: float, print_line: Callable[[str], None]
 
 @contextlib.contextmanager
 def _pin_to_one_core() -> Iterator[None]:
-    """Keep the child processes of this thread on one core.
+    """Keep the child processes of the present thread on one core.
 
-    The next guest runs on the next core. On the host, a guest consists of two processes that run
-    alternately: the Linux kernel of the guest, and a program in the guest. To wake a process on
-    another core takes five times as long. With both processes on one core, a system call takes 20
-    us instead of 100 us.
+    The next guest system runs on the next core. On the host, a guest consists of two processes that
+    run alternately: the Linux kernel of the guest, and a program in the guest. To wake a process on
+    another core takes five times as long as on the same core. With both processes on one core, a
+    system call of the guest takes 20 us instead of 100 us.
     """
     cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {cores[next(_guest_numbers) % len(cores)]})
@@ -206,10 +207,10 @@ def _guest_command(job: Path) -> list[str]:
 
 
 def _command_prefix_for_amx(job: Path) -> list[str]:
-    """Return the words that precede the command of the guest.
+    """Return the words that precede the command of the guest system.
 
-    These words are needed on a processor with AMX, because the guest does not save the AMX
-    registers. On other processors, the list is empty.
+    A processor with AMX needs these words, because the guest system does not save the AMX
+    registers. For other processors, the returned list is empty.
     """
     if "amx_tile" not in Path("/proc/cpuinfo").read_text(
         encoding="utf-8"
@@ -222,9 +223,10 @@ def _command_prefix_for_amx(job: Path) -> list[str]:
 
 
 def _memory_folder() -> str:
-    """Return the folder for the file that contains the memory of the guest.
+    """Return the folder for the file that contains the memory of the guest system.
 
-    The /dev/shm of a container often has only 64 MB.
+    The folder /dev/shm of a container often has only 64 MB, which is too small for the guest
+    system.
     """
     shared_path = Path("/dev/shm")
     large_enough = shared_path.is_dir() and shutil.disk_usage(shared_path).free > MEMORY_BYTES
@@ -247,7 +249,7 @@ def _start_process(command: list[str], environment: dict[str, str]) -> "subproce
 
 
 def _kill_process_group(process: "subprocess.Popen[bytes]") -> None:
-    """Kill every process of a run.
+    """Kill every process of a guest system.
 
     User-mode Linux has one process on the host for each address space of the guest.
     """
@@ -274,10 +276,10 @@ def _read_lines(process: "subprocess.Popen[bytes]", deadline_s: float) -> Iterat
 
 
 def _report_job(lines: Iterator[str], job: Path, print_line: Callable[[str], None]) -> list[str]:
-    """Report the lines that the command in a guest prints.
+    """Report the lines that the command in a guest system prints.
 
-    Returns: The other lines of the guest's output, before and after the lines of the command. These
-        lines come from Linux and from init.
+    Returns: The other lines of the guest's output, before and after the lines of the command. The
+    other lines come from the Linux kernel and from init.
     """
     other_lines: list[str] = []
     started = False

@@ -1,4 +1,4 @@
-"""Fixtures with logs for the viewer, and a check whether this machine can draw pictures."""
+"""Provide logs for the viewer as fixtures, and check whether the present machine can draw pictures."""
 
 import os
 import sys
@@ -60,7 +60,8 @@ def recording_path(log_path: Path) -> Path:
 def vulkan_environment() -> dict[str, str]:
     """Return the environment variables of a process that draws pictures.
 
-    Without a Vulkan driver, skip the test. On a machine that must have a driver, fail instead.
+    Without a Vulkan driver, skip the test. On a machine that must have a Vulkan driver, let the
+    test fail.
     """
     try:
         return software_vulkan()

@@ -1,8 +1,8 @@
 """Measure the time that `handctl view LOG` needs for its first picture: `python tests/view/first_picture.py LOG`.
 
 The measurement begins with the start of the process, and ends when a viewer without a screen has
-drawn a picture with data. The program prints the measured time as JSON. The JSON also contains the
-CPU times that handctl and the viewer have used in this time.
+drawn a picture with data. The program prints the measured time as JSON. The JSON output contains
+the CPU times, too, that handctl and the viewer have used until the first picture.
 """
 
 import json
@@ -20,7 +20,7 @@ WINDOW_SIZE = "1600x900"
 
 def main() -> None:
     """Open a log as `handctl view` does, and end after the first picture."""
-    os.environ.setdefault("RUST_LOG", "error")  # handctl view also sets this variable
+    os.environ.setdefault("RUST_LOG", "error")  # handctl view sets this environment variable, too
     from handctl.cli.logs import view  # noqa: F401 (what the verb imports counts)
     from handctl.log.read.reader import RunLog
     from handctl.view.log_browser import browse_log
@@ -38,9 +38,9 @@ def main() -> None:
 
 
 def _time_first_picture(data_received: threading.Event) -> None:
-    """Wait until the viewer of this process has received data.
+    """Wait until the viewer of the present process has received data.
 
-    Then save a picture, print the times, and close the viewer.
+    After that, save a picture, print the times, and close the viewer.
     """
     viewer = _find_viewer()
     client = _connect_client(viewer)
@@ -66,7 +66,7 @@ def _time_first_picture(data_received: threading.Event) -> None:
 def _find_viewer() -> psutil.Process:
     while True:
         for child in psutil.Process().children():
-            with suppress(psutil.Error):  # the process has already ended
+            with suppress(psutil.Error):  # the viewer process has already ended
                 if "--headless" in child.cmdline():
                     return child
         time.sleep(0.01)

@@ -17,7 +17,7 @@ class RecordingEntity(NamedTuple):
     """Data of one entity of a Rerun recording.
 
     Attributes:
-        times: run time of each row [ns]. For a static entity, the array is empty.
+        times: run time of each row [ns]. For a static entity, the array of times is empty.
         rows: values of each component in all rows, by the name of the component.
         static_values: constant value of each static component, by the name of the component.
     """
@@ -27,12 +27,12 @@ class RecordingEntity(NamedTuple):
     static_values: dict[str, Any]
 
     def table(self, component_name: str) -> NDArray[np.float64]:
-        """Return the values of a component in all rows. The shape is (rows, instances)."""
+        """Return the values of a component in all rows of the entity. The shape of the result is (rows, instances)."""
         return np.array(self.rows[component_name], float)
 
 
 def read_entities(chunks: Iterable[Chunk]) -> dict[str, RecordingEntity]:
-    """Return all entities in chunks of a recording.
+    """Return all entities that some chunks of a recording contain.
 
     The rows of an entity are in the order of time.
     """

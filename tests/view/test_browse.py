@@ -1,6 +1,6 @@
 """Test the view of a log in a separate viewer.
 
-The viewer first shows the beginning of the log, and finally the whole log.
+The separate viewer shows the beginning of the log at first, and finally the whole log.
 """
 
 import itertools
@@ -73,7 +73,7 @@ def test_a_viewer_gets_all_of_a_log(
 
 
 def write_ten_minute_log(log_path: Path) -> None:
-    """Write a log of ten minutes at 500 Hz, which repeats the same five seconds."""
+    """Write a log of ten minutes at 500 Hz, in which the same five seconds of a run repeat."""
     import synthetic_run
 
     run = synthetic_run.synthetic_header(rate_hz=500)
@@ -99,7 +99,7 @@ def test_ten_minutes_have_a_picture_after_five_seconds_of_one_core(tmp_path: Pat
         str(tmp_path / "ten.mcap"),
     ]
     looks = []
-    for _ in range(3):  # the first of these runs is slower
+    for _ in range(3):  # the first execution of the view is slower
         result = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
         looks.append(json.loads(result.stdout))
     assert all(sample["png_bytes"] > 50_000 for sample in looks)
@@ -136,7 +136,7 @@ def test_a_viewer_that_is_closed_leaves_no_files_behind(
 def command_line_of(child_process: psutil.Process) -> list[str]:
     """Return the command line of a child process, or an empty list if the process has ended.
 
-    Other tests may leave ended processes.
+    Other tests possibly leave ended processes.
     """
     try:
         return child_process.cmdline()

@@ -1,4 +1,4 @@
-"""Test `handctl view`: the files that it writes, and its messages about refused input."""
+"""Test the files that `handctl view` writes, and its error messages about refused input."""
 
 import json
 from pathlib import Path

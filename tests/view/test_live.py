@@ -30,7 +30,7 @@ def viewer_url(live_view_process: "subprocess.Popen[bytes]") -> str:
         assert live_view_process.poll() is None, (
             f"the follower ended with {live_view_process.returncode}"
         )
-        with suppress(psutil.NoSuchProcess, FileNotFoundError):  # a child process may have ended
+        with suppress(psutil.NoSuchProcess, FileNotFoundError):  # the child has possibly ended
             for child in psutil.Process(live_view_process.pid).children():
                 for connection in child.net_connections():
                     if connection.status == psutil.CONN_LISTEN:

@@ -1,7 +1,7 @@
 """Test the meshes in a Rerun recording.
 
-A link with a mesh is drawn as this mesh instead of a capsule, with the right pose, scale and
-colour.
+The viewer draws a link that has a mesh as the mesh instead of a capsule, with the right pose, scale
+and colour.
 """
 
 from pathlib import Path
@@ -26,7 +26,8 @@ from tests.hand.mesh_files import hand_with_meshes, write_meshes
 def mesh_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write the log of a hand with meshes on some links, and return its path.
 
-    Then delete the mesh files, so that only the log contains the meshes, as on another machine.
+    After that, delete the mesh files. Without mesh files, the log is the only source of the meshes,
+    as on another machine.
     """
     folder = tmp_path_factory.mktemp("meshes")
     files = folder / "files"
@@ -107,7 +108,7 @@ def test_the_live_view_sends_the_same_meshes(
         "send_chunks",
         lambda chunks, recording: sent.extend(chunk.entity_path for chunk in chunks),
     )
-    monkeypatch.setattr(log_follower, "FLUSH_TIMEOUT_S", 0.05)  # no viewer listens, so wait briefly
+    monkeypatch.setattr(log_follower, "FLUSH_TIMEOUT_S", 0.05)  # no viewer listens to the follower
     run = run_info_of(mesh_log)
     follower = log_follower.LogFollower(mesh_log, run, "rerun+http://127.0.0.1:1/proxy")
     follower.close()

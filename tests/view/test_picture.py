@@ -106,12 +106,12 @@ def test_the_viewer_listens_on_this_machine_only(
 def test_viewer_ignores_streams_of_other_programs(
     viewer_without_layout: "tuple[Viewer, ViewerClient]",
 ) -> None:
-    """Another program may still send data to an earlier viewer.
+    """Another program possibly still sends data to an earlier viewer.
 
-    A new viewer must not show these data.
+    A new viewer must not show the data of the other program.
 
-    Earlier defect: the new viewer showed the data of the other program. It did not show its own
-    views.
+    Earlier defect: the new viewer showed the data of the other program. The new viewer did not show
+    its own views.
     """
     running, client = viewer_without_layout
     assert not running.url.endswith(":9876/proxy"), (
@@ -122,7 +122,7 @@ def test_viewer_ignores_streams_of_other_programs(
 
 
 def test_a_recording_without_its_times_is_not_loaded_yet(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a busy machine, a viewer reports a recording and its views before their data arrive."""
+    """On a busy machine, a viewer reports a recording and its views before the data of the recording arrive."""
     from rerun.experimental import Recording, StoreId, Timeline, View, ViewerState
 
     def state(*timelines: Timeline) -> ViewerState:

@@ -1,6 +1,6 @@
-"""A growing log is read to its end without lost or duplicate messages.
+"""The viewer reads a growing log to its end without lost or duplicate messages.
 
-The log may grow in steps of any size.
+A growing log can grow in steps of any size.
 """
 
 import random
@@ -21,8 +21,8 @@ from handctl.view.scene.topic_converters import TopicConverters
 def growing_file_sizes(log_bytes: bytes, seed: int) -> list[int]:
     """Return the file sizes at which a growing log is read, in order.
 
-    The first size is that of the header, and the last size is that of the whole log. The sizes
-    between are random.
+    The first file size is that of the header, and the last one is that of the whole log. The file
+    sizes between the first and the last one are random.
     """
     source = random.Random(seed)
     first_size = 64 << 10
@@ -60,7 +60,7 @@ def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(
     )
     assert shown_entities.keys() == expected.keys()
     for name in shown_entities.keys() - {"/tension/limit"}:
-        if name == "/tf_static":  # these messages may be sent twice
+        if name == "/tf_static":  # a message of this topic is allowed to be sent twice
             assert set(map(repr, shown_entities[name].rows)) == set(map(repr, expected[name].rows))
             continue
         np.testing.assert_array_equal(
@@ -86,7 +86,7 @@ def test_every_byte_of_growth_within_a_chunk_is_safe(jamia_log_path: Path, tmp_p
 def test_a_call_reads_no_record_again(
     jamia_log_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Reproduce a defect: each call scanned all records from the start of the log again, several times per second."""
+    """Reproduce a defect: each call of the follower scanned all records of the log, several times per second."""
     whole_content, path, new_chunks_path = (
         jamia_log_path.read_bytes(),
         tmp_path / "run.mcap",

@@ -64,7 +64,7 @@ def test_tension_has_its_band_and_command(
 def test_a_distant_limit_is_not_drawn(
     recorded_entities: dict[str, RecordingEntity], run_log: RunLog
 ) -> None:
-    """Reproduce a defect: because of the line for a limit of 110 N, tensions of 30 N used only a third of the plot."""
+    """Reproduce a defect: the line of a tension limit of 110 N compressed tensions of 30 N to a third of the plot."""
     largest = float(np.nanmax(run_log.field("tension")))
     assert largest < 0.6 * 110.0
     limit = recorded_entities.get("/tension/limit")
@@ -81,7 +81,7 @@ def test_angles_are_in_degrees_digit_by_digit(
 ) -> None:
     """Reproduce a defect: uncertainty bands of 20 deg covered the curves of the angles.
 
-    The view therefore draws no band for an angle.
+    To keep the curves visible, the view draws no uncertainty band for an angle.
     """
     for kind, name in {"estimate": "q", "command": "q_goal"}.items():
         angles_of_digits = [
@@ -190,7 +190,7 @@ def test_frames_put_the_fingertips_where_kinematics_does(
 def _frame_position(
     transform_by_frame: dict[str, tuple[str, np.ndarray, np.ndarray]], frame_name: str
 ) -> np.ndarray:
-    """Return the origin of a frame in the coordinates of the palm, using the chain of transforms."""
+    """Return the origin of a coordinate frame relative to the palm, computed from the chain of transforms."""
     frame_position = np.zeros(3)
     while frame_name != "palm":
         frame_name, translation, (x, y, z, w) = transform_by_frame[frame_name]

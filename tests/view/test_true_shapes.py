@@ -1,4 +1,4 @@
-"""Test the object and the table of a simulated run in the view.
+"""Test how the view shows the object and the table of a simulated run.
 
 In the view, the poses of object and table equal those in the truth file of the simulator.
 """
@@ -29,7 +29,7 @@ GROUND_TRUTH_COLUMNS = (
 
 
 def make_truth_record(scene_shapes: dict[str, Any], duration_s: float = 1.0) -> TruthRecord:
-    """Return a truth record in which the object rises by 10 mm/s and the table sinks by 50 mm/s."""
+    """Return a truth record in which the object rises at 10 mm/s and the table sinks at 50 mm/s."""
     t_ns = np.arange(0, int(duration_s * 1e9) + 1, 1_000_000)
     values = np.zeros((len(t_ns), len(GROUND_TRUTH_COLUMNS)))
     values[:, 2] = 0.01e-9 * t_ns
@@ -41,7 +41,7 @@ def make_truth_record(scene_shapes: dict[str, Any], duration_s: float = 1.0) -> 
 def drawn_entities(log_path: Path, truth: TruthRecord | None, offset_ns: int = 0) -> dict[str, Any]:
     """Return the viewer's entities for object and table of a run.
 
-    The run has the truth record ``truth``.
+    The truth record of the run is ``truth``.
     """
     run = run_info_of(log_path)
     header = replace(

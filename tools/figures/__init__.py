@@ -1,4 +1,4 @@
-"""Draw the figures of the README and the site.
+"""Draw the figures of the README and of the documentation site.
 
 ``make figures`` draws all figures in one style, from runs of the simulated hand.
 """

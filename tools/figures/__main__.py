@@ -45,7 +45,7 @@ PICTURES: dict[str, Callable[[Path], Path]] = {
 def draw_paper() -> None:
     """Draw the figures that repeat figures of the source paper with data of handctl.
 
-    The data are the experiments in docs/evidence.
+    The data come from the experiments in docs/evidence.
     """
     results = REPOSITORY_ROOT / "docs" / "evidence" / "paper-results.json"
     with contextlib.redirect_stdout(io.StringIO()):
@@ -62,13 +62,13 @@ OTHER_WRITERS: dict[str, Callable[[], None]] = {
 SLOW_PICTURES = ("tune-search", "tune-verify")
 """Pictures that take minutes each.
 
-The program draws such a picture only if the command line names it.
+The program draws a slow picture only if the command line names it.
 """
 FIGURE_NAMES = (*DIAGRAMS, *PLOTS, *PICTURES, *OTHER_WRITERS)
 
 
 def main() -> int:
-    """Draw the figures that the command names, or all figures. Return the exit code."""
+    """Draw the figures that the command line names, or all figures. Return the exit code."""
     parser = argparse.ArgumentParser(
         description="Draw the figures of README and site, and write the demo's numbers."
     )

@@ -14,7 +14,7 @@ from tools.figures.style import DIGIT_COLOURS, FAULT_COLOUR, INK_COLOUR
 
 
 def architecture_diagram() -> Any:
-    """Draw the architecture: the processes and files of a run."""
+    """Draw the architecture of handctl: the processes and files of a run."""
     figure, axes = new_plane(8.6, 4.6, (17.2, 9.2))
     draw_area(axes, (4.0, 2.7), (6.2, 6.2), "controller: one process, one thread")
     draw_block(axes, (0.2, 6.8), (3.0, 1.2), "command line\nrun, stop, gains set")

@@ -1,6 +1,6 @@
 """Draw the animated picture of a grasp.
 
-MuJoCo renders the true poses of a run of `handctl demo`. This needs no screen.
+Without a screen, MuJoCo renders the true poses of a run of `handctl demo`.
 """
 
 import os
@@ -19,9 +19,9 @@ RATE_HZ = 12.5
 """Pictures per second of simulated time."""
 COLOUR_COUNT = 160
 SAMPLED_PICTURES = 8
-"""Number of colours in the GIF file, and number of pictures from which these colours are chosen."""
+"""Number of colours in the GIF file, and number of pictures from which the colours are chosen."""
 MAX_FILE_BYTES = 3_000_000
-"""Largest allowed size of the file [bytes]."""
+"""Largest allowed size of the GIF file [bytes]."""
 ARROW_M_PER_N = 0.006
 """Length of the arrow for a contact force, per newton of the force [m/N]."""
 
@@ -102,7 +102,7 @@ def grasp_frames(folder: Path) -> list[Any]:
 def add_arrow(
     mujoco: Any, scene: Any, start: Any, force: Any, colour: tuple[float, float, float, float]
 ) -> None:
-    """Add an arrow for a contact force [N] at a point of the scene."""
+    """Add an arrow for a contact force [N] at a point of the rendered scene."""
     if np.linalg.norm(force) < 0.2 or scene.ngeom >= scene.maxgeom:
         return
     geom = scene.geoms[scene.ngeom]

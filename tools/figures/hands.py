@@ -21,12 +21,12 @@ from tools.figures.tuning import call_handctl, empty_folder
 PICTURE_SIZE_PX = (640, 480)
 """Width and height of a picture [pixels]."""
 HOLD_DELAY_S = 2.0
-"""Time from the start of the hold to the picture [s]. The table has sunk by then."""
+"""Time from the start of the hold phase to the picture [s]. At the time of the picture, the table has sunk."""
 CAMERA_ANGLES_DEG = {"jamia": (192.0, -27.0), "jamia11": (192.0, -27.0), "t42": (192.0, -27.0)}
 """Azimuth and elevation of the camera for some hands."""
 DEFAULT_ANGLES_DEG = (150.0, -20.0)
 DISTANCE_PER_EXTENT = 1.5
-"""Distance of the camera from the centre of hand and object, divided by their largest extent."""
+"""Distance of the camera from the centre of hand and object, divided by the largest extent of hand and object."""
 EXAMPLES_FOLDER = Path(__file__).parents[2] / "examples" / "hands"
 EXAMPLE_HANDS = ("shadow_like",)
 """Names of hands whose files are in EXAMPLES_FOLDER, with their gains."""
@@ -54,10 +54,10 @@ def picture_of(hand_name: str) -> Callable[[Path], Path]:
 
 
 def save_still(hand_file: str) -> None:
-    """Render a hand during its hold, and save the picture as ``hand.png``.
+    """Render a hand during its hold phase, and save the picture as ``hand.png``.
 
     The current folder has the log and the truth file of the run. ``hand_file`` is the name of a
-    packaged hand, or a file in this folder.
+    packaged hand, or a file in the current folder.
     """
     import mujoco  # type: ignore[import-untyped,unused-ignore]
     from PIL import Image

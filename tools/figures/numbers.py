@@ -1,4 +1,4 @@
-"""Write the results of `handctl demo` as a table into the README and the site.
+"""Write the results of `handctl demo` as a table into the README and the documentation site.
 
 In a page, the table is between two marks that name the command.
 """
@@ -13,7 +13,7 @@ from tools.figures import runs
 TABLE_PATTERN = re.compile(
     r"(<!-- measured: handctl demo --lockstep -->\n)(.*?)(<!-- end of measured -->)", re.DOTALL
 )
-"""Pattern of the two marks in a page, with the table between them."""
+"""Pattern of the two marks in a page, with the table of results between the marks."""
 
 
 def numbers_table(demo_result: dict[str, Any]) -> str:

@@ -67,7 +67,7 @@ class TruePoses:
     """
 
     def __init__(self, log: RunLog, truth: TruthRecord, times_ns: NDArray[np.int64]) -> None:
-        """Read the poses.
+        """Read the true poses at given times of a run.
 
         Args:
             log: log of the run.
@@ -85,7 +85,7 @@ class TruePoses:
         self._sunk_m = truth.interpolated_column("support", self.times_ns)
 
     def show(self, mujoco: Any, model: Any, data: Any, index: int) -> None:
-        """Move the bodies of a model to their poses at one of the times."""
+        """Move the bodies of a model to their poses at the time with the index ``index``."""
         joint_count = self._joints.shape[1]
         data.qpos[:joint_count] = self._joints[index]
         data.qpos[joint_count:] = self._object[index]

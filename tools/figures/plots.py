@@ -1,7 +1,7 @@
 """Draw the plots of simulated runs.
 
-The plots show the tension estimate, a snapped tendon, tip forces, a replay, and the frames of a
-tick.
+The plots show the tension estimate, a snapped tendon, tip forces, a replay of a run, and the CAN
+frames of a tick.
 """
 
 from pathlib import Path
@@ -28,7 +28,7 @@ from tools.figures.style import (
 POINTS_LIMIT = 1500
 """Number of points to which a long curve in an SVG is reduced.
 
-A curve may have up to twice this number of points.
+A curve can have up to twice ``POINTS_LIMIT`` points.
 """
 
 
@@ -44,7 +44,7 @@ def thinned_curves(t: Any, *curves: Any) -> tuple[Any, ...]:
 def estimate_plot(folder: Path) -> Any:
     """Plot three tensions: raw load cell, estimate with its uncertainty, and true tension.
 
-    The two panels show a motion and a contact.
+    The two panels of the plot show a motion and a contact.
     """
     log, truth, _ = runs.grasp_run(folder)
     offset = int(log.header.metadata.get("truth_offset_ns", "0"))
@@ -135,7 +135,7 @@ def snapped_tendon(folder: Path) -> Any:
 def tip_force(folder: Path) -> Any:
     """Plot the commanded, the estimated and the true tip force of each digit.
 
-    One row shows forces on a wall, and the other row shows forces in a grasp.
+    One row of panels shows forces on a wall, and the other row shows forces in a grasp.
     """
     del folder
     figure = new_figure(8.6, 5.8)
@@ -161,9 +161,10 @@ def _draw_tip_forces(digit_axes: Any, run: runs.RunRecording, commanded_forces: 
 
     Args:
         digit_axes: axes of the digits.
-        run: recording of a run. Its phases with a constant commanded force are named 0, 1 and so
-            on.
-        commanded_forces: commanded tip force of each of these phases and each digit [N].
+        run: recording of a run. The phases of the run with a constant commanded force are named 0,
+            1 and so on.
+        commanded_forces: commanded tip force of each phase with a constant force, and of each digit
+            [N].
     """
     phases = np.array(run.phase)
     is_shown = run.t >= run.t[phases == "0"][0] - 0.4
@@ -198,7 +199,7 @@ def _draw_tip_forces(digit_axes: Any, run: runs.RunRecording, commanded_forces: 
 def replay_plot(folder: Path) -> Any:
     """Plot the angles and tensions of a grasp and of its replay.
 
-    In the replay, the hand has other noise.
+    In the replay, the simulated hand has other sensor noise.
     """
     log, _, _ = runs.grasp_run(folder)
     again = runs.replay_run(folder)
@@ -246,7 +247,7 @@ def replay_plot(folder: Path) -> Any:
 def bus_tick(folder: Path) -> Any:
     """Plot the frames of one tick on the bus.
 
-    The length of a bar is the longest time that the frame can take.
+    The length of a bar is the longest time that the frame of the bar can take.
     """
     del folder
     (load,) = bus_loads(load_hand("jamia"))

@@ -1,6 +1,6 @@
 """Run simulated hands to get the data of the figures.
 
-All runs are in lockstep and therefore reproducible.
+All runs are in lockstep, which makes them reproducible.
 """
 
 import contextlib
@@ -35,7 +35,7 @@ DEMO_COMMAND = ("demo", "--lockstep", "--json")
 """Arguments of the command whose results are in the README."""
 RATE_HZ = 500.0
 SNAP_S = 0.25
-"""Time after the snap of the tendon that the figure shows [s]."""
+"""Time after the snap of the tendon until the end of the figure [s]."""
 TIP_HAND, TIP_RATE_HZ = "jamia11", 200.0
 TIP_COMMANDS_N = (2.0, 4.0, 6.0)
 GRIP_COMMANDS_N = (1.0, 1.5, 2.0)
@@ -60,7 +60,7 @@ class RunRecording:
     Attributes:
         t: (ticks,) time of each tick [s].
         values: arrays by name: telemetry fields, ``true_tension``, ``true_torque``, ``true_contact``.
-        phase: name of the phase in each tick.
+        phase: name of the program phase in each tick.
         mode: mode of the hand in each tick.
         events: time and text of each event.
     """
@@ -77,14 +77,15 @@ RECORDED_FIELDS = ("q", "tension", "motor_torque_goal", "tip_force")
 
 
 def record_run(run: SimulatedRun, seconds: float, end_phase: str = "") -> RunRecording:
-    """Continue a run and record it.
+    """Continue a simulated run and record it.
 
-    The recording stops when a given phase begins, when the run is done, or when the time is over.
+    The recording stops when the phase ``end_phase`` begins, when the run is done, or after
+    ``seconds``.
 
     Args:
-        run: simulation to continue, in any phase.
+        run: simulation to continue, in any phase of its program.
         seconds: longest duration of the recording [s].
-        end_phase: name of the phase whose start ends the recording.
+        end_phase: name of the program phase whose start ends the recording.
     """
     rows: dict[str, list[Array]] = {
         name: [] for name in (*RECORDED_FIELDS, "true_tension", "true_torque", "true_contact")
@@ -118,7 +119,8 @@ def record_run(run: SimulatedRun, seconds: float, end_phase: str = "") -> RunRec
 def grasp_run(folder: Path) -> tuple[RunLog, TruthRecord, dict[str, Any]]:
     """Return the log, the true values and the printed result of `handctl demo`.
 
-    If the files of an earlier execution exist, the function does not execute the command again.
+    If the files of an earlier execution of `handctl demo` exist, the function does not execute the
+    command again.
     """
     log = folder / "grasp.mcap"
     printed = folder / "grasp.json"
@@ -158,7 +160,7 @@ def view_picture(folder: Path) -> Path:
 
 
 def replay_run(folder: Path) -> RunRecording:
-    """Replay the log of `handctl demo` on a simulated hand with other noise, and record the replay."""
+    """Replay the log of `handctl demo` on a simulated hand with other sensor noise, and record the replay."""
     log, _, _ = grasp_run(folder)
     program: Program = playback_program(log, 1.0 / RATE_HZ, False)
     hand = load_hand("jamia")
@@ -168,7 +170,7 @@ def replay_run(folder: Path) -> RunRecording:
 
 
 def recording_interval(log: RunLog) -> tuple[float, float]:
-    """Return the start and the end of the part of a log that a replay repeats [s]."""
+    """Return the start time and the end time of the part of a log that a replay repeats [s]."""
     return active_interval(log)
 
 
@@ -198,7 +200,7 @@ def snap_run() -> RunRecording:
 def tip_on_wall() -> RunRecording:
     """Record a hand that presses on a wall with three commanded tip forces.
 
-    This hand has one tendon per joint.
+    The recorded hand has one tendon per joint.
     """
     opened = {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}
     return _record_press(
@@ -207,7 +209,7 @@ def tip_on_wall() -> RunRecording:
 
 
 def tip_in_grasp() -> RunRecording:
-    """Record a hand that holds a cylinder.
+    """Record a simulated hand that holds a cylinder.
 
     Each finger gets three commanded tip forces, one after another.
 

@@ -1,4 +1,4 @@
-"""Draw the blocks, arrows and labels of diagrams. Each diagram has its own units of length."""
+"""Draw the blocks, arrows and labels of diagrams. Each diagram has its own unit of length."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -26,7 +26,7 @@ def draw_block(
     subject: str = "host",
     fontsize: float = 8.5,
 ) -> None:
-    """Draw a block with a text in its middle. The subject selects the colour of the block."""
+    """Draw a block with a text in its middle. The argument ``subject`` selects the colour of the block."""
     from matplotlib.patches import FancyBboxPatch
 
     style = "round,pad=0,rounding_size=0.12"
@@ -118,7 +118,7 @@ def draw_arrow(
 
 
 def draw_note(axes: Any, text_position: PlanePoint, text: str, **text_style: Any) -> None:
-    """Write a text at a place in the diagram."""
+    """Write a text at a position in the diagram."""
     axes.text(
         *text_position,
         text,

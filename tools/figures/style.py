@@ -1,4 +1,4 @@
-"""Define the common style of all figures: fonts, colours, and the version of handctl in the metadata of each file."""
+"""Define the common style of all figures: fonts, colours, and the handctl version in the metadata of each file."""
 
 import io
 import re
@@ -16,7 +16,8 @@ RAW_COLOUR = "#c9c9c9"
 FAULT_COLOUR = "#d01c1c"
 """Colour of faults in figures.
 
-The other constants above are the colours of true values, commands, estimates and raw readings.
+The constants before FAULT_COLOUR are the colours of true values, commands, estimates and raw
+readings.
 """
 INK_COLOUR = "#22303c"
 BLOCK_COLOURS = {
@@ -28,7 +29,7 @@ BLOCK_COLOURS = {
 }
 """Colour of a block in diagrams, by the subject of the block.
 
-Lines and texts have other colours.
+The lines and texts of a diagram have other colours.
 """
 PLOT_SETTINGS: dict[str, Any] = {
     "font.family": "DejaVu Sans", "font.size": 9, "axes.titlesize": 10, "axes.labelsize": 9, "axes.grid": True,
@@ -41,7 +42,7 @@ CREATOR_TEXT = f"handctl {version('handctl')}"
 
 
 def apply_style() -> None:
-    """Apply the style to all figures of this process, including the figures that handctl draws."""
+    """Apply the style to all figures of the present process, including the figures that handctl draws."""
     import matplotlib
 
     for key, value in PLOT_SETTINGS.items():
@@ -60,7 +61,7 @@ def new_figure(width: float, height: float) -> Any:
 
 
 def save_figure(figure: Any, name: str, folder: Path = FIGURES_FOLDER) -> list[Path]:
-    """Write a figure as an SVG and a PNG file, both with the version in the metadata."""
+    """Write a figure as an SVG and a PNG file, both with the version of handctl in the metadata."""
     written = []
     for kind, metadata in (
         ("svg", {"Creator": CREATOR_TEXT, "Date": None}),
@@ -76,7 +77,7 @@ def save_figure(figure: Any, name: str, folder: Path = FIGURES_FOLDER) -> list[P
 
 
 def without_blanks(content: bytes) -> bytes:
-    """Remove the blanks at the line ends of an SVG file from matplotlib. git would report these blanks."""
+    """Remove the blanks at the line ends of an SVG file from matplotlib. git would report blanks at line ends."""
     return b"\n".join(map(bytes.rstrip, content.split(b"\n")))
 
 

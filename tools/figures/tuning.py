@@ -1,6 +1,6 @@
-"""Make the pictures of tuning and of a report.
+"""Make the pictures of the tuning of gains and of a report.
 
-Commands of handctl draw these pictures. Pages of the site show the same commands.
+Commands of handctl draw the pictures. Pages of the documentation site show the same commands.
 """
 
 import contextlib
@@ -37,7 +37,7 @@ OTHER_HAND = ("stiffness=0.7", "friction=1.3", "motor_inertia=0.7")
 """Factors that change the parameters of the simulated hands on the page *Tune a hand*."""
 BROWSER_COMMANDS = ("chromium", "chromium-browser", "google-chrome")
 PAGE_SIZE = (1100, 2080)
-"""Width and height of the picture of a report [pixels]."""
+"""Width and height of the picture of a report page [pixels]."""
 
 
 HAND_VIEW = (2, 66, 638, 500)
@@ -58,7 +58,7 @@ def call_handctl(folder: Path, *words: str, codes: tuple[int, ...] = (0,)) -> No
 
 @contextlib.contextmanager
 def empty_folder(folder: Path, name: str) -> Iterator[Path]:
-    """Yield a folder for a run.
+    """Yield an emptied folder for a run.
 
     The folder contains only two gains files, and no files of earlier runs.
     """
@@ -73,7 +73,7 @@ def empty_folder(folder: Path, name: str) -> Iterator[Path]:
 def identify_picture(folder: Path) -> Path:
     """Identify a simulated index finger whose parameters differ from the hand file.
 
-    Return the path of the picture that shows the result.
+    Return the path of the picture that shows the identified parameters.
     """
     with empty_folder(folder, "identify") as path:
         call_handctl(path, "identify", "--hand", "jamia", "--lockstep", "--seed", "7", "--digits", "index", "--perturb",
@@ -82,7 +82,7 @@ def identify_picture(folder: Path) -> Path:
 
 
 def design_picture(folder: Path) -> Path:
-    """Design gains that have stability margins. The initial gains have no stability margins.
+    """Design gains that have stability margins. The initial gains of the design have no stability margins.
 
     Return the path of the picture of the design.
     """
@@ -102,9 +102,9 @@ def design_picture(folder: Path) -> Path:
 
 
 def return_picture(folder: Path) -> Path:
-    """Verify gains that make the control loops oscillate, and return the path of the picture.
+    """Verify gains that make the control loops oscillate, and return the path of the picture of the run.
 
-    The run returns to the old gains.
+    In the run, the controller returns to the old gains.
     """
     with empty_folder(folder, "return") as path:
         call_handctl(
@@ -123,7 +123,7 @@ def return_picture(folder: Path) -> Path:
 
 
 def search_picture(folder: Path) -> Path:
-    """Search for gains in 24 trials, and return the picture of the search."""
+    """Search for gains in 24 trials, and return the path of the picture of the search."""
     with empty_folder(folder, "search") as path:
         call_handctl(path, "tune", "search", "--hand", "jamia", "--gains", "detuned.toml", "--plants", "2",
             "--trials", "24",
@@ -134,7 +134,7 @@ def search_picture(folder: Path) -> Path:
 def verify_picture(folder: Path) -> Path:
     """Verify the result of the search for gains on a simulated hand with other parameters.
 
-    If the search has no result yet, run the search first.
+    If the search has no result yet, run the search before the verification.
     """
     gains_file = folder / "search" / "search.toml"
     if not gains_file.exists():
@@ -146,7 +146,7 @@ def verify_picture(folder: Path) -> Path:
 
 
 def pair_picture(folder: Path) -> Path:
-    """Return the picture that `handctl demo` draws for a hand with two tendons per motor."""
+    """Return the path of the picture that `handctl demo` draws for a hand with two tendons per motor."""
     with empty_folder(folder, "orca_like") as path:
         call_handctl(
             path,
@@ -165,7 +165,7 @@ def pair_picture(folder: Path) -> Path:
 def mesh_picture(folder: Path) -> Path:
     """Draw the view of a hand with meshes while it holds an object.
 
-    Drawing needs a Vulkan driver.
+    The viewer needs a Vulkan driver.
     """
     from PIL import Image
 
@@ -190,7 +190,7 @@ def report_picture(folder: Path) -> Path:
     """Take a picture of the upper part of a report on `handctl demo` in a browser.
 
     Raises:
-        RuntimeError: this machine has no Chromium.
+        RuntimeError: the present machine has no browser Chromium.
     """
     runs.grasp_run(folder)
     page, picture = folder / "grasp.html", folder / "report.png"

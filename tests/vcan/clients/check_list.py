@@ -1,4 +1,4 @@
-"""Counted checks of a client program. This module needs only the standard library."""
+"""Count the checks of a client program. The module ``check_list`` needs only the standard library."""
 
 import sys
 import time
@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 WAIT_TIMEOUT_S = 20.0
 PASSED_WORD, FAILED_WORD = "check passed:", "check failed:"
-"""Beginnings of the lines that report a check."""
+"""Beginnings of the output lines that report a passed and a failed check."""
 
 
 class CheckList:
@@ -25,7 +25,7 @@ class CheckList:
         Args:
             check_name: the property that is checked.
             has_passed: True if the simulated drive has the property.
-            observed_value: the observed value, for a failed check.
+            observed_value: the observed value, which the line of a failed check shows.
         """
         if has_passed:
             print(PASSED_WORD, check_name, flush=True)
@@ -36,7 +36,7 @@ class CheckList:
     def check_eventually(
         self, check_name: str, read_value: Callable[[], object], expected_value: object
     ) -> None:
-        """Report a check that passes as soon as a read value is the expected one.
+        """Report a check that passes as soon as a repeatedly read value is the expected one.
 
         Args:
             check_name: the property that is checked.

@@ -1,8 +1,8 @@
 """Run a client program in its own Python environment, with simulated drives on vcan0.
 
-The command is ``python -m tests.vcan.clients.client_runner PYTHON MODULE DRIVE_WORDS...``. The exit status
-of this command is that of the client. A test runs the command in a virtual machine that has the
-interface vcan0.
+The command is ``python -m tests.vcan.clients.client_runner PYTHON MODULE DRIVE_WORDS...``. The exit
+status of ``client_runner`` is that of the client program. A test runs ``client_runner`` in a
+virtual machine that has the interface vcan0.
 """
 
 import subprocess

@@ -1,4 +1,4 @@
-"""Test the motor chain of i2rt with four simulated DM4310 motors on vcan0.
+"""Test the class for a motor chain in i2rt with four simulated DM4310 motors on vcan0.
 
 The program needs an environment with the package ``dreamscale-i2rt``, which installs i2rt.
 """
@@ -80,16 +80,16 @@ def open_motor_chain(control_mode: str) -> Any:
 
 
 def close_motor_chain(chain: Any) -> None:
-    """Stop the thread of a chain, disable its motors, and close its socket."""
+    """Stop the thread of a motor chain, disable the motors of the chain, and close its socket."""
     chain.running = False
-    time.sleep(0.3)  # the thread ends after its present cycle
+    time.sleep(0.3)  # the thread of the chain ends after its present cycle
     for number in MOTOR_IDS:
         chain.motor_interface.motor_off(number)
     chain.close()
 
 
 def check_velocity_mode(checks: CheckList) -> None:
-    """Let a chain in velocity mode turn all motors. The Flow Base of i2rt uses this mode."""
+    """Let a motor chain in velocity mode turn all motors. The product Flow Base of i2rt uses velocity mode."""
     chain = open_motor_chain(ControlMode.VEL)
 
     def speeds() -> list[float]:
@@ -107,9 +107,9 @@ def check_velocity_mode(checks: CheckList) -> None:
 
 
 def check_mit_mode(checks: CheckList) -> None:
-    """Send torques and then positions to a chain of motors in MIT mode.
+    """Send torques, and after them positions, to a chain of motors in MIT mode.
 
-    The arm YAM of i2rt uses its motors in this mode.
+    The arm YAM of i2rt uses its motors in MIT mode.
     """
     chain = open_motor_chain(ControlMode.MIT)
     start = np.array([state.pos for state in chain.read_states()])
@@ -146,9 +146,10 @@ def check_mit_mode(checks: CheckList) -> None:
 
 
 def check_watchdog(checks: CheckList) -> None:
-    """Set the watchdog of a motor, and wait until it fires. Let i2rt enable the motor again.
+    """Set the watchdog of a motor, and wait until the watchdog fires.
 
-    i2rt must first clear the error of the motor.
+    Let i2rt enable the motor again. Before the motor can be enabled, i2rt must clear the error of
+    the motor.
     """
     motor = MOTOR_IDS[0]
     bus = RawCanInterface(channel=CHANNEL, bustype="socketcan")
@@ -168,15 +169,16 @@ def check_watchdog(checks: CheckList) -> None:
         checks.check_raises("a disabled motor says so", command, "disabled")
         client.motor_on(motor, "DM4310")
         checks.check("an enabled motor says so", command().error_code == "0x1")
-        time.sleep(1.0)  # longer than the 0.4 s of the watchdog
+        time.sleep(1.0)  # the test waits longer than the watchdog time of 0.4 s
         checks.check_raises("the watchdog fires", command, "loss communication")
         cleared = client.motor_on(motor, "DM4310")
         checks.check("a motor in error is cleared and enabled", cleared.error_code == "0x1")
     finally:
         client.close()
-    # The client clears an error three times and reads one of the replies. The other replies would be
-    # taken for replies to later commands, so the client gets a new socket. A late reply may still
-    # arrive there, so the state is read until it is the expected one.
+    # The client sends the command that clears an error three times, and reads only one of the three
+    # replies. The client would take the other two replies for replies to later commands, so it gets
+    # a new socket. Even on the new socket, a late reply can arrive, so the test reads the motor
+    # state until it is the expected state.
     client = DMSingleMotorCanInterface(channel=CHANNEL, bustype="socketcan")
 
     def state() -> str:

@@ -1,8 +1,9 @@
 """Test the vendor's package ``odrive`` with two simulated drives on vcan0.
 
-The package finds drives on SocketCAN by their serial numbers. It connects only to drives with
-firmware 0.6.11 or later, over a protocol that is not published. The simulated drives have firmware
-0.6.10, which the package refuses by name.
+The package ``odrive`` finds drives on SocketCAN by their serial numbers. It connects only to drives
+with firmware 0.6.11 or later, over a protocol that is not published. The simulated drives have
+firmware 0.6.10. The package ``odrive`` refuses the firmware 0.6.10 with a message that names the
+version.
 """
 
 import asyncio
@@ -19,12 +20,12 @@ from tests.vcan.clients.check_list import CheckList
 
 INTERFACES = ["can:vcan0"]
 NODE_NUMBERS = {"0D5A11000000": 0, "0D5A11000001": 1}
-"""Node number of each simulated drive by its serial number."""
+"""Dictionary from the serial number of each simulated drive to its node number."""
 FIND_TIMEOUT_S = 20.0
 
 
 class FoundDevices(DeviceManagerDelegate):  # type: ignore[misc,unused-ignore]
-    """Devices that the package has found. ``nodes`` maps each serial number to a node number."""
+    """Devices that the package ``odrive`` has found. ``nodes`` maps each serial number to a node number."""
 
     def __init__(self) -> None:
         self.nodes: dict[str, int] = {}
@@ -52,7 +53,7 @@ async def find_devices() -> dict[str, int]:
 
 
 async def connect(serial_number: str) -> str:
-    """Return the message with which the package refuses to connect to a drive."""
+    """Return the message with which the package ``odrive`` refuses to connect to a drive."""
     try:
         await asyncio.wait_for(
             odrive.find_async(serial_number, interfaces=INTERFACES), FIND_TIMEOUT_S

@@ -1,7 +1,8 @@
 """Test openarm_can, the C++ library of the arm OpenArm.
 
 The test uses three simulated DM4310 motors on vcan0. The program needs an environment with the
-package ``openarm_can``. The motors answer in CAN FD, as those of an OpenArm do.
+package ``openarm_can``. The simulated motors reply with CAN FD frames, as the motors of an OpenArm
+do.
 """
 
 from typing import Any
@@ -17,21 +18,21 @@ MOTOR_COUNT = len(SEND_IDS)
 TORQUE_N_M = 0.1
 TRAVEL_RAD = 1.0
 REPLY_TIMEOUT_US = 20_000
-"""Time that the client waits for the first reply [us].
+"""Time that the client waits for the first reply of a motor [us].
 
 The client's default of 500 us is too short for a simulated motor in another process.
 """
 
 
 def request_feedback(arm: Any) -> list[Any]:
-    """Request the feedback of all motors, and return the motors."""
+    """Request the feedback of all motors of the arm, and return the motors."""
     arm.refresh_all()
     arm.recv_all(REPLY_TIMEOUT_US)
     return list(arm.get_arm().get_motors())
 
 
 def connect_arm(control_mode: Any) -> Any:
-    """Open the bus, write the control mode, and enable the motors."""
+    """Open the bus, write the control mode of the motors, and enable the motors."""
     arm = openarm_can.OpenArm(CHANNEL, True)
     types = [openarm_can.MotorType.DM4310] * MOTOR_COUNT
     arm.init_arm_motors(types, SEND_IDS, REPLY_IDS, [control_mode] * MOTOR_COUNT)
@@ -53,7 +54,7 @@ def disable_arm(arm: Any, checks: CheckList, mode_name: str) -> None:
 
 
 def check_registers(checks: CheckList) -> None:
-    """Read the ranges of the motors and compare them with the table of the library."""
+    """Read the position, velocity and torque ranges of the motors, and compare them with the table of openarm_can."""
     arm = openarm_can.OpenArm(CHANNEL, True)
     arm.init_arm_motors([openarm_can.MotorType.DM4310] * MOTOR_COUNT, SEND_IDS, REPLY_IDS)
     arm.set_callback_mode_all(openarm_can.CallbackMode.PARAM)
@@ -73,7 +74,7 @@ def check_registers(checks: CheckList) -> None:
 
 
 def check_mit_mode(checks: CheckList) -> None:
-    """Turn the motors by a torque, and then hold positions."""
+    """Turn the motors of the arm by a torque, and after that let them hold positions."""
     arm = connect_arm(openarm_can.ControlMode.MIT)
     checks.check_eventually(
         "three motors are enabled",
@@ -115,7 +116,7 @@ def check_mit_mode(checks: CheckList) -> None:
 
 
 def check_velocity_mode(checks: CheckList) -> None:
-    """Command a velocity in velocity mode."""
+    """Command a velocity to the motors in velocity mode."""
     arm = connect_arm(openarm_can.ControlMode.VEL)
 
     def speeds() -> list[float]:

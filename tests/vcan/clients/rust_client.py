@@ -2,9 +2,9 @@
 
 The test uses three simulated DM4340 motors on vcan0.
 
-The program needs an environment with the package ``can-motor-control``. The motors use CAN FD. The
-client 0.0.8 decodes the feedback of each motor type with the ranges of a DM4340. Torque and
-velocity of other motor types are therefore wrong by a constant factor.
+The program needs an environment with the package ``can-motor-control``. The simulated motors use
+CAN FD. Version 0.0.8 of the client decodes the feedback of each motor type with the ranges of a
+DM4340. With version 0.0.8, torque and velocity of other motor types are wrong by a constant factor.
 """
 
 from collections.abc import Callable
@@ -38,7 +38,7 @@ def make_robot() -> Any:
 def command_rows(*columns: Any) -> Any:
     """Return the command of all motors, with one row for each motor.
 
-    Each column is given as one number for all motors, or as one number for each motor.
+    The caller gives each column as one number for all motors, or as one number for each motor.
     """
     return np.column_stack([np.broadcast_to(column, MOTOR_COUNT) for column in columns]).astype(
         float
@@ -51,7 +51,7 @@ def check_control_mode(
     control_mode: str,
     check_motion: Callable[[CheckList, Any, Callable[[str], Any]], None],
 ) -> None:
-    """Enable the motors in a control mode, use them, and disable them."""
+    """Enable the motors in a control mode, check their motion, and disable them."""
     arm = robot["arm"]
 
     def read(quantity: str) -> Any:
@@ -74,14 +74,14 @@ def check_control_mode(
 
 
 def use_mit_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str], Any]) -> None:
-    """Turn the motors by a torque, and then hold positions."""
+    """Turn the motors of the arm by a torque, and after that let them hold positions."""
     start = np.array(read_feedback("positions"))
 
     def command_torque_and_read(quantity: str) -> Any:
         arm.mit_control(command_rows(0.0, 0.0, 0.0, 0.0, TORQUE_N_M))
         return read_feedback(quantity)
 
-    # At the speed without load, the motor can no longer make this torque.
+    # At the speed without load, the motor can no longer make the commanded torque.
     checks.check_eventually(
         "three motors report the commanded torque",
         lambda: command_torque_and_read("torques"),

@@ -16,14 +16,14 @@ from tests.runtime.processes import make_time_scale_options
 TIME_SCALE = 0.15
 """Time scale of simulated hand, watchdogs and deadlines.
 
-Time is slowed because the guest system has one core, and because each reading of a clock is a
-system call.
+Time is slowed because the guest system has one core, and because a program in the guest needs a
+system call to read a clock.
 """
 READY_TIMEOUT_S, EXIT_TIMEOUT_S = 60.0, 20.0
 STALL_FAULTS = ("H03", "B02", "N02", "B17", "N08")
-"""Faults that are correctly reported if the host or the simulator does not run for a while.
+"""Faults that the controller correctly reports if the host or the simulator does not run for a while.
 
-Each of these faults ends the run.
+Each fault in ``STALL_FAULTS`` ends the run.
 """
 
 
@@ -32,11 +32,12 @@ import ctypes, runpy, mujoco
 mujoco.set_mjcb_time(ctypes.cast(ctypes.CDLL(None).drand48, ctypes.CFUNCTYPE(ctypes.c_double)))
 runpy.run_module("firmware_sim", run_name="__main__", alter_sys=True)
 """
-"""Program that runs the simulator with another clock for MuJoCo's profile.
+"""Program that runs the simulator with another clock for MuJoCo's profile of computing times.
 
-In each simulation step, MuJoCo reads the clock about forty times. In the guest system, these forty
-readings take 1 ms. The other clock is a C function that needs no system call. With this clock, a
-step is a hundred times faster. MuJoCo uses this clock only for its profile.
+In each simulation step, MuJoCo reads the clock about forty times. In the guest system, forty
+readings of the usual clock take 1 ms. The other clock is a C function that needs no system call.
+With the other clock, a simulation step is a hundred times faster. MuJoCo uses its clock only for
+the profile.
 """
 
 
@@ -82,7 +83,7 @@ def run_simulator(
 def simulator(request: pytest.FixtureRequest) -> Iterator["subprocess.Popen[str]"]:
     """Run a simulated hand for all tests of a module.
 
-    The parameter of the fixture contains the options of the simulator.
+    The parameter of the fixture contains the command-line options of the simulator.
     """
     with run_simulator(*getattr(request, "param", ())) as process:
         yield process

@@ -38,7 +38,7 @@ def other_bus() -> Iterator[Bus]:
 
 
 def drain_bus(bus: Bus, frame_count: int) -> list[Frame]:
-    """Read frames until at least ``frame_count`` frames have arrived or a time limit has passed."""
+    """Read frames from a bus until at least ``frame_count`` frames have arrived or a time limit has passed."""
     frames, end = list(bus.drain()), time.monotonic() + RECEIVE_TIMEOUT_S
     while len(frames) < frame_count and time.monotonic() < end:
         time.sleep(0.005)
@@ -136,7 +136,7 @@ def test_an_error_frame_of_the_kernel_is_an_event_and_no_frame(bus: Bus) -> None
 
 
 def wait_for_bus_event(bus: Bus, event_kind: str) -> list[Frame]:
-    """Wait for an event of a given kind, and return the frames that were received before it."""
+    """Wait for a bus event of a given kind, and return the frames that arrived before the event."""
     frames, end = list(bus.drain()), time.monotonic() + RECEIVE_TIMEOUT_S
     while event_kind not in {event for event, _, _ in bus.take_events()}:
         assert time.monotonic() < end, f"no {event_kind} in {RECEIVE_TIMEOUT_S} s"
@@ -146,9 +146,9 @@ def wait_for_bus_event(bus: Bus, event_kind: str) -> list[Frame]:
 
 
 def test_a_full_transmit_queue_refuses_and_is_an_event(slow_tunnel: tuple[str, str]) -> None:
-    """In this test, frames pass a queue of ten frames and then a wire of 50 kbit/s.
+    """In this test, frames pass a queue of ten frames and after it a wire of 50 kbit/s.
 
-    The Linux module netem simulates this wire, because vcan alone never refuses a frame.
+    The Linux module netem simulates the slow wire, because vcan alone never refuses a frame.
     """
     sender, receiver = (
         open_bus(f"socketcan:{name}", BUS_INDEX, NOMINAL_BITRATE, convert_time=int)
@@ -171,7 +171,7 @@ def test_a_full_transmit_queue_refuses_and_is_an_event(slow_tunnel: tuple[str, s
 
 @pytest.fixture
 def slow_tunnel() -> Iterator[tuple[str, str]]:
-    """Make a CAN tunnel with a slow wire behind its first end. Yield the names of both ends."""
+    """Make a CAN tunnel with a slow wire behind its first interface. Yield the names of its two interfaces."""
     result = subprocess.run(
         ["bash", "-c", SLOW_TUNNEL_SCRIPT], capture_output=True, text=True, check=False
     )

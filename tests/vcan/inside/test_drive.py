@@ -19,10 +19,10 @@ from tests.replay.short_runs import CYLINDER_SCENE
 HANDCTL_COMMAND = Path(sys.executable).with_name("handctl")
 GOLDEN_LOG = Path(__file__).parents[3] / "logs" / "golden" / "jamia-grasp.mcap"
 RATE_HZ, SLOW_TIME_SCALE = 200, 0.03
-"""Control rate [Hz] and time scale of this test.
+"""Control rate [Hz] and time scale of the test.
 
 Simulated time is slower in this test than in other tests. A pause of four ticks ends a run, and the
-guest system may pause because the host also does other work on its core.
+guest system can pause because the host does other work on the same core.
 """
 SCENE_FILE = Path("/dev/shm/drive-scene.toml")
 SIMULATOR_OPTIONS = ["--homed", "--scene", str(SCENE_FILE), "--time-scale", str(SLOW_TIME_SCALE)]
@@ -77,5 +77,5 @@ def test_a_golden_grasp_repeats_on_vcan(tmp_path: Path) -> None:
     assert max(angles.values()) < 1.0, angles
     assert np.sqrt((apart**2).mean(axis=0)).max() < 1.0, (
         summary
-    )  # single peaks do not count, because the clocks of the guest jump
+    )  # single peaks of the differences do not count, because the clocks of the guest system jump
     np.testing.assert_allclose(repeated_tensions, recorded_tensions, rtol=0.05)

@@ -1,6 +1,6 @@
 """Test the simulated drives and the simulated sensor node on real CAN sockets.
 
-The frames in these tests were made from the fact sheets.
+The expected frames were made from the fact sheets of the drives.
 """
 
 import socket
@@ -42,7 +42,7 @@ class RawCanBus:
         pytest.fail(f"no frame {can_id:#x} within {RECEIVE_TIMEOUT_S} s")
 
     def motor_state(self, node_id: int) -> int:
-        """Send a refresh request to a motor, and return the state bits in its reply."""
+        """Send a refresh request to a motor, and return the state bits in the reply of the motor."""
         self.send(REGISTERS_ID, bytes([node_id, 0, REFRESH_FEEDBACK, 0, 0, 0, 0, 0]))
         return self.receive(node_id + 0x10)[0] >> 4
 
@@ -79,7 +79,7 @@ def test_the_drives_hold_the_limits_of_the_hand_file(bus: RawCanBus) -> None:
 def test_a_sync_brings_the_tensions_of_that_moment(bus: RawCanBus, sync_counter: int) -> None:
     bus.send(SYNC_ID, bytes([sync_counter]))
     reply = bus.receive(TENSIONS_ID)
-    assert len(reply) == 7  # a counter of 4 bits, and four channels of 12 bits each
+    assert len(reply) == 7  # the payload has a counter of 4 bits, and four channels of 12 bits each
     bits = int.from_bytes(reply, "little")
     assert bits & 0xF == sync_counter & 0xF
     assert bits >> 52 == 0
@@ -91,10 +91,10 @@ def test_a_drive_without_commands_drops_its_torque(bus: RawCanBus) -> None:
     node = MOTOR_NODE_IDS[0]
     bus.send(
         REGISTERS_ID, bytes([node, 0, 0x55, WATCHDOG_REGISTER]) + struct.pack("<I", 1000)
-    )  # 50 ms, in 50 us
+    )  # 50 ms, in units of 50 us
     bus.receive(node + 0x10)
     bus.send(node, ENABLE_PAYLOAD)
     assert bus.receive(node + 0x10)[0] >> 4 == ENABLED_STATE
-    time.sleep(2.0)  # 200 ms of slowed time
+    time.sleep(2.0)  # the test waits 200 ms of slowed time
     assert bus.motor_state(node) == COMMUNICATION_LOST_STATE
     assert bus.motor_state(MOTOR_NODE_IDS[1]) == DISABLED_STATE

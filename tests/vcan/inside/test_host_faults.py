@@ -1,7 +1,7 @@
 """Test the faults of the host that only root can cause.
 
-During the runs of these tests, the wall clock of the guest system is set, or one of its CAN
-interfaces is taken down.
+During a run, the test sets the wall clock of the guest system, or takes one of its CAN interfaces
+down.
 """
 
 import fcntl
@@ -40,12 +40,12 @@ Source: Linux ``sockios.h`` and ``if.h``.
 WATCHDOG_MS = 50
 HOUR_S = 3600.0
 FAULT_AFTER_S, PULL_AFTER_FAULT_S = 0.15, 0.3
-"""Time from the start of a pull to the fault [s], and time for which the pull would continue after that [s]."""
+"""Time from the start of a tendon pull to the fault [s], and planned time of the pull after the fault [s]."""
 TIME_SCALE = 0.1
 
 
 def set_interface_up(can_interface: str, is_up: bool) -> None:
-    """Set an interface up or down, like ``ip link set INTERFACE up``, but without starting a process."""
+    """Set a CAN interface up or down, like ``ip link set INTERFACE up``, but without starting a process."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         name = can_interface.encode().ljust(16, b"\0")
         (flags,) = struct.unpack_from(
@@ -56,9 +56,9 @@ def set_interface_up(can_interface: str, is_up: bool) -> None:
 
 
 class FaultObserver:
-    """Observer of a run.
+    """Observer of a controller run.
 
-    The observer causes its faults one after the other while the hand pulls its tendons.
+    The observer causes faults one after the other while the hand pulls its tendons.
 
     See ``session.run.RunObserver``.
     """
@@ -118,9 +118,9 @@ def run_until_done(
 ) -> tuple[RunOutcome, TruthFile]:
     """Return the first run that has ended as expected.
 
-    A run that ended because the only core of the guest was busy is repeated. A defect may end runs
-    in the same way as a busy core. With a defect, none of five runs ends as expected, so the test
-    fails.
+    If a run ends because the only core of the guest system was busy, the test repeats the run. A
+    defect can end runs in the same way as a busy core. With a defect, none of five runs ends as
+    expected, so the test fails.
     """
     failure = ""
     for number in range(5):
@@ -130,7 +130,7 @@ def run_until_done(
         set_interface_up("vcan0", True)
         try:
             outcome, truth = run_tendon_pull(run_folder, observer)
-        except LogError as error:  # the recorder did not start in time
+        except LogError as error:  # the run failed because the recorder did not start in time
             failure = str(error)
             continue
         failure = outcome.state.failure
@@ -143,7 +143,7 @@ def run_until_done(
 
 @pytest.fixture
 def can_interface() -> Iterator[str]:
-    """Yield the name of an interface, and set the interface up again after the test."""
+    """Yield the name of a CAN interface, and set the interface up again after the test."""
     assert shutil.which("ip")
     yield "vcan0"
     set_interface_up("vcan0", True)
@@ -161,9 +161,9 @@ def restore_wall_clock() -> Iterator[None]:
 @pytest.mark.timeout(600)
 @pytest.mark.usefixtures("restore_wall_clock")
 def test_steps_of_the_wall_clock_have_no_effect(tmp_path: Path) -> None:
-    """In this test, the wall clock is set one hour forward, and then two hours back.
+    """In this test, the wall clock is set one hour forward, and after that two hours back.
 
-    Such a change of the clock is the fault H11 of the catalogue.
+    A step of the wall clock is the fault H11 of the fault catalogue.
     """
     offsets = [time.time() - time.monotonic()]
 
@@ -189,7 +189,7 @@ def test_steps_of_the_wall_clock_have_no_effect(tmp_path: Path) -> None:
 def test_an_interface_taken_down_cuts_the_run_and_the_drives_drop_torque(
     can_interface: str, tmp_path: Path
 ) -> None:
-    """A CAN interface that is taken down is the fault B14 of the catalogue."""
+    """A CAN interface that is taken down is the fault B14 of the fault catalogue."""
     observer = FaultObserver(lambda: set_interface_up(can_interface, False))
     outcome, truth = run_until_done(tmp_path, observer, "B14")
     assert "B14" in outcome.state.failure, outcome.state.failure

@@ -1,6 +1,6 @@
 """Test the CAN sockets of Linux without any library.
 
-All other tests in this folder rely on these sockets.
+All other tests in the folder ``tests/vcan/inside`` rely on CAN sockets.
 """
 
 import json

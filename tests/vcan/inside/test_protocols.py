@@ -2,7 +2,7 @@
 
 The tests use each drive protocol, and a hand on two buses.
 
-The simulated hand is a fork of this process. A new process would need more time for its imports
+The simulated hand is a fork of the test process. A new process would need more time for its imports
 than the test takes.
 """
 
@@ -42,16 +42,16 @@ PERIOD_NS = 5_000_000
 READY_TIMEOUT_S, EXIT_TIMEOUT_S = 30.0, 20.0
 SPOOL_TORQUE_N_M, TORQUE_S = 0.05, 0.3
 TAUT_TENSION_N, PULLED_N = 5.0, 3.0
-"""Smallest tension of a tendon under motor torque [N], and largest tension after the motor was disabled [N]."""
+"""Smallest tendon tension under motor torque [N], and largest tendon tension after the motor was disabled [N]."""
 PULL_N, PULL_S = 20.0, 0.2
 DIGIT_NAMES = ("index", "middle", "ring", "thumb")
 
 
 def run_simulator_in_child(simulator_options: Sequence[str], ready_pipe: int) -> None:
-    """Run the simulator in this child process. The output of the simulator goes into a pipe."""
+    """Run the simulator in the present child process. The output of the simulator goes into a pipe."""
     mujoco.set_mjcb_time(
         ctypes.cast(ctypes.CDLL(None).drand48, ctypes.CFUNCTYPE(ctypes.c_double))
-    )  # see conftest
+    )  # conftest.py explains this clock
     sys.stdout = os.fdopen(ready_pipe, "w")
     raise SystemExit(firmware_sim(list(simulator_options)))
 
@@ -60,7 +60,7 @@ def run_simulator_in_child(simulator_options: Sequence[str], ready_pipe: int) ->
 def simulated_hand_process(
     hand_path: Path, bus_texts: Sequence[str], time_scale: float, truth_file: Path
 ) -> Iterator[None]:
-    """Run a simulated hand with taut tendons in another process, and check that this process ends without an error."""
+    """Run a simulated hand with taut tendons in another process, and check that the process ends without an error."""
     names = load_hand(str(hand_path)).bus_names
     words = [
         word
@@ -113,7 +113,7 @@ class HandDrives:
         self.drives, self.sensors = make_drives(hand), make_sensors(hand)
         self.states = [drive.initial_state() for drive in self.drives]
         self.k = 0
-        compile_kernels()  # compile the kernels first, because watchdogs would otherwise fire
+        compile_kernels()  # compile the kernels in advance, so that no watchdog fires during the compilation
         self.clock.start()
 
     def tick(self, target: DriveTarget, torque: float = 0.0) -> None:
@@ -171,8 +171,8 @@ def test_a_hand_is_armed_pulls_and_is_disarmed(protocol: str, tmp_path: Path) ->
 def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
     """In this test, the whole controller runs, with its recorder.
 
-    The drives of this hand use two protocols. The module ``test_run`` covers neither of these two
-    protocols.
+    The drives of the hand in this test use two protocols. The module ``test_run`` covers neither of
+    the two protocols.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402", "cia402", "odrive"]))
     outcome, truth = run_tendon_pull(path, ["socketcan:vcan0", "socketcan:vcan1"], tmp_path)
@@ -183,7 +183,7 @@ def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
     for digit in DIGIT_NAMES:
         assert truth.column(f"tension/{digit}_tendon").max() > 0.25 * PULL_N, (
             digit
-        )  # the limit is low, because the clocks of the guest jump
+        )  # the limit of the tension is low, because the clocks of the guest system jump
 
 
 def run_tendon_pull(

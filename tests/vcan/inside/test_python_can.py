@@ -1,4 +1,4 @@
-"""Test that python-can receives the frames of a hand.
+"""Test that python-can receives the CAN frames of a running hand.
 
 If python-can receives a frame, programs such as candump and BUSMASTER can receive the frame as
 well.

@@ -2,8 +2,9 @@
 
 ``handctl run`` grasps a cylinder with a simulated hand in another process.
 
-In a nightly run, the hand is first commissioned. In other runs, the hand starts with known motor
-zeros and a new calibration, because a commissioning of seven seconds takes 45 s in the guest.
+In a nightly test run, the hand is commissioned before its run. In other test runs, the hand starts
+with known motor zeros and a new calibration, because a commissioning of seven seconds takes 45 s in
+the guest.
 """
 
 import json
@@ -26,9 +27,9 @@ HANDCTL_COMMAND = Path(sys.executable).with_name("handctl")
 SHORT_TASK_FILE = Path(__file__).with_name("short_grasp.toml")
 DIGIT_NAMES = {"index", "middle", "ring", "thumb"}
 TIME_SCALE_BY_ATTEMPT = (TIME_SCALE, 0.5 * TIME_SCALE, 0.25 * TIME_SCALE)
-"""Time scale of each attempt.
+"""Time scale of each attempt to complete the run.
 
-With a smaller time scale, an interruption of the guest system lasts less simulated time. A defect
+With a smaller time scale, an interruption of the guest system takes less simulated time. A defect
 has the same effect at any time scale.
 """
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
@@ -87,7 +88,8 @@ def test_a_run_grasps_holds_and_releases(tmp_path: Path) -> None:
     assert result["log_complete"]
     assert log.stat().st_size == result["log_bytes"]
     assert result["ticks"] > 4 * result["rate_hz"]  # the run was longer than four seconds
-    assert result["frames_rx"] > 4 * result["ticks"]  # the four motors and the load cells reply
+    # four motors and the load cells reply in each tick
+    assert result["frames_rx"] > 4 * result["ticks"]
     assert result["frames_lost"] < 0.01 * result["frames_rx"]
     assert result["tension_hold_error_n"] < 2.0
     assert result["object_motion_mm"] < 5.0

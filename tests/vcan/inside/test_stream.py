@@ -16,15 +16,15 @@ from tests.runtime.processes import HOMED_HAND_OPTIONS, write_homed_calibration
 from tests.vcan.inside.conftest import SIMULATOR_CODE, STALL_FAULTS, TIME_SCALE
 
 TIME_SCALE_BY_ATTEMPT = (TIME_SCALE, 0.7 * TIME_SCALE, 0.4 * TIME_SCALE)
-"""Time scale of each attempt.
+"""Time scale of each attempt to complete the stream.
 
-With a smaller time scale, an interruption of the guest system lasts less simulated time. A defect
+With a smaller time scale, an interruption of the guest system takes less simulated time. A defect
 has the same effect at any time scale.
 """
 TRACKED_DURATION_S = 2.5
-"""Duration of the motion [s]. The tracking error of the first second is not counted."""
+"""Duration of the streamed motion [s]. The tracking error of the first second does not count."""
 MAX_ERROR_RATIO = 1.5
-"""Largest permitted tracking error of a stream, divided by the error of the same motion in a task."""
+"""Largest permitted tracking error of a stream, divided by the tracking error of the same motion in a task."""
 
 
 @pytest.mark.nightly
