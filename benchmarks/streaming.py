@@ -406,7 +406,7 @@ def _run_clients(
     finally:
         try:
             hand.close()
-        except handctl.DriveError:  # When a client is killed, its stream becomes stale. The fault of a stale stream ends the run.
+        except handctl.DriveError:  # The stale stream of the killed client has ended the run.
             if "killed" not in windows:
                 raise
     return windows, start_ns

@@ -1,4 +1,4 @@
-"""Coverage-guided fuzzing of one target: ``python -m fuzz.fuzz_with_coverage TARGET CORPUS [libFuzzer's options]``."""
+"""Fuzz one fuzzing target with coverage: ``python -m fuzz.fuzz_with_coverage TARGET CORPUS [libFuzzer's options]``."""
 
 import sys
 import tempfile
