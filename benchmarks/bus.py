@@ -38,7 +38,7 @@ REFERENCE_LABEL = "python-can, scalar codec"
 
 
 def main() -> None:
-    """Measure all alternatives and print the results."""
+    """Measure handctl and all alternatives on both buses, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer ticks")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
@@ -73,7 +73,7 @@ def use_one_core() -> str:
 
 
 def measure_both_buses(tick_count: int) -> dict:
-    """Measure the exchange on both buses.
+    """Measure the exchange of frames on the local bus and on vcan.
 
     For a bus that is not available, the result contains the reason why the bus is missing.
     """
@@ -89,7 +89,7 @@ def measure_both_buses(tick_count: int) -> dict:
 
 
 def compile_reference(build_folder: Path) -> str:
-    """Compile the C program and return its path. Return an empty string if there is no compiler."""
+    """Compile the C program and return its path. Return an empty string if the machine has no C compiler."""
     compiler = shutil.which("cc")
     if compiler is None:
         return ""
@@ -102,7 +102,7 @@ def compile_reference(build_folder: Path) -> str:
 
 
 def measure_vcan(c_program: str, tick_count: int) -> dict:
-    """Measure the exchange on vcan0."""
+    """Measure the exchange of frames on the interface vcan0."""
     sys.path.insert(0, str(BENCHMARKS_FOLDER.parent))
     from tests.vcan import uml_guest
 
@@ -148,13 +148,13 @@ def combine_rounds(round_rows: list[dict]) -> dict:
 
 
 def measure_round(bus_kind: str, c_program: str, motor_count: int, tick_count: int):
-    """Measure the alternatives one after another, and yield the name and the times of each."""
+    """Measure the alternatives one after another, and yield the name and the times of each alternative."""
     sys.path.insert(0, str(BENCHMARKS_FOLDER))
     from exchange.can_exchanges import EXCHANGE_BY_NAME
     from exchange.pypi_clients import CLIENT_BY_PACKAGE
     from exchange.simulated_motors import BUS_SETTINGS_BY_KIND, open_simulated_motors
 
-    warnings.simplefilter("ignore")  # The clients print warnings.
+    warnings.simplefilter("ignore")  # The client libraries print warnings.
     if c_program:
         yield (
             C_REFERENCE_LABEL,
@@ -261,7 +261,7 @@ def add_ratios(row_by_name: dict) -> dict:
 
 
 def print_results(result: dict) -> None:
-    """Print the result as text."""
+    """Print the results of the exchange benchmark as text."""
     print(f"on {result.pop('on')}; the fastest of {MEASUREMENT_ROUNDS} rounds")
     for medium, sizes in result.items():
         if "skipped" in sizes:

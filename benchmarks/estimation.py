@@ -292,7 +292,7 @@ def measure_estimators(
 
 
 def print_results(result: dict) -> None:
-    """Print the result as text."""
+    """Print the tables of the tension estimators as text."""
     columns = (
         *ESTIMATOR_NAMES,
         "limit",
@@ -316,7 +316,7 @@ def print_results(result: dict) -> None:
 
 
 def main() -> None:
-    """Measure all cases and print the results."""
+    """Measure the tension estimators in all cases, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--quick", action="store_true", help="one seed, changed stiffness only (less than a minute)"

@@ -39,7 +39,7 @@ FIGURE_LABELS = {"rmse_deg": "RMSE", "steady_deg": "steady"}
 
 
 def run_gravity_trial(job: tuple) -> dict[str, dict[str, float]]:
-    """Run one trial and return its results for each speed.
+    """Run one trial of gravity compensation and return its results for each speed.
 
     If the trial ended before the end of its motions, all results are NaN.
     """
@@ -64,7 +64,7 @@ def run_gravity_trial(job: tuple) -> dict[str, dict[str, float]]:
 
 
 def measure_gravity_compensation(seed_count: int, plan: JobPlan) -> dict:
-    """Measure the tracking errors for each hand, control law and speed.
+    """Measure the tracking errors with and without gravity compensation, for each hand, control law and speed.
 
     Return the mean and the range of the tracking errors over the seeds.
     """
@@ -179,7 +179,7 @@ def _reduction_text(uncompensated_row: dict, compensated_row: dict) -> str:
 
 
 def main() -> None:
-    """Measure all cases, print the results, and write the page."""
+    """Measure the benefit of gravity compensation, print the results, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument(

@@ -41,7 +41,7 @@ class PlainMujocoEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
     """
 
     def __init__(self, hand_name: str, scene_name: str | None, step_s: float) -> None:
-        """Build the model."""
+        """Build the MuJoCo model of the rigid bodies of a hand."""
         self.plant = Plant(load_hand(hand_name), load_scene(scene_name), homed=True)
         self.engine = self.plant.engine
         self.count = round(step_s / STEP_S)
@@ -58,7 +58,7 @@ class PlainMujocoEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
         return self._observation(), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
-        """Apply the joint torques of an action for one action period."""
+        """Apply the joint torques of an action until the next action is due."""
         self.engine.applied[:] = BARE_JOINT_TORQUE_N_M * action
         mujoco.mj_step(self.engine._model, self.engine._data, nstep=self.count)
         return self._observation(), 0.0, False, False, {}
@@ -160,7 +160,7 @@ def vector_steps_per_s(environments: AsyncVectorEnv, step_count: int) -> float:
 
 
 def print_results(rows: list[dict[str, Any]]) -> None:
-    """Print the results as a table."""
+    """Print the steps per second and the reset times as a table."""
     for row in rows:
         print(
             f"{row['hand']:8} {row['environment']}, {row['control_rate_hz']:g} Hz: {row['steps_per_s']:.0f} steps/s, "

@@ -175,8 +175,8 @@ def measure_digit(
 ) -> FitResultRow:
     """Move one digit of a random hand and fit the parameters of this digit.
 
-    Return a row of results. The row contains the error and the confidence interval of every
-    parameter, or the reason of a failure.
+    The returned row of results contains the error and the confidence interval of every parameter,
+    or the reason of a failure.
     """
     hand = load_hand(hand_name)
     has_springs = hand.digit_named(digit_name).has_springs

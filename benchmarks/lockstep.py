@@ -43,7 +43,7 @@ class BodyRollout(NamedTuple):
 
 
 def main() -> None:
-    """Measure all cases and print the results."""
+    """Measure the speed of lockstep for all hands and scenes, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--quick", action="store_true", help="short measurement (less than half a minute)"
@@ -100,7 +100,7 @@ def measure_lockstep_speed(
 
 
 def sum_of_shortest(times_by_run: Iterable[list[float]]) -> float:
-    """Find the shortest time of each tick or simulation step among several equal runs.
+    """Find the shortest time of each tick or simulation step among several bit-identical runs.
 
     Return the sum of the shortest times [s].
     """
@@ -156,7 +156,7 @@ def repeat_rollout(lockstep_stack: LockstepStack, rollout: BodyRollout) -> list[
 
 
 def print_results(result: dict) -> None:
-    """Print one result as text."""
+    """Print the CPU times of one hand in one scene as text."""
     for hand, scenes in result.items():
         for scene, row in scenes.items():
             print(

@@ -26,7 +26,7 @@ LOOP_MODULES = {"ours": "loops.handctl_loop", "usual": "loops.handwritten_loop"}
 
 
 def main() -> None:
-    """Measure all cases and print the results."""
+    """Measure both control loops in all cases, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--quick", action="store_true", help="short measurement (less than half a minute)"
@@ -244,7 +244,7 @@ def simulated_drives(hand_name: str):
 
 
 def print_results(result: dict) -> None:
-    """Print the result as text."""
+    """Print the results of both control loops as text."""
     lateness_us = result["lateness_us"]
     print(f"lateness at {lateness_us['rate_hz']:g} Hz [us]       p50     p99   p99.9     max")
     for name in ("handctl", "bare_sleep"):

@@ -105,7 +105,7 @@ def execute_once(log: RunLog, controller: Controller) -> dict:
 
 
 def print_results(result: dict) -> None:
-    """Print the results as text."""
+    """Print the times of the re-execution as text."""
     for name, row in result.items():
         stage_times = ", ".join(f"{stage} {us:.1f}" for stage, us in row["us_a_tick"].items())
         print(

@@ -324,7 +324,7 @@ def page_text(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Measure all cases, and print the result or write the page."""
+    """Measure all hands and sets of sensors, and print the result or write the page."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n", 1)[0])
     parser.add_argument(
         "--seeds", type=int, default=20, help="number of runs for each hand (default: 20)"

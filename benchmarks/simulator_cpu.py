@@ -47,7 +47,7 @@ def main() -> None:
 def measure_simulator_cpu(
     hand_name: str, protocol: str, scene_name: str, simulated_s: float
 ) -> dict:
-    """Measure one hand with drives of one protocol in one scene."""
+    """Measure the CPU time of the simulator for one hand, one drive protocol and one scene."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "hand.toml"
         path.write_text(hand_with_protocol(hand_name, protocol).to_toml())

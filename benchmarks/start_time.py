@@ -40,7 +40,7 @@ class StartTime(NamedTuple):
 
 
 def main() -> None:
-    """Measure all programs and print the times."""
+    """Measure the start times of all programs, and print them."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--repeats", type=int, default=7, help="starts of each program (default: 7)"
@@ -141,7 +141,7 @@ def time_until_first_frame(hand_name: str, work_folder: Path) -> StartTime:
 
 
 def print_results(result: dict[str, list[StartTime]]) -> None:
-    """Print a table of the times."""
+    """Print a table of the start times."""
     print(f"{'program':28} {'median [s]':>11} {'smallest':>9} {'largest':>8} {'CPU [s]':>8}")
     for name, start_rows in result.items():
         times = [start.wall_s for start in start_rows]

@@ -111,7 +111,7 @@ class MisbehavingClient:
         age_s: float = 0.0,
         target_space: int = 1,
     ) -> None:
-        """Send a target. The caller can choose a wrong sequence number or a wrong time stamp.
+        """Send a target, with a wrong sequence number or a wrong time stamp if the caller gives one.
 
         ``age_s`` is the age of the target on the clock of the simulated hand [s].
         """
@@ -123,7 +123,7 @@ class MisbehavingClient:
         )
 
     def send_good_targets(self, duration_s: float) -> None:
-        """Send the targets of the correct motion for a time [s]."""
+        """Send the targets of the correct motion for the duration ``duration_s`` [s]."""
         for _ in self.periods(duration_s):
             self.send(sine_angle_deg(self.t_s + self.stream.horizon_s))
 
@@ -277,7 +277,7 @@ class HandProcess:
         time_scale: float,
         commissioned_hand: CommissionedHand | None,
     ) -> None:
-        """Start the hand. The arguments are those of ``hand_process``."""
+        """Start the simulated hand. The arguments are those of the function ``hand_process``."""
         self.bus = bus_name
         self.scale = time_scale
         self.folder = work_folder
@@ -480,7 +480,7 @@ def run_start_ns(hand: HandClient | None, hand_process_run: HandProcess) -> int:
 def _client_row(
     log: RunLog, truth: TruthRecord, misbehaviour: dict[str, Any], start_ns: int
 ) -> dict[str, Any]:
-    """Return one row of the table: mode, faults, largest true tension and largest speeds during a misbehaviour."""
+    """Return the table row of a client: mode, faults, largest true tension and largest speeds in its misbehaviour."""
     last_tick = int(log.k[-1]) if misbehaviour["to"] is None else misbehaviour["to"]
     is_inside = (log.k >= misbehaviour["from"]) & (log.k <= last_tick)
     inside_start_ns, last_ns = log.t_ns[is_inside][[0, -1]]
@@ -676,7 +676,7 @@ def _move_delays_ms(hand: HandClient, duration_s: float) -> list[float]:
 
 
 def print_results(result: dict[str, Any]) -> None:
-    """Print the tables as Markdown."""
+    """Print the tables of the streaming benchmark as Markdown."""
     if "clients" in result:
         limit = f"true tension, trip limit {result['tension_trip_N']:g} N"
         counts = "targets accepted, clipped, late, refused"
@@ -708,7 +708,7 @@ def print_results(result: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    """Measure the selected parts and print the results."""
+    """Measure the selected parts of the streaming benchmark, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "part",

@@ -74,7 +74,7 @@ def measure_search(
 
 
 def main() -> int:
-    """Measure the search with one worker and with several workers."""
+    """Measure the duration of a search for gains with one worker and with several workers."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

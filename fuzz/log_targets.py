@@ -185,7 +185,7 @@ def _join_records(part_index: int, records: list[bytes]) -> bytes:
 
 
 def _mutated_record(record: bytes, source: ByteSource) -> bytes:
-    """Return a record with changed content. One in eight changed records gets a wrong length."""
+    """Return a record with changed content. One in eight of the changed records gets a wrong length."""
     body = bytearray(record[9:])
     kind = source.take_number(8)
     if kind == 0:

@@ -39,7 +39,7 @@ class MemorySampler:
     """An observer of a run that samples the memory of this process and of its child processes."""
 
     def __init__(self, end_time_s: float) -> None:
-        """Create a sampler without samples. The run must end at ``end_time_s`` [s]."""
+        """Create a sampler without memory samples. The run must end at ``end_time_s`` [s]."""
         self.samples: list[MemorySample] = []
         self.until_s = end_time_s
 

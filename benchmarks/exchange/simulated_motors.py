@@ -86,7 +86,7 @@ BUS_SETTINGS_BY_KIND = {
 def open_simulated_motors(bus_kind: str):
     """Start simulated motors on a bus.
 
-    Yield the motors, and the interface and channel of the bus.
+    Yield the simulated motors, and the interface and channel of python-can for the bus.
     """
     motors_class, interface, channel = BUS_SETTINGS_BY_KIND[bus_kind]
     motors = motors_class(channel)

@@ -141,7 +141,7 @@ def controller_on_raw_tension(controller: Controller) -> Controller:
 
 @dataclass(frozen=True)
 class AblationLaw:
-    """One control law that the tracking benchmark compares.
+    """One of the control laws that the tracking benchmark compares.
 
     Attributes:
         inverse_dynamics: function that returns the feedforward joint torque. motion: gains of the motion

@@ -330,7 +330,7 @@ def _mean_over_seeds(run_rows: list[dict]) -> dict:
 
 
 def print_results(result: dict) -> None:
-    """Print the result as text."""
+    """Print the results of tracking and of the force step as text."""
     if "force" in result:
         print(force_page.page_section(result["force"]))
     if "tracking" not in result:

@@ -106,7 +106,7 @@ def conversion_cpu_s(log_folder: Path) -> float:
 
 
 def _cpu_s(measured_work: Callable[[], object]) -> float:
-    """Call a function and return the CPU time of the call [s]."""
+    """Call the function ``measured_work`` and return the CPU time of the call [s]."""
     start = time.process_time()
     measured_work()
     return time.process_time() - start
@@ -213,7 +213,7 @@ def _to_basic_types(value: Any) -> Any:
 
 
 def print_results(result: dict[str, Any]) -> None:
-    """Print the result as text."""
+    """Print the CPU times of all log writers as text."""
     print(
         f"{result['ticks']} ticks of {result['hand']} at {result['rate_hz']} Hz: {result['messages']} messages"
     )
