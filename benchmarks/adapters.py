@@ -1,8 +1,9 @@
 """Measure the control rates that each class of CAN adapter permits, with a simulated hand in simulated time.
 
-Each run is `handctl demo`: commission the hand, grasp an object, hold it and release it. A control
-rate is possible if the run ends without a fault. The possible rates do not depend on the machine,
-because the time is simulated. The computation of one run takes 20 s to several minutes.
+Each run of the benchmark is `handctl demo`: commission the hand, grasp an object, hold the object
+and release it. A control rate is possible if the run ends without a fault. The possible control
+rates do not depend on the computer that runs the benchmark, because the time is simulated. The
+computation of one run takes 20 s to several minutes.
 
     python benchmarks/adapters.py --hand jamia --adapters usb-fs --rates 250 333 500 --seeds 1
 """
@@ -21,10 +22,10 @@ from handctl.cli.runs import demo
 
 
 class AdapterRunOutcome(NamedTuple):
-    """Outcome of a run.
+    """Outcome of a run of the demo at one control rate.
 
     The fields are: whether the control rate is possible, the tracking error [deg], the tension
-    error [N], and the cause of the end.
+    error [N], and the cause of the end of the run.
     """
 
     is_rate_held: bool

@@ -1,17 +1,18 @@
 """Measure the time that handctl and its alternatives need to exchange the frames of one tick.
 
-The benchmark measures CPU time and wall time.
+The benchmark measures the CPU time and the wall time of the exchange.
 
 ``python benchmarks/bus.py [--quick] [--json]``. The benchmark uses four and eleven MIT motors, on
-the local bus and on vcan. If the machine's own Linux has no vcan, the benchmark uses vcan in
-user-mode Linux. The simulated motors run in the same process, and the benchmark subtracts their
-time. An exchange converts torques to payloads, sends the frames, receives the replies, and converts
-payloads to values. As in a tick of the controller, handctl also updates the state of each drive.
-Only ratios between results of the same run are comparable.
+the local bus and on vcan. If the Linux of the machine itself has no vcan, the benchmark uses vcan
+in user-mode Linux. The simulated motors run in the process of the benchmark, and the benchmark
+subtracts the time of the motors. An exchange converts torques to payloads, sends the frames,
+receives the reply frames of the motors, and converts their payloads to values. As in a tick of the
+controller, handctl also updates the state of each drive. Only ratios between results of the same
+run are comparable.
 
 The lower bound is the time of a C program that makes the same system calls as handctl and encodes
-the same frames. On the local bus, handctl sends all frames of a tick in one packet. On the local
-bus, the lower bound therefore hardly grows with the number of motors. A second C program sends one
+the same frames. On the local bus, handctl sends all frames of a tick in one packet, so that the
+lower bound hardly grows with the number of motors. For comparison, another C program sends one
 packet per frame (sendmmsg, recvmmsg), as a CAN socket does.
 """
 
@@ -37,7 +38,7 @@ REFERENCE_LABEL = "python-can, scalar codec"
 
 
 def main() -> None:
-    """Measure all alternatives and print the results."""
+    """Measure handctl and all alternatives on both buses, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer ticks")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
@@ -54,10 +55,11 @@ def main() -> None:
 
 
 def use_one_core() -> str:
-    """Bind this process to one core, with real-time priority if the system allows it.
+    """Bind this process to one core, with real-time priority if the operating system allows real-time priority.
 
     Return a text that describes core and priority. The kernel of user-mode Linux and the programs
-    in it are processes of the host. On two cores, these processes would wait for each other.
+    inside user-mode Linux are processes of the host. The processes of user-mode Linux would wait
+    for each other if they ran on two cores.
     """
     if sys.platform != "linux":
         return "any core, ordinary priority"
@@ -71,9 +73,9 @@ def use_one_core() -> str:
 
 
 def measure_both_buses(tick_count: int) -> dict:
-    """Measure the exchange on both buses.
+    """Measure the exchange of frames on the local bus and on vcan.
 
-    For a bus that is not available, the result contains the reason.
+    For a bus that is not available, the result contains the reason why the bus is missing.
     """
     with tempfile.TemporaryDirectory(prefix="h-") as short_folder:
         os.environ["HANDCTL_RUN_DIR"] = short_folder
@@ -87,7 +89,7 @@ def measure_both_buses(tick_count: int) -> dict:
 
 
 def compile_reference(build_folder: Path) -> str:
-    """Compile the C program and return its path. Return an empty string if there is no compiler."""
+    """Compile the C program and return its path. Return an empty string if the machine has no C compiler."""
     compiler = shutil.which("cc")
     if compiler is None:
         return ""
@@ -100,7 +102,7 @@ def compile_reference(build_folder: Path) -> str:
 
 
 def measure_vcan(c_program: str, tick_count: int) -> dict:
-    """Measure the exchange on vcan0."""
+    """Measure the exchange of frames on the interface vcan0."""
     sys.path.insert(0, str(BENCHMARKS_FOLDER.parent))
     from tests.vcan import uml_guest
 
@@ -116,11 +118,12 @@ def measure_vcan(c_program: str, tick_count: int) -> dict:
 def measure_bus(bus_kind: str, c_program: str, tick_count: int) -> dict:
     """Measure wall time and CPU time of each alternative, for each number of motors [us].
 
-    For an alternative that cannot run, the result contains the reason.
+    For an alternative that cannot run, the result contains the reason why the alternative cannot
+    run.
 
     Each round measures all alternatives, because other work on the machine disturbs some rounds
-    more than others. The reported wall time is that of the fastest round. The reported CPU time is
-    the mean of all rounds, because user-mode Linux counts CPU time in steps of 10 ms.
+    more than others. The reported wall time is the wall time of the fastest round. The reported CPU
+    time is the mean over all rounds, because user-mode Linux counts CPU time in units of 10 ms.
     """
     result: dict = {}
     for motors in MOTOR_COUNTS:
@@ -137,7 +140,7 @@ def measure_bus(bus_kind: str, c_program: str, tick_count: int) -> dict:
 
 
 def combine_rounds(round_rows: list[dict]) -> dict:
-    """Combine the rounds of one alternative into a row: shortest wall time, and mean CPU time."""
+    """Combine the rounds of one alternative into one result: shortest wall time, and mean CPU time."""
     if "skipped" in round_rows[0]:
         return round_rows[0]
     wall_us, cpu_us = ([row[key] for row in round_rows] for key in ("wall_us", "cpu_us"))
@@ -145,13 +148,13 @@ def combine_rounds(round_rows: list[dict]) -> dict:
 
 
 def measure_round(bus_kind: str, c_program: str, motor_count: int, tick_count: int):
-    """Measure the alternatives one after another, and yield the name and the times of each."""
+    """Measure the alternatives one after another, and yield the name and the times of each alternative."""
     sys.path.insert(0, str(BENCHMARKS_FOLDER))
     from exchange.can_exchanges import EXCHANGE_BY_NAME
     from exchange.pypi_clients import CLIENT_BY_PACKAGE
     from exchange.simulated_motors import BUS_SETTINGS_BY_KIND, open_simulated_motors
 
-    warnings.simplefilter("ignore")  # The clients print warnings.
+    warnings.simplefilter("ignore")  # The client libraries print warnings.
     if c_program:
         yield (
             C_REFERENCE_LABEL,
@@ -189,16 +192,17 @@ def measure_round(bus_kind: str, c_program: str, motor_count: int, tick_count: i
 def measure_c_program(
     c_program: str, bus_kind: str, channel: str, motor_count: int, tick_count: int
 ) -> dict:
-    """Measure the C program on a bus: wall time and CPU time of a tick [us]."""
+    """Measure the wall time and CPU time of a tick of the C program on a bus [us]."""
     words = [c_program, bus_kind, channel, str(motor_count), str(tick_count)]
     output_text = subprocess.run(words, capture_output=True, text=True, check=True).stdout.split()
     return {"wall_us": int(output_text[0]) / 1e3, "cpu_us": int(output_text[1]) / 1e3}
 
 
 def measure_client(client, simulated_motors, motor_count: int, tick_count: int) -> dict:
-    """Measure how long sending and receiving take in a tick [us].
+    """Measure how long a client takes to send and to receive the frames of a tick [us].
 
-    Return the median wall time and the mean CPU time. Python's garbage collection is off.
+    Return the median wall time and the mean CPU time. Python's garbage collection is off during the
+    measurement.
     """
     torques = [0.01 * i for i in range(motor_count)]
 
@@ -236,8 +240,8 @@ def measure_client(client, simulated_motors, motor_count: int, tick_count: int) 
 def add_ratios(row_by_name: dict) -> dict:
     """Add ratios to each row.
 
-    There are two kinds of ratios. One is the wall time divided by the wall time of each C program.
-    The other is the speed-up over python-can.
+    One ratio is the wall time divided by the wall time of each C program. The other ratio is the
+    speed-up of the alternative over python-can.
     """
     reference = row_by_name[REFERENCE_LABEL]
     for row in row_by_name.values():
@@ -257,7 +261,7 @@ def add_ratios(row_by_name: dict) -> dict:
 
 
 def print_results(result: dict) -> None:
-    """Print the result as text."""
+    """Print the results of the exchange benchmark as text."""
     print(f"on {result.pop('on')}; the fastest of {MEASUREMENT_ROUNDS} rounds")
     for medium, sizes in result.items():
         if "skipped" in sizes:

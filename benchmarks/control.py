@@ -1,6 +1,6 @@
-"""Measure tracking and a force step with more and more parts of the control law.
+"""Measure the tracking error and the reaction to a force step, with more and more parts of the control law.
 
-Each case has one more part of the control law than the case before it.
+Each case of the benchmark uses one more part of the control law than the case before it.
 
 ``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--page]``, see
 ``trials.tracking``.
@@ -15,8 +15,8 @@ if __name__ == "__main__":
 
     main()
 else:
-    # Python searches the folder of this script first. In this folder, ``import control`` would find
-    # this script instead of the package ``control``.
+    # Python searches the folder of this script first. Because of the name of this script, ``import
+    # control`` would import this script instead of the package ``control``.
     sys.path = [
         search_path
         for search_path in sys.path

@@ -1,6 +1,6 @@
 """Measure which fraction of a run's CPU time each part of the program takes.
 
-The time in a library counts for the part that called the library.
+The CPU time in a library counts for the part of the program that called the library.
 """
 
 import cProfile
@@ -25,13 +25,13 @@ CODE_PATTERNS_BY_PART = {
     "reading a log": ("handctl/log/", "handctl/replay/"),
     "lockstep clock and bus, this script": ("handctl/runtime/", "benchmarks/"),
 }  # fmt: skip
-"""Parts of the program. Each part has substrings of paths or names of functions.
+"""Parts of the program. Each part is defined by substrings that occur in the paths or in the names of its functions.
 
 A function belongs to the first part that has a substring of its path or name. The profiler does not
 see compiled functions, and counts their time for the Python function that calls them. Each stage of
-the tick is therefore recognised by the method that runs this stage. The compiled step of tendons
-and rotors calls ``mj_step``. The part ``mj_step`` therefore includes the time of tendons and
-rotors.
+the tick is recognised by the method that runs the stage. The compiled function that simulates
+tendons and rotors calls ``mj_step``. The part ``mj_step`` of the profile includes the time of
+tendons and rotors.
 """
 
 ProfiledFunction = tuple[str, int, str]
@@ -40,8 +40,8 @@ ProfiledFunction = tuple[str, int, str]
 def cpu_time_fractions(profiled_work: Callable[[], None]) -> dict[str, float]:
     """Measure the fraction of CPU time that each part of the program takes.
 
-    The profiler slows down Python calls, but not compiled code. The measured fraction of compiled
-    code is therefore too small.
+    The profiler slows down Python calls, but not compiled code, so that the measured fraction of
+    compiled code is too small.
     """
     profile = cProfile.Profile()
     profile.runcall(profiled_work)
@@ -62,9 +62,9 @@ def _parts_of_function(
 ) -> Iterator[tuple[str, float]]:
     """Yield each part of the program to which a function belongs.
 
-    Each part is yielded together with its fraction of the time of the function. The time of a
-    function that matches no part is divided among the parts of the callers, in proportion to their
-    times.
+    Each part of the program is yielded together with its fraction of the time of the function. The
+    time of a function that matches no part is divided among the parts of the callers, in proportion
+    to the times of the callers.
     """
     name = f"{function[0]}/{function[2]}"
     code_part = next(

@@ -1,16 +1,17 @@
-"""Measure the error of the tension estimate, and compare it with other errors.
+"""Measure the error of the tension estimate, and compare it with the errors of other estimators.
 
-The other errors are those of the raw load cell, of simpler filters, and of a reference filter.
+The other estimators are the raw load cell, simpler filters, and a reference filter.
 
 ``python benchmarks/estimation.py [--quick] [--json] [--seeds N] [--keep FOLDER] [--page]``. Two
-simulated hands move freely, grasp a cylinder and slacken their tendons. Hands and controller run in
-lockstep over a simulated bus. The hand `jamia_bench` also pulls above the knee, the tension at
-which the stiffness of its tendons changes. The simulation includes capstan and motor friction,
-tendon damping, the current loop, encoder and load-cell resolution, noise, drift, and one period of
-bus delay. The factors in this module change parameters of the simulated hand. The controller does
-not know these factors. A load-cell reading is one control period old when the filter receives it.
-The filter and the raw load cell are compared with the true tension at two times: the time of the
-reading, and the present. The control loop uses the estimate of the present tension.
+simulated hands move freely, grasp a cylinder and slacken their tendons. Simulated hands and
+controller run in lockstep over a simulated bus. The hand `jamia_bench` also pulls above the knee,
+the tension at which the stiffness of its tendons changes. The simulation includes capstan and motor
+friction, tendon damping, the current loop, encoder and load-cell resolution, noise, drift, and one
+period of bus delay. The factors in this module change parameters of the simulated hand. The
+controller does not know the factors that change the simulated hand. A load-cell reading is one
+control period old when the filter receives it. The outputs of the filter and of the raw load cell
+are compared with the true tension at two times: the time of the reading, and the present. The
+control loop uses the estimate of the present tension.
 """
 
 import argparse
@@ -136,9 +137,9 @@ def squared_error_sums(job: tuple[str, str, int]) -> dict[str, dict[str, list[fl
 
 
 def _sum_and_count(values: np.ndarray, is_selected: np.ndarray) -> list[float]:
-    """Return the sum and the number of the values that ``is_selected`` selects.
+    """Return the sum of the values that ``is_selected`` selects, and how many they are.
 
-    NaN values are left out.
+    NaN values are neither summed nor counted.
     """
     values_in_regime = values[is_selected]
     values_in_regime = values_in_regime[~np.isnan(values_in_regime)]
@@ -146,10 +147,10 @@ def _sum_and_count(values: np.ndarray, is_selected: np.ndarray) -> list[float]:
 
 
 def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarray]:
-    """Return the squared quantities of a regime. The shape of each quantity is (ticks, N).
+    """Return the squared quantities of a tendon regime. The shape of each quantity is (ticks, N).
 
-    The quantities are the squared error of each estimator, the variance of the reference filter
-    [N^2], the NIS, and the innovations.
+    The squared quantities are the squared error of each estimator, the variance of the reference
+    filter [N^2], the NIS, and the innovations.
     """
     numbers = record.telemetry
     period_ns = int(record.t_ns[1] - record.t_ns[0])
@@ -193,7 +194,8 @@ def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarra
 def _reference_sigmas(hand_name: str, is_digit_held: bool) -> np.ndarray:
     """Return two standard deviations of the reference filter for each tendon (N, 2) [N].
 
-    The first is that at the last sample, and the second is that at present.
+    The first standard deviation is that of the tension at the last load-cell reading. The second is
+    that of the present tension.
     """
     name = hand_name.removesuffix(SPACED_HAND_SUFFIX)
     model = HandModel.from_hand(hand_by_name(name), Gains(), RATES_HZ[name])
@@ -203,8 +205,8 @@ def _reference_sigmas(hand_name: str, is_digit_held: bool) -> np.ndarray:
 def tabulate_regimes(results: list[dict]) -> dict[str, dict[str, float]]:
     """Make a table of the results for each tendon regime.
 
-    The results are the RMSE of each estimator [N], the range of the estimate's RMSE over the seeds,
-    ratios of RMSEs, NIS, and whiteness.
+    The columns are the RMSE of each estimator [N], the range of the RMSE of the tension estimate
+    over the seeds, ratios of RMSEs, NIS, and whiteness.
     """
     table = {}
     for regime in REGIME_NAMES:
@@ -244,7 +246,8 @@ def tabulate_regimes(results: list[dict]) -> dict[str, dict[str, float]]:
 def _means_of_quantities(sums: dict[str, list[float]]) -> dict[str, float]:
     """Return the mean of each quantity.
 
-    Each list in ``sums`` has the form [sum, count, sum, count, ..].
+    Each list in ``sums`` has the form [sum of values, number of values, sum of values, number of
+    values, ..].
     """
     return {
         name: sum(sums_and_counts[::2]) / max(sum(sums_and_counts[1::2]), 1.0)
@@ -255,16 +258,16 @@ def _means_of_quantities(sums: dict[str, list[float]]) -> dict[str, float]:
 def measure_estimators(
     seed_count: int, mismatch_seed_count: int, plant_names: list[str], plan: JobPlan
 ) -> dict:
-    """Measure all tables.
+    """Measure the results of all tables.
 
-    The plan has a time limit. In the result, ``seed_count`` is the number of seeds of each case
-    that were computed within this time limit.
+    In the result, ``seed_count`` is the number of seeds of each case that were computed within the
+    time limit of the plan.
     """
     cases = [(hand, plant) for plant in plant_names for hand in MEASURED_HANDS]
     cases.insert(len(MEASURED_HANDS), ("jamia_bench", "as known"))
     counts = [seed_count if case[1] == "as known" else mismatch_seed_count for case in cases]
-    # Sort the jobs by seed. A benchmark that is stopped early then has results for the same number
-    # of seeds in each case.
+    # Sort the jobs by seed, so that a benchmark that is stopped early has results for the same
+    # number of seeds in each case.
     jobs = [
         (*case, k)
         for k in range(max(counts))
@@ -289,7 +292,7 @@ def measure_estimators(
 
 
 def print_results(result: dict) -> None:
-    """Print the result as text."""
+    """Print the tables of the tension estimators as text."""
     columns = (
         *ESTIMATOR_NAMES,
         "limit",
@@ -313,7 +316,7 @@ def print_results(result: dict) -> None:
 
 
 def main() -> None:
-    """Measure all cases and print the results."""
+    """Measure the tension estimators in all cases, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--quick", action="store_true", help="one seed, changed stiffness only (less than a minute)"

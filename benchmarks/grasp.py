@@ -1,13 +1,13 @@
 """Measure grasps: success, payload, contact detection, and the reaction to slip.
 
-For the success of a grasp, the hand is turned and the object is pushed. The payload is measured
-with 6 N per finger.
+To test a grasp, the benchmark turns the hand and pushes the object. The payload is measured with a
+grip force of 6 N per finger.
 
 ``python benchmarks/grasp.py [--quick | --full] [--json] [--seeds N] [--keep FOLDER] [--page]``.
-Controller and simulated hand run in lockstep, and the results are true values from the simulator.
-``grasps/grasp_objects.py`` contains the objects and disturbances, which were fixed before any
-tuning. With ``--full``, every object is grasped. ``--page`` writes docs/evidence/control-grasps.md
-and its picture.
+Controller and simulated hand run in lockstep. The results are computed from true values of the
+simulator. ``grasps/grasp_objects.py`` contains the objects and disturbances, which were fixed
+before any tuning. With ``--full``, every object is grasped. ``--page`` writes
+docs/evidence/control-grasps.md and the picture of this page.
 """
 
 import argparse
@@ -127,8 +127,8 @@ def _measure_contact_detection(
     """Measure contact detection for each hand.
 
     The results are contacts with walls, and false contacts in free motion. In a run of free motion,
-    the digits also rest between motions. The reported time includes only the time in which they
-    move.
+    the digits also rest between motions. The reported time of free motion includes only the time in
+    which the digits move.
     """
     results = collect_results(
         contact_detection.find_contacts,

@@ -1,12 +1,13 @@
 """Measure the benefit of gravity compensation for a hand that lies on its side.
 
-In this position, gravity acts on the joints.
+If the hand lies on its side, gravity acts on the joints.
 
 ``python benchmarks/gravity.py [--json] [--seeds N] [--page]``. The packaged hands stand upright, so
 gravity is parallel to the joint axes and causes no joint torque. In this benchmark, the hands lie
 on their side, and the fingertips are ten times as heavy as in the hand files. The benchmark
-compares two pairs of control laws. The laws of a pair differ only in gravity compensation. Both
-laws move every digit as in the tracking benchmark, and both have the same LQR weights.
+compares two pairs of control laws. The two control laws of a pair differ only in gravity
+compensation. Both control laws of a pair move every digit as in the tracking benchmark, and both
+have the same LQR weights.
 """
 
 import argparse
@@ -29,17 +30,18 @@ TUNED_LAW_BY_NAME = dict(
 )
 """Dictionary from each control law of this benchmark to a law of the tracking benchmark.
 
-The two laws have the same LQR weights. The tracking benchmark has selected these weights so that
-the control loops keep their stability margins.
+A control law of this benchmark has the same LQR weights as its law of the tracking benchmark. The
+tracking benchmark has selected the LQR weights so that the control loops keep their stability
+margins.
 """
 MEASURED_SPEEDS = ("slow", "fast")
 FIGURE_LABELS = {"rmse_deg": "RMSE", "steady_deg": "steady"}
 
 
 def run_gravity_trial(job: tuple) -> dict[str, dict[str, float]]:
-    """Run one trial and return its results for each speed.
+    """Run one trial of gravity compensation and return its results for each speed.
 
-    If the trial ended early, all results are NaN.
+    If the trial ended before the end of its motions, all results are NaN.
     """
     hand, law, seed = job
     gains = GRAVITY_LAW_BY_NAME[law].gains(
@@ -62,9 +64,9 @@ def run_gravity_trial(job: tuple) -> dict[str, dict[str, float]]:
 
 
 def measure_gravity_compensation(seed_count: int, plan: JobPlan) -> dict:
-    """Measure the tracking errors for each hand, control law and speed.
+    """Measure the tracking errors with and without gravity compensation, for each hand, control law and speed.
 
-    Return their mean and their range over the seeds.
+    Return the mean and the range of the tracking errors over the seeds.
     """
     jobs = [
         (hand, law, k)
@@ -103,7 +105,7 @@ def _mean_over_seeds(errors: list[float]) -> dict[str, float]:
 
 
 def page_section(result: dict) -> str:
-    """Return the section on gravity compensation as Markdown, for a result."""
+    """Return the section on gravity compensation of the page as Markdown."""
     column_titles = [
         "hand, law",
         *(f"{speed}, {name} [deg]" for speed in MEASURED_SPEEDS for name in FIGURE_LABELS.values()),
@@ -177,7 +179,7 @@ def _reduction_text(uncompensated_row: dict, compensated_row: dict) -> str:
 
 
 def main() -> None:
-    """Measure all cases, print the results, and write the page."""
+    """Measure the benefit of gravity compensation, print the results, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument(

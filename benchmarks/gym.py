@@ -1,11 +1,11 @@
 """Measure the steps per second and the reset time of ``handctl.gym``.
 
-For comparison, the benchmark measures a plain MuJoCo environment.
+For comparison, the benchmark also measures an environment that uses only MuJoCo.
 
 ``python benchmarks/gym.py [--quick] [--json]``. The MuJoCo environment has the same rigid bodies,
 time step and action rate as ``handctl.gym``. An action of the MuJoCo environment consists of joint
 torques. The MuJoCo environment has no tendons, drives, bus or controller. The actions are random,
-but change so slowly that the hand has no fault. The benchmark measures CPU time for one
+but change so slowly that they cause no fault of the hand. The benchmark measures CPU time for one
 environment, and wall time for several environments in parallel.
 """
 
@@ -35,13 +35,13 @@ PROCESS_COUNT = 2
 
 
 class PlainMujocoEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
-    """Environment with only the rigid bodies.
+    """Environment that simulates only the rigid bodies of a hand.
 
     An action consists of joint torques. An observation consists of joint angles and rates.
     """
 
     def __init__(self, hand_name: str, scene_name: str | None, step_s: float) -> None:
-        """Build the model."""
+        """Build the MuJoCo model of the rigid bodies of a hand."""
         self.plant = Plant(load_hand(hand_name), load_scene(scene_name), homed=True)
         self.engine = self.plant.engine
         self.count = round(step_s / STEP_S)
@@ -52,13 +52,13 @@ class PlainMujocoEnvironment(gymnasium.Env[np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict]:
-        """Set the initial state."""
+        """Set the initial state of the rigid bodies."""
         super().reset(seed=seed)
         mujoco.mj_resetData(self.engine._model, self.engine._data)
         return self._observation(), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
-        """Apply the joint torques of an action for one action period."""
+        """Apply the joint torques of an action until the next action is due."""
         self.engine.applied[:] = BARE_JOINT_TORQUE_N_M * action
         mujoco.mj_step(self.engine._model, self.engine._data, nstep=self.count)
         return self._observation(), 0.0, False, False, {}
@@ -85,7 +85,7 @@ def main() -> None:
 
 
 def measure_environment(hand_name: str, environment_name: str, step_count: int) -> dict[str, Any]:
-    """Measure handctl and the MuJoCo environment for one hand."""
+    """Measure the environments of handctl and of MuJoCo for one hand."""
     options = {
         "hand": hand_name,
         **({"diameter_mm": (33.0, 33.0)} if environment_name == "Grasp" else {"span": (0.0, 0.05)}),
@@ -120,7 +120,7 @@ def random_action(action_space: gymnasium.spaces.Box, rng: np.random.Generator) 
 
 
 def step_cpu_s(env: gymnasium.Env, step_count: int) -> float:
-    """Return the CPU time of a step [s]. The time of resets is not included."""
+    """Return the CPU time of a step of the environment [s]. The time of resets is not included."""
     rng = np.random.default_rng(0)
     env.reset(seed=0)
     cpu_time_s = 0.0
@@ -137,7 +137,7 @@ def step_cpu_s(env: gymnasium.Env, step_count: int) -> float:
 
 
 def reset_cpu_s(env: gymnasium.Env) -> float:
-    """Return the CPU time of a reset [s]."""
+    """Return the CPU time of a reset of the environment [s]."""
     start_time_s = time.process_time()
     for _ in range(RESET_COUNT):
         env.reset()
@@ -145,9 +145,9 @@ def reset_cpu_s(env: gymnasium.Env) -> float:
 
 
 def vector_steps_per_s(environments: AsyncVectorEnv, step_count: int) -> float:
-    """Measure the steps per second of wall time. Count the steps of all processes.
+    """Measure how many steps all processes together compute per second of wall time.
 
-    The time of resets is included.
+    The time of resets is included in the wall time.
     """
     rng = np.random.default_rng(0)
     environments.reset(seed=0)
@@ -160,7 +160,7 @@ def vector_steps_per_s(environments: AsyncVectorEnv, step_count: int) -> float:
 
 
 def print_results(rows: list[dict[str, Any]]) -> None:
-    """Print the results as a table."""
+    """Print the steps per second and the reset times as a table."""
     for row in rows:
         print(
             f"{row['hand']:8} {row['environment']}, {row['control_rate_hz']:g} Hz: {row['steps_per_s']:.0f} steps/s, "

@@ -1,11 +1,11 @@
 """Inject faults that are hard to detect.
 
-For each fault, the benchmark measures whether the controller reports the fault, the delay of the
-reaction, and the largest true tension.
+The benchmark determines whether the controller reports each fault, and measures the delay of the
+reaction and the largest true tension.
 
-Each fault is injected into the first finger of a hand in lockstep. At this moment, the hand moves
-freely, holds an object at 24 N, raises the tension, or holds an object at 90 N. If the controller
-does not react within 2 s, the benchmark requests a stop, as an operator would.
+Each fault is injected into the first finger of a hand in lockstep. When the fault begins, the hand
+moves freely, holds an object at 24 N, raises the tension, or holds an object at 90 N. If the
+controller does not react within 2 s, the benchmark requests a stop, as an operator would.
 
     python benchmarks/hidden_faults.py --hand jamia --protocol mit --seeds 20
 """
@@ -26,7 +26,7 @@ from handctl.session.lockstep_simulation import SimulatedRun
 from handctl.session.run_plan import default_control_rate
 
 OPERATOR_DELAY_S = 2.0
-"""Time from the fault until the operator stops the run [s]."""
+"""Time from the injection of the fault until the operator stops the run [s]."""
 TIME_AFTER_STOP_S = 1.5
 """Time from the stop by the operator to the end of the run [s]."""
 STOP_REQUEST = '{"do": "stop"}'
@@ -64,7 +64,7 @@ HIDDEN_FAULTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
 def rising_hold_task() -> dict[str, Any]:
     """Return the task of the fault campaign, with an additional phase.
 
-    In this phase the tension rises to 90 N and stays there.
+    In the additional phase, the tension rises to 90 N and stays at 90 N.
     """
     other_task = copy.deepcopy(CAMPAIGN_TASK)
     hold = other_task["phase"][-1]
@@ -83,7 +83,7 @@ def rising_hold_task() -> dict[str, Any]:
 def is_at_stage(stage_name: str, tick_output: Any, first_tick: int) -> bool:
     """Return True if a run has reached a stage.
 
-    ``first_tick`` is the number of ticks of the free motion so far.
+    ``first_tick`` is the number of ticks in which the hand has moved freely so far.
     """
     tension = float(tick_output.telemetry.tension.max())
     if stage_name == FREE_MOTION_STAGE:
@@ -146,8 +146,8 @@ def fault_rows(
 ) -> Iterator[dict[str, Any]]:
     """Yield a row for every fault in every stage of one run.
 
-    Each fault is injected in a forked copy of this process, so all faults begin from the same
-    state.
+    Each fault is injected in a forked copy of this process, so that all faults begin from the same
+    state of the hand.
     """
     hand = hand_with_protocol(hand_name, protocol)
     rate = default_control_rate(hand)
@@ -193,9 +193,9 @@ def fault_rows(
 def results_table(results: list[dict[str, Any]]) -> str:
     """Make a table with a row for each fault and stage.
 
-    The first column after the stage is the number of runs in which the controller relaxed the hand
-    or disabled the motors. The other columns are the reported faults, the longest delay of a
-    reaction, and the largest true tensions.
+    The column after the stage is the number of runs in which the controller relaxed the hand or
+    disabled the motors. The other columns are the reported faults, the longest delay of a reaction,
+    and the largest true tensions.
     """
     lines = ["| fault | stage | relaxed or cut | by (runs) | at the latest, ms | true tension, N | after a stop, N |",
              "|---|---|---|---|---|---|---|"]  # fmt: skip

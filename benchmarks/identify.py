@@ -1,11 +1,11 @@
 """Measure how accurately ``handctl identify`` finds the true parameters of simulated hands.
 
-Each seed gives a random hand. The parameters of this hand differ from the hand file by up to 30 %.
-The gains of its controller differ from the packaged gains by up to a factor of 3. A digit without
-springs is moved with the packaged gains. Its moment arms differ from the hand file by up to 10 %.
-One digit of the hand is moved in lockstep, and the parameters of this digit are fitted to the log.
-The true parameters are used only to evaluate the fit. They give the errors of the fit, and show
-whether each confidence interval contains the true value.
+Each seed gives a random hand, whose parameters differ from the hand file by up to 30 %. The gains
+of the controller differ from the packaged gains by up to a factor of 3. A digit without springs is
+moved with the packaged gains. The moment arms of a digit without springs differ from the hand file
+by up to 10 %. One digit of the hand is moved in lockstep, and the parameters of this digit are
+fitted to the log. The true parameters are used only to evaluate the fit. The true parameters give
+the errors of the fit, and show whether each confidence interval contains the true value.
 
     python benchmarks/identify.py                                  # four seeds
     python benchmarks/identify.py --seeds 100 --into rows.jsonl    # continues an interrupted run
@@ -61,7 +61,7 @@ DETUNED_GAIN_KEYS = ("motion.position_error_m", "motion.speed_error_m_s", "motio
 
 
 def gains_of_digit(hand: Hand, digit_name: str, seed: int) -> Gains:
-    """Return random gains for a digit with springs, and the packaged gains for other digits."""
+    """Return random gains for a digit with springs, and the packaged gains for a digit without springs."""
     packaged = packaged_gains(hand.name)
     return draw_gains(packaged, seed) if hand.digit_named(digit_name).has_springs else packaged
 
@@ -69,7 +69,7 @@ def gains_of_digit(hand: Hand, digit_name: str, seed: int) -> Gains:
 def draw_plant(seed: int, with_springs: bool = True) -> dict[str, float]:
     """Draw random factors that multiply the parameters of a simulated hand.
 
-    For digits without springs, also draw a factor for the moment arms.
+    For digits without springs, also draw a factor that multiplies the moment arms.
     """
     chance = random.Random(f"plant {seed}")
     factors = {
@@ -101,7 +101,7 @@ def true_parameters(
     """Return the true values of the parameters that the identification of a tendon estimates."""
     tendon = hand.tendon[hand.tendon_names.index(tendon_name)]
     motor = hand.motor_of_tendon(tendon_name)
-    # Without load cells all forces are identified in units of the commanded torque.
+    # Without load cells, all forces are identified only relative to the commanded torque.
     unit = 1.0 if tendon.pretension_N is None else plant_factors["torque_constant"]
     values = {
         "tendon_stiffness": tendon.stiffness_N_per_m * plant_factors["stiffness"] / unit,
@@ -114,8 +114,8 @@ def true_parameters(
         values["torque_gain"] = plant_factors["torque_constant"]
     else:
         values["pretension"] = tendon.pretension_N / unit
-    # A digit without springs has no spring stiffness to identify. The fit estimates its moment arms
-    # instead.
+    # A digit without springs has no spring stiffness to identify. The fit estimates the moment arms
+    # of the digit instead of the spring stiffness.
     name = "moment_arm" if "moment_arm" in plant_factors else "spring_stiffness"
     return values | {
         name: plant_factors["moment_arm" if "moment_arm" in plant_factors else "spring"]
@@ -132,11 +132,11 @@ def excite_and_fit(
 ) -> tuple[dict[str, TendonResult], FitResultRow]:
     """Move one digit of a simulated hand and fit the parameters of this digit.
 
-    Return the fit, and a row with the CPU time or the reason for a failure.
+    Return the fit, and a row of results with the CPU time or the reason of a failure.
 
     Args:
         hand_name: name of a packaged hand or path of a hand file. Controller and simulator use the
-            same file.
+            same hand file.
         digit_name: name of the digit.
         seed: seed of the simulated noise, slack and offsets. factors: factors that multiply
             parameters of the simulated hand.
@@ -175,8 +175,8 @@ def measure_digit(
 ) -> FitResultRow:
     """Move one digit of a random hand and fit the parameters of this digit.
 
-    Return a row with the error and the confidence interval of every parameter, or with the reason
-    for a failure.
+    The returned row of results contains the error and the confidence interval of every parameter,
+    or the reason of a failure.
     """
     hand = load_hand(hand_name)
     has_springs = hand.digit_named(digit_name).has_springs
@@ -240,7 +240,7 @@ def compare_parameter(
 def summarise_results(rows: list[FitResultRow]) -> FitResultRow:
     """Count, for every parameter, the accurate fits and the confidence intervals that contain the true value.
 
-    Also summarise the errors of the fits.
+    Also summarise the errors of the identified parameters.
     """
     successful_parameters = [row["parameters"] for row in rows if "failure" not in row]
     result: FitResultRow = {
@@ -281,9 +281,9 @@ def summarise_results(rows: list[FitResultRow]) -> FitResultRow:
 
 
 def collect_rows(args: argparse.Namespace) -> list[FitResultRow]:
-    """Return the rows of all requested seeds.
+    """Return the rows of results for all requested seeds.
 
-    Compute only rows that the file of results does not contain yet.
+    Compute only the rows that the file of results does not contain yet.
     """
     rows = (
         [json.loads(line) for line in args.into.read_text().splitlines()]
@@ -306,7 +306,7 @@ def collect_rows(args: argparse.Namespace) -> list[FitResultRow]:
 
 
 def main() -> int:
-    """Run all requested seeds, and print the summary as a table or as JSON."""
+    """Measure the identification for all requested seeds, and print the summary as a table or as JSON."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")
     parser.add_argument("--seeds", type=int, default=4, help="number of random hands (default: 4)")

@@ -3,10 +3,10 @@
 For comparison, the benchmark runs MuJoCo's ``mj_step`` alone with the same motion.
 
 ``python benchmarks/lockstep.py [--quick] [--json]``. A first run of controller and simulator
-records the torques on the joints in each simulation step. ``mj_step`` alone is then called with
-these torques, and must end at bit-identical positions. Several further runs are timed, and one
+records the torques on the joints in each simulation step. ``mj_step`` alone is then called with the
+recorded torques, and must end at bit-identical positions. Several further runs are timed, and one
 further run is profiled. All runs are bit-identical. The benchmark uses the shortest time of each
-tick and of each step. Other load on the processor core affects the shortest time least.
+tick and of each simulation step. Other load on the processor core affects the shortest time least.
 """
 
 import argparse
@@ -43,7 +43,7 @@ class BodyRollout(NamedTuple):
 
 
 def main() -> None:
-    """Measure all cases and print the results."""
+    """Measure the speed of lockstep for all hands and scenes, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--quick", action="store_true", help="short measurement (less than half a minute)"
@@ -68,7 +68,7 @@ SETUP_BY_SCENE = {"free": FreeMotionSetup, "contact": GraspSetup}
 def measure_lockstep_speed(
     hand_name: str, rate_hz: float, scene_name: str, simulated_s: float
 ) -> dict:
-    """Measure the CPU times of one hand in one scene."""
+    """Measure the CPU times of controller and simulator for one hand in one scene."""
     run_setup = SETUP_BY_SCENE[scene_name]
     rollout = record_rollout(LockstepStack(hand_name, rate_hz, run_setup), simulated_s)
     engine_only_s = sum_of_shortest(
@@ -100,9 +100,9 @@ def measure_lockstep_speed(
 
 
 def sum_of_shortest(times_by_run: Iterable[list[float]]) -> float:
-    """Find the shortest time of each tick or step among several equal runs.
+    """Find the shortest time of each tick or simulation step among several bit-identical runs.
 
-    Return the sum of these times [s].
+    Return the sum of the shortest times [s].
     """
     return sum(map(min, zip(*times_by_run, strict=True)))
 
@@ -129,7 +129,7 @@ def record_rollout(lockstep_stack: LockstepStack, simulated_s: float) -> BodyRol
 
 
 def repeat_rollout(lockstep_stack: LockstepStack, rollout: BodyRollout) -> list[float]:
-    """Repeat a recorded motion with MuJoCo alone. Return the CPU time of each step [s].
+    """Repeat a recorded motion with MuJoCo alone. Return the CPU time of each simulation step [s].
 
     Raises:
         RuntimeError: the repeated motion differs from the recorded motion.
@@ -156,7 +156,7 @@ def repeat_rollout(lockstep_stack: LockstepStack, rollout: BodyRollout) -> list[
 
 
 def print_results(result: dict) -> None:
-    """Print one result as text."""
+    """Print the CPU times of one hand in one scene as text."""
     for hand, scenes in result.items():
         for scene, row in scenes.items():
             print(

@@ -1,6 +1,6 @@
 """Controller and simulated hand in lockstep, without a recorder.
 
-The script ``lockstep.py`` measures their speed.
+The script ``lockstep.py`` measures the speed of both.
 """
 
 import time
@@ -26,7 +26,7 @@ TASK_HEADER = 'schema = 1\nname = "benchmark"\ndescription = "for lockstep.py"\n
 
 @dataclass(frozen=True)
 class FreeMotionSetup:
-    """Setup of a task that moves the fingers in a scene without an object."""
+    """Setup of a run that moves the fingers in a scene without an object."""
 
     scene: ClassVar[str | None] = None
     task: ClassVar[str] = (
@@ -38,7 +38,7 @@ class FreeMotionSetup:
 
 @dataclass(frozen=True)
 class GraspSetup:
-    """Setup of a task that grasps a cylinder from a table and holds it."""
+    """Setup of a run that grasps a cylinder from a table and holds the cylinder."""
 
     scene: ClassVar[str | None] = "cylinder"
     task: ClassVar[str] = (
@@ -53,12 +53,12 @@ class GraspSetup:
 class LockstepStack:
     """A simulated hand with known motor zeros, and a controller of this hand.
 
-    Both run tick by tick.
+    Controller and simulated hand run tick by tick.
 
     Attributes:
         engine: rigid bodies and contact.
         simulation: state of the simulated run.
-        peer: simulated hand, whose nodes exchange frames with the controller.
+        peer: simulated hand. The nodes of the simulated hand exchange frames with the controller.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class LockstepStack:
         self.engine = self.peer.world.plant.engine
 
     def run(self, simulated_s: float) -> list[float]:
-        """Run for a simulated time [s]. Return the CPU time of each tick [s]."""
+        """Run controller and simulator for a simulated time [s]. Return the CPU time of each tick [s]."""
         tick = self.simulation.run_tick
         step_times = []
         read_cpu_time = time.process_time
@@ -91,7 +91,7 @@ class LockstepStack:
         return step_times
 
     def simulator_tick_times(self, simulated_s: float) -> list[float]:
-        """Run for a simulated time [s].
+        """Run controller and simulator for a simulated time [s].
 
         Return the CPU time of the simulator in each tick, including MuJoCo [s].
         """

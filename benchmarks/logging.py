@@ -2,8 +2,8 @@
 
 ``python benchmarks/logging.py [--quick] [--json]``. Each library writes the same messages of a run
 of the hand jamia11 at 1 kHz. The messages include the raw frames. Only ratios between results of
-the same run are comparable. The control loop of handctl passes each record to another process, and
-this process writes the log. The other log libraries write within the control loop.
+the same run are comparable. The control loop of handctl passes each record to another process,
+which writes the log. The other log libraries write within the control loop.
 """
 
 import sys
@@ -12,7 +12,7 @@ from pathlib import Path
 BENCHMARKS_FOLDER = Path(__file__).resolve().parent
 if (
     __name__ == "logging"
-):  # As an imported module, this file would hide Python's ``logging``, which other scripts need.
+):  # If this file could be imported, it would hide Python's module ``logging``, which other scripts need.
     import importlib.machinery
     import importlib.util
 

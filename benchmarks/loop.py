@@ -1,8 +1,8 @@
 """Compare the control loop with a hand-written loop: lateness of ticks, and highest rate.
 
-``python benchmarks/loop.py [--quick] [--json]``. Both loops run with 4 and with 11 motors on the
-same bus. One process simulates the drives for both loops, without simulated tendons and digits.
-Only ratios between results of the same run are comparable.
+``python benchmarks/loop.py [--quick] [--json]``. Both control loops run with 4 and with 11 motors
+on the same bus. A separate process simulates the drives for both control loops, but no tendons and
+no digits. Only ratios between results of the same run are comparable.
 """
 
 import argparse
@@ -20,13 +20,13 @@ import numpy as np
 LATENESS_RATE_HZ = 500.0
 MAX_MISSED_FRACTION = 0.01
 RATE_REDUCTION_FACTOR = 0.85
-"""The search for the highest rate multiplies a rate that was too high by this factor."""
+"""The search for the highest control rate multiplies a control rate that was too high by ``RATE_REDUCTION_FACTOR``."""
 LOOP_MODULES = {"ours": "loops.handctl_loop", "usual": "loops.handwritten_loop"}
-"""For each key in the results, the module of its loop."""
+"""For each key in the results, the module that contains the control loop."""
 
 
 def main() -> None:
-    """Measure all cases and print the results."""
+    """Measure both control loops in all cases, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--quick", action="store_true", help="short measurement (less than half a minute)"
@@ -51,7 +51,8 @@ def main() -> None:
 def measure_loops(duration_s: float, quick: bool) -> dict:
     """Measure both loops with 4 and with 11 motors.
 
-    The results are the lateness of ticks, the behaviour at fixed rates, and the highest rate.
+    The results are the lateness of ticks, the behaviour at fixed control rates, and the highest
+    control rate.
     """
     result: dict = {"motors": {}}
     for hand, motors in (("jamia", 4), ("jamia11", 11)):
@@ -95,9 +96,9 @@ def measure_loops(duration_s: float, quick: bool) -> dict:
 def measure_max_rates(
     loop_name: str, hand_name: str, bus_name: str, duration_s: float, quick: bool
 ) -> dict:
-    """Measure ticks per second without deadlines, and the highest rate with deadlines.
+    """Measure the ticks per second of a control loop without deadlines, and its highest rate with deadlines.
 
-    At the highest rate, less than 1 % of the deadlines are missed.
+    At the highest rate, the control loop misses less than 1 % of the deadlines.
     """
     unlimited_rate = measure_in_child_process(loop_name, hand_name, bus_name, duration_s, 0.0)["hz"]
     rate = (0.6 if quick else 0.9) * unlimited_rate
@@ -114,7 +115,7 @@ def measure_max_rates(
 def rate_ratio(rates: dict, rate_name: str) -> float | None:
     """Return the rate of handctl divided by the rate of the hand-written loop.
 
-    Return None if all rates were too high for one of the loops.
+    Return None if all control rates were too high for one of the two loops.
     """
     handctl_rate = rates["ours"][rate_name]
     baseline = rates["usual"][rate_name]
@@ -124,7 +125,7 @@ def rate_ratio(rates: dict, rate_name: str) -> float | None:
 def measure_in_child_process(
     loop_name: str, hand_name: str, bus_name: str, duration_s: float, rate_hz: float
 ) -> dict:
-    """Run one measurement in a separate process and return its result."""
+    """Measure a control loop once in a separate process, and return the result."""
     words = ["--one", loop_name, hand_name, bus_name, str(duration_s), str(rate_hz)]
     output_text = subprocess.run(
         [sys.executable, __file__, *words], capture_output=True, text=True, timeout=120
@@ -137,7 +138,7 @@ def measure_in_child_process(
 def measure_in_this_process(
     loop_name: str, hand_name: str, bus_name: str, duration_text: str, rate_text: str
 ) -> dict:
-    """Run one measurement in this process. ``measure_in_child_process`` has started the process."""
+    """Measure a control loop once in this process, which ``measure_in_child_process`` has started."""
     sys.path.insert(0, str(Path(__file__).parent))
     log = Path(os.environ["HANDCTL_RUN_DIR"]) / f"{os.getpid()}.log"
     if loop_name == "bare":
@@ -148,7 +149,9 @@ def measure_in_this_process(
         run = __import__(LOOP_MODULES[loop_name], fromlist=["run_loop"]).run_loop
         try:
             outcome = run(hand_name, bus_name, float(duration_text), float(rate_text) or None, log)
-        except RuntimeError:  # At this rate the controller could not even set up the drives.
+        except (
+            RuntimeError
+        ):  # The control rate was so high that the controller could not even set up the drives.
             outcome = 0.0, 1.0, []
     hz, missed_ticks, lateness_us, *other_values = outcome
     result = {"hz": hz, "missed": missed_ticks, "late_us": percentiles_us(lateness_us)}
@@ -159,7 +162,7 @@ def measure_in_this_process(
 
 
 def percentiles_us(times_ns: list[int]) -> dict:
-    """Return the percentiles of a list of times [us]."""
+    """Return percentiles of a list of times [us]."""
     percentiles = np.percentile(times_ns, [50, 99, 99.9, 100]) / 1e3 if times_ns else [0.0] * 4
     return dict(
         zip(
@@ -173,8 +176,8 @@ def percentiles_us(times_ns: list[int]) -> dict:
 def measure_bare_spin(duration_s: float, rate_hz: float) -> tuple[float, float, list[int]]:
     """Measure how late the waits of the controller's clock end.
 
-    The ticks of this measurement do no work. The clock sleeps until shortly before a deadline. With
-    real-time priority, the clock then polls until the deadline.
+    The measured ticks do no work. The clock sleeps until shortly before a deadline. With real-time
+    priority, the clock polls from the end of the sleep until the deadline.
     """
     from handctl.runtime.clocks.real_clock import RealClock
     from handctl.runtime.clocks.realtime_priority import request_priority
@@ -207,7 +210,7 @@ def both_cores_loaded():
 def measure_bare_sleep(duration_s: float, rate_hz: float) -> tuple[float, float, list[int]]:
     """Measure how late ``time.sleep`` ends, with the priority of the control loop.
 
-    The ticks of this measurement do no work.
+    The measured ticks do no work.
     """
     from handctl.runtime.clocks.realtime_priority import request_priority
 
@@ -223,7 +226,7 @@ def measure_bare_sleep(duration_s: float, rate_hz: float) -> tuple[float, float,
 
 @contextmanager
 def simulated_drives(hand_name: str):
-    """Start simulated drives on a bus and return its name."""
+    """Start simulated drives on a local bus, and return the name of the bus."""
     command = [
         sys.executable,
         str(Path(__file__).parent / "loops" / "simulated_drives.py"),
@@ -241,7 +244,7 @@ def simulated_drives(hand_name: str):
 
 
 def print_results(result: dict) -> None:
-    """Print the result as text."""
+    """Print the results of both control loops as text."""
     lateness_us = result["lateness_us"]
     print(f"lateness at {lateness_us['rate_hz']:g} Hz [us]       p50     p99   p99.9     max")
     for name in ("handctl", "bare_sleep"):

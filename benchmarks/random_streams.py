@@ -1,10 +1,10 @@
 """Send random angles to all digits of each packaged hand, and count the runs that end with a fault.
 
 ``python benchmarks/random_streams.py [--hands HAND ...] [--seeds N] [--seconds S] [--json]``. An
-untrained policy sends a random target for every digit 50 times a second. The targets are anywhere
-in the range of the joints. The digits collide with each other and with the palm. There are three
-kinds of targets: *noise* sends a new random angle each time, *steps* keeps a random angle for 0.1
-to 0.6 s, and *walk* adds a random step to the last angle.
+untrained policy sends a random target for every digit 50 times a second. The target angles are
+anywhere in the range of the joints. The digits collide with each other and with the palm. There are
+three kinds of targets: *noise* sends a new random angle each time, *steps* keeps a random angle for
+0.1 to 0.6 s, and *walk* adds a random step to the last angle.
 """
 
 import argparse
@@ -24,10 +24,11 @@ FloatArray = NDArray[np.float64]
 UNLIMITED_SPEED_DEG_S = 1e6
 """Largest rate of change of the targets [deg/s].
 
-The value is so large that it has no effect. Only the controller limits the rate of change.
+The value is so large that it has no effect. Only the controller limits the rate of change of the
+targets.
 """
 RANDOM_WALK_STEP = 0.125
-"""Standard deviation of a step of the random walk, as a fraction of the range of a joint."""
+"""Standard deviation of one change of the angle in the random walk, as a fraction of the range of a joint."""
 
 
 def draw_action(
@@ -51,7 +52,7 @@ def draw_or_keep_action(
 def take_random_step(
     random_source: np.random.Generator, last_action: FloatArray, step_index: int
 ) -> FloatArray:
-    """Return the next action of a random walk from the last action."""
+    """Return the action that follows the last action in a random walk."""
     return np.clip(
         last_action + random_source.normal(0.0, 2.0 * RANDOM_WALK_STEP, len(last_action)), -1.0, 1.0
     )
@@ -67,7 +68,7 @@ ACTION_SOURCES: dict[str, Callable[[np.random.Generator, FloatArray, int], Float
 def stream_random_targets(env: TrackEnv, source_name: str, seed: int) -> tuple[str, float]:
     """Send random targets to a hand until the end of the episode.
 
-    A fault also ends the episode.
+    A fault of the hand also ends the episode.
 
     Args:
         env: environment of the hand.
@@ -75,7 +76,7 @@ def stream_random_targets(env: TrackEnv, source_name: str, seed: int) -> tuple[s
         seed: seed of the simulated hand and of the targets.
 
     Returns:
-        The text of the fault (empty if there was none), and the largest true tension [N].
+        The text of the fault (empty if the hand had no fault), and the largest true tension [N].
     """
     env.reset(seed=seed)
     random = np.random.default_rng(seed)

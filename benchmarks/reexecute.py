@@ -1,6 +1,7 @@
 """Measure and profile the re-execution of a log.
 
-The results are the times to read, to compute and to compare a tick.
+The results are three times per tick: for reading the tick from the log, for computing it, and for
+comparing its outputs.
 
 ``python benchmarks/reexecute.py [LOG ...] [--quick] [--json]``, by default the logs in
 ``logs/golden``. Each log is executed several times. The benchmark uses the shortest time of each
@@ -17,8 +18,8 @@ from cpu_profile import cpu_time_fractions
 
 from handctl.blas_kernels import use_portable_kernels
 
-# The choice of matrix kernels must come before numpy is imported. With other matrix kernels, the last
-# bits differ from the log.
+# The matrix kernels must be chosen before numpy is imported. With other matrix kernels, the last bits
+# of the outputs differ from the log.
 use_portable_kernels()
 
 from handctl.controller.tick import Controller  # noqa: E402
@@ -70,16 +71,16 @@ def measure_log(log_path: Path, pass_count: int) -> dict:
 
 
 def execute_once(log: RunLog, controller: Controller) -> dict:
-    """Re-execute a log once.
+    """Re-execute all ticks of a log once.
 
     The returned dictionary contains three CPU times [s]: for reading the log, for each tick, and
-    for comparing the outputs. A fourth entry is the number of ticks whose outputs equal those in
-    the log.
+    for comparing the outputs. The dictionary also contains the number of ticks whose outputs equal
+    those in the log.
     """
     cpu = time.process_time
     start_cpu_s = cpu()
     for _ in zip(log.ticks(), log.packed_telemetry(), strict=True):
-        pass  # As in an ordinary re-execution, the outputs are not stored.
+        pass  # As in an ordinary re-execution, the outputs of the ticks are not stored.
     read = cpu() - start_cpu_s
     logged_ticks = list(zip(log.ticks(), log.packed_telemetry(), strict=True))
     state = controller.initial_state()
@@ -104,7 +105,7 @@ def execute_once(log: RunLog, controller: Controller) -> dict:
 
 
 def print_results(result: dict) -> None:
-    """Print the results as text."""
+    """Print the times of the re-execution as text."""
     for name, row in result.items():
         stage_times = ", ".join(f"{stage} {us:.1f}" for stage, us in row["us_a_tick"].items())
         print(

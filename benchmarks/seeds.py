@@ -2,8 +2,8 @@
 
     nice -n 5 python benchmarks/seeds.py --results seeds.jsonl --table docs/evidence/seeds.md
 
-The file of results has one line for each run. A stopped benchmark continues after the last result
-in the file.
+The file of results has one line for each run. If the benchmark was stopped and is started again, it
+continues after the last result in the file.
 """
 
 import argparse
@@ -22,11 +22,11 @@ from handctl.hand.hand_loading import load_hand, packaged_hands
 ERROR_LIMIT_BY_MEASURE = {"tracking_deg": 1.0, "tension_error_N": 2.0, "object_motion_mm": 1.0}
 """Limits of the errors in a run.
 
-A run passes if its errors are within these limits, and if it had no failure, no missed tick and no
+A run passes if its errors are within the limits, and if it had no failure, no missed tick and no
 lost frame. `error_limits` raises the limit of the tension error for a hand whose load cells drift.
 """
 DRIFT_SIGMAS = 3.0
-"""Tension error that load-cell drift may explain, in standard deviations of the drift."""
+"""Largest tension error that counts as load-cell drift, in standard deviations of the drift."""
 DemoCase = tuple[str, str, int]
 """Hand, protocol and seed of a run."""
 
@@ -34,7 +34,7 @@ DemoCase = tuple[str, str, int]
 def run_demo(hand_name: str, protocol: str, seed: int) -> dict[str, Any]:
     """Run `handctl demo` once and return the errors in this run.
 
-    If the run does not pass, the result includes the reason.
+    If the run does not pass, the result includes the reason why it does not pass.
     """
     output_stream = io.StringIO()
     err = io.StringIO()
@@ -68,8 +68,8 @@ def run_demo(hand_name: str, protocol: str, seed: int) -> dict[str, Any]:
 def error_limits(hand_name: str, duration_s: float) -> dict[str, float]:
     """Return the limits of the errors in a run.
 
-    No sensor of the hand can reveal the drift of a load cell. The limit of the tension error is
-    therefore at least `DRIFT_SIGMAS` standard deviations of the drift in the time of the run.
+    No sensor of the hand can reveal the drift of a load cell. The limit of the tension error is at
+    least `DRIFT_SIGMAS` standard deviations of the drift of a load cell in the time of the run.
     """
     drift = (
         DRIFT_SIGMAS
@@ -82,7 +82,7 @@ def error_limits(hand_name: str, duration_s: float) -> dict[str, float]:
 
 
 def failure_reason(run_errors: dict[str, Any], run_result: dict[str, Any]) -> str:
-    """Describe why a run does not pass. Return an empty string if it passes."""
+    """Describe why a run does not pass. Return an empty string if the run passes."""
     if run_result["failure"] or run_result["missed"] or run_result["frames_lost"]:
         return (
             run_result["failure"]
@@ -101,7 +101,7 @@ def failure_reason(run_errors: dict[str, Any], run_result: dict[str, Any]) -> st
 def results_table(results: list[dict[str, Any]]) -> str:
     """Make a Markdown table with a row for each hand and protocol.
 
-    Below the table, write a line for each run that does not pass.
+    Below the table, describe each run that does not pass in one line.
     """
     rows = [
         "| hand | protocol | seeds passed | tracking error [deg] | tension error [N] | object motion [mm] |",
@@ -134,7 +134,7 @@ def results_table(results: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Run the cases that have no result in the file yet, and write the table."""
+    """Run the demo for each case that has no result in the file yet, and write the table."""
     parser = argparse.ArgumentParser(description="the demo over many seeds")
     parser.add_argument(
         "--seeds", type=int, default=20, metavar="N", help="number of seeds (default: 20)"

@@ -1,11 +1,12 @@
 """Measure the accuracy of hands without load cells or joint encoders.
 
-The results are errors of the estimates, the delay of contact detection, and detected faults.
+The results are errors of the estimated tensions and angles, the delay of contact detection, and
+detected faults.
 
 ``python benchmarks/sensing.py [--json] [--seeds N] [--page]``. In each run, the simulated hand
-grasps a cylinder in lockstep: move, close until contact, hold while the table sinks, release, open.
-The hand file of the controller lacks some sensors, while the simulated hand stays the same.
-``--page`` writes docs/evidence/control-sensing.md.
+grasps a cylinder in lockstep. The phases of the task are: move, close until contact, hold while the
+table sinks, release, open. The hand file of the controller lacks some sensors, but the simulated
+hand is the same in all runs. ``--page`` writes docs/evidence/control-sensing.md.
 """
 
 import argparse
@@ -29,7 +30,7 @@ PAGE_FILE = Path(__file__).parents[1] / "docs" / "evidence" / "control-sensing.m
 CONTROL_RATES_HZ = {"jamia": 500.0, "n_plus_1": 250.0}
 CYLINDER_DIAMETER_M = {"jamia": 0.035, "n_plus_1": 0.042}
 PRESHAPE_ANGLES_DEG = {"jamia": (8.0, 0.0), "n_plus_1": (4.0, 0.0)}
-"""Angles of fingers and thumb before closing [deg]. At these angles the digits do not touch the object yet."""
+"""Angles of fingers and thumb before closing [deg]. At these preshape angles, the digits do not touch the object."""
 SENSOR_SETS = {
     "load cells and joint encoders": (True, True),
     "load cells": (True, False),
@@ -41,7 +42,7 @@ SENSING_CASES = [
     ("jamia", "neither"),
     *(("n_plus_1", sensors) for sensors in SENSOR_SETS),
 ]
-"""Hand and sensors of each case.
+"""Hand and sensors of each case of the benchmark.
 
 The hand jamia has no joint encoders, so it has no cases with joint encoders.
 """
@@ -61,7 +62,7 @@ INJECTED_FAULTS = {
     "two drives are exchanged": "swap node={motor} with={other} at=1.6s",
     "a drive keeps its torque after the cut": "hold_on node={motor} at=4s",
 }
-"""Name and command of each injected fault. The faults act on parts that every hand of the benchmark has."""
+"""Name and command of each injected fault. Every hand of the benchmark has the parts on which the faults act."""
 
 
 def hand_with_sensors(hand_name: str, sensor_set: str) -> Hand:
@@ -79,7 +80,7 @@ def hand_with_sensors(hand_name: str, sensor_set: str) -> Hand:
 
 
 def grasp_task_of(hand: Hand) -> Task:
-    """Return the task with which a hand grasps the cylinder."""
+    """Return the task in which a hand grasps the cylinder."""
     finger, thumb = PRESHAPE_ANGLES_DEG[hand.name]
     preshape = {name: thumb if name == "thumb" else finger for name in hand.digit_names}
     phases = (
@@ -122,9 +123,10 @@ def cylinder_scene_of(hand_name: str) -> str:
 
 @dataclass
 class SensingRun:
-    """Record of a run.
+    """Record of a run with one hand and one set of sensors.
 
-    The record has one row for each tick with an active hand. It also contains the reported faults.
+    The record has one row for each tick with an active hand. The record also contains the faults
+    that the controller reported.
     """
 
     phase: list[str] = field(default_factory=list)
@@ -140,7 +142,7 @@ class SensingRun:
 def run_grasp(
     model: HandModel, scene_name: str, task: Task, seed: int, fault_text: str = ""
 ) -> SensingRun:
-    """Run the grasp on a simulated hand whose motor zeros are known."""
+    """Run the grasp task on a simulated hand whose motor zeros are known."""
     record = SensingRun()
     names = model.hand.digit_names
     with SimulatorSettings(model.hand, scene_name, seed, homed=True).begin_run(
@@ -175,7 +177,7 @@ def run_grasp(
 
 
 def rms(values: Any) -> float:
-    """Return the root mean square of values, or NaN if there are none."""
+    """Return the root mean square of values, or NaN if there are no values."""
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
 
 
@@ -225,7 +227,7 @@ def measures_of_case(runs: list[SensingRun], period_s: float) -> dict[str, float
 
 
 def measure_sensing(seed_count: int) -> dict[str, Any]:
-    """Measure all cases without faults, and then the injected faults.
+    """Measure all cases without faults, and then the reactions to injected faults.
 
     The faults are injected on jamia, with and without load cells.
     """
@@ -287,7 +289,7 @@ two times sigma.""".splitlines()
 
 
 def page_text(result: dict[str, Any]) -> str:
-    """Return the text of the page for the results of a measurement."""
+    """Return the text of the page docs/evidence/control-sensing.md for the results of a measurement."""
     rows = [
         f"| {c['hand']}, {c['sensors']} | {c['moving_N']:.2f} | {c['holding_N']:.2f} | {c['sigma_N']:.2f} | "
         f"{c['error_per_sigma']:.2f} | {c['angle_deg']:.2f} | {c['delay_ms']:.0f} | {100 * c['held']:.0f} % |"
@@ -322,7 +324,7 @@ def page_text(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Measure all cases, and print the result or write the page."""
+    """Measure all hands and sets of sensors, and print the result or write the page."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n", 1)[0])
     parser.add_argument(
         "--seeds", type=int, default=20, help="number of runs for each hand (default: 20)"

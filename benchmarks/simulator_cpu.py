@@ -1,10 +1,11 @@
 """Measure the CPU time of the simulator in lockstep, without MuJoCo's ``mj_step``.
 
 ``python benchmarks/simulator_cpu.py [--quick] [--json]``. The measured runs include the controller,
-because the controller displaces code and data of the simulator from the processor caches. This
-happens in every run in lockstep. The benchmark measures the CPU time of ``LockstepHand.exchange``
-in each tick, and subtracts the CPU time of ``mj_step`` alone for the same motion. All runs are
-bit-identical, so the benchmark uses the shortest time of each tick.
+because the controller displaces code and data of the simulator from the processor caches. The
+controller displaces the simulator from the caches in every run in lockstep. The benchmark measures
+the CPU time of ``LockstepHand.exchange`` in each tick, and subtracts the CPU time of ``mj_step``
+alone for the same motion. The benchmark runs the same motion several times and uses the shortest
+time of each tick, because all runs are bit-identical.
 """
 
 import argparse
@@ -46,7 +47,7 @@ def main() -> None:
 def measure_simulator_cpu(
     hand_name: str, protocol: str, scene_name: str, simulated_s: float
 ) -> dict:
-    """Measure one hand with drives of one protocol in one scene."""
+    """Measure the CPU time of the simulator for one hand, one drive protocol and one scene."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "hand.toml"
         path.write_text(hand_with_protocol(hand_name, protocol).to_toml())
@@ -82,7 +83,7 @@ def clock_read_cpu_s() -> float:
 
 
 def print_case(case_row: dict) -> None:
-    """Print one result as text."""
+    """Print the result of one case as text."""
     print(
         f"{case_row['hand']:8} {case_row['protocol']:7} {case_row['scene']:8} "
         f"mj_step {case_row['bare_us_per_tick']:6.1f} us, exchange "

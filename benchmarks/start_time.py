@@ -1,12 +1,12 @@
-"""Measure the time from a command to its first frame on the bus.
+"""Measure the time from the start of a handctl command to the first frame that it sends on the bus.
 
-Also measure the time that a command needs to print its help.
+Also measure the time that a handctl command needs to print its help.
 
-``python benchmarks/start_time.py [--repeats N] [--json]``. The bus is a local bus without other
-participants. The kernels and the byte code of Python are compiled before the first measurement. As
-a reference, the benchmark also measures a start of Python that imports numpy. These starts
-alternate with the other starts. Only ratios to this reference are comparable. Other programs affect
-the CPU time less than the wall time.
+``python benchmarks/start_time.py [--repeats N] [--json]``. The bus is a local bus on which no other
+program sends. The kernels and the byte code of Python are compiled before the first measurement. As
+a reference, the benchmark also measures a start of Python that imports numpy. The starts of Python
+alternate with the starts of handctl. Only ratios to the start of Python are comparable between runs
+of the benchmark. Other programs affect the CPU time less than the wall time.
 """
 
 import argparse
@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 FRAME_TIMEOUT_S = 600.0
-"""Longest time to wait for the first frame, including compilation [s]."""
+"""Longest time to wait for the first frame of a command, including the compilation of code [s]."""
 BUS_NAME = "start"
 """Name of the local bus."""
 HAND_BY_RUN = {"handctl run": "jamia", "handctl run, 11 motors": "jamia11"}
@@ -40,7 +40,7 @@ class StartTime(NamedTuple):
 
 
 def main() -> None:
-    """Measure all programs and print the times."""
+    """Measure the start times of all programs, and print them."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--repeats", type=int, default=7, help="starts of each program (default: 7)"
@@ -51,7 +51,7 @@ def main() -> None:
         os.environ["HANDCTL_RUN_DIR"] = folder
         os.environ.pop(
             "PYTHONDONTWRITEBYTECODE", None
-        )  # without stored byte code, each start would compile 300 modules
+        )  # Without stored byte code, each start of handctl would compile 300 modules.
         os.environ["PYTHONPYCACHEPREFIX"] = folder
         result = measure_starts(args.repeats, Path(folder))
     print(json.dumps(result, indent=2)) if args.json else print_results(result)
@@ -75,7 +75,7 @@ def measure_starts(repeat_count: int, work_folder: Path) -> dict[str, list[Start
         measures[name] = partial(time_until_first_frame, hand, work_folder)
     try:
         for measure in measures.values():
-            measure()  # The first start is not counted, because it compiles code and fills the disk cache.
+            measure()  # Do not count the first start, because it compiles code and fills the disk cache.
         times: dict[str, list[StartTime]] = {name: [] for name in measures}
         for _ in range(repeat_count):
             for name, measure in measures.items():
@@ -141,7 +141,7 @@ def time_until_first_frame(hand_name: str, work_folder: Path) -> StartTime:
 
 
 def print_results(result: dict[str, list[StartTime]]) -> None:
-    """Print a table of the times."""
+    """Print a table of the start times."""
     print(f"{'program':28} {'median [s]':>11} {'smallest':>9} {'largest':>8} {'CPU [s]':>8}")
     for name, start_rows in result.items():
         times = [start.wall_s for start in start_rows]

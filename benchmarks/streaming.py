@@ -1,10 +1,11 @@
 """Send streams of targets to a simulated hand in real time.
 
-The benchmark measures the effects of bad clients, the tracking error, and the latency.
+The benchmark measures the effects of misbehaving clients, the tracking error of a streamed motion,
+and the latency.
 
 ``python benchmarks/streaming.py [clients|tracking|latency ...] [--only CLIENT ...] [--time-scale X]
 [--bus BUS]``. Clients, controller and simulated hand run as separate processes. The latency is
-measured in unscaled time.
+measured in wall time, without a time scale.
 """
 
 import argparse
@@ -47,10 +48,10 @@ MISBEHAVIOUR_DURATION_S = 0.4
 TRACKED_DURATION_S = 4.0
 """Duration of the streamed motion, and of the same motion in a task [s].
 
-Errors of the first second are not counted.
+Tracking errors in the first second of the motion are not counted.
 """
 TRAJECTORY_KNOT_INTERVAL_S = 0.04
-"""A task repeats the streamed motion as a spline through given angles.
+"""For comparison, a task repeats the streamed motion as a spline through given angles.
 
 ``TRAJECTORY_KNOT_INTERVAL_S`` is the time between two successive angles [s]. The spline differs
 from the streamed sine by less than 0.001 deg.
@@ -63,14 +64,14 @@ LATENCY_DURATION_S = 10.0
 QUICK_LATENCY_DURATION_S = 2.0
 """Duration of the latency measurement with ``--quick`` [s].
 
-Without this option, it lasts ``LATENCY_DURATION_S``.
+Without ``--quick``, the latency measurement lasts ``LATENCY_DURATION_S``.
 """
 BENCHMARK_PARTS = ("clients", "tracking", "latency")
 SIMULATOR_ARGUMENTS = ["-m", "firmware_sim"]
 """Arguments of Python that start a simulated hand."""
 INTERPOLATION_NAMES = ("linear", "minimum_jerk")
 CommissionedHand = tuple[Path, tuple[str, ...]]
-"""A simulated hand that is already commissioned: its calibration file, and the options of its simulator."""
+"""Calibration file of a simulated hand that is already commissioned, and options of the simulator of this hand."""
 
 
 def sine_angle_deg(t: float) -> float:
@@ -79,16 +80,16 @@ def sine_angle_deg(t: float) -> float:
 
 
 class MisbehavingClient:
-    """A stream of targets for one digit, into which the caller can put wrong targets.
+    """A stream of targets for one digit, to which the caller can add wrong targets.
 
     The targets bypass the checks of ``TargetStream.send``.
     """
 
     def __init__(self, hand: HandClient, stream: TargetStream, time_scale: float) -> None:
-        """Begin to send targets through an open stream.
+        """Prepare to send targets through an open stream.
 
         Args:
-            hand: client of the hand.
+            hand: client of the simulated hand.
             stream: open stream of the client.
             time_scale: ratio of the time of the simulated hand to wall time.
         """
@@ -110,7 +111,7 @@ class MisbehavingClient:
         age_s: float = 0.0,
         target_space: int = 1,
     ) -> None:
-        """Send a target that may have a wrong sequence number or a wrong time stamp.
+        """Send a target, with a wrong sequence number or a wrong time stamp if the caller gives one.
 
         ``age_s`` is the age of the target on the clock of the simulated hand [s].
         """
@@ -122,7 +123,7 @@ class MisbehavingClient:
         )
 
     def send_good_targets(self, duration_s: float) -> None:
-        """Send the targets of the correct motion for a time [s]."""
+        """Send the targets of the correct motion for the duration ``duration_s`` [s]."""
         for _ in self.periods(duration_s):
             self.send(sine_angle_deg(self.t_s + self.stream.horizon_s))
 
@@ -134,7 +135,7 @@ class MisbehavingClient:
 
 
 def stream_while_paused(client: MisbehavingClient) -> None:
-    """Stream the correct motion, while the parent process stops or kills this process."""
+    """Stream the correct motion, while the parent process pauses or kills the process of this client."""
     print("pause", flush=True)
     client.send_good_targets(2.0 * MISBEHAVIOUR_DURATION_S)
 
@@ -150,7 +151,7 @@ def flood_with_targets(client: MisbehavingClient) -> None:
 
 
 def send_constant(target_value: float) -> Any:
-    """Return a function that replaces every target by the same value."""
+    """Return a client behaviour (a function) that sends the same value as every target."""
 
     def misbehave(client: MisbehavingClient) -> None:
         for _ in client.periods(MISBEHAVIOUR_DURATION_S):
@@ -160,9 +161,9 @@ def send_constant(target_value: float) -> Any:
 
 
 def send_late_targets(delay_s: float) -> Any:
-    """Return a function that sends each target late.
+    """Return a client behaviour (a function) that sends each target late.
 
-    The time stamp is the time at which the target was due.
+    The time stamp of a late target is the time at which the target was due.
     """
 
     def misbehave(client: MisbehavingClient) -> None:
@@ -175,7 +176,7 @@ def send_late_targets(delay_s: float) -> Any:
 
 
 def repeat_targets(client: MisbehavingClient) -> None:
-    """Send each target five times with the same number."""
+    """Send each target five times with the same sequence number."""
     for _ in client.periods(MISBEHAVIOUR_DURATION_S):
         value = sine_angle_deg(client.t_s + client.stream.horizon_s)
         client.send(value)
@@ -194,9 +195,9 @@ def swap_targets(client: MisbehavingClient) -> None:
 
 
 def send_random_jumps(client: MisbehavingClient) -> None:
-    """Send random angles, as a faulty policy may do.
+    """Send random angles, as a faulty policy does.
 
-    Some of these angles are beyond the range of the joints.
+    Some of the random angles are beyond the range of the joints.
     """
     random_source = random.Random(0)
     for _ in client.periods(MISBEHAVIOUR_DURATION_S):
@@ -234,10 +235,10 @@ If a client is killed, the run ends.
 def run_client(
     client_name: str, bus_name: str, time_scale: float, connect_options: list[str]
 ) -> None:
-    """Stream as the client ``client_name``.
+    """Stream targets with the behaviour of the client ``client_name``.
 
-    Print the first and the last tick of the client's misbehaviour, and how many targets were
-    accepted and refused.
+    Print the first and the last tick of the misbehaviour of this client, and how many of its
+    targets the controller accepted and refused.
     """
     with handctl.connect("jamia", bus_name, *connect_options) as hand:
         hand.move({STREAMED_DIGIT: SINE_MIDDLE_DEG}, duration_s=0.5)
@@ -264,7 +265,7 @@ class HandProcess:
     """Simulated hand in a separate process that stores its files in a folder.
 
     Attributes:
-        work_folder: folder of the files.
+        work_folder: folder in which the simulated hand stores its files.
         log, truth: paths of the log and of the simulator's truth file.
         words: options of ``handctl run``.
     """
@@ -276,7 +277,7 @@ class HandProcess:
         time_scale: float,
         commissioned_hand: CommissionedHand | None,
     ) -> None:
-        """Start the hand. The arguments are those of ``hand_process``."""
+        """Start the simulated hand. The arguments are those of the function ``hand_process``."""
         self.bus = bus_name
         self.scale = time_scale
         self.folder = work_folder
@@ -312,7 +313,7 @@ class HandProcess:
         )
 
     def connect(self) -> HandClient:
-        """Return a client that has not connected yet.
+        """Return a client of the simulated hand that has not connected yet.
 
         The client starts the controller when the caller opens the client.
         """
@@ -321,13 +322,13 @@ class HandProcess:
     def simulated_time_ns(self, monotonic_ns: int) -> int:
         """Convert a recent reading of CLOCK_MONOTONIC to the time of the simulated hand [ns].
 
-        The clock of the hand pauses while the machine is too slow.
+        The clock of the simulated hand pauses while the computer is too slow.
         """
         paused_ns = int(np.fromfile(clock_path(self.bus), np.int64)[PAUSED_INDEX])
         return round((monotonic_ns - paused_ns) * self.scale)
 
     def close(self) -> None:
-        """End the simulated hand, which then completes its truth file."""
+        """End the process of the simulated hand, which completes its truth file before it ends."""
         if self._process.poll() is None:
             self._process.terminate()
         self._process.communicate(timeout=READY_TIMEOUT_S)
@@ -364,8 +365,9 @@ def measure_clients(
 ) -> dict[str, Any]:
     """Let clients stream to a hand, one after another. Return a row of the printed table for each client.
 
-    A client that starts the controller itself gets a separate hand. A run ends when its client is
-    killed. After a client that is killed, no other client uses the same hand.
+    A client that starts the controller itself gets a separate hand. The run of a controller ends
+    when its client is killed. After a client of a hand has been killed, no other client uses the
+    same hand.
     """
     shared_client_names = sorted(
         (name for name in client_names if name != "killed-owner"), key=lambda name: name == "killed"
@@ -388,10 +390,10 @@ def measure_clients(
 def _run_clients(
     hand_process_run: HandProcess, client_names: list[str]
 ) -> tuple[dict[str, Any], int]:
-    """Run clients on one hand.
+    """Run several clients, one after another, on one simulated hand.
 
-    Return the ticks and counts of each misbehaviour, and the start of the run on the hand's clock
-    [ns].
+    Return the ticks of each misbehaviour, the numbers of accepted and refused targets, and the
+    start of the run on the clock of the hand [ns].
     """
     if client_names == ["killed-owner"]:
         window, start_ns = _run_one_client(hand_process_run, client_names[0], None)
@@ -404,9 +406,7 @@ def _run_clients(
     finally:
         try:
             hand.close()
-        except (
-            handctl.DriveError
-        ):  # When a client is killed, its stream becomes stale. This fault ends the run.
+        except handctl.DriveError:  # The stale stream of the killed client has ended the run.
             if "killed" not in windows:
                 raise
     return windows, start_ns
@@ -417,7 +417,7 @@ def _run_one_client(
 ) -> tuple[dict[str, Any], int]:
     """Run one client in a separate process.
 
-    For some clients, the function pauses or kills this process.
+    For some clients, the function pauses or kills the process of the client.
     """
     words = hand_process_run.words if owning_client is None else []
     command = [
@@ -461,9 +461,9 @@ def _run_one_client(
 def run_start_ns(hand: HandClient | None, hand_process_run: HandProcess) -> int:
     """Return the start time of the run (t = 0) on the clock of the simulated hand [ns].
 
-    An observation is published only at the end of a tick. A start time from an observation is
-    therefore too late by the duration of a tick. The function therefore uses the shortest of many
-    ticks. This tick lasts about 0.1 ms.
+    An observation is published only at the end of a tick. A start time that is computed from an
+    observation is too late by the duration of the tick. The function uses the shortest of many
+    ticks, which lasts about 0.1 ms.
     """
     assert hand is not None
     starts_ns = list[int]()
@@ -480,7 +480,7 @@ def run_start_ns(hand: HandClient | None, hand_process_run: HandProcess) -> int:
 def _client_row(
     log: RunLog, truth: TruthRecord, misbehaviour: dict[str, Any], start_ns: int
 ) -> dict[str, Any]:
-    """Return one row of the table: mode, faults, largest true tension and largest speeds during a misbehaviour."""
+    """Return the table row of a client: mode, faults, largest true tension and largest speeds in its misbehaviour."""
     last_tick = int(log.k[-1]) if misbehaviour["to"] is None else misbehaviour["to"]
     is_inside = (log.k >= misbehaviour["from"]) & (log.k <= last_tick)
     inside_start_ns, last_ns = log.t_ns[is_inside][[0, -1]]
@@ -515,8 +515,9 @@ def measure_tracking(
 ) -> dict[str, Any]:
     """Compare the tracking error of a streamed sine with that of the same motion in a task.
 
-    An error is the RMS of the true minus the intended angle [deg]. The returned dictionary also
-    states how late the ticks were, because late ticks show that the machine was busy.
+    A tracking error is the RMS of the difference between the true angle and the intended angle
+    [deg]. The returned dictionary also contains the lateness of the ticks, because late ticks show
+    that the computer was busy.
     """
     began_ns: dict[str, int] = {}
     with hand_process(bus_name, time_scale, commissioned_hand) as process:
@@ -548,7 +549,7 @@ def measure_tracking(
 
 
 def _sine_task() -> str:
-    """Return a task that has the same motion as the stream."""
+    """Return a task that has the same motion as the streamed sine."""
     times = np.arange(0.0, TRACKED_DURATION_S + 1e-9, TRAJECTORY_KNOT_INTERVAL_S).round(3).tolist()
     start_phase = {
         "kind": "move",
@@ -562,7 +563,7 @@ def _sine_task() -> str:
 
 
 def _tracking_error(truth: TruthRecord, motion_start_ns: int) -> float:
-    """Return the RMS of the true minus the intended angle after the first second of the motion [deg]."""
+    """Return the RMS of the true minus the intended angle, without the first second of the motion [deg]."""
     t = (truth.t_ns - motion_start_ns) / 1e9
     evaluation_mask = (t > 1.0) & (t < TRACKED_DURATION_S - 0.05)
     joints = [i for i, name in enumerate(truth.columns) if name.startswith(f"q/{STREAMED_DIGIT}")]
@@ -587,7 +588,7 @@ def _tracking_error(truth: TruthRecord, motion_start_ns: int) -> float:
 def measure_latency(bus_name: str, duration_s: float) -> dict[str, Any]:
     """Measure the delays of observations and targets.
 
-    Return their percentiles p50 and p99 in unscaled time [ms].
+    Return the percentiles p50 and p99 of the delays in wall time, without a time scale [ms].
     """
     with hand_process(bus_name, 1.0) as process, process.connect() as hand:
         rows = {
@@ -637,9 +638,9 @@ def _status_ages_ms(hand: HandClient, duration_s: float) -> list[float]:
 
 
 def _target_delays_ms(hand: HandClient, duration_s: float) -> list[float]:
-    """Measure the delay of each target [ms].
+    """Measure the delay from the sending of each target to the frames that depend on it [ms].
 
-    The delay ends when the next tick has sent its frames.
+    The delay of a target ends when the next tick has sent its frames.
     """
     delays: list[float] = []
     random_source = random.Random(0)
@@ -660,7 +661,7 @@ def _target_delays_ms(hand: HandClient, duration_s: float) -> list[float]:
 
 
 def _move_delays_ms(hand: HandClient, duration_s: float) -> list[float]:
-    """Measure the time from sending each request for a move to its confirmation [ms]."""
+    """Measure the time from the sending of each move request to its confirmation by the controller [ms]."""
     delays: list[float] = []
     end = time.monotonic() + duration_s
     while time.monotonic() < end:
@@ -675,7 +676,7 @@ def _move_delays_ms(hand: HandClient, duration_s: float) -> list[float]:
 
 
 def print_results(result: dict[str, Any]) -> None:
-    """Print the tables as Markdown."""
+    """Print the tables of the streaming benchmark as Markdown."""
     if "clients" in result:
         limit = f"true tension, trip limit {result['tension_trip_N']:g} N"
         counts = "targets accepted, clipped, late, refused"
@@ -707,7 +708,7 @@ def print_results(result: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    """Measure the selected parts and print the results."""
+    """Measure the selected parts of the streaming benchmark, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "part",

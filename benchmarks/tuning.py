@@ -1,11 +1,11 @@
-"""Measure the benefit of tuning if the real hand differs from its hand file.
+"""Measure how much tuning helps if the real hand differs from its hand file.
 
-A simulated hand takes the place of the real hand (the true plant). The parameters of this simulated
-hand differ from the hand file by up to 30 %. The initial gains are wrong by a factor of 3. A first
-search tries gains on an ensemble of hands near the hand file, and a second search tries gains on the
-true plant. With ``--fit``, a third search tries gains on a hand with the identified parameters.
-The best gains of each search are then tried on the true plant. The ratio of their costs shows how much
-is lost if the true parameters are unknown.
+A simulated hand, the true plant, replaces the real hand. The parameters of the true plant differ from
+the hand file by up to 30 %. The initial gains are wrong by a factor of 3. One search tries gains on an
+ensemble of hands near the hand file, and another search tries gains on the true plant. With ``--fit``,
+an additional search tries gains on a hand with the identified parameters. The best gains of each
+search are finally tried on the true plant. The ratio of the costs of these gains shows how much is
+lost if the true parameters are unknown.
 
     python benchmarks/tuning.py [--quick] [--json] [--trials N] [--plants N] [--workers N]
     python benchmarks/tuning.py --trials 96 --into studies    # continues an interrupted run, or adds trials
@@ -42,7 +42,7 @@ TRUE_PLANT_FACTORS = {
     "motor_inertia": 0.7,
     "damping": 1.3,
 }
-"""Factors from the parameters of the hand file to the parameters of the true plant.
+"""Factors that multiply the parameters of the hand file to give the parameters of the true plant.
 
 The factors were fixed before anything was tuned.
 """
@@ -63,7 +63,7 @@ EVALUATION_SEED = 1000
 
 
 def main() -> int:
-    """Run the searches and print the comparison of their gains."""
+    """Run all searches for gains, and print the comparison of the gains that they found."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -114,7 +114,7 @@ def compare_searches(
     study_folder: Path | None,
     calibration_file: Path | None,
 ) -> dict[str, Any]:
-    """Run the searches and compare their gains on the true plant. Store the studies in a folder if one is given."""
+    """Run all searches and compare their best gains on the true plant. Store the studies if a folder is given."""
     hand, identified_hand, spread = load_tuned_hand(hand_name, calibration_file)
     packaged = Gains()
     detuned = detuned_gains()
@@ -226,7 +226,7 @@ def _best_gains(initial_gains: Gains, result: SearchResult) -> Gains:
 def _evaluation_job(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
     """Return a job that scores gains on the true plant, even if their stability margins are too small.
 
-    The job uses noise that no search has used.
+    The job uses a seed of the noise that no search has used.
     """
     table = {
         "gains": gains.model_dump(by_alias=True),
@@ -237,9 +237,9 @@ def _evaluation_job(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
 
 
 def _with_model(hand: Hand, model: HandModel) -> GainScore:
-    """Score a controller on the true plant, and compute its stability margins.
+    """Score gains on the true plant, and compute their stability margins.
 
-    The controller is made for the identified hand.
+    The controller with the gains is made for the identified hand.
     """
     margins = worst_margins(model, (linear_factors(dict.fromkeys(TRUE_PLANT_FACTORS, 1.0)),))
     return replace(

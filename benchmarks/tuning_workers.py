@@ -1,7 +1,7 @@
 """Measure how much faster two workers search for gains than one worker, with the same trials.
 
-Wall time depends on other load on the machine. The CPU time of the busiest worker is the wall time
-that the trials would take on cores without other load. Wall time and CPU time both include the
+The wall time depends on other load on the computer. The CPU time of the busiest worker is the wall
+time that the trials would take on cores without other load. Wall time and CPU time both include the
 start of a worker.
 
     python benchmarks/tuning_workers.py [--quick] [--json] [--trials N] [--workers N]
@@ -27,7 +27,7 @@ RATE_HZ = 500.0
 
 
 def scoring_jobs(job_count: int) -> list[ScoringJob]:
-    """Return trials whose gains differ slightly.
+    """Return jobs for trials whose gains differ slightly.
 
     The search would compute equal trials only once.
     """
@@ -45,7 +45,7 @@ def scoring_jobs(job_count: int) -> list[ScoringJob]:
 
 
 def cpu_s(pid: int) -> float:
-    """Return the CPU time that a process has used so far [s]. Source: proc(5), fields 14 and 15 of stat."""
+    """Return the CPU time that a process has used so far [s]. Source: manual page proc(5), fields 14 and 15 of stat."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -55,7 +55,7 @@ def measure_search(
 ) -> tuple[ScoringJob, list[ScoringJob]]:
     """Measure how long a search with ``worker_count`` workers takes.
 
-    Return the times, and the scores in the order of the jobs.
+    Return the wall time and CPU time of the search, and the scores in the order of the jobs.
     """
     start_time_s = time.monotonic()
     worker_pool = ProcessPool(worker_count)
@@ -74,7 +74,7 @@ def measure_search(
 
 
 def main() -> int:
-    """Measure the search with one worker and with several workers."""
+    """Measure the duration of a search for gains with one worker and with several workers."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

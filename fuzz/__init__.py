@@ -1,7 +1,8 @@
-"""Coverage-guided fuzzing of all parsers whose input comes from outside of handctl.
+"""Coverage-guided fuzzing of all parsers of handctl whose input comes from outside of handctl.
 
 Run ``make fuzz``, or see ``python -m fuzz --help``.
 
-A target is a function that feeds bytes to a parser, and returns True if the parser accepts the
-bytes. The parser may raise only its declared errors. handctl imports nothing from this package.
+A fuzzing target is a function that feeds bytes to a parser, and returns True if the parser accepts
+the bytes. The parser is allowed to raise only its declared errors. handctl imports nothing from the
+package ``fuzz``.
 """

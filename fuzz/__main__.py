@@ -1,4 +1,4 @@
-"""Fuzz each parser for a time and print the results.
+"""Fuzz each parser for the requested time and print the results.
 
 The exit code is 1 if a parser raised an undeclared exception.
 """
@@ -19,9 +19,9 @@ TARGET_NAMES = (*FUZZED_DRIVES, "sensor-node", "hand", "hand-text", "task", "tra
 MAX_INPUT_BYTES = {**dict.fromkeys(FUZZED_DRIVES, 64), "sensor-node": 64, "request": 256, "fault": 256, "hand": 128,
            "task": 128, "trajectory": 128, "gains": 128, "calibration": 128, "hand-text": 1 << 14, "log": 4096,
            "log-bytes": 1 << 16}  # fmt: skip
-"""Maximum length of the inputs of each target [bytes].
+"""Maximum length of the inputs of each fuzzing target [bytes].
 
-The initial inputs are not longer than this maximum.
+The initial inputs of a fuzzing target are not longer than the maximum.
 """
 
 
@@ -59,9 +59,10 @@ def parsed_arguments() -> argparse.Namespace:
 def fuzz_target(
     target_name: str, duration_s: int, run_count: int, is_blind: bool = False
 ) -> tuple[str, bool]:
-    """Fuzz one target in a separate process.
+    """Fuzz one fuzzing target in a separate process.
 
-    Return the line with the result, and True if the target passed.
+    Return a line that describes the result. Also return True if the parser raised no undeclared
+    exception.
     """
     corpus = OUTPUT_FOLDER / "corpus" / target_name
     crashes = OUTPUT_FOLDER / "found" / target_name
@@ -116,7 +117,7 @@ def fuzz_target(
 
 
 def main() -> int:
-    """Fuzz all selected targets, and return the exit code."""
+    """Fuzz all selected fuzzing targets, and return the exit code of the program."""
     args = parsed_arguments()
     all_passed = True
     for name in args.targets or TARGET_NAMES:

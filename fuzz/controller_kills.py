@@ -11,9 +11,10 @@ from tests.runtime.killed_controllers import (
 
 
 def main() -> int:
-    """Start controllers and kill or stop each of them.
+    """Start controllers, and kill or stop each controller at a random time.
 
-    Return 1 if a drive kept its torque or a log is incomplete.
+    Return 1 if a drive still makes torque after the end of its controller, or if a log is
+    incomplete.
     """
     parser = argparse.ArgumentParser(prog="python -m fuzz.controller_kills", description=__doc__)
     parser.add_argument(

@@ -1,6 +1,6 @@
 """Convert the random bytes of a fuzzer to nearly valid documents.
 
-Without this conversion, the bytes would never pass the first check of a parser.
+Without the conversion, the random bytes would never pass the first check of a parser.
 """
 
 import struct
@@ -35,11 +35,11 @@ def paths_of_values(document_node: Any, node_path: KeyPath = ()) -> Iterator[Key
 class ByteSource:
     """Reader of the bytes that a fuzzer has generated.
 
-    Each call consumes the next bytes. After the last byte, the reader returns zeros.
+    Each call of the reader consumes the next bytes. After the last byte, the reader returns zeros.
     """
 
     def __init__(self, data: bytes) -> None:
-        """Start at the first byte of the data."""
+        """Create a reader that starts at the first byte of the data."""
         self.data = data
         self.at = 0
 
@@ -78,9 +78,9 @@ def mutated_content(
     """Return a copy of a document in which some values are changed, removed, renamed or repeated.
 
     Args:
-        content: parsed TOML file. It is not changed.
+        content: parsed TOML file, which the function does not change.
         paths: paths of all values of the content, see ``paths_of_values``.
-        source: bytes that select the changes.
+        source: reader of the bytes that select the changes.
         max_changes: maximum number of changes.
     """
     mutated: dict[str, Any] = dict(content)
@@ -97,7 +97,7 @@ def mutated_content(
 def _copy_node(root_table: dict[str, Any], node_path: KeyPath) -> Any:
     """Replace each node on a path by a copy, and return the copy of the last node.
 
-    Return None if an earlier change has removed a node of the path.
+    Return None if an earlier change of the document has removed a node of the path.
     """
     node: Any = root_table
     for key in node_path:

@@ -1,7 +1,7 @@
-"""Targets of the fuzzer for files that users write.
+"""Fuzzing targets for the files that users write.
 
-The files are those for hand, task, trajectory, gains and calibration. Inputs are random bytes, or
-nearly valid files.
+The files are those for hand, task, trajectory, gains and calibration. The inputs of a fuzzing
+target are random bytes, or nearly valid files.
 """
 
 import math
@@ -47,7 +47,7 @@ def construct_hand_parts(hand: Hand) -> None:
 
 
 def hand_fuzz_target(folder: Path) -> FuzzTarget:
-    """Return the target that loads a packaged hand file with up to four changes."""
+    """Return the fuzzing target that loads a packaged hand file with up to four changes."""
     contents = [hand_content(name) for name in packaged_hands()]
     paths = [list(paths_of_values(content)) for content in contents]
 
@@ -61,7 +61,7 @@ def hand_fuzz_target(folder: Path) -> FuzzTarget:
 
 
 def hand_text_fuzz_target(folder: Path) -> FuzzTarget:
-    """Return the target that loads arbitrary bytes as a hand file."""
+    """Return the fuzzing target that loads arbitrary bytes as a hand file."""
     return _text_fuzz_target(
         folder / "hand.toml", lambda path: construct_hand_parts(load_hand(str(path)))
     )
@@ -84,7 +84,7 @@ def _text_fuzz_target(file_path: Path, load_file: Callable[[Path], object]) -> F
 def _is_accepted(load_input: Callable[[], object]) -> bool:
     """Return True if the loading function accepts its input.
 
-    After a refusal, check that the error message is one line.
+    If the loading function refuses the input, check that the error message is one line.
     """
     try:
         load_input()
@@ -95,10 +95,11 @@ def _is_accepted(load_input: Callable[[], object]) -> bool:
 
 
 INPUT_KIND_COUNT = 32
-"""Number of values of the number that selects the kind of an input.
+"""Number of different values that select the kind of an input.
 
-One value selects random bytes. Another value selects a changed document that is written as text and
-parsed. All other values select changed documents that need no parsing, because parsing is slow.
+One of the values selects random bytes. Another value selects a changed document that is written as
+text and parsed. All other values select changed documents that need no parsing, because parsing is
+slow.
 """
 
 
@@ -107,9 +108,9 @@ def _document_fuzz_target(
     file_contents: list[FileContent],
     process_content: Callable[[FileContent], object],
 ) -> FuzzTarget:
-    """Return the target for one kind of TOML file.
+    """Return the fuzzing target for one kind of TOML file.
 
-    Inputs are arbitrary bytes, or a valid document with up to four changes.
+    The inputs are arbitrary bytes, or a valid document with up to four changes.
     """
     paths = [list(paths_of_values(content)) for content in file_contents]
     parse_text = _text_fuzz_target(file_path, lambda file: process_content(read_toml(file)))
@@ -129,7 +130,7 @@ def _document_fuzz_target(
 
 
 def task_fuzz_target(folder: Path) -> FuzzTarget:
-    """Return the target that reads a task and checks whether it fits a hand."""
+    """Return the fuzzing target that reads a task file and checks whether the task fits a hand."""
     jamia = load_hand("jamia")
     contents = [tomllib.loads(path.read_text()) for path in sorted(TASKS_FOLDER.glob("*.toml"))]
     return _document_fuzz_target(
@@ -142,7 +143,7 @@ def task_fuzz_target(folder: Path) -> FuzzTarget:
 
 
 def trajectory_fuzz_target(folder: Path) -> FuzzTarget:
-    """Return the target that reads a trajectory file and checks whether it fits a hand."""
+    """Return the fuzzing target that reads a trajectory file and checks whether the trajectory fits a hand."""
     jamia = load_hand("jamia")
     angles = [30.0 * math.sin(0.5 * i) ** 2 for i in range(8)]
     content = {
@@ -161,7 +162,7 @@ def trajectory_fuzz_target(folder: Path) -> FuzzTarget:
 
 
 def gains_fuzz_target(folder: Path) -> FuzzTarget:
-    """Return the target for a gains file and the provenance of its gains."""
+    """Return the fuzzing target that reads a gains file and the provenance of its gains."""
     packaged = Gains().model_dump(by_alias=True)
     content = packaged | {
         "provenance": GainsProvenance(hand="jamia", number=3, log=("a.mcap",)).model_dump()
@@ -176,7 +177,7 @@ def gains_fuzz_target(folder: Path) -> FuzzTarget:
 
 
 def calibration_fuzz_target(folder: Path) -> FuzzTarget:
-    """Return the target that reads a calibration with identified values, and applies it to a hand."""
+    """Return the fuzzing target that reads a calibration with identified values, and applies it to a hand."""
     jamia = load_hand("jamia")
     tendon = {"tare_N": 0.1, "zero_rad": 1.0, "answer_N": 3.0, "crosstalk_N": 0.1}
     identified = {

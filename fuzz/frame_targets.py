@@ -1,12 +1,12 @@
-"""Targets of the fuzzer for received CAN frames.
+"""Fuzzing targets for received CAN frames.
 
-    The targets are the decoders of each drive protocol and of the sensor node.
+    The fuzzing targets test the decoders of each drive protocol and of the sensor node.
 
     state 8 | up to five frames: identifier 8 | shape 8 | third byte 8 | payload
 
 The first byte of an input selects the initial state of the drive. The first inputs of the corpus
-are recorded frames. handctl receives these frames from a drive before the drive makes torque.
-Purely random identifiers would hardly ever be identifiers of a node.
+are recorded frames that handctl receives from a drive before the drive makes torque. Purely random
+CAN identifiers would hardly ever be identifiers of a node.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -29,9 +29,9 @@ IDENTIFIER_FLAGS = (0, 0, 0, 0, 0, EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG)
 MAX_FRAMES = 5
 DRIVE_TARGETS = tuple(DriveTarget)
 CLEAR_REQUEST_BIT = 0x40
-"""Bit of the third byte in a frame header of the input.
+"""Bit of the third byte in a frame header of the input, which requests to clear the error of the drive.
 
-If the bit is set, the target clears the error of the drive.
+If the bit is set, the fuzzing target clears the error of the drive.
 """
 MAX_PAYLOAD_BYTES = 64
 
@@ -39,7 +39,7 @@ MAX_PAYLOAD_BYTES = 64
 def frames_of_input(
     data: bytes, selectable_ids: Sequence[int], t_ns: int
 ) -> Iterator[tuple[Frame, int]]:
-    """Yield each frame of an input, together with the third byte of its header.
+    """Yield each frame of an input, together with the third byte of its frame header.
 
     Most of the frames have an identifier of the fuzzed node.
     """
@@ -79,7 +79,7 @@ class RecordedState(NamedTuple):
 
 
 def record_states_until_torque(drive_name: str, folder: Path) -> tuple[Drive, list[RecordedState]]:
-    """Return a drive of ``FUZZED_DRIVES``, and its recorded states.
+    """Return a drive of ``FUZZED_DRIVES``, and the recorded states of this drive.
 
     The states are recorded from the first tick until the drive makes torque.
     """
@@ -108,7 +108,7 @@ def record_states_until_torque(drive_name: str, folder: Path) -> tuple[Drive, li
 
 
 def recorded_inputs(drive_name: str, folder: Path) -> list[bytes]:
-    """Return the recorded frames, encoded as inputs of the target.
+    """Return the recorded frames of a drive, encoded as inputs of the fuzzing target.
 
     The frames were recorded from the first tick until the drive made torque.
     """
@@ -126,7 +126,7 @@ def recorded_inputs(drive_name: str, folder: Path) -> list[bytes]:
 
 
 def selectable_identifiers(motor: Drive, recorded_states: Sequence[RecordedState]) -> list[int]:
-    """Return at most 256 identifiers. One byte of an input selects one of these identifiers.
+    """Return at most 256 CAN identifiers, of which one byte of an input can select one.
 
     The identifiers of the recorded frames come first.
     """
@@ -144,7 +144,7 @@ def _payload_header(payload: bytes) -> tuple[int, int]:
 
 
 def drive_fuzz_target_factory(drive_name: str) -> Callable[[Path], FuzzTarget]:
-    """Return the function that makes the target for a drive of ``FUZZED_DRIVES``."""
+    """Return the function that makes the fuzzing target for a drive of ``FUZZED_DRIVES``."""
 
     def make_target(folder: Path) -> FuzzTarget:
         motor, recorded_states = record_states_until_torque(drive_name, folder)
@@ -162,7 +162,7 @@ def drive_fuzz_target_factory(drive_name: str) -> Callable[[Path], FuzzTarget]:
 def _feed_drive(
     motor: Drive, start_state: RecordedState, drive_identifiers: Sequence[int], data: bytes
 ) -> bool:
-    """Feed the frames of an input to a drive, and request a phase of the drive after each frame.
+    """Feed the frames of an input to a drive, and request a drive phase (such as enabled) after each frame.
 
     Return True if any frame changed the state of the drive.
     """
@@ -193,7 +193,7 @@ def _advance_drive(
 
 
 def sensor_fuzz_target(folder: Path) -> FuzzTarget:
-    """Return the target for the decoder of the sensor node."""
+    """Return the fuzzing target for the decoder of the sensor node."""
     bench = ProtocolBench(hand_file(folder, ["mit"]))
     bench.simulated_hand.close()
     wired_drives = WiredDrives((), bench.sensor_node)

@@ -1,4 +1,4 @@
-"""Coverage-guided fuzzing of one target: ``python -m fuzz.fuzz_with_coverage TARGET CORPUS [libFuzzer's options]``."""
+"""Fuzz one fuzzing target with coverage: ``python -m fuzz.fuzz_with_coverage TARGET CORPUS [libFuzzer's options]``."""
 
 import sys
 import tempfile
@@ -13,7 +13,8 @@ REPOSITORY_ROOT = Path(__file__).parents[1]
 def compiled_modules() -> list[str]:
     """List the modules that numba compiles.
 
-    The fuzzer must not instrument these modules, because numba cannot compile instrumented code.
+    The fuzzer must not instrument modules that numba compiles, because numba cannot compile
+    instrumented code.
     """
     paths = [
         path
@@ -24,9 +25,10 @@ def compiled_modules() -> list[str]:
 
 
 def main() -> None:
-    """Fuzz one target.
+    """Fuzz one fuzzing target with coverage.
 
-    If the target crashes, the input is saved, and the process ends with an exit code other than 0.
+    If the fuzzing target crashes, save the input, and end the process with an exit code other than
+    0.
     """
     name, corpus, *options = sys.argv[1:]
     with atheris.instrument_imports(

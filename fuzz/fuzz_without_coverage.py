@@ -1,10 +1,10 @@
-"""Fuzz one target without measuring coverage.
+"""Fuzz one fuzzing target without measuring coverage.
 
     python -m fuzz.fuzz_without_coverage TARGET CORPUS FOUND SECONDS RUNS LONGEST
 
-Coverage-guided fuzzing has collected a corpus of inputs before. This program changes these inputs
-at random. Fuzzing without coverage (blind fuzzing) is a few times faster, and therefore tests more
-inputs in the same time.
+The program randomly changes inputs of a corpus that coverage-guided fuzzing has collected before.
+Fuzzing without coverage (blind fuzzing) is a few times faster than coverage-guided fuzzing, and
+tests more inputs in the same time.
 """
 
 import random
@@ -26,8 +26,8 @@ def mutated_inputs(
 ) -> Iterator[bytes]:
     """Yield randomly changed inputs of the corpus, without end.
 
-    A change replaces, removes or inserts bytes, or copies the end of another input. One in sixteen
-    inputs is entirely random.
+    A change replaces, removes or inserts bytes, or copies the last bytes of another input. One in
+    sixteen inputs is entirely random.
     """
     random_choice = random_source.choice
     bits = random_source.getrandbits
@@ -60,12 +60,12 @@ def feed_inputs(
     duration_s: float,
     run_count: int,
 ) -> tuple[int, int]:
-    """Feed inputs to a target.
+    """Feed inputs to a fuzzing target.
 
-    If the target raises an exception, the input is saved and this process ends.
+    If the fuzzing target raises an exception, save the input and end this process.
 
     Returns:
-        The number of inputs, and how many of them the parser accepted.
+        The number of inputs, and the number of inputs that the parser accepted.
     """
     start = reported_time_s = time.monotonic()
     number = 0
@@ -89,7 +89,7 @@ def feed_inputs(
 
 
 def main() -> None:
-    """Fuzz one target for the requested time or number of inputs."""
+    """Fuzz one fuzzing target for the requested time or number of inputs."""
     name, corpus, crashes, seconds, runs, longest = sys.argv[1:]
     shared_path = Path("/dev/shm")
     folder = Path(

@@ -1,7 +1,7 @@
 """List the drives whose replies are fuzzed.
 
-The list has one drive for each protocol, and one more for each set of options that changes how
-replies are decoded.
+The list has one drive for each drive protocol, and one more drive for each set of options that
+changes how handctl decodes replies.
 """
 
 from typing import NamedTuple
@@ -10,10 +10,10 @@ from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
 
 
 class FuzzedDrive(NamedTuple):
-    """A drive whose replies are fuzzed.
+    """A drive whose replies the fuzzer generates.
 
     Attributes:
-        protocol: name of the protocol.
+        protocol: name of the drive protocol.
         options: lines with options of the drive, which are added to the hand file. without: prefix
             of the lines that are removed from the hand file.
     """

@@ -1,6 +1,7 @@
-"""Targets for logs.
+"""Fuzzing targets for logs.
 
-Inputs are arbitrary bytes, or a log without checksums in which records are changed.
+The inputs of a fuzzing target are arbitrary bytes, or a log without checksums in which records are
+changed.
 """
 
 import contextlib
@@ -27,14 +28,14 @@ from tests.log import synthetic_run
 FuzzTarget = Callable[[bytes], bool]
 MAX_EDITS = 4
 FUZZED_TOPICS = (TICK_TOPIC, VALUES_TOPIC, HASH_CHAIN_TOPIC, CLOCK_TOPIC, "/rosout")
-"""Topics that stay in the fuzzed log. The reader skips /rosout and decodes the other topics."""
+"""Topics that stay in the fuzzed log. The log reader skips the topic /rosout and decodes the other topics."""
 PER_TOPIC_RECORDS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX)
 """Kinds of records that a log has after its chunks, one record for each topic."""
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 NUMERIC_FIELD_BYTES = 48
 """Length of the numeric fields at the start of a record [bytes].
 
-Half of the changes are made in these fields.
+Half of the changes of records are made in their numeric fields.
 """
 UNUSUAL_BYTES = (
     b"\0",
@@ -50,7 +51,7 @@ UNUSUAL_BYTES = (
 
 
 def read_whole_log(log_path: Path) -> None:
-    """Read all parts of a log that any command of handctl reads."""
+    """Read every part of a log that some command of handctl reads."""
     with RunLog(log_path) as log:
         log.field(TELEMETRY_FIELDS[0]), log.field(TELEMETRY_FIELDS[-1])
         len(log), list(log.ticks()), log.events, log.phases, log.gaps, log.clock_pairs
@@ -76,7 +77,7 @@ def _is_readable(path: Path) -> bool:
 
 
 def log_fuzz_target(folder: Path) -> FuzzTarget:
-    """Return the target for a log in which records inside and outside of chunks are changed.
+    """Return the fuzzing target for a log in which records inside and outside of chunks are changed.
 
     Most of the changed records have a valid length.
     """
@@ -112,7 +113,7 @@ def log_fuzz_target(folder: Path) -> FuzzTarget:
 
 
 def _split_log(path: Path) -> list[list[bytes]]:
-    """Split a log into lists of records: before the chunks, in each chunk, and after the chunks.
+    """Split a log into lists of records: those before the chunks, those in each chunk, and those after the chunks.
 
     Set the checksums in the records to zero.
     """
@@ -170,7 +171,8 @@ def _without_checksum(record: bytes) -> bytes:
 def _join_records(part_index: int, records: list[bytes]) -> bytes:
     """Join the records of one part of a log.
 
-    The part is the head with its magic bytes, an uncompressed chunk, or the end.
+    A part of a log is the head with its magic bytes, an uncompressed chunk, or the records after
+    the last chunk.
     """
     content = b"".join(records)
     if part_index == 0:
@@ -183,7 +185,7 @@ def _join_records(part_index: int, records: list[bytes]) -> bytes:
 
 
 def _mutated_record(record: bytes, source: ByteSource) -> bytes:
-    """Return a record with changed content. One in eight of these records gets a wrong length."""
+    """Return a record with changed content. One in eight of the changed records gets a wrong length."""
     body = bytearray(record[9:])
     kind = source.take_number(8)
     if kind == 0:
@@ -211,9 +213,9 @@ def _chunk_record(content: bytes) -> bytes:
 
 
 def log_bytes_fuzz_target(folder: Path) -> FuzzTarget:
-    """Return the target that reads arbitrary bytes as a log.
+    """Return the fuzzing target that reads arbitrary bytes as a log.
 
-    The bytes go to the reader of logs and to the recovery of incomplete logs.
+    The log reader and the recovery of incomplete logs both read the bytes.
     """
     path = folder / "bytes.mcap"
     output_path = folder / "out.mcap"

@@ -2,9 +2,9 @@
 
 The time is simulated.
 
-``fuzz.soak --calm`` measures the same growth in real time. This module runs the same loop,
-controller and recorder on a simulated clock and a simulated bus. The measured growth is therefore
-independent of the load of the machine.
+``fuzz.soak --calm`` measures the same growth in real time. The module ``fuzz.memory_growth`` runs
+the same control loop, controller and recorder on a simulated clock and a simulated bus. The
+simulated clock makes the measured growth independent of the load of the computer.
 """
 
 import argparse
@@ -30,8 +30,8 @@ SAMPLE_PERIOD_S = 30.0
 WARM_UP_S = 600.0
 """Warm-up time before the growth is measured [s].
 
-One buffer stores the lateness of each tick. This buffer becomes full during the warm-up, and then
-takes 2 MiB.
+The buffer for the lateness of each tick becomes full during the warm-up, and takes 2 MiB when it is
+full.
 """
 
 
@@ -39,16 +39,16 @@ class MemorySampler:
     """An observer of a run that samples the memory of this process and of its child processes."""
 
     def __init__(self, end_time_s: float) -> None:
-        """Create a sampler without samples. The run must end at ``end_time_s`` [s]."""
+        """Create a sampler without memory samples. The run must end at ``end_time_s`` [s]."""
         self.samples: list[MemorySample] = []
         self.until_s = end_time_s
 
     def poll_requests(self) -> tuple[str, ...]:
-        """Return a stop request if the time of the run is over."""
+        """Return a stop request if the time ``end_time_s`` of the run has come."""
         return (STOP_REQUEST,) if self.samples and self.samples[-1].time_s >= self.until_s else ()
 
     def on_tick(self, entry: TickIn, tick_output: TickOut) -> None:
-        """Take a sample of the memory every ``SAMPLE_PERIOD_S``."""
+        """Measure the memory of the processes every ``SAMPLE_PERIOD_S``."""
         t = entry.t_ns / 1e9
         if not self.samples or t - self.samples[-1].time_s >= SAMPLE_PERIOD_S:
             self.samples.append(memory_sample(os.getpid(), t))
@@ -56,7 +56,7 @@ class MemorySampler:
 
 
 def main() -> int:
-    """Run controller and recorder in lockstep. Return 1 if the memory grows or the run fails."""
+    """Run controller and recorder in lockstep. Return 1 if their memory grows or the run fails."""
     parser = argparse.ArgumentParser(prog="python -m fuzz.memory_growth", description=__doc__)
     parser.add_argument(
         "--hours",

@@ -13,16 +13,16 @@ EXPLANATIONS_FILE = Path("docs/evidence/mutation.md")
 SURVIVED_CODES, UNTESTED_CODES, NOT_RUN_CODES = (0,), (5, 33), (None, 2, 34)
 """Exit codes of mutants in the records of mutmut.
 
-The three groups mean that no test failed, that no selected test calls the function, and that the
-mutant was not run.
+The three groups of exit codes mean that no test failed, that no selected test calls the mutated
+function, and that mutmut did not run the mutant.
 """
 
 
 def main() -> int:
-    """Print a table of the scores, and the surviving mutants without a reason.
+    """Print a table of the scores, and the surviving mutants for which the document gives no reason.
 
-    Return 1 if the document gives no reason for a surviving mutant. Also return 1 if the tests of
-    no mutant have ended.
+    Return 1 if the document gives no reason for a surviving mutant, or if the tests of no mutant
+    have ended.
     """
     reasons = EXPLANATIONS_FILE.read_text() if EXPLANATIONS_FILE.exists() else ""
     unexplained_mutants = list[str]()

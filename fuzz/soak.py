@@ -1,8 +1,9 @@
 """Test a simulated hand and its controller in real time for hours, with a random fault every minute.
 
-The test measures the memory and the open file descriptors of both processes. If a fault ends the
-controller, a new controller starts. If a remaining fault keeps the new controller from arming, a
-new simulator starts. Each log is read completely and then deleted.
+The test measures the memory and the open file descriptors of simulator and controller. If a fault
+ends the controller, the test starts a new controller. If a remaining fault of the simulated hand
+prevents the new controller from arming the hand, the test starts a new simulator. The test reads
+each log completely and then deletes the log.
 """
 
 import argparse
@@ -40,14 +41,14 @@ MAX_GROWTH_MIB_PER_H = 1.0
 WARM_UP_S = 300.0
 """Duration of the warm-up [s], in which a process still allocates its working memory."""
 PEAK_WINDOW_S = 300.0
-"""Length of a time window [s].
+"""Length of the time windows in which the peak of the memory is determined [s].
 
-The growth of the memory is computed from the largest value in each window.
+The growth of the memory is computed from the largest value in each time window.
 """
 MIN_SLOPE_TIME_S = 1800.0
-"""Shortest time [s] over which a growth per hour is computed."""
+"""Shortest time [s] from which the growth of the memory per hour is computed."""
 ACCEPTED_EXIT_CODES = (0, 1, 71)
-"""Accepted exit codes of a controller: 0 (done), 1 (ended by a named fault), 71 (no confirmation from some drives)."""
+"""Accepted exit codes of controllers: 0 (done), 1 (ended by a fault), 71 (a drive did not confirm its stop)."""
 SOAK_TASK = LONG_TASK.replace("duration_s = 60.0", "duration_s = 3600.0")
 
 
@@ -78,8 +79,8 @@ def memory_sample(pid: int, time_s: float) -> MemorySample:
 def memory_slope(samples: list[MemorySample], warm_up_s: float = WARM_UP_S) -> float | None:
     """Return the growth of the memory after the warm-up [MiB/h], or None if the samples cover too short a time.
 
-    The slope is fitted to the largest value in each window of ``PEAK_WINDOW_S``. Memory that a
-    process frees and allocates again thus does not count as growth.
+    The growth is the slope of a line through the largest value in each window of ``PEAK_WINDOW_S``,
+    so that memory that a process frees and allocates again does not count as growth.
     """
     warm_samples = [sample for sample in samples if sample.time_s - samples[0].time_s >= warm_up_s]
     if not warm_samples or warm_samples[-1].time_s - warm_samples[0].time_s < MIN_SLOPE_TIME_S:
@@ -104,12 +105,12 @@ def memory_slope(samples: list[MemorySample], warm_up_s: float = WARM_UP_S) -> f
 
 
 class SoakTest:
-    """The processes of simulator and controller, with memory samples, counts of events, and errors."""
+    """The processes of simulator and controller, with memory samples, numbers of events, and errors."""
 
     def __init__(self, seed: int, time_scale: float) -> None:
         """Create a test without processes.
 
-        The seed selects the faults. The scale is the time scale of simulator and controller.
+        ``seed`` selects the faults. ``time_scale`` is the time scale of simulator and controller.
         """
         self.chance = random.Random(seed)
         self.scale = str(time_scale)
@@ -124,7 +125,7 @@ class SoakTest:
         self.controller: subprocess.Popen[str] | None = None
 
     def start_simulator(self) -> None:
-        """Start a new simulated hand without faults, in place of the old simulated hand."""
+        """End the old simulated hand, and start a new simulated hand without faults."""
         if self.simulator:
             end_process(self.simulator)
         words = ("--bus", LOCAL_BUS, "--homed", "--hand", "jamia", "--time-scale", self.scale)
@@ -171,12 +172,14 @@ class SoakTest:
         return False
 
     def stop_controller(self) -> None:
-        """Stop a running controller, and check its exit code and log."""
+        """Stop the controller if it runs, and check its exit code and its log."""
         if self.controller is None:
             return
         if self.controller.poll() is None:
             self.controller.send_signal(signal.SIGTERM)
-        output_text, err = self.controller.communicate(timeout=600.0)  # includes a check of the log
+        output_text, err = self.controller.communicate(
+            timeout=600.0
+        )  # This call includes a check of the log.
         code = self.controller.returncode
         path = Path(f"{self.run_number}.mcap")
         self.controller = None
@@ -208,7 +211,7 @@ class SoakTest:
                 self.errors.append("a new simulator and a new controller did not arm")
 
     def inject_random_fault(self) -> str:
-        """Inject a random fault, and return the text of the fault."""
+        """Inject a random fault, and return the description of the fault."""
         hand = load_simulated("jamia")
         kind = self.chance.choice(
             [
@@ -239,7 +242,7 @@ class SoakTest:
                 self.samples_by_process[name][-1].append(memory_sample(process.pid, time_s))
 
     def soak_result(self) -> dict[str, object]:
-        """Return the result of the test: counts of events, growth of memory, open file descriptors, and all errors."""
+        """Return the result of the test: numbers of events, growth of memory, open file descriptors, and all errors."""
         memory_slopes = {
             name: [memory_slope(life) for life in lives if life]
             for name, lives in self.samples_by_process.items()
@@ -275,7 +278,7 @@ class SoakTest:
 
 
 def main() -> int:
-    """Run the test for the requested time. Return 1 if any error occurred."""
+    """Run the soak test for the requested time. Return 1 if the test found any error."""
     parser = argparse.ArgumentParser(prog="python -m fuzz.soak", description=__doc__)
     parser.add_argument(
         "--hours", type=float, default=24.0, help="duration [h] (default: %(default)s)"

@@ -1,4 +1,4 @@
-"""All fuzzing targets by name, and the inputs with which the corpus of each target starts."""
+"""All fuzzing targets by name, and the initial inputs in the corpus of each fuzzing target."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -25,7 +25,7 @@ TARGET_FACTORIES: dict[str, Callable[[Path], FuzzTarget]] = {
 
 
 def seed_inputs(target_name: str, work_folder: Path) -> list[bytes]:
-    """Return the valid inputs with which the corpus of a target starts."""
+    """Return the valid inputs that form the initial corpus of a fuzzing target."""
     if target_name in FUZZED_DRIVES:
         return frame_targets.recorded_inputs(target_name, work_folder)
     if target_name == "hand-text":

@@ -1,6 +1,6 @@
-"""Targets of the fuzzer for texts of one line.
+"""Fuzzing targets for texts of one line.
 
-The texts are requests to a running controller, and descriptions of injected faults.
+The texts of one line are requests to a running controller, and descriptions of injected faults.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ FuzzTarget = Callable[[bytes], bool]
 
 
 def request_fuzz_target(folder: Path) -> FuzzTarget:
-    """Return the target that parses requests in the same way as a running controller does."""
+    """Return the fuzzing target that parses requests to a controller in the same way as a running controller does."""
 
     def target(data: bytes) -> bool:
         answer = parse_request(data.decode("utf-8", "replace"))
@@ -35,9 +35,10 @@ FAULT_WORDS = ("node", "bus", "encoder", "joint", "cell", "tendon", "digit", "si
 
 
 def fault_fuzz_target(folder: Path) -> FuzzTarget:
-    """Return the target that parses descriptions of injected faults.
+    """Return the fuzzing target that parses descriptions of injected faults.
 
-    Inputs are arbitrary bytes, or random sequences of the words of such descriptions.
+    The inputs are arbitrary bytes, or random sequences of words that occur in descriptions of
+    faults.
     """
     hand = load_simulated_hand("jamia")
 

@@ -1,7 +1,7 @@
-"""Alternatives that the exchange benchmark compares.
+"""Implementations of the exchange of frames that the benchmark ``bus.py`` compares.
 
-``send(torques)`` sends a torque to each MIT motor, and ``receive()`` reads the replies. Clients
-from PyPI are in the module ``pypi_clients``.
+``send(torques)`` sends a torque to each MIT motor, and ``receive()`` reads the reply frames of the
+motors. Clients from PyPI are in the module ``pypi_clients``.
 """
 
 from functools import cache
@@ -35,7 +35,7 @@ BO_ 17 Feedback: 8 H
 def feedback_frame(motor_index: int) -> tuple[int, bytes, int]:
     """Return the feedback frame of an enabled Damiao motor.
 
-    The identifier of this frame is the register MST_ID of the motor.
+    The CAN identifier of the feedback frame is the value of the register MST_ID of the motor.
     """
     return 0x10 + motor_index, bytes((0x10 | motor_index,)) + FEEDBACK_PAYLOAD_END, 0
 
@@ -47,7 +47,7 @@ RATE_HZ = 200.0
 def enabled_controller(motor_count):
     """Return the controller of a packaged hand with ``motor_count`` MIT motors.
 
-    Also return a state in which all motors are enabled.
+    Also return a state of the controller in which all motors are enabled.
     """
     from handctl.core.gains.gains import Gains
     from handctl.core.hand_model import HandModel
@@ -117,7 +117,7 @@ class HandctlExchange:
 class HandwrittenCodecExchange:
     """Exchange over python-can that encodes and decodes with typical hand-written code.
 
-    It sends and receives one message at a time.
+    The class sends and receives one message at a time.
     """
 
     reply_of = staticmethod(feedback_frame)
@@ -157,7 +157,7 @@ class HandwrittenCodecExchange:
 class CantoolsExchange(HandwrittenCodecExchange):
     """Exchange over python-can with a codec that cantools makes from a DBC file.
 
-    It sends and receives one message at a time.
+    The class sends and receives one message at a time.
     """
 
     def __init__(self, interface, channel, motor_count):

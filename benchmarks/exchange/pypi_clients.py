@@ -1,10 +1,10 @@
-"""Alternatives to handctl that use client libraries from PyPI.
+"""Implementations of the exchange of frames that use client libraries from PyPI instead of handctl.
 
-Each library is used with motors and payloads that it supports.
+Each client library is used with motors and payloads that the library supports.
 
-This module stops the threads of the clients and does their work itself, so that all clients are
-measured in the same way. The client of moteus needs asyncio, and runs
-in an event loop of asyncio.
+This module stops the threads of the clients and does the work of these threads itself, so that all
+clients are measured in the same way. The client of moteus needs asyncio, and runs in an event loop
+of asyncio.
 """
 
 import asyncio
@@ -21,7 +21,7 @@ from exchange.can_exchanges import feedback_frame
 class DamiaoClient:
     """Client damiao-motor, without its polling thread.
 
-    The method `receive` polls the bus in place of this thread.
+    The method `receive` polls the bus in place of the polling thread.
     """
 
     reply_of = staticmethod(feedback_frame)
@@ -81,16 +81,16 @@ class OdriveClient:
 
     def close(self):
         for drive in self.drives:
-            del drive._bus  # Otherwise the object would shut down the bus.
+            del drive._bus  # If the object kept ``_bus``, it would shut down the bus at its end.
         self.bus.shutdown()
 
 
 class TMotorClient:
     """Client TMotorCANControl for a CubeMars AK80-9.
 
-    The class calls the functions that the client's notifier thread would call. The client supports
-    only the interface can0. The benchmark leaves out the client's command ``sudo ip link set
-    can0``.
+    The class calls the functions that the notifier thread of TMotorCANControl would call.
+    TMotorCANControl supports only the interface can0. The benchmark leaves out its command ``sudo
+    ip link set can0``.
     """
 
     def __init__(self, interface, channel, motor_count):
@@ -137,7 +137,8 @@ class TMotorClient:
 class MoteusClient:
     """Client of the package moteus, which sends CAN FD frames over python-can.
 
-    The client sends a position command with a feedforward torque, and requests the default values.
+    The client sends a position command with a feedforward torque, and requests the values that
+    moteus requests by default.
     """
 
     def __init__(self, interface, channel, motor_count):
@@ -176,7 +177,7 @@ class MoteusClient:
         self.loop.run_until_complete(self._close_transport())
 
     async def _close_transport(self):
-        """Run the asyncio task until it has sent all frames and waits for replies."""
+        """Run the asyncio task until the task has sent all frames and waits for the reply frames of the motors."""
         for _ in range(4):
             await asyncio.sleep(0)
 

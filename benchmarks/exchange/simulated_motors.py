@@ -1,6 +1,6 @@
 """The two buses of the exchange benchmark, with simulated motors.
 
-The benchmark subtracts the time that the motors take.
+The benchmark subtracts the time that the simulated motors take.
 """
 
 import os
@@ -15,9 +15,9 @@ FD_FRAME_STRUCT = struct.Struct("=IBB2x64s")
 FRAME_RECORD_STRUCT = struct.Struct("<IBBH64s")
 CAN_FD_FLAG = 4
 ReplyFunction = Callable[[int], tuple[int, bytes, int]]
-"""Function from the number of a motor to the identifier, payload and flags of its reply.
+"""Function that takes the number of a motor and returns the identifier, payload and flags of its reply frame.
 
-The first motor is number 1.
+The motors are numbered from 1.
 """
 
 
@@ -79,14 +79,14 @@ BUS_SETTINGS_BY_KIND = {
     "local": (LocalMotors, "local", "b"),
     "vcan": (VcanMotors, "socketcan", "vcan0"),
 }
-"""For each bus: the class of the simulated motors, the interface of python-can, and the channel."""
+"""For each kind of bus: the class of the simulated motors, and the interface and channel of python-can."""
 
 
 @contextmanager
 def open_simulated_motors(bus_kind: str):
     """Start simulated motors on a bus.
 
-    Yield the motors, and the interface and channel of the bus.
+    Yield the simulated motors, and the interface and channel of python-can for the bus.
     """
     motors_class, interface, channel = BUS_SETTINGS_BY_KIND[bus_kind]
     motors = motors_class(channel)

@@ -1,6 +1,6 @@
-"""Measure the delay and the false alarms of contact detection at a fingertip.
+"""Measure the delay of contact detection at a fingertip, and the false contact events.
 
-The delay is measured from the time at which the true contact force reaches 1 N.
+The delay of contact detection begins when the true contact force reaches 1 N.
 """
 
 import json
@@ -16,7 +16,7 @@ from handctl.programs.task_program import TaskProgram
 CONTACT_FORCE_N = 1.0
 DETECTION_LIMIT_S = 0.020
 CLOSING_SPEEDS_DEG_S = (20.0, 100.0)
-"""Smallest and largest speed of closing [deg/s]. The packaged tasks close with 40 to 50 deg/s."""
+"""Smallest and largest speed of closing [deg/s]. The digits close with 40 to 50 deg/s in the packaged tasks."""
 TRUE_CONTACT_FORCE_N = 0.01
 MOVING_TIME_FRACTION = 0.85
 """Fraction of a free-motion run in which the digits move."""
@@ -43,8 +43,8 @@ def program_of_phases(phases: list[dict[str, Any]]) -> TaskProgram:
 def find_contacts(job: tuple[str, int]) -> list[float]:
     """Measure the delay of each digit's contact event [s], for a hand and a seed.
 
-    The delay is measured from the moment when the true force on the digit reaches 1 N. If the event
-    comes before this moment, the delay is negative. If no event comes, the delay is inf.
+    The delay begins when the true force on the digit reaches 1 N. If the contact event comes before
+    the force reaches 1 N, the delay is negative. If no contact event comes, the delay is inf.
     """
     hand, seed = job
     chance = random.Random(f"wall {seed}")
@@ -101,8 +101,7 @@ def measure_false_contacts(job: tuple[str, float, int]) -> dict[str, float]:
         limits = {"index": 15, "middle": 8, "ring": 15, "thumb": 3}
         home = {name: chance.uniform(0, limit) for name, limit in limits.items()}
         goal = {"index": chance.uniform(25, 50)}
-        # Middle finger and thumb move in different phases, because they would otherwise touch each
-        # other.
+        # Middle finger and thumb move in different phases, so that they do not touch each other.
         if chance.random() < 0.6:
             goal |= {"middle": chance.uniform(12, 25), "ring": chance.uniform(25, 50)}
         else:

@@ -1,10 +1,11 @@
-"""Define the objects of the grasp benchmark, with positions and disturbances.
+"""Define the objects of the grasp benchmark, with their positions and disturbances.
 
 The objects were fixed before any grasp was tuned.
 
 The size of the hand determines the sizes of the objects. An object of 42 mm fits between straight
 fingers and thumb, and a fingertip touches the thumb at about 25 mm from the palm. Each object is
-shifted at random by up to 1 mm along x and 2 mm along y. The seed determines the shift.
+shifted at random by up to 1 mm along x and 2 mm along y. The seed of the run determines how far the
+object is shifted.
 """
 
 import random
@@ -16,16 +17,16 @@ PUSH_FORCE_N = 1.0
 PUSH_START_S = 2.0
 PUSH_DURATION_S = 1.0
 MAX_OBJECT_MOTION_M = 2e-3
-"""Largest motion of a held object within a stage [m].
+"""Largest permitted motion of a held object within a stage of the scene [m].
 
-If the object moves further, the grasp has failed.
+If the object moves farther than this limit, the grasp has failed.
 """
 GRAVITY_DIRECTIONS = {
     "power": ((0, 0, -1), (1, 0, 0), (0, -1, 0)),
     "pinch": ((0, 0, -1), (1, 0, 0), (0, -1, 0)),
     "hook": ((1, 0, 0), (0, -1, 0), (0, 1, 0)),
 }
-"""Directions of gravity in the stages of each grasp.
+"""Directions of gravity in the stages of the scene, for each kind of grasp.
 
 In a power grasp and a pinch, gravity acts along the joint axes, out of the palm, and towards the
 thumb. In a hook grasp, gravity acts across the bar that the hand holds.

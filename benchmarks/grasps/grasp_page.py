@@ -166,7 +166,7 @@ def _slip_table(rows: list[dict[str, Any]]) -> str:
 def _range_text(values: list[float], decimals: int) -> str:
     """Format the range of values.
 
-    If the smallest and the largest value have the same text, return only one of them.
+    If the smallest and the largest value look the same after rounding, return only one of them.
     """
     limit_texts = [f"{end:.{decimals}f}" for end in (min(values), max(values))] if values else []
     return " to ".join(dict.fromkeys(limit_texts))
@@ -203,7 +203,7 @@ def write_page(result: dict[str, Any]) -> None:
 def draw_picture(result: dict[str, Any]) -> None:
     """Draw the largest motion of each object.
 
-    Also draw the motion of the cylinder with and without the reaction to slip.
+    In a second diagram, draw the motion of the cylinder with and without the reaction to slip.
     """
     import matplotlib as mpl
 

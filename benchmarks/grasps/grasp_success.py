@@ -21,7 +21,7 @@ TASK_BY_GRASP = {
 PALM_GAP_M = 0.5e-3
 """Smallest permitted gap between a pinched object and the palm [m].
 
-With a smaller gap, the hand has drawn the object to the palm instead of pinching it.
+If the gap is smaller, the hand has drawn the object to the palm instead of pinching the object.
 """
 GRASP_TIMEOUT_S = 10.0
 """Time limit from the start of a run until the hand must hold the object [s].
@@ -29,9 +29,9 @@ GRASP_TIMEOUT_S = 10.0
 
 
 def measure_grasp(job: tuple[str, int, int]) -> dict[str, Any]:
-    """Measure the largest motion of an object in each stage [mm].
+    """Measure the largest motion of an object in each stage of the scene [mm].
 
-    If the grasp failed, the result also contains the reason.
+    If the grasp failed, the result also contains the reason of the failure.
     """
     hand, number, seed = job
     case = GRASP_CASES[number]

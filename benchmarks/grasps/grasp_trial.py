@@ -29,7 +29,7 @@ DEFAULT_GAINS = Gains()
 def hand_model(hand_name: str, gains: Gains = DEFAULT_GAINS) -> tuple[HandModel, float]:
     """Return the model of a hand at its default rate.
 
-    A process computes the model of each hand only once.
+    Each process computes the model of a hand only once.
     """
     hand = load_hand(hand_name)
     rate = default_control_rate(hand)
@@ -38,7 +38,7 @@ def hand_model(hand_name: str, gains: Gains = DEFAULT_GAINS) -> tuple[HandModel,
 
 @dataclass
 class GraspRun:
-    """Record of a run, one row per tick.
+    """Record of a run with a task. The arrays have one row per tick.
 
     Attributes:
         t: (ticks,) time of each tick [s].
@@ -46,15 +46,15 @@ class GraspRun:
         stage: (ticks,) number of the stage of the scene.
         object_position: (ticks, 3) position of the object [m].
         force: (ticks, D) true contact force on each digit [N].
-        contact: (ticks, D) True where the controller reports contact of the digit.
+        contact: (ticks, D) True if the controller reports contact of the digit.
         tension: (ticks, N) tension that the controller estimates [N].
         external_tension: (ticks, N) external tension that the controller estimates [N].
         excursion: (ticks, N) tendon excursion that the controller reports [m].
         q: (ticks, J) true joint angles [rad].
-        contact_normal: (ticks, D) sum of the normal forces on each digit [N]. The array exists only in
-            scenes with a load.
-        events: every event, with the index of its tick.
-        failure: reason for which the controller ended the run.
+        contact_normal: (ticks, D) sum of the normal forces on each digit [N]. The array
+            ``contact_normal`` exists only in scenes with a load.
+        events: every event of the controller, with the index of its tick.
+        failure: reason why the controller ended the run.
         drop_time: time at which the table begins to sink [s], or None.
     """
 
@@ -177,7 +177,7 @@ def _is_lost(plant: Plant) -> bool:
 def stage_motions(run: GraspRun) -> list[float]:
     """Return the largest motion of the object in each stage [m].
 
-    The motion is measured from the position at the start of the stage.
+    The motion is measured from the position that the object has at the start of the stage.
     """
     motions = []
     for stage in range(int(run.stage.max(initial=-1)) + 1):

@@ -15,10 +15,10 @@ from handctl.programs.task_program import TaskProgram
 PAPER_PAYLOAD_KG = 0.915
 """Payload in the source paper [kg], computed from a grip force of 18 N and a friction coefficient of 0.5.
 
-Source: section 5 of the paper.
+Source: section 5 of the source paper.
 """
 GRASP_TENSION_N = {"jamia": 33.0, "jamia11": 28.0}
-"""Tension of every tendon for each hand [N]. With it, each finger presses with about 6 N."""
+"""For each hand, the tension of every tendon [N] with which each finger presses with about 6 N."""
 LOAD_DIRECTIONS = {
     "along the hinges": (0.0, 0.0, -1.0),
     "out of the palm": (1.0, 0.0, 0.0),
@@ -33,8 +33,8 @@ RUN_DURATION_S = 20.0
 def measure_payload(job: tuple[str, str, int]) -> dict[str, Any]:
     """Measure the payload of a hand in one direction [kg], for one seed.
 
-    A payload along the joint axes includes the mass of the object, because gravity acts in this
-    direction.
+    A payload along the joint axes includes the mass of the object, because gravity acts along the
+    joint axes.
     """
     hand, direction, seed = job
     case = GRASP_CASES[1]

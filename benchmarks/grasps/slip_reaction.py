@@ -15,7 +15,8 @@ RUN_DURATION_S = 14.0
 CYLINDER_FRICTION = {"jamia": 0.3, "jamia11": 0.2}
 """Friction coefficient of the cylinder for each hand.
 
-The friction is so low that a hand with 20 N per tendon loses the cylinder before the largest load.
+The friction is so low that a hand with 20 N per tendon loses the cylinder before the load reaches
+its maximum.
 """
 GRASP_TENSION_N = 20.0
 SLIP_LIMIT_N = 60.0
@@ -23,10 +24,10 @@ OBJECT_LOSS_DISTANCE_M = 10e-3
 
 
 def measure_slip(job: tuple[str, bool, int]) -> dict[str, Any]:
-    """Measure the motion of the cylinder while the load grows [mm].
+    """Measure the motion of the cylinder while the load on the cylinder grows [mm].
 
-    Also measure the load at which the hand loses the cylinder [N]. The job consists of the hand, a
-    flag, and the seed. The flag is True if the hand reacts to slip.
+    Also measure the load at which the hand loses the cylinder [N]. The argument ``job`` consists of
+    the hand, a flag, and the seed. The flag in ``job`` is True if the hand reacts to slip.
     """
     hand, has_slip_reaction, seed = job
     scene = (

@@ -1,6 +1,6 @@
 """Run the complete control loop of handctl: bus, filter, control law, safety, encoding, log.
 
-A run without deadlines replaces the clock of this loop.
+In a run without deadlines, ``ReplyDrivenClock`` replaces the clock of the control loop.
 """
 
 import select
@@ -47,7 +47,8 @@ class HoldPositionProgram:
 class ReplyDrivenClock:
     """Clock without deadlines.
 
-    The next tick begins as soon as a reply to the last tick has arrived, or after 2 ms.
+    The next tick begins as soon as a reply frame to the frames of the last tick has arrived, or
+    after 2 ms.
     """
 
     fd: int
@@ -102,8 +103,8 @@ def run_loop(
     def record(entry, tick_output):
         recorder.send_record(pack_tick_record(entry, tick_output))
 
-    # To measure the time of a tick takes a few microseconds. A measurement of the rate without
-    # deadlines must not include these microseconds.
+    # To measure the wall time of a tick takes a few microseconds. A measurement of the rate without
+    # deadlines must not include the time that the readings of the clock take.
     begin = (
         (lambda state, entry: TimedTick(controller, state, entry, tick_times_ns))
         if rate_hz
@@ -133,10 +134,10 @@ def run_loop(
 
 
 class TimedTick:
-    """A tick of the controller. The tick measures its own wall time.
+    """A tick of the controller that measures its own wall time.
 
-    A measured time is the sum of the wall times of a tick's four steps: begin, decide, command and
-    conclude [ns].
+    The wall time of a tick is the sum of the wall times of its four methods: begin, decide, command
+    and conclude [ns].
     """
 
     def __init__(self, controller, state, entry, tick_times_ns) -> None:

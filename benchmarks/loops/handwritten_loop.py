@@ -1,7 +1,7 @@
-"""Run a typical hand-written control loop.
+"""Run a control loop as engineers typically write it by hand.
 
-The loop uses python-can with one frame at a time, one filter per tendon, pinocchio, and a log in
-JSON.
+The hand-written control loop uses python-can with one frame at a time, one filter per tendon,
+pinocchio, and a log in JSON.
 """
 
 import json
@@ -39,7 +39,7 @@ def torque_payload(torque: float) -> bytes:
 
 
 class BaselineLoop:
-    """Hand-written control loop on a bus of python-can. The loop runs tick by tick."""
+    """Hand-written control loop on a bus of python-can. The control loop runs tick by tick."""
 
     def __init__(self, hand_name: str, bus_name: str, log_path: Path) -> None:
         self.hand = load_hand(hand_name)
@@ -57,14 +57,14 @@ class BaselineLoop:
         self.path = log_path
 
     def send_all(self, payload: bytes) -> None:
-        """Send the same data to every motor and discard the replies."""
+        """Send the same payload to every motor and discard the reply frames."""
         for node in self.nodes:
             self.bus.send(can.Message(arbitration_id=node, data=payload, is_extended_id=False))
         while self.bus.recv(0.05):
             pass
 
     def run_tick(self) -> None:
-        """Run one tick. Compute and send torques, then read, filter and log the replies."""
+        """Run one tick: compute and send the torques, then read, filter and log the replies of the motors."""
         self.bus.send(
             can.Message(arbitration_id=self.sync_id, data=[self.k & 0xFF], is_extended_id=False)
         )
@@ -94,7 +94,7 @@ class BaselineLoop:
         return -(-len(self.hand.sensor_node.joints) // 5)
 
     def add_reply(self, message: can.Message, log_row: dict) -> None:
-        """Decode one reply and add its values to the row of the log."""
+        """Decode one reply frame of a motor, and add the decoded values to ``log_row``."""
         if self.sensor_base_id <= message.arbitration_id < self.sensor_base_id + 0x10:
             bits = int.from_bytes(message.data, "little")
             first_cell = 5 * (message.arbitration_id - self.sensor_base_id)
@@ -117,7 +117,7 @@ class BaselineLoop:
 def run_loop(
     hand_name: str, bus_name: str, duration_s: float, rate_hz: float | None, log_path: Path
 ):
-    """Run the hand-written loop for a time.
+    """Run the hand-written control loop for a time.
 
     The results have the same form as those of ``handctl_loop.run_loop``.
     """

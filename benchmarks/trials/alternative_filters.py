@@ -8,12 +8,12 @@ from trials.lockstep_trial import FloatArray
 AVERAGE_WEIGHTS = np.concatenate((np.arange(0.05, 0.5, 0.05), np.arange(0.5, 1.01, 0.1)))
 """Candidates for the weight of the newest sample in the average.
 
-The benchmark uses the weight with the smallest true error.
+The benchmark uses the weight that gives the smallest true error of the tension.
 """
 TENSION_RATE_NOISES = np.array([30.0, 100.0, 300.0, 1000.0, 3000.0])
 """Candidates for the square root of the spectral density of the noise of the tension rate [N/s^1.5].
 
-The benchmark uses the candidate with the smallest true error.
+The benchmark uses the candidate that gives the smallest true error of the tension.
 """
 
 
@@ -32,15 +32,15 @@ def exponential_average(raw_tension: FloatArray, sample_weight: float) -> FloatA
 def cell_only_estimate(
     raw_tension: FloatArray, period_s: float, cell_noise: float, tension_rate_noise: float
 ) -> FloatArray:
-    """Run a Kalman filter of tension and tension rate. Its only measurement is the load cell.
+    """Run a Kalman filter of tension and tension rate, whose only measurement is the load cell.
 
     Return the prediction of the filter for the present tension. The shape is (ticks, N), and the
     unit is N.
 
     Args:
-        raw_tension: (ticks, N) samples, one period old [N].
+        raw_tension: (ticks, N) load-cell samples, which are one control period old [N].
         period_s: control period [s].
-        cell_noise: standard deviation of a sample [N].
+        cell_noise: standard deviation of the noise of a load-cell sample [N].
         tension_rate_noise: square root of the spectral density of the noise of the tension rate [N/s^1.5].
     """
     F = np.array([[1.0, period_s], [0.0, 1.0]])

@@ -2,8 +2,8 @@
 
 When all joints of a packaged hand are at 60 degrees, the fingertips touch the palm, and the middle
 finger touches the thumb. In benchmarks of free motion, the digits must not touch anything. The
-variants therefore place the digits farther apart, and their trials use a scene in which the digits
-pass through the palm. All other properties of the hands are the same.
+variants place the digits farther apart, and the trials with a variant use a scene in which the
+digits pass through the palm. All other properties of a variant are those of the packaged hand.
 """
 
 from functools import cache
@@ -15,25 +15,25 @@ from handctl.hand.hand_loading import hand_content, hand_from_content, hand_path
 SPACED_HAND_SUFFIX = ".clear"
 """Suffix in the names of the variants with free space around every digit."""
 FREE_MOTION_SCENE = "no_palm"
-"""Scene of the variants.
+"""Scene for the trials with variants of the packaged hands.
 
 The simulator places the palm behind the mounts of the digits, at any distance between the mounts.
-Digits that are farther apart can therefore still touch the palm.
+Digits can touch the palm, however far they are apart.
 """
 SIDEWAYS_HAND_SUFFIX = ".side"
-"""Suffix in the names of the variants that also lie on their side.
+"""Suffix in the names of the variants whose digits are farther apart and which lie on their side.
 
-Gravity then acts in the plane in which the digits flex.
+If a hand lies on its side, gravity acts in the plane in which the digits flex.
 """
 SIDE_GRAVITY_M_S2 = [0.0, -9.81, 0.0]
-"""Gravity in the frame of the palm [m/s2], pointing from the fingers to the thumb.
+"""Gravity of a hand that lies on its side, in the frame of the palm [m/s2], from the fingers to the thumb.
 
-This gravity closes the fingers and opens the thumb.
+On a hand that lies on its side, gravity closes the fingers and opens the thumb.
 """
 FINGERTIP_LOAD = 10.0
 """Factor that multiplies mass and inertia of the last links, for a hand that lies on its side.
 
-A fingertip then weighs 21 g.
+With this factor, a fingertip weighs 21 g.
 """
 DIGIT_DISTANCE_M = 0.1
 """Additional distance between neighbouring digits of the variants [m]."""
@@ -41,7 +41,7 @@ DIGIT_DISTANCE_M = 0.1
 
 @cache
 def hand_by_name(hand_name: str) -> Hand:
-    """Return the hand with this name: a packaged hand or one of its variants."""
+    """Return the hand with the name ``hand_name``: a packaged hand or a variant of a packaged hand."""
     if not hand_name.endswith((SPACED_HAND_SUFFIX, SIDEWAYS_HAND_SUFFIX)):
         return load_hand(hand_name)
     content = hand_content(packaged_hand_name(hand_name))
@@ -62,7 +62,7 @@ def packaged_hand_name(hand_name: str) -> str:
 
 
 def hand_file_of(hand_name: str, file_folder: Path) -> Path:
-    """Return the path of the hand file for the simulator. The file of a variant is written into the folder."""
+    """Return the path of the hand file for the simulator. Write the file of a variant into ``file_folder``."""
     if not hand_name.endswith((SPACED_HAND_SUFFIX, SIDEWAYS_HAND_SUFFIX)):
         return hand_path(hand_name)
     path = file_folder / f"{hand_name}.toml"

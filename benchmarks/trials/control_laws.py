@@ -1,6 +1,6 @@
 """Define the control laws that the tracking benchmark compares.
 
-Each control law adds one part to the law before it.
+Each control law adds one part to the preceding control law.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -62,10 +62,10 @@ def misprinted_torque(
 ) -> tuple[float, ...]:
     """Return the joint torque of the paper's Eq. 10 to 12, with their misprints.
 
-    The torques in these equations belong to absolute angles of the links. This function converts
-    these torques to joint torques, and adds the torques of springs and damping. The paper describes
-    neither this conversion nor springs and damping. For a digit with fewer links, the terms of the
-    missing links are left out.
+    The torques in Eq. 10 to 12 belong to absolute angles of the links. The function converts the
+    torques of the equations to joint torques, and adds the torques of springs and damping. The
+    paper describes neither the conversion nor the springs and the damping. For a digit with fewer
+    links than in the paper, the terms of the missing links are left out.
     """
     names = {}
     for order, values in (("", q), ("d", dq), ("dd", ddq)):
@@ -97,14 +97,15 @@ def misprinted_torque(
 MOTION_FORCE_WEIGHT_N = 20.0
 """Motor force in the LQR cost [N].
 
-In the cost, this force counts as much as each of the two errors that define the weights.
+In the LQR cost, this motor force counts as much as each of the two errors that define the LQR
+weights.
 """
 
 
 def force_scale(rate_hz: float) -> float:
-    """Return the factor that restores the full force weight.
+    """Return the factor that restores the full weight of the motor force in the LQR cost.
 
-    At a low control rate, the controller reduces the force weight.
+    At a low control rate, the controller reduces the weight of the motor force.
     """
     return 1.0 / force_weight_at_period(1.0, 1.0 / rate_hz)
 
@@ -112,8 +113,8 @@ def force_scale(rate_hz: float) -> float:
 class RawTensionController(Controller):
     """Controller whose control law uses the newest load-cell reading as the tension.
 
-    This reading is one control period old. If the reading is missing, the control law uses the
-    estimate.
+    The newest load-cell reading is one control period old. If the reading is missing, the control
+    law uses the estimated tension.
     """
 
     __slots__ = ()
@@ -128,7 +129,7 @@ class RawTensionController(Controller):
 
 
 def controller_on_raw_tension(controller: Controller) -> Controller:
-    """Return a copy of the controller whose control law uses the raw load cell."""
+    """Return a copy of a controller. The control law of the copy uses the raw load cell."""
     return RawTensionController(
         **{
             controller_field.name: getattr(controller, controller_field.name)
@@ -140,12 +141,12 @@ def controller_on_raw_tension(controller: Controller) -> Controller:
 
 @dataclass(frozen=True)
 class AblationLaw:
-    """One control law that the tracking benchmark compares.
+    """One of the control laws that the tracking benchmark compares.
 
     Attributes:
         inverse_dynamics: function that returns the feedforward joint torque. motion: gains of the motion
-            loop that differ from the defaults. raw: True if the input of the tension loop is the
-            raw load cell, False for the estimate.
+            loop that differ from the default gains. raw: True if the input of the tension loop is the
+            raw load cell, False if it is the estimated tension.
     """
 
     inverse_dynamics: InverseDynamics
@@ -155,7 +156,8 @@ class AblationLaw:
     def gains(self, position_error_m: float, speed_error_m_s: float, rate_hz: float) -> Gains:
         """Return the gains of this control law for two LQR weights and a control rate.
 
-        This module defines all other gains, so they do not depend on the packaged gains.
+        All other gains are defined in this module, so that they do not depend on the packaged
+        gains.
         """
         weights = {"position_error_m": position_error_m, "speed_error_m_s": speed_error_m_s}
         fixed_gains = {
@@ -167,7 +169,7 @@ class AblationLaw:
 
     @property
     def change_controller(self) -> partial[Controller]:
-        """Return a function that makes a controller use this control law."""
+        """Return a function that changes a controller so that it uses this control law."""
         return partial(
             _replace_control_law,
             inverse_dynamics=self.inverse_dynamics,
@@ -194,7 +196,7 @@ GRAVITY_LAW_BY_NAME = {
 }
 """Two pairs of control laws for a hand that lies on its side.
 
-The laws of a pair differ only in gravity compensation.
+The two control laws of a pair differ only in gravity compensation.
 """
 COMPARED_LAW_BY_NAME = {
     "PD alone": AblationLaw(zero_torque, NO_INERTIA_GAINS),

@@ -38,7 +38,7 @@ def write_page_part(part_name: str, part_text: str) -> None:
 
 
 def _page_parts(page_text: str) -> dict[str, str]:
-    """Split the page into its parts, and return them by name."""
+    """Split the page into its parts, and return a dictionary from name to part."""
     text_by_part = {}
     for block in page_text.split("<!-- end of ")[:-1]:
         name, _, body = block.rpartition("<!-- ")[2].partition(" -->")

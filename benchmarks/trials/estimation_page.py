@@ -21,7 +21,7 @@ KEY_BY_COLUMN = {
     "NIS": "nis",
     "whiteness": "whiteness",
 }
-"""For the heading of each table column, the key of the values in a result."""
+"""Dictionary from the heading of each table column to the key of the column's values in a result."""
 FIGURE_LEGEND = (
     "In the figure, *raw* and *filtered* are the load cell and the filter at the sample. *raw now*, *reference now* "
     "and *estimate* (of the filter) are the values at present."
@@ -115,7 +115,7 @@ def _plant_mismatch_row(plant_name: str, regimes_table: dict, regimes: list[str]
 
 
 def _conclusion_text(result: dict) -> str:
-    """Return the conclusion of the section, derived from the numbers."""
+    """Return the conclusion of the section on the tension estimate, derived from the numbers in a result."""
     passing_cases = []
     failing_cases = []
     stricter_ratios = []
@@ -179,7 +179,7 @@ INSTANT_TEXT_BY_RATIO = {
 def _regimes_worse_than_raw(result: dict, ratio_name: str) -> str:
     """List the tendon regimes in which the raw load cell is better than the filter.
 
-    The list covers the nominal hand and hands with a wrong stiffness.
+    The list covers the nominal hand, and hands whose tendon stiffness differs from the hand file.
     """
     rows = [
         (row[ratio_name], f"{hand} {regime}, {plant}")
@@ -204,7 +204,7 @@ def _regimes_worse_than_raw(result: dict, ratio_name: str) -> str:
 
 
 def _plant_mismatch_text(result: dict) -> str:
-    """List the tendon regimes in which the raw load cell is better, for hands with other wrong parameters."""
+    """List the regimes in which the raw load cell is better, for hands with wrong parameters except stiffness."""
     rows = [
         (row["estimate / raw now"], row["nis"], f"{hand} {regime}, {plant}")
         for hand, plants in result["hands"].items()

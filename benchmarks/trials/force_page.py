@@ -61,7 +61,7 @@ def _rmse_cell(row: dict[str, Any] | None) -> str:
 
 
 def _conclusion_text(result: dict[str, Any]) -> str:
-    """Return the conclusion of the section, derived from the numbers."""
+    """Return the conclusion of the section on the force step, derived from the numbers in a result."""
     texts = []
     for hand, plants in result["hands"].items():
         without_estimate, raw_row, estimate_row = plants["as known"].values()

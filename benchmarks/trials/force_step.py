@@ -1,11 +1,11 @@
 """Measure a force step on a held object.
 
-The three cases are no force loop, a force loop with the raw load cell, and a force loop with the
-estimate.
+The three cases are: no force loop, a force loop with the raw load cell, and a force loop with the
+estimated tension.
 
-The digits close on a cylinder and hold it with 15 N per tendon. The tension steps to 40 N (at 5000
-N/s) and back to 15 N. The results are computed from the true tension at the load cells, for every
-tendon of a digit in contact.
+The digits close on a cylinder and hold the cylinder with 15 N per tendon. The commanded tension
+steps to 40 N (at 5000 N/s) and back to 15 N. The results are computed from the true tension at the
+load cells, for every tendon of a digit in contact.
 """
 
 from dataclasses import dataclass, field
@@ -34,7 +34,7 @@ HIGH_TENSION_N = 40.0
 STEP_RATE_N_PER_S = 5000.0
 HOLD_DURATION_S = 0.6
 STEADY_S, BAND_N = 0.2, 2.0
-"""Time at the end of a hold in which the steady error is measured [s], and largest error of a settled force [N]."""
+"""Last part of a hold, in which the steady error is measured [s], and largest error of a settled force [N]."""
 FORCE_TASK = {
     "schema": 1,
     "name": "force",
@@ -54,12 +54,12 @@ FORCE_STEP_PLANTS = {
 }
 """Simulated hands of the force step.
 
-Hands with a wrong mass are left out, because the hand hardly moves.
+Simulated hands with a wrong mass are left out, because the hand hardly moves during a force step.
 """
 WEIGHT_N, FORCE_N, INTEGRAL_PER_S = 4.0, 15.0, 3.0
 """Gains of both force loops: a tension error [N] and a motor force [N] of equal LQR cost, and the integral gain [1/s].
 
-These gains were not tuned.
+The gains of the force loops were not tuned.
 """
 
 
@@ -67,8 +67,8 @@ These gains were not tuned.
 class ForceLoop:
     """Configuration of a force loop.
 
-    It contains the gains that differ from the defaults. The input of the loop is the raw load cell
-    or the estimate.
+    The configuration contains the gains that differ from the default gains. The input of the force
+    loop is the raw load cell or the estimated tension.
     """
 
     motion_gains: dict[str, float] = field(default_factory=dict)
@@ -122,7 +122,7 @@ def force_trial(hand_name: str, loop_name: str, seed: int, plant_name: str) -> L
 
 
 def force_figures(record: TrialRecord) -> dict[str, float]:
-    """Return the errors after the step up and the step down of the tension, as means over the tendons.
+    """Return the errors of the tension after its step up and after its step down, as means over the tendons.
 
     The results are overshoot [N], settling time [s], steady error [N], ripple [N], and RMSE [N].
     """
@@ -152,9 +152,9 @@ def force_figures(record: TrialRecord) -> dict[str, float]:
 
 
 def run_force_trial(job: tuple) -> dict[str, Any]:
-    """Run one trial and return its errors.
+    """Run one force-step trial and return the errors of the tension.
 
-    If the trial ended early, the result includes the reason.
+    If the trial ended early, the result includes the reason of the early end.
     """
     record = run_trial(force_trial(*job))
     return force_figures(record) | {"why": record.failure}
@@ -163,9 +163,9 @@ def run_force_trial(job: tuple) -> dict[str, Any]:
 def measure_force(
     hand_names: tuple[str, ...], seed_count: int, mismatch_seed_count: int, plan: JobPlan
 ) -> dict[str, Any]:
-    """Measure the errors for each hand, set of simulated parameters and force loop.
+    """Measure the errors of the tension for each hand, set of simulated parameters and force loop.
 
-    Return their means over the seeds, and the range of the RMSE.
+    Return the means of the errors over the seeds, and the range of the RMSE over the seeds.
     """
     cases = [
         (hand, law, plant)

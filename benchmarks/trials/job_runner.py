@@ -1,6 +1,6 @@
 """Run many jobs in sequence or in parallel.
 
-A benchmark that was stopped continues from the results in a folder.
+A benchmark that was stopped and started again continues from the results in a folder.
 """
 
 import hashlib
@@ -24,8 +24,8 @@ class JobPlan:
     Attributes:
         results_folder: folder for the results of the jobs, as JSON. A job whose result is stored
             is not run again. None means that no result is stored.
-        max_minutes: time after which no further job starts [min]. The results of the jobs that have
-            not started are left out.
+        max_minutes: time after which no further job starts [min]. The results of jobs that have not
+            started are missing.
         worker_count: number of processes. Zero means one process per core.
     """
 
@@ -37,7 +37,8 @@ class JobPlan:
 def collect_results(run_job: JobFunction, jobs: list[Any], plan: JobPlan) -> dict[Any, Any]:
     """Return the result of each job.
 
-    Results are read from the folder, or computed as long as the time limit permits.
+    Results are read from the folder of the plan, or computed as long as the time limit of the plan
+    permits.
 
     Args:
         run_job: top-level function that computes one job. The result of this function consists of JSON
@@ -72,7 +73,7 @@ def collect_results(run_job: JobFunction, jobs: list[Any], plan: JobPlan) -> dic
 
 
 def _run_jobs(run_job: JobFunction, jobs: list[Any], worker_count: int, end_time_s: float) -> Any:
-    """Yield each job with its result, in order of completion. No job starts after the time limit."""
+    """Yield each job with its result, in order of completion. No job starts after ``end_time_s``."""
     if worker_count == 1 or len(jobs) < 2:
         for job in jobs:
             if time.monotonic() < end_time_s:
@@ -122,13 +123,13 @@ def _store_result(run_job: JobFunction, job: Any, result: Any, plan: JobPlan) ->
 def _json_round_trip(result: Any) -> Any:
     """Convert a result to JSON and back.
 
-    This conversion replaces the tuples in the result by lists.
+    The conversion replaces the tuples in the result by lists.
     """
     return json.loads(json.dumps(result))
 
 
 def add_job_options(parser: Any) -> None:
-    """Add the options of a benchmark that runs many jobs."""
+    """Add the command-line options of a benchmark that runs many jobs."""
     parser.add_argument(
         "--keep", type=Path, help="folder of results: an interrupted benchmark continues"
     )
@@ -144,5 +145,5 @@ def add_job_options(parser: Any) -> None:
 
 
 def job_plan_of(args: Any) -> JobPlan:
-    """Return the plan that the command-line options describe."""
+    """Return the plan for running jobs that the command-line options describe."""
     return JobPlan(args.keep, args.minutes, args.jobs)

@@ -1,4 +1,4 @@
-"""Run trials in lockstep.
+"""Run trials of a controller and a simulated hand in lockstep.
 
 In a trial, the controller and a simulated hand exchange frames over a simulated bus. The record of
 a trial also contains the true values of the simulator.
@@ -27,16 +27,16 @@ from handctl.session.lockstep_simulation import SimulatorSettings
 from trials.benchmark_hands import FREE_MOTION_SCENE, hand_by_name, hand_file_of, packaged_hand_name
 
 RATES_HZ = {"jamia": 500.0, "jamia_bench": 500.0, "jamia11": 200.0}
-"""Default control rate of each hand [Hz]. One classical CAN bus can carry these rates."""
+"""Default control rate of each hand [Hz]. One classical CAN bus can carry the frames at the default control rates."""
 DEFAULT_GAINS = Gains()
 FloatArray = NDArray[np.float64]
 ControllerChange = Callable[[Controller], Controller]
 TickRow = tuple[TickIn, TickOut, FloatArray, ControllerState]
-"""Record of one tick: its input and output, the inputs of the filter (N, 2), and the state after the tick."""
+"""Record of a tick: its input and output, the filter inputs (N, 2), and the controller state after the tick."""
 
 
 def unchanged_controller(controller: Controller) -> Controller:
-    """Return the controller without a change."""
+    """Return the given controller without a change."""
     return controller
 
 
@@ -46,11 +46,11 @@ class LockstepTrial:
 
     Attributes:
         hand: name for ``hands.hand_by_name``.
-        program: program of the controller.
-        seed: seed of noise, drift and encoder offsets.
+        program: program that the controller runs.
+        seed: seed of the simulated noise, drift and encoder offsets.
         scene: scene of the simulator, or None for a hand without an object.
         plant_factors: factors that multiply parameters of the simulated hand. The controller does not
-            know these factors.
+            know the factors.
         gains: gains of the controller.
         rate_hz: control rate [Hz]. Zero means the default rate of the hand.
         time_limit_s: longest time of the trial [s].
@@ -77,7 +77,7 @@ class TrialRecord:
         hand: description of the hand.
         controller: controller of the run.
         t_ns: (ticks,) time of each tick [ns].
-        phase: (ticks,) name of the phase.
+        phase: (ticks,) name of the phase of the program.
         telemetry: telemetry by name of the field, each array (ticks, ..).
         force: (ticks, N) motor force before each tick, an input of the filter [N].
         filtered_tension: (ticks, N) estimated tension at the time of the load-cell readings, one period
@@ -104,7 +104,7 @@ class TrialRecord:
         return self.t_ns / 1e9
 
     def truth(self, names: Iterable[str], delay_ns: int = 0) -> FloatArray:
-        """Return the true values (ticks, names) at a time ``delay_ns`` [ns] before each tick."""
+        """Return the true values with given names (ticks, names), at the time ``delay_ns`` [ns] before each tick."""
         return self.truth_record.interpolated_columns(list(names), self.t_ns - delay_ns)
 
     def tension(self, delay_ns: int = 0) -> FloatArray:
@@ -131,10 +131,10 @@ class TrialRecord:
 
 
 def run_trial(trial: LockstepTrial) -> TrialRecord:
-    """Run a trial and return its record. Equal trials give records that are equal to the bit.
+    """Run a trial and return its record. Equal trials give bit-identical records.
 
     Raises:
-        RuntimeError: a digit touched something in the scene of free motion.
+        RuntimeError: a digit touched something in a trial of free motion.
     """
     hand = hand_by_name(trial.hand)
     rate = trial.rate_hz or RATES_HZ[packaged_hand_name(trial.hand)]
@@ -154,7 +154,8 @@ def run_trial(trial: LockstepTrial) -> TrialRecord:
                 rows.append((entry, tick_output, inputs, run.state))
                 inputs = run.state.tendon[[s.FILTER_INPUT_FORCE, s.PLANNED_TENSION_RATE]].T
         record = _trial_record(hand, controller, rows, read_truth(path), run.state)
-    # A digit that hits something makes all results of a motion larger, and no other check sees it.
+    # If a digit hits something, all errors of the motion become larger. No other check detects the
+    # collision.
     if trial.scene == FREE_MOTION_SCENE and record.contact_force().any():
         raise RuntimeError(f"{trial.hand}: a digit touched something during free motion")
     return record
@@ -165,7 +166,7 @@ def _filtered_tension(
 ) -> list[float]:
     """Return the estimated tensions (N,) at the time of the load-cell readings [N].
 
-    The function undoes the filter's prediction from this time to the present.
+    The function undoes the prediction of the filter from the time of the readings to the present.
 
     Args:
         filter_design: design of the filter.

@@ -1,13 +1,13 @@
 """Compute the error of a reference filter that is optimal for a fixed noise model.
 
-This error is not a lower bound. A filter that is made for a hand with less noise, or that has more
-inputs, can have a smaller error.
+The error of the reference filter is not a lower bound. A filter that is made for a hand with less
+noise, or that has more inputs, can have a smaller error.
 
 The state of each tendon consists of tendon travel and speed, excursion and its rate, Gauss-Markov
 forces on motor and joint, and the stretch offset. The measurements are load cell and encoder.
-Constants of this module describe the disturbances. The digit moves freely against its springs, or
-presses on a stiff object. ``scipy`` computes this filter, independently of the filter design in the
-controller.
+Constants of this module describe the disturbances. The digit of a tendon moves freely against its
+springs, or presses on a stiff object. ``scipy`` computes the reference filter, independently of the
+filter design in the controller.
 """
 
 import numpy as np
@@ -24,7 +24,7 @@ OFFSET_CORRELATION_TIME_S = 60.0
 CONTACT_STIFFNESS_N_M_PER_RAD = 40.0
 """Stiffness with which a held object resists the motion of each joint of a digit [N m/rad].
 
-Source of all constants: MODEL, section 5.
+Source of all constants in this module: MODEL, section 5.
 """
 CELL_DRIFT_VARIANCE_N2_PER_S = 1.0 / 100.0
 """Variance rate of the load-cell drift, which is a random walk of 1 N in 100 s.
@@ -37,10 +37,10 @@ STATE_SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
 def reference_sigma(
     model: HandModel, tendon_index: int, is_digit_held: bool, with_joint_encoder: bool = True
 ) -> tuple[float, float]:
-    """Return the standard deviations of tendon i's tension at the last load-cell reading and at present [N].
+    """Return the standard deviations of the tension of a tendon at the last load-cell reading and at present [N].
 
-    The controller estimates the present tension, one period after the reading. The benchmark
-    compares the error of this estimate with both standard deviations.
+    The controller estimates the present tension, one control period after the load-cell reading.
+    The benchmark compares the error of this estimate with both standard deviations.
 
     Args:
         model: hand and control rate.

@@ -1,4 +1,4 @@
-"""A program whose steps start at fixed times, independently of contacts."""
+"""A program of the controller whose steps start at fixed times, independently of contacts."""
 
 import math
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from handctl.programs.program import ProgramProgress, goal_to_move_to_angle
 
 @dataclass(frozen=True)
 class ScriptStep:
-    """One step of a script for all digits.
+    """One step of a script, with the same motion or tension for all digits.
 
     Attributes:
         name: name of the phase in the log.
@@ -38,12 +38,12 @@ class ScriptStep:
 
 @dataclass(frozen=True)
 class ScriptProgram:
-    """Program that takes up the slack of the tendons and then runs its steps."""
+    """Program that takes up the slack of the tendons and then runs the steps of a script."""
 
     steps: tuple[ScriptStep, ...]
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the initial progress, see ``Program``."""
+        """Return the initial progress of the script, see ``Program``."""
         return LiveProgram().initial_progress(model)
 
     def advance(
@@ -54,7 +54,7 @@ class ScriptProgram:
         measurements: TickMeasurements,
         t: float,
     ) -> tuple[ProgramProgress, tuple[TickEvent, ...]]:
-        """Advance to the step of the present time, see ``Program``."""
+        """Advance to the step of the script at the present time, see ``Program``."""
         if progress.finished:
             return progress, ()
         if progress.phase in ("start", "tighten"):

@@ -1,6 +1,6 @@
 """Define simulated hands that differ from the controller's model by known factors.
 
-Also define the task phases before a hold.
+The module also defines the task phases that precede a hold phase.
 """
 
 PLANT_FACTORS: dict[str, dict[str, float]] = {

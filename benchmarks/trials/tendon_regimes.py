@@ -12,19 +12,19 @@ REVERSAL_HALF_WINDOW_S = 0.05
 """Half width of the time window around a reversal of the winding direction [s]."""
 IMPACT_DURATION_S = 0.1
 SETTLING_TIME_S = 0.3
-"""Time after the start of a contact until the tension has settled [s]."""
+"""Time from the start of a contact until the tension has settled [s]."""
 TAUT_TENSION_N = 0.5
 TOUCH_FORCE_N = 0.05
 SLACK_WINDOW_S = 0.05
 MIN_TURNING_SPEED_RAD_S = 0.2
-"""A spool that is slower than this counts as having no direction [rad/s]."""
+"""Smallest speed at which a spool counts as turning in a direction [rad/s]."""
 KNEE_TENSION_N = 200.0
 REGIME_NAMES = ("free", "reversal", "impact", "hold", "beyond 200 N", "slack")
 MaskArray = NDArray[np.bool_]
 
 
 def regime_masks(record: TrialRecord) -> dict[str, MaskArray]:
-    """Return a mask (ticks, N) for each regime. At each tick, a tendon is in at most one regime."""
+    """Return a mask (ticks, N) for each tendon regime. At each tick, a tendon is in at most one regime."""
     tension = record.tension()
     t = record.times
     is_touched = record.expand_to_tendons(record.contact_force() > TOUCH_FORCE_N)
@@ -66,7 +66,7 @@ def _time_since_rise(signals: MaskArray, times: FloatArray) -> FloatArray:
 
 
 def _reversal_mask(record: TrialRecord) -> MaskArray:
-    """Return a mask (ticks, N) of the ticks in which a spool changes its direction."""
+    """Return a mask (ticks, N) that is True in ticks in which the spool changes its direction of rotation."""
     period = record.t_ns[1] - record.t_ns[0]
     angle = [
         record.truth((f"motor/{tendon.motor}" for tendon in record.hand.tendon), delay)
@@ -84,7 +84,7 @@ def _reversal_mask(record: TrialRecord) -> MaskArray:
 def _widened_mask(signals: MaskArray, times: FloatArray, max_time_difference: float) -> MaskArray:
     """Return a mask (ticks, N) that is also True near the ticks in which a signal is True.
 
-    A tick is near another tick if the time between the ticks is at most ``max_time_difference`` [s].
+    Two ticks are near each other if the time between them is at most ``max_time_difference`` [s].
     """
     max_tick_difference = round(max_time_difference / (times[1] - times[0]))
     kernel = np.ones(2 * max_tick_difference + 1)

@@ -1,6 +1,6 @@
-"""Measure tracking and a force step with more and more parts of the control law.
+"""Measure the tracking error and the reaction to a force step, with more and more parts of the control law.
 
-Each case has one more part of the control law than the case before it.
+Each case of the benchmark uses one more part of the control law than the case before it.
 
 ``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--keep FOLDER] [--page]``.
 The digits move from 0 to 60 degrees. The tracking error is computed from the true mean of the joint
@@ -9,12 +9,13 @@ capstan and motor friction, tendon elasticity and damping, the current loop, enc
 resolution, noise, drift, and one period of bus delay. All control laws run with the same simulated
 effects.
 
-Each control law has two LQR weights. This also holds for PD. For each law, the benchmark selects
-the pair of ``WEIGHT_CANDIDATES`` with the smallest error in a fast motion of the nominal hand. The
-results use other seeds than this selection. ``--tune`` selects the weights again. The selected
-weights leave hardly any stability margin. The control laws are therefore compared a second time.
-The second comparison uses the best weights with which the loops have the required stability
-margins. handctl requires 6 dB and 45 degrees, on random hands near the hand file.
+Each control law, including PD, has two LQR weights. For each control law, the benchmark selects the
+pair of ``WEIGHT_CANDIDATES`` with the smallest error in a fast motion of the nominal hand. The
+results are measured with other seeds than the selection of the LQR weights. ``--tune`` repeats the
+selection of the LQR weights. With the selected LQR weights, the control loops have hardly any
+stability margin. A second comparison of the control laws uses the best LQR weights with which the
+control loops have the required stability margins. handctl requires stability margins of 6 dB and 45
+degrees, on random hands near the hand file.
 """
 
 import argparse
@@ -43,15 +44,15 @@ MOTION_TIMES_S = {"slow": 1.5, "medium": 0.5, "fast": 0.15}
 MOTION_ANGLE_DEG = 60.0
 """Angle at the end of a motion [deg]."""
 SETTLING_TIME_S = 0.5
-"""Time after a motion in which the tracking error may settle [s]."""
+"""Time after a motion in which the tracking error is allowed to settle [s]."""
 RETURN_DURATION_S = 0.5
 """Duration of the motion back to 0 degrees [s]."""
 REST_DURATION_S = 0.2
 """Time at rest after the motion back to 0 degrees [s]."""
 MOTION_EXTENSION_S = 0.05
-"""Time after a motion [s]. Errors in this time count as errors of the motion."""
+"""Time after the end of a motion in which tracking errors still count as errors of the motion [s]."""
 SETTLED_BAND_DEG = 1.0
-"""A motion has settled when the tracking error stays below this value [deg]."""
+"""Tracking error below which a motion counts as settled [deg]."""
 WEIGHT_CANDIDATES = tuple(
     (p * 1e-4, v * 1e-2)
     for p, v in ((0.2, 1), (0.3, 1.5), (0.5, 2), (0.8, 2), (0.8, 3), (1.2, 3), (1.5, 2), (1.5, 3), (1.5, 6), (2.2, 3),
@@ -59,24 +60,25 @@ WEIGHT_CANDIDATES = tuple(
 )  # fmt: skip
 """Candidates for the two LQR weights of every control law.
 
-A weight is given as an error: a position error [m] and a speed error [m/s] that have the same cost.
+A pair of LQR weights is given as two errors that have the same cost: a position error [m] and a
+speed error [m/s].
 """
 TUNING_SEED = 1000
 TUNED_WEIGHTS_FILE = Path(__file__).with_name("tuned.json")
 """File with the results of ``--tune``, for each hand, control law and pair of ``WEIGHT_CANDIDATES``.
 
-For each pair, the file contains the RMSE of the fast motion [deg], or null if this motion did not
-reach its end. The file also states whether the motion loop keeps its stability margins with this
-pair. Each run consists of a slow, a medium and a fast motion, because the best weights for a single
-motion may cause a fault in a run with all three motions.
+For each pair of LQR weights, the file contains the RMSE of the fast motion [deg], or null if the
+fast motion did not reach its end. The file also states whether the motion loop keeps its stability
+margins with the pair. Each run consists of a slow, a medium and a fast motion, because the best LQR
+weights for a single motion can cause a fault in a run with all three motions.
 """
 PD_LAW, SPRINGS_LAW, BEST_LAW, MISPRINTED_LAW = [
     list(COMPARED_LAW_BY_NAME)[i] for i in (0, 1, -2, -1)
 ]
 COMPARED_LAWS = (PD_LAW, SPRINGS_LAW, BEST_LAW)
-"""Control laws that are also tried on simulated hands whose parameters differ from the hand file."""
+"""Control laws that the benchmark also tries on simulated hands whose parameters differ from the hand file."""
 LAWS_WITH_MARGINS = (PD_LAW, SPRINGS_LAW, list(COMPARED_LAW_BY_NAME)[-4], BEST_LAW)
-"""Control laws that are also tried with the best LQR weights that keep the stability margins."""
+"""Control laws that the benchmark also tries with the best LQR weights that keep the stability margins."""
 RANDOM_PLANT_COUNT = 8
 """Number of random hands on which LQR weights must keep the stability margins."""
 
@@ -126,7 +128,7 @@ def tracking_trial(
 
 
 def tracking_figures(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, dict[str, float]]:
-    """Return the results of each speed. Each result is that of the digit with the worst value.
+    """Return the tracking results of each speed. Each result is the worst value of all digits.
 
     The results are RMSE, peak error and steady error of tracking [deg], and settling time [s].
     """
@@ -165,7 +167,8 @@ def tracking_figures(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, 
 def run_tracking_trial(job: tuple) -> dict[str, dict[str, float | str]]:
     """Run one trial and return its tracking errors.
 
-    For a motion that did not reach its end, all errors are inf, and the result includes the reason.
+    For a motion that did not reach its end, all errors are inf, and the result includes the reason
+    of the early end.
     """
     record = run_trial(tracking_trial(*job))
     result: dict = tracking_figures(record, job[-1])
@@ -180,7 +183,7 @@ def tune_weights(plan: JobPlan) -> None:
     """Try all ``WEIGHT_CANDIDATES`` for each control law on each hand.
 
     Print the error of the fast motion for all weights, and the weights that keep the stability
-    margins. After the last trial, write both into ``TUNED_WEIGHTS_FILE``.
+    margins. After the last trial, write errors and weights into ``TUNED_WEIGHTS_FILE``.
     """
     jobs = [
         (h, law, w, TUNING_SEED, "as known", tuple(MOTION_TIMES_S))
@@ -206,9 +209,9 @@ def tune_weights(plan: JobPlan) -> None:
 
 
 def has_required_margins(hand_name: str, law_name: str, lqr_weights: tuple[float, float]) -> bool:
-    """Return True if every motion loop has margins of 6 dB and 45 degrees.
+    """Return True if every motion loop has stability margins of 6 dB and 45 degrees.
 
-    The loops are tested with random hands near the hand file.
+    The motion loops are tested with random hands near the hand file.
     """
     model = HandModel.from_hand(
         hand_by_name(hand_name),
@@ -226,7 +229,7 @@ def tuned_weights(hand_name: str, law_name: str, with_margins: bool = False) -> 
     """Return the best LQR weights of a control law.
 
     If ``with_margins`` is True, only weights that keep the stability margins are considered. If a
-    hand completes its motions with none of these weights, the smallest weights are returned.
+    hand completes its motions with none of the considered weights, return the smallest weights.
     """
     table = json.loads(TUNED_WEIGHTS_FILE.read_text("utf-8"))
     errors = table["rmse_deg"][hand_name][law_name]
@@ -254,7 +257,7 @@ def measure_tracking(
 ) -> dict:
     """Measure the tracking errors for as many seeds as the time of the plan permits.
 
-    Return their mean and their range over the seeds.
+    Return the mean and the range of the tracking errors over the seeds.
     """
     cases = [(hand, law, "as known", False) for hand in hand_names for law in COMPARED_LAW_BY_NAME]
     cases += [(hand, law, "as known", True) for hand in hand_names for law in LAWS_WITH_MARGINS]
@@ -303,7 +306,8 @@ def measure_tracking(
 def _mean_over_seeds(run_rows: list[dict]) -> dict:
     """Return the mean of each error and the range of the RMSE, over the runs that reached their end.
 
-    The returned dictionary also contains how many runs ended early, and for which reasons.
+    The returned dictionary also contains the number of runs that ended early, and the reasons of
+    their early ends.
     """
     end_reasons = sorted({row["why"] for row in run_rows if "why" in row})
     good_run_rows = [row for row in run_rows if np.isfinite(row["rmse_deg"])]
@@ -326,7 +330,7 @@ def _mean_over_seeds(run_rows: list[dict]) -> dict:
 
 
 def print_results(result: dict) -> None:
-    """Print the result as text."""
+    """Print the results of tracking and of the force step as text."""
     if "force" in result:
         print(force_page.page_section(result["force"]))
     if "tracking" not in result:
@@ -361,7 +365,7 @@ def print_results(result: dict) -> None:
 
 
 def main() -> None:
-    """Measure all cases and print the results. Write the weights or the page if the options say so."""
+    """Measure all cases and print the results. If the options request it, write the weights or the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--quick", action="store_true", help="one seed, fast motion, one hand (less than a minute)"

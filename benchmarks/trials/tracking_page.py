@@ -12,7 +12,7 @@ FAULT_TEXTS = {
     "T02b": "a tendon stayed slack",
     "T01": "a tendon paid out without tension, which looks like a snapped tendon",
 }
-"""For each fault that ended runs of the benchmark, an explanation."""
+"""Explanation of each fault that ended runs of the benchmark."""
 MIN_SHOWN_ERROR_DEG = 0.03
 """Smallest error on the logarithmic axis of the picture [deg]."""
 
@@ -77,7 +77,7 @@ def page_section(result: dict, compared_laws: tuple[str, str, str, str]) -> str:
 
 
 def _laws_table(title: str, laws: dict) -> str:
-    """Return a Markdown table with a row for each law."""
+    """Return a Markdown table with a row for each control law."""
     speeds = list(next(iter(laws.values())))
     column_titles = [
         title,
@@ -108,7 +108,7 @@ def _rmse_cell(row: dict[str, float]) -> str:
 
 
 def _conclusion_text(laws: dict, compared_laws: tuple[str, str, str, str]) -> str:
-    """Return the conclusion of the section, derived from the numbers."""
+    """Return the conclusion of the section on tracking, derived from the numbers in a result."""
     best_row, printed_row = (laws[name]["fast"] for name in compared_laws[2:])
     return (
         f"{_comparison_of_laws(laws, compared_laws)}. {_misprint_effect(printed_row, best_row)}\n\nEach entry is the "
@@ -119,9 +119,9 @@ def _conclusion_text(laws: dict, compared_laws: tuple[str, str, str, str]) -> st
 
 
 def _comparison_of_laws(laws: dict, compared_laws: tuple[str, str, str, str]) -> str:
-    """Compare the error of the complete control law with those of two other laws.
+    """Compare the tracking error of the complete control law with the tracking errors of two other control laws.
 
-    The two other laws are PD, and the law with springs and gravity only.
+    The two other control laws are PD, and the law with springs and gravity only.
     """
     pd_row, springs_row, best = (laws[name]["fast"] for name in compared_laws[:3])
     ratio = pd_row["rmse_deg"] / best["rmse_deg"]
@@ -137,7 +137,7 @@ def _comparison_of_laws(laws: dict, compared_laws: tuple[str, str, str, str]) ->
 
 
 def _comparison_with_pd(ratio: float) -> str:
-    """Describe the error of the complete control law, compared with PD."""
+    """Describe the tracking error of the complete control law, compared with the tracking error of PD."""
     if not np.isfinite(ratio):
         return "The motions follow each other, from slow to fast. With PD alone, no run completes the fast motion"
     return (
@@ -147,9 +147,9 @@ def _comparison_with_pd(ratio: float) -> str:
 
 
 def _error_reduction_text(error_reduction: float, seed_range: float, seeds: int) -> str:
-    """Describe the gain in accuracy as a multiple of its range over the seeds.
+    """Describe the reduction of the tracking error as a multiple of its range over the seeds.
 
-    A single seed has no range.
+    With a single seed, the reduction has no range.
     """
     return (
         f", which is {error_reduction / max(seed_range, 1e-9):.0f} times the spread"
@@ -159,9 +159,9 @@ def _error_reduction_text(error_reduction: float, seed_range: float, seeds: int)
 
 
 def _gain_by_law(laws: dict) -> str:
-    """Describe the gain in accuracy of each control law over the law before it [deg].
+    """Describe by how much each control law reduces the tracking error of the law before it [deg].
 
-    Compare this gain with twice its range over the seeds.
+    Compare the reduction with twice its range over the seeds.
     """
     texts = []
     old_row = laws[next(iter(laws))]["fast"]
@@ -243,9 +243,9 @@ def _plant_mismatch_table(
 
 
 def _error_increase_text(plants: dict, law_name: str) -> str:
-    """List by how much each change of the simulated hand raises the error of a control law.
+    """List by how much each change of the simulated hand raises the tracking error of a control law.
 
-    The error is that of the fast motion. The largest rise comes first.
+    The error is measured in the fast motion. The list begins with the largest rise of the error.
     """
     nominal = plants["as known"][law_name]["fast"]["rmse_deg"]
     error_rise_by_plant = {
@@ -262,7 +262,7 @@ def _error_increase_text(plants: dict, law_name: str) -> str:
 
 
 def _end_reasons(plants: dict) -> str:
-    """List the reasons why runs ended early, by control law."""
+    """List for each control law the reasons why runs ended early."""
     texts: dict[str, set[str]] = {}
     for laws in plants.values():
         for law, speeds in laws.items():
@@ -282,7 +282,7 @@ def _end_reasons(plants: dict) -> str:
 
 
 def draw_picture(result: dict) -> None:
-    """Draw the errors of the fast motion as bars."""
+    """Draw the tracking errors of the fast motion as bars."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -1,1 +1,1 @@
-"""Writers of logs, which benchmarks/logging.py compares."""
+"""Log writers that benchmarks/logging.py compares."""

@@ -1,6 +1,6 @@
-"""Writers of logs from other libraries.
+"""Log writers that use libraries other than handctl.
 
-Each library writes the same decoded messages into a file, and reads the file back.
+Each log writer writes the same decoded messages into a file, and reads the file back.
 """
 
 import json
@@ -28,7 +28,7 @@ class LibraryWriter(NamedTuple):
 
 
 def mcap_ros2_writer(path: Path) -> LibraryWriter:
-    """Return a writer of mcap-ros2-support with its default settings."""
+    """Return a log writer that uses mcap-ros2-support with its default settings."""
     from mcap_ros2.reader import read_ros2_messages
     from mcap_ros2.writer import Writer as Ros2Writer
 
@@ -59,9 +59,10 @@ def mcap_ros2_writer(path: Path) -> LibraryWriter:
 
 
 def rosbags_writer(path: Path) -> LibraryWriter:
-    """Return a writer of rosbags.
+    """Return a log writer that uses rosbags.
 
-    The writer writes a folder with MCAP storage. A message must be an object of its message type.
+    The log of rosbags is a folder with MCAP storage. A message must be an object of its message
+    type.
     """
     from rosbags.highlevel import AnyReader
     from rosbags.rosbag2 import StoragePlugin
@@ -119,7 +120,7 @@ def _typed_object(type_store: Any, type_name: str, content: dict[str, Any]) -> A
 
 
 def json_mcap_writer(path: Path) -> LibraryWriter:
-    """Return a writer of JSON in MCAP, with json.dumps and the package mcap."""
+    """Return a log writer for JSON messages in MCAP, which uses json.dumps and the package mcap."""
     from mcap.reader import make_reader
     from mcap.writer import Writer as McapWriter
 
@@ -154,9 +155,9 @@ def json_mcap_writer(path: Path) -> LibraryWriter:
 
 
 def foxglove_writer(path: Path) -> LibraryWriter:
-    """Return a writer of the Foxglove SDK.
+    """Return a log writer that uses the Foxglove SDK.
 
-    The writer uses the channels of the SDK that write dictionaries as JSON.
+    The log writer uses the channels of the Foxglove SDK that write dictionaries as JSON.
     """
     import foxglove_writer as sdk
     from mcap.reader import make_reader

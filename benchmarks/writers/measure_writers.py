@@ -1,7 +1,7 @@
 """Measure all log writers.
 
-Each writer writes the same run, and the program reads each log back. The program prints the CPU
-times.
+Each log writer writes the same run. The program reads each log back, and prints the CPU times of
+writing and reading.
 """
 
 import argparse
@@ -27,13 +27,13 @@ from handctl.replay.controller_rebuild import rebuild_controller
 
 RATE_HZ = 1000
 EXECUTED_LOG_PATH = Path(__file__).resolve().parents[2] / "logs" / "golden" / "jamia11-grasp.mcap"
-"""Log of a run with eleven motors whose ticks are recorded again."""
+"""Log of a run with eleven motors. The log writers record the ticks of this run."""
 EXECUTION_COUNT = 5
-"""Number of times that the run of this log is executed."""
+"""Number of times that the run in ``EXECUTED_LOG_PATH`` is executed."""
 
 
 def main(description: str) -> None:
-    """Measure all libraries and print the results."""
+    """Measure all log writers and print the results."""
     parser = argparse.ArgumentParser(description=description.splitlines()[0])
     parser.add_argument(
         "--quick",
@@ -52,7 +52,7 @@ def main(description: str) -> None:
 def measure_all_writers(
     log_folder: Path, duration_s: float, sustained_duration_s: float
 ) -> dict[str, Any]:
-    """Measure the CPU time of all log writers. Also record with handctl for a longer time."""
+    """Measure the CPU time of all log writers. Also measure the recorder of handctl in a longer run."""
     run = synthetic_run.synthetic_header("jamia11", RATE_HZ)
     ticks = [packed_tick(*tick) for tick in synthetic_run.SyntheticRunTicks(run, duration_s)]
     writers = {"handctl": measure_handctl(log_folder / "ours.mcap", run, ticks)}
@@ -81,9 +81,9 @@ def measure_all_writers(
 def conversion_cpu_s(log_folder: Path) -> float:
     """Return the mean time to record a tick that the controller has just computed [s].
 
-    The controller executes the run of a log again. As in a control loop, the outputs of a tick are
+    The controller re-executes the run of a log. As in a control loop, the outputs of a tick are
     still in the caches of the processor when they are recorded. The run is repeated, and the
-    shortest time of each tick is used.
+    shortest recording time of each tick is used.
     """
     durations = list[list[float]]()
     with RunLog(EXECUTED_LOG_PATH) as log:
@@ -106,7 +106,7 @@ def conversion_cpu_s(log_folder: Path) -> float:
 
 
 def _cpu_s(measured_work: Callable[[], object]) -> float:
-    """Call a function and return the CPU time of the call [s]."""
+    """Call the function ``measured_work`` and return the CPU time of the call [s]."""
     start = time.process_time()
     measured_work()
     return time.process_time() - start
@@ -146,7 +146,7 @@ def measure_handctl(log_path: Path, run_header: Any, ticks: list[Any]) -> dict[s
 def measure_library(
     log_path: Path, make_writer: Any, messages: list[LogMessage], tick_count: int
 ) -> dict[str, float]:
-    """Measure another library: write each message in the loop, and read all messages afterwards."""
+    """Measure a log writer: write each message in the control loop, and read all messages afterwards."""
     writer = make_writer(log_path)
 
     def write() -> None:
@@ -213,7 +213,7 @@ def _to_basic_types(value: Any) -> Any:
 
 
 def print_results(result: dict[str, Any]) -> None:
-    """Print the result as text."""
+    """Print the CPU times of all log writers as text."""
     print(
         f"{result['ticks']} ticks of {result['hand']} at {result['rate_hz']} Hz: {result['messages']} messages"
     )

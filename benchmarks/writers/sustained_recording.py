@@ -1,10 +1,11 @@
-"""Measure the recorder at 1 kHz in real time, with eleven motors and their frames.
+"""Measure the recorder of handctl at 1 kHz in real time, with eleven motors and their frames.
 
 The results are the number of dropped ticks, and the effect of the recorder on the control loop.
 
-The control loop runs prepared ticks without computation, so that only the recorder affects the
-timing. Loop and recorder run on different cores. Before and after the measurement, the same loop
-runs without a recorder. These runs show the effect of other load on the machine.
+The control loop runs ticks that were computed before, so that only the recorder affects the timing.
+Control loop and recorder run on different cores. Before and after the measurement, the same control
+loop runs without a recorder. The runs without a recorder show the effect of other load on the
+computer.
 """
 
 import os
@@ -50,15 +51,16 @@ TickInputAndOutput = tuple[TickIn, TickOut]
 def measure_sustained(log_path: Path, duration_s: float) -> dict[str, Any]:
     """Run the control loop with the recorder.
 
-    Also run the loop without the recorder, before and after the recording. Each of these runs lasts
-    half as long.
+    Also run the control loop without the recorder, before and after the recording. Each run without
+    the recorder lasts half as long as the run with the recorder.
 
     Args:
         log_path: path of the new log file.
         duration_s: duration of the loop with the recorder [s].
 
     Returns:
-        content of the log, dropped ticks, fraction of one core for the recorder, lateness of the loop [us].
+        content of the log, number of dropped ticks, fraction of one core that the recorder uses, lateness
+        of the control loop [us].
     """
     ticks = [
         packed_tick(*tick)
@@ -108,7 +110,7 @@ def measure_sustained(log_path: Path, duration_s: float) -> dict[str, Any]:
 
 
 def packed_tick(tick_in: TickIn, tick_output: TickOut) -> TickInputAndOutput:
-    """Convert the frames of a tick to records, and its telemetry to one array.
+    """Convert the frames of a tick to frame records, and the telemetry of the tick to one array.
 
     The control loop converts its ticks in the same way.
     """
@@ -125,7 +127,7 @@ def packed_tick(tick_in: TickIn, tick_output: TickOut) -> TickInputAndOutput:
 
 @contextmanager
 def _on_separate_cores(recorder_pid: int) -> Iterator[bool]:
-    """Put loop and recorder on different cores if there are two. Yield True if the loop has real-time priority."""
+    """Put control loop and recorder on different cores if possible. Yield True if the loop has real-time priority."""
     cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
     if cores:
         os.sched_setaffinity(recorder_pid, {max(cores)})
@@ -139,29 +141,29 @@ def _on_separate_cores(recorder_pid: int) -> Iterator[bool]:
 
 
 class _SyntheticBus:
-    """A bus that delivers the frames of a synthetic run."""
+    """A bus that delivers the frames of a run that was computed before."""
 
     def __init__(self, ticks: list[TickInputAndOutput]) -> None:
         self._ticks = ticks
         self._at = 0
 
     def drain(self) -> Frames:
-        """Return the frames of the next tick."""
+        """Return the frames that the controller receives in the next tick."""
         self._at += 1
         return frames_as_records(self._ticks[self._at % len(self._ticks)][0].frames)
 
     def send(self, frames: Sequence[Frame]) -> int:
-        """Accept all frames."""
+        """Accept all frames that the controller sends."""
         return len(frames)
 
     def take_events(self) -> list[tuple[str, str, int]]:
-        """Return no events."""
+        """Return an empty list, because this bus has no events."""
         return []
 
 
 @dataclass
 class _PrecomputedTick:
-    """A tick of the loop. Its result was computed before the run.
+    """A tick of the control loop, with a result that was computed before the run.
 
     Attributes:
         state: number of ticks so far.
@@ -172,14 +174,14 @@ class _PrecomputedTick:
     out: TickOut
 
     def decide(self, requests: tuple[TickRequest, ...]) -> None:
-        """Do nothing, because the result of the tick is known."""
+        """Do nothing, because the result of the tick was computed before the run."""
 
     def command(self, targets: tuple[TickRequest, ...]) -> Sequence[Frame]:
-        """Return the frames of the tick."""
+        """Return the frames that the tick sends."""
         return self.out.frames
 
     def conclude(self) -> tuple[int, TickOut]:
-        """Return the known result of the tick."""
+        """Return the result of the tick, which was computed before the run."""
         return self.state, self.out
 
 
@@ -190,7 +192,7 @@ def _run_loop(
     record_tick: Callable[[TickIn, TickOut], None],
     take_events: Callable[[], list[IoEvent]],
 ) -> LoopStats:
-    """Run the control loop with ticks that were computed before, and return the statistics of the loop."""
+    """Run the control loop with ticks that were computed before the run, and return the statistics of the loop."""
     last_tick = int(duration_s * RATE_HZ)
 
     def begin(state: int, entry: TickIn) -> _PrecomputedTick:
@@ -234,7 +236,7 @@ def _processor_s(pid: int) -> float:
 
 
 def _lateness_figures(*loop_stats: LoopStats) -> dict[str, float]:
-    """Return percentiles of the lateness [us] and the fraction of missed deadlines."""
+    """Return percentiles of the lateness of the control loop [us] and the fraction of missed deadlines."""
     us = (
         np.concatenate([np.array(stats_of_loop.tick_lateness_ns) for stats_of_loop in loop_stats])
         / 1e3
