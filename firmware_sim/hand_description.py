@@ -1,6 +1,6 @@
-"""The simulator's description of a hand. It is read from the hand file.
+"""The simulator's description of a hand, which is read from the hand file.
 
-To read the file, the module needs only the standard library of Python.
+To read the hand file, the module needs only the standard library of Python.
 """
 
 import importlib.util
@@ -132,7 +132,7 @@ class LinkMesh:
 class MomentArmCurve:
     """Moment arm of a tendon at a joint, as a function of the joint angle.
 
-    Beyond the limits of the joint, the moment arm is constant.
+    At angles beyond the limits of the joint, the moment arm is constant.
 
     Attributes:
         low: smallest joint angle [rad].
@@ -149,7 +149,7 @@ class MomentArmCurve:
     def negated(self) -> "MomentArmCurve":
         """Return the moment arm of a tendon on the opposite side of the joint.
 
-        This moment arm has the opposite sign.
+        The returned moment arm has the opposite sign.
         """
         return replace(self, coefficients=tuple(-power for power in self.coefficients))
 
@@ -183,10 +183,12 @@ class TendonSpec:
             equation.
         wrap: wrap angle of the tendon before the first joint [rad].
         pretension: tension at rest in both tendons of a spool pair [N], or 0 for a single tendon.
-        winding_sign: 1 if a positive spool angle winds the tendon up, and -1 if it pays the tendon out.
+        winding_sign: 1 if a positive spool angle winds the tendon up, and -1 if a positive spool
+            angle pays the tendon out.
         curves: moment arms that depend on the joint angle, by the name of the joint.
-        prismatic_joints: prismatic joints. For these, the entry in ``arms`` is the excursion per motion
-            [m/m]. The tendon does not bend at these joints.
+        prismatic_joints: names of the prismatic joints. For a prismatic joint, the entry in
+            ``arms`` is the excursion per motion of the joint [m/m]. The tendon does not bend at a
+            prismatic joint.
     """
 
     name: str
@@ -208,8 +210,8 @@ class TendonSpec:
     def antagonist(self) -> "TendonSpec":
         """Return the second tendon of a spool pair.
 
-        The second tendon is wound in the opposite direction. Its moment arms have the opposite
-        signs.
+        The second tendon of the pair is wound in the opposite direction. The moment arms of the
+        second tendon have the opposite signs.
         """
         arms = {joint: -arm for joint, arm in self.arms.items()}
         curves = {joint: curve.negated for joint, curve in self.curves.items()}
@@ -219,7 +221,7 @@ class TendonSpec:
 
 @dataclass(frozen=True, slots=True)
 class MotorSpec:
-    """One motor of a hand. All quantities are given at the spool.
+    """One motor of a hand. All quantities of the motor are given at the spool.
 
     Attributes:
         name: name of the motor.
@@ -244,7 +246,8 @@ class MotorSpec:
             value is 1 for a plant without perturbation.
         top_speed: speed of the motor without load at the supply voltage [rad/s], or 0 if the speed
             is not limited.
-        stall_torque: torque at standstill that the supply voltage alone would allow [N m].
+        stall_torque: torque of the motor at standstill, if only the supply voltage limits the
+            torque [N m].
     """
 
     name: str
@@ -277,8 +280,8 @@ class SensorSpec:
         bus: name of the bus of the sensor node.
         sync_id: identifier of the SYNC frame to which the node replies.
         base_id: identifier of the first frame with tensions.
-        tendons: name of the tendon of each load cell.
-        joints: name of the joint of each joint encoder.
+        tendons: for each load cell, the name of its tendon.
+        joints: for each joint encoder, the name of its joint.
         joint_decimation: number of SYNC frames for each frame with joint angles.
         tension_noise: standard deviation of the noise of a measured tension [N].
         bias_drift: standard deviation of the random drift of a load cell after 100 s [N].
@@ -323,8 +326,8 @@ class Hand:
         tendons: all tendons of the hand, with only the first tendon of each spool pair.
         motors: all motors of the hand.
         sensors: sensor node of the hand. None for a hand without a sensor node.
-        meshes: meshes of the links and of the palm, for pictures. The plant does not use these
-            meshes, and the comparison of two hands ignores them.
+        meshes: meshes of the links and of the palm, for pictures. The plant does not use the
+            meshes, and the comparison of two hands ignores the meshes.
     """
 
     name: str
@@ -355,7 +358,7 @@ class Hand:
 
     @property
     def all_tendons(self) -> list[TendonSpec]:
-        """Return all tendons: first the tendons of ``tendons``, then the second tendon of each spool pair."""
+        """Return all tendons: first the tendons in ``tendons``, then the second tendon of each spool pair."""
         return [*self.tendons, *(tendon.antagonist for tendon in self.pairs)]
 
     @property
@@ -402,7 +405,8 @@ def load_hand(name_or_path: str) -> Hand:
         return _parse_hand(_resolved_file(tomllib.loads(path.read_text("utf-8"))), path.parent)
     except OSError as error:
         raise SimulatorError(f"{path}: cannot be read: {error.strerror}") from error
-    # A number in the hand file is too long, or the file is not in UTF-8.
+    # The error below means that a number in the hand file is too long, or that the file is not in
+    # UTF-8.
     except (ValueError, RecursionError) as error:
         raise SimulatorError(f"{path}: not TOML: {error}") from error
     except (KeyError, TypeError, AttributeError) as error:
@@ -471,7 +475,7 @@ def _section_with_template(
     """Return an entry of a hand file, with all missing keys filled in.
 
     The template of the entry gives the value of a missing key. If the template lacks the key, the
-    value comes from the defaults for this kind of entry.
+    value comes from the defaults for entries of the given kind.
     """
     default = file_content.get("default", {}).get(section_kind, {})
     template = (
@@ -591,7 +595,7 @@ def _parse_digit(digit_section: dict[str, Any]) -> Digit:
 
 
 def _are_joints_prismatic(digit_section: dict[str, Any]) -> list[bool]:
-    """Return one truth value for each joint of a digit.
+    """Return one boolean value for each joint of a digit.
 
     The value is True if the joint slides along its axis.
     """
@@ -605,7 +609,8 @@ def _joint_values(
     """Return a value for each joint of a digit.
 
     For a hinge, the value comes from the key ``key``. For a prismatic joint, the value comes from
-    the key ``JOINT_KEYS[key]``. Without a default, a missing key raises KeyError.
+    the key ``JOINT_KEYS[key]``. If the key is missing and no default is given, the function raises
+    KeyError.
     """
     is_prismatic = _are_joints_prismatic(digit_section)
     lists = {}
@@ -619,12 +624,13 @@ def _joint_values(
 def _link_inertia(digit_section: dict[str, Any], i: int) -> tuple[float, ...]:
     """Return the six values of the inertia of link ``i`` of a digit.
 
-    If the file contains a single number, this is the moment of inertia of a round bar about the
-    axes y and z.
+    If the hand file contains a single number, this number is the moment of inertia of a round bar
+    about the axes y and z.
     """
     value = digit_section["link_inertia_kg_m2"][i]
     if isinstance(value, int | float):
-        # For any body, the largest principal moment of inertia is at most the sum of the other two.
+        # For any body, the largest principal moment of inertia is at most the sum of the other two
+        # moments.
         axial_inertia = min(
             digit_section["link_mass_kg"][i] * digit_section["link_radius_m"] ** 2 / 2, 2 * value
         )
@@ -652,8 +658,8 @@ def _parse_moment_arm_curve(
 ) -> MomentArmCurve:
     """Return a moment arm of a tendon that depends on the joint angle.
 
-    If the file contains a table of moment arms, a polynomial is fitted to the table by least
-    squares.
+    If the hand file contains a table of moment arms, the function fits a polynomial to the table by
+    least squares.
 
     Args:
         curve_section: entry of the hand file with ``polynomial_m``, or with ``angle_deg`` and ``arm_m``.
@@ -678,7 +684,8 @@ def _fit_polynomial(angles: list[float], arms: list[float]) -> list[float]:
         for i in range(count)
     ]
     for k in range(count):
-        # The matrix is symmetric and positive definite. So the elimination need not exchange rows.
+        # The matrix is symmetric and positive definite. So the Gaussian elimination does not need
+        # to exchange rows.
         rows[k] = [value / rows[k][k] for value in rows[k]]
         for i in range(count):
             if i != k:

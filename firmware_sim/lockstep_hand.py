@@ -19,8 +19,8 @@ from firmware_sim.wire.wire_options import parse_wire_options
 class LockstepHand:
     """A simulated hand that runs in lockstep with a caller.
 
-    If two runs have equal seeds and equal frames, their answers and truth files are equal in every
-    byte.
+    If two runs have equal seeds and equal frames of the host, their answers and truth files are
+    equal in every byte.
 
     Attributes:
         world: plant and nodes of the hand, for tests that need the true state.
@@ -52,8 +52,8 @@ class LockstepHand:
             period_ns: length of a tick [ns].
             homed: True to start with taut tendons and with the encoders at ``zero_rad`` of the hand
                 file.
-            wire: KEY=VALUE words of a simulated wire, see ``wire.wire_options``. If None, all
-                answers arrive within their tick.
+            wire: KEY=VALUE words of a simulated wire, see ``wire.wire_options``. If None, the
+                answers to all frames arrive within the tick of the frames.
             serials: serial numbers of the drives, see ``serial_numbers.with_serial_numbers``.
 
         Raises:
@@ -127,7 +127,7 @@ class LockstepHand:
         return self.world.faults.states()
 
     def truth(self) -> dict[str, list[float]]:
-        """Return parts of the present true state for tests: the tensions [N] and the commanded motor torques [N m]."""
+        """Return the present true tensions [N] and the commanded motor torques [N m], for tests."""
         motors = self.world.plant.motors.values()
         return {
             "tension": self.world.plant.tensions(),

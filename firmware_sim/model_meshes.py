@@ -1,6 +1,6 @@
 """Files and positions of the meshes in a robot description (URDF or MJCF).
 
-The mesh files themselves are not read here.
+The module does not read the mesh files themselves.
 """
 
 from collections.abc import Iterator
@@ -100,7 +100,8 @@ def _three_numbers(text: str) -> Any:
 def mjcf_meshes(model_spec: Any, model: Any, folder: Path, notes: list[str]) -> Iterator[BodyMesh]:
     """Yield the meshes of an MJCF model.
 
-    If a body has meshes without contacts, only these meshes are yielded.
+    For a body that has meshes without contacts, the function yields only the meshes without
+    contacts.
 
     Args:
         model_spec: source of the model (``mujoco.MjSpec``).

@@ -30,7 +30,7 @@ def with_serial_numbers(hand: Hand, serial_options: Iterable[str]) -> Hand:
 
     Raises:
         SimulatorError: the motor does not exist, or the protocol of the drive does not allow the
-            number.
+            serial number.
     """
     serials: dict[str, int | None] = {motor.name: motor.serial for motor in hand.motors}
     for word in serial_options:

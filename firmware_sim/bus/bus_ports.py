@@ -98,7 +98,8 @@ def open_port(
 def is_local_bus(spec: str) -> bool:
     """Return True if all frames of a bus stay on this machine.
 
-    The clock of such a bus may pause, because no other machine sends or receives its frames.
+    The clock of a local bus is allowed to pause, because no other machine sends or receives frames
+    of this bus.
     """
     kind, _, name = spec.partition(":")
     return kind == "local" or (kind == "socketcan" and (VIRTUAL_INTERFACES / name).exists())

@@ -22,7 +22,7 @@ class RigidBodyEngine:
     Attributes:
         step: function that advances MuJoCo by one time step.
         native: addresses of MuJoCo's step function and of its two arguments, for compiled code.
-            None if compiled code cannot call the function.
+            None if compiled code cannot call the step function.
         q: joint angles [rad].
         dq: joint velocities [rad/s].
         applied: torques that tendons apply to the joints [N m].
@@ -35,8 +35,8 @@ class RigidBodyEngine:
 
         Args:
             xml: MuJoCo model of the hand and the scene, as MJCF text.
-            joint_count: number of the hand's joints. These joints are the first degrees of freedom
-                of the model.
+            joint_count: number of the hand's joints. The joints of the hand are the first degrees
+                of freedom of the model.
         """
         self._model: Any = mujoco.MjModel.from_xml_string(xml)
         self._data: Any = mujoco.MjData(self._model)
@@ -46,7 +46,7 @@ class RigidBodyEngine:
         n = joint_count
         self.step: Callable[[], None] = lambda: mujoco.mj_step(model, data)
         self.native = _mj_step_addresses(model, data)
-        # These arrays refer to MuJoCo's own memory. They are valid as long as the data object
+        # The arrays below refer to MuJoCo's own memory, and are valid as long as the data object
         # exists.
         self.q: Any = data.qpos[:n]
         self.dq: Any = data.qvel[:n]
@@ -88,7 +88,7 @@ class RigidBodyEngine:
 
         Returns:
             Function without arguments. The function returns the force on each digit in the palm
-            frame: x, y, z of the first digit, then of the next one.
+            frame: x, y, z of the first digit, then of the next digit.
         """
         index = np.array(
             [
@@ -99,7 +99,7 @@ class RigidBodyEngine:
         )
         data = self._data.sensordata
         # The sensor measures the force that the first body (the digit) exerts on the second body.
-        # The sign is therefore changed, which gives the force on the digit.
+        # The code therefore changes the sign of the measured force, to get the force on the digit.
         return lambda: (-data[index]).tolist()  # type: ignore[no-any-return,unused-ignore]
 
     def force_indices(self, sensor_kind: str, digits: list[str]) -> list[int]:
@@ -112,7 +112,7 @@ class RigidBodyEngine:
     def normal_forces(self, digits: list[str]) -> Callable[[], list[float]]:
         """Build a function that returns the normal force between each digit and the object [N].
 
-        The value of a digit is the sum over its contacts with the object.
+        The normal force of a digit is the sum over all contacts of the digit with the object.
         """
         first_sensor_indices = [self._sensor_index(f"normal/{digit}") for digit in digits]
         index = np.array(
@@ -133,7 +133,7 @@ class RigidBodyEngine:
         self._model.opt.timestep = step_s
 
     def brake(self, joints: list[int], damping: float) -> Callable[[], None]:
-        """Set a high damping in some joints, to brake them [N m s/rad].
+        """Set a high damping in some joints, to brake these joints [N m s/rad].
 
         Returns:
             Function that restores the former damping of the joints.
@@ -200,7 +200,7 @@ def _mj_step_addresses(model: Any, data: Any) -> tuple[int, int, int] | None:
     """Return the addresses of MuJoCo's function ``mj_step``, of the model, and of the data.
 
     If compiled code calls the function by its address, an error inside MuJoCo ends the process.
-    MuJoCo reports few errors. It reports no error if the plant diverges.
+    MuJoCo reports few errors, and reports no error if the plant diverges.
     """
     library = next(Path(mujoco.__file__).parent.glob("libmujoco*"), None)
     if library is None:

@@ -20,7 +20,7 @@ def is_object_grasped(
 ) -> bool:
     """Return True if enough digits press on the object.
 
-    If ``both_sides`` is True, digits must press from both sides.
+    If ``both_sides`` is True, digits must press on both sides of the object.
 
     Args:
         contact_forces: array that contains x, y, z of the contact force on each digit [N], among other
@@ -51,7 +51,7 @@ class SupportTable:
 
     Attributes:
         depth: distance of the table below its initial position [m].
-        dropped_at: plant time when the table started to sink [s]. None before this time.
+        dropped_at: plant time when the table started to sink [s], or None before the table sinks.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class SupportTable:
             if kernels
             else (start_indices, sides)
         )
-        # If the hand has fewer digits than required, all of its digits must hold the object.
+        # If the hand has fewer digits than required, all digits of the hand must hold the object.
         digits = min(support.drop_digits, len(opposed))
         self._criteria = support.drop_force**2, digits, support.drop_opposed
         self._grasped_since: float | None = None
@@ -117,7 +117,7 @@ class SupportTable:
     def _check_grasp(self, time: float, forces: Any) -> None:
         """Start to sink the table when the digits have held the object long enough.
 
-        They must hold the object for the time ``drop_hold`` without a break.
+        The digits must hold the object for the time ``drop_hold`` without a break.
         """
         if self._support.drop_when != "grasped" or not self._grasped(
             forces, *self._digits, *self._criteria

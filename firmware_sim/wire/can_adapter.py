@@ -1,8 +1,8 @@
 """Latency of a CAN adapter, the device between a host and the CAN controller on the wire.
 
 The USB controller of a host transfers data only at the start of a USB frame. For a full-speed
-device, a USB frame starts every 1 ms. For a high-speed device, one starts every 125 us. In both
-directions, a CAN frame has to wait for the start of the next USB frame. A serial bus inside an
+device, a USB frame starts every 1 ms. For a high-speed device, a USB frame starts every 125 us. In
+both directions, a CAN frame must wait for the start of the next USB frame. A serial bus inside an
 adapter transfers one CAN frame after the other. Source of the USB times: USB 2.0 specification,
 5.3.3 (frames and microframes).
 """
@@ -13,7 +13,8 @@ from typing import NamedTuple
 CLOCK_DRIFT = 1e-4
 """Relative difference between the clocks of USB and host.
 
-As a result, all phases of the USB frames occur.
+Because of the difference, the starts of the USB frames pass through all positions relative to the
+clock of the host.
 """
 
 
@@ -21,12 +22,12 @@ class AdapterClass(NamedTuple):
     """A class of CAN adapters with similar latency.
 
     Attributes:
-        send_period_ns: period of the times at which frames can leave the host [ns], or 0 if they do
-            not wait.
-        receive_period_ns: period of the times at which received frames can reach the host [ns], or 0 if
-            they do not wait.
+        send_period_ns: period of the times at which frames can leave the host [ns], or 0 if frames
+            do not wait.
+        receive_period_ns: period of the times at which received frames can reach the host [ns], or
+            0 if frames do not wait.
         frame_duration_ns: duration of a frame on a serial bus inside the adapter, in either direction [ns].
-        text: description of the class, with examples of adapters.
+        text: description of the class of adapters, with examples.
     """
 
     send_period_ns: int
@@ -63,7 +64,7 @@ class AdapterLatency:
     """
 
     def __init__(self, adapter_class: str, seed: int = 0) -> None:
-        """Initialise the latency of a USB adapter. The phase of its USB frames is random.
+        """Initialise the latency of a USB adapter. The start time of its USB frames is random.
 
         Args:
             adapter_class: key of ``ADAPTER_CLASSES``.

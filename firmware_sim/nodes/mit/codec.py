@@ -19,8 +19,8 @@ Feedback from MST_ID (8 bytes, highest byte and bit first):
     bit  7..0   temperature of the winding [degC]
 
 Kernels handle the eight bytes of a payload as one signed 64-bit integer. The sign of the integer
-has no meaning. Callers that want compiled kernels must call them through this module, because
-``compiled.use_compiled_kernels`` replaces the attributes of the module.
+has no meaning. Callers that want compiled kernels must call the kernels through this module,
+because ``compiled.use_compiled_kernels`` replaces the attributes of the module.
 """
 
 import ctypes
@@ -59,7 +59,7 @@ class MitRanges(NamedTuple):
 class MitStruct(ctypes.Structure):
     """Memory of a simulated drive, which compiled kernels read and write. See ``node.MitNode``.
 
-    ``motor_number`` is the row of the drive's rotor.
+    ``motor_number`` is the index of the drive's rotor in the array of rotors.
     """
 
     _fields_ = [
@@ -103,8 +103,8 @@ def value_to_code(value: float, limit: float, bits: int) -> int:
     firmware.
     """
     clamped_value = -limit if value < -limit else limit if value > limit else value
-    # The operations are in the same order as in the firmware, because another order would round
-    # differently.
+    # The operations are in the same order as in the firmware, because another order would give
+    # other rounding errors.
     return int((clamped_value + limit) * ((1 << bits) - 1) / (2.0 * limit))
 
 

@@ -1,6 +1,7 @@
 """Fault campaign for one hand and some drive protocols.
 
-The campaign runs all scenarios of the fault matrix. It also makes runs without faults.
+The campaign runs all scenarios of the fault matrix. The campaign also simulates runs without
+faults.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -17,7 +18,7 @@ from handctl.safety.safety_action import SafetyAction
 from handctl.session.lockstep_simulation import SimulatedRun
 
 QUICK_SCENARIO_STEP = 7
-"""Interval between two scenarios that a quick campaign runs.
+"""Distance between two scenarios that a quick campaign runs, in the list of all scenarios.
 
 A quick campaign runs only every seventh scenario of the fault matrix.
 """
@@ -56,7 +57,7 @@ class CampaignReport:
         return [result for results in self.results.values() for result in results]
 
     def as_json(self) -> dict[str, Any]:
-        """Return the report as plain values for JSON. The totals come first."""
+        """Return the report as plain values for JSON. The values that summarise the whole campaign come first."""
         results = self.all_results
         return {
             "hand": self.hand,
@@ -94,8 +95,9 @@ def campaign_scenarios(
     """Return the scenarios that a campaign runs.
 
     A full campaign runs all scenarios. If `row_ids` is not empty, the campaign runs only the
-    scenarios of these rows of the fault matrix. A quick campaign runs every seventh scenario. The
-    seed determines the first scenario of this sample. Another seed selects another sample.
+    scenarios of the named rows of the fault matrix. A quick campaign runs every seventh scenario.
+    The seed determines the first scenario of a quick campaign. Another seed selects another sample
+    of the scenarios.
     """
     period_ms = 1e3 / rate_hz
     selected_scenarios = scenarios_of_hand(hand, protocol, period_ms)
@@ -150,8 +152,8 @@ def run_campaign(
         )
         results = report.results[protocol] = []
 
-        # The default arguments bind the values of this protocol. Without these arguments, the
-        # function would use the values of the last protocol of the loop.
+        # The default arguments bind the values of the present protocol. Without the default
+        # arguments, the function would use the values of the last protocol of the loop.
         def add_result(
             result: ScenarioResult,
             results: list[ScenarioResult] = results,
@@ -185,9 +187,9 @@ def simulate_without_faults(
 ) -> list[str]:
     """Simulate a hand without faults, and return the false alarms.
 
-    The noise is larger than normal, and some frames are lost. During the run, the hand moves and
-    grasps repeatedly. A run that does not reach a grasp counts as a false alarm, because such a run
-    tests too little.
+    In the simulation, the sensor noise is larger than normal, and some frames are lost. During the
+    run, the hand moves and grasps repeatedly. A run that does not reach a grasp counts as a false
+    alarm, because such a run tests too little.
     """
     alarms: list[str] = []
     remaining_s = duration_s

@@ -34,9 +34,10 @@ class PageSection:
         title: heading of the section.
         text: paragraphs of the section.
         figures: names of the figures in the section.
-        items: items of the section. Each is a row of the table.
+        items: errata items of the section. Each item is a row of the table of errata.
         measured: True if the section shows results of simulated experiments.
-        table: table of numbers before the items. The first row contains the titles of the columns.
+        table: table of numbers before the errata items. The first row contains the titles of the
+            columns.
     """
 
     title: str

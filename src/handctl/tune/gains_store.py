@@ -1,9 +1,10 @@
 """Gains of a hand on disk.
 
-There is a file with the present gains, and a numbered history. With the history, every change can
-be undone. Runs use `HAND.gains.toml`. The file `HAND.gains/0001.toml` and the files with the next
-numbers contain all gains that have been applied so far. Each file is written under a temporary name
-and then renamed. A reader therefore gets either the complete old file or the complete new file.
+One file contains the present gains of a hand, and a numbered history contains all applied gains.
+With the history, every change of the gains can be undone. Runs use `HAND.gains.toml`. The file
+`HAND.gains/0001.toml` and the files with the next numbers contain all gains that have been applied
+so far. Each file is written under a temporary name and then renamed. A program that reads the gains
+therefore gets either the complete old file or the complete new file.
 """
 
 import datetime
@@ -41,7 +42,7 @@ class StoredGains:
 
     @property
     def number(self) -> int:
-        """Return the number of the entry in the history."""
+        """Return the number that this entry has in the history of gains."""
         return self.file.provenance.number
 
 
@@ -69,7 +70,7 @@ class GainsStore:
     def present_gains(self) -> GainsFile | None:
         """Return the present gains of the hand.
 
-        If there is no gains file, return None. Runs then use the packaged gains.
+        If there is no gains file, return None. Without a gains file, runs use the packaged gains.
 
         Raises:
             ConfigError: the file of the present gains cannot be used.
@@ -174,8 +175,9 @@ class GainsStore:
     ) -> GainsFile:
         """Write gains to the history with the next number, and then make them the present gains.
 
-        A user may have copied the present file, so that the history does not contain it. In this
-        case, the new gains are recorded as the successor of the newest entry.
+        If a user has replaced the file of the present gains by a copy, the history possibly does
+        not contain the present gains. In this case, the new gains are recorded as the successor of
+        the newest entry.
         """
         present_gains = self.present_gains()
         entries = self.history_entries()
@@ -197,8 +199,8 @@ class GainsStore:
         text = gains_text(gains, written_provenance)
         try:
             self.history_folder.mkdir(parents=True, exist_ok=True)
-            # The history is written first. So if the program crashes between the two writes, the
-            # present gains have not changed.
+            # The history is written before the file of the present gains. So a crash of the program
+            # between the two writes does not change the present gains.
             write_text_atomically(
                 self.history_folder / f"{written_provenance.number:04d}.toml",
                 text,

@@ -1,7 +1,7 @@
 """Experiments of the paper, described as jobs for worker processes.
 
-A job and the result of a job consist of plain values. Therefore they can be sent to another
-process.
+A job and the result of a job consist of plain values. Therefore jobs and results can be sent to
+another process.
 """
 
 import json

@@ -27,19 +27,19 @@ HAND_NAME = "jamia_bench"
 BLOCKED_JOINT_RANGE_DEG = 0.01
 """Range of motion that remains in a clamped joint [deg].
 
-In three such joints, it moves the tendon by 1.6 um.
+The remaining motion of three clamped joints moves the tendon by 1.6 um.
 """
 MAX_PULL_N = 238.0
 """Tension to which the tendons are pulled [N].
 
-With its overshoot, the tension stays below 244 N, at which the load cells count as saturated.
+Even with its overshoot, the tension stays below 244 N. At 244 N, the load cells count as saturated.
 """
 PULL_RATE_N_PER_S = 60.0
 """Rate at which the tension of the pulled tendons increases [N/s]."""
 LINEAR_TENSION_RANGE_N = (30.0, 150.0)
 """Range of tension in which the curves of all tendons are linear [N].
 
-A line through this range gives the origin of a curve.
+A straight line through the linear range of a curve gives the origin of the curve.
 """
 MAX_NOISE_RESIDUAL = 1.2
 """Largest residual of a curve that counts as linear [standard deviations of the load cell]."""
@@ -50,7 +50,7 @@ class TendonCurve:
     """Measured force-displacement curve of a tendon.
 
     Attributes:
-        nominal_knee_N: tension at which the simulated tendon becomes softer (the knee of its curve)
+        nominal_knee_N: tension at the knee of the curve, above which the simulated tendon is softer
             [N].
         displacement: (samples,) displacement of the tendon at the spool [mm]. The displacement is
             zero where the extension of the linear part reaches the force 0.
@@ -71,8 +71,8 @@ class TendonCurve:
 def blocked_hand(knee_tensions: tuple[float, ...]) -> Hand:
     """Return the hand of the test bench, with all joints clamped.
 
-    The curve of a tendon has a knee. The first tendons of the returned hand have this knee at the
-    given tensions [N].
+    The force-displacement curve of a tendon has a knee. In the returned hand, the first tendons
+    have their knees at the given tensions [N].
     """
     content = copy.deepcopy(load_hand(HAND_NAME).content)
     for digit in content["digit"]:
@@ -169,8 +169,8 @@ def _fit_knee(displacement: Array, force: Array, initial_slope: float) -> tuple[
         return np.array([tendon.elastic_tension(value) for value in x.tolist()])
 
     bounds = ([100.0, 0.05, 1e-5], [300.0, 0.95, 2e-3])
-    # The fit uses only every fourth sample. With more samples, the fit takes longer, and the knee
-    # hardly becomes more accurate.
+    # The fit uses only every fourth sample. With all samples, the fit takes longer, and the fitted
+    # knee is hardly more accurate.
     parameters, covariance = curve_fit(
         knee_curve, displacement[::4], force[::4], (180.0, 0.5, 2e-4), bounds=bounds
     )

@@ -55,8 +55,8 @@ def draw_all_figures(folder: Path, experiment_results: Mapping[str, Any] | None)
 
     Args:
         folder: folder to write to, created if it does not exist.
-        experiment_results: results of `experiments.run_experiments`. If they are None, the figures about
-            measurements are left out.
+        experiment_results: results of `experiments.run_experiments`. If the results are None, the
+            figures about measurements are left out.
 
     Returns:
         Path of the SVG file of each figure, by the name of the figure.

@@ -23,7 +23,7 @@ LABEL_OFFSETS_MM = {
 """Offset of the label of each digit [mm]."""
 FACES_AROUND = 24
 FACES_ALONG = 6
-"""The two numbers above are the number of faces around a bar, and the number of rings on its round end."""
+"""The two constants above are the number of faces around a bar, and the number of rings on the round end of a bar."""
 LIGHT_DIRECTION = np.array([0.35, -0.45, 0.82])
 """Direction from which the light comes."""
 VIEW_ANGLES_DEG = (24.0, -58.0)
@@ -33,7 +33,7 @@ VIEW_ANGLES_DEG = (24.0, -58.0)
 def draw_hand_figure(figure: Any) -> None:
     """Draw the palm, and then the digits.
 
-    All digits belong to one collection of faces, so that near faces hide far faces.
+    The figure draws all digits as one collection of faces, so that near faces hide far faces.
     """
     from matplotlib.patheffects import withStroke
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped,unused-ignore]

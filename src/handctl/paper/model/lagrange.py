@@ -2,8 +2,8 @@
 
 The correct terms follow from Lagrange's equations.
 
-All derivatives are calculated with complex steps. Such derivatives are exact except for rounding
-errors, and need no algebra by hand.
+All derivatives are calculated with complex steps. Derivatives with complex steps are exact except
+for rounding errors, and need no algebra by hand.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,8 +33,8 @@ The smallest effect of a misprint is about 0.1.
 COMPLEX_STEP = 1e-30
 """Size of the complex step of a derivative.
 
-The step may be as small as desired, because the method subtracts no two numbers. Source: Squire &
-Trapp (1998).
+The step can be as small as desired, because the complex-step method never subtracts one number from
+another. Source: Squire & Trapp (1998).
 """
 ENERGY_DIMENSION: Dimension = (1, 2, -2)
 """Dimension of energy, and of torque."""
@@ -53,7 +53,7 @@ StateSamples = Mapping[str, Any]
 def random_states() -> StateSamples:
     """Return random parameters, angles, rates and accelerations of order 1. Each has the shape (STATES,).
 
-    These random values are the same in every run.
+    The random values are the same in every run of the program.
     """
     random = np.random.default_rng(7)
     values: dict[str, Array] = {}
@@ -77,7 +77,7 @@ def finger_states(digit: DigitModel) -> StateSamples:
 
 
 def relative_deviation(printed_value: Any, correct_value: Any) -> float:
-    """Return the largest difference between values and correct values, divided by the largest correct value."""
+    """Return the largest difference between printed and correct values, divided by the largest correct value."""
     return float(np.max(np.abs(printed_value - correct_value)) / np.max(np.abs(correct_value)))
 
 
@@ -173,7 +173,8 @@ def _wrong_dimensions_text(term: EquationTerm) -> str:
 def _asymmetry_text(term: EquationTerm) -> str:
     """Compare the printed coefficients of a term and its mirror term.
 
-    If the coefficients differ, return a text about this. Otherwise, return an empty text.
+    If the coefficients differ, return a text about the difference. If the coefficients are equal,
+    return an empty text.
     """
     if not term.mirror_id:
         return ""
@@ -196,7 +197,7 @@ def _asymmetry_text(term: EquationTerm) -> str:
 def equation_errata() -> list[ErrataItem]:
     """Return the errata items for Eq. 7 to 9, and for Eq. 10 to 12 as a whole.
 
-    These equations are compared with handctl's equations of motion.
+    Each equation is compared with handctl's equations of motion.
     """
     digit = paper_finger()
     states = finger_states(digit)
@@ -259,7 +260,7 @@ def _check_joint_torque(
 def _agreement_text(deviation: float) -> str:
     """Return a text that says how closely two values agree.
 
-    Decimal digits that may differ between machines are left out.
+    The text contains no decimal digits that can differ between machines.
     """
     return "to rounding" if deviation < RELATIVE_TOLERANCE else f"to {deviation:.1g}"
 
@@ -297,5 +298,5 @@ def _relative_from_absolute(states: StateSamples, name: str) -> Array:
 
 
 def printed_equation_value(terms: Sequence[EquationTerm], states: StateSamples) -> Any:
-    """Return the value of a printed equation. Ambiguous terms have their first reading."""
+    """Return the value of a printed equation. The first reading of each ambiguous term is used."""
     return sum(term.readings[0].evaluate(states) for term in terms)

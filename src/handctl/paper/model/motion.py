@@ -1,6 +1,7 @@
 """Dynamics of section 7 in a motion.
 
-The torque that closes a digit is divided into parts. Each part has one cause.
+The torque that closes a digit is divided into components. Each component of the torque has one
+cause.
 """
 
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ CLOSING_DURATIONS_S = (0.6, 0.3, 0.15)
 SAMPLE_COUNT = 301
 """Number of samples of a motion."""
 TORQUE_CAUSES = ("inertia", "Coriolis", "gravity", "springs", "motor inertia")
-"""Causes of the torque. The first three are effects of the links alone."""
+"""Causes of the torque. The first three causes are effects of the links alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +103,7 @@ def closing_torque_t1(duration_s: float) -> tuple[Array, Array, Array]:
     motion_samples = np.array([[value[0] for value in path.motion_at(float(t))] for t in times])
     states = dict(finger_states(digit))
     for order in range(3):
-        # If all joint angles are equal, the absolute angles are multiples of the first angle.
+        # If all joint angles are equal, the absolute angles are multiples of the first joint angle.
         states |= {"d" * order + f"th{i}": i * motion_samples[:, order] for i in (1, 2, 3)}
     correct_torque = sum(term.correct_form.evaluate(states) for term in equations.TORQUE_TERMS_1)
     return (
@@ -124,7 +125,7 @@ def motion_errata() -> list[ErrataItem]:
 def _check_static_torque() -> ErrataItem:
     """Check whether T_1 of Eq. 10 is the torque that holds a straight finger at joint 1.
 
-    In fact, this torque is the sum of T_1 to T_3 in Eq. 10 to 12.
+    In fact, the holding torque at joint 1 is the sum of T_1 to T_3 in Eq. 10 to 12.
     """
     _, printed_torque, correct_torque = closing_torque_t1(CLOSING_DURATIONS_S[1])
     digit = upright_digit("index")

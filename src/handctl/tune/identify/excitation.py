@@ -1,6 +1,6 @@
 """Excitation of a digit, from which its parameters are identified.
 
-The motion stays within the limits of the digit. The excitation takes about twenty seconds per
+The motion of the digit stays within the joint limits. The excitation takes about twenty seconds per
 digit.
 """
 
@@ -17,7 +17,7 @@ SWEEP_MARGIN_DEG = 6.0
 SWEEP_TOP_DEG = 32.0
 """Upper end of free sweeps, as an angle from the stop of the open joint [deg].
 
-At larger angles, the fingers of the packaged hands touch thumb or palm.
+At larger joint angles, the fingers of the packaged hands touch the thumb or the palm.
 """
 SWING_AMPLITUDE_DEG = 9.0
 """Amplitude of the sinusoidal swing of the joints [deg]."""
@@ -28,29 +28,30 @@ SWING_MAX_FREQUENCY_HZ = 6.0
 PRESS_TENSION_FRACTIONS = (0.08, 0.15, 0.5)
 """Three tensions, as fractions of the largest tension of the tendon.
 
-The first is the tension after the presses. The others are the lower and the upper tension of a
-press against an obstacle.
+The first tension is the tension after the presses against an obstacle. The other two are the lower
+and the upper tension of a press.
 
 A motor that is 30 % weaker than in the hand file reaches only two thirds of the commanded tension.
-At higher tensions, the monitor would report a wrong load cell (T04b) because of so weak a motor.
+With a motor that is 30 % too weak, the monitor would report a wrong load cell (T04b) at higher
+tensions.
 """
 MIN_TENSION_N = 1.1
 """Lower tension when a tendon is stretched while its digit rests on the open stop [N]."""
 STRETCH_UPPER_FRACTION = 0.6
 """Upper tension of a stretch, as a fraction of the tension at which the digit leaves its open stop.
 
-The lifting tension is calculated with the springs of the hand file.
+The tension at which the digit leaves its stop is calculated with the springs of the hand file.
 """
 MIN_STRETCH_RANGE_N = 0.5
 """Smallest difference between the upper and the lower tension of a stretch [N].
 
-A smaller difference would be hidden in the noise of the load cell.
+The noise of the load cell would hide a smaller difference of the tensions.
 """
 STRETCH_DURATION_S = 0.9
 """Duration of one rise or one fall of the tension in a stretch [s].
 
-The friction of the motor is larger than the tension, and the gains may be low. On faster ramps, the
-tension would change by only a third of the commanded range.
+The friction of the motor is larger than the tension, and the gains are possibly low. On faster
+ramps of the commanded tension, the tension would change by only a third of the commanded range.
 """
 STRETCH_COUNT = 4
 """Number of times that the tension of a stretched tendon rises and falls."""

@@ -2,12 +2,12 @@
 
     sum_j R_ji f_j exp(-mu_j sgn(w_j) (phi_j + q_1 + .. + q_i)) = S k_i (q_i + P p_i) + b_i q_i' + m (M q'' + g)_i
 
-This equation is the torque balance of joint i in free motion. The exponent contains a sum of
+The equation above is the torque balance of joint i in free motion. The exponent contains a sum of
 angles: the wrap angle of tendon j, and the angles of the joints up to joint i that tendon j
 crosses. The drift of the load cells is known from the fits of single tendons. Each row of the fit
-is such a balance. The row is divided by the noise that the load cells cause in the balance. Errors
-of the joint encoders are neglected, because their effect is a tenth of the effect of load-cell
-errors. Source: as in `fit_load`.
+is the torque balance of a joint, divided by the noise that the load cells cause in the torque
+balance. Errors of the joint encoders are neglected, because their effect is a tenth of the effect
+of load-cell errors. Source: as in `fit_load`.
 """
 
 from collections.abc import Sequence
@@ -35,9 +35,10 @@ from handctl.tune.identify.tendon_data import Array, TendonData, average_samples
 SHARED_PARAMETERS = ("spring_stiffness", "spring_preload", "joint_damping", "link_mass")
 """Names of the parameters that all tendons of a digit share.
 
-These parameters are factors that multiply values of the hand file.
+The shared parameters are factors that multiply values of the hand file.
 
-In the vector of the fit, the capstan coefficients of the tendons follow after these parameters.
+In the parameter vector of the fit, the capstan coefficients of the tendons follow after the shared
+parameters.
 """
 HALF_WINDOW_S = 0.01
 """Time before and after a joint reading over which signals are averaged [s]."""
@@ -56,7 +57,7 @@ MIN_DATA_ROWS = 20
 class TorqueBalance:
     """Data of a digit at certain times.
 
-    At these times, the digit moves freely, and its joint encoders are read.
+    At each time of the data, the digit moves freely, and the joint encoders of the digit are read.
 
     Attributes:
         digit: model of the digit.
@@ -87,7 +88,7 @@ class TorqueBalance:
     ) -> "TorqueBalance | None":
         """Combine the data and the fits of a digit's tendons to the data for the fit of the digit.
 
-        If too few times can be used, return None.
+        If too few sample times can be used, return None.
 
         Args:
             digit: model of the digit.
@@ -263,7 +264,7 @@ def fit_digit(balance: TorqueBalance) -> FitSolution:
 def fits_with_digit_solution(
     tendon_fits: Sequence[TendonFit], solution: FitSolution, balance: TorqueBalance
 ) -> list[TendonFit]:
-    """Add the parameters from the fit of a digit to the fits of its tendons, and return these fits.
+    """Add the parameters from the fit of a digit to the fits of its tendons, and return the fits of the tendons.
 
     Each tendon gets its capstan coefficient. The first tendon also gets the factors that all
     tendons share.
@@ -294,7 +295,7 @@ def _unexplained_ramp(solution: FitSolution, balance: TorqueBalance) -> Residual
 def _friction_scales(digit: DigitModel) -> Array:
     """Return the scale of each tendon's capstan coefficient (tendons,).
 
-    It is the same scale as in the fits of the single tendons.
+    The scale of a capstan coefficient is the same as in the fits of the single tendons.
     """
     return np.where(digit.friction > 0.0, digit.friction, 1e-3)
 
@@ -302,7 +303,8 @@ def _friction_scales(digit: DigitModel) -> Array:
 def _spaced_indices(indices: NDArray[np.intp], min_spacing: int) -> NDArray[np.intp]:
     """Select indices that are at least `min_spacing` apart.
 
-    With this distance, the averages at two selected indices share no readings.
+    With the distance `min_spacing`, the averages at two selected indices have no readings in
+    common.
     """
     selected_indices: list[int] = []
     for index in indices.tolist():
@@ -314,9 +316,9 @@ def _spaced_indices(indices: NDArray[np.intp], min_spacing: int) -> NDArray[np.i
 def _tendon_rates(data: TendonData, half_window: int) -> tuple[Array, Array]:
     """Return the speed [m/s] and the acceleration [m/s^2] of a tendon.
 
-    At the start and the end of the data, both are NaN.
+    At the start and the end of the data, the speed and the acceleration are NaN.
 
-    The differences are taken over twice the time over which signals are averaged.
+    Both rates are differences over twice the time over which signals are averaged.
     """
     x = data.travel
     step = 2 * half_window

@@ -1,10 +1,11 @@
 """Search for gains in simulation, with the package Optuna. The result depends only on the seed.
 
-The search requests trials from Optuna in batches of a fixed size, and reports their scores in the
-same order. Each batch has a separate sampler, whose seed follows from the seed of the study and the
-number of the batch. Because of this, the result does not depend on the number of processes, and an
-interrupted study can be resumed. A resumed study begins with the trials of the last batch that have
-no score yet. If a batch was only partly requested, the whole batch is requested again.
+The search requests trials from Optuna in batches of a fixed size. The search reports the scores in
+the order of the trials. Each batch has a separate sampler, whose seed follows from the seed of the
+study and the number of the batch. Because of the batches, the result does not depend on the number
+of processes, and an interrupted study can be resumed. A resumed study begins with the trials of the
+last batch that have no score yet. If a batch was only partly requested, the whole batch is
+requested again.
 """
 
 import fcntl
@@ -23,7 +24,7 @@ from handctl.tune.search.search_space import GAIN_RANGES, clamped_gains
 from handctl.tune.search.workers import SearchWorkers
 
 BATCH_SIZE = 8
-"""Number of trials in a batch. With more worker processes than this, some would be idle."""
+"""Number of trials in a batch. If there are more worker processes than trials in a batch, some processes are idle."""
 RANDOM_BATCH_COUNT = 2
 """Number of batches with random trials. Later batches use the results of earlier trials."""
 STUDY_NAME = "handctl"
@@ -64,8 +65,8 @@ class SearchPlan:
     def trial_job(self, trial_number: int, gain_values: Mapping[str, float]) -> dict[str, Any]:
         """Return the job by which a worker computes the score of a trial.
 
-        The first trial is the reference for the others. The first trial is therefore simulated even
-        if its margins are too small.
+        The first trial is the reference for the others. Therefore the worker simulates the first
+        trial even if the margins of its gains are too small.
         """
         return {
             "hand": self.hand,
@@ -78,7 +79,7 @@ class SearchPlan:
 
     @property
     def identity(self) -> str:
-        """Return the part of the plan that must stay the same if an interrupted study is resumed."""
+        """Return the settings of the plan that must stay the same if an interrupted study is resumed."""
         plain_fields = {
             "hand": self.hand,
             "rate_hz": self.rate_hz,
@@ -100,7 +101,7 @@ class SearchTrial:
 
     @property
     def is_feasible(self) -> bool:
-        """Return True if the run of the trial finished the exercise, and the margins are large enough."""
+        """Return True if the run of the trial finished the exercise, and the margins of the gains are large enough."""
         return not self.score.failure and self.score.shortfall <= 0.0
 
 
@@ -191,7 +192,7 @@ def run_search(
 def _exclusive_lock(path: Path) -> Iterator[None]:
     """Lock a journal against other searches.
 
-    The lock ends when this process ends, even after a crash.
+    The lock of the journal ends when the process of the search ends, even after a crash.
 
     Raises:
         ConfigError: another search has locked the journal, or the file cannot be opened.
@@ -238,7 +239,7 @@ def _open_study(plan: SearchPlan, path: Path) -> Any:
         LookupError,
         TypeError,
         AssertionError,
-    ) as error:  # Optuna does not check the file, so a damaged journal may raise any of these errors.
+    ) as error:  # Optuna does not check the journal file, so a damaged journal can raise any of the errors below.
         raise ConfigError(
             f"cannot be used: {error}", str(path), "a new file, or a journal of `tune search`"
         ) from None
@@ -293,8 +294,9 @@ def _run_batch(
 def _unscored_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]:
     """Return the trials of the present batch that have no score yet.
 
-    A whole batch is requested from Optuna before the first score of this batch is reported.
-    Therefore an interrupted or extended search has the same trials as an uninterrupted search.
+    A whole batch is requested from Optuna before the first score of this batch is reported. Because
+    of the whole batches, an interrupted or extended search has the same trials as an uninterrupted
+    search.
     """
     from optuna.trial import Trial as OptunaTrial
     from optuna.trial import TrialState
@@ -302,7 +304,7 @@ def _unscored_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[
     count = BATCH_SIZE - finished_count % BATCH_SIZE
     open_trials = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
     # If the whole batch was requested earlier, the number of trials without a score is right, and
-    # all have their parameters.
+    # all these trials have their parameters.
     if len(open_trials) == count and all(
         len(trial.params) == len(GAIN_RANGES) for trial in open_trials
     ):
@@ -327,10 +329,10 @@ def _fail_unfinished_trials(study: Any) -> None:
 
 def _report_score(study: Any, trial: Any, score: GainScore) -> None:
     """Report the score of a trial to the study."""
-    # The score, which is an attribute, is stored before the state. Therefore every finished trial
-    # has a score.
+    # The score is an attribute of the trial, and is stored before the state of the trial. Therefore
+    # every finished trial has a score.
     trial.set_user_attr("score", asdict(score))
-    # If an earlier call was interrupted before `tell`, the attribute already exists.
+    # If an earlier call was interrupted before `tell`, the attribute with the score already exists.
     if not trial.constraints:
         trial.set_constraint("margins", score.shortfall)
     study.tell(trial, list(score.objectives))
@@ -340,7 +342,8 @@ def _make_sampler(seed: int, batch: int) -> Any:
     """Return the sampler for a batch of trials."""
     from optuna.samplers import RandomSampler, TPESampler
 
-    # Because of the prime factor, batches of different studies have different seeds.
+    # The seed of the study is multiplied by a prime, so that batches of different studies have
+    # different seeds.
     batch_seed = (seed * 7919 + batch) % (1 << 31)
     if batch < RANDOM_BATCH_COUNT:
         return RandomSampler(seed=batch_seed)
