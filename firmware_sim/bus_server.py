@@ -240,7 +240,7 @@ class BusServer:
         advance_world(min(target_ns, world.t_ns + MAX_CATCH_UP_NS))
 
     def _skip_lost_time(self, behind_ns: int) -> None:
-        """Skip the time in which this process did not run.
+        """Skip the time in which the process of the simulator did not run.
 
         The plant and the watchdogs of the drives do not advance by the skipped time.
         """
@@ -266,7 +266,7 @@ class BusServer:
     def summary(self) -> dict[str, object]:
         """Return the counts of a run, such as the number of overruns.
 
-        The truth file and the last line that the program prints contain these counts.
+        The truth file and the last line that the program prints contain the counts of the run.
         """
         return {
             "overruns": self.overruns,

@@ -1,12 +1,13 @@
 """Kernels: plain functions that numba can compile.
 
-Some programs advance a plant without waiting for a clock. These programs use the kernels.
+Some programs advance a plant without waiting for a clock. Programs that wait for no clock use the
+kernels.
 
 ``compiled`` registers the argument types of a kernel. ``compile_module_kernels`` compiles the
 kernels of a module. Only the function ``compile_module_kernels`` imports numba. The import takes
-almost a second. Such a delay is too long for a simulator in a separate process. A compiled kernel
-and the same kernel in Python return the same bits, because compilation keeps the order and the
-rounding of all operations (no fast math).
+almost a second. A delay of a second is too long for a simulator in a separate process. A compiled
+kernel and the same kernel in Python return the same bits, because compilation keeps the order and
+the rounding of all operations (no fast math).
 
 For each source file, numba stores the compiled code in a cache. If only another file changes, numba
 does not renew the cached code of a source file. Therefore kernels that call each other must be in
@@ -33,7 +34,7 @@ ArgumentType: TypeAlias = "str | type[ctypes.Structure] | np.dtype[Any]"
 _KERNEL_ARGUMENTS: dict[str, dict[str, tuple[ArgumentType, ...] | None]] = {}
 """Argument types of each kernel, by module and kernel name.
 
-The value is None for a kernel that only other kernels call.
+For a kernel that only other kernels call, the entry is None.
 """
 
 
@@ -166,8 +167,8 @@ def _compile_kernel(arguments: tuple[Any, ...], kernel: FunctionType) -> Any:
 def use_compiled_kernels(module: ModuleType) -> None:
     """Replace the kernels of a module by their compiled forms, for all callers in this process.
 
-    Functions marked with ``kernel_helper`` stay Python functions, because Python code also
-    calls them with objects.
+    Functions marked with ``kernel_helper`` stay Python functions, because some Python code calls
+    these functions with objects.
     """
     compiled_kernels = compile_module_kernels(module)
     for name, arguments in _KERNEL_ARGUMENTS[module.__name__].items():
@@ -236,7 +237,7 @@ def _build_array_at() -> Any:
 
 
 def array_addresses(arrays: Iterable[Any]) -> list[int]:
-    """Return the memory address and the length of each array. ``array_at`` needs these two numbers.
+    """Return the memory address and the length of each array. ``array_at`` needs the address and the length.
 
     The caller must keep the arrays alive.
     """

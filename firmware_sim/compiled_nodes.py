@@ -217,7 +217,7 @@ class CompiledNodes:
     def wake_ns(self) -> int:
         """Return the stored value of the earliest wake time of drives in array rows [ns].
 
-        The last call of ``answer`` or ``send_due_frames`` has stored this value.
+        The last call of ``answer`` or ``send_due_frames`` has stored the wake time.
         """
         return int(self._progress[WAKE_NS])
 

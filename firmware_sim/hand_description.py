@@ -243,7 +243,7 @@ class MotorSpec:
         serial: serial number of the drive. If None, the drive has the default serial number
             of its protocol.
         torque_gain: true torque divided by the torque that the drive computes from its current. The
-            value is 1 for a plant without perturbation.
+            torque gain is 1 for a plant without perturbation.
         top_speed: speed of the motor without load at the supply voltage [rad/s], or 0 if the speed
             is not limited.
         stall_torque: torque of the motor at standstill, if only the supply voltage limits the
@@ -597,7 +597,7 @@ def _parse_digit(digit_section: dict[str, Any]) -> Digit:
 def _are_joints_prismatic(digit_section: dict[str, Any]) -> list[bool]:
     """Return one boolean value for each joint of a digit.
 
-    The value is True if the joint slides along its axis.
+    The value of a joint is True if the joint slides along its axis.
     """
     kinds = digit_section.get("joint_type", ["revolute"] * len(digit_section["link_length_m"]))
     return [kind == PRISMATIC for kind in kinds]

@@ -1,4 +1,4 @@
-"""The simulator in lockstep. Its clock advances only when the caller executes a tick."""
+"""The simulator in lockstep. The clock of the simulator advances only when the caller executes a tick."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -57,7 +57,8 @@ class LockstepHand:
             serials: serial numbers of the drives, see ``serial_numbers.with_serial_numbers``.
 
         Raises:
-            SimulatorError: the hand, the scene, a factor or a word of the wire is wrong.
+            SimulatorError: the hand, the scene, a factor, or a word of the argument ``wire`` is
+                wrong.
         """
         hand = with_serial_numbers(perturbed_hand(load_hand(hand_path), perturb or {}), serials)
         self.world = make_world(hand, load_scene(scene), seed, homed)
@@ -78,7 +79,7 @@ class LockstepHand:
         Args:
             t_ns: start of the tick [ns], which must not be earlier than the previous tick.
             frames: frames of the host as a contiguous array of ``frame_records.FRAME_DTYPE``. The
-                function ignores the times in these frames.
+                function ignores the times in the frames of the host.
 
         Returns:
             The answers as an array of ``frame_records.FRAME_DTYPE``. The times of the answers are

@@ -67,8 +67,8 @@ class SharedClock:
         """Create the file of the clock, for sharing with a controller.
 
         Args:
-            path: path of the file. If an earlier simulator was killed and has left such a file, the
-                file is replaced.
+            path: path of the file. If an earlier simulator was killed and has left a clock file at
+                this path, the file is replaced.
 
         Raises:
             SimulatorError: the file cannot be created.

@@ -46,10 +46,10 @@ class SimulatedWorld:
 
     A world that is not homed starts like a hand at power-up. Each tendon is slack by 1 to 3 mm,
     because the motors were off. At q = 0, a tendon is just taut at a certain spool angle. At this
-    spool angle, the encoder of the motor reads ``zero_rad`` with an error of at most 0.5 rad. Such
-    an error occurs if a person clamps the spool by hand. The slack and the encoder angle are random
-    numbers that depend on a seed. A homed world starts with taut tendons and with the encoders at
-    ``zero_rad``.
+    spool angle, the encoder of the motor reads ``zero_rad`` with an error of at most 0.5 rad. An
+    error of up to 0.5 rad occurs if a person clamps the spool by hand. The slack and the encoder
+    angle are random numbers that depend on a seed. A homed world starts with taut tendons and with
+    the encoders at ``zero_rad``.
 
     Attributes:
         hand: description of the hand.
@@ -275,7 +275,7 @@ class SimulatedWorld:
     ) -> list[tuple[SimulatedNode, frozenset[int] | None]]:
         """Return the nodes that possibly answer frames with the given identifier.
 
-        Each node is returned together with all its present identifiers.
+        The function returns each node together with all present identifiers of the node.
         """
         receivers = [
             (node, ids) for node, ids in self._nodes_of_bus[bus] if ids is None or can_id in ids

@@ -45,7 +45,7 @@ class PaceMeter:
 
     Attributes:
         advice: highest pace that this machine can keep, as the ratio of plant time to wall time.
-            The value is None until the machine has proved too slow for the requested pace.
+            The advice is None until the machine has proved too slow for the requested pace.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class PaceMeter:
         Args:
             plant_ns: present time of the plant [ns].
             wall_s: function that returns the time of the wall clock [s].
-            cpu_s: function that returns the computing time of this process [s].
+            cpu_s: function that returns the computing time of the simulator's process [s].
             print_line: function that prints a line.
             time_scale: requested pace, as the ratio of plant time to wall time.
         """

@@ -76,7 +76,7 @@ def open_port(
             the bus) or ``socketcan:INTERFACE``.
         bus: index of the bus in the list of the hand's buses.
         timed_port: function that opens the port of a local bus with simulated transmission times.
-            If it is None, the transmission of a frame takes no time.
+            If the function is None, the transmission of a frame takes no time.
 
     Raises:
         SimulatorError: the type of the bus is unknown, or the bus cannot be opened.

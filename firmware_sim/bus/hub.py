@@ -156,7 +156,7 @@ class BusHub:
 
     @property
     def links(self) -> Sequence[HubConnection]:
-        """Return the connections of the clients."""
+        """Return the connections between the hub and its clients."""
         return self._links
 
     def read_sockets(self) -> list[socket.socket]:
@@ -174,7 +174,7 @@ class BusHub:
             ready_sockets: sockets that are ready for reading.
 
         Returns:
-            The records that all clients have sent. The owner of the hub uses these records.
+            The records that all clients have sent. The owner of the hub uses the records.
         """
         received_records = self.poll(ready_sockets)
         for link, records in received_records:

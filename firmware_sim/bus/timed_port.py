@@ -30,7 +30,7 @@ DEFAULT_BITRATES = (1_000_000, 5_000_000)
 QUEUE_REPORT_ID = EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG
 """Identifier of a queue report: a record with the number of frames in a client's send queue.
 
-No CAN frame has this combination of flags.
+No CAN frame has the flags extended, remote and error at the same time.
 """
 _QUEUE_STRUCT = struct.Struct("<II")
 """Payload of a queue report: number of frames that have left the queue modulo 2**32, and queue capacity [frames]."""

@@ -29,7 +29,7 @@ TWIN_SERIAL_NUMBER = 0x7714_0000
 PROTOCOLS_WITHOUT_WATCHDOG = ("cubemars", "robstride_mit")
 """Protocols whose motors have no watchdog.
 
-Some motors with such a protocol have a watchdog that only another protocol can switch on.
+Some motors with one of these protocols have a watchdog that only another protocol can switch on.
 """
 
 

@@ -69,7 +69,7 @@ from firmware_sim.plant.plant_structs import RotorStruct, TendonStruct
 FRAME_DURATION_NS = 135_000
 """Maximum duration of a classical frame of 8 bytes at 1 Mbit/s [ns].
 
-The times of the answers in a tick differ by this duration. Source: VCAN.
+The times of neighbouring answers in a tick differ by the duration of a frame. Source: VCAN.
 """
 FD_FRAME_DURATION_NS = 57_000
 """Maximum duration of an FD frame of 8 bytes at 1/5 Mbit/s [ns]. Source: VCAN."""
@@ -91,7 +91,7 @@ frames and for remote frames.
 _TENSION_LOW, _TENSION_STEP, _TENSION_OFFSET = sensor_node.TENSION_CODE
 _JOINT_LOW, _JOINT_STEP, _JOINT_OFFSET = sensor_node.JOINT_CODE
 _SPECIAL_COMMAND_BITS = 0xFFFFFFFFFFFFFF
-"""Seven bytes of FF as an integer. Special commands of MIT motors start with these bytes."""
+"""Seven bytes of FF as an integer. Special commands of MIT motors start with seven bytes of FF."""
 
 
 class ReceiverStruct(ctypes.Structure):
@@ -166,8 +166,8 @@ def _mit_needs_python(node: Any, rotor: Any, frame: Any, t_ns: int) -> bool:
     """Return True if Python must process a frame for an MIT drive."""
     if frame.length != 8 or t_ns >= node.wake_ns or rotor.faulty != 0 or node.mode != MODE_MIT:
         return True
-    # Only the first seven bytes of the payload are compared. The eighth byte is the code of the
-    # special command.
+    # The code compares only the first seven bytes of the payload. The eighth byte is the code of
+    # the special command.
     return _payload_as_integer(frame.data) >> 8 & _SPECIAL_COMMAND_BITS == _SPECIAL_COMMAND_BITS
 
 

@@ -116,9 +116,9 @@ class Camera:
 def _open_graphics(width_px: int, height_px: int) -> Any:
     """Open a graphics context.
 
-    As in MuJoCo, the environment variable ``MUJOCO_GL`` chooses the graphics library. If this
-    variable is not set and there is no screen, the library EGL draws on the graphics card or on the
-    processor.
+    As in MuJoCo, the environment variable ``MUJOCO_GL`` chooses the graphics library. If
+    ``MUJOCO_GL`` is not set and the machine has no screen, the library EGL draws on the graphics
+    card or on the processor.
 
     Raises:
         SimulatorError: a graphics context cannot be opened.

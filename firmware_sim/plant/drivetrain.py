@@ -1,7 +1,7 @@
 """Kernels that advance tendons, rotors and servos by a step, in scalar arithmetic.
 
-In compiled kernels, tendons and rotors are the rows of an array. In interpreted Python, they are
-objects in a list. The rows and the objects have the same attributes.
+In compiled kernels, tendons and rotors are the rows of an array. In interpreted Python, tendons and
+rotors are objects in a list. The rows and the objects have the same attributes.
 
 Tendon damping and Coulomb-like capstan friction rise steeply with the speed of the tendon. The
 links are light, so an explicit step would be unstable. Therefore the engine integrates the slopes
@@ -25,7 +25,7 @@ Source: MODEL, section 3, v0.
 COULOMB_SPEED = 0.05
 """Spool speed at which Coulomb friction reaches 76 % of its final value [rad/s].
 
-At this speed of the spool, the tendon moves at 0.25 mm/s.
+At a spool speed of 0.05 rad/s, the tendon moves at 0.25 mm/s.
 """
 ENCODER_STEP = 2.0 * math.pi / (1 << 14)
 """Resolution of the encoder [rad]: 14 bits for one turn of the spool. Source: MODEL, section 4."""
@@ -35,7 +35,7 @@ DIVERGENCE_SPEED_RAD_S = 1e5
 PRISMATIC_FLAG_INDEX = 10
 """Index of a number of each pulley.
 
-The number with this index is 1 for a pulley at a prismatic joint. See
+The number of a pulley with this index is 1 at a prismatic joint. See
 ``tendon.PRISMATIC_FLAG_INDEX``.
 """
 PARAMETERS_PER_PULLEY = 11
@@ -387,7 +387,7 @@ def step_drivetrain(
     for i in range(len(tendons)):
         tendon = tendons[i]
         # The two antagonistic tendons of a spool pair pull in opposite directions on one spool. The
-        # loads of these two tendons therefore have opposite signs.
+        # loads of the two tendons of a pair therefore have opposite signs.
         _add_tendon_torques(tendon, joints, arms, rotors[tendon.motor], q, dq, torque)
         _compensate_damping(tendon, joints, arms, dq, torque)
         damping[i] = tendon.slope

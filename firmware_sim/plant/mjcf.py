@@ -122,7 +122,8 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
 def opposed_digits(hand: Hand) -> list[bool]:
     """Return one boolean value for each digit.
 
-    The value is True if the digit closes against the first closing digit, as the thumb does.
+    The value of a digit is True if the digit closes against the first closing digit, as the thumb
+    does.
     """
     first_closing_direction = _closing_direction(hand, hand.closing_digits[0])
     return [
@@ -263,9 +264,9 @@ def _group_attribute(has_mesh: bool) -> str:
 def find_links_at_palm(hand: Hand, digit: Digit) -> list[bool]:
     """Return one boolean value for each link of a digit at rest.
 
-    The value is True if the link overlaps the palm, or the link that carries the digit. The hinge
-    of a link that overlaps the palm is close to the palm. In the model, overlapping links do not
-    collide with the palm.
+    The value of a link is True if the link overlaps the palm, or the link that carries the digit.
+    The hinge of a link that overlaps the palm is close to the palm. In the model, overlapping links
+    do not collide with the palm.
     """
     centre, half_sizes = palm_box(hand, digit.carrier)
     carrier = [

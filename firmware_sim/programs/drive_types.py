@@ -45,8 +45,8 @@ def drive_spec(
             default of the protocol.
         fd: True for an MIT motor that has been set to CAN FD.
         inertia: inertia of the shaft [kg m2], or None for the default inertia of the motor type.
-        firmware: firmware version of an ODrive, 0.6 or 0.5. Drives with other protocols ignore this
-            value.
+        firmware: firmware version of an ODrive, 0.6 or 0.5. Drives with other protocols ignore the
+            firmware version.
 
     Raises:
         SimulatorError: the node number or the motor type is not valid for the protocol.

@@ -25,7 +25,8 @@ def is_object_grasped(
     Args:
         contact_forces: array that contains x, y, z of the contact force on each digit [N], among other
             values.
-        force_indices: index of the first value of each digit, shape (digits,).
+        force_indices: index in ``contact_forces`` of the first value of each digit, shape
+            (digits,).
         is_opposed: 1 for each digit that closes against the first digit, and 0 for the others, shape
             (digits,).
         min_force_squared: square of the smallest force with which a digit counts as pressing [N2].

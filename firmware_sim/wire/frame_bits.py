@@ -19,7 +19,7 @@ INTERFRAME_BITS = 3
 TAIL_BITS = 1 + 1 + 1 + 7 + INTERFRAME_BITS
 """Number of bits of CRC delimiter, acknowledge slot, acknowledge delimiter, end of frame and interframe space.
 
-No stuff bits are inserted into these fields at the end of a frame.
+No stuff bits are inserted into the listed fields, which end a frame.
 """
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Payload length for each data length code of CAN FD [bytes]."""

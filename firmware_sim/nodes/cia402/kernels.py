@@ -108,7 +108,7 @@ def update_measured_objects(
         # Bits 10 to 13 of the status word depend on the mode of operation.
         word = word & ~0x3C00 | node.mode_bits
     values[STATUS_WORD] = word
-    # The position is counted in encoder counts at the motor shaft.
+    # The unit of the position object is the encoder count at the motor shaft.
     values[POSITION] = _clamp_to_range(round(shaft / TURN_RAD * node.counts), _MAX_INT32)
     # In the simulated drive, object 0x606C (velocity) has the unit revolutions per minute.
     values[VELOCITY] = _clamp_to_range(round(sign * gear * velocity / TURN_RAD * 60.0), _MAX_INT32)

@@ -77,7 +77,7 @@ class NodePdos:
     def _rpdo_index(self, can_id: int) -> int:
         """Return the index of the RPDO with a given identifier.
 
-        If no RPDO has this identifier, return -1.
+        If no RPDO has the given identifier, return -1.
         """
         return next((i for i in range(4) if self._objects[0x1400 + i, 1] == can_id), -1)
 

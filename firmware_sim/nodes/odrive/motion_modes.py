@@ -88,7 +88,7 @@ _FIELDS_BY_MESSAGE = {
 }
 """Settings that each message changes, by the command number of the message."""
 _MESSAGES_THAT_ALLOW_ZERO = {0x13, 0x1A, 0x1B}
-"""Command numbers of the messages whose values may be 0."""
+"""Command numbers of the messages whose values are allowed to be 0."""
 
 
 class MotionModes:

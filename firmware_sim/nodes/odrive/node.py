@@ -420,7 +420,7 @@ class OdriveNode:
     def _endpoint_limit(self, name: str, default: float) -> float:
         """Return the float of a named endpoint.
 
-        If the hand file does not give the number of this endpoint, return ``default``.
+        If the hand file does not give the number of the endpoint, return ``default``.
         """
         raw_limit = self.endpoints.get(self._numbers[name])
         return float(struct.unpack("<f", raw_limit)[0]) if raw_limit else default
@@ -463,7 +463,7 @@ class OdriveNode:
     def _set_position(self, data: bytes) -> None:
         """Shift the zero position until the present position has the given value.
 
-        The value is given in turns, or in counts with firmware 0.5.
+        The host gives the value in turns, or in counts with firmware 0.5.
         """
         (value,) = struct.unpack_from("<i" if self.legacy else "<f", data)
         position = value / COUNTS_PER_TURN if self.legacy else value

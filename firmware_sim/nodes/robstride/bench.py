@@ -13,7 +13,7 @@ from firmware_sim.nodes.robstride.node import (
 )
 
 INERTIA_PER_TORQUE = 2e-4
-"""Inertia at the output, divided by the torque at full scale [kg m2/N m]. The value is as for other geared motors."""
+"""Output inertia divided by the torque at full scale [kg m2/N m]. Other geared motors have the same ratio."""
 
 
 def shaft_of_robstride_motor(motor_type: str) -> ShaftSpec:

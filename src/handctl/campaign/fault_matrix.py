@@ -90,8 +90,8 @@ class FaultMatrixRow(NamedTuple):
             has no load cells, the sensor node sends only joint frames, and each comes after
             ``joint_decimation`` ticks.
         force_change_N: variation of the motor force that the detection of the fault needs [N]. The
-            time limit counts from the instant at which the motor force has varied by this much
-            since the fault. If the motor force never varies by this much, no reaction is required.
+            time limit counts from the instant at which the motor force has varied by this force
+            since the fault. If the motor force never varies by this force, no reaction is required.
         scales_with_period: True if the detection waits for a time constant or a delay in milliseconds. At a
             control period below ``TIME_LIMIT_PERIOD_MS``, ``max_ticks`` then stands for the same
             time in more ticks.
@@ -266,11 +266,11 @@ FAULT_MATRIX: tuple[FaultMatrixRow, ...] = (
     FaultMatrixRow("N11", "error node={node} size=60", CUT, 2, accepted_faults=("N11b",), protocols=(MOTEUS,)),
     FaultMatrixRow("N11", "error node={node} size=0x4000", CUT, 2, accepted_faults=("N11b",), protocols=(ROBSTRIDE,)),
     FaultMatrixRow("N12", "forget node={node}", CUT, 4, 1000.0, ("N12",), protocols=(MIT, ODRIVE, CIA402, ROBSTRIDE)),
-    # Every command of this drive protocol contains the torque limit and the watchdog time. After a
-    # restart, the drive also forgets its position limits. The default position limits make the
-    # drive remove its torque. The controller reports the removed torque as N14 (a command is not
-    # obeyed). At the edge of its default position limits, the drive also pulls for some ticks. The
-    # slack tendon that the drive then winds up looks like a torn tendon (T01).
+    # Every command of the drive protocol of this row contains the torque limit and the watchdog
+    # time. After a restart, the drive also forgets its position limits. The default position limits
+    # make the drive remove its torque. The controller reports the removed torque as N14 (a command
+    # is not obeyed). At the edge of its default position limits, the drive also pulls for some
+    # ticks. The slack tendon that the drive then winds up looks like a torn tendon (T01).
     FaultMatrixRow("N12", "forget node={node}", RELAX, 4, 1000.0, ("N12", "N14", "T01"), protocols=(MOTEUS,)),
     # If a drive restarts before its first answer to the enable command, the restart looks like a
     # lost command. The controller recognises the restart by the settings that the drive has lost.
@@ -281,7 +281,7 @@ FAULT_MATRIX: tuple[FaultMatrixRow, ...] = (
               protocols=SINGLE_ANSWER_PROTOCOLS),
     # A load cell shows that the tension of a disobedient drive is missing. Without a load cell, the
     # check for the fault N17 finds the drive within the time constant of the comparison, although
-    # the command of this drive is smaller than the thresholds of N14. N14 compares low-passed
+    # the torque command of the drive is smaller than the thresholds of N14. N14 compares low-passed
     # forces, so its detection takes the same time at every control rate.
     FaultMatrixRow("N14", "disobey node={node} size=0", RELAX, 22, accepted_faults=("N14", "T02", "T04", "N17"),
         stages=(GRASP_STAGE,), protocols=SINGLE_ANSWER_PROTOCOLS, extra_ms_without_load_cell=250.0,
@@ -310,8 +310,8 @@ FAULT_MATRIX: tuple[FaultMatrixRow, ...] = (
         (FREE_MOTION_STAGE,), (ODRIVE,)),
     # Without a load cell, a torn tendon is visible only after the joint and the spool have moved
     # apart. If the torque command of a motor is smaller than the friction of the motor, the spool
-    # does not turn. In this case the joint moves slowly, and the filter in the detector of the
-    # fault N06b takes 0.3 s more.
+    # does not turn. If the spool does not turn, the joint moves slowly, and the filter in the
+    # detector of the fault N06b takes 0.3 s more.
     FaultMatrixRow("T01", "snap tendon={tendon}", RELAX, 10, accepted_faults=("T01", *_TORN_TENDON_FAULTS),
         stages=(GRASP_STAGE,), extra_ms_without_load_cell=500.0),
     FaultMatrixRow("T02", "snap tendon={tendon}", WARN, 4, 110.0, ("T02", "T01", "N04", *_TORN_TENDON_FAULTS),
@@ -383,9 +383,9 @@ TEST_PLACE_BY_UNTESTED_FAULT = {
 def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenario]:
     """Return the scenarios of every row of the matrix.
 
-    Each row is tested in all its stages. If the hand has several parts that the fault can affect,
-    there is one test with the first part and one test with the last part, for example with the
-    first and with the last motor.
+    Each row of the fault matrix is tested in all its stages. If the hand has several parts that the
+    fault can affect, there is one test with the first part and one test with the last part, for
+    example with the first and with the last motor.
 
     Args:
         hand: description of the simulated hand.

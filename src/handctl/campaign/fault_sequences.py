@@ -323,7 +323,7 @@ def violations_on_replay(
     """Execute the ticks of a simulated run again, with the same inputs.
 
     Return a text about the first tick whose state, frames or events differ from the first
-    execution. If no tick differs, the list is empty.
+    execution. If no tick differs from the first execution, the list is empty.
     """
     for entry, tick_output in simulation.recorded_ticks[first_tick:]:
         state, replayed = simulation.controller.tick(state, entry)

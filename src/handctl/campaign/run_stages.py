@@ -152,7 +152,7 @@ def advance_to_stage(simulation: SimulatedRun, stage: str) -> None:
     """Simulate a run up to a given stage.
 
     Raises:
-        ConfigError: the run does not reach the stage, so this hand cannot be tested.
+        ConfigError: the run does not reach the stage, so the hand cannot be tested.
     """
     free_motion_ticks = 0
 

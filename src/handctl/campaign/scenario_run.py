@@ -36,7 +36,7 @@ RUNAWAY_FAULT = "runaway"
 SHUT_DOWN_MODES = (HandMode.DISARM, HandMode.DONE)
 """Modes in which the hand shuts down."""
 SECOND_FAULT_DELAY_TICKS = 5
-"""Number of ticks from the first fault of a pair to the second one."""
+"""Number of ticks from the first fault of a pair to the second fault."""
 FAULT_PAIR_EXTRA_TICKS = 2
 """Further reaction time allowed for a pair of faults, because of a missed tick and the next tick [ticks]."""
 
@@ -187,9 +187,9 @@ def tension_bound(
 ) -> float:
     """Return the largest tension that the drives and the momentum of the rotors can cause in a scenario [N].
 
-    Only the fault `runaway` makes a drive pull harder than commanded. With all other faults, the
-    tension must not exceed the trip tension. A single reading above the trip tension makes the hand
-    relax.
+    Only the fault `runaway` makes a drive pull harder than commanded. With all faults other than
+    `runaway`, the tension must not exceed the trip tension. A single reading above the trip tension
+    makes the hand relax.
 
     Args:
         simulation: simulation of the run.

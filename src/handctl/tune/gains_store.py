@@ -42,7 +42,7 @@ class StoredGains:
 
     @property
     def number(self) -> int:
-        """Return the number that this entry has in the history of gains."""
+        """Return the number of this entry of the history, which is the number in the name of the file."""
         return self.file.provenance.number
 
 
@@ -129,7 +129,7 @@ class GainsStore:
     def roll_back(self, to: int | None = None) -> GainsFile:
         """Restore the gains before the present gains, or the gains with a given number.
 
-        The number 0 restores the packaged gains.
+        The argument `to` with the value 0 restores the packaged gains.
 
         Raises:
             ConfigError: There are no earlier gains, or the number does not exist.
@@ -176,8 +176,8 @@ class GainsStore:
         """Write gains to the history with the next number, and then make them the present gains.
 
         If a user has replaced the file of the present gains by a copy, the history possibly does
-        not contain the present gains. In this case, the new gains are recorded as the successor of
-        the newest entry.
+        not contain the present gains. If the history lacks the present gains, the new gains are
+        recorded as the successor of the newest entry.
         """
         present_gains = self.present_gains()
         entries = self.history_entries()

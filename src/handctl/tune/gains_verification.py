@@ -1,7 +1,7 @@
 """Verification of new gains on the hand itself.
 
-The hand first executes an exercise with the old gains. Then it executes the exercise with the new
-gains, in rounds of rising amplitude.
+The hand first executes an exercise with the old gains. Then the hand executes the exercise with the
+new gains, in rounds of rising amplitude.
 
 If the hand violates a limit with the new gains, an observer of the run requests the old gains
 again. The controller treats the requests of the observer like the requests of any client. Therefore
@@ -37,7 +37,7 @@ The last round with the old gains is compared with the last round with the new g
 ROUND_AMPLITUDES = (0.3, 1.0, 0.3, 0.6, 1.0)
 """Amplitudes of the rounds of the exercise: first those with the old gains, then those with the new gains.
 
-Before the round that is compared, both old and new gains have at least one other round.
+For the old and for the new gains, at least one other round precedes the compared round.
 """
 RINGING_WINDOW_S = 0.1
 """Duration of the window in which oscillations of the torques are measured [s].
@@ -48,7 +48,7 @@ BLOCKED_LAG_RAD = 0.1
 """Difference between command and estimated angle at which a digit in contact counts as blocked [rad].
 
 A digit that only touches something still follows its command. With gains that keep the margins, a
-free digit lags by less than a third of this value.
+free digit lags behind its command by less than a third of this angle.
 """
 BLOCKED_DURATION_NS = 50_000_000
 """Time after which a digit that lags in contact counts as blocked [ns].
@@ -87,7 +87,7 @@ class BlockedDigit:
     proposed_amplitude: float
 
     def __str__(self) -> str:
-        """Return the reason why a verification with this digit is not valid."""
+        """Return the reason why a verification with this blocked digit is not valid."""
         by = f" by {' and '.join(self.by)}" if self.by else ""
         text = f"{self.digit} is blocked{by} at {self.angle}"
         text += ": the amplitude is too large for this hand"
@@ -276,7 +276,7 @@ class VerifyObserver:
     def _tracking_violation(self, telemetry: Telemetry | PackedTelemetry) -> str:
         """Return a text about the joint that is farthest from its goal.
 
-        If this joint does not violate the limit, the text is empty.
+        If the farthest joint does not violate the limit, the text is empty.
         """
         units = self.hand.display_units
         is_touching = np.repeat(telemetry.contact > 0.0, self._joint_counts)
@@ -334,7 +334,7 @@ MAX_EQUAL_DIFFERENCE_FRACTION = 0.02
 class MeasureComparison:
     """Comparison of the old and the new gains by one measure of quality.
 
-    Only the rounds with full amplitude are compared.
+    The comparison uses only the rounds with full amplitude.
 
     Attributes:
         name: name of the measure of quality.
@@ -358,7 +358,7 @@ def compare_rounds(round_scores: list[list[GainScore]]) -> list[MeasureCompariso
     """Compare the old and the new gains.
 
     In each run, the last round with the old gains and the last round with the new gains are
-    compared. Both rounds have the full amplitude.
+    compared. In both compared rounds, the exercise has the full amplitude.
 
     Args:
         round_scores: scores of the rounds of each run.
@@ -399,7 +399,7 @@ def scores_by_round(
         log: log of the verification.
         hand: hand description of the run.
         truth: true values from the simulator, or None on hardware. On hardware, the estimates of
-            the controller are used instead.
+            the controller replace the true values.
         offset_ns: time on the clock of the simulator at which the time of the run was 0 [ns].
     """
     start_indices = [change.k for change in log.phases if change.name == "settle"]

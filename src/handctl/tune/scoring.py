@@ -1,6 +1,7 @@
 """Scores of gains. A score comes from runs of the whole controller on simulated plants.
 
-To get a score, the goals of an exercise are compared with the true values of the simulator.
+A score is calculated from the differences between the goals of an exercise and the true values of
+the simulator.
 """
 
 import tempfile

@@ -136,7 +136,7 @@ def curve_of_tendon(measured_curve: Mapping[str, Any], noise_N: float) -> Tendon
 
     Args:
         measured_curve: result of `measure_tendons` for one tendon.
-        noise_N: standard deviation of the load cell [N].
+        noise_N: standard deviation of the noise of the load cell [N].
     """
     travel = np.array(measured_curve["travel_m"])
     force = np.array(measured_curve["force_N"])

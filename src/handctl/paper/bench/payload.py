@@ -1,7 +1,7 @@
 """Measurement of the payload of a hand in the simulator.
 
-The hand grips a cylinder with 6 N per finger. Then a force pulls the cylinder along one axis. The
-force grows until the cylinder slips.
+The hand grips a cylinder with 6 N per finger. After the grip, a force pulls the cylinder along one
+axis. The force grows until the cylinder slips.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ from handctl.programs.task import Task
 from handctl.report.truth_record import TruthRecord, read_truth
 
 HAND_NAME = "jamia"
-"""Name of the packaged hand for this measurement."""
+"""Name of the packaged hand whose payload is measured."""
 DIAMETERS_MM = (30.0, 35.0, 40.0)
 """Diameters of the cylinders [mm]."""
 LOAD_DIRECTIONS: dict[str, tuple[int, int, int]] = {

@@ -129,7 +129,7 @@ def _capsule_faces(start_point: Array, end_point: Array, radius: float) -> list[
     up = np.cross(axis, side)
     quarter_turn_angles = np.linspace(0.0, np.pi / 2, FACES_ALONG)
     # The first rings of corners are along the straight part of the bar. The other rings are around
-    # the round end.
+    # the round end of the bar.
     ring_centres_and_radii = [
         (start_point + (end_point - start_point) * fraction, radius)
         for fraction in np.linspace(0.0, 0.9, 5)
@@ -156,8 +156,8 @@ def _shaded_colour(face_corners: Array, colour: str) -> tuple[float, float, floa
 
     normal = np.cross(face_corners[2] - face_corners[0], face_corners[3] - face_corners[1])
     length = float(np.linalg.norm(normal))
-    # The brightness of a face is at least 0.55, which is the ambient light. The rest of the
-    # brightness depends on the angle between the face and the light.
+    # The brightness of a face is at least 0.55, which is the ambient light. The brightness above
+    # 0.55 depends on the angle between the face and the light.
     brightness = (
         0.55
         + 0.45

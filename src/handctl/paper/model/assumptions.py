@@ -1,4 +1,4 @@
-"""Assumptions that the model of the paper makes without stating them.
+"""Assumptions that the model of the paper makes, but that the paper does not state.
 
 For each assumption, the module gives the effect on the numbers of the paper.
 """
@@ -67,7 +67,7 @@ def _check_coupling() -> list[ErrataItem]:
     """
     tip_distances = src.tip_distances_mm(src.paper_finger())
     # If all joint angles are equal, the principle of virtual work gives T times 3 r_p = F times the
-    # sum of the levers. Here T is the tension, and F is the force at the tip.
+    # sum of the levers. In this equation, T is the tension, and F is the force at the tip.
     tension = sum(tip_distances, Fraction(0)) / (len(tip_distances) * src.PULLEY_RADIUS_MM)
     force = src.FINGER_GRIP_FORCE_N * tension
     torque = src.FINGER_GRIP_FORCE_N * tension * src.SPOOL_RADIUS_MM / 1000

@@ -18,8 +18,8 @@ class EquationTerm:
         id: identifier of the errata item about this term.
         where: equation that contains the term.
         printed_form: term of the equation, exactly as printed in the paper.
-        readings: possible meanings of the printed term. If only one meaning of an undefined symbol
-            is possible, the symbol is read in this way.
+        readings: possible meanings of the printed term. If an undefined symbol can have only one
+            meaning, the readings use this meaning.
         correct_form: correct form of the term.
         explanation: explanation of the error in the printed term.
         mirror_id: identifier of another term with the same coefficient. The coefficients of both

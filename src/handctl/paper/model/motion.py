@@ -116,8 +116,8 @@ def closing_torque_t1(duration_s: float) -> tuple[Array, Array, Array]:
 def motion_errata() -> list[ErrataItem]:
     """Return the errata items about the torque during a motion.
 
-    The items are about Eq. 10 for a straight finger, about the completeness of Eq. 3 to 12, and
-    about the torque that section 8 mentions.
+    The errata items are about Eq. 10 for a straight finger, about the completeness of Eq. 3 to 12,
+    and about the torque that section 8 mentions.
     """
     return [_check_static_torque(), _check_completeness(), _check_torque_value()]
 

@@ -107,8 +107,8 @@ Joints are counted from the palm, beginning with 0.
 def _check_moment_labels() -> list[ErrataItem]:
     """Check the labels of the moments in the paper.
 
-    Some labels name several joints. A label with several joints states that the moments at these
-    joints are equal.
+    Some labels of moments name several joints. A label with several joints states that the moments
+    at these joints are equal.
     """
     rows = []
     for id, location, printed_label, digit, joint, named_joint in FIGURE_LABELS:

@@ -28,20 +28,20 @@ MIN_CONTACT_SCORE_OF_SEVERAL_TENDONS = 6.0
 """Smallest score of a ramp that counts as a contact, for a digit with several tendons.
 
 In simulations without contact (20 seeds, parameters wrong by up to 30 %), scores reach 3.1 for
-digits with one tendon and 3.9 for digits with several. With several tendons, a ramp is tried at
-every joint, and errors of joint encoders are neglected. A finger of the hand jamia that touches the
-thumb between 14 and 25 degrees has scores from 4.7 to 17.
+digits with one tendon and 3.9 for digits with several. With several tendons, the search tries a
+ramp at every joint, and neglects errors of joint encoders. A finger of the hand jamia that touches
+the thumb between 14 and 25 degrees has scores from 4.7 to 17.
 """
 MAX_SCORE_WITHOUT_CONTACT = 3.0
-"""A fit can exclude a blocked digit only if the score of its ramp is at most this value."""
+"""Largest score of the ramp at which a fit can exclude a blocked digit."""
 MIN_ROWS_WITHOUT_CONTACT = 80
-"""A fit can exclude a blocked digit only if its sweep has at least this number of rows."""
+"""Smallest number of rows in the sweep with which a fit can exclude a blocked digit."""
 MAX_MEAN_SQUARE_WITHOUT_CONTACT = 1.5
-"""A fit can exclude a blocked digit only if the mean square of its residuals is at most this value."""
+"""Largest mean square of the residuals at which a fit can exclude a blocked digit."""
 MAX_OUTLIERS_WITHOUT_CONTACT = 0.005
-"""A fit can exclude a blocked digit only if its fraction of outliers is at most this value."""
+"""Largest fraction of outliers at which a fit can exclude a blocked digit."""
 RAMP_START_COUNT = 40
-"""Number of angles at which a ramp is tried to begin."""
+"""Number of joint angles that are tried as the beginning of a ramp."""
 SWEEP_END_FRACTION = 0.04
 """Fraction of the sweep at each end in which no ramp is allowed to begin.
 
@@ -55,7 +55,7 @@ class ResidualRamp(NamedTuple):
     """Ramp with the largest score in the residuals of a fit.
 
     Attributes:
-        score: size of the ramp in standard deviations. The value is positive if the ramp adds
+        score: size of the ramp in standard deviations. The score is positive if the ramp adds
             tension.
         begin: mean joint angle at which the ramp begins [rad].
         end: largest mean joint angle of the sweep [rad].
@@ -63,7 +63,7 @@ class ResidualRamp(NamedTuple):
         rows: number of averaged data points (bins) in the sweep.
         outlier_fraction: fraction of the data points in the sweep that the fit has excluded as outliers.
         mean_square: mean square of the residuals of the sweep, without outliers.
-        contact_score: smallest score at which the ramp counts as a contact of this digit.
+        contact_score: smallest score at which the ramp counts as a contact of the digit.
     """
 
     score: float
@@ -159,7 +159,7 @@ def are_joints_moving(
         preload: identified preload of the springs, divided by the preload in the hand file.
         half_width: half of the width of the confidence interval of the ratio ``preload``.
         travel: largest excursion of the tendon [m].
-        full_travel: excursion of the tendon with all joints at their closed ends [m].
+        full_travel: excursion of the tendon with all joints at their upper limits [m].
     """
     # The ratio of the preloads is 1 if all n joints move, and (n - 1) / n if one joint is blocked.
     # The limit of the ratio lies halfway between 1 and (n - 1) / n.

@@ -28,8 +28,8 @@ SWING_MAX_FREQUENCY_HZ = 6.0
 PRESS_TENSION_FRACTIONS = (0.08, 0.15, 0.5)
 """Three tensions, as fractions of the largest tension of the tendon.
 
-The first tension is the tension after the presses against an obstacle. The other two are the lower
-and the upper tension of a press.
+The first tension is the tension after the presses against an obstacle. The other two tensions are
+the lower and the upper tension of a press.
 
 A motor that is 30 % weaker than in the hand file reaches only two thirds of the commanded tension.
 With a motor that is 30 % too weak, the monitor would report a wrong load cell (T04b) at higher
@@ -204,7 +204,7 @@ def _sweep_range(hand: Hand, digit: str) -> tuple[float, float]:
 def lift_off_tension(hand: Hand, digit: str) -> float:
     """Return the tension at which the first joint of a digit leaves its open stop [N].
 
-    The friction and the weight are neglected.
+    The calculation of the tension neglects the friction and the weight.
     """
     digit_file = hand.digit_named(digit)
     model = DigitModel.from_hand(hand, digit)

@@ -75,8 +75,8 @@ not move.
 TENSION_RATE_N_PER_S = 250.0
 """Rate at which the tension changes while a tendon is stretched [N/s].
 
-At this rate of the tension, the spool turns fast enough that the direction of the spool's friction
-is known.
+At a rate of 250 N/s, the spool turns fast enough that the direction of the spool's friction is
+known.
 """
 STRETCH_WAIT_S = 0.06
 """Waiting time after a stretch [s]."""

@@ -6,8 +6,8 @@ The equation above is the torque balance of joint i in free motion. The exponent
 angles: the wrap angle of tendon j, and the angles of the joints up to joint i that tendon j
 crosses. The drift of the load cells is known from the fits of single tendons. Each row of the fit
 is the torque balance of a joint, divided by the noise that the load cells cause in the torque
-balance. Errors of the joint encoders are neglected, because their effect is a tenth of the effect
-of load-cell errors. Source: as in `fit_load`.
+balance. The fit neglects errors of the joint encoders, because their effect is a tenth of the
+effect of load-cell errors. Source: as in `fit_load`.
 """
 
 from collections.abc import Sequence
@@ -43,7 +43,7 @@ parameters.
 HALF_WINDOW_S = 0.01
 """Time before and after a joint reading over which signals are averaged [s]."""
 MIN_SPEED_M_S = 2.5e-3
-"""A sample is used only if all tendons of the digit move at least at this speed [m/s].
+"""Smallest speed that all tendons of the digit must have in a sample that the fit uses [m/s].
 
 At lower speeds, the direction of friction is not known at every pulley.
 """

@@ -31,7 +31,7 @@ The digit moves little during a bin. A fit of bins has a fifth of the rows that 
 samples would have.
 """
 MIN_SPEED_M_S = 4e-3
-"""A sample of free motion is used only if the tendon moves at least at this speed [m/s].
+"""Smallest speed that the tendon must have in a sample of free motion that the fit uses [m/s].
 
 At lower speeds, the direction of friction is not known at every pulley.
 """
@@ -159,7 +159,7 @@ class DigitLoad:
 
     Attributes:
         arms: moment arm of the tendon at each joint [m]. If a moment arm depends on the joint
-            angle, this is the mean over the angles.
+            angle, the value is the mean moment arm over the angles.
         spring: spring stiffness [N m/rad].
         preload: preload of the springs [rad].
         damping: joint damping [N m s/rad].
@@ -264,7 +264,7 @@ class DigitLoad:
                     - load_torques[i]
                     - stiffness[i] * p.preload * self.preload[i]
                 )
-                # If a moment arm increases with the joint angle, it acts against the spring.
+                # A moment arm that increases with the joint angle acts against the spring.
                 held_tension = np.maximum(
                     stiffness[i] - arm_derivative * f * friction_factor,
                     MIN_STIFFNESS_FRACTION * stiffness[i],

@@ -21,7 +21,7 @@ from handctl.tune.identify.tendon_data import Array, TendonData
 HALF_WINDOW_S = 0.022
 """Half the length of a window [s].
 
-A window of this length has enough bandwidth for the motion of a motor of a hand. Half of the window
+A window of 44 ms has enough bandwidth for the motion of a motor of a hand. Half of the window
 contains eleven load-cell samples at 500 Hz.
 """
 MIN_HALF_WINDOW_SAMPLES = 6
@@ -31,7 +31,7 @@ The half length of a window is a whole number of samples, because only then the 
 equal the integrals.
 """
 SPACING_FRACTION = 0.4
-"""Distance between the centres of windows, as a fraction of their half length."""
+"""Distance between the centres of neighbouring windows, as a fraction of the half length of a window."""
 MIN_SPEED_RAD_S = 0.25
 """Smallest speed of the spool in a window that is used [rad/s].
 

@@ -92,11 +92,11 @@ INITIAL_NOISE_N = 0.3
 The second fit uses the standard deviation that the residuals of the first fit show.
 """
 MIN_NOISE_N = 0.02
-"""Smallest standard deviation that is used for the motor equation's residuals [N]."""
+"""Smallest standard deviation that the fit uses for the residuals of the motor equation [N]."""
 PRETENSION_START_FACTORS = (1.0, 1.5, 2.2)
-"""The fit starts several times, with the pretension of the hand file multiplied by each of these factors."""
+"""Factors of the pretension of the hand file with which the fit starts, once for each factor."""
 MIN_READINGS = 3
-"""The stretch in a window is used only if the window contains at least this number of joint readings."""
+"""Smallest number of joint readings in a window whose stretch the fit uses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +104,8 @@ class SpoolPairWindows:
     """Signals of a spool pair, averaged with a time window. Each array has the shape (m,).
 
     Attributes:
-        motor: windows of the motor equation. In these windows, the tension is not known.
+        motor: windows of the motor equation. In the windows of a spool pair, the tension is not
+            known.
         is_free: True if the digit moves freely, and False if the pair is stretched while the digit is
             pressed against a stop.
         inertial_tension: net tension that is necessary at the joints because of inertia and weight [N].
@@ -143,7 +144,8 @@ class SpoolPairWindows:
             digit: model of the digit.
             tendon: index of the pair among the pairs of the digit.
             data_of_tendons: data of all pairs of the digit, in their order.
-            rest_angles: (J,) angles of all joints [rad]. The joints of the other digits keep these angles.
+            rest_angles: (J,) angles of all joints [rad]. The joints of the other digits keep their
+                rest angles.
 
         Raises:
             LogError: the pair hardly moves.
@@ -231,7 +233,7 @@ def _torque_of_digit(
 ) -> Array:
     """Return the torques (joints,) that are necessary because of the inertia and the weight of a digit's links [N m].
 
-    The links of digits that this digit carries are included.
+    The torques include the links of all digits that the given digit carries.
     """
     motion = np.zeros((3, len(rest_angles)))
     motion[0] = rest_angles
@@ -248,7 +250,7 @@ def _stretch_readings(
 ) -> tuple[Array, Array, Array]:
     """Return the travel and the excursion (m,) in windows, at the times at which the joint encoders were read [m].
 
-    Also return the effective number of readings in each window.
+    The last result is the effective number of readings in each window.
 
     While a pair is stretched against a stop, its travel changes, but its excursion does not. In a
     window of a stretch, the travel is averaged over all ticks, and not only over the times of the

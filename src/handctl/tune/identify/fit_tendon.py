@@ -47,8 +47,8 @@ practically unknown.
 STOP_SOFTNESS = 0.04
 """Compliance of the open stop, as a fraction of the compliance of the tendon in the hand file.
 
-Tendon and stop are springs in series, and no measurement separates them. Therefore the compliance
-of the stop is assumed, with an uncertainty of half its value. In the packaged simulator the
+Tendon and stop are springs in series, and no measurement separates them. Therefore the fit assumes
+the compliance of the stop, with an uncertainty of half its value. In the packaged simulator the
 compliance of the stops at the tendon is 3.8e-7 m/N, which is 0.038 of the tendon's compliance.
 """
 DEFAULT_PRIOR_DEVIATION = 3.0
@@ -63,8 +63,8 @@ DRIFT_KNOT_INTERVAL_S = 1.0
 STOP_BIN_DURATION_S = 0.05
 """Duration of the bins of data at the open stop [s].
 
-While the digit is at the open stop, the travel of the tendon changes slowly. In a bin of this
-duration, the travel passes so many encoder counts that the quantisation averages out.
+While the digit is at the open stop, the travel of the tendon changes slowly. In a bin of 50 ms, the
+travel passes so many encoder counts that the quantisation averages out.
 """
 MIN_SCALED_PARAMETER = 0.02
 """Lower bound of scaled parameters that must be positive."""
@@ -142,8 +142,9 @@ class TendonFitProblem:
             cell_noise_N=_cell_noise(
                 data.tension[data.slack | stop], hand.sensor_node.tension_noise_N
             ),
-            # The drift is modelled as a random walk. Its standard deviation increases with the
-            # square root of the time. The hand file contains the standard deviation after 100 s.
+            # The drift is modelled as a random walk. The standard deviation of the random walk
+            # increases with the square root of the time. The hand file contains the standard
+            # deviation after 100 s.
             drift_step_N=max(hand.sensor_node.tension_bias_drift_N, 1e-3)
             * (DRIFT_KNOT_INTERVAL_S / 100.0) ** 0.5,
         )

@@ -28,7 +28,7 @@ from handctl.tune.identify.least_squares import solve_least_squares
 from handctl.tune.identify.tendon_data import MIN_TENSION_N, Array, TendonData, average_samples
 
 TRAVEL_PARAMETERS = ("tendon_stiffness", "moment_arm")
-"""Names of the parameters that this fit identifies.
+"""Names of the parameters that the fit to the travel identifies.
 
 In the parameter vector of the fit, the time difference of the encoders and the offset follow after
 the named parameters.
@@ -39,8 +39,8 @@ TRAVEL_MODEL_ERROR = {
 }  # fmt: skip
 """Standard deviation of the errors of the model by parameter, as a fraction of the value.
 
-The intervals are calculated from blocks of time that are too short to show the slow drift of the
-load cell. The values were chosen in simulations of five hands.
+The confidence intervals are calculated from blocks of time that are too short to show the slow
+drift of the load cell. The values were chosen in simulations of five hands.
 """
 SENSOR_SKEW_S = 1e-3
 """Scale of the time difference between the encoders, and its prior standard deviation [s]."""

@@ -134,8 +134,8 @@ def _lacks_needed_encoders(hand: Hand, digit: str) -> bool:
 def _is_interval_narrow(name: str, half_width: float, width: float) -> bool:
     """Return True if the confidence interval of a parameter is narrow enough.
 
-    The width of the interval is compared with the value of the parameter. For the parameter
-    `delay`, the width of the interval is compared with a millisecond.
+    The width of the confidence interval is compared with the value of the parameter. For the
+    parameter `delay`, the width of the interval is compared with a millisecond.
     """
     scale = DELAY_SCALE_S if name == "delay" else abs(half_width)
     return bool(width < MAX_HALF_WIDTH * scale)
@@ -189,7 +189,7 @@ def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, st
 
 
 def _unidentifiable_parameters(fit: TendonFit, hand: Hand, name: str) -> list[str]:
-    """Return the parameters that this excitation cannot identify, even if it lasts longer.
+    """Return the parameters that the excitation in the log cannot identify, even if the excitation lasts longer.
 
     Each text contains the name of the parameter and the reason.
     """
@@ -239,7 +239,7 @@ def _parameter_combination_text(direction: Array) -> str:
 
 
 def excitation_coherence(data: TendonData) -> tuple[Array, Array]:
-    """Return frequencies [Hz], and the coherence of motor force and tendon speed at these frequencies.
+    """Return frequencies [Hz], and the coherence of motor force and tendon speed at each frequency.
 
     The coherence is from 0 to 1. At a coherence of 1, the motor force determines the tendon speed
     through a linear system. Noise, friction, and other causes of the motion reduce the coherence.

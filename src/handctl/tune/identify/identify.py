@@ -38,7 +38,7 @@ from handctl.tune.identify.tendon_data import Array, TendonData, tendon_data
 EXCITATION_BAND_HZ = (0.7, 6.0)
 """Frequency band over which the coherence is averaged [Hz].
 
-The sinusoidal swing of a digit sweeps through this band.
+The frequency of a digit's sinusoidal swing sweeps through the whole band.
 """
 MIN_COHERENCE = 0.2
 """Coherence below which the parameters that come from the motion of a rotor are rejected.
@@ -331,8 +331,8 @@ def blocked_digits(log: RunLog) -> dict[str, str]:
 
     The keys of the result are the names of the excited digits.
 
-    If two digits touch each other, the controller may report the wrong digit as blocked. Even if
-    the event names the wrong digit, the event is assigned to the digit that was excited at the
+    If two digits touch each other, the controller possibly reports the wrong digit as blocked. Even
+    if the event names the wrong digit, the event is assigned to the digit that was excited at the
     time.
     """
     events = [

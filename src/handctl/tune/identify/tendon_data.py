@@ -28,7 +28,7 @@ CONTACT_PHASES = ("close", "open")
 When a contact begins or ends, the motor force can jump within one sample.
 """
 IGNORED_STEP_START_S = 0.02
-"""Duration of the beginning of each step, from which no data are used [s]."""
+"""Time at the beginning of each excitation step, from which no data are used [s]."""
 TRANSIENT_S = 0.35
 """Time after which the springs have opened the digit and a relaxed tendon is slack [s]."""
 STOP_DISTANCE_DEG = 2.0
@@ -81,8 +81,8 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
 
     If the log contains no excitation, return the data of all tendons.
 
-    The measurements that arrive in a tick were taken in the previous tick. Therefore all
-    measurements are shifted by one tick.
+    The measurements that arrive in a tick were taken in the previous tick. Therefore the function
+    shifts all measurements by one tick.
 
     Args:
         log: log of any run.

@@ -162,7 +162,7 @@ class GainDesign:
 def linear_factors(plant_factors: Mapping[str, float]) -> PlantFactors:
     """Return only those factors of a plant that scale linear parameters.
 
-    The factors of the friction are left out, because friction is not linear.
+    The result does not contain the factors of the friction, because friction is not linear.
     """
     names = PlantFactors.__dataclass_fields__
     return PlantFactors(**{key: value for key, value in plant_factors.items() if key in names})
@@ -221,7 +221,7 @@ def _scaled_tendon_forces(
 def _replace_gain_sections(
     gains: Gains, **sections: dict[str, float] | list[dict[str, Any]]
 ) -> Gains:
-    """Return gains in which some sections are replaced, after their bounds have been checked.
+    """Check the bounds of some sections of the gains, and return gains in which these sections are replaced.
 
     Raises:
         ValueError: a value is out of its bounds.
@@ -274,8 +274,8 @@ def _positive_root(squared_value: float, expected_text: str) -> float:
     """Return the square root of a positive number.
 
     Raises:
-        ValueError: the number is not positive. In this case, no weights lead to the requested
-            poles.
+        ValueError: the number is not positive. A number that is not positive means that no weights
+            lead to the requested poles.
     """
     if squared_value <= 0.0:
         raise ValueError(f"no weights have these poles; expected {expected_text}")
@@ -374,8 +374,8 @@ def design_gains(
     With the designed gains, all plants keep the margins.
 
     Args:
-        model: model of the hand with its present gains. The design does not change the filter of
-            this model.
+        model: model of the hand with its present gains. The design of the gains does not change the
+            filter of this model.
         plants: ensemble of plants on all of which the margins must be kept.
         passes_test: function that returns True if the gains of a model pass a further test, such as
             a simulation.

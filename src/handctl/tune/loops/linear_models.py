@@ -3,11 +3,11 @@
 The models of the controller are finite differences of the controller's own code. The model of the
 plant is computed from the hand file.
 
-The finite differences call the same code as a tick of the controller. Therefore these models follow
-every change in the code of the filter or the control law. Each tendon is treated alone, as in the
-design of the gains. Friction is neglected, because its force is constant while a tendon moves. In
-each tick, the controller uses the readings of the previous tick. The delay of the readings by one
-tick represents the time for the transfer over the bus.
+The finite differences call the same code as a tick of the controller. Therefore the linear models
+follow every change in the code of the filter or the control law. Each tendon is treated alone, as
+in the design of the gains. Friction is neglected, because its force is constant while a tendon
+moves. In each tick, the controller uses the readings of the previous tick. The delay of the
+readings by one tick represents the time for the transfer over the bus.
 
 The control law is linearised without its limits. A control law at its limits would seem to have no
 gain and unlimited margins. At the operating point the goals equal the estimates, and all errors are
@@ -69,7 +69,7 @@ band.
 MIN_LIMIT_DISTANCE = 0.1
 """Smallest distance of the operating point from the limits of a joint, as a fraction of the joint's range."""
 CONSTANT_STATE_TOLERANCE = 1e-9
-"""A state counts as constant if no coefficient of another state or an input in its equation exceeds this value."""
+"""Largest coefficient of other states and inputs in the equation of a state that counts as constant."""
 
 
 class LoopKind(enum.StrEnum):
@@ -471,9 +471,9 @@ def _operating_point_state(
 def _half_closed_coordinates(digit: DigitModel) -> Matrix:
     """Return coordinates (n_c,) at which all joints of a digit are well inside their ranges [rad].
 
-    If the coupling and the joint limits allow it, all joints are at `OPERATING_ANGLE_RAD`. If the
-    coupling or a limit does not allow this angle, the result is the point that is farthest from all
-    joint limits.
+    All joints are at `OPERATING_ANGLE_RAD`, if the coupling and the joint limits allow this angle.
+    If the coupling or a limit does not allow this angle, the result is the point that is farthest
+    from all joint limits.
     """
     low = digit.joint_min
     high = digit.joint_max
@@ -512,7 +512,7 @@ def _winding_rates(model: HandModel, d: int, tendon: int, speed: float) -> Matri
 def _joint_gain(model: HandModel) -> Matrix:
     """Return a vector (N,) with 1 or NaN for each tendon.
 
-    The value is 1 if joint encoders measure the excursion of the tendon.
+    The value of a tendon is 1 if joint encoders measure the excursion of the tendon.
     """
     is_joint_measured = [
         bool(np.any(blocks[TendonRegime.FREE].K[:, 2])) for blocks in model.filter_design.blocks

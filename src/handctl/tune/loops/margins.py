@@ -181,8 +181,8 @@ def confirmed_margins(system: LinearSystem) -> LoopMargins:
     """Return margins that the eigenvalues of the closed loop confirm.
 
     The function reduces a margin if a tested change of the loop within the margin moves an
-    eigenvalue out of the unit circle. The frequency response is known only at some frequencies. A
-    resonance between two of these frequencies would not be found without the eigenvalues.
+    eigenvalue out of the unit circle. The frequency response is known only at some frequencies.
+    Without the eigenvalues, a resonance between two of the known frequencies would not be found.
     """
     result = margins_of_loop(system, FINE_GRID_POINTS)
     if not result.stable or result.phase_deg == 0.0:
@@ -237,8 +237,9 @@ def _largest_confirmed_margin(
 ) -> float:
     """Return the largest fraction of a margin that the eigenvalues confirm.
 
-    Several fractions of the margin are tested. All fractions up to the result are confirmed. The
-    last hundredth of a margin is not tested, because the frequency response is interpolated.
+    The function tests several fractions of the margin. All fractions up to the result are
+    confirmed. The function does not test the last hundredth of a margin, because the frequency
+    response is interpolated.
     """
     tried_margins = linear_margin * np.linspace(0.0, 0.99, step_count + 1)[1:]
     for previous_margin, tried_margin in zip(

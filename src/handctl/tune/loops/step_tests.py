@@ -32,7 +32,8 @@ TENSION_STEP_N = 10.0
 OSCILLATION_ANGLE_RAD = 1e-3
 """Angle of an eigenvalue above which the eigenvalue counts as oscillating [rad per tick].
 
-At a control rate of 500 Hz, this angle corresponds to an oscillation of 0.08 Hz.
+At a control rate of 500 Hz, an angle of 0.001 rad per tick corresponds to an oscillation of 0.08
+Hz.
 """
 REST_DURATION_S = 0.5
 """Time for which the goals stay constant after a step [s]."""
@@ -194,8 +195,8 @@ def median_swing(
 ) -> StepOscillation:
     """Return the median oscillations of runs with different noise, or the first failure of a run.
 
-    A digit that slips on a stop causes a single peak in some runs. The median ignores this peak.
-    One run is enough if its oscillations are far below the limits.
+    A digit that slips on a stop causes a single peak of the oscillation in some runs. The median of
+    the runs ignores a single peak. One run is enough if its oscillations are far below the limits.
 
     Args:
         hand: description of the simulated hand.
@@ -235,7 +236,7 @@ def _peak_to_peak(values: Matrix) -> Matrix:
     The parabola removes slow creep, because creep is not an oscillation.
     """
     t = np.linspace(-1.0, 1.0, len(values))
-    # The columns of this matrix are t^2, t and 1.
+    # The columns of the matrix below are t^2, t and 1.
     vandermonde_matrix = np.vander(t, 3)
     # The oscillation is the difference between the values and the least-squares parabola.
     return np.asarray(
@@ -290,7 +291,7 @@ All other parameters of the plant are nominal.
 
 @dataclass
 class RestTest:
-    """Test of gains in a lockstep simulation. The hand must come to rest with these gains.
+    """Test of gains in a lockstep simulation. The hand must come to rest with the tested gains.
 
     The test simulates four plants. Two of them are nominal plants: one with the nominal friction,
     and one with the lowest friction of all ensembles. The third plant has the smallest margins, and

@@ -36,9 +36,10 @@ class SearchPlan:
     """Settings of a search for gains.
 
     Attributes:
-        hand: text of the hand file, because a worker on another machine may not have the file.
+        hand: text of the hand file, because a worker on another machine possibly lacks the file.
         rate_hz: control rate [Hz].
-        gains: gains of the first trial. All gains that the search does not vary keep these values.
+        gains: gains of the first trial. All gains that the search does not vary keep the values of
+            the first trial.
         plants: factors of the plants of the ensemble.
         seed: seed of the samplers and of the simulated noise.
         trials: number of trials.
@@ -57,16 +58,16 @@ class SearchPlan:
     def gains_of(self, trial_number: int, gain_values: Mapping[str, float]) -> Gains:
         """Return the gains of a trial.
 
-        The first trial has exactly the gains of the plan. These gains may be outside of the search
-        space.
+        The first trial has exactly the gains of the plan. The gains of the plan can be outside of
+        the search space.
         """
         return gains_with_values(self.gains, gain_values, "study") if trial_number else self.gains
 
     def trial_job(self, trial_number: int, gain_values: Mapping[str, float]) -> dict[str, Any]:
         """Return the job by which a worker computes the score of a trial.
 
-        The first trial is the reference for the others. Therefore the worker simulates the first
-        trial even if the margins of its gains are too small.
+        The first trial is the reference for the other trials. Therefore the worker simulates the
+        first trial even if the margins of its gains are too small.
         """
         return {
             "hand": self.hand,
@@ -256,11 +257,11 @@ def _open_study(plan: SearchPlan, path: Path) -> Any:
 def _truncate_partial_line(path: Path) -> None:
     """Remove the last line of a journal if it is incomplete, for example after a power failure.
 
-    Otherwise Optuna would append its next entry to the incomplete line.
+    Without the removal, Optuna would append its next entry to the incomplete line.
 
     Raises:
         OSError: the file cannot be read or written.
-        ValueError: The file is not a journal. It stays unchanged.
+        ValueError: The file is not a journal. The file stays unchanged.
     """
     if not path.is_file():
         return
@@ -303,8 +304,8 @@ def _unscored_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[
 
     count = BATCH_SIZE - finished_count % BATCH_SIZE
     open_trials = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
-    # If the whole batch was requested earlier, the number of trials without a score is right, and
-    # all these trials have their parameters.
+    # If the whole batch was requested earlier, the batch has the right number of trials, and all
+    # its trials have their parameters.
     if len(open_trials) == count and all(
         len(trial.params) == len(GAIN_RANGES) for trial in open_trials
     ):

@@ -1,4 +1,4 @@
-"""Workers of a search: this process, a pool of processes, or a Dask cluster.
+"""Workers of a search: the calling process, a pool of processes, or a Dask cluster.
 
 The scores do not depend on the kind of worker.
 """
