@@ -7,7 +7,7 @@ from firmware_sim.hand_description import SimulatorError
 from firmware_sim.printing import one_line_message
 
 EXTRA_PACKAGES = ("mujoco",)
-"""Import names of the packages that ``pip install handctl[sim]`` adds."""
+"""Import names of the packages that the command ``pip install handctl[sim]`` installs in addition."""
 
 
 def main(words: list[str]) -> int:

@@ -20,7 +20,7 @@ from firmware_sim.simulation_pace import PaceMeter
 MAX_ADVANCE_INTERVAL_NS = 1_000_000
 """Maximum time from one advance of the plant to the next, as plant time [ns]."""
 OVERRUN_DELAY_NS = 5 * MAX_ADVANCE_INTERVAL_NS
-"""Delay of the plant behind the clock that counts as an overrun, as plant time [ns]."""
+"""Smallest delay of the plant behind the clock that counts as an overrun, as plant time [ns]."""
 MAX_DELAY_NS = 150_000_000
 """Largest delay of the plant, as plant time [ns].
 
@@ -134,8 +134,8 @@ class BusServer:
         """Set up the server.
 
         Args:
-            world: simulated nodes to serve. The time of the nodes must be the present time of the
-                clock.
+            world: simulated nodes to serve. The time of the nodes must equal the present time of
+                the clock.
             ports: one port for each bus, in the order of the hand's buses.
             clock: clock that the nodes follow.
             faults: socket for faults and other requests, or None for a server without this socket.
@@ -177,10 +177,11 @@ class BusServer:
         self._publish_progress()
 
     def _publish_progress(self) -> None:
-        """Report the number of answered ticks and the time of the plant to a controller that uses the same clock."""
+        """Report the number of answered ticks and the plant time to a controller with the same clock as the server."""
         self._clock.publish_reached_time(self._world.t_ns + self._world.slip_ns)
         # The number of ticks must be read before the sockets are checked. Frames that arrive
-        # between the reading and the check then belong to a later tick.
+        # between the reading of the number and the check of the sockets then belong to a later
+        # tick.
         ticks = self._clock.sent_tick_count()
         if ticks and not self._readable_sockets(0.0):
             self._clock.publish_answered_ticks(ticks)

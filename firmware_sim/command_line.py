@@ -16,7 +16,7 @@ class CommandParser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raise a SimulatorError for a usage error.
 
-        The method of the base class would end the program instead.
+        The method ``error`` of the base class would end the program.
         """
         raise SimulatorError(f"{message}; --help shows how")
 

@@ -67,7 +67,7 @@ def call_c_function(function: int, first_argument: int, second_argument: int) ->
 
     Raises:
         NotImplementedError: always, if Python calls this function. Compiled kernels call the
-            compiled form from ``_build_c_call`` instead.
+            compiled form that ``_build_c_call`` builds.
     """
     raise NotImplementedError("only compiled kernels can call an address")
 
@@ -85,7 +85,7 @@ def array_at(address: int, row_count: int, row_type: Any) -> Any:
 
     Raises:
         NotImplementedError: always when called from Python. Compiled kernels call the compiled form
-            from ``_build_array_at`` instead.
+            that ``_build_array_at`` builds.
     """
     raise NotImplementedError("only compiled kernels can read rows at an address")
 
@@ -94,7 +94,7 @@ def array_at(address: int, row_count: int, row_type: Any) -> Any:
 def compile_module_kernels(module: ModuleType) -> Any:
     """Compile the kernels of a module.
 
-    Division by zero gives inf or NaN, as in numpy.
+    In compiled kernels, a division by zero gives inf or NaN, as in numpy.
 
     Returns:
         A namespace that contains each compiled kernel under the name of the kernel.

@@ -87,11 +87,11 @@ class CompiledNodes:
         Args:
             frames: frames of the host, an array of ``FRAME_DTYPE``.
             t_ns: start of the tick [ns].
-            last_ns: largest delay of an answer after the start of the tick [ns].
+            last_ns: largest time from the start of the tick to an answer [ns].
 
         Returns:
             The answers, with times as if the answers were sent one after the other. The second
-                value is True if these times are in rising order.
+            value is True if these times are in rising order.
         """
         world = self._world
         progress = self._progress
@@ -134,7 +134,7 @@ class CompiledNodes:
         return np.concatenate((answer_frames, np.empty(len(answer_frames), FRAME_DTYPE)))
 
     def _append_frames(self, answer_frames: Any, frames: list[Frame]) -> Any:
-        """Return the array of answers with more frames appended."""
+        """Return the array of answers, with the given frames appended."""
         count = int(self._progress[ANSWERS])
         frame_count = len(frames)
         while count + frame_count > len(answer_frames):
@@ -240,7 +240,7 @@ class CompiledNodes:
             return False
         if self._table is None:
             self._build_table()
-        # At one time, a drive sends at most two frames: a heartbeat and its encoder estimates.
+        # In one call, a drive sends at most two frames: a heartbeat and its encoder estimates.
         while self._progress[SENT] + 2 * len(self._drive_rows) > len(self._sent):
             self._sent = np.concatenate((self._sent, np.empty(len(self._sent), FRAME_DTYPE)))
         rotors = self._world.plant.sampled[3]

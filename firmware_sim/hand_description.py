@@ -19,7 +19,8 @@ PER_LINK_KEYS = (
 )
 """Keys of a digit whose value is a list with one value for each link.
 
-In hand files of schema 2, a single number stands for equal values of all links.
+In hand files of schema 2, a single number as value of such a key stands for equal values of all
+links.
 """
 JOINT_KEYS = {
     "joint_min_deg": "joint_min_m",
@@ -29,7 +30,7 @@ JOINT_KEYS = {
     "spring_stiffness_N_m_per_rad": "spring_stiffness_N_per_m",
     "spring_preload_rad": "spring_preload_m",
 }
-"""Keys of a digit with a value for each hinge, and for each prismatic joint."""
+"""For each key of a digit with values of hinges, the key with the values of prismatic joints."""
 PRISMATIC = "prismatic"
 """Entry of ``joint_type`` for a joint that slides along its axis."""
 
@@ -62,7 +63,7 @@ class Digit:
             the carrying digit [m].
         rpy_deg: extrinsic roll, pitch and yaw of the digit's mount, in the same frame as
             ``position`` [deg].
-        length: length of each link [m], or 0 where the axes of two joints intersect.
+        length: length of each link [m], or 0 for a link whose two joint axes intersect.
         prismatic: True for each joint that slides along its axis instead of turning.
         axis: axis of each joint, in the frame of the link that the joint moves.
         joint_rpy_deg: extrinsic roll, pitch and yaw of the frame of each link at joint angle zero,
@@ -170,7 +171,7 @@ class TendonSpec:
         name: name of the tendon.
         motor: name of the motor that winds the tendon.
         arms: moment arm of the tendon at each joint [m], by the name of the joint. For a moment arm
-            that depends on the joint angle, the value is the mean.
+            that depends on the joint angle, the value is the mean moment arm.
         curves: moment arms of the tendon that depend on the joint angle, by the name of the joint.
         stiffness: stiffness of the tendon at tensions below the knee [N/m].
         damping: viscous damping of the tendon [N s/m].
@@ -237,7 +238,8 @@ class MotorSpec:
         torque_peak: largest torque of the motor for a short time [N m].
         position_range: largest position that a CAN frame of the drive can contain [rad].
         velocity_range: largest velocity that a CAN frame of the drive can contain [rad/s].
-        direction: sign of the motor angle while the spool angle is positive, +1 or -1.
+        direction: +1 if the motor angle grows with the spool angle, and -1 if the motor angle
+            falls.
         zero_angle: encoder angle at which the spool angle theta of a homed hand is 0 [rad].
         options: options of the drive's protocol.
         serial: serial number of the drive. If None, the drive has the default serial number
@@ -518,7 +520,7 @@ def _parse_hand(file_content: dict[str, Any], folder: Path) -> Hand:
 def _parse_meshes(file_content: dict[str, Any], folder: Path) -> Iterator[LinkMesh]:
     """Yield the meshes of a hand.
 
-    Relative paths of mesh files start at the folder of the hand file.
+    A relative path of a mesh file starts at the folder of the hand file.
     """
     mount = file_content["mount"]
     pose_keys = ("scale", "position_m", "rpy_deg")

@@ -82,10 +82,10 @@ class LockstepHand:
                 function ignores the times in the frames of the host.
 
         Returns:
-            The answers as an array of ``frame_records.FRAME_DTYPE``. The times of the answers are
-            those of frames that are sent one after the other on each bus within the tick. With
-            simulated wires, the result contains the frames that have arrived by the end of the
-            tick, and error frames of the host's CAN controllers.
+            The answers as an array of ``frame_records.FRAME_DTYPE``. The answers have the times of
+            frames that are sent one after the other on each bus within the tick. With simulated
+            wires, the result contains the frames that have arrived by the end of the tick, and
+            error frames of the host's CAN controllers.
         """
         end_ns = t_ns + self._period_ns
         if self.wired:

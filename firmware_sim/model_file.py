@@ -40,7 +40,7 @@ ROUND_SHAPES = (
 )
 """Shapes from which the radius of a link is taken. The preferred shapes come first."""
 BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-"""Corners of a box around the origin with edges of length 2, (8, 3)."""
+"""Corners (8, 3) of a box around the origin, whose edges have the length 2."""
 
 
 def read_model_file(path: str, file_format: str) -> dict[str, Any]:

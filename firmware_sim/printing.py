@@ -7,7 +7,7 @@ arguments.
 MAX_MESSAGE_LENGTH = 500
 """Maximum length of a message [characters]."""
 OMISSION_MARK = " [...] "
-"""Text in place of the middle of a message that is too long."""
+"""Text that replaces the middle of a message that is too long."""
 
 
 def printable_text(text: str) -> str:

@@ -17,7 +17,7 @@ The controller has the priority 60. Therefore a controller with priority 60 neve
 simulator.
 """
 ORDINARY_PRIORITY_DURATION_S = 5.0
-"""Time without real-time priority after the plant fell behind the clock [s]."""
+"""Time for which the simulator has no real-time priority after the plant has repeatedly fallen behind the clock [s]."""
 MAX_CLOCK_SLIPS = 3
 """Number of clock slips within ``CLOCK_SLIP_WINDOW_S`` after which the simulator gives the real-time priority back."""
 CLOCK_SLIP_WINDOW_S = 1.0
@@ -87,7 +87,7 @@ class RealTimePriority:
         self._slips_s: deque[float] = deque(maxlen=MAX_CLOCK_SLIPS)
 
     def request_priority(self) -> None:
-        """Take the real-time priority, because the host has sent frames."""
+        """Request the real-time priority for this process, because the host has sent frames."""
         if not self.active and self._now_s() >= self._not_before_s:
             self.active = self._take()
             self._not_before_s = (

@@ -12,7 +12,8 @@ The clock is a file with six 64-bit integers. Both processes map the file into m
     version | gate [ns] | sum of the pauses [ns] | ticks sent | ticks answered | reached [ns]
 
 The simulator writes the version and the last two integers. The controller writes the other
-integers. All times are CLOCK_MONOTONIC minus the sum of the pauses, without the time scale.
+integers. All times in the file are CLOCK_MONOTONIC minus the sum of the pauses, without the time
+scale.
 """
 
 import mmap
@@ -34,8 +35,8 @@ MAX_GATE_WAIT_NS = 120_000_000
 
 A controller that does not move the gate for a longer time has stopped or died.
 
-The wait at the gate is shorter than the delay at which the plant's clock slips. The longest pause
-of the clock for a late controller is shorter than the longest wait at the gate.
+The longest wait at the gate is shorter than the delay at which the clock of the plant slips. The
+longest pause of the clock for a late controller is shorter than the longest wait at the gate.
 """
 
 

@@ -44,12 +44,12 @@ needs.
 class SimulatedWorld:
     """The plant and the simulated nodes of one hand.
 
-    A world that is not homed starts like a hand at power-up. Each tendon is slack by 1 to 3 mm,
-    because the motors were off. At q = 0, a tendon is just taut at a certain spool angle. At this
-    spool angle, the encoder of the motor reads ``zero_rad`` with an error of at most 0.5 rad. An
-    error of up to 0.5 rad occurs if a person clamps the spool by hand. The slack and the encoder
-    angle are random numbers that depend on a seed. A homed world starts with taut tendons and with
-    the encoders at ``zero_rad``.
+    A world that is not homed starts like a hand at power-up. At the start, each tendon is slack by
+    1 to 3 mm, because the motors were off. At the joint angles q = 0, a tendon is just taut at a
+    certain spool angle. At the spool angle of a just taut tendon, the encoder of the motor reads
+    ``zero_rad`` with an error of at most 0.5 rad. An error of up to 0.5 rad occurs if a person
+    clamps the spool by hand. The slack and the encoder angle are random numbers that depend on a
+    seed. A homed world starts with taut tendons and with the encoders at ``zero_rad``.
 
     Attributes:
         hand: description of the hand.
@@ -368,7 +368,7 @@ class SimulatedWorld:
 
         Returns:
             The earliest wake time of the drives whose state is in array rows [ns], or None if the
-                wake time is not known.
+            wake time is not known.
         """
         if (
             self.compiled_nodes
@@ -437,7 +437,7 @@ class SimulatedWorld:
 
 
 def _count_steps_until(now_ns: int, due_ns: int, end_ns: int) -> int:
-    """Count the time steps until an event is due or until the end is reached.
+    """Count the time steps until an event is due or the time ``end_ns`` is reached.
 
     The returned number of steps is at least 1.
 

@@ -20,7 +20,7 @@ SIMULATOR_CORE_FRACTION = 0.5
 The controller, the recorder and the operating system need the rest of the core.
 """
 ADVISED_PACE_FRACTION = 0.8
-"""Advised pace divided by the pace that the machine can keep."""
+"""Ratio of the advised pace to the pace that the machine can keep."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +120,7 @@ class PaceMeter:
         }
 
     def _slow_machine_text(self, seconds: float) -> str:
-        """Return the line that tells the user that the machine is too slow."""
+        """Return a message for the user that the machine is too slow."""
         slip_text = f"clock slipped {self._slips} times in {seconds:.1f} s, {self._lost_ns / 1e6:.0f} ms given up"
         return f"firmware_sim: {slip_text}: this machine is fast enough for --time-scale {self.advice:g}"
 

@@ -26,7 +26,7 @@ _HEADER_SIZE = 8192
 _BUFFERED_ROW_COUNT = 256
 """Number of rows that the writer collects before it writes to the file."""
 MIN_FREE_DISK_BYTES = 64 << 20
-"""Free disk space below which no more rows are written [bytes].
+"""Free disk space below which the writer writes no more rows [bytes].
 
 The run folder is possibly in memory, and a simulator possibly runs for days.
 """

@@ -50,14 +50,14 @@ class BusPort(Protocol):
     def receive(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
         """Receive frames from the sockets that are ready.
 
-        The caller repeats the call until the result is empty.
+        The caller must call ``receive`` again until the result is empty.
         """
         ...
 
     def send(self, frames: list[Frame]) -> None:
         """Send frames in the given order.
 
-        If the bus has no room for a frame, the frame is lost and counted.
+        If the bus has no room for a frame, the frame is lost, and the port counts the lost frame.
         """
         ...
 
@@ -116,7 +116,7 @@ def assign_buses(specs: list[str], buses: list[str]) -> list[str]:
         The specifications in the order of the hand's buses.
 
     Raises:
-        SimulatorError: a bus has no specification, is not part of the hand, or is given twice.
+        SimulatorError: a bus has no specification, does not belong to the hand, or is given twice.
     """
     specs_by_bus: dict[str, str] = {}
     for text in specs:

@@ -39,7 +39,8 @@ Because of the limit, a client that floods the bus cannot block the other client
 class HubConnection:
     """One connection between a hub and a client.
 
-    Both directions of the connection carry whole records. No method blocks.
+    In both directions, the connection between hub and client carries whole records. No method
+    blocks.
 
     Attributes:
         socket: non-blocking stream socket of the connection.
@@ -84,7 +85,7 @@ class HubConnection:
     def deliver(self, records: bytes) -> None:
         """Send whole records.
 
-        If the kernel does not accept a record, the record is dropped and counted.
+        If the kernel does not accept a record, the connection drops and counts the record.
         """
         count = len(records) // RECORD_SIZE
         if not self.flush():
@@ -96,7 +97,8 @@ class HubConnection:
         stamped_records[6::RECORD_SIZE] = bytes((self.dropped_record_count & 0xFF,)) * count
         stamped_records[7::RECORD_SIZE] = bytes((self.dropped_record_count >> 8 & 0xFF,)) * count
         sent_size = self._send(stamped_records)
-        # The number of records is rounded up, because a partly sent record must be completed later.
+        # The number of sent records is rounded up, because a partly sent record must be completed
+        # later.
         record_count_started = -(-sent_size // RECORD_SIZE)
         self.unsent = bytes(stamped_records[sent_size : record_count_started * RECORD_SIZE])
         self.dropped_record_count += count - record_count_started
@@ -264,8 +266,8 @@ def _belongs_to_other_user(client_socket: socket.socket) -> bool:
 def _listening_socket(path: Path, name: str) -> socket.socket:
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        # The folder is locked, because two hubs must not check, unlink and bind the same path at
-        # the same time.
+        # The hub locks the folder, because two hubs must not check, unlink and bind the same path
+        # at the same time.
         with _locked_folder(path.parent):
             if _is_served(path):
                 raise SimulatorError(

@@ -101,7 +101,7 @@ class LockstepBuses:
                 self._queue_node_frame(Frame(can_id, data, flags, bus, frame.t_ns))
 
     def _queue_node_frames(self, frames: Sequence[Frame]) -> bool:
-        """Put frames of nodes into the queues for sending.
+        """Put frames of nodes into the send queues of their CAN controllers.
 
         Returns:
             True if there was at least one frame.
@@ -111,7 +111,7 @@ class LockstepBuses:
         return bool(frames)
 
     def _queue_node_frame(self, frame: Frame) -> None:
-        """Put a frame of a node into a queue.
+        """Put a frame of a node into the send queue of its CAN controller.
 
         Each identifier has its own CAN controller, because real nodes send independently of each
         other.

@@ -1,6 +1,6 @@
 """A port on a CAN interface of Linux.
 
-The interface is real or virtual, and uses classical CAN or CAN FD.
+The CAN interface is real or virtual, and uses classical CAN or CAN FD.
 """
 
 import errno

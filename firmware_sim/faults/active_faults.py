@@ -25,7 +25,7 @@ from firmware_sim.faults.wire_faults import ActiveFault
 FAULT_FRAME_PERIOD_NS = 1_000_000
 """Period of the frames that a fault of kind ``flood`` or ``unknown`` generates [ns]."""
 SECOND_HOST_PERIOD_NS = 10_000_000
-"""Period at which a simulated second host sends commands [ns]."""
+"""Period with which a simulated second host sends commands [ns]."""
 FLOOD_CAN_ID = 0x000
 """Identifier of the frames of a flood: the identifier with the highest priority on the bus."""
 UNKNOWN_CAN_ID = 0x7E5

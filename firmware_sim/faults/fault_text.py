@@ -97,7 +97,7 @@ FAULT_SIZE_RANGES = {
     "flood": (1.0, 1000.0), "unknown": (1.0, 1000.0), "noise": (0.0, 1e6), "slack": (0.0, 1000.0),
     "friction": (0.0, 1e4),
 }  # fmt: skip
-"""Allowed sizes of faults by kind. Kinds without an entry have ``DEFAULT_FAULT_SIZE_RANGE``."""
+"""Allowed sizes of faults by kind. Kinds of fault without an entry have the range ``DEFAULT_FAULT_SIZE_RANGE``."""
 TWO_MOTOR_FAULTS = ("swap", "cross")
 """Kinds of fault that act on two motors.
 
@@ -109,7 +109,8 @@ DRIVE_ONLY_FAULTS = ("reset", "error", "watchdog", "voltage", "hot", "disobey", 
              "forget", "ripple", "late", "swap", "cross")  # fmt: skip
 """Kinds of fault that only drives can have.
 
-The sensor node has no power stage and receives only SYNC from the host.
+The sensor node cannot have these faults, because it has no power stage and receives only SYNC from
+the host.
 """
 
 
@@ -123,7 +124,8 @@ class Fault:
         instance: name of the target component.
         start_ns: start of the fault [ns].
         duration_ns: duration of the fault [ns].
-        size: size of the fault. The kind of the fault determines the meaning and the unit.
+        size: size of the fault. The kind of the fault determines the meaning and the unit of the
+            size.
         p: probability with which the fault affects each frame.
         seed: seed of the random numbers of the fault.
         hz: frequency of the torque in a fault of kind ``ripple`` [Hz].
@@ -291,7 +293,7 @@ def _target_instance(
 def _number_from_text(
     text: str, key: str, value_text: str, minimum: float, maximum: float
 ) -> float:
-    """Parse a number of a fault text that must lie in a given range."""
+    """Parse a number in a fault text. The number must lie in a given range."""
     try:
         value = float(int(value_text, 0)) if value_text.startswith("0x") else float(value_text)
     except ValueError:

@@ -1,6 +1,6 @@
 """Faults of sensors, motors, tendons and digits in the simulated plant.
 
-Each function changes the simulation, and returns a function that undoes the change.
+Each start function changes the simulation, and returns a function that undoes the change.
 """
 
 import math
@@ -271,7 +271,7 @@ def _start_torque_ripple(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _start_motor_overheating(world: Any, active: ActiveFault) -> UndoFunction:
-    """Keep the winding of a motor at a fixed temperature."""
+    """Keep the winding of a motor at the temperature that the size of the fault gives [degC]."""
     thermal = world.node_of(active.fault.instance).thermal
     active.count_effect(world.t_ns)
     thermal.forced = active.fault.size

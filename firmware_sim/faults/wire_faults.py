@@ -166,7 +166,7 @@ def _shorten_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list
 
 
 def _extend_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Mark frames with 11-bit identifiers as frames with 29-bit identifiers.
+    """Turn frames with 11-bit identifiers into frames with 29-bit identifiers.
 
     Frames with 29-bit identifiers stay unchanged.
     """

@@ -63,7 +63,7 @@ ZEROING_DURATION_NS = 1_000_000_000
 _SPECIAL_COMMAND_START = b"\xff" * 7
 """First seven bytes of a special command."""
 TEMPERATURE_ZERO_C = -40
-"""Temperature that the byte value 0 stands for [degC].
+"""Temperature for which the temperature byte in the feedback is 0 [degC].
 
 The manual of the drive subtracts 40 in its example of a reply.
 """

@@ -81,7 +81,7 @@ flag that is 1 if the times of the answers rise. The other two numbers of the ar
 of unsolicited frames, and the earliest wake time of all drives [ns].
 """
 NEVER_NS = 1 << 62
-"""Time of the next wake-up if no drive needs a wake-up [ns]."""
+"""Wake time that means that no drive needs a wake-up [ns]."""
 _STANDARD_ID_COUNT = 0x800
 """Number of standard identifiers.
 
@@ -95,7 +95,7 @@ _SPECIAL_COMMAND_BITS = 0xFFFFFFFFFFFFFF
 
 
 class ReceiverStruct(ctypes.Structure):
-    """A node that receives frames with a certain identifier.
+    """Entry for a node that receives frames with a certain identifier.
 
     The fields are the kind of the node, the node's row in the array for this kind, and the index of
     the next receiver or -1.
@@ -296,7 +296,7 @@ def _write_sensor_frames(
     """Write the payloads of the sensor node into the frames that answer a SYNC frame.
 
     Args:
-        words: payloads as integers. The payloads are written with the low byte first.
+        words: payloads as integers. The kernel writes the payloads with the low byte first.
         channels: number of channels in all payloads together.
         can_id: identifier of the first frame.
         frame: the SYNC frame.
@@ -383,7 +383,7 @@ def _assign_bus_times(
         answer_frames: answers whose times are set.
         count: number of answers.
         t_ns: start of the tick [ns].
-        last_ns: largest delay of an answer after the start of the tick [ns].
+        last_ns: largest time from the start of the tick to an answer [ns].
         buses: number of buses.
 
     Returns:
@@ -469,7 +469,7 @@ def _answer_drive(  # noqa: PLR0913 - compiled functions take flat arrays
 
 @kernel_helper
 def _wake_ns(receiver_row: Any, mit: Any, odrive: Any, cia402: Any) -> int:
-    """Return the wake time of a drive [ns]."""
+    """Return the time at which a drive must wake next [ns]."""
     if receiver_row.kind == MIT_KIND:
         return int(mit[receiver_row.number].wake_ns)
     return int(
@@ -514,7 +514,7 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
         table: index of the first receiver of each identifier, or -1.
         max_answers: largest possible number of answers to one frame.
         receivers: array of all receivers. The indices in ``table`` and in the receivers are indices
-            into this array.
+            into ``receivers``.
         mit: rows of MIT drives.
         odrive: rows of ODrives.
         cia402: rows of CiA 402 drives.

@@ -1,7 +1,7 @@
 """Temperatures of the winding and the MOSFETs of a drive.
 
-The winding and the MOSFETs are each modelled as a body with a heat capacity that loses heat to the
-surroundings.
+The model treats the winding and the MOSFETs as two separate bodies. Each body has a heat capacity,
+and loses heat to the surroundings.
 """
 
 import ctypes
@@ -35,7 +35,7 @@ class DriveTemperatures:
     """
 
     def __init__(self, torque_constant: float) -> None:
-        """Start with both temperatures at ambient temperature.
+        """Set the winding and the MOSFETs to ambient temperature.
 
         Args:
             torque_constant: torque constant of the motor [N m/A].

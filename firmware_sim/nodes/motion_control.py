@@ -27,7 +27,7 @@ The ratio of the gains is an assumption.
 POSITION_GAIN = 10.0
 """Assumed position gain of drives without a documented gain [1/s]."""
 INTEGRAL_DECAY = 0.99**8
-"""Factor by which the integral decays in each period while the torque is limited.
+"""Factor by which the integral of the velocity loop decays in each period while the torque is limited.
 
 Source: ODrive firmware, controller.cpp: the integral decays by a factor of 0.99 in each of eight
 loops per millisecond.
@@ -119,7 +119,7 @@ class MotionSetpoint:
         if math.isinf(deceleration):
             stopping_speed = abs(remaining_distance) / step_s
         else:
-            # The next lines compute the largest speed from which the setpoint can stop within the
+            # The lines below compute the largest speed from which the setpoint can stop within the
             # remaining distance, if each step changes the velocity by fall * step_s.
             half_speed_step = 0.5 * deceleration * step_s
             stopping_speed = (

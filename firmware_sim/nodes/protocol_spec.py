@@ -21,8 +21,8 @@ class SimulatedNode(Protocol):
         wake_ns: time of the next call of ``wake`` [ns].
         malformed: number of frames with an identifier of the node that the node could not decode.
         ids: identifiers of the frames that the node answers. After each change of the identifiers,
-            the set is a different object. The attribute is None if the node must receive every
-            frame.
+            the set of identifiers is a different object. The attribute is None if the node must
+            receive every frame.
     """
 
     @property

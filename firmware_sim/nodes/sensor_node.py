@@ -13,8 +13,9 @@ Frame (up to 8 bytes, bits numbered from the lowest bit of byte 0, Intel order):
     joint code       2048 + angle / (2 pi rad / 4096), or 2048 + position / 50 um
 
 The first tension frame has the base identifier. The first joint frame has the base identifier +
-0x10. Each further frame has the next higher identifier. A frame with fewer than five channels has
-only as many bytes as its channels need. Source: DBC of the hand, sensor_node.
+0x10. Each further tension frame or joint frame has the next higher identifier. A frame with fewer
+than five channels has only as many bytes as its channels need. Source: DBC of the hand,
+sensor_node.
 """
 
 import ctypes
@@ -70,7 +71,7 @@ class SensorStruct(ctypes.Structure):
 def _encode_value(value: float, low: float, step: float, offset: int) -> int:
     """Return the 12-bit code of a value.
 
-    The codes 0 and 4095 mean that the value is outside of the range of the codes.
+    The codes 0 and 4095 mean that the encoded value is outside of the range of the codes.
     """
     # In Python and in compiled code, round() rounds a half to the nearest even number.
     return min(_MAX_CHANNEL_CODE, max(0, round((value - low) / step) + offset))
@@ -135,12 +136,12 @@ def read_cells(
 
     Args:
         true_tensions: true tension of each cell [N].
-        bias: bias of each cell [N], which the kernel updates.
-        normal_numbers: random numbers with a normal distribution: one for the drift of each cell's bias,
-            then one for the noise of each cell.
+        bias: bias of each load cell [N], which the kernel updates.
+        normal_numbers: random numbers with a normal distribution: one for the bias drift of each
+            load cell, then one for the noise of each load cell.
         drift: standard deviation of the change of the bias since the last sample [N].
         noise: standard deviation of the noise in a reading [N].
-        readings: reading of each cell [N], written by the kernel.
+        readings: reading of each load cell [N], written by the kernel.
     """
     channels = len(true_tensions)
     for i in range(channels):

@@ -93,7 +93,7 @@ class Camera:
             mujoco.mjtCatBit.mjCAT_ALL.value,
             self._scene,
         )
-        # Another camera of this process has possibly made its own graphics context the current
+        # Another camera of the process has possibly made its own graphics context the current
         # context.
         self._gl.make_current()
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
@@ -140,7 +140,7 @@ def _open_graphics(width_px: int, height_px: int) -> Any:
 
 def _graphics_errors() -> tuple[type[Exception], ...]:
     """Return the exceptions with which graphics libraries report that they cannot be used."""
-    # If the library lacks an EGL function, an AttributeError is raised.
+    # If the graphics library lacks an EGL function, Python raises an AttributeError.
     graphics_error_types = (
         AttributeError,
         ImportError,

@@ -72,7 +72,7 @@ def _wrapped_tendon_length(arms: Any, i: int, q: float) -> float:
     for k in range(4, PRISMATIC_FLAG_INDEX):
         length += arms[at + k] * power / (k - 3.0)
         power *= angle
-    # Beyond the limits of the joint angle, the moment arm is constant.
+    # At joint angles beyond the limits, the moment arm is constant.
     return float(length + _moment_arm_at(arms, i, q) * (q - angle))
 
 
@@ -148,8 +148,8 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
         # At a prismatic joint, the tendon does not bend.
         if arms[PARAMETERS_PER_PULLEY * i + PRISMATIC_FLAG_INDEX] == 0.0:
             angle += q[joints[i]]
-        # The lines below compute the capstan equation. If the speed is positive, the tendon moves
-        # towards the spool, and friction reduces the tension behind a pulley.
+        # The lines below compute the capstan equation. If the tendon speed is positive, the tendon
+        # moves towards the spool, and friction reduces the tension behind a pulley.
         local_tension = tension * math.exp(-rate * angle)
         torque[joints[i]] += _moment_arm_at(arms, i, q[joints[i]]) * local_tension
         if local_tension < min_tension:
@@ -177,8 +177,8 @@ def _add_tendon_torques(
     speed = 0.0
     for i in range(tendon.first, tendon.end):
         stretch -= _wrapped_tendon_length(arms, i, q[joints[i]])
-        # The stretch of a tendon is the excursion of the spool minus the excursions of the joints.
-        # A positive spool angle winds the tendon up, and a positive joint angle closes the digit.
+        # The stretch of a tendon is the travel at the spool minus the excursions at the joints. A
+        # positive spool angle winds the tendon up, and a positive joint angle closes the digit.
         speed += _moment_arm_at(arms, i, q[joints[i]]) * dq[joints[i]]
     tension = 0.0
     if stretch > 0.0:
@@ -250,7 +250,7 @@ def limit_torque_by_speed(
     sign = 1.0 if rotor.gain > 0.0 else -1.0
     mass = inertia + rotor.viscous
     push = inertia * rotor.omega + rotor.gain * (1.0 - rotor.lag) * rotor.torque - drag_torque
-    # The next lines solve limit = slope (+-speed - omega), where omega = (push + gain lag limit) /
+    # The lines below solve limit = slope (+-speed - omega), where omega = (push + gain lag limit) /
     # mass.
     scale = mass + slope * abs(rotor.gain) * rotor.lag
     max_torque = (slope * speed * mass - sign * slope * push) / scale
@@ -265,10 +265,10 @@ def limit_torque_by_speed(
 def compute_command(rotor: Any) -> None:
     """Compute the limited torque command of the servo from the velocity at the end of the step [N m].
 
-    The control loop of a real drive runs at 10 to 20 kHz. The simulation uses the velocity at the
-    end of the step. Because of the velocity at the end of the step, all gains that are stable in
-    the drive are stable in the simulation. If a drive moves its position setpoint itself, the
-    kernel first moves the setpoint to its value at the end of the step.
+    The control loop of a real drive runs at 10 to 20 kHz. The simulation uses the velocity of the
+    rotor at the end of the step. Because of the velocity at the end of the step, all gains that are
+    stable in the drive are stable in the simulation. If a drive moves its position setpoint itself,
+    the kernel first moves the setpoint to its value at the end of the step.
     """
     servo = rotor.own_servo
     filter_fraction = rotor.lag
@@ -324,8 +324,8 @@ def integrate_motor(rotor: Any) -> None:
     torque = rotor.torque + rotor.lag * (rotor.command - rotor.torque)
     push = rotor.impedance * rotor.omega + rotor.gain * torque - rotor.drag
     omega = push / (rotor.impedance + rotor.viscous)
-    # The rotor angle comes last, because it is computed from the new velocity (semi-implicit
-    # Euler).
+    # The rotor angle is integrated last, because it is computed from the new velocity
+    # (semi-implicit Euler).
     rotor.torque = torque
     rotor.omega = omega
     rotor.theta += rotor.step * omega
@@ -377,8 +377,8 @@ def step_drivetrain(
         dq: joint velocities [rad/s].
         torque: joint torques, written by the kernel [N m].
         damping: damping of each tendon, written by the kernel [N s/m].
-        all_rotors: True to step all rotors. False to leave out the rotors whose attribute
-            ``steps_alone`` is set.
+        all_rotors: True to step all rotors. False to step only the rotors whose attribute
+            ``steps_alone`` is not set.
     """
     for i in range(len(torque)):
         torque[i] = 0.0
@@ -422,7 +422,7 @@ def _integrate_steps(
 
     Returns:
         Number of completed steps. The number of steps is less than ``count`` if the simulation has
-            diverged, and 0 if a motor has a fault.
+        diverged, and 0 if a motor has a fault.
     """
     for i in range(len(rotors)):
         if rotors[i].faulty:

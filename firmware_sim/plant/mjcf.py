@@ -78,11 +78,11 @@ _OPTIONS = f"""
 def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
     """Build the model of a hand and a scene as MJCF text.
 
-    The joints have the same order as in the hand. In qpos and qvel, the joints of the hand come
-    first, and the free joint of the object follows. The contacts are softer than in section 6 of
-    MODEL. Section 6 gives a solref of 0.002. With a solref of 0.002, the penetration in a grasp
-    would be less than the error of the collision detector, so that contacts would vanish for single
-    steps. Source of the other settings: MODEL, section 6.
+    The joints in the model have the same order as in the hand. In qpos and qvel, the joints of the
+    hand come first, and the free joint of the object follows. The contacts in the model are softer
+    than in section 6 of MODEL. Section 6 gives a solref of 0.002. With a solref of 0.002, the
+    penetration in a grasp would be less than the error of the collision detector, so that contacts
+    would vanish for single steps. Source of the other settings: MODEL, section 6.
 
     Args:
         hand: description of the hand.
@@ -180,7 +180,7 @@ def _numbers_text(values: Sequence[float]) -> str:
 
 
 def palm_box(hand: Hand, carrier: str) -> tuple[Any, Any]:
-    """Compute the box of a palm: a square box behind the mounts of all digits that a link carries.
+    """Compute the box of a palm, or of a link that carries digits: a square box behind the mounts of the digits.
 
     Args:
         hand: the hand.
@@ -411,7 +411,7 @@ def _loopback_elements(hand: Hand, digit: Digit) -> dict[str, str]:
 
     Returns:
         The loopback tendons by name. In the model, the loopback tendons come after the tendons of
-            ``Hand.all_tendons``.
+        ``Hand.all_tendons``.
     """
     if not digit.coupling or not hand.has_spool_pairs(digit):
         return {}
@@ -481,7 +481,7 @@ def _object_element(grasp_object: GraspObject) -> str:
 
 
 def _table_element(grasp_object: GraspObject, support: SinkingTable | None) -> str:
-    """Build the table under the object. If the scene has no support, the text is empty."""
+    """Build the table under the object. If the scene has no support, the returned text is empty."""
     if support is None:
         return ""
     x, y, z = table_position(grasp_object)

@@ -43,7 +43,7 @@ class Motor:
         torque: torque of the motor, which the drive derives from the current [N m].
         velocity: angular velocity that the drive estimates [rad/s].
         heat: integral of the squared torque since the node last updated its temperatures [N2 m2 s].
-        servo: setpoints and gains of the drive. A fault can replace this servo by the servo of
+        servo: setpoints and gains of the drive. A fault can replace the servo by the servo of
             another motor.
         own_servo: setpoints and gains of the motor itself in the memory of the rotor, for kernels.
         inertia: inertia of the rotor [kg m2].
@@ -63,11 +63,11 @@ class Motor:
         command: torque command of the current loop [N m].
         drag: torque of the load plus Coulomb friction [N m].
         impedance: inertia divided by the step, plus the slope of the friction [N m s/rad].
-        steps_alone: True if the rotor is stepped by Python and not by ``step_drivetrain``.
+        steps_alone: True if Python code steps the rotor, and False if ``step_drivetrain`` steps the
+            rotor.
         number: index of the rotor in the array of all rotors of a hand.
-        encoder_fault: function that changes the measured angle [rad]. None without a fault.
-        power_stage_fault: function that changes the torque command [N m]. None without a
-            fault.
+        encoder_fault: function that changes the measured angle [rad], or None without a fault.
+        power_stage_fault: function that changes the torque command [N m], or None without a fault.
         faulty: True if the encoder or the power stage has a fault.
     """
 

@@ -147,7 +147,7 @@ class Plant:
     def _build_routing(self, is_compiled: bool) -> TendonRouting:
         """Build the tendons of the hand and their pulleys.
 
-        If a tendon names an unknown motor or joint, raise an error.
+        If the description of a tendon names an unknown motor or joint, raise an error.
         """
         hand = self.hand
         motors = [motor.name for motor in hand.motors]
@@ -187,7 +187,7 @@ class Plant:
         for i, (spec, (tendon, motor)) in enumerate(
             zip(self.hand.tendons, self.tendons, strict=False)
         ):
-            # A negative length means that the tendon is unwound.
+            # A negative wound length means that the tendon is unwound from the spool.
             wound_length = -rng.uniform(*INITIAL_SLACK_RANGE_M)
             motor.theta = wound_length / tendon.radius
             if spec.pretension:
@@ -341,7 +341,7 @@ class Plant:
         engine.step()
 
     def _joint_lists(self) -> tuple[list[float], list[float], list[float], list[float]]:
-        """Return the four lists that interpreted kernels need.
+        """Return the four lists that the kernels need when they run as interpreted Python.
 
         The first two lists contain the joint angles and velocities. The other two lists contain
         zeros, which the kernels replace by torques and damping.
@@ -390,7 +390,7 @@ class Plant:
 
         Returns:
             Tensions, shape (tendons,) [N]. The array belongs to the plant, and the next call of the
-                method overwrites the array.
+            method overwrites the array.
         """
         q, dq, *_ = self._bodies or self._joint_lists()
         self._kernels.tensions(*self._drivetrain, q, dq, self._tensions)

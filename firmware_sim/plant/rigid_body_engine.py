@@ -103,9 +103,10 @@ class RigidBodyEngine:
         return lambda: (-data[index]).tolist()  # type: ignore[no-any-return,unused-ignore]
 
     def force_indices(self, sensor_kind: str, digits: list[str]) -> list[int]:
-        """Return the index in ``sensed`` at which the force of each digit begins.
+        """Return, for each digit, the index in ``sensed`` at which the force on this digit begins.
 
-        The forces in ``sensed`` have the opposite sign. See ``make_force_reader``.
+        The forces in ``sensed`` have the opposite sign of the forces on the digits. See
+        ``make_force_reader``.
         """
         return [self._sensor_index(f"{sensor_kind}/{digit}") for digit in digits]
 
@@ -178,7 +179,7 @@ class RigidBodyEngine:
         mujoco.mj_forward(self._model, self._data)
 
     def push_object(self, force: list[float]) -> None:
-        """Apply a constant force to the centre of the object: x, y, z in the palm frame [N]."""
+        """Apply a constant force (x, y, z in the palm frame) to the centre of the object [N]."""
         self._data.xfrc_applied[self._model.body("object").id, :3] = force
 
     def set_friction(self, coefficient: float) -> None:

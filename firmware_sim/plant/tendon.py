@@ -45,7 +45,8 @@ class Tendon:
         after_knee: stiffness of the tendon at tensions far above the knee [N/m].
         knee: highest tension at which the stiffness is constant [N].
         knee_stretch: stretch of the tendon at the knee [m].
-        knee_width: width of the transition at the knee, as a difference of stretch [m].
+        knee_width: width of the transition at the knee, as a difference of the tendon's stretch
+            [m].
         damping: viscous damping of the tendon [N s/m].
         friction: coefficient of friction of the tendon in the capstan equation.
         wrap: wrap angle of the tendon before the first joint [rad].

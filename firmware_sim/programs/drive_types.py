@@ -43,7 +43,7 @@ def drive_spec(
         node_id: node number of the drive.
         motor_type: motor type of the protocol, such as a key of ``MIT_PROTOCOL_BY_MOTOR_TYPE``, empty for the
             default of the protocol.
-        fd: True for an MIT motor that has been set to CAN FD.
+        fd: True for an MIT motor whose settings select CAN FD.
         inertia: inertia of the shaft [kg m2], or None for the default inertia of the motor type.
         firmware: firmware version of an ODrive, 0.6 or 0.5. Drives with other protocols ignore the
             firmware version.

@@ -130,7 +130,7 @@ def load_scene(text: str | None) -> Scene:
 def _resized_scene(scene: Scene, diameter_text: str, text: str) -> Scene:
     """Return the scene with another diameter of the object.
 
-    The gap between the object and the palm stays the same.
+    The gap between the object and the palm does not change with the diameter.
     """
     try:
         diameter = float(diameter_text) * 1e-3

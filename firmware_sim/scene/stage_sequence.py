@@ -19,8 +19,8 @@ Vector = tuple[float, float, float]
 class SceneStage:
     """One stage of a scene.
 
-    The first stage starts when the table starts to sink. Each later stage starts when the previous
-    stage ends.
+    The first stage of a scene starts when the table starts to sink. Each later stage starts when
+    the previous stage ends.
 
     Attributes:
         gravity_direction: unit vector of gravity in the palm frame after the turn of the hand. If

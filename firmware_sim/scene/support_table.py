@@ -27,8 +27,8 @@ def is_object_grasped(
             values.
         force_indices: index in ``contact_forces`` of the first value of each digit, shape
             (digits,).
-        is_opposed: 1 for each digit that closes against the first digit, and 0 for the others, shape
-            (digits,).
+        is_opposed: 1 for each digit that closes against the first digit, and 0 for the other
+            digits, shape (digits,).
         min_force_squared: square of the smallest force with which a digit counts as pressing [N2].
         digits: number of digits that must press.
         both_sides: True if digits on both sides of the object must press.
@@ -67,10 +67,11 @@ class SupportTable:
         Args:
             support: description of the table, from the scene.
             opposed: True for each digit that closes against the first digit.
-            indices: index at which the force of each digit begins. By default, the forces are three
-                values for each digit, one digit after the other.
-            kernels: compiled kernels of this module, for forces in an array. If None, the
-                Python functions are used.
+            indices: for each digit, the index in ``forces`` at which the force on this digit
+                begins. By default, the forces are three values for each digit, one digit after the
+                other.
+            kernels: compiled kernels of this module, for forces in an array. If None, the table
+                uses the Python functions.
         """
         self._support = support
         start_indices = list(indices) or list(range(0, 3 * len(opposed), 3))

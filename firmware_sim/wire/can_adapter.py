@@ -75,9 +75,9 @@ class AdapterLatency:
         self._sent_ns = self._received_ns = 0
 
     def send(self, t_ns: int) -> int:
-        """Return the time when a frame of the host arrives at the controller [ns].
+        """Return the time when a frame of the host arrives at the CAN controller [ns].
 
-        ``t_ns`` is the time when the host sends the frame.
+        The argument ``t_ns`` is the time when the host sends the frame.
         """
         adapter = self._adapter
         start_ns = self._next_period_start(t_ns, adapter.send_period_ns)
@@ -87,7 +87,7 @@ class AdapterLatency:
     def receive(self, t_ns: int) -> int:
         """Return the time when a frame from the wire arrives at the host [ns].
 
-        ``t_ns`` is the time when the controller receives the frame.
+        The argument ``t_ns`` is the time when the CAN controller receives the frame.
         """
         adapter = self._adapter
         start_ns = self._next_period_start(t_ns, adapter.receive_period_ns)
@@ -95,7 +95,7 @@ class AdapterLatency:
         return self._received_ns
 
     def _next_period_start(self, t_ns: int, period_ns: int) -> int:
-        """Return the start of the next transfer period [ns]."""
+        """Return the start of the next transfer period of the adapter [ns]."""
         if not period_ns:
             return t_ns
         period = period_ns * (1.0 + CLOCK_DRIFT)

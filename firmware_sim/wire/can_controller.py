@@ -225,7 +225,7 @@ class CanController:
         return self.state != state_before
 
     def _status_bits(self) -> int:
-        """Return the bits of data[1] in an error frame for the present state."""
+        """Return the bits of data[1] in an error frame for the present error state."""
         if self.state == CanErrorState.ACTIVE:
             return ERROR_ACTIVE
         limit, receive, send = (
@@ -243,7 +243,7 @@ class CanController:
         Args:
             error_class: error classes.
             t_ns: present time [ns].
-            extra_bytes: further bytes of the payload, by their position.
+            extra_bytes: further bytes of the payload, by the position of the byte.
         """
         if not self.on_receive:
             return

@@ -44,7 +44,7 @@ class BitRates:
     counts_actual_stuffing: bool = False
 
     def duration_of_bits_ns(self, count: int) -> int:
-        """Return the duration of a number of nominal bits [ns]."""
+        """Return the duration of the given number of bits at the nominal bit rate [ns]."""
         return round(count * 1e9 / self.nominal)
 
     def frame_duration_ns(self, frame: Frame) -> int:
@@ -63,9 +63,9 @@ class BitRates:
 def arbitration_priority(can_id: int) -> int:
     """Return the arbitration field of a frame as a number.
 
-    The frame with the lowest number wins the arbitration.
+    The frame with the lowest arbitration field wins the arbitration.
 
-    Arbitration cannot decide between frames with equal numbers.
+    Arbitration cannot decide between frames with equal arbitration fields.
     """
     is_remote = bool(can_id & REMOTE_FLAG)
     if can_id & EXTENDED_FLAG:

@@ -23,7 +23,7 @@ ERROR_FLAGS_BITS = 12 + 8
 ERROR_FLAG_BITS = 6 + 8
 """Number of bits of the error flag of a sender that is alone on the bus, plus the bits of the error delimiter."""
 END_OF_FRAME_BITS = 1 + 7
-"""Number of bits that a destroyed frame does not reach: acknowledge delimiter and end of frame."""
+"""Number of the last bits of a frame that a destroyed frame does not reach: acknowledge delimiter and end of frame."""
 SUSPEND_BITS = 8
 """Number of bits for which an error-passive sender must wait after a frame."""
 RECOVERY_BITS = 128 * 11
@@ -37,7 +37,7 @@ class WireOptions:
     Attributes:
         queue: largest number of frames in the queue of a controller.
         error_rate: fraction of the frames that the wire destroys at random.
-        restart_ms: time from the state bus-off until the controller is restarted [ms]. If the value
+        restart_ms: time from the state bus-off until the controller is restarted [ms]. If the time
             is negative, the controller is not restarted.
         seed: seed of the random errors.
     """
@@ -222,7 +222,7 @@ class SimulatedWire:
                 controller.deliver(frame, t_ns)
 
     def _destroy_frame(self, senders: list[CanController], t_ns: int) -> None:
-        """Count an error in all controllers, because a frame was destroyed.
+        """Count an error in all controllers, because a frame was destroyed on the wire.
 
         The senders keep the frame in their queues for a retry.
         """

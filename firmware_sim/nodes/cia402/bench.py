@@ -1,4 +1,4 @@
-"""CiA 402 drives on a bench, with the settings as delivered.
+"""CiA 402 drives on a test bench, with the settings of a drive as delivered.
 
 The data of the free shaft are assumptions.
 """
@@ -9,7 +9,7 @@ from firmware_sim.nodes.cia402.node import Cia402Node, Cia402NodeRow
 from firmware_sim.nodes.protocol_spec import CIA402_KIND, FRAME_FOR_NO_NODE, ProtocolSpec, ShaftSpec
 
 VALID_NODE_NUMBERS = range(1, 0x7F)
-"""Valid node numbers of drives. The last node number of CANopen, 127, belongs to handctl."""
+"""Valid node numbers of drives. The last node number of CANopen, 127, is the node number of handctl."""
 
 
 TEST_BENCH_SHAFT = ShaftSpec(1.0, 5e-5, 0.08, top_speed=24.0 / 0.08, stall_torque=4.0)

@@ -43,9 +43,9 @@ SPEED_LIMIT_BAND = 0.1
 The range of speed is an assumption.
 """
 _MAX_INT16 = (1 << 15) - 1
-"""Maximum value of a signed object of two bytes."""
+"""Maximum value of an object with a signed data type of two bytes."""
 _MAX_INT32 = (1 << 31) - 1
-"""Maximum value of a signed object of four bytes."""
+"""Maximum value of an object with a signed data type of four bytes."""
 
 
 class Cia402Struct(ctypes.Structure):

@@ -13,8 +13,8 @@ Source: fact sheet cia402 and CiA 402-2 (IEC 61800-7-201).
 
 The units are count, 1/min, 1/min/s and thousandths of the rated torque, as in 0x6064, 0x606C and
 0x6071. Bit 11 of the status word is set while a position limit (0x607D) or the speed limit (0x6080)
-acts. A following error above 0x6065 for longer than 0x6066 causes fault 0x8611. With 0xFFFFFFFF in
-0x6065, no following error causes a fault.
+acts. A following error above the value of object 0x6065 causes fault 0x8611 after the time in
+object 0x6066. With the value 0xFFFFFFFF in object 0x6065, no following error causes a fault.
 
 Choices of this simulation:
 
@@ -22,8 +22,9 @@ Choices of this simulation:
   Object 0x60FF is kept.
 - In cyclic position mode, positions are interpolated over the period in object 0x60C2.
 - In profile position mode, the drive stores one set-point in addition to the active set-point.
-- After homing, the home position has the value of 0x607C. The methods 33 and 34 move to the next
-  index pulse. With the methods 35 and 37, the present position becomes the home position.
+- After homing, the position at home equals the value of object 0x607C. The methods 33 and 34 move
+  to the next index pulse. With the methods 35 and 37, the present position becomes the home
+  position.
 - The gains of the position and velocity controllers are assumed.
 """
 
@@ -87,7 +88,7 @@ class MotionModes:
     """
 
     def __init__(self, node: Any) -> None:
-        """Use the objects and the rotor of a drive, see ``node.Cia402Node``."""
+        """Connect the modes to the objects and the rotor of a drive, see ``node.Cia402Node``."""
         self._node = node
         self._demand = MotionSetpoint()
         self._position_at_spool = MotionSetpoint()

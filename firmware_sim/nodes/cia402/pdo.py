@@ -38,7 +38,7 @@ class NodePdos:
     """The received and sent PDOs of one node."""
 
     def __init__(self, objects: ObjectDictionary) -> None:
-        """Use the communication and mapping objects of an object dictionary."""
+        """Connect the PDOs to the communication and mapping objects of an object dictionary."""
         self._objects = objects
         self._waiting: dict[int, bytes] = {}
 
@@ -62,7 +62,7 @@ class NodePdos:
         self._objects.write(key, value_bytes)
 
     def _check_mapping(self, mapping_index: int, entry_count: int) -> None:
-        """Check that a mapping has an allowed number of entries and an allowed length."""
+        """Check that the mapping of a PDO has an allowed number of entries and an allowed total length."""
         if entry_count > 4:
             raise SdoAbort(ABORT_VALUE_OUT_OF_RANGE)
         if sum(self._objects[mapping_index, i + 1] & 0xFF for i in range(entry_count)) > 64:

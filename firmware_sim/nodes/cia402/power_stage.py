@@ -62,7 +62,7 @@ class PowerStage:
             self.state = OFF_STATE if is_reset_edge else FAULT_STATE
             return
         if not control_word & 0x02 or not control_word & 0x04:
-            self.state = OFF_STATE  # The control word commands *disable voltage* or *quick stop*.
+            self.state = OFF_STATE  # In the branch below, the control word commands *disable voltage* or *quick stop*.
         elif control_word & 0x07 == 0x06:
             self.state = READY_STATE
         elif self.state != OFF_STATE and control_word & 0x0F == 0x0F:

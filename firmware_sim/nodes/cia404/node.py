@@ -229,7 +229,8 @@ class AmplifierNode:
     def _send_tpdos(self, is_due: Callable[[int], bool]) -> None:
         """Send all TPDOs that are due.
 
-        The function ``is_due`` returns True if the transmission type of a TPDO is due.
+        The argument ``is_due`` is a function that takes a transmission type, and returns True if
+        TPDOs of this type are due.
         """
         self._sample_load_cells()
         for i in range(TPDO_COUNT):

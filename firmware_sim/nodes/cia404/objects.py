@@ -35,7 +35,7 @@ PDO_DISABLED_BIT = 1 << 31
 NEWTON_UNIT = 0x0021_0000
 """Number of the unit newton in object 0x6131. Source: CiA 303-2."""
 MANUFACTURER_UNIT = 0x00FD_0000
-"""Number of the maker's unit in object 0x6131, until a host sets another unit."""
+"""Number of the maker's unit, which object 0x6131 has until a host sets another unit."""
 TPDO_COUNT = 4
 """Number of TPDOs of an amplifier."""
 ABORT_NOT_MAPPABLE = 0x06040041
@@ -49,7 +49,7 @@ POSITIVE_OVERLOAD_STATUS = 2
 NEGATIVE_OVERLOAD_STATUS = 4
 """Status bit: the reading is below the range."""
 OVERLOAD_RATIO = 1.03125
-"""Smallest reading that counts as overload, divided by the rated load.
+"""Smallest reading of a load cell that counts as overload, divided by the rated load.
 
 Source: WIKA MH-4-CAN, overload at 3.125 % beyond the range.
 """

@@ -103,7 +103,7 @@ DM8009. The client refuses a motor whose register differs from the table. The ge
 other types are assumptions: the last two digits of the type, and 1 for motors without a gear.
 """
 STALL_TORQUE_RATIO = 2.0
-"""Stall torque divided by TMAX, for motor types without a published rating.
+"""Ratio of the stall torque to TMAX, for motor types without a published rating.
 
 The no-load speed of motor types without a published rating is VMAX.
 

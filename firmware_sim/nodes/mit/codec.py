@@ -170,8 +170,8 @@ def write_feedback(
         | value_to_code(v, velocity, 12) << 12
         | value_to_code(t, torque, 12)
     )
-    # The most significant byte is first converted to a signed byte. In compiled code, the shift of
-    # an unsigned byte above 127 would overflow 64 bits.
+    # The code first converts the most significant byte to a signed byte. In compiled code, the
+    # shift of an unsigned byte above 127 would overflow 64 bits.
     signed_byte = state_and_id_byte - 256 if state_and_id_byte > 127 else state_and_id_byte
     return (
         signed_byte << 56
@@ -192,8 +192,8 @@ def apply_command(node: Any, servo: Any, command_word: int) -> None:
     """
     ranges = node.position_range, node.velocity_range, node.torque_range
     position, velocity, servo.kp, servo.kd, torque = read_command(command_word, *ranges)
-    # An angle in a frame is converted to the spool: subtract the encoder offset, and then apply the
-    # direction of the motor.
+    # To convert an angle in a frame to a spool angle, subtract the encoder offset, and then apply
+    # the direction of the motor.
     servo.position = node.direction * (position - node.offset)
     servo.velocity = node.direction * velocity
     servo.torque = node.direction * torque

@@ -26,7 +26,7 @@ from firmware_sim.nodes.motion_control import (
 )
 
 NEVER_NS = (1 << 63) - 1
-"""Time of the next update of a motor without a setpoint: never [ns]."""
+"""Time of the next update for a motor without a setpoint, which means never [ns]."""
 
 
 class MotionModes:
@@ -37,7 +37,7 @@ class MotionModes:
     """
 
     def __init__(self, node: Any) -> None:
-        """Use the registers and the rotor of a motor, see ``node.MitNode``."""
+        """Connect the modes to the registers and the rotor of a motor, see ``node.MitNode``."""
         self._node = node
         self._setpoint = MotionSetpoint()
         self._cascade = CascadeController(node.motor)

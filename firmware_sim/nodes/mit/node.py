@@ -4,9 +4,9 @@ Source: fact sheet mit_damiao.
 
 Choices of this simulator where the fact sheet has only an assumption:
 
-- Commands to ESC_ID restart the watchdog, but requests for registers do not. The manual only says
-  "no CAN commands within the interval". Therefore the option ``watchdog`` can select another
-  behaviour from ``WATCHDOG_BEHAVIOURS``.
+- Commands to ESC_ID restart the watchdog, but requests for registers do not. The condition for the
+  watchdog in the manual is only "no CAN commands within the interval". Therefore the option
+  ``watchdog`` can select another behaviour from ``WATCHDOG_BEHAVIOURS``.
 - The special command FE (set zero) has an effect only while the motor is disabled.
 - The motor answers a command for another mode than the mode in CTRL_MODE, but the command has no
   effect.
@@ -121,7 +121,8 @@ class MitNode:
         velocity_range: largest velocity in frames, register 22 [rad/s].
         mode: control mode, register 10.
         torque_range: largest torque in frames, register 23 [N m].
-        direction: +1 or -1, the sign between the motor angle and the spool angle.
+        direction: +1 if the motor angle grows with the spool angle, and -1 if the motor angle
+            falls.
     """
 
     state: int
@@ -353,7 +354,7 @@ class MitNode:
         """Restore the saved registers, but keep the state of the motor.
 
         Args:
-            torque_max: new value of TMAX [N m], or 0 for the saved value.
+            torque_max: new value of the register TMAX [N m], or 0 to keep the saved value.
         """
         self.registers.power_cycle()
         if torque_max:

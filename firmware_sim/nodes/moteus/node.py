@@ -6,7 +6,7 @@ registers take effect. Therefore the reply contains the mode that the drive had 
 a subframe is unknown, the drive ignores the rest of the frame.
 
 In position mode, the drive moves the commanded position with the commanded velocity until the next
-command. A command without a position keeps the present target.
+command. A command without a position keeps the present target position.
 
 Choices of this simulator where the fact sheet has only an assumption:
 
@@ -176,7 +176,7 @@ class MoteusNode:
         """Execute a subframe that writes or reads registers.
 
         Returns:
-            The bytes to add to the reply, or None if the rest of the frame is meant for another
+            The bytes to add to the reply, or None if the rest of the payload is meant for another
             controller.
         """
         kind = subframe >> 2 & 3
@@ -199,7 +199,7 @@ class MoteusNode:
     def _read_registers(self, value_type: int, count: int, first_register: int) -> bytes:
         """Return the reply to a request that reads registers.
 
-        If a register has no value, the reply ends with an error for this register.
+        If a requested register has no value, the reply ends with an error for this register.
         """
         values = list[bytes]()
         error = b""
@@ -459,7 +459,7 @@ class MoteusNode:
     def trip(self, fault: int) -> None:
         """Enter the mode *fault* with a given code.
 
-        With the code TIMEOUT, enter the mode *timeout* without a fault code.
+        With the fault code TIMEOUT, enter the mode *timeout* and set no fault code.
         """
         self.motor.servo.release()
         self._has_target = False

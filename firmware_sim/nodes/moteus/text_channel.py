@@ -68,7 +68,7 @@ class TextChannel:
             self._line = b""
 
     def read(self, max_bytes: int) -> bytes:
-        """Take at most ``max_bytes`` bytes from the unread answers."""
+        """Remove at most ``max_bytes`` bytes from the unread answers, and return these bytes."""
         sent_bytes = self.out[:max_bytes]
         self.out = self.out[max_bytes:]
         return sent_bytes

@@ -79,7 +79,7 @@ def set_torque(node: Any, servo: Any, torque: float, t_ns: int) -> None:
 
     In torque control without a ramp, the drive follows the setpoint at once.
 
-    The setpoint restarts the watchdog in every control mode.
+    The torque setpoint restarts the watchdog in every control mode.
     """
     node.watchdog_fed_ns = t_ns
     node.setpoint = torque
@@ -115,8 +115,8 @@ def trip_at_speed_limit(node: Any, servo: Any) -> None:
 
     In torque control, the drive brakes if the speed is above the speed limit
     (``enable_torque_mode_vel_limit``, on by default). In velocity control, the drive limits the
-    setpoint of the velocity. In both control modes, the torque is gain (limit - velocity). Source:
-    ODrive firmware 0.5.6, ``controller.cpp``, limitVel.
+    velocity setpoint. In both control modes, the torque is gain (limit - velocity). Source: ODrive
+    firmware 0.5.6, ``controller.cpp``, limitVel.
     """
     servo.speed_limit = node.velocity_limit * TURN_RAD / node.gear
     servo.speed_gain = node.velocity_gain / TURN_RAD * node.gear * node.gear

@@ -4,15 +4,16 @@
     input mode   1 setpoint as received, 2 velocity ramp, 3 position filter, 5 trapezoid, 6 torque ramp
 
 The inputs are the values of Set_Input_Pos, Set_Input_Vel and Set_Input_Torque. Each of the three
-messages sets its inputs in every mode. A mode uses only the inputs that it needs. Gains, filter,
-ramps and integrator are the same as in the ODrive firmware (MIT licence), controller.cpp. While the
-torque is limited, the integrator decays. In each step, the drive plans the rest of the trapezoid
-again. The trapezoid differs from trapTraj.cpp only if the target changes during the motion.
+messages sets its inputs in every mode. Each control mode uses only the inputs that it needs. Gains,
+filter, ramps and integrator are the same as in the ODrive firmware (MIT licence), controller.cpp.
+While the torque is limited, the integrator decays. In each step, the drive plans the rest of the
+trapezoid again. The trapezoid differs from trapTraj.cpp only if the target changes during the
+motion.
 
-The simulation differs from the firmware in the following points. A speed above the limit is not an
-error, because the position controller limits the velocity demand. Input mode 0 (inactive) keeps the
-last setpoint. The list above contains all simulated modes. The firmware refuses other modes, but
-the simulation ignores commands of other modes.
+The simulation differs from the firmware in the following points. A speed above the velocity limit
+is not an error, because the position controller limits the velocity demand. Input mode 0 (inactive)
+keeps the last setpoint. The list above contains all simulated modes. The firmware refuses other
+modes, but the simulation ignores commands of other modes.
 """
 
 import math

@@ -135,11 +135,12 @@ class OdriveNode:
         active_errors: bits of the present errors.
         disarm_reason: bits of the errors that have disarmed the axis since the last Clear_Errors.
         result: result of the last procedure.
-        endpoints: bytes of the stored settings by endpoint number, such as enable_watchdog,
+        endpoints: stored settings as bytes, by endpoint number. Examples are enable_watchdog,
             watchdog_timeout and the torque limits.
         control_mode: control mode, which selects the controlled quantity.
         input_mode: input mode, which selects how setpoints follow the inputs.
-        setpoint: torque setpoint, or feedforward torque in other control modes [N m].
+        setpoint: torque setpoint in torque control, or feedforward torque in other control modes [N
+            m].
         motion: position control, velocity control and input modes of the axis.
         motion_due_ns: time of the next update of ``motion_modes`` [ns], 0 in torque control without a
             ramp.
@@ -293,7 +294,7 @@ class OdriveNode:
     def _get_payload(self, command: int) -> bytes:
         """Return the payload of a Get message.
 
-        If the firmware has no such message, the payload is empty.
+        If the firmware does not have the message, the payload is empty.
         """
         gear = self.gear
         sign = self.direction

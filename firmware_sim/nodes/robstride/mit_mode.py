@@ -49,7 +49,7 @@ POSITION_RANGE = 12.57
 FACTORY_HOST_ID = 0
 """Number of the host in a motor as delivered."""
 HOST_ID_OFFSET = 0x10
-"""The host's number minus the motor's number, if the hand file does not give ``host_id``."""
+"""Number of the host minus number of the motor, if the hand file does not give ``host_id``."""
 _SPECIAL_COMMAND_START = b"\xff" * 6
 """First six bytes of a special command."""
 
@@ -134,7 +134,7 @@ class RobstrideMitNode(RobstrideNode):
         return [self._feedback_frame(frame)]
 
     def _set_run_mode(self, mode: int) -> None:
-        """Set the mode of operation, unless the motor is in run mode."""
+        """Set the mode of operation (0, 1 or 2), unless the motor is enabled."""
         if self.mode != RUN_MODE:
             self.parameters[0x7005] = bytes(((0, 5, 2)[mode], 0, 0, 0))
 
@@ -209,7 +209,7 @@ def _corrupt_command(frame: Frame) -> Frame:
 
 
 def _force_command(node: RobstrideMitNode, frame: Frame) -> None:
-    """Follow a control command in any mode of the motor."""
+    """Follow an MIT control command in any mode of the motor."""
     if (
         frame.can_id == node.node_id
         and len(frame.data) == 8

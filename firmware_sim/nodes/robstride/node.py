@@ -68,7 +68,7 @@ FAULT_REPORT_BITS = {
 FEEDBACK_FAULTS = 0x3F
 """Mask of the faults that the feedback can report.
 
-Faults with higher bits appear only in the fault report, see ``FAULT_REPORT_SHIFT``.
+Faults with higher bit numbers appear only in the fault report, see ``FAULT_REPORT_SHIFT``.
 """
 FAULT_REPORT_SHIFT = 8
 """Number of the bit in ``fault`` that corresponds to bit 0 of the fault report."""

@@ -41,7 +41,8 @@ class CampaignReport:
         control_rates_hz: control rate by protocol [Hz].
         results: results of the scenarios, by protocol.
         false_alarms: false alarms of each protocol, by the name of the protocol. A false alarm is a
-            fault with reaction HOLD or a more severe one in a run without injected faults.
+            fault that the controller reports in a run without injected faults, with reaction HOLD
+            or a more severe reaction.
         simulated_s: simulated time of the runs without faults, for all protocols together [s].
     """
 
@@ -53,7 +54,7 @@ class CampaignReport:
 
     @property
     def all_results(self) -> list[ScenarioResult]:
-        """Return the results of the scenarios for all protocols."""
+        """Return the results of the scenarios of all protocols in one list."""
         return [result for results in self.results.values() for result in results]
 
     def as_json(self) -> dict[str, Any]:
@@ -138,8 +139,8 @@ def run_campaign(
         on_failure: function called with the simulation of a failed scenario, and with the result.
         row_ids: ids of the rows of the fault matrix to run. If no ids are given, all rows are run.
         fault_free_only: True to run only the runs without faults, and no scenarios.
-        seed: seed of the scenarios and of the first run without faults. Each later run without
-            faults has the next seed.
+        seed: seed of the scenarios and of the first run without faults. For each later run without
+            faults, the seed is increased by 1.
     """
     report = CampaignReport(name)
     for protocol in protocols:

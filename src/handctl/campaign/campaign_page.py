@@ -88,7 +88,8 @@ def _slowest_result_per_row(results: Iterable[ScenarioResult]) -> list[ScenarioR
         current = slowest_by_row.get(result.id)
         if current is None or reaction_time_ratio(result) > reaction_time_ratio(current):
             slowest_by_row[result.id] = result
-    # The rows are in the order of the fault catalogue: bus, node, tendon, host, interface.
+    # The rows of the table are in the order of the fault catalogue: bus, node, tendon, host,
+    # interface.
     return sorted(
         slowest_by_row.values(), key=lambda result: ("BNTHI".index(result.id[0]), result.id)
     )

@@ -84,7 +84,8 @@ class FaultMatrixRow(NamedTuple):
         needs_prompt_torque: True if the fault shows only in a load cell, or in the torque that the
             reply to a command contains. For such a fault, drives that report the torque in a
             separate frame need a load cell.
-        extra_ms_without_load_cell: further time if the tendon of the fault has no load cell [ms].
+        extra_ms_without_load_cell: further time that is allowed for the reaction if the tendon of
+            the fault has no load cell [ms].
         extra_sensor_frames: number of further frames of the sensor node that the detection needs.
             ``max_ticks`` contains one tick for each further frame of the sensor node. If the hand
             has no load cells, the sensor node sends only joint frames, and each comes after
@@ -178,7 +179,7 @@ CUT = SafetyAction.CUT
 SINGLE_ANSWER_PROTOCOLS = (MIT, CIA402, MOTEUS, ROBSTRIDE)
 """Protocols whose drives send exactly one answer to each command."""
 READBACK_PROTOCOLS = (MIT, ODRIVE, MOTEUS, ROBSTRIDE)
-"""Protocols with which the host can read the temperature of a drive, and detect that a drive receives no commands."""
+"""Protocols by which the host can read a drive's temperature, and detect that a drive receives no commands."""
 PROTOCOLS_WITH_11_BIT_IDS = (MIT, ODRIVE, CIA402)
 """Protocols whose drives answer with 11-bit identifiers."""
 

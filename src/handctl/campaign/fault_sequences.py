@@ -34,7 +34,7 @@ from handctl.runtime.mailbox import CLEAR_REQUEST, STOP_REQUEST
 from handctl.session.lockstep_simulation import SimulatedRun
 
 SEQUENCE_TICKS = 200
-"""Length of a sequence, after which the hand is stopped [ticks]."""
+"""Length of a sequence [ticks]. After the sequence, a request stops the hand."""
 MIN_FAULTS = 2
 MAX_FAULTS = 6
 """Largest number of faults in a sequence."""
@@ -45,7 +45,7 @@ PERMANENT_FAULTS = ("snap", "slack")
 HOST_FAULT_FRACTION = 0.2
 """Fraction of a sequence's steps that are requests or faults of the host."""
 BRIEF_FAULT_FRACTION = 0.6
-"""Fraction of the simulator's faults in a sequence that end by themselves."""
+"""Fraction of the faults of the simulator in a sequence that end by themselves."""
 HOST_FAULT_TEXTS = (
     f"{HOST_FAULT_PREFIX}ask stop",
     f"{HOST_FAULT_PREFIX}ask clear",
@@ -55,7 +55,7 @@ HOST_FAULT_TEXTS = (
 )
 """Requests and faults of the host that a sequence can contain."""
 SHUTDOWN_TIMEOUT_S = 2.5
-"""Time for which a run is observed after the stop [s].
+"""Time for which a run is observed after the stop request [s].
 
 The observation time is long enough for relaxing and disarming with their timeouts, and for the
 heartbeat of an ODrive.
@@ -268,7 +268,7 @@ def violations_in_tick(
         state_after.view("setpoint") > state_before.view("setpoint") + 1e-9
     ):
         violations.append("a setpoint rises while the hand relaxes")
-    # The relative tolerance covers the rounding of torques that the CAN frames cause.
+    # The relative tolerance covers the rounding of torques in CAN frames.
     if state_after.mode == HandMode.RELAX and np.any(
         state_after.view("asked") > np.maximum(state_before.view("asked"), 0.0) * (1.0 + 1e-9)
     ):
@@ -285,7 +285,7 @@ def _tension_bound(
     drive pulls until its watchdog has fired.
     """
     # Without a runaway drive, the bound is the larger of two tensions: the largest trip tension,
-    # and the largest tension at the start.
+    # and the largest tension at the start of the sequence.
     limits = simulation.controller.derived_constants.limits
     model = simulation.controller.model
     if not any(step.fault.startswith(RUNAWAY_FAULT) for step in sequence.steps):

@@ -50,7 +50,7 @@ CAMPAIGN_TASK: dict[str, Any] = {
 RUN_STAGES = (ARMING_STAGE, FREE_MOTION_STAGE, GRASP_STAGE)
 """Stages of a run in the order of time."""
 FREE_MOTION_STAGE_DELAY_S = 0.2
-"""Time from the start of the free motion to the stage FREE, at which faults are injected [s]."""
+"""Time from the start of the free motion to the stage at which faults are injected into the free motion [s]."""
 STAGE_TIMEOUT_S = 12.0
 """Longest simulated time until a run reaches the next stage [s]."""
 

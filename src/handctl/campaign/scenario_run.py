@@ -49,8 +49,8 @@ class ScenarioResult:
         scenario: description of the scenario.
         id: id of the scenario's row in the fault matrix.
         stage: stage of the run at which the fault was injected.
-        effect_count: number of times that the injected fault took effect. Without an effect, the
-            scenario is not a valid test.
+        effect_count: number of times that the injected fault took effect. If the fault had no
+            effect, the scenario is not a valid test.
         ticks: number of ticks from the physical event to the frames with the reaction. If the
             detection needs a change of the motor force, the ticks count from this change. The
             number is -1 without a reaction.
@@ -82,8 +82,8 @@ class ScenarioResult:
 
     def as_json(self) -> dict[str, Any]:
         """Return the result as plain values for JSON."""
-        # The keys must stay equal to those of the report file, because other programs read that
-        # file.
+        # The keys must stay equal to the keys in the report file, because other programs read the
+        # report file.
         keys = {
             "effect_count": "felt",
             "detected_by": "found",
@@ -247,7 +247,7 @@ def runaway_tension(
 def _first_effect_ns(simulation: SimulatedRun, host: "HostFault | None", start_ns: int) -> int:
     """Return the time at which the injected fault first took effect [ns].
 
-    The time is -1 if the fault has had no effect yet.
+    If the fault has had no effect yet, the returned time is -1.
     """
     if host is not None:
         return start_ns
@@ -277,7 +277,7 @@ class ReactionStart:
 
     @property
     def has_begun(self) -> bool:
-        """Return False if the motor force has not varied enough for a detection."""
+        """Return True if the motor force has varied enough for a detection, or does not need to vary."""
         return not self._force_change_N or self._varied_ns >= 0
 
     def update(self, simulation: SimulatedRun, first_effect_ns: int, t_ns: int) -> int:
@@ -302,7 +302,7 @@ class ReactionStart:
         return self._varied_ns if self._varied_ns >= 0 else t_ns
 
     def _motor_force(self, simulation: SimulatedRun) -> float:
-        """Return the force of the scenario's motor at its tendon [N]."""
+        """Return the force of the motor that has the fault, converted to the tendon [N]."""
         torque = simulation.simulated_hand.truth()["torque"][self._tendon]
         return float(
             torque / simulation.controller.model.tendon_constants.spool_radius[self._tendon]
@@ -333,9 +333,9 @@ def _observe_tick(
         )
         if not result.detected_by and reports_fault and is_expected:
             result.detected_by = " ".join(event.text.split(":")[0].split()[:1]) + f" {event.where}"
-    # If the required reaction is RELAX or a more severe one, any mode in which the hand relaxes or
-    # shuts down counts as a reaction. But if the required reaction is CUT, the mode RELAX does not
-    # count as a reaction.
+    # If the required reaction is RELAX or a more severe reaction, any mode in which the hand
+    # relaxes or shuts down counts as a reaction. But if the required reaction is CUT, the mode
+    # RELAX does not count as a reaction.
     has_reacted = tick_output.action >= row.action or (
         row.action >= SafetyAction.RELAX
         and tick_output.mode in (*SHUT_DOWN_MODES, HandMode.RELAX, HandMode.CUT)

@@ -35,9 +35,9 @@ class ErrataItem:
         printed: statement of the paper, exactly as printed.
         computed: exact value in full precision, or the correct expression, or None if nothing can
             be calculated.
-        unit: unit of the exact value, empty for expressions and counts.
+        unit: unit of the exact value. The text is empty for expressions and for numbers of things.
         verdict: verdict on the statement, derived from the printed and the exact value.
-        why: explanation of the verdict for a reader of the paper.
+        why: explanation of the verdict, for readers of the paper.
         evidence: kinds of evidence for the verdict, e.g. `arithmetic`, `Lagrange`, `dimensions`.
         deviation: largest relative difference between the printed and the correct expression at
             random states, or None if the item is about a number.

@@ -98,5 +98,5 @@ def wire_stress_mpa(tension_n: Fraction | float, diameter_mm: float) -> float:
 
 
 def payload_kg(normal_force_N: Fraction) -> Fraction:
-    """Return the mass that the friction of a contact holds, for a given normal force [kg]."""
+    """Return the mass that the friction of one contact holds, for a given normal force [kg]."""
     return FRICTION_COEFFICIENT * normal_force_N / GRAVITY_M_PER_S2

@@ -51,7 +51,8 @@ class PageSection:
 def page_sections(experiment_results: Mapping[str, Any] | None) -> tuple[PageSection, ...]:
     """Return all sections of the page.
 
-    Without results of experiments, the sections about measurements are left out.
+    Without results of experiments, the returned list does not contain the sections about
+    measurements.
 
     Args:
         experiment_results: results of `experiments.run_experiments`, or None.

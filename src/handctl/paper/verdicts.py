@@ -97,7 +97,7 @@ def verdict_of_contradiction(
             [value == printed_numbers[0] for value in printed_numbers]
         )
     verdicts = [verdict_of_number(value, exact_value) for value in printed_numbers]
-    # The members of this enumeration are listed in the order of severity.
+    # The members of ``ErrataVerdict`` are listed in the order of severity.
     return max(verdicts, key=list(ErrataVerdict).index)
 
 
@@ -107,7 +107,7 @@ def last_digit_value(printed_number: str) -> Fraction:
 
 
 def rounding_interval(printed_number: str) -> tuple[Fraction, Fraction]:
-    """Return the lower and the upper end of an interval.
+    """Return the lower and the upper end of the rounding interval of a printed number.
 
     The interval contains all values that are equal to the printed number after rounding.
     """

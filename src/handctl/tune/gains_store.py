@@ -25,7 +25,7 @@ from handctl.errors import ConfigError
 from handctl.output_files import write_text_atomically
 
 MANUAL_EDIT_NOTE = "edited by hand"
-"""Note in the provenance of gains that a user edited."""
+"""Note in the provenance of those gains that a user has edited by hand."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class StoredGains:
 
     @property
     def number(self) -> int:
-        """Return the number of this entry of the history, which is the number in the name of the file."""
+        """Return the number of this entry in the history of gains."""
         return self.file.provenance.number
 
 
@@ -127,12 +127,12 @@ class GainsStore:
         return self._write_gains(gains, provenance)
 
     def roll_back(self, to: int | None = None) -> GainsFile:
-        """Restore the gains before the present gains, or the gains with a given number.
+        """Restore the gains that precede the present gains in the history, or the gains with a given number.
 
         The argument `to` with the value 0 restores the packaged gains.
 
         Raises:
-            ConfigError: There are no earlier gains, or the number does not exist.
+            ConfigError: The history contains no earlier gains, or no gains with the given number.
         """
         self._store_edited_gains()
         entries = {entry.number: entry for entry in self.history_entries()}
@@ -217,7 +217,7 @@ class GainsStore:
 def _number_of_previous_gains(
     gains_by_number: dict[int, StoredGains], present_gains: GainsFile
 ) -> int:
-    """Return the number that the gains before the present gains have in the history.
+    """Return the history number of the gains that precede the present gains.
 
     After a rollback, the restored gains count as the present gains.
 

@@ -35,7 +35,7 @@ ROUNDS_WITH_OLD_GAINS = 2
 The last round with the old gains is compared with the last round with the new gains.
 """
 ROUND_AMPLITUDES = (0.3, 1.0, 0.3, 0.6, 1.0)
-"""Amplitudes of the rounds of the exercise: first those with the old gains, then those with the new gains.
+"""Amplitudes of the rounds of the exercise: first the rounds with the old gains, then those with the new gains.
 
 For the old and for the new gains, at least one other round precedes the compared round.
 """
@@ -51,7 +51,7 @@ A digit that only touches something still follows its command. With gains that k
 free digit lags behind its command by less than a third of this angle.
 """
 BLOCKED_DURATION_NS = 50_000_000
-"""Time after which a digit that lags in contact counts as blocked [ns].
+"""Time after which a digit in contact that lags behind its command counts as blocked [ns].
 
 Within this duration, the controller detects the contact of both digits, if one digit blocks
 another.
@@ -123,7 +123,7 @@ class GainsRollback:
 
     Attributes:
         t_s: time at which the return was requested [s].
-        k: number of the tick in which the return was requested.
+        k: number of the tick in which the observer requested the return.
         amplitude: amplitude of the exercise in the round in which the return was requested.
         why: text with the violated limit and the measured value.
     """
@@ -138,7 +138,7 @@ class GainsRollback:
 class VerifyObserver:
     """Observer of a verification run, which requests the new gains.
 
-    If a limit is exceeded, the observer requests the old gains again.
+    If the hand exceeds a limit, the observer requests the old gains again.
 
     Attributes:
         hand: description of the running hand.
@@ -323,7 +323,7 @@ COMPARED_MEASURES = {
     "effort_Nm_per_s": ("effort", "N m/s"),
     "peak_tension_N": ("peak tension", "N"),
 }
-"""Name and unit of each compared measure, by its field in `GainScore`."""
+"""Name and unit of each compared measure of quality, by the field of `GainScore` with this measure."""
 DEFAULT_RELATIVE_SPREAD = 0.1
 """Spread of a measure that is assumed if there is only one run, as a fraction of the value with the old gains."""
 MAX_EQUAL_DIFFERENCE_FRACTION = 0.02
@@ -390,7 +390,7 @@ def scores_by_round(
 ) -> list[GainScore]:
     """Calculate the score of each round of the exercise.
 
-    The rounds with the old gains come first in the result.
+    In the result, the rounds with the old gains come before the rounds with the new gains.
 
     The tracking error does not include digits in contact, because a digit in contact cannot follow
     its commands.

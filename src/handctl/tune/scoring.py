@@ -77,8 +77,8 @@ class GainScore:
     def relative_cost(self, scale: "GainScore") -> float:
         """Return the cost of this score as a single number, relative to a reference score.
 
-        In the cost, tracking and tension have most of the weight. If two sets of gains have similar
-        tracking and tension, the effort decides.
+        In the cost, the errors of tracking and tension have most of the weight. If two sets of
+        gains have similar errors of tracking and tension, the effort decides.
         """
         # The weights of tracking, tension and effort are 1, 1 and 0.1. The weights are divided by
         # their sum 2.1, so that the cost of the reference score is 1.
@@ -117,7 +117,7 @@ def evaluate_job(score_job: Mapping[str, Any]) -> dict[str, Any]:
         runs.append(score_exercise(hand, model, factors, int(score_job["seed"]) + i))
         if runs[-1].failure:
             return _score_table(replace(runs[-1], shortfall=shortfall))
-    # In a root mean square, the worst plants have the largest weight.
+    # In a root mean square over plants, the worst plants have the largest weight.
     tracking, tension, effort = np.sqrt(
         np.mean([np.square(run.objectives) for run in runs], axis=0)
     ).tolist()
@@ -286,7 +286,7 @@ def score_ticks(
     torque: Array,
     truth: GroundTruth,
 ) -> GainScore:
-    """Return the score of some ticks of an exercise, without the margins.
+    """Return the score of the given ticks of an exercise, without the margins.
 
     Args:
         t_ns: (ticks,) times of the ticks [ns].

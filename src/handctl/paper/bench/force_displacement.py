@@ -42,7 +42,7 @@ LINEAR_TENSION_RANGE_N = (30.0, 150.0)
 A straight line through the linear range of a curve gives the origin of the curve.
 """
 MAX_NOISE_RESIDUAL = 1.2
-"""Largest residual of a curve that counts as linear [standard deviations of the load cell]."""
+"""Largest residual at which a curve counts as linear [standard deviations of the load-cell noise]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +53,9 @@ class TendonCurve:
         nominal_knee_N: tension at the knee of the curve, above which the simulated tendon is softer
             [N].
         displacement: (samples,) displacement of the tendon at the spool [mm]. The displacement is
-            zero where the extension of the linear part reaches the force 0.
+            zero where the extrapolated linear section of the curve reaches the force 0.
         force: (samples,) reading of the load cell [N].
-        stiffness: stiffness in the linear part of the curve [N/m].
+        stiffness: stiffness of the tendon in the linear section of the curve [N/m].
         knee: tension at the measured knee [N], or None if the whole curve is linear.
         knee_sigma: standard deviation of the measured knee [N].
     """
@@ -145,7 +145,8 @@ def curve_of_tendon(measured_curve: Mapping[str, Any], noise_N: float) -> Tendon
     force = force[is_finite]
     linear_mask = (force > LINEAR_TENSION_RANGE_N[0]) & (force < LINEAR_TENSION_RANGE_N[1])
     slope, offset = np.polyfit(travel[linear_mask], force[linear_mask], 1)
-    # The extrapolated linear part reaches the force 0 at the displacement -offset / slope.
+    # The extrapolated linear section of the curve reaches the force 0 at the displacement -offset /
+    # slope.
     displacement = travel + offset / slope
     residual = float(np.sqrt(np.mean((force - slope * displacement) ** 2)))
     knee, sigma = (

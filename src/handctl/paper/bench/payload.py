@@ -148,8 +148,8 @@ def load_until_slip(
     # For the load case z, the weight of the object acts in the same direction as the load.
     weight = CYLINDER_MASS_KG * float(src.GRAVITY_M_PER_S2) if load_axis == "z" else 0.0
     load = float(truth.interpolated_column("load", truth.t_ns[slip : slip + 1])[0]) + weight
-    # The axis x points out of the palm. So the palm carries the sum of the digits' contact forces
-    # along x.
+    # The axis x points out of the palm. So the palm carries the sum of the contact forces of the
+    # digits along x.
     palm = sum(
         float(
             truth.interpolated_column(
@@ -256,7 +256,7 @@ def _find_slip(truth: TruthRecord, first_row: int, end_row: int) -> tuple[int, s
 def friction_bound_kg(payload_result: Mapping[str, Any]) -> float:
     """Return the largest mass that the hand can hold according to Coulomb friction [kg].
 
-    The mass follows from the measured normal forces of the digits and the palm on the object.
+    The mass is computed from the measured normal forces of the digits and the palm on the object.
     """
     normal = sum(payload_result["normal_N"].values()) + payload_result["palm_N"]
     return float(src.FRICTION_COEFFICIENT) * float(normal) / float(src.GRAVITY_M_PER_S2)

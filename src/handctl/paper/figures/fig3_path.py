@@ -16,7 +16,7 @@ from handctl.paper.model import kinematics
 
 PATH_FIGURE_SIZE_IN = (9.6, 4.5)
 AREA_CELL_MM = 0.25
-"""Size of the cells of which the drawn area consists [mm]."""
+"""Edge length of the square cells of which the drawn area consists [mm]."""
 SAMPLE_COUNTS = {"index": 161, "thumb": 900}
 """Number of sampled angles of each joint, by digit."""
 HEIGHT_RANGE_MM = (-12.0, 60.0)

@@ -1,6 +1,6 @@
 """Fig. 7 of the paper: components of the torque that closes a digit.
 
-The figure also shows T_1 by Eq. 10, once for the printed equation and once for the corrected
+A second figure shows T_1 by Eq. 10, once for the printed equation and once for the corrected
 equation.
 """
 

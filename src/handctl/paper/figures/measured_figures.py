@@ -172,7 +172,7 @@ def _draw_lines(axes: Any) -> None:
 def _draw_load_traces(
     axes: Any, load_axis: str, payload_results: Sequence[Mapping[str, Any]]
 ) -> None:
-    """Draw how far the object has moved, over the load along an axis."""
+    """Draw the displacement of the object over the load along an axis."""
     gravity = float(src.GRAVITY_M_PER_S2)
     for result, colour in zip(payload_results, AXIS_COLOURS, strict=True):
         axes.plot(

@@ -16,7 +16,7 @@ from handctl.paper.verdicts import verdict_of_statement
 EQUATION_1 = Expression("30*cos(theta) + 15*cos(2*theta) + 10*cos(3*theta)")
 EQUATION_2 = Expression("30*sin(theta) + 15*sin(2*theta) + 10*sin(3*theta)")
 SAMPLED_ANGLES_RAD = np.linspace(-1.0, 2.0, 61)
-"""Angles at which Eq. 1 and 2 are compared [rad]."""
+"""Joint angles at which Eq. 1 and 2 are compared with the path of the fingertip [rad]."""
 
 
 def paper_digit(name: str) -> DigitModel:

@@ -28,7 +28,7 @@ STATE_COUNT = 200
 RELATIVE_TOLERANCE = 1e-9
 """Largest relative difference that counts as a rounding error.
 
-The smallest effect of a misprint is about 0.1.
+The smallest relative difference that a misprint causes is about 0.1.
 """
 COMPLEX_STEP = 1e-30
 """Size of the complex step of a derivative.
@@ -97,8 +97,8 @@ def _energy_of_terms(terms: Sequence[EquationTerm], states: StateSamples) -> Any
 def _momentum_rate(states: StateSamples, i: int) -> Array:
     """Return the derivative of ∂K/∂θ̇_i with respect to time.
 
-    The kinetic energy K is quadratic in the rates. Therefore a difference quotient of K with a step
-    of size 1 is exact.
+    The kinetic energy K is quadratic in the rates. Therefore a difference quotient of the kinetic
+    energy K with a step of size 1 is exact.
     """
     shifted_states = dict(states)
     for j in (1, 2, 3):
@@ -147,7 +147,7 @@ def _term_item(term: EquationTerm) -> ErrataItem:
         relative_deviation(reading.evaluate(states), correct_values) for reading in term.readings
     ]
     verdict = verdict_of_ambiguous_statement([value < RELATIVE_TOLERANCE for value in deviations])
-    # A reader can see wrong dimensions and a missing symmetry without a computer.
+    # A reader of the paper can find wrong dimensions and a missing symmetry without a computer.
     faults = (
         []
         if verdict == ErrataVerdict.EQUAL
@@ -171,7 +171,7 @@ def _wrong_dimensions_text(term: EquationTerm) -> str:
 
 
 def _asymmetry_text(term: EquationTerm) -> str:
-    """Compare the printed coefficients of a term and its mirror term.
+    """Compare the printed coefficient of a term with that of the mirror term.
 
     If the coefficients differ, return a text about the difference. If the coefficients are equal,
     return an empty text.
@@ -243,7 +243,7 @@ def _check_joint_torque(
 ) -> ErrataItem:
     """Check whether T_i in the paper is the torque at joint i.
 
-    In fact, a motor at the joint must produce the torque tau = S^T T.
+    In fact, the motors at the joints must produce the torques tau = S^T T.
     """
     joints = joint_torques(digit, states)
     is_equal = relative_deviation(model[0], joints[:, 0]) < RELATIVE_TOLERANCE
@@ -258,7 +258,7 @@ def _check_joint_torque(
 
 
 def _agreement_text(deviation: float) -> str:
-    """Return a text that says how closely two values agree.
+    """Return a text that states how closely the printed and the correct value agree.
 
     The text contains no decimal digits that can differ between machines.
     """

@@ -19,7 +19,7 @@ from handctl.paper.model.lagrange import finger_states, printed_equation_value
 from handctl.paper.verdicts import verdict_of_ambiguous_statement, verdict_of_statement
 
 CLOSED_JOINT_ANGLE_DEG = 60.0
-"""Angle of each joint at the end of the motion [deg]."""
+"""Angle of each joint at the end of the closing motion [deg]."""
 CLOSING_DURATIONS_S = (0.6, 0.3, 0.15)
 """Durations of the motions whose torques are drawn [s]."""
 SAMPLE_COUNT = 301
@@ -38,8 +38,8 @@ class ClosingTorques:
         times: (samples,) times of the samples [s].
         torque_by_cause: (samples,) torque at the single coordinate of the digit for each cause, by
             the name of the cause [N m].
-        moment_arm_m: moment arm of the tendon for this coordinate, which is the sum of all pulley radii
-            [m].
+        moment_arm_m: moment arm of the tendon for the single coordinate of the digit, which is the
+            sum of all pulley radii [m].
     """
 
     digit: str
@@ -114,7 +114,7 @@ def closing_torque_t1(duration_s: float) -> tuple[Array, Array, Array]:
 
 
 def motion_errata() -> list[ErrataItem]:
-    """Return the errata items about the torque during a motion.
+    """Return the errata items about the torque that closes a digit.
 
     The errata items are about Eq. 10 for a straight finger, about the completeness of Eq. 3 to 12,
     and about the torque that section 8 mentions.

@@ -20,7 +20,7 @@ COUNT_TAG = ("count",)
 SYMBOL_PATTERN = re.compile(r"(?<![A-Za-z])[A-Za-z](?:_[A-Za-z]|[₀-₉])?(?![A-Za-z])")
 """Pattern of a symbol in a printed equation: a letter with or without an index."""
 CONTROL_WORDS = ("desired", "error", "gain", "measured", "reference", "feedback")
-"""Words that occur in the meanings of a control law's symbols."""
+"""Words by which the meaning of a symbol of a control law is recognised."""
 MEANING_BY_SYMBOL = {
     "I": "moment of inertia", "m": "mass", "L": "length", "d": "distance of the centre of mass", "g": "gravity",
 }  # fmt: skip
@@ -78,7 +78,7 @@ def _check_degrees_of_freedom() -> list[ErrataItem]:
 def _check_palm_joint() -> ErrataItem:
     """Check the statement in section 3 of the paper that the joint in the palm link is fixed.
 
-    The words can mean the first joint of a finger, or the palm itself.
+    The words of the paper can mean the first joint of a finger, or the palm itself.
     """
     joints = len(src.paper_finger().joints)
     angles = {

@@ -259,7 +259,7 @@ def _check_wire_diameters() -> list[ErrataItem]:
 def _check_area() -> ErrataItem:
     """Check the printed formula for the area of the wire, A = pi d2/4.
 
-    The formula gives an area only if the 2 is an exponent.
+    The printed formula gives an area only if the 2 after d is an exponent.
     """
     printed_formula = Expression("pi*d2/4")
     correct_formula = Expression("pi*d**2/4")

@@ -28,9 +28,9 @@ MIN_CONTACT_SCORE_OF_SEVERAL_TENDONS = 6.0
 """Smallest score of a ramp that counts as a contact, for a digit with several tendons.
 
 In simulations without contact (20 seeds, parameters wrong by up to 30 %), scores reach 3.1 for
-digits with one tendon and 3.9 for digits with several. With several tendons, the search tries a
-ramp at every joint, and neglects errors of joint encoders. A finger of the hand jamia that touches
-the thumb between 14 and 25 degrees has scores from 4.7 to 17.
+digits with one tendon and 3.9 for digits with several tendons. With several tendons, the search
+tries a ramp at every joint, and neglects errors of joint encoders. A finger of the hand jamia that
+touches the thumb between 14 and 25 degrees has scores from 4.7 to 17.
 """
 MAX_SCORE_WITHOUT_CONTACT = 3.0
 """Largest score of the ramp at which a fit can exclude a blocked digit."""
@@ -48,7 +48,7 @@ SWEEP_END_FRACTION = 0.04
 The fit would have too few rows of data for a ramp that begins near an end of the sweep.
 """
 MIN_UNEXPLAINED_RAMP_FRACTION = 1e-6
-"""Smallest fraction of a ramp's squared norm that the parameters must leave unexplained."""
+"""Smallest fraction of a ramp's squared norm that the parameters of the fit must leave unexplained."""
 
 
 class ResidualRamp(NamedTuple):

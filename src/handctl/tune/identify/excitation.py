@@ -15,7 +15,7 @@ from handctl.tune.identify.excitation_antagonists import antagonist_steps
 SWEEP_MARGIN_DEG = 6.0
 """Smallest distance of free sweeps from both ends of the joints' ranges [deg]."""
 SWEEP_TOP_DEG = 32.0
-"""Upper end of free sweeps, as an angle from the stop of the open joint [deg].
+"""Upper end of free sweeps, as a joint angle from the open stop [deg].
 
 At larger joint angles, the fingers of the packaged hands touch the thumb or the palm.
 """
@@ -26,7 +26,7 @@ SWING_MIN_FREQUENCY_HZ = 0.7
 SWING_MAX_FREQUENCY_HZ = 6.0
 """Highest frequency of the swing [Hz]."""
 PRESS_TENSION_FRACTIONS = (0.08, 0.15, 0.5)
-"""Three tensions, as fractions of the largest tension of the tendon.
+"""Three tensions of the presses, as fractions of the largest tension of the tendon.
 
 The first tension is the tension after the presses against an obstacle. The other two tensions are
 the lower and the upper tension of a press.

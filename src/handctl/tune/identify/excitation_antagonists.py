@@ -81,9 +81,9 @@ known.
 STRETCH_WAIT_S = 0.06
 """Waiting time after a stretch [s]."""
 STRETCH_COUNT = 5
-"""Number of stretches up and down of each tendon that is not a spool pair."""
+"""Number of times that the tension of each stretched tendon rises and falls, except in spool pairs."""
 SPOOL_PAIR_STRETCH_COUNT = 10
-"""Number of stretches up and down of all spool pairs of a digit.
+"""Number of times that the net tension of the stretched spool pairs of a digit rises and falls.
 
 All pairs are stretched at once.
 """
@@ -215,7 +215,7 @@ def sweep_range(digit: DigitModel) -> tuple[Array, Array]:
 
 
 def _sign_patterns(coordinate_count: int) -> list[Array]:
-    """Return patterns for the motion of the coordinates.
+    """Return sign patterns for the motion of a digit's coordinates.
 
     Each pattern has one factor for each coordinate (coordinate_count,).
 

@@ -180,7 +180,7 @@ class TorqueBalance:
     def required_torque(self, spring: float, preload: float, damping: float, mass: float) -> Array:
         """Return the torques (m, joints) that are necessary because of springs, damping, inertia and weight [N m].
 
-        The arguments are factors of the values in the hand file.
+        The arguments are factors by which the values in the hand file are multiplied.
         """
         digit = self.digit
         springs = (
@@ -198,7 +198,7 @@ class TorqueBalance:
 def _joint_rates(
     digit: DigitModel, q: Array, speed: Array, acceleration: Array
 ) -> tuple[Array, Array]:
-    """Convert speeds and accelerations of the tendons (m, tendons) to those of the joints (m, joints).
+    """Convert speeds and accelerations of tendons (m, tendons) to rates and accelerations of joints (m, joints).
 
     The joint rates are in rad/s, and the joint accelerations in rad/s^2. If the moment arms R
     depend on the joint angles, the acceleration of a tendon contains the additional term R' q'^2.
@@ -266,8 +266,8 @@ def fits_with_digit_solution(
 ) -> list[TendonFit]:
     """Add the parameters from the fit of a digit to the fits of its tendons, and return the fits of the tendons.
 
-    Each tendon gets its capstan coefficient. The first tendon also gets the factors that all
-    tendons share.
+    Each tendon gets its capstan coefficient. The fit of the first tendon gets, in addition, the
+    factors that all tendons share.
     """
     rows = len(balance.t) * balance.q.shape[1]
     tendon_fits = [replace(fit, ramp=_unexplained_ramp(solution, balance)) for fit in tendon_fits]

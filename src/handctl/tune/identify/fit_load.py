@@ -33,7 +33,7 @@ samples would have.
 MIN_SPEED_M_S = 4e-3
 """Smallest speed that the tendon must have in a sample of free motion that the fit uses [m/s].
 
-At lower speeds, the direction of friction is not known at every pulley.
+At lower speeds of the tendon, the direction of friction is not known at every pulley.
 """
 TABLE_ANGLES_RAD = np.radians(np.linspace(0.0, 110.0, 23))
 """Joint angles of the table of inertia and weight. In each row of the table, all joints have the same angle [rad]."""
@@ -244,8 +244,9 @@ class DigitLoad:
         stiffness = p.spring * self.spring
         q = [mean.copy() for _ in self.arms]
         f = np.full_like(mean, 10.0)
-        # Newton's method changes the tension until the travel of the tendon is right. For a given
-        # tension, the joint angles are computed one by one, beginning at the palm.
+        # Newton's method changes the tension until the model gives the measured travel of the
+        # tendon. For a given tension, the joint angles are computed one by one, beginning at the
+        # palm.
         for _ in range(NEWTON_STEPS):
             angle = np.full_like(mean, self.wrap)
             excursion = f / p.stiffness

@@ -7,7 +7,7 @@ With the weak form, no measured signal has to be differentiated.
 Here, u is the commanded force, converted to the tendon, w is the speed of the spool, and f is the
 tension at the load cell. All terms are forces, converted to the tendon [N]. Source: modulating
 functions (Shinbrot 1954). Integration by parts moves the derivatives from the signals to the
-window. The derivatives of the window are known exactly.
+window. The derivatives of the window function are known exactly.
 """
 
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ SPACING_FRACTION = 0.4
 MIN_SPEED_RAD_S = 0.25
 """Smallest speed of the spool in a window that is used [rad/s].
 
-At lower speeds the sign of the friction is not known.
+At lower speeds of the spool, the sign of the friction is not known.
 """
 
 
@@ -76,7 +76,7 @@ class MotorWindows:
 
 
 class WindowWeights(NamedTuple):
-    """Weights of the samples of a window, with the shape (n,) each.
+    """Weights of the samples in a window. Each array has the shape (n,).
 
     Attributes:
         samples: positions of the samples relative to the centre of the window.
@@ -109,8 +109,8 @@ class WindowWeights(NamedTuple):
 
         The signal is given in windows, with the shape (..., n). Each result has the shape (...).
         """
-        # Integration by parts replaces the derivative of the signal by that of the window, with the
-        # opposite sign.
+        # Integration by parts replaces the derivative of the signal by the negative derivative of
+        # the window function.
         return values @ self.mean, -values @ self.first_derivative, values @ self.second_derivative
 
 

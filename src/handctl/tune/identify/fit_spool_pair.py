@@ -5,10 +5,10 @@
     g(F; k, p) = x - m s(q) - o                            on a stop, and in free motion
 
 F is the net tension at the spool. In free motion, F balances the force n. The force n is the sum of
-the inertia, the weight and the damping of the links, and the friction of both tendons. The
-difference between the positions of spool and joints is the stretch of the pair. The characteristic
-g gives the stretch at a net tension F. The stiffness is 2 k while both tendons are taut, and k if F
-exceeds twice the pretension p.
+the inertia, the weight and the damping of the links, and the friction of both tendons. The stretch
+of the pair is the travel of the spool minus the excursion of the joints. The characteristic g gives
+the stretch at a net tension F. The stiffness of the pair is 2 k while both tendons are taut, and k
+if F exceeds twice the pretension p.
 
 No sensor of a spool pair measures a force. Therefore all forces are measured in units of the
 drive's torque. If a motor makes 10 % less torque than commanded, inertia, friction and tendon
@@ -332,7 +332,7 @@ class SpoolPairProblem:
     start_parameters: Array
 
     def parameter_value(self, z: Array, name: str) -> float:
-        """Return a parameter in SI units, or as a factor for a value of the hand file."""
+        """Return the named parameter in SI units, or as a factor for a value of the hand file."""
         return float(
             z[SPOOL_PAIR_PARAMETERS.index(name)]
             * self.parameter_scales[PARAMETER_NAMES.index(name)]
@@ -534,7 +534,7 @@ def _robust_cost(residual: Array) -> float:
 
 
 def _as_tendon_fit(hand: Hand, problem: SpoolPairProblem, solution: FitSolution) -> TendonFit:
-    """Return the result for a spool pair in the same form as the fit of a single tendon."""
+    """Return the result of the fit of a spool pair in the same form as the result of a single tendon."""
     windows = problem.windows
     count = len(PARAMETER_NAMES)
     target = [PARAMETER_NAMES.index(name) for name in SPOOL_PAIR_PARAMETERS]

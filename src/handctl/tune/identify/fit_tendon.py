@@ -86,7 +86,7 @@ class TendonFitProblem:
         digit_load: model of the digit, or None if the digit has several tendons or no springs.
         motor_windows: time windows of the motor equation.
         free_motion_bins: averaged data (bins) in which the digit moves freely.
-        open_stop_bins: bins of data in which the digit is on the open stop.
+        open_stop_bins: bins of data in which the digit is at the open stop.
         slack_tendon_bins: bins in which the tendon is slack.
         drift_knots: (k,) times of the knots of the drift of the load cell [s].
         cell_noise_N: standard deviation of a load-cell sample [N].
@@ -209,8 +209,8 @@ class TendonFitProblem:
         ]
         for bin_means, model in self._expected_tensions(p, stiffness):
             rows.append(
-                # The standard deviation of a mean over n readings is that of one reading, divided
-                # by sqrt(n).
+                # The standard deviation of a mean over n readings is the standard deviation of one
+                # reading, divided by sqrt(n).
                 (bin_means.tension - self._cell_offset(bin_means.t, drift) - model)
                 / (self.cell_noise_N / bin_means.count**0.5)
             )
@@ -267,7 +267,7 @@ def parameter_scales(hand: Hand, tendon: str) -> Array:
         tendon_section.stiffness_N_per_m, 1.0, 1.0, tendon_section.friction_coefficient, 1.0, 1.0,
         STRETCH_OFFSET_SCALE_M, STOP_SOFTNESS, 1.0, tendon_section.pretension_N or 1.0,
     ])  # fmt: skip
-    # Even a parameter that is zero in the hand file needs a scale.
+    # Even a parameter whose value in the hand file is zero needs a scale that is not zero.
     return np.where(value_scales > 0.0, value_scales, 1e-3)
 
 
@@ -330,13 +330,13 @@ class TendonFit:
         return self.half_widths_of(1)
 
     def half_widths_of(self, parameter_count: int) -> dict[str, float]:
-        """Return half of the widths of confidence intervals.
+        """Return half of the widths of joint confidence intervals.
 
         With a probability of 95 %, all of `parameter_count` parameters are in their intervals at
         the same time.
 
-        Source: Sidak (1967). If the parameters are not independent of each other, the intervals
-            are wider than necessary.
+        Source: Sidak (1967). If the parameters are not independent of each other, the joint
+        confidence intervals are wider than necessary.
         """
         spread = (
             np.sqrt(np.diag(self.covariance))[: len(PARAMETER_NAMES)]

@@ -78,7 +78,7 @@ def fit_travel(
 
     The stiffness and the moment arm of the tendon are fitted to the travel of the tendon.
 
-    If there are too few joint-encoder readings, the fit is returned unchanged.
+    If there are too few joint-encoder readings, the function returns the given fit unchanged.
 
     Args:
         digit: model of the digit.

@@ -23,7 +23,7 @@ from handctl.tune.identify.tendon_data import Array, TendonData
 MAX_CORRELATION = 0.95
 """Largest absolute correlation between two estimated parameters that is not reported as a trade-off."""
 COHERENCE_SEGMENTS = 6
-"""Number of parts into which the excitation is divided, to average the coherence.
+"""Number of time segments into which the excitation is divided, to average the coherence.
 
 Without a division of the excitation, the coherence would always be 1.
 """
@@ -38,9 +38,9 @@ class Identifiability:
 
     Attributes:
         names: names of the identified parameters.
-        missing: parameters that are not identified, each with the reason.
+        missing: parameters that the fit has not identified, each with the reason.
         rank: number of combinations of parameters that the data determine.
-        columns: number of all combinations, which is the number of parameters.
+        columns: number of all combinations of parameters, which equals the number of parameters.
         condition_number: largest singular value of the Jacobian, divided by the smallest singular
             value.
         weakest_combination: combination of parameters that the data determine worst, as text.
@@ -115,7 +115,7 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
 
 
 def _lacks_needed_encoders(hand: Hand, digit: str) -> bool:
-    """Return True if a digit with springs and several tendons has no joint encoders.
+    """Return True if a digit has springs and several tendons, but no joint encoders.
 
     In a digit with several tendons, the tension of a single tendon does not show the load of the
     springs. The torques at a joint are in balance only at the present joint angle. Therefore a
@@ -160,7 +160,7 @@ def _reason_not_identified(jacobian: Array, name: str) -> str:
 def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, str]:
     """Return the parameters that the sensors of a hand cannot identify, each with the reason.
 
-    If a tendon does not have a parameter, the reason is an empty text.
+    If the tendon lacks a parameter, the reason for this parameter is an empty text.
 
     Args:
         hand: description of the hand.

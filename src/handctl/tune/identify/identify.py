@@ -94,7 +94,7 @@ class TendonResult:
     def identified_names(self) -> tuple[str, ...]:
         """Return the names of the identified parameters that are valid.
 
-        A contact or a low coherence makes some parameters invalid.
+        A contact or a low coherence makes some identified parameters invalid.
         """
         if self.blocked_event_text:
             return ()
@@ -403,7 +403,7 @@ def utc_now_text() -> str:
 
 
 COLUMN_WIDTHS = (18, 10, 19, 9, 9)
-"""Width of each column of a result table, except the last [characters]."""
+"""Width of each column of a result table, except the last column [characters]."""
 
 
 def result_table(result_of_tendon: dict[str, TendonResult], is_verbose: bool = False) -> list[str]:

@@ -28,7 +28,7 @@ MAX_SOLVER_STEPS = 40
 If the solver needs more evaluations, the data do not determine the parameters.
 """
 OUTLIER_RESIDUAL = 2.5
-"""Residual above which a row gets less weight, for example during an unexpected contact [standard deviations]."""
+"""Residual above which a row of data gets less weight, e.g. during an unexpected contact [standard deviations]."""
 NOISE_BLOCK_S = 0.25
 """Duration of the blocks of time [s]. Residuals of different blocks count as independent."""
 MAX_BLOCK_ROWS = 500
@@ -66,7 +66,8 @@ def solve_least_squares(
 ) -> FitSolution:
     """Solve a least-squares problem in two rounds.
 
-    The first round is robust, and finds the outliers. The second round leaves the outliers out.
+    The first round of the solver is robust, and finds the outliers. The second round of the solver
+    leaves the outliers out.
 
     Args:
         residual_function: function from parameters (n,) to residuals in standard deviations. The rows of

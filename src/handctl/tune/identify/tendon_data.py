@@ -19,18 +19,18 @@ Mask = NDArray[np.bool_]
 SLACK_STEP_NAMES = ("tare",)
 """Names of the steps of an excitation in which the tendon is slack."""
 STOP_STEP_NAMES = ("stretch",)
-"""Names of the steps in which the tendon is taut and the digit is at its open stop."""
+"""Names of the excitation steps in which the tendon is taut and the digit is at its open stop."""
 FREE_STEP_NAMES = ("sweep",)
 """Names of the steps of an excitation in which the digit moves freely."""
 CONTACT_PHASES = ("close", "open")
-"""Names of the steps in which a contact begins or ends.
+"""Names of the excitation steps in which a contact begins or ends.
 
 When a contact begins or ends, the motor force can jump within one sample.
 """
 IGNORED_STEP_START_S = 0.02
 """Time at the beginning of each excitation step, from which no data are used [s]."""
 TRANSIENT_S = 0.35
-"""Time after which the springs have opened the digit and a relaxed tendon is slack [s]."""
+"""Time after which a relaxed tendon is slack, because the springs have opened the digit [s]."""
 STOP_DISTANCE_DEG = 2.0
 """Distance from a joint stop below which the stop possibly carries a fraction of the load [deg]."""
 MIN_TENSION_N = 2.0
@@ -97,8 +97,8 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
     }
     settling_ticks = round(IGNORED_STEP_START_S / period)
     transient_ticks = round(TRANSIENT_S / period)
-    # After the last tick, there is no further measurement. Therefore every array ends one tick
-    # earlier than the log.
+    # After the last tick, the log contains no further measurement. Therefore every array ends one
+    # tick earlier than the log.
     active = (log.mode == HandMode.ACTIVE)[:-1]
     # If a tick was missed, the equation between a command and the next measurement is not valid.
     is_consecutive = np.append(np.diff(log.k) == 1, True)[:-1]

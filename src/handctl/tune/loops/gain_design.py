@@ -1,14 +1,14 @@
 """Design of gains by one of two methods.
 
-The first method finds the largest authority that keeps the margins on all plants. The second method
-places the poles at given frequencies. The authority of a loop is the parameter of LQR that the
-first method varies. By Bryson's rule, the authority is the force whose cost equals the cost of the
-errors. More authority makes a loop faster and its margins smaller. Therefore the design increases
-the authority of each tendon alone, until a margin would become too small. The smallest authority of
-all tendons becomes the common ``force_N``. A tendon that permits more than twice the common
-authority gets a separate force. So a digit with little authority, such as a heavy wrist, does not
-make other digits slow. The eigenvalues of the closed loop confirm the reported margins. A function
-that the caller provides, such as a simulation, confirms the designed gains.
+The first design method finds the largest authority that keeps the margins on all plants. The second
+design method places the poles at given frequencies. The authority of a loop is the parameter of LQR
+that the first method varies. By Bryson's rule, the authority is the force whose cost equals the
+cost of the errors. More authority makes a loop faster and its margins smaller. Therefore the design
+increases the authority of each tendon alone, until a margin would become too small. The smallest
+authority of all tendons becomes the common ``force_N``. A tendon that permits more than twice the
+common authority gets a separate force. So a digit with little authority, such as a heavy wrist,
+does not make other digits slow. The eigenvalues of the closed loop confirm the reported margins. A
+function that the caller provides, such as a simulation, confirms the designed gains.
 
 The placement of poles uses an equation for a plant with one input and weights on position and
 speed. The characteristic polynomial d of the closed loop satisfies
@@ -124,7 +124,7 @@ class GainDesign:
         )
 
     def as_weights(self) -> Gains:
-        """Express the designed gains with the default authority and scaled errors.
+        """Express the designed gains by the default authority and by scaled errors.
 
         The returned gains describe the same controller as the designed gains, because LQR depends
         only on ratios of weights.
@@ -202,7 +202,7 @@ def gains_with_poles(
 def _scaled_tendon_forces(
     gains: Gains, motion_factor: float, tension_factor: float
 ) -> list[dict[str, Any]]:
-    """Multiply the forces of single tendons by factors, and return the entries of these tendons.
+    """Multiply the separate forces of single tendons by factors, and return the gains entries of these tendons.
 
     The motion loop and the tension loop have different factors.
     """
@@ -233,7 +233,7 @@ def _replace_gain_sections(
 
 
 def _motion_weights(model: HandModel, frequency: float, damping: float) -> tuple[float, float]:
-    """Return the two ratios of weights, force / error and force / speed error, of the motion loop.
+    """Return the two ratios of LQR weights of the motion loop: force / error, and force / speed error.
 
     The plant of the motion loop is a single mass, and the characteristic polynomial is d(s) = s^2 +
     2 z w s + w^2.
@@ -246,7 +246,7 @@ def _motion_weights(model: HandModel, frequency: float, damping: float) -> tuple
 
 
 def _tension_weights(model: HandModel, frequency: float, damping: float) -> tuple[float, float]:
-    """Return the two ratios of weights, force / error and force / speed error, of the tension loop.
+    """Return the two ratios of LQR weights of the tension loop: force / error, and force / speed error.
 
     The plant of the tension loop is a rotor on its tendon. No weights give poles below the natural
     frequency of the uncontrolled rotor.
@@ -407,9 +407,9 @@ def design_gains(
                     margins_after,
                 )
             has_unproven_design = has_unproven_design or margins_after.are_sufficient
-        # A smaller disturbance rejection changes only one term of the control law. If the hand does
-        # not come to rest even with a smaller disturbance rejection, another term must be the
-        # cause.
+        # A smaller gain for disturbance rejection changes only one term of the control law. If the
+        # hand does not come to rest even with a smaller disturbance rejection, another term must be
+        # the cause.
         if has_unproven_design:
             raise ValueError(
                 "the gains that keep the margins do not come to rest in simulation; expected other weights"
@@ -457,8 +457,8 @@ def model_with_largest_force(
 ) -> HandModel | None:
     """Return the model in which each tendon's loop has the largest authority that keeps the margins.
 
-    If a tendon influences the loops of others, all tendons have equal forces. If no authority keeps
-    the margins, return None.
+    If a tendon influences the loops of other tendons, all tendons have equal forces. If no
+    authority keeps the margins, return None.
     """
     model = model_with_gains(model, _without_tendon_forces(model.gains, kind))
     forces: dict[int, float] = {}
@@ -491,7 +491,7 @@ def model_with_largest_force(
 def _largest_force(
     model: HandModel, kind: LoopKind, tendon: int, plants: tuple[PlantFactors, ...]
 ) -> float | None:
-    """Return the largest authority for the loop of a tendon that keeps the margins [N].
+    """Return the largest authority [N] with which the loop of a tendon keeps the margins.
 
     If no authority keeps the margins, return None.
 

@@ -353,7 +353,7 @@ class _LinearController:
     def run_filter(self, block: BlockArray) -> None:
         """Execute the correction and the prediction of the filter.
 
-        No contact is detected, because no motor makes torque yet.
+        In this call, the filter detects no contact, because no motor makes torque yet.
         """
         self.layout.view(block, "mode")[...] = HandMode.ARMING
         tick_stages.correct_tension_estimate(block, self.layout.offsets, *self._constant_args)
@@ -405,8 +405,8 @@ def _operating_point_state(
 ) -> BlockArray:
     """Return the state block at the operating point of a loop.
 
-    Every digit is half closed, and every tendon is taut. For a motion loop, the tendon is being
-    wound up. For a tension loop, the tendon is at rest. All control errors are zero.
+    Every digit is half closed, and every tendon is taut. For a motion loop, the motor winds the
+    tendon up. For a tension loop, the tendon is at rest. All control errors are zero.
     """
     model = controller.model
     layout = controller.layout

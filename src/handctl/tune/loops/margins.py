@@ -251,7 +251,7 @@ def _largest_confirmed_margin(
 
 
 def _gain_factors(L: NDArray[np.complex128]) -> list[float]:
-    """Return 1 / |L| at each frequency at which L crosses the negative real axis.
+    """Return 1 / |L| at each frequency at which the open loop L crosses the negative real axis.
 
     The frequencies of the crossings are interpolated.
     """

@@ -60,7 +60,7 @@ The fraction is below 1, so that the hand comes to rest with other noise as well
 MEDIAN_RUN_COUNT = 5
 """Number of runs whose median oscillation is compared with the limits."""
 SEED_INCREMENT = 1000
-"""Difference between the seeds of two runs of the same plant."""
+"""Difference between the seeds of two successive runs of the same plant."""
 MAX_LOOP_AMPLIFICATION = 2.0
 """Factor by which a loop is allowed to amplify the oscillation of the plant.
 
@@ -152,7 +152,7 @@ class StepOscillation:
 def simulate_swing(
     hand: Hand, model: HandModel, plant_factors: Mapping[str, float], seed: int
 ) -> StepOscillation:
-    """Execute both steps on a simulated plant, and return the largest oscillations.
+    """Execute the step of the angles and the step of the tensions on a simulated plant, and return the oscillations.
 
     Args:
         hand: description of the simulated hand.

@@ -1,6 +1,6 @@
 """Random ensembles of plants. The parameters of the plants differ from those of the identified hand.
 
-A more uncertain identification leads to larger differences between the plants.
+If the identified parameters are more uncertain, the differences between the plants are larger.
 """
 
 from collections.abc import Mapping
@@ -78,7 +78,7 @@ FACTOR_BY_PARAMETER = {
 def factor_half_widths(identified: Mapping[str, IdentifiedParameters]) -> dict[str, float]:
     """Return the half width of the range of each factor.
 
-    The range contains all 95 % intervals of an identification.
+    The range of a factor contains all 95 % confidence intervals of an identification.
 
     Args:
         identified: identified parameters, by the name of the tendon.

@@ -153,14 +153,14 @@ class SearchResult:
 
 
 def _cost_reference(trials: tuple[SearchTrial, ...]) -> GainScore:
-    """Return the score that serves as the reference for costs."""
+    """Return the score of the trial that serves as the reference for costs."""
     first_score = trials[0].score
     feasible_scores = (trial.score for trial in trials if trial.is_feasible)
     return next(feasible_scores, first_score) if first_score.failure else first_score
 
 
 def _dominates(score: GainScore, other_score: GainScore) -> bool:
-    """Return True if a score is better than another in at least one objective, and worse in none."""
+    """Return True if a score is better than another score in at least one objective, and worse in no objective."""
     pairs = list(zip(score.objectives, other_score.objectives, strict=True))
     return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
 

@@ -1,6 +1,6 @@
 """Workers of a search: the calling process, a pool of processes, or a Dask cluster.
 
-The scores do not depend on the kind of worker.
+The scores of the trials do not depend on the kind of worker.
 """
 
 import json
