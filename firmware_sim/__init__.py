@@ -1,4 +1,5 @@
 """The simulator of a tendon-driven hand.
 
-It simulates the drives, the sensor node and the mechanics. A host communicates with them over CAN.
+The simulator computes the drives, the sensor node and the mechanics. A host communicates with the
+simulated nodes over CAN.
 """

@@ -7,7 +7,7 @@ from firmware_sim.hand_description import SimulatorError
 from firmware_sim.printing import one_line_message
 
 EXTRA_PACKAGES = ("mujoco",)
-"""Import names of the packages that ``pip install handctl[sim]`` adds."""
+"""Import names of the packages that the command ``pip install handctl[sim]`` installs in addition."""
 
 
 def main(words: list[str]) -> int:
@@ -20,7 +20,7 @@ def main(words: list[str]) -> int:
         Exit code: 0 after SIGTERM or SIGINT, and 2 if the program cannot use the arguments or
         MuJoCo is missing.
     """
-    try:  # The import is here, because the hub of a bus needs neither MuJoCo nor a compiler.
+    try:  # The import is inside the function, because the hub of a bus needs neither MuJoCo nor a compiler.
         check_words(words)
         if words[:1] == ["bus"]:
             from firmware_sim.programs import bus as alone

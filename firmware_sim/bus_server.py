@@ -1,6 +1,7 @@
 """The main loop of a simulator that runs in real time.
 
-A single thread reads frames, advances the plant to the time of the clock, and answers at once.
+A single thread reads frames, advances the plant to the time of the clock, and answers the frames at
+once.
 """
 
 import select
@@ -19,29 +20,30 @@ from firmware_sim.simulation_pace import PaceMeter
 MAX_ADVANCE_INTERVAL_NS = 1_000_000
 """Maximum time from one advance of the plant to the next, as plant time [ns]."""
 OVERRUN_DELAY_NS = 5 * MAX_ADVANCE_INTERVAL_NS
-"""Delay of the plant behind the clock that counts as an overrun, as plant time [ns]."""
+"""Smallest delay of the plant behind the clock that counts as an overrun, as plant time [ns]."""
 MAX_DELAY_NS = 150_000_000
 """Largest delay of the plant, as plant time [ns].
 
-If the delay is larger, the clock slips. The plant then skips the lost time.
+If the delay of the plant is larger, the clock slips. At a slip of the clock, the plant skips the
+lost time.
 """
 MAX_READS_PER_TURN = 64
-"""Maximum number of reads of the ports in one turn.
+"""Maximum number of reads of the ports in one turn of the main loop.
 
-The limit keeps a busy bus from stopping the plant.
+Because of the limit, a busy bus cannot stop the plant.
 """
 CLOCK_SLIP_PAUSE_S = 0.005
 """Pause after a slip of the clock, in which other processes can use the processor core [s]."""
 MAX_CATCH_UP_NS = 4_000_000
-"""Maximum plant time by which one turn advances the plant [ns].
+"""Maximum plant time by which one turn of the main loop advances the plant [ns].
 
-Computing this plant time takes half a millisecond. In a longer turn, an answer could come later
-than the next SYNC.
+The computation of the maximum plant time takes half a millisecond. In a longer turn, an answer
+could come later than the next SYNC.
 """
 
 
 class ServerClock(Protocol):
-    """The clock that a server follows."""
+    """The clock that a simulator in real time follows."""
 
     @property
     def scale(self) -> float:
@@ -55,7 +57,7 @@ class ServerClock(Protocol):
     def sent_tick_count(self) -> int:
         """Return the number of ticks whose frames were all sent by the controller.
 
-        The controller uses the same clock.
+        The controller uses the same clock as the server.
         """
         ...
 
@@ -91,7 +93,7 @@ class BusNodes(Protocol):
         ...
 
     def receive(self, frame: Frame) -> list[Frame]:
-        """Pass a frame to the nodes of the frame's bus, and return the answers."""
+        """Pass a frame to the nodes on the frame's bus, and return the answers of the nodes."""
         ...
 
     def advance(self, t_ns: int) -> None:
@@ -103,21 +105,22 @@ class BusNodes(Protocol):
         ...
 
     def take_unsolicited_frames(self) -> list[Frame]:
-        """Return the unsolicited frames since the last call."""
+        """Return the unsolicited frames of the nodes since the last call."""
         ...
 
 
 class BusServer:
     """The main loop of the simulator.
 
-    The loop advances the simulated nodes to the time of a clock. It exchanges frames through the
-    ports of the buses.
+    The loop advances the simulated nodes to the time of a clock. The loop exchanges frames through
+    the ports of the buses.
 
     Attributes:
         pace: measured pace of the simulation.
         overruns: number of turns of the loop in which the plant was behind the clock.
-        slips: number of delays behind the clock for which the plant will never make up.
-        running: True while ``run`` serves. A signal handler sets it to False to end ``run``.
+        slips: number of slips of the clock, in which the plant has skipped lost time.
+        running: True while ``run`` serves the buses. A signal handler sets the attribute to False
+            to end ``run``.
     """
 
     def __init__(
@@ -131,11 +134,11 @@ class BusServer:
         """Set up the server.
 
         Args:
-            world: simulated nodes to serve. The time of the nodes must be the present time of the
-                clock.
+            world: simulated nodes to serve. The time of the nodes must equal the present time of
+                the clock.
             ports: one port for each bus, in the order of the hand's buses.
             clock: clock that the nodes follow.
-            faults: socket for faults and other requests. None without such a socket.
+            faults: socket for faults and other requests, or None for a server without this socket.
             priority: real-time priority of the process, or None for a process with ordinary
                 priority.
         """
@@ -174,16 +177,17 @@ class BusServer:
         self._publish_progress()
 
     def _publish_progress(self) -> None:
-        """Report the number of answered ticks and the time of the plant to a controller that uses the same clock."""
+        """Report the number of answered ticks and the plant time to a controller with the same clock as the server."""
         self._clock.publish_reached_time(self._world.t_ns + self._world.slip_ns)
         # The number of ticks must be read before the sockets are checked. Frames that arrive
-        # between these two steps then belong to a later tick.
+        # between the reading of the number and the check of the sockets then belong to a later
+        # tick.
         ticks = self._clock.sent_tick_count()
         if ticks and not self._readable_sockets(0.0):
             self._clock.publish_answered_ticks(ticks)
 
     def _register_host(self) -> None:
-        """Take the real-time priority, because a host has sent frames.
+        """Give this process its real-time priority, because a host has sent frames.
 
         When the first frame of a host arrives, restart the measurement of the pace.
         """
@@ -223,8 +227,8 @@ class BusServer:
         """Advance the plant to the time of the clock.
 
         Args:
-            is_exact: True to reach the time of the clock exactly. This is necessary if answers to
-                frames contain readings of the plant.
+            is_exact: True to reach the time of the clock exactly. The exact time is necessary if
+                answers to frames contain readings of the plant.
         """
         world = self._world
         target_ns = self._clock.now_ns() - world.slip_ns
@@ -237,9 +241,9 @@ class BusServer:
         advance_world(min(target_ns, world.t_ns + MAX_CATCH_UP_NS))
 
     def _skip_lost_time(self, behind_ns: int) -> None:
-        """Skip the time in which this process did not run.
+        """Skip the time in which the process of the simulator did not run.
 
-        The plant and the watchdogs of the drives do not advance by this time.
+        The plant and the watchdogs of the drives do not advance by the skipped time.
         """
         self._world.slip_ns += behind_ns
         self.slips += 1
@@ -261,9 +265,9 @@ class BusServer:
                 port.send(batch)
 
     def summary(self) -> dict[str, object]:
-        """Return the counts of a run.
+        """Return the counts of a run, such as the number of overruns.
 
-        The truth file and the last line that the program prints contain these counts.
+        The truth file and the last line that the program prints contain the counts of the run.
         """
         return {
             "overruns": self.overruns,

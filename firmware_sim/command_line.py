@@ -1,4 +1,4 @@
-"""Common parts of the simulator's programs: one-line errors, checks of arguments, end after a signal."""
+"""Functions for all programs of the simulator: one-line errors, checks of arguments, end after a signal."""
 
 import argparse
 import re
@@ -16,13 +16,13 @@ class CommandParser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raise a SimulatorError for a usage error.
 
-        The method of the base class would end the program instead.
+        The method ``error`` of the base class would end the program.
         """
         raise SimulatorError(f"{message}; --help shows how")
 
 
 def check_words(words: list[str]) -> None:
-    """Refuse arguments that no program can use: those with NUL or a line end, and options with the value ``--``."""
+    """Refuse arguments that no program can use: arguments with NUL or a line end, and options with the value ``--``."""
     for word in words:
         if "\0" in word:
             raise SimulatorError("an argument with a NUL character; expected valid file names")

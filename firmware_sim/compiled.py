@@ -1,16 +1,18 @@
 """Kernels: plain functions that numba can compile.
 
-Some programs advance a plant without waiting for a clock. These programs use the kernels.
+Some programs advance a plant without waiting for a clock. Programs that wait for no clock use the
+kernels.
 
-``compiled`` registers the argument types of a kernel. ``compile_module_kernels`` compiles the kernels of a
-module. Only the function ``compile_module_kernels`` imports numba. The import takes almost a second. This is
-too long for a simulator in a separate process. A compiled kernel and the same kernel in Python
-return the same bits, because compilation keeps the order and the rounding of all operations (no
-fast math).
+``compiled`` registers the argument types of a kernel. ``compile_module_kernels`` compiles the
+kernels of a module. Only the function ``compile_module_kernels`` imports numba. The import takes
+almost a second. A delay of a second is too long for a simulator in a separate process. A compiled
+kernel and the same kernel in Python return the same bits, because compilation keeps the order and
+the rounding of all operations (no fast math).
 
 For each source file, numba stores the compiled code in a cache. If only another file changes, numba
-does not renew the cache of this file. Therefore kernels that call each other must be in the same
-file. Otherwise, the name of a kernel must contain a digest of the other files.
+does not renew the cached code of a source file. Therefore kernels that call each other must be in
+the same file. If the called kernels are in other files, the name of the calling kernel must contain
+a digest of these files.
 """
 
 import ctypes
@@ -32,7 +34,7 @@ ArgumentType: TypeAlias = "str | type[ctypes.Structure] | np.dtype[Any]"
 _KERNEL_ARGUMENTS: dict[str, dict[str, tuple[ArgumentType, ...] | None]] = {}
 """Argument types of each kernel, by module and kernel name.
 
-The value is None for a kernel that only other kernels call.
+For a kernel that only other kernels call, the entry is None.
 """
 
 
@@ -41,7 +43,7 @@ def compiled(*arguments: ArgumentType) -> Callable[[F], F]:
 
     Args:
         arguments: type of each argument: real, count, flag, address, vector (of reals) or counts. A
-            ``ctypes.Structure`` or a structured dtype stands for an array whose rows have this
+            ``ctypes.Structure`` or a structured dtype stands for an array whose rows have the given
             type.
     """
 
@@ -61,11 +63,11 @@ def kernel_helper(function: F) -> F:
 def call_c_function(function: int, first_argument: int, second_argument: int) -> None:
     """Call a C function with the signature ``void f(void *, void *)``.
 
-    The function and both arguments are given as addresses.
+    The C function and both arguments are given as memory addresses.
 
     Raises:
         NotImplementedError: always, if Python calls this function. Compiled kernels call the
-            compiled form from ``_build_c_call`` instead.
+            compiled form that ``_build_c_call`` builds.
     """
     raise NotImplementedError("only compiled kernels can call an address")
 
@@ -73,8 +75,8 @@ def call_c_function(function: int, first_argument: int, second_argument: int) ->
 def array_at(address: int, row_count: int, row_type: Any) -> Any:
     """Return an array of the ``row_count`` numbers or rows at an address in memory.
 
-    If a kernel makes an array itself, the array costs no time. Each array that a caller passes to a
-    kernel costs 0.2 us per call.
+    If a kernel makes an array itself, the array costs no time. Each array that a Python caller
+    passes to a kernel costs 0.2 us per call.
 
     Args:
         address: address of the first row.
@@ -83,7 +85,7 @@ def array_at(address: int, row_count: int, row_type: Any) -> Any:
 
     Raises:
         NotImplementedError: always when called from Python. Compiled kernels call the compiled form
-            from ``_build_array_at`` instead.
+            that ``_build_array_at`` builds.
     """
     raise NotImplementedError("only compiled kernels can read rows at an address")
 
@@ -92,7 +94,7 @@ def array_at(address: int, row_count: int, row_type: Any) -> Any:
 def compile_module_kernels(module: ModuleType) -> Any:
     """Compile the kernels of a module.
 
-    Division by zero gives inf or NaN, as in numpy.
+    In compiled kernels, a division by zero gives inf or NaN, as in numpy.
 
     Returns:
         A namespace that contains each compiled kernel under the name of the kernel.
@@ -107,9 +109,9 @@ def compile_module_kernels(module: ModuleType) -> Any:
     for name, arguments in _KERNEL_ARGUMENTS[module.__name__].items():
         kernel = FunctionType(
             vars(module)[name].__code__, names, name
-        )  # inside this code, kernels call compiled kernels instead of Python functions
+        )  # inside the code compiled below, kernels call compiled kernels instead of Python functions
         # The qualified name of a function is a part of numba's cache key. With the digest in the
-        # name, a change in an imported kernel changes the key.
+        # qualified name, a change in an imported kernel changes the cache key.
         kernel.__qualname__ = f"{name}{digest}"
         if arguments is None:
             names[name] = njit(error_model="numpy")(kernel)
@@ -119,7 +121,7 @@ def compile_module_kernels(module: ModuleType) -> Any:
 
 
 def _imported_kernels(module: ModuleType) -> dict[str, ModuleType]:
-    """Return the kernels that a module imports from other modules, each with its module of origin."""
+    """Return the kernels that a module imports from other modules, each with the module that defines the kernel."""
     kernel_by_name = {}
     for name, value in vars(module).items():
         owner = value.__module__ if isinstance(value, FunctionType) else module.__name__
@@ -131,7 +133,7 @@ def _imported_kernels(module: ModuleType) -> dict[str, ModuleType]:
 def _source_digest(modules: set[ModuleType]) -> str:
     """Return a digest of the source code of some modules.
 
-    The digest also includes the modules from which these modules import kernels. If no module is
+    The digest includes the modules from which the given modules import kernels. If no module is
     given, the digest is an empty text.
     """
     known_modules = set(modules)
@@ -151,13 +153,13 @@ def _source_digest(modules: set[ModuleType]) -> str:
 def _compile_kernel(arguments: tuple[Any, ...], kernel: FunctionType) -> Any:
     """Compile a kernel with numba.
 
-    If a cache folder can be written, store the code for the next process.
+    If a cache folder can be written, store the compiled code for the next process.
     """
     from numba import njit
 
     try:
         return njit(arguments, cache=True, error_model="numpy")(kernel)
-    # No cache folder can be written, neither here nor in the user's home folder.
+    # No cache folder can be written, neither beside the source file nor in the user's home folder.
     except RuntimeError:
         return njit(arguments, error_model="numpy")(kernel)
 
@@ -165,8 +167,8 @@ def _compile_kernel(arguments: tuple[Any, ...], kernel: FunctionType) -> Any:
 def use_compiled_kernels(module: ModuleType) -> None:
     """Replace the kernels of a module by their compiled forms, for all callers in this process.
 
-    Functions marked with ``kernel_helper`` stay Python functions, because Python code also
-    calls them with objects.
+    Functions marked with ``kernel_helper`` stay Python functions, because some Python code calls
+    these functions with objects.
     """
     compiled_kernels = compile_module_kernels(module)
     for name, arguments in _KERNEL_ARGUMENTS[module.__name__].items():
@@ -196,7 +198,7 @@ def _build_c_call() -> Any:
     """Build the compiled form of ``call_c_function``.
 
     The address of the function is an argument of the compiled code. If the address were a constant
-    in the code, the code could not be stored for the next process.
+    in the compiled code, numba could not store the code for the next process.
     """
     from llvmlite import ir  # type: ignore[import-untyped, unused-ignore]  # some releases come without types
     from numba import types
@@ -235,7 +237,7 @@ def _build_array_at() -> Any:
 
 
 def array_addresses(arrays: Iterable[Any]) -> list[int]:
-    """Return the address and the length of each array. ``array_at`` needs these two numbers.
+    """Return the memory address and the length of each array. ``array_at`` needs the address and the length.
 
     The caller must keep the arrays alive.
     """

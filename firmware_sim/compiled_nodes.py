@@ -1,4 +1,4 @@
-"""The frames of one tick and their answers as records.
+"""Answers to the frames of one tick, where frames and answers are records in arrays.
 
 A compiled kernel answers the cyclic frames. The nodes answer all other frames.
 """
@@ -33,11 +33,11 @@ INITIAL_CAPACITY = 64
 class CompiledNodes:
     """Object that computes the answers of the nodes in a tick.
 
-    The states of these nodes are in array rows.
+    The states of the nodes are in array rows.
 
     Attributes:
         sends_unsolicited: True if the compiled kernel sends the frames that drives send without a
-            request. False if the world sends these frames.
+            request. False if the simulated world sends the unsolicited frames.
     """
 
     def __init__(self, simulated_world: Any, rows: dict[type, Any]) -> None:
@@ -87,11 +87,11 @@ class CompiledNodes:
         Args:
             frames: frames of the host, an array of ``FRAME_DTYPE``.
             t_ns: start of the tick [ns].
-            last_ns: largest delay of an answer after the start of the tick [ns].
+            last_ns: largest time from the start of the tick to an answer [ns].
 
         Returns:
-            The answers, with times as if they were sent one after the other, and True if these
-            times are in rising order.
+            The answers, with times as if the answers were sent one after the other. The second
+            value is True if these times are in rising order.
         """
         world = self._world
         progress = self._progress
@@ -134,7 +134,7 @@ class CompiledNodes:
         return np.concatenate((answer_frames, np.empty(len(answer_frames), FRAME_DTYPE)))
 
     def _append_frames(self, answer_frames: Any, frames: list[Frame]) -> Any:
-        """Return the array of answers with more frames appended."""
+        """Return the array of answers, with the given frames appended."""
         count = int(self._progress[ANSWERS])
         frame_count = len(frames)
         while count + frame_count > len(answer_frames):
@@ -144,10 +144,10 @@ class CompiledNodes:
         return answer_frames
 
     def _build_table(self) -> None:
-        """Build the table of identifiers. It contains the nodes that receive each identifier.
+        """Build the table of identifiers. The table contains the nodes that receive each identifier.
 
-        If the state of a node is not in an array row, Python handles all frames with identifiers of
-        this node.
+        If the state of a node is not in an array row, Python code handles all frames with
+        identifiers of this node.
         """
         world = self._world
         receivers = list[tuple[int, int, int]]()
@@ -164,13 +164,13 @@ class CompiledNodes:
             }
             for can_id in {can_id for ids in cyclic_ids.values() for can_id in ids}:
                 accepting_nodes = [node for node in nodes if _does_node_accept(node, can_id)]
-                # A node whose state is not in an array row also accepts this identifier. So Python
-                # must handle frames with this identifier.
+                # A node whose state is not in an array row accepts the identifier as well. So
+                # Python must handle frames with the identifier.
                 if not all(can_id in cyclic_ids[id(node)] for node in accepting_nodes):
                     continue
                 next_receiver = -1
-                # Each entry of the list contains the index of the next receiver. So the list is
-                # built from its end.
+                # Each entry of the list of receivers contains the index of the next receiver. So
+                # the list is built from its end.
                 for node in reversed(accepting_nodes):
                     receivers.append((*world.row_of[id(node)], next_receiver))
                     next_receiver = len(receivers) - 1
@@ -200,7 +200,7 @@ class CompiledNodes:
     def _accepted_identifiers(self) -> list[Any]:
         """Return the identifiers that each node accepts now.
 
-        The object that a node returns is replaced when the identifiers of the node change.
+        When the identifiers of a node change, the node returns a new object.
         """
         return [
             getattr(node, "accepted_ids", node.ids) for nodes in self._world.nodes for node in nodes
@@ -217,7 +217,7 @@ class CompiledNodes:
     def wake_ns(self) -> int:
         """Return the stored value of the earliest wake time of drives in array rows [ns].
 
-        The last call of ``answer`` or ``send_due_frames`` has stored this value.
+        The last call of ``answer`` or ``send_due_frames`` has stored the wake time.
         """
         return int(self._progress[WAKE_NS])
 
@@ -228,19 +228,19 @@ class CompiledNodes:
         return int(self._kernels.next_wake(self._drive_rows, *self._drive_structs))
 
     def send_due_frames(self, now_ns: int) -> bool:
-        """Send the unsolicited frames of drives that are due.
+        """Send the due unsolicited frames of drives.
 
         Args:
             now_ns: present time [ns].
 
         Returns:
-            False if Python must wake a node. In this case, no frame is sent.
+            False if Python must wake a node. If a node must be woken, no frame is sent.
         """
         if not self.sends_unsolicited or self._world.faults.in_frames:
             return False
         if self._table is None:
             self._build_table()
-        # At one time, a drive sends at most two frames: a heartbeat and its encoder estimates.
+        # In one call, a drive sends at most two frames: a heartbeat and its encoder estimates.
         while self._progress[SENT] + 2 * len(self._drive_rows) > len(self._sent):
             self._sent = np.concatenate((self._sent, np.empty(len(self._sent), FRAME_DTYPE)))
         rotors = self._world.plant.sampled[3]
@@ -251,7 +251,7 @@ class CompiledNodes:
         )
 
     def take_sent_frames(self) -> Any:
-        """Return the unsolicited frames since the last call.
+        """Return the unsolicited frames that drives have sent since the last call.
 
         The array is valid until a drive sends the next frame.
         """
@@ -267,6 +267,6 @@ class CompiledNodes:
 
 
 def _does_node_accept(node: Any, can_id: int) -> bool:
-    """Check whether a node may answer frames with an identifier."""
+    """Return True if a node possibly answers frames with an identifier."""
     accepted_ids = getattr(node, "accepted_ids", node.ids)
     return accepted_ids is None or can_id in accepted_ids

@@ -1,6 +1,6 @@
-"""The simulator's description of a hand. It is read from the hand file.
+"""The simulator's description of a hand, which is read from the hand file.
 
-To read the file, the module needs only the standard library of Python.
+To read the hand file, the module needs only the standard library of Python.
 """
 
 import importlib.util
@@ -19,7 +19,8 @@ PER_LINK_KEYS = (
 )
 """Keys of a digit whose value is a list with one value for each link.
 
-In hand files of schema 2, a single number stands for equal values of all links.
+In hand files of schema 2, a single number as value of such a key stands for equal values of all
+links.
 """
 JOINT_KEYS = {
     "joint_min_deg": "joint_min_m",
@@ -29,7 +30,7 @@ JOINT_KEYS = {
     "spring_stiffness_N_m_per_rad": "spring_stiffness_N_per_m",
     "spring_preload_rad": "spring_preload_m",
 }
-"""Keys of a digit with a value for each hinge, and for each prismatic joint."""
+"""For each key of a digit with values of hinges, the key with the values of prismatic joints."""
 PRISMATIC = "prismatic"
 """Entry of ``joint_type`` for a joint that slides along its axis."""
 
@@ -62,7 +63,7 @@ class Digit:
             the carrying digit [m].
         rpy_deg: extrinsic roll, pitch and yaw of the digit's mount, in the same frame as
             ``position`` [deg].
-        length: length of each link [m], or 0 where the axes of two joints intersect.
+        length: length of each link [m], or 0 for a link whose two joint axes intersect.
         prismatic: True for each joint that slides along its axis instead of turning.
         axis: axis of each joint, in the frame of the link that the joint moves.
         joint_rpy_deg: extrinsic roll, pitch and yaw of the frame of each link at joint angle zero,
@@ -132,7 +133,7 @@ class LinkMesh:
 class MomentArmCurve:
     """Moment arm of a tendon at a joint, as a function of the joint angle.
 
-    Beyond the limits of the joint, the moment arm is constant.
+    At angles beyond the limits of the joint, the moment arm is constant.
 
     Attributes:
         low: smallest joint angle [rad].
@@ -149,7 +150,7 @@ class MomentArmCurve:
     def negated(self) -> "MomentArmCurve":
         """Return the moment arm of a tendon on the opposite side of the joint.
 
-        This moment arm has the opposite sign.
+        The returned moment arm has the opposite sign.
         """
         return replace(self, coefficients=tuple(-power for power in self.coefficients))
 
@@ -170,7 +171,7 @@ class TendonSpec:
         name: name of the tendon.
         motor: name of the motor that winds the tendon.
         arms: moment arm of the tendon at each joint [m], by the name of the joint. For a moment arm
-            that depends on the joint angle, the value is the mean.
+            that depends on the joint angle, the value is the mean moment arm.
         curves: moment arms of the tendon that depend on the joint angle, by the name of the joint.
         stiffness: stiffness of the tendon at tensions below the knee [N/m].
         damping: viscous damping of the tendon [N s/m].
@@ -183,10 +184,12 @@ class TendonSpec:
             equation.
         wrap: wrap angle of the tendon before the first joint [rad].
         pretension: tension at rest in both tendons of a spool pair [N], or 0 for a single tendon.
-        winding_sign: 1 if a positive spool angle winds the tendon up, and -1 if it pays the tendon out.
+        winding_sign: 1 if a positive spool angle winds the tendon up, and -1 if a positive spool
+            angle pays the tendon out.
         curves: moment arms that depend on the joint angle, by the name of the joint.
-        prismatic_joints: prismatic joints. For these, the entry in ``arms`` is the excursion per motion
-            [m/m]. The tendon does not bend at these joints.
+        prismatic_joints: names of the prismatic joints. For a prismatic joint, the entry in
+            ``arms`` is the excursion per motion of the joint [m/m]. The tendon does not bend at a
+            prismatic joint.
     """
 
     name: str
@@ -208,8 +211,8 @@ class TendonSpec:
     def antagonist(self) -> "TendonSpec":
         """Return the second tendon of a spool pair.
 
-        The second tendon is wound in the opposite direction. Its moment arms have the opposite
-        signs.
+        The second tendon of the pair is wound in the opposite direction. The moment arms of the
+        second tendon have the opposite signs.
         """
         arms = {joint: -arm for joint, arm in self.arms.items()}
         curves = {joint: curve.negated for joint, curve in self.curves.items()}
@@ -219,7 +222,7 @@ class TendonSpec:
 
 @dataclass(frozen=True, slots=True)
 class MotorSpec:
-    """One motor of a hand. All quantities are given at the spool.
+    """One motor of a hand. All quantities of the motor are given at the spool.
 
     Attributes:
         name: name of the motor.
@@ -235,16 +238,18 @@ class MotorSpec:
         torque_peak: largest torque of the motor for a short time [N m].
         position_range: largest position that a CAN frame of the drive can contain [rad].
         velocity_range: largest velocity that a CAN frame of the drive can contain [rad/s].
-        direction: sign of the motor angle while the spool angle is positive, +1 or -1.
+        direction: +1 if the motor angle grows with the spool angle, and -1 if the motor angle
+            falls.
         zero_angle: encoder angle at which the spool angle theta of a homed hand is 0 [rad].
         options: options of the drive's protocol.
         serial: serial number of the drive. If None, the drive has the default serial number
             of its protocol.
         torque_gain: true torque divided by the torque that the drive computes from its current. The
-            value is 1 for a plant without perturbation.
+            torque gain is 1 for a plant without perturbation.
         top_speed: speed of the motor without load at the supply voltage [rad/s], or 0 if the speed
             is not limited.
-        stall_torque: torque at standstill that the supply voltage alone would allow [N m].
+        stall_torque: torque of the motor at standstill, if only the supply voltage limits the
+            torque [N m].
     """
 
     name: str
@@ -277,8 +282,8 @@ class SensorSpec:
         bus: name of the bus of the sensor node.
         sync_id: identifier of the SYNC frame to which the node replies.
         base_id: identifier of the first frame with tensions.
-        tendons: name of the tendon of each load cell.
-        joints: name of the joint of each joint encoder.
+        tendons: for each load cell, the name of its tendon.
+        joints: for each joint encoder, the name of its joint.
         joint_decimation: number of SYNC frames for each frame with joint angles.
         tension_noise: standard deviation of the noise of a measured tension [N].
         bias_drift: standard deviation of the random drift of a load cell after 100 s [N].
@@ -323,8 +328,8 @@ class Hand:
         tendons: all tendons of the hand, with only the first tendon of each spool pair.
         motors: all motors of the hand.
         sensors: sensor node of the hand. None for a hand without a sensor node.
-        meshes: meshes of the links and of the palm, for pictures. The plant does not use these
-            meshes, and the comparison of two hands ignores them.
+        meshes: meshes of the links and of the palm, for pictures. The plant does not use the
+            meshes, and the comparison of two hands ignores the meshes.
     """
 
     name: str
@@ -355,7 +360,7 @@ class Hand:
 
     @property
     def all_tendons(self) -> list[TendonSpec]:
-        """Return all tendons: first the tendons of ``tendons``, then the second tendon of each spool pair."""
+        """Return all tendons: first the tendons in ``tendons``, then the second tendon of each spool pair."""
         return [*self.tendons, *(tendon.antagonist for tendon in self.pairs)]
 
     @property
@@ -402,7 +407,8 @@ def load_hand(name_or_path: str) -> Hand:
         return _parse_hand(_resolved_file(tomllib.loads(path.read_text("utf-8"))), path.parent)
     except OSError as error:
         raise SimulatorError(f"{path}: cannot be read: {error.strerror}") from error
-    # A number in the hand file is too long, or the file is not in UTF-8.
+    # The error below means that a number in the hand file is too long, or that the file is not in
+    # UTF-8.
     except (ValueError, RecursionError) as error:
         raise SimulatorError(f"{path}: not TOML: {error}") from error
     except (KeyError, TypeError, AttributeError) as error:
@@ -471,7 +477,7 @@ def _section_with_template(
     """Return an entry of a hand file, with all missing keys filled in.
 
     The template of the entry gives the value of a missing key. If the template lacks the key, the
-    value comes from the defaults for this kind of entry.
+    value comes from the defaults for entries of the given kind.
     """
     default = file_content.get("default", {}).get(section_kind, {})
     template = (
@@ -514,7 +520,7 @@ def _parse_hand(file_content: dict[str, Any], folder: Path) -> Hand:
 def _parse_meshes(file_content: dict[str, Any], folder: Path) -> Iterator[LinkMesh]:
     """Yield the meshes of a hand.
 
-    Relative paths of mesh files start at the folder of the hand file.
+    A relative path of a mesh file starts at the folder of the hand file.
     """
     mount = file_content["mount"]
     pose_keys = ("scale", "position_m", "rpy_deg")
@@ -591,9 +597,9 @@ def _parse_digit(digit_section: dict[str, Any]) -> Digit:
 
 
 def _are_joints_prismatic(digit_section: dict[str, Any]) -> list[bool]:
-    """Return one truth value for each joint of a digit.
+    """Return one boolean value for each joint of a digit.
 
-    The value is True if the joint slides along its axis.
+    The value of a joint is True if the joint slides along its axis.
     """
     kinds = digit_section.get("joint_type", ["revolute"] * len(digit_section["link_length_m"]))
     return [kind == PRISMATIC for kind in kinds]
@@ -605,7 +611,8 @@ def _joint_values(
     """Return a value for each joint of a digit.
 
     For a hinge, the value comes from the key ``key``. For a prismatic joint, the value comes from
-    the key ``JOINT_KEYS[key]``. Without a default, a missing key raises KeyError.
+    the key ``JOINT_KEYS[key]``. If the key is missing and no default is given, the function raises
+    KeyError.
     """
     is_prismatic = _are_joints_prismatic(digit_section)
     lists = {}
@@ -619,12 +626,13 @@ def _joint_values(
 def _link_inertia(digit_section: dict[str, Any], i: int) -> tuple[float, ...]:
     """Return the six values of the inertia of link ``i`` of a digit.
 
-    If the file contains a single number, this is the moment of inertia of a round bar about the
-    axes y and z.
+    If the hand file contains a single number, this number is the moment of inertia of a round bar
+    about the axes y and z.
     """
     value = digit_section["link_inertia_kg_m2"][i]
     if isinstance(value, int | float):
-        # For any body, the largest principal moment of inertia is at most the sum of the other two.
+        # For any body, the largest principal moment of inertia is at most the sum of the other two
+        # moments.
         axial_inertia = min(
             digit_section["link_mass_kg"][i] * digit_section["link_radius_m"] ** 2 / 2, 2 * value
         )
@@ -652,8 +660,8 @@ def _parse_moment_arm_curve(
 ) -> MomentArmCurve:
     """Return a moment arm of a tendon that depends on the joint angle.
 
-    If the file contains a table of moment arms, a polynomial is fitted to the table by least
-    squares.
+    If the hand file contains a table of moment arms, the function fits a polynomial to the table by
+    least squares.
 
     Args:
         curve_section: entry of the hand file with ``polynomial_m``, or with ``angle_deg`` and ``arm_m``.
@@ -678,7 +686,8 @@ def _fit_polynomial(angles: list[float], arms: list[float]) -> list[float]:
         for i in range(count)
     ]
     for k in range(count):
-        # The matrix is symmetric and positive definite. So the elimination need not exchange rows.
+        # The matrix is symmetric and positive definite. So the Gaussian elimination does not need
+        # to exchange rows.
         rows[k] = [value / rows[k][k] for value in rows[k]]
         for i in range(count):
             if i != k:

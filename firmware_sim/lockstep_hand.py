@@ -1,4 +1,4 @@
-"""The simulator in lockstep. Its clock advances only when the caller executes a tick."""
+"""The simulator in lockstep. The clock of the simulator advances only when the caller executes a tick."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -19,8 +19,8 @@ from firmware_sim.wire.wire_options import parse_wire_options
 class LockstepHand:
     """A simulated hand that runs in lockstep with a caller.
 
-    If two runs have equal seeds and equal frames, their answers and truth files are equal in every
-    byte.
+    If two runs have equal seeds and equal frames of the host, their answers and truth files are
+    equal in every byte.
 
     Attributes:
         world: plant and nodes of the hand, for tests that need the true state.
@@ -52,12 +52,13 @@ class LockstepHand:
             period_ns: length of a tick [ns].
             homed: True to start with taut tendons and with the encoders at ``zero_rad`` of the hand
                 file.
-            wire: KEY=VALUE words of a simulated wire, see ``wire.wire_options``. If None, all
-                answers arrive within their tick.
+            wire: KEY=VALUE words of a simulated wire, see ``wire.wire_options``. If None, the
+                answers to all frames arrive within the tick of the frames.
             serials: serial numbers of the drives, see ``serial_numbers.with_serial_numbers``.
 
         Raises:
-            SimulatorError: the hand, the scene, a factor or a word of the wire is wrong.
+            SimulatorError: the hand, the scene, a factor, or a word of the argument ``wire`` is
+                wrong.
         """
         hand = with_serial_numbers(perturbed_hand(load_hand(hand_path), perturb or {}), serials)
         self.world = make_world(hand, load_scene(scene), seed, homed)
@@ -78,13 +79,13 @@ class LockstepHand:
         Args:
             t_ns: start of the tick [ns], which must not be earlier than the previous tick.
             frames: frames of the host as a contiguous array of ``frame_records.FRAME_DTYPE``. The
-                function ignores the times in these frames.
+                function ignores the times in the frames of the host.
 
         Returns:
-            The answers as an array of ``frame_records.FRAME_DTYPE``. The times of the answers are
-            those of frames that are sent one after the other on each bus within the tick. With
-            simulated wires, the result contains the frames that have arrived by the end of the
-            tick, and error frames of the host's CAN controllers.
+            The answers as an array of ``frame_records.FRAME_DTYPE``. The answers have the times of
+            frames that are sent one after the other on each bus within the tick. With simulated
+            wires, the result contains the frames that have arrived by the end of the tick, and
+            error frames of the host's CAN controllers.
         """
         end_ns = t_ns + self._period_ns
         if self.wired:
@@ -127,7 +128,7 @@ class LockstepHand:
         return self.world.faults.states()
 
     def truth(self) -> dict[str, list[float]]:
-        """Return parts of the present true state for tests: the tensions [N] and the commanded motor torques [N m]."""
+        """Return the present true tensions [N] and the commanded motor torques [N m], for tests."""
         motors = self.world.plant.motors.values()
         return {
             "tension": self.world.plant.tensions(),

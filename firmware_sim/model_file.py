@@ -1,6 +1,6 @@
 """Read the links in a robot description (URDF or MJCF) with MuJoCo.
 
-The result consists of plain values.
+The result of the reading consists of plain values.
 """
 
 import warnings
@@ -38,9 +38,9 @@ ROUND_SHAPES = (
     mujoco.mjtGeom.mjGEOM_CYLINDER,
     mujoco.mjtGeom.mjGEOM_SPHERE,
 )
-"""Shapes that give the radius of a link, the preferred shapes first."""
+"""Shapes from which the radius of a link is taken. The preferred shapes come first."""
 BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-"""Corners of a box around the origin with edges of length 2, (8, 3)."""
+"""Corners (8, 3) of a box around the origin, whose edges have the length 2."""
 
 
 def read_model_file(path: str, file_format: str) -> dict[str, Any]:
@@ -68,7 +68,7 @@ def read_model_file(path: str, file_format: str) -> dict[str, Any]:
           ``rotation`` (3, 3) in the frame of the link.
         - ``tendons``: for each tendon, its name, moment arms by joint [m], motor or None, and
           maximum tension [N] or None.
-        - ``notes``: one line for each part of the file that was not read.
+        - ``notes``: one line for each element of the file that was not read.
 
     Raises:
         SimulatorError: the file is not readable, or does not describe a tree of links with inertia
@@ -137,7 +137,7 @@ def _format_name(file_format: str) -> str:
 def _check_joint_types(xml_root: ET.Element, path: str) -> None:
     """Refuse a URDF with joints that a hand cannot have.
 
-    MuJoCo would read some of these joints as joints of another type, without an error.
+    MuJoCo would read some unsupported joints as joints of another type, without an error.
     """
     for joint in xml_root.iter("joint"):
         kind = joint.get("type")
@@ -162,8 +162,8 @@ def _compiled_model(
         spec.compiler.fusestatic = False
         spec.compiler.discardvisual = False
         if file_format == "urdf":
-            # In a URDF, separate elements give the inertia of a link. It does not follow from the
-            # shapes.
+            # In a URDF, separate elements give the inertia of a link. The inertia does not follow
+            # from the shapes of the link.
             spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
             _name_mesh_files(spec, xml_root, Path(path).absolute().parent)
         try:
@@ -194,8 +194,8 @@ def _name_mesh_files(model_spec: Any, xml_root: ET.Element, folder: Path) -> Non
 def _compile_spec(model_spec: Any) -> Any:
     """Compile a model, and suppress the warnings of MuJoCo.
 
-    The warnings concern dynamics, which are not used here. The warnings would appear beside an
-    error message that should be one line.
+    The warnings concern the dynamics of the model, which this module does not use. The warnings
+    would appear beside an error message that must have a single line.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -205,7 +205,8 @@ def _compile_spec(model_spec: Any) -> Any:
 def _parsed_spec(path: str) -> Any:
     """Parse a model file.
 
-    If the file has no suffix of ``MODEL_SUFFIXES``, MuJoCo gets the content of the file as text.
+    If the file has no suffix of ``MODEL_SUFFIXES``, MuJoCo receives the content of the file as
+    text.
     """
     if Path(path).suffix in MODEL_SUFFIXES:
         return mujoco.MjSpec.from_file(path)
@@ -278,7 +279,7 @@ def _link_values(
     Returns:
         Plain values in a table:
 
-        - ``name``: name of the body, and ``joint``: name of its joint.
+        - ``name``: name of the body, and ``joint``: name of the body's joint.
         - ``parent``: index of the parent in the list of links, -1 for the root.
         - ``position`` (3,) [m] and ``rotation`` (3, 3) of the link in the frame of its parent.
         - ``prismatic``: True if the joint slides along its axis. The values of a prismatic joint
@@ -398,8 +399,8 @@ def _frame_origins(
     origin_by_body = {
         model.body(body).name: model_data.xpos[body] for body in members if body != root_body
     }
-    # MuJoCo computes the positions of sites only in its first step. So this function computes these
-    # positions.
+    # MuJoCo computes the positions of sites only in its first step. So this function computes the
+    # positions of the sites.
     for site in range(model.nsite):
         body = int(model.site_bodyid[site])
         if body in members:
@@ -485,7 +486,7 @@ def _tendon_values(model: Any, notes: list[str]) -> list[dict[str, Any]]:
 
 
 def _pull_direction(model: Any, motors: list[int]) -> dict[str, Any]:
-    """Return the name of a tendon's only actuator, and the largest tension [N].
+    """Return the name of a tendon's only actuator, and the largest tension of this actuator [N].
 
     The largest tension is given only if the actuator controls the tension.
     """

@@ -1,6 +1,6 @@
 """Files and positions of the meshes in a robot description (URDF or MJCF).
 
-The mesh files themselves are not read here.
+The module does not read the mesh files themselves.
 """
 
 from collections.abc import Iterator
@@ -44,7 +44,8 @@ def urdf_files(xml_root: ET.Element, folder: Path) -> dict[str, Path]:
 def _urdf_path(name: str, folder: Path) -> Path:
     """Return the path of a mesh file of a URDF.
 
-    If the name contains a ROS package, the package is searched in all folders above the URDF.
+    If the name contains a ROS package, the function searches the package in all folders above the
+    URDF.
     """
     if not name.startswith(PACKAGE_PREFIX):
         return folder / name.removeprefix(FILE_SCHEME_PREFIX)
@@ -68,7 +69,7 @@ def urdf_meshes(xml_root: ET.Element, folder: Path, model: Any) -> Iterator[Body
     Args:
         xml_root: first XML element of the URDF.
         folder: folder of the URDF.
-        model: compiled model, which has a body for each link except the root link.
+        model: compiled MuJoCo model, which has a body for each link except the root link.
     """
     files = urdf_files(xml_root, folder)
     for link in xml_root.iter("link"):
@@ -100,7 +101,8 @@ def _three_numbers(text: str) -> Any:
 def mjcf_meshes(model_spec: Any, model: Any, folder: Path, notes: list[str]) -> Iterator[BodyMesh]:
     """Yield the meshes of an MJCF model.
 
-    If a body has meshes without contacts, only these meshes are yielded.
+    For a body that has meshes without contacts, the function yields only the meshes without
+    contacts.
 
     Args:
         model_spec: source of the model (``mujoco.MjSpec``).

@@ -7,7 +7,7 @@ arguments.
 MAX_MESSAGE_LENGTH = 500
 """Maximum length of a message [characters]."""
 OMISSION_MARK = " [...] "
-"""Text in place of the middle of a message that is too long."""
+"""Text that replaces the middle of a message that is too long."""
 
 
 def printable_text(text: str) -> str:
@@ -25,10 +25,12 @@ def printable_text(text: str) -> str:
 def one_line_message(text: str) -> str:
     """Convert a text to a message that has a single line.
 
-    A message starts with the problem and ends with the remedy. Therefore only the middle of a long
-    text is removed.
+    A message starts with the problem and ends with the remedy. Therefore the function removes only
+    the middle of a long text.
     """
-    if len(text) > 4 * MAX_MESSAGE_LENGTH:  # escape sequences never make a text shorter
+    if (
+        len(text) > 4 * MAX_MESSAGE_LENGTH
+    ):  # a replacement by escape sequences never makes a text shorter
         text = text[: 2 * MAX_MESSAGE_LENGTH] + text[-2 * MAX_MESSAGE_LENGTH :]
     line = printable_text(text)
     if len(line) <= MAX_MESSAGE_LENGTH:

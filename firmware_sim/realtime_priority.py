@@ -13,12 +13,13 @@ from collections.abc import Callable
 REALTIME_PRIORITY = 50
 """Real-time priority of the simulator.
 
-The controller has the priority 60. Therefore the simulator never delays the controller.
+The controller has the priority 60. Therefore a controller with priority 60 never waits for the
+simulator.
 """
 ORDINARY_PRIORITY_DURATION_S = 5.0
-"""Time without real-time priority after the plant fell behind the clock [s]."""
+"""Time for which the simulator has no real-time priority after the plant has repeatedly fallen behind the clock [s]."""
 MAX_CLOCK_SLIPS = 3
-"""Number of clock slips within ``CLOCK_SLIP_WINDOW_S`` after which the priority is given back."""
+"""Number of clock slips within ``CLOCK_SLIP_WINDOW_S`` after which the simulator gives the real-time priority back."""
 CLOCK_SLIP_WINDOW_S = 1.0
 """Time span within which ``MAX_CLOCK_SLIPS`` are counted [s]."""
 
@@ -49,17 +50,19 @@ def restore_priority() -> None:
 class RealTimePriority:
     """Real-time priority for a simulator that serves a controller.
 
-    The class ensures that the controller still gets enough computing time.
+    The class ensures that the controller gets enough computing time in spite of the priority of the
+    simulator.
 
     A simulator that is behind the clock is always busy. A controller on the same core has no
-    real-time priority as long as it imports modules. A simulator with real-time priority would then
-    leave the controller almost no time. The simulator therefore takes the priority only when the
-    first frame of a host arrives. If the plant repeatedly falls behind the clock, the simulator
-    gives the priority back for ``ORDINARY_PRIORITY_DURATION_S``. After a single stop of the
-    machine, the simulator keeps the priority.
+    real-time priority as long as it imports modules. A simulator with real-time priority would
+    leave an importing controller almost no computing time. The simulator therefore takes the
+    real-time priority only when the first frame of a host arrives. If the plant repeatedly falls
+    behind the clock, the simulator gives the real-time priority back for
+    ``ORDINARY_PRIORITY_DURATION_S``. After a single stop of the machine, the simulator keeps the
+    real-time priority.
 
     Attributes:
-        active: True while the process has the priority.
+        active: True while the process has real-time priority.
     """
 
     def __init__(
@@ -71,8 +74,8 @@ class RealTimePriority:
         """Start without real-time priority.
 
         Args:
-            request_function: function that requests the priority, and returns True if the
-                system has granted it.
+            request_function: function that requests real-time priority, and returns True if the
+                system has granted the priority.
             restore_function: function that gives the process the ordinary priority again.
             now_s: function that returns the present time [s].
         """
@@ -84,15 +87,15 @@ class RealTimePriority:
         self._slips_s: deque[float] = deque(maxlen=MAX_CLOCK_SLIPS)
 
     def request_priority(self) -> None:
-        """Take the real-time priority, because the host has sent frames."""
+        """Request the real-time priority for this process, because the host has sent frames."""
         if not self.active and self._now_s() >= self._not_before_s:
             self.active = self._take()
             self._not_before_s = (
                 self._now_s() + ORDINARY_PRIORITY_DURATION_S
-            )  # if the priority has been refused, it is not requested in every turn
+            )  # after the system has refused the priority, the simulator does not request it in every turn
 
     def count_clock_slip(self) -> None:
-        """Count a slip of the clock. After ``MAX_CLOCK_SLIPS`` slips, give the priority back."""
+        """Count a slip of the clock. After ``MAX_CLOCK_SLIPS`` slips, give the real-time priority back."""
         if not self.active:
             return
         now_s = self._now_s()

@@ -25,12 +25,12 @@ def with_serial_numbers(hand: Hand, serial_options: Iterable[str]) -> Hand:
     Args:
         hand: description of the hand.
         serial_options: NUMBER for all drives, where each drive has NUMBER plus its node number, or
-            MOTOR=NUMBER for a single drive. If two words concern the same drive, the later word
+            MOTOR=NUMBER for a single drive. If two options concern the same drive, the later option
             applies.
 
     Raises:
         SimulatorError: the motor does not exist, or the protocol of the drive does not allow the
-            number.
+            serial number.
     """
     serials: dict[str, int | None] = {motor.name: motor.serial for motor in hand.motors}
     for word in serial_options:

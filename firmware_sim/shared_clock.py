@@ -2,17 +2,18 @@
 
 The clock pauses while the machine is too slow.
 
-The operating system may stop the simulator for many milliseconds. The answers of the simulator then
+If the operating system stops the simulator for many milliseconds, the answers of the simulator
 arrive late, although the simulated hand has no fault. A controller that uses the shared clock waits
-for these answers. In every tick, the controller sets a time called the gate. The simulator never
-advances beyond the gate.
+for late answers of the simulator. In every tick, the controller sets the gate, which is a time
+beyond which the simulator never advances.
 
 The clock is a file with six 64-bit integers. Both processes map the file into memory:
 
     version | gate [ns] | sum of the pauses [ns] | ticks sent | ticks answered | reached [ns]
 
 The simulator writes the version and the last two integers. The controller writes the other
-integers. All times are CLOCK_MONOTONIC minus the sum of the pauses, without the time scale.
+integers. All times in the file are CLOCK_MONOTONIC minus the sum of the pauses, without the time
+scale.
 """
 
 import mmap
@@ -25,22 +26,22 @@ from firmware_sim.hand_description import SimulatorError
 
 CLOCK_FILE_VERSION = 1
 GATE_INDEX, PAUSED_INDEX, SENT_INDEX, ANSWERED_INDEX, REACHED_INDEX = 1, 2, 3, 4, 5
-"""Indices of the integers in the file."""
+"""Indices of the integers in the file of the shared clock."""
 CLOCK_FILE_INTEGER_COUNT = 6
 OPEN_GATE_NS = 2**63 - 1
-"""Value of the gate without a controller."""
+"""Value of the gate (time limit for the simulator) if no controller uses the clock [ns]."""
 MAX_GATE_WAIT_NS = 120_000_000
-"""Longest wait at the gate, as wall time [ns].
+"""Longest time for which the simulator waits at the gate (the time limit of the controller), as wall time [ns].
 
-A controller that stays away for longer has stopped or died.
+A controller that does not move the gate for a longer time has stopped or died.
 
-The wait at the gate is shorter than the delay at which the plant's clock slips. The longest pause
-for a late controller is shorter than this wait.
+The longest wait at the gate is shorter than the delay at which the clock of the plant slips. The
+longest pause of the clock for a late controller is shorter than the longest wait at the gate.
 """
 
 
 class SharedClock:
-    """The clock of a simulator, including the pauses and the gate that a controller sets.
+    """The clock of a simulator, with the pauses and the gate (time limit) that a controller sets.
 
     The class ``bus_server.ServerClock`` describes the methods.
 
@@ -67,8 +68,8 @@ class SharedClock:
         """Create the file of the clock, for sharing with a controller.
 
         Args:
-            path: path of the file. If an earlier simulator was killed and has left such a file, the
-                file is replaced.
+            path: path of the file. If an earlier simulator was killed and has left a clock file at
+                this path, the file is replaced.
 
         Raises:
             SimulatorError: the file cannot be created.
@@ -90,7 +91,8 @@ class SharedClock:
     def now_ns(self) -> int:
         """Return the present time [ns].
 
-        If the gate is earlier than the present time, return the time of the gate.
+        If the gate, the time limit that the controller sets, is earlier than the present time,
+        return the gate.
         """
         now, gate = time.monotonic_ns() - self._numbers[PAUSED_INDEX], self._numbers[GATE_INDEX]
         if gate < now <= gate + MAX_GATE_WAIT_NS:
@@ -102,7 +104,7 @@ class SharedClock:
         return self._numbers[SENT_INDEX]
 
     def publish_answered_ticks(self, ticks: int) -> None:
-        """Report the number of ticks whose frames have all been answered."""
+        """Report the number of ticks whose frames have all been answered by the nodes."""
         self._numbers[ANSWERED_INDEX] = ticks
 
     def publish_reached_time(self, t_ns: int) -> None:
@@ -112,8 +114,8 @@ class SharedClock:
     def close(self) -> None:
         """Remove the file of the clock.
 
-        A controller may still have the file in its memory map. This controller then waits, as it
-        does for a stopped simulator.
+        A controller that still has the file in its memory map waits, as it does for a stopped
+        simulator.
         """
         if self._path:
             self._path.unlink(missing_ok=True)

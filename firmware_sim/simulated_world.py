@@ -2,7 +2,8 @@
 
 The caller passes times and frames to the world. The world itself uses no sockets and no clocks.
 
-Injected faults act on frames of nodes, in a node, in a sensor or in the plant. See ``faults``.
+Injected faults act on frames of nodes, on a node, on a sensor or on the plant. See the package
+``faults``.
 """
 
 import random
@@ -43,12 +44,12 @@ needs.
 class SimulatedWorld:
     """The plant and the simulated nodes of one hand.
 
-    A world that is not homed starts like a hand at power-up. Each tendon is slack by 1 to 3 mm,
-    because the motors were off. At q = 0, a tendon is just taut at a certain spool angle. At this
-    spool angle, the encoder of the motor reads ``zero_rad`` with an error of at most 0.5 rad. Such
-    an error occurs if a person clamps the spool by hand. The slack and the encoder angle are random
-    numbers that depend on a seed. A homed world starts with taut tendons and with the encoders at
-    ``zero_rad``.
+    A world that is not homed starts like a hand at power-up. At the start, each tendon is slack by
+    1 to 3 mm, because the motors were off. At the joint angles q = 0, a tendon is just taut at a
+    certain spool angle. At the spool angle of a just taut tendon, the encoder of the motor reads
+    ``zero_rad`` with an error of at most 0.5 rad. An error of up to 0.5 rad occurs if a person
+    clamps the spool by hand. The slack and the encoder angle are random numbers that depend on a
+    seed. A homed world starts with taut tendons and with the encoders at ``zero_rad``.
 
     Attributes:
         hand: description of the hand.
@@ -59,7 +60,7 @@ class SimulatedWorld:
         foreign_frame_count: number of received frames that no simulated node has handled.
         sensor_node: node with load cells and joint encoders, or an object for all load-cell
             amplifiers.
-        sensor_nodes: all nodes on the bus that read load cells.
+        sensor_nodes: all nodes that read load cells, on the bus of these nodes.
         faults: faults that have been injected.
         encoder_offset: encoder angle at the spool angle theta = 0 [rad], by the name of the motor.
         row_of: kind and array row of each node that compiled kernels handle, by the ``id()`` of the
@@ -130,7 +131,8 @@ class SimulatedWorld:
         Raises:
             SimulatorError: the machine has no graphics library.
         """
-        # The import is here, because most runs draw no pictures and need no graphics library.
+        # The import is inside the method, because most runs draw no pictures and need no graphics
+        # library.
         from firmware_sim.plant.camera import Camera
 
         return Camera(self.hand, self.plant.scene, width_px, height_px)
@@ -234,14 +236,14 @@ class SimulatedWorld:
             frame: frame of the host.
 
         Returns:
-            The answers. The time of the answers is the present time.
+            The answers of the nodes. The time of each answer is the present time.
         """
         answer_frames: list[Frame] = []
         is_handled = False
         t_ns = self.t_ns
         bus = frame[3]
         faults = self.faults
-        # a fault may also act on frames that are meant for other nodes
+        # a fault can act on frames that are meant for other nodes
         has_wire_fault = faults.wire_faults_of
         receivers = (
             self._nodes_of_bus[bus]
@@ -265,15 +267,15 @@ class SimulatedWorld:
         return answer_frames
 
     def has_receiver(self, frame: Frame) -> bool:
-        """Return True if a node may answer the frame. To answer, the node samples the plant."""
+        """Return True if a node possibly answers the frame. To answer a frame, a node samples the plant."""
         return bool(self._by_id[frame[3]].get(frame[0]) or self._receivers(frame[3], frame[0]))
 
     def _receivers(
         self, bus: int, can_id: int
     ) -> list[tuple[SimulatedNode, frozenset[int] | None]]:
-        """Return the nodes that may answer frames with an identifier.
+        """Return the nodes that possibly answer frames with the given identifier.
 
-        Each node is returned together with all its present identifiers.
+        The function returns each node together with all present identifiers of the node.
         """
         receivers = [
             (node, ids) for node, ids in self._nodes_of_bus[bus] if ids is None or can_id in ids
@@ -282,7 +284,7 @@ class SimulatedWorld:
         return receivers
 
     def refresh_identifiers(self) -> None:
-        """Read the identifiers of all nodes again, because identifiers may have changed."""
+        """Read the identifiers of all nodes again, because identifiers have possibly changed."""
         self._nodes_of_bus = [[(node, node.ids) for node in bus] for bus in self.nodes]
         self._by_id = [{} for _ in self.nodes]
         if self.compiled_nodes:
@@ -291,12 +293,12 @@ class SimulatedWorld:
     def advance(self, t_ns: int, row_wake_ns: int | None = None) -> None:
         """Advance the plant and the nodes towards the time ``t_ns``, by whole time steps.
 
-        The time that remains is left for the next call.
+        The remaining time, which is less than a time step, is left for the next call.
 
         Args:
             t_ns: time to which the world advances [ns].
             row_wake_ns: earliest wake time of the drives whose state is in array rows [ns], or None
-                if it is not known.
+                if the wake time is not known.
         """
         plant = self.plant
         truth = self._truth
@@ -326,9 +328,9 @@ class SimulatedWorld:
     def advance_exactly(self, t_ns: int) -> None:
         """Advance plant and nodes to exactly ``t_ns``.
 
-        The values that a node samples then belong to the exact time of the sample. All other steps
-        begin and end at the usual times. The step that contains ``t_ns`` is divided, and the next
-        call completes this step.
+        Because of the exact time, the values that a node samples belong to the time of the sample.
+        The method divides the time step that contains ``t_ns``, and the next call completes this
+        step. All other steps begin and end at the usual times.
         """
         self.advance(t_ns)
         remaining_ns = t_ns - self.t_ns
@@ -365,8 +367,8 @@ class SimulatedWorld:
         """Wake the nodes whose wake time has come, and store the frames that they send.
 
         Returns:
-            The earliest wake time of the drives whose state is in array rows [ns], or None if it is
-            not known.
+            The earliest wake time of the drives whose state is in array rows [ns], or None if the
+            wake time is not known.
         """
         if (
             self.compiled_nodes
@@ -393,7 +395,7 @@ class SimulatedWorld:
         self._unsolicited += frames
 
     def take_unsolicited_frames(self) -> list[Frame]:
-        """Return the unsolicited frames since the last call, sorted by time."""
+        """Return the unsolicited frames of the nodes since the last call, sorted by time."""
         unsolicited_frames = self._unsolicited
         self._unsolicited = []
         if self.compiled_nodes and len(from_drives := self.compiled_nodes.take_sent_frames()):
@@ -401,7 +403,7 @@ class SimulatedWorld:
         return unsolicited_frames
 
     def take_unsolicited_records(self) -> Any:
-        """Return the unsolicited frames as an array of ``frame_records.FRAME_DTYPE``.
+        """Return the unsolicited frames of the nodes as an array of ``frame_records.FRAME_DTYPE``.
 
         The array stays valid until a node sends the next frame.
         """
@@ -435,9 +437,9 @@ class SimulatedWorld:
 
 
 def _count_steps_until(now_ns: int, due_ns: int, end_ns: int) -> int:
-    """Count the time steps until an event is due or until the end is reached.
+    """Count the time steps until an event is due or the time ``end_ns`` is reached.
 
-    The result is at least 1.
+    The returned number of steps is at least 1.
 
     Args:
         now_ns: present time [ns].

@@ -1,4 +1,4 @@
-"""The pace of the simulation: reports of delays behind the clock, and the pace that this machine can keep."""
+"""The pace of the simulation (plant time per wall time): reports of delays, and the pace that the machine can keep."""
 
 import math
 import os
@@ -10,17 +10,17 @@ from dataclasses import dataclass
 REPORT_PERIOD_S = 1.0
 """Minimum time between two reports of slips [s]."""
 SLOW_MACHINE_SLIP_COUNT = 3
-"""With this number of slips within a report period, a machine counts as too slow.
+"""Number of clock slips within a report period from which on a machine counts as too slow.
 
-With fewer slips, the process was only stopped for a moment.
+With fewer clock slips, the operating system has only stopped the process for a moment.
 """
 SIMULATOR_CORE_FRACTION = 0.5
 """Fraction of a processor core for the simulator.
 
-Controller, recorder and system need the rest.
+The controller, the recorder and the operating system need the rest of the core.
 """
 ADVISED_PACE_FRACTION = 0.8
-"""Advised pace divided by the pace that the machine can keep."""
+"""Ratio of the advised pace to the pace that the machine can keep."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class ClockReadings:
 
     Attributes:
         wall_s: time of the wall clock [s].
-        cpu_s: computing time of this process [s].
+        cpu_s: computing time of the process of the simulator [s].
         plant_s: simulated time of the plant [s].
     """
 
@@ -41,11 +41,11 @@ class ClockReadings:
 class PaceMeter:
     """Counter of the slips of the clock.
 
-    The counter measures and reports the pace of the simulation.
+    The counter measures and reports the pace of the simulation, which is plant time per wall time.
 
     Attributes:
         advice: highest pace that this machine can keep, as the ratio of plant time to wall time.
-            The value is None until the machine has proved too slow for the requested pace.
+            The advice is None until the machine has proved too slow for the requested pace.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class PaceMeter:
         Args:
             plant_ns: present time of the plant [ns].
             wall_s: function that returns the time of the wall clock [s].
-            cpu_s: function that returns the computing time of this process [s].
+            cpu_s: function that returns the computing time of the simulator's process [s].
             print_line: function that prints a line.
             time_scale: requested pace, as the ratio of plant time to wall time.
         """
@@ -76,7 +76,7 @@ class PaceMeter:
         self.advice: float | None = None
 
     def restart(self, plant_ns: int) -> None:
-        """Restart the measurement of the pace, because a host has appeared.
+        """Restart the measurement of the pace, because a host has sent its first frame.
 
         Args:
             plant_ns: present time of the plant [ns].
@@ -86,8 +86,8 @@ class PaceMeter:
     def count_slip(self, behind_ns: int, plant_ns: int) -> None:
         """Count a slip of the clock.
 
-        The simulation never catches up on the time that is lost by a slip. If the last report is at
-        least a second old, report the slip.
+        The simulation never catches up on the time that is lost by a slip. If the last report of a
+        slip is at least a second old, report the slip.
 
         Args:
             behind_ns: plant time that was lost by the slip [ns].
@@ -111,7 +111,7 @@ class PaceMeter:
         self._slips = self._lost_ns = 0
 
     def report(self, plant_ns: int) -> dict[str, float | None]:
-        """Return the requested pace, the advised pace, and the plant time per computing time since the start."""
+        """Return the requested pace, the advised pace, and the ratio of plant to computing time since the start."""
         max_pace = _pace_ratio(self._start, self._read_clocks(plant_ns))
         return {
             "time_scale": self._time_scale,
@@ -120,12 +120,12 @@ class PaceMeter:
         }
 
     def _slow_machine_text(self, seconds: float) -> str:
-        """Return the line that tells the user that the machine is too slow."""
+        """Return a message for the user that the machine is too slow."""
         slip_text = f"clock slipped {self._slips} times in {seconds:.1f} s, {self._lost_ns / 1e6:.0f} ms given up"
         return f"firmware_sim: {slip_text}: this machine is fast enough for --time-scale {self.advice:g}"
 
     def _update_advised_pace(self, present_readings: ClockReadings) -> None:
-        """Update the advised pace from the pace since the last report."""
+        """Update the advised pace from the measured pace since the last report."""
         measured_pace = (present_readings.plant_s - self._mark.plant_s) / (
             present_readings.wall_s - self._mark.wall_s
         )
@@ -164,5 +164,5 @@ def _pace_ratio(start: ClockReadings, end: ClockReadings) -> float:
 
 
 def _usable_cores() -> set[int]:
-    """Return the processor cores on which this process may run."""
+    """Return the processor cores on which this process is allowed to run."""
     return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else {0, 1}

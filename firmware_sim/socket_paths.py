@@ -11,17 +11,17 @@ from firmware_sim.hand_description import SimulatorError
 _PRIVATE_FOLDER_MODE = 0o700
 """File mode of a directory with access only for the owner."""
 _PATH_MAX = 103
-"""Maximum length of a Unix socket's path that all systems allow [bytes]."""
+"""Maximum length of a Unix socket's path that all operating systems allow [bytes]."""
 
 
 def run_dir() -> Path:
     """Return the run directory, for the sockets and truth files of the user.
 
-    A missing directory is created. A directory that other users can access is refused.
+    The function creates a missing directory, and refuses a directory that other users can access.
 
     Raises:
         SimulatorError: the directory cannot be created. The error is also raised if the directory,
-            or one above it, is a link, belongs to another user, or is open to others.
+            or a directory above it, is a link, belongs to another user, or is open to other users.
     """
     if run_folder_name := os.environ.get("HANDCTL_RUN_DIR"):
         folder = Path(run_folder_name)
@@ -35,8 +35,8 @@ def run_dir() -> Path:
     folder = Path(os.path.abspath(folder))
     folder = Path(os.path.realpath(_parent_dir(folder, path_parts)), *folder.parts[-path_parts:])
     try:
-        # The check starts at the top. In a directory that has passed the check, no other user can
-        # replace an entry.
+        # The check starts at the highest directory of the path. In a directory that has passed the
+        # check, no other user can replace an entry.
         for path in [*reversed(folder.parents), folder][1:]:
             _check_directory(path, is_private=len(folder.parts) - len(path.parts) < path_parts)
     except OSError as error:
@@ -49,7 +49,7 @@ def run_dir() -> Path:
 def _parent_dir(folder: Path, path_parts: int) -> Path:
     """Return the parent of the private directories in the path of the run directory.
 
-    The path of this parent may contain only symbolic links that belong to root.
+    In the path of the returned parent, only symbolic links that belong to root are allowed.
 
     Raises:
         SimulatorError: a directory in the path is a link that belongs to a user.
@@ -66,7 +66,7 @@ def _check_directory(path: Path, is_private: bool) -> None:
 
     Args:
         path: path of a directory, whose parent directories have already been checked.
-        is_private: True for a part of the run directory, which no other user may access.
+        is_private: True for a directory that no other user is allowed to access.
 
     Raises:
         SimulatorError: see ``run_dir``.
@@ -78,8 +78,8 @@ def _check_directory(path: Path, is_private: bool) -> None:
         raise _path_error(path, "is a link")
     if status.st_uid != os.geteuid() and (is_private or status.st_uid):
         raise _path_error(path, f"belongs to another user ({status.st_uid})")
-    # A directory in which others may write is safe if it has the sticky bit. In such a directory,
-    # as in /tmp, only the owner of an entry can replace the entry.
+    # A directory in which other users are allowed to write is safe if it has the sticky bit. In a
+    # directory with the sticky bit, such as /tmp, only the owner of an entry can replace the entry.
     if status.st_mode & 0o022 and (is_private or not status.st_mode & stat.S_ISVTX):
         raise _path_error(path, f"is open to others (mode {stat.S_IMODE(status.st_mode):04o})")
     if is_private and status.st_mode & 0o077:

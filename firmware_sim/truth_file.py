@@ -1,10 +1,10 @@
 """The truth file: a record of the true state of the plant in every millisecond.
 
-Tests compare the estimates of a controller with this record.
+Tests compare the estimates of a controller with the truth file.
 
-The file starts with a line of JSON. This line is padded with spaces, and completed when the file is
-closed. Rows follow. Each row consists of an int64 t_ns and of a float64 for each column,
-little-endian.
+The truth file starts with a line of JSON. The line is padded with spaces, and the writer completes
+it when the file is closed. Rows of data follow after the line. Each row consists of an int64 t_ns
+and of a float64 for each column, little-endian.
 """
 
 import json
@@ -20,20 +20,20 @@ import numpy.typing as npt
 from firmware_sim.plant.plant import Plant
 
 PERIOD_NS = 1_000_000
-"""Time from one row to the next [ns]."""
+"""Time from one row of the truth file to the next row [ns]."""
 _HEADER_SIZE = 8192
 """Size of the header line [bytes]."""
 _BUFFERED_ROW_COUNT = 256
-"""Number of rows collected before a write to the file."""
+"""Number of rows that the writer collects before it writes to the file."""
 MIN_FREE_DISK_BYTES = 64 << 20
-"""Free disk space below which no more rows are written [bytes].
+"""Free disk space below which the writer writes no more rows [bytes].
 
-The run folder may be in memory, and a simulator may run for days.
+The run folder is possibly in memory, and a simulator possibly runs for days.
 """
 MAX_UNNAMED_FILE_BYTES = 1 << 30
 """Largest size of a truth file that no user has named [bytes].
 
-A file of this size contains about 40 minutes.
+A truth file of this size contains about 40 minutes of simulation.
 """
 
 
@@ -91,7 +91,8 @@ class TruthWriter:
 
     Attributes:
         due_ns: plant time when the next row must be written [ns].
-        full: True after the last row that fits. Later rows are discarded.
+        full: True after the last row that fits into the file or on the disk. Later rows are
+            discarded.
     """
 
     def __init__(
@@ -160,7 +161,8 @@ class TruthWriter:
             self._file.tell() + len(data) <= self._max_bytes and free_bytes >= MIN_FREE_DISK_BYTES
         )
         try:
-            # An unbuffered file writes a part of the data if the disk becomes full meanwhile.
+            # If the disk becomes full during a write, an unbuffered file has written only the first
+            # bytes of the data.
             is_written = not self.full and has_space and self._file.write(data) == len(data)
         except OSError:  # nothing could be written
             is_written = False
@@ -169,7 +171,7 @@ class TruthWriter:
     def close(self, run_summary: dict[str, object]) -> None:
         """Write the collected rows, complete the header with a summary of the run, and close the file.
 
-        The header also says whether the last rows are missing, because the file or the disk was full.
+        The header states whether the last rows are missing because the file or the disk was full.
         """
         self.flush()
         self._header.update({**run_summary, "truncated": self.full})

@@ -50,14 +50,14 @@ class BusPort(Protocol):
     def receive(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
         """Receive frames from the sockets that are ready.
 
-        The caller repeats the call until the result is empty.
+        The caller must call ``receive`` again until the result is empty.
         """
         ...
 
     def send(self, frames: list[Frame]) -> None:
         """Send frames in the given order.
 
-        If the bus has no room for a frame, the frame is lost and counted.
+        If the bus has no room for a frame, the frame is lost, and the port counts the lost frame.
         """
         ...
 
@@ -76,7 +76,7 @@ def open_port(
             the bus) or ``socketcan:INTERFACE``.
         bus: index of the bus in the list of the hand's buses.
         timed_port: function that opens the port of a local bus with simulated transmission times.
-            If it is None, the transmission of a frame takes no time.
+            If the function is None, the transmission of a frame takes no time.
 
     Raises:
         SimulatorError: the type of the bus is unknown, or the bus cannot be opened.
@@ -98,7 +98,8 @@ def open_port(
 def is_local_bus(spec: str) -> bool:
     """Return True if all frames of a bus stay on this machine.
 
-    The clock of such a bus may pause, because no other machine sends or receives its frames.
+    The clock of a local bus is allowed to pause, because no other machine sends or receives frames
+    of this bus.
     """
     kind, _, name = spec.partition(":")
     return kind == "local" or (kind == "socketcan" and (VIRTUAL_INTERFACES / name).exists())
@@ -115,7 +116,7 @@ def assign_buses(specs: list[str], buses: list[str]) -> list[str]:
         The specifications in the order of the hand's buses.
 
     Raises:
-        SimulatorError: a bus has no specification, is not part of the hand, or is given twice.
+        SimulatorError: a bus has no specification, does not belong to the hand, or is given twice.
     """
     specs_by_bus: dict[str, str] = {}
     for text in specs:

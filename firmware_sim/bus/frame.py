@@ -38,7 +38,7 @@ class Frame(NamedTuple):
     Attributes:
         can_id: 11- or 29-bit identifier with the flag bits of SocketCAN.
         data: payload of the frame, at most 8 bytes for classical CAN and 64 bytes for CAN FD.
-        flags: CAN FD flags, a combination of BRS, ESI and FDF. The value is 0 for a classical
+        flags: CAN FD flags, a combination of BRS, ESI and FDF. The flags are 0 for a classical
             frame.
         bus: index of the frame's bus in the list of the hand's buses.
         t_ns: time when the frame was received [ns].

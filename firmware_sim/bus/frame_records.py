@@ -51,7 +51,7 @@ def frames_to_records(frames: Iterable[tuple[Any, ...]]) -> Any:
         pack(t_ns, can_id, flags, bus, len(data), data) for can_id, data, flags, bus, t_ns in frames
     ]
     # The buffer is a bytearray, because kernels write into the resulting array. An array made from
-    # bytes would be read-only.
+    # a ``bytes`` object would be read-only.
     return np.frombuffer(bytearray(b"".join(packed)), FRAME_DTYPE)
 
 

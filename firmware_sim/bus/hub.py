@@ -1,11 +1,11 @@
 """The hub of a local bus.
 
-Every client receives the records of all other clients. No client can block the hub.
+Every client of a hub receives the records of all other clients. No client can block the hub.
 
-A record has 72 bytes (``frame.RECORD_SIZE``). One read from a socket may return several records,
-and may end in the middle of a record. If the socket buffer of a client has no room, the hub drops
+A record has 72 bytes (``frame.RECORD_SIZE``). One read from a socket can return several records,
+and can end in the middle of a record. If the socket buffer of a client has no room, the hub drops
 the records for this client. Bytes 6 and 7 of each record for a client contain a counter, modulo
-65536. It counts the records that were dropped for this client.
+65536. The counter is the number of records that were dropped for this client.
 """
 
 import contextlib
@@ -30,21 +30,22 @@ Linux grants 416 KiB by default.
 _PEER_CREDENTIALS = struct.Struct("3i")
 """Linux's ``struct ucred``: process, user and group of the other end of a Unix socket."""
 _MAX_READ_BYTES = 1 << 16
-"""Maximum bytes of one read from a client.
+"""Maximum number of bytes of one read from a client.
 
-The limit keeps a client that floods the bus from blocking the others.
+Because of the limit, a client that floods the bus cannot block the other clients.
 """
 
 
 class HubConnection:
     """One connection between a hub and a client.
 
-    Both directions of the connection carry whole records. No method blocks.
+    In both directions, the connection between hub and client carries whole records. No method
+    blocks.
 
     Attributes:
         socket: non-blocking stream socket of the connection.
         dropped_record_count: number of records dropped because the kernel's send buffer was full.
-        closed: True once the other end has closed the connection.
+        closed: True after the other process has closed the connection.
         unsent: bytes of a partly sent record that must still be sent.
     """
 
@@ -66,8 +67,8 @@ class HubConnection:
     def receive(self) -> bytes:
         """Receive whole records.
 
-        If only the first bytes of a record have arrived, they are kept until the other bytes
-        arrive.
+        If only the first bytes of a record have arrived, the connection keeps these bytes until the
+        other bytes arrive.
         """
         try:
             received_bytes = self.socket.recv(_MAX_READ_BYTES)
@@ -84,19 +85,20 @@ class HubConnection:
     def deliver(self, records: bytes) -> None:
         """Send whole records.
 
-        If the kernel does not accept a record, the record is dropped and counted.
+        If the kernel does not accept a record, the connection drops and counts the record.
         """
         count = len(records) // RECORD_SIZE
         if not self.flush():
             self.dropped_record_count += count
             return
         stamped_records = bytearray(records)
-        # This statement writes bytes 6 and 7 of all records at once. The step of the slice is the
-        # size of one record.
+        # The statement below writes bytes 6 and 7 of all records at once. The step of the slice is
+        # the size of one record.
         stamped_records[6::RECORD_SIZE] = bytes((self.dropped_record_count & 0xFF,)) * count
         stamped_records[7::RECORD_SIZE] = bytes((self.dropped_record_count >> 8 & 0xFF,)) * count
         sent_size = self._send(stamped_records)
-        # The number of records is rounded up, because a partly sent record must be completed later.
+        # The number of sent records is rounded up, because a partly sent record must be completed
+        # later.
         record_count_started = -(-sent_size // RECORD_SIZE)
         self.unsent = bytes(stamped_records[sent_size : record_count_started * RECORD_SIZE])
         self.dropped_record_count += count - record_count_started
@@ -105,7 +107,7 @@ class HubConnection:
         """Send the rest of a partly sent record.
 
         Returns:
-            True if no bytes remain, so that the next record may be sent.
+            True if no bytes remain, so that the next record can be sent.
         """
         if self.unsent:
             self.unsent = self.unsent[self._send(self.unsent) :]
@@ -156,7 +158,7 @@ class BusHub:
 
     @property
     def links(self) -> Sequence[HubConnection]:
-        """Return the connections of the clients."""
+        """Return the connections between the hub and its clients."""
         return self._links
 
     def read_sockets(self) -> list[socket.socket]:
@@ -174,7 +176,7 @@ class BusHub:
             ready_sockets: sockets that are ready for reading.
 
         Returns:
-            The records that all clients have sent, for the owner of the hub.
+            The records that all clients have sent. The owner of the hub uses the records.
         """
         received_records = self.poll(ready_sockets)
         for link, records in received_records:
@@ -239,7 +241,7 @@ class BusHub:
         self._links.clear()
         self._listener.close()
         with contextlib.suppress(FileNotFoundError):
-            # If the file has another inode, another hub now serves a bus of this name.
+            # If the socket file has another inode, another hub now serves a bus of the same name.
             if self._path.stat().st_ino == self._inode:
                 self._path.unlink()
 
@@ -249,23 +251,23 @@ def _belongs_to_other_user(client_socket: socket.socket) -> bool:
 
     Processes of root do not count as processes of another user.
 
-    The hub can find out the user of the other process only on Linux. On other systems, return
-    False.
+    The hub can find out the user of the other process only on Linux. On other operating systems,
+    return False.
     """
     if not sys.platform.startswith("linux"):
         return False
     raw_bytes = client_socket.getsockopt(
         socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER_CREDENTIALS.size
     )
-    # Field 1 of the credentials is the user id. Root may join the bus for diagnosis.
+    # Field 1 of the credentials is the user id. Root is allowed to join the bus for diagnosis.
     return _PEER_CREDENTIALS.unpack(raw_bytes)[1] not in (0, os.geteuid())
 
 
 def _listening_socket(path: Path, name: str) -> socket.socket:
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        # The folder is locked, because two hubs must not check, unlink and bind the same path at
-        # the same time.
+        # The hub locks the folder, because two hubs must not check, unlink and bind the same path
+        # at the same time.
         with _locked_folder(path.parent):
             if _is_served(path):
                 raise SimulatorError(
@@ -288,7 +290,8 @@ def _listening_socket(path: Path, name: str) -> socket.socket:
 def _locked_folder(folder: Path) -> Iterator[None]:
     """Lock a folder.
 
-    Only the hub that has the lock may remove and replace an unused socket in this folder.
+    Only the hub that has the lock of a folder is allowed to remove and replace an unused socket in
+    this folder.
     """
     descriptor = os.open(folder, os.O_RDONLY)
     try:
@@ -299,7 +302,7 @@ def _locked_folder(folder: Path) -> Iterator[None]:
 
 
 def _is_served(path: Path) -> bool:
-    """Check whether a hub accepts connections at this path."""
+    """Return True if a hub accepts connections at a socket path."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.setblocking(False)
         return probe.connect_ex(str(path)) not in (errno.ECONNREFUSED, errno.ENOENT, errno.ENOTSOCK)

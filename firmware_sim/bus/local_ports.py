@@ -11,7 +11,7 @@ from firmware_sim.wire.simulated_wire import NEVER_NS
 
 
 class HubPort:
-    """A port that owns the hub of its bus. See ``bus_ports.BusPort``."""
+    """A port that owns the hub of its bus. The class ``bus_ports.BusPort`` describes the methods."""
 
     due_ns = NEVER_NS
 
@@ -31,7 +31,7 @@ class HubPort:
 
     @property
     def lost_frame_count(self) -> int:
-        """Return the number of frames dropped because a client was slow, plus the number of invalid records."""
+        """Return the number of frames that were dropped for slow clients, plus the number of invalid records."""
         return self._hub.dropped_record_count + self._unreadable
 
     def read_sockets(self) -> list[socket.socket]:

@@ -11,15 +11,16 @@ from firmware_sim.wire.wire_options import WireSpec
 
 
 class LockstepBuses:
-    """The buses of a hand in virtual time. Each bus is a simulated wire between host and nodes.
+    """The buses of a hand in virtual time. Each bus is a simulated wire between the host and the nodes.
 
     Attributes:
         wires: one simulated wire for each bus.
-        refused: number of frames that a node could not send because its queue was full.
+        refused: number of frames that a node could not send because the queue of its CAN controller
+            was full.
     """
 
     def __init__(self, world: SimulatedWorld, spec: WireSpec) -> None:
-        """Connect the host and the nodes of each bus to the wire of the bus.
+        """Connect the host and the nodes of each bus to the simulated wire of the bus.
 
         Args:
             world: the simulated hand.
@@ -58,7 +59,7 @@ class LockstepBuses:
         return receive
 
     def step(self, t_ns: int, frames: Iterable[Frame], end_ns: int) -> list[Frame]:
-        """Put the frames of the host into the queues, and process all events of the tick.
+        """Put the frames of the host into the send queues, and process all events of the tick on the wires.
 
         Args:
             t_ns: start of the tick [ns].
@@ -73,16 +74,17 @@ class LockstepBuses:
         while True:
             event_time_ns = min([wire.next_event_ns() for wire in self.wires])
             self._world.advance(min(event_time_ns, end_ns))
-            # Nodes may just have queued frames for a time before at_ns. So each wire must determine
-            # its next event again.
+            # The nodes have possibly queued frames with a send time before at_ns. So each wire must
+            # determine its next event again.
             if self._queue_node_frames(self._world.take_unsolicited_frames()):
                 continue
             if event_time_ns >= end_ns:
                 break
             for wire in self.wires:
                 wire.advance(event_time_ns)
-            # The answer of a node contains readings of the plant. Therefore the plant first
-            # advances to the time at which the wire has carried the whole request.
+            # The answer of a node contains readings of the plant. Therefore, before the node
+            # answers, the plant advances to the time at which the wire has carried the whole
+            # request.
             if any(map(self._world.has_receiver, self._received)):
                 self._world.advance_exactly(event_time_ns)
             self._answer_received_frames()
@@ -99,7 +101,7 @@ class LockstepBuses:
                 self._queue_node_frame(Frame(can_id, data, flags, bus, frame.t_ns))
 
     def _queue_node_frames(self, frames: Sequence[Frame]) -> bool:
-        """Put frames of nodes into the queues for sending.
+        """Put frames of nodes into the send queues of their CAN controllers.
 
         Returns:
             True if there was at least one frame.
@@ -109,9 +111,10 @@ class LockstepBuses:
         return bool(frames)
 
     def _queue_node_frame(self, frame: Frame) -> None:
-        """Put a frame of a node into a queue.
+        """Put a frame of a node into the send queue of its CAN controller.
 
-        Each identifier has a CAN controller, because real nodes send independently.
+        Each identifier has its own CAN controller, because real nodes send independently of each
+        other.
         """
         key = frame.bus, frame.can_id
         if key not in self._nodes:

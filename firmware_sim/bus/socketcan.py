@@ -1,6 +1,6 @@
 """A port on a CAN interface of Linux.
 
-The interface is real or virtual, and uses classical CAN or CAN FD.
+The CAN interface is real or virtual, and uses classical CAN or CAN FD.
 """
 
 import errno
@@ -19,7 +19,7 @@ _CANFD_FRAME_STRUCT = struct.Struct("=IBB2x64s")
 _MAX_FRAMES_PER_READ = 256
 """Maximum number of frames of one read.
 
-The limit keeps a flooded bus from stopping the simulation.
+Because of the limit, a flooded bus cannot stop the simulation.
 """
 
 
@@ -85,13 +85,14 @@ class SocketCanPort:
         except OSError as error:
             if error.errno != errno.ENETDOWN:
                 raise
-            # The CAN interface is down. Reading succeeds again after the interface has been set up.
+            # The CAN interface is down. Frames can be read again after the interface has been set
+            # up.
             self.lost_frame_count += 1
         return frames
 
     def _frame_from_bytes(self, struct_bytes: bytes) -> Frame:
-        # The number of bytes shows the format of the frame: 16 bytes for classical CAN, 72 bytes
-        # for CAN FD.
+        # The number of received bytes shows the format of the frame: 16 bytes for classical CAN, 72
+        # bytes for CAN FD.
         if len(struct_bytes) == _CAN_FRAME_STRUCT.size:
             can_id, length, data = _CAN_FRAME_STRUCT.unpack(struct_bytes)
             return Frame(can_id, data[: min(length, 8)], 0, self._bus)

@@ -26,11 +26,11 @@ from firmware_sim.wire.simulated_wire import SimulatedWire, WireOptions
 from firmware_sim.wire.wire_options import parse_wire_options
 
 DEFAULT_BITRATES = (1_000_000, 5_000_000)
-"""Bit rates of a bus that belongs to no hand: nominal and data phase [bit/s]."""
+"""Bit rates of a bus that belongs to no hand: nominal bit rate, and bit rate of the data phase [bit/s]."""
 QUEUE_REPORT_ID = EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG
-"""Identifier of a record with the level of a client's queue.
+"""Identifier of a queue report: a record with the number of frames in a client's send queue.
 
-No CAN frame has this combination of flags.
+No CAN frame has the flags extended, remote and error at the same time.
 """
 _QUEUE_STRUCT = struct.Struct("<II")
 """Payload of a queue report: number of frames that have left the queue modulo 2**32, and queue capacity [frames]."""
@@ -41,10 +41,10 @@ class TimedPort:
 
     The class ``bus_ports.BusPort`` describes the methods.
 
-    Each call processes the events since the last call, in the order in which they occur on the
-    wire. ``receive`` returns only frames that end at the same time on the wire, because the nodes
-    must answer them before the next frame. The caller repeats the call until the result is empty.
-    The nodes have one CAN controller for each identifier that they send.
+    Each call of a method processes the events since the last call, in the order in which the events
+    occur on the wire. ``receive`` returns only frames that end at the same time on the wire,
+    because the nodes must answer these frames before the next frame. The caller calls ``receive``
+    until the result is empty. The nodes have one CAN controller for each identifier that they send.
 
     Attributes:
         wire: the simulated wire.
@@ -65,12 +65,12 @@ class TimedPort:
         Args:
             name: name of the bus.
             bus: index of the bus in the list of the hand's buses.
-            rate: bit rates of the wire.
+            rate: nominal bit rate and data bit rate of the wire.
             options: options that describe the behaviour of the wire.
             now_ns: function that returns the present time of the wire [ns].
             is_node_side: True if simulated nodes in this process acknowledge frames.
-            latency: function that returns the latency of a client's CAN adapter, by the number of
-                the client. None for clients without latency.
+            latency: function that takes the number of a client, and returns the latency of this
+                client's CAN adapter. None for clients without latency.
 
         Raises:
             SimulatorError: another process already serves the bus.
@@ -86,7 +86,7 @@ class TimedPort:
         self._now_ns = now_ns
         self._clients: dict[HubConnection, CanController] = {}
         self._queues: dict[HubConnection, tuple[int, int]] = {}
-        """By client: records received, and records that had left the queue at the last report (-1: no report)."""
+        """By client: count of received records, and count that had left the queue at the last report (-1 if none)."""
         self._nodes: dict[int, CanController] = {}
         self._received: deque[Frame] = deque()
         self._unreadable = self._refused = 0
@@ -96,7 +96,7 @@ class TimedPort:
 
     @property
     def lost_frame_count(self) -> int:
-        """Return the number of frames that were lost on this bus.
+        """Return the number of frames that were lost on the bus of this port.
 
         The number includes frames that were dropped for slow clients, frames that were refused by
         full queues of nodes, and invalid records.
@@ -130,7 +130,7 @@ class TimedPort:
 
         If the transmission of no frame has ended yet, return an empty list.
 
-        The class ``bus_ports.BusPort`` describes the call.
+        The class ``bus_ports.BusPort`` describes how to call this method.
         """
         now_ns = self._now_ns()
         if ready_sockets:
@@ -149,7 +149,8 @@ class TimedPort:
     def _report_queues(self) -> None:
         """Send each client the number of frames in its queue.
 
-        A client that knows this number can refuse to send a frame when its queue is full.
+        A client that knows the number of frames in its queue can refuse to send a frame when this
+        queue is full.
         """
         for link, controller in self._clients.items():
             arrival_count, reported_count = self._queues[link]
@@ -224,7 +225,8 @@ class TimedPort:
     def send(self, frames: list[Frame]) -> None:
         """Send the answers of the nodes.
 
-        An answer may start at the time when the last received frame ended. See ``bus_ports.BusPort``.
+        An answer can start at the time when the last received frame ended. See
+        ``bus_ports.BusPort.send``.
         """
         for frame in frames:
             controller = self._nodes.get(frame.can_id)

@@ -23,19 +23,19 @@ from firmware_sim.faults.fault_text import (
 from firmware_sim.faults.wire_faults import ActiveFault
 
 FAULT_FRAME_PERIOD_NS = 1_000_000
-"""Period of the frames that a flood or an unknown identifier generates [ns]."""
+"""Period of the frames that a fault of kind ``flood`` or ``unknown`` generates [ns]."""
 SECOND_HOST_PERIOD_NS = 10_000_000
-"""Period at which a simulated second host sends commands [ns]."""
+"""Period with which a simulated second host sends commands [ns]."""
 FLOOD_CAN_ID = 0x000
-"""Identifier of the frames of a flood: the one with the highest priority."""
+"""Identifier of the frames of a flood: the identifier with the highest priority on the bus."""
 UNKNOWN_CAN_ID = 0x7E5
 """Identifier that belongs to no node."""
 FRAME_SENDING_FAULTS = ("flood", "unknown", "foreign")
-"""Kinds of fault that send frames of their own periodically."""
+"""Kinds of fault that periodically send additional frames."""
 
 
 class ActiveFaults:
-    """The faults of a simulated world, timed by its clock.
+    """The faults of a simulated world, timed by the clock of this world.
 
     The effects of faults are deterministic, in lockstep and in real time.
 
@@ -43,7 +43,7 @@ class ActiveFaults:
         on: True after the first fault has been injected.
         wire_faults_of: faults that act on the frames of a node, by the ``id()`` of the node object.
         injected: all faults injected so far, in the order of injection.
-        in_frames: True if a fault acts on frames, in a node or in a sensor, and may therefore
+        in_frames: True if a fault acts on frames, on a node or on a sensor, so that the fault can
             change frames.
     """
 
@@ -66,7 +66,8 @@ class ActiveFaults:
     def t_ns(self) -> int:
         """Return the present time of the truth file [ns].
 
-        This is the time of the simulated world plus the time lost by slips.
+        The time of the truth file is the time of the simulated world plus the time lost by slips of
+        the clock.
         """
         return int(self._world.t_ns + self._world.slip_ns)
 
@@ -76,7 +77,7 @@ class ActiveFaults:
         return int(self._world.slip_ns)
 
     def inject(self, fault_line: str) -> Fault:
-        """Start a fault now, or at the later time in the text.
+        """Start a fault now, or at the later time that the fault text states.
 
         Args:
             fault_line: fault as text, see ``parse_fault``.
@@ -136,7 +137,7 @@ class ActiveFaults:
             t_ns: present time [ns].
 
         Returns:
-            Frames that the faults send now, either as new frames or after a delay.
+            Frames that the faults send now: new frames, and frames that a fault has delayed.
         """
         for active in [active for active in self._waiting if active.fault.start_ns <= t_ns]:
             self._waiting.remove(active)
@@ -157,14 +158,14 @@ class ActiveFaults:
             t_ns >= self._turn_ns and (t_ns - self._turn_ns) % FAULT_FRAME_PERIOD_NS == 0
         ):
             # Frames that a fault generates are sent at the ends of whole steps of the plant. A
-            # fault can start within a step of the plant. So the part of the step that is already
-            # completed is subtracted.
+            # fault can start within a step of the plant. So the already completed time of the
+            # present plant step is subtracted.
             self._turn_ns = t_ns - self._world.plant.step_progress_ns + FAULT_FRAME_PERIOD_NS
             frames += self._generated_frames(t_ns)
         return frames
 
     def due_ns(self) -> int:
-        """Return the time of the next event [ns]: a fault starts or ends, or a delayed or generated frame is sent."""
+        """Return the time of the next event [ns]: a fault starts or ends, or a delayed or generated frame is due."""
         due_times = [active.fault.start_ns for active in self._waiting]
         for active, _ in self._acting:
             due_times += [
@@ -176,7 +177,7 @@ class ActiveFaults:
         return min(due_times, default=FOREVER_NS)
 
     def _index_faults_by_node(self) -> None:
-        """Update the index of faults by node. A node may have another identifier after a reset."""
+        """Update the index of faults by node. After a reset, a node can have another identifier."""
         self._world.refresh_identifiers()
         self.wire_faults_of = {}
         self._all_wire = []
@@ -210,7 +211,7 @@ class ActiveFaults:
     def exchange(self, node: Any, frame: Frame, t_ns: int) -> list[Frame] | None:
         """Return the answers of a node to a request.
 
-        The faults can change the request and the answers.
+        The faults of the node can change the request and the answers.
 
         Args:
             node: the node.
@@ -234,7 +235,7 @@ class ActiveFaults:
         return wire_faults.frames_after_faults(node_faults, stamped_answers, t_ns)
 
     def frames_after_node_faults(self, node: Any, frames: list[Frame], t_ns: int) -> list[Frame]:
-        """Apply faults of the wire to unsolicited frames of a node."""
+        """Apply the faults that act on frames to unsolicited frames of a node."""
         node_faults = self.wire_faults_of.get(id(node))
         return wire_faults.frames_after_faults(node_faults, frames, t_ns) if node_faults else frames
 

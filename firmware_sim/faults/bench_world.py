@@ -1,6 +1,6 @@
 """Test bench of drives whose faults can be simulated.
 
-The bench is described as a hand without digits. Each drive is a motor of this hand.
+The bench is described as a hand without digits, in which each drive is a motor.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ class BenchInterface(Protocol):
         motors: rotors of the drives, in the order of the drive descriptions.
         nodes: simulated nodes of the drives, in the order of the drive descriptions.
         slip_ns: total delay behind the wall clock that the simulation will never make up [ns].
-        step_progress_ns: completed part of the plant step in progress [ns].
+        step_progress_ns: completed time of the present plant step [ns].
     """
 
     motors: list[Motor]
@@ -37,7 +37,7 @@ class BenchInterface(Protocol):
         ...
 
     def queue_frames(self, frames: list[Frame]) -> None:
-        """Queue frames on the bus that come from senders outside the bench."""
+        """Queue frames from senders outside the bench on the bus of the bench."""
         ...
 
 
@@ -63,14 +63,14 @@ class BenchPlant:
 
     @property
     def step_progress_ns(self) -> int:
-        """Return the part of the present plant step that is already completed [ns]."""
+        """Return the completed time of the present plant step [ns]."""
         return self._bench.step_progress_ns
 
 
 class BenchWorld:
     """A test bench of drives that has the interface of a simulated world.
 
-    ``active_faults.ActiveFaults`` needs this interface.
+    ``active_faults.ActiveFaults`` needs the interface of a simulated world.
 
     Attributes:
         hand: description of a hand whose motors are the drives of the bench.
@@ -113,13 +113,13 @@ class BenchWorld:
         return next(motor for motor in self.hand.motors if motor.name == name)
 
     def host_frame(self, name: str) -> Frame:
-        """Return a frame that only the host of the named drive would send. It has no effect."""
+        """Return a frame that only the host of the named drive would send. The frame has no effect on the drive."""
         spec = self.motor_spec(name)
         can_id, data = PROTOCOL_SPECS[spec.protocol].host_frame(spec.node_id)
         return Frame(can_id, data, 0, 0, self.t_ns)
 
     def queue_frames(self, frames: list[Frame]) -> None:
-        """Queue frames on the bus that come from senders outside the bench."""
+        """Queue frames from senders outside the bench on the bus of the bench."""
         self._bench.queue_frames(frames)
 
     def refresh_identifiers(self) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from firmware_sim.hand_description import SimulatorError
 
-if TYPE_CHECKING:  # The program ``bus`` has neither faults nor a plant. So it must not import the modules for them.
+if TYPE_CHECKING:  # The program ``bus`` must not import the modules for faults and for the plant.
     from firmware_sim.faults.active_faults import ActiveFaults
     from firmware_sim.simulation_pace import PaceMeter
 
@@ -19,7 +19,7 @@ MAX_REQUEST_BYTES = 4096
 
 
 def is_socket_served(path: Path) -> bool:
-    """Return True if a running simulator listens on the fault socket at this path."""
+    """Return True if a running simulator listens on the fault socket at the given path."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(str(path))
@@ -29,7 +29,7 @@ def is_socket_served(path: Path) -> bool:
 
 
 class FaultInjectionSocket:
-    """A Unix datagram socket that receives requests in JSON and answers each with a JSON object.
+    """A Unix datagram socket that receives requests in JSON and answers each request with a JSON object.
 
     A request is ``{"inject": TEXT}``, ``{"list": true}``, ``{"kinds": true}`` or ``{"pace":
     true}``.
@@ -64,7 +64,8 @@ class FaultInjectionSocket:
         """Answer all requests that are waiting in the socket.
 
         Args:
-            pace: pace of the simulator, None for a program that does not measure the pace.
+            pace: measured pace of the simulator, or None for a program that does not measure its
+                pace.
         """
         while True:
             try:
@@ -76,7 +77,7 @@ class FaultInjectionSocket:
                 try:
                     self._socket.sendto(answer, client)
                 except OSError:
-                    continue  # The client that sent this request has ended, or its queue is full.
+                    continue  # The client that sent the request has ended, or the queue of the client's socket is full.
 
     def _answer_request(self, request_bytes: bytes, pace: "PaceMeter | None") -> dict[str, object]:
         """Return the answer to one request."""

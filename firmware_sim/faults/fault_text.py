@@ -7,19 +7,19 @@ from typing import NamedTuple
 from firmware_sim.hand_description import Hand, SimulatorError
 
 FAULT_TARGET_NODE = "node"
-"""Target of a fault: a drive or the sensor node."""
+"""Type of a fault's target: a drive or the sensor node."""
 FAULT_TARGET_BUS = "bus"
-"""Target of a fault: all nodes of a bus."""
+"""Type of a fault's target: all nodes of a bus."""
 FAULT_TARGET_ENCODER = "encoder"
-"""Target of a fault: the encoder of a motor."""
+"""Type of a fault's target: the encoder of a motor."""
 FAULT_TARGET_JOINT = "joint"
-"""Target of a fault: a joint encoder."""
+"""Type of a fault's target: a joint encoder."""
 FAULT_TARGET_CELL = "cell"
-"""Target of a fault: a load cell."""
+"""Type of a fault's target: a load cell."""
 FAULT_TARGET_TENDON = "tendon"
-"""Target of a fault: a tendon."""
+"""Type of a fault's target: a tendon."""
 FAULT_TARGET_DIGIT = "digit"
-"""Target of a fault: a digit."""
+"""Type of a fault's target: a digit."""
 SENSOR_NODE_NAME = "sensors"
 """Name of the sensor node in the text of a fault."""
 FOREVER_NS = 1 << 62
@@ -31,7 +31,7 @@ class FaultKind(NamedTuple):
     """A kind of fault.
 
     Attributes:
-        components: types of component, the possible targets of this kind.
+        components: types of component that a fault of this kind can have as target.
         size: default size of a fault of this kind.
         text: effect of a fault of this kind, in words.
     """
@@ -97,11 +97,11 @@ FAULT_SIZE_RANGES = {
     "flood": (1.0, 1000.0), "unknown": (1.0, 1000.0), "noise": (0.0, 1e6), "slack": (0.0, 1000.0),
     "friction": (0.0, 1e4),
 }  # fmt: skip
-"""Allowed sizes of faults by kind. Kinds without an entry have ``DEFAULT_FAULT_SIZE_RANGE``."""
+"""Allowed sizes of faults by kind. Kinds of fault without an entry have the range ``DEFAULT_FAULT_SIZE_RANGE``."""
 TWO_MOTOR_FAULTS = ("swap", "cross")
 """Kinds of fault that act on two motors.
 
-The text of such a fault names the second motor, ``with=NAME``.
+The text of a fault on two motors names the second motor in ``with=NAME``.
 """
 DEFAULT_FAULT_SIZE_RANGE = (-1e6, 1e6)
 """Allowed sizes of a fault whose kind has no entry in ``FAULT_SIZE_RANGES``."""
@@ -109,7 +109,8 @@ DRIVE_ONLY_FAULTS = ("reset", "error", "watchdog", "voltage", "hot", "disobey", 
              "forget", "ripple", "late", "swap", "cross")  # fmt: skip
 """Kinds of fault that only drives can have.
 
-The sensor node has no power stage and receives only SYNC from the host.
+The sensor node cannot have these faults, because it has no power stage and receives only SYNC from
+the host.
 """
 
 
@@ -123,7 +124,8 @@ class Fault:
         instance: name of the target component.
         start_ns: start of the fault [ns].
         duration_ns: duration of the fault [ns].
-        size: size of the fault. The kind of the fault determines the meaning and the unit.
+        size: size of the fault. The kind of the fault determines the meaning and the unit of the
+            size.
         p: probability with which the fault affects each frame.
         seed: seed of the random numbers of the fault.
         hz: frequency of the torque in a fault of kind ``ripple`` [Hz].
@@ -151,7 +153,7 @@ def parse_fault(fault_line: str, hand: Hand, now_ns: int = 0) -> Fault:
         fault_line: ``KIND COMPONENT=INSTANCE [with=NAME] [size=X] [p=X] [hz=X] [at=TIME] [for=TIME]
             [seed=N]``.
         hand: hand in which the fault will act.
-        now_ns: time from which the time after the word ``at`` is counted [ns].
+        now_ns: present time, from which the time in ``at=TIME`` is counted [ns].
 
     Raises:
         SimulatorError: the text cannot be parsed, or the hand cannot have the fault.
@@ -257,8 +259,8 @@ def instances_of_component(component: str, hand: Hand, fault_kind: str = "") -> 
     Args:
         component: type of component, one of the constants from ``FAULT_TARGET_NODE`` to ``FAULT_TARGET_DIGIT``.
         hand: hand whose components are listed.
-        fault_kind: kind of fault that the listed components can have. If empty, all components are
-            listed.
+        fault_kind: kind of fault that the listed components can have. If no kind is given, all
+            components are listed.
     """
     motors = [motor.name for motor in hand.motors]
     return {
@@ -277,7 +279,7 @@ def instances_of_component(component: str, hand: Hand, fault_kind: str = "") -> 
 def _target_instance(
     fault_line: str, component_names: list[str], component: str, name: str, hand: Hand
 ) -> str:
-    """Return the name of a component. A motor may also be given by its node number."""
+    """Return the name of a component. A motor can be given by its name or by its node number."""
     if component in (FAULT_TARGET_NODE, FAULT_TARGET_ENCODER):
         numbers = {str(motor.node_id): motor.name for motor in hand.motors}
         name = numbers.get(name, name)
@@ -291,7 +293,7 @@ def _target_instance(
 def _number_from_text(
     text: str, key: str, value_text: str, minimum: float, maximum: float
 ) -> float:
-    """Parse a number of a fault text that must lie in a given range."""
+    """Parse a number in a fault text. The number must lie in a given range."""
     try:
         value = float(int(value_text, 0)) if value_text.startswith("0x") else float(value_text)
     except ValueError:

@@ -21,15 +21,15 @@ DRIVE_FAULTS = {
     "twin": "shares its number with a second drive",
     "watchdog": "its watchdog never fires",
 }
-"""Effect of each kind of fault."""
+"""Effect of each kind of deliberate fault of a drive."""
 TWIN_SERIAL_NUMBER = 0x7714_0000
-"""Serial number of a second drive with node number 0. Other nodes add their node number."""
+"""Serial number of the second drive of the fault ``twin``, for node number 0. Other nodes add their node number."""
 
 
 PROTOCOLS_WITHOUT_WATCHDOG = ("cubemars", "robstride_mit")
 """Protocols whose motors have no watchdog.
 
-Some of these motors have a watchdog that only another protocol can switch on.
+Some motors with one of these protocols have a watchdog that only another protocol can switch on.
 """
 
 
@@ -54,7 +54,7 @@ def check_fault_has_effect(protocol: str, fault: str) -> None:
 
 
 class FaultyDrive:
-    """A drive node with a deliberate fault. See ``nodes.Node``.
+    """A drive node with a deliberate fault. The class ``nodes.Node`` describes the methods.
 
     Attributes:
         node: simulated drive without the fault.
@@ -109,7 +109,8 @@ class FaultyDrive:
 
     def _feed_watchdog(self, t_ns: int) -> None:
         if self._fault == "watchdog" and self.node.watchdog_fed_ns >= 0:
-            # Every call restarts the watchdog of the drive, so that the watchdog never fires.
+            # Every call of ``wake`` restarts the watchdog of the drive, so that the watchdog never
+            # fires.
             self.node.watchdog_fed_ns = t_ns
 
 
@@ -122,7 +123,7 @@ def with_fault(node: DriveNode, protocol: str, fault: str) -> SimulatedNode:
         node: simulated drive without a fault.
         protocol: key of ``PROTOCOL_SPECS``.
         fault: key of ``DRIVE_FAULTS``, or an empty text for no fault. The faults ``sign`` and
-            ``twin`` do not change the drive. For these faults, the caller uses
+            ``twin`` do not change the drive. For the faults ``sign`` and ``twin``, the caller uses
             ``motor_specs_with_fault``.
     """
     return (
@@ -133,7 +134,7 @@ def with_fault(node: DriveNode, protocol: str, fault: str) -> SimulatedNode:
 
 
 def motor_specs_with_fault(motor_specs: list[MotorSpec], fault: str) -> list[MotorSpec]:
-    """Return the descriptions of drives, changed for the fault ``sign`` or ``twin``."""
+    """Return the descriptions of drives with the change that the fault ``sign`` or ``twin`` makes."""
     if fault == "sign":
         return [replace(spec, torque_gain=-1.0) for spec in motor_specs]
     if fault == "twin":

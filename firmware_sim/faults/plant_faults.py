@@ -1,6 +1,6 @@
 """Faults of sensors, motors, tendons and digits in the simulated plant.
 
-Each function changes the simulation, and returns a function that undoes the change.
+Each start function changes the simulation, and returns a function that undoes the change.
 """
 
 import math
@@ -62,7 +62,7 @@ def start_plant_fault(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _start_reading_fault(world: Any, active: ActiveFault) -> UndoFunction:
-    """Change the readings of one sensor from now on."""
+    """Change the readings of the faulty sensor from now on."""
     fault = active.fault
     change = _make_reading_fault(active, lambda: int(world.t_ns))
     if fault.component == FAULT_TARGET_ENCODER:
@@ -82,10 +82,10 @@ def _start_reading_fault(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _make_reading_fault(active: ActiveFault, now_ns: Callable[[], int]) -> Callable[[float], float]:
-    """Return a function that changes the readings of a sensor as a fault does.
+    """Return a function that changes the readings of a sensor in the way of a given fault.
 
     Args:
-        active: fault, with the count of its effects.
+        active: active fault, which counts its effects.
         now_ns: function that returns the present time [ns].
 
     Returns:
@@ -125,7 +125,7 @@ def _delayed_reading(
 ) -> float:
     """Return the reading that a sensor had ``size`` samples ago, where ``size`` is the size of the fault.
 
-    While fewer samples exist, return the present reading.
+    While fewer than ``size`` earlier samples exist, return the present reading.
     """
     past_readings.append(value)
     # The list contains the first reading twice, because ``_make_reading_fault`` has already stored this
@@ -183,7 +183,7 @@ def _start_extra_friction(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _tendon_of_fault(world: Any, fault: Fault) -> Any:
-    """Return the simulated tendon on which a fault acts."""
+    """Return the simulated tendon on which the fault acts."""
     names = [spec.name for spec in world.hand.all_tendons]
     return world.plant.tendons[names.index(fault.instance)][0]
 
@@ -271,7 +271,7 @@ def _start_torque_ripple(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _start_motor_overheating(world: Any, active: ActiveFault) -> UndoFunction:
-    """Keep the winding of a motor at a fixed temperature."""
+    """Keep the winding of a motor at the temperature that the size of the fault gives [degC]."""
     thermal = world.node_of(active.fault.instance).thermal
     active.count_effect(world.t_ns)
     thermal.forced = active.fault.size
@@ -282,11 +282,12 @@ def _start_motor_overheating(world: Any, active: ActiveFault) -> UndoFunction:
 class _CrossConnectedMotor:
     """A motor whose drive is connected to two rotors.
 
-    The sensors belong to one rotor, and the power stage belongs to the other rotor.
+    The sensors of the drive measure one rotor, and the power stage of the drive turns the other
+    rotor.
 
     Attributes:
-        servo: setpoints of the rotor driven by the power stage. All other attributes belong to the
-            rotor measured by the sensors.
+        servo: setpoints of the rotor driven by the power stage. All other attributes of the motor
+            belong to the rotor measured by the sensors.
     """
 
     def __init__(self, sensed_motor: Any, driven_motor: Any) -> None:
@@ -345,7 +346,7 @@ def _start_late_commands(world: Any, active: ActiveFault) -> UndoFunction:
 def _start_servo_fault(world: Any, active: ActiveFault) -> UndoFunction:
     """Replace the torque that the power stage of a drive applies.
 
-    The sensor node of the hand has no power stage.
+    The fault cannot act on the sensor node of the hand, because the sensor node has no power stage.
     """
     if active.fault.instance == SENSOR_NODE_NAME:
         return lambda: None
@@ -389,4 +390,4 @@ _START_FUNCTIONS: dict[str, Callable[[Any, ActiveFault], UndoFunction]] = {
     "swap": _start_exchanged_motors,
     "cross": _start_exchanged_motors,
 }
-"""Function that starts the faults of each kind."""
+"""Function that starts a fault, by the kind of the fault."""

@@ -8,12 +8,12 @@ from firmware_sim.bus.frame import EXTENDED_FLAG, Frame
 from firmware_sim.faults.fault_text import Fault
 
 NEVER_NS = 1 << 62
-"""Release time of stored frames that the fault itself releases, independently of the clock [ns]."""
+"""Release time of stored frames that the clock never releases, because the fault itself releases these frames [ns]."""
 
 
 @dataclass
 class ActiveFault:
-    """An injected fault, which waits, acts or is over.
+    """An injected fault that waits for its start, acts, or has ended.
 
     Attributes:
         fault: the data of the fault.
@@ -32,7 +32,7 @@ class ActiveFault:
     answer_count: int = 0
 
     def count_effect(self, t_ns: int) -> None:
-        """Count an effect of the fault."""
+        """Count an effect of the fault at the given time."""
         self.effect_count += 1
         if self.first_ns < 0:
             self.first_ns = t_ns
@@ -81,7 +81,7 @@ def released_frames(active_faults: Sequence[ActiveFault], t_ns: int) -> list[Fra
 
 
 def _drop_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Drop the frames hit by the fault."""
+    """Drop the frames that the fault affects."""
     unaffected_frames = [frame for frame in frames if not active.affects_frame()]
     if len(unaffected_frames) < len(frames):
         active.count_effect(t_ns)
@@ -89,7 +89,7 @@ def _drop_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Fr
 
 
 def _delay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Store the frames hit by the fault, until their delay is over."""
+    """Store the frames that the fault affects, until the delay of these frames is over."""
     unaffected_frames = []
     for frame in frames:
         if active.affects_frame():
@@ -101,7 +101,7 @@ def _delay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[F
 
 
 def _duplicate_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Send the frames hit by the fault twice."""
+    """Send the frames that the fault affects twice."""
     sent_frames = []
     for frame in frames:
         sent_frames.append(frame)
@@ -118,8 +118,8 @@ def _add_conflicting_frames(active: ActiveFault, frames: list[Frame], t_ns: int)
         sent_frames.append(frame)
         if len(frame.data) >= 4 and active.affects_frame():
             twin_data = bytearray(frame.data)
-            # The inverted bit lies in the middle of a value. So the second frame looks plausible
-            # but differs from the true frame.
+            # The inverted bit lies in the middle of a payload value. So the second frame looks
+            # plausible but differs from the true frame.
             twin_data[2] ^= 0x04
             sent_frames.append(frame._replace(data=bytes(twin_data)))
             active.count_effect(t_ns)
@@ -127,7 +127,7 @@ def _add_conflicting_frames(active: ActiveFault, frames: list[Frame], t_ns: int)
 
 
 def _reorder_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Send the first frame only after the frames of the next answer."""
+    """Delay the first frame of an answer until the frames of the next answer have been sent."""
     delayed_frames = [frame for _, frame in active.delayed_frames]
     active.delayed_frames = []
     if not delayed_frames and active.affects_frame():
@@ -138,7 +138,7 @@ def _reorder_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list
 
 
 def _corrupt_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Invert random bits in the payload of each frame hit by the fault."""
+    """Invert random bits in the payload of each frame that the fault affects."""
     sent_frames = []
     for frame in frames:
         if frame.data and active.affects_frame():
@@ -155,7 +155,7 @@ def _corrupt_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list
 
 
 def _shorten_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Remove the last bytes from the payload of each frame hit by the fault."""
+    """Remove the last bytes from the payload of each frame that the fault affects."""
     sent_frames = []
     for frame in frames:
         if frame.data and active.affects_frame():
@@ -166,7 +166,7 @@ def _shorten_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list
 
 
 def _extend_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Mark frames with 11-bit identifiers as frames with 29-bit identifiers.
+    """Turn frames with 11-bit identifiers into frames with 29-bit identifiers.
 
     Frames with 29-bit identifiers stay unchanged.
     """
@@ -198,15 +198,17 @@ def _remove_all_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> l
 
 
 def _replay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Send the frames of an earlier answer in place of the present ones.
+    """Send the frames of an earlier answer in place of the frames of the present answer.
 
-    The size of the fault states by how many answers the sent answer is older than the present one.
+    The size of the fault is the number of answers by which the sent answer is older than the
+    present answer.
 
-    While the node has sent fewer answers, send the present frames.
+    While the node has sent fewer answers than the size of the fault, send the frames of the present
+    answer.
     """
     active.answer_count += 1
-    # The release time of these frames is NEVER_NS plus the number of the answer. So ``released_frames``
-    # never releases them.
+    # The release time of the stored frames is NEVER_NS plus the number of the answer. So
+    # ``released_frames`` never releases the stored frames.
     active.delayed_frames += [(NEVER_NS + active.answer_count, frame) for frame in frames]
     replayed_number = active.answer_count - int(active.fault.size)
     if replayed_number <= 0:

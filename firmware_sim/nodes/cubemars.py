@@ -13,8 +13,8 @@ Commands have the layout of ``mit.codec``. Feedback (8 bytes, highest byte and b
 Older firmware sends only the first six bytes. Source: fact sheet mit_damiao, section variants.
 
 The fact sheet does not determine the following behaviour. A disabled motor answers commands. An
-error removes the torque. The error ends when its cause ends. Special commands (seven bytes of FF
-and a code) with an unknown code are not answered.
+error of the motor removes the torque, and ends when its cause ends. Special commands (seven bytes
+of FF and a code) with an unknown code are not answered.
 """
 
 import enum
@@ -57,15 +57,15 @@ THERMAL_PERIOD_NS = 100_000_000
 OVERHEATING_C = 100.0
 """Winding temperature above which the drive reports an error [degC]."""
 COOLED_DOWN_C = 90.0
-"""Winding temperature at which the error ends [degC]."""
+"""Winding temperature below which the over-temperature error ends [degC]."""
 ZEROING_DURATION_NS = 1_000_000_000
-"""Time without answers while the drive stores a new zero [ns]."""
+"""Time for which the drive does not answer because it stores a new zero position [ns]."""
 _SPECIAL_COMMAND_START = b"\xff" * 7
 """First seven bytes of a special command."""
 TEMPERATURE_ZERO_C = -40
-"""Temperature that the byte value 0 stands for [degC].
+"""Temperature for which the temperature byte in the feedback is 0 [degC].
 
-The manual subtracts 40 in its example of a reply.
+The manual of the drive subtracts 40 in its example of a reply.
 """
 _ENABLE_COMMAND = 0xFC
 _DISABLE_COMMAND = 0xFD
@@ -96,7 +96,7 @@ class CubemarsNode:
         ids: identifiers of the frames that the node answers.
         malformed_frame_count: number of frames with an identifier of the node that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
-        watchdog_fed_ns: negative number, because the drive has no watchdog.
+        watchdog_fed_ns: negative number, which means that the drive has no watchdog.
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
@@ -140,7 +140,8 @@ class CubemarsNode:
             return []
         if t_ns < self._silent_until_ns:
             return []
-        # Eight bytes FF are a valid MIT command, in which all fields have their maximum.
+        # Eight bytes FF are no special command but a valid MIT command, in which all fields have
+        # their maximum.
         if data[:7] == _SPECIAL_COMMAND_START and data[7] != 0xFF:
             return self._process_special_command(data[7], frame, t_ns)
         self._apply_command(data)
@@ -164,8 +165,8 @@ class CubemarsNode:
     def _enable_torque(self, is_enabled: bool) -> None:
         """Switch the torque of the motor on or off.
 
-        If the motor was enabled before and stays enabled, the servo keeps its setpoint. In all
-        other cases, the servo is released.
+        If the motor was enabled before and stays enabled, the servo keeps its setpoint. If the
+        motor was disabled before or is disabled now, the servo is released.
         """
         if not (is_enabled and self.enabled):
             self.motor.servo.release()
@@ -205,14 +206,14 @@ class CubemarsNode:
     def trip(self, feedback_error: FeedbackError) -> None:
         """Enter an error state, which removes the torque.
 
-        With ``FeedbackError.NONE``, the error state ends.
+        With the argument ``FeedbackError.NONE``, the error state ends.
         """
         self.error = feedback_error
         if feedback_error != FeedbackError.NONE:
             self._enable_torque(is_enabled=False)
 
     def power_cycle(self) -> None:
-        """Restart the motor. The motor is then disabled and has no error."""
+        """Restart the motor. After the restart, the motor is disabled and has no error."""
         self.error = FeedbackError.NONE
         self._enable_torque(is_enabled=False)
 

@@ -1,10 +1,11 @@
 """Compiled kernel that answers the cyclic frames of a tick. Frames and answers are records.
 
-A table contains the first receiver of each identifier. Each receiver contains the index of the next
-receiver of the same identifier. The kernel stops at a frame that Python must process: a special
-command, a register request, a frame of wrong length, or any frame while a watchdog is due. The node
-then processes this frame in Python, and the kernel continues with the next frame. The bit layouts
-are in ``mit.codec``, ``odrive.node``, ``cia402.kernels`` and ``sensor_node``.
+A table contains the first receiver of each identifier. Each receiver in the array contains the
+index of the next receiver of the same identifier. The kernel stops at a frame that Python must
+process: a special command, a register request, a frame of wrong length, or any frame while a
+watchdog is due. After a stop of the kernel, the node processes the frame in Python, and the kernel
+continues with the next frame. The bit layouts are in ``mit.codec``, ``odrive.node``,
+``cia402.kernels`` and ``sensor_node``.
 """
 
 import ctypes
@@ -68,7 +69,7 @@ from firmware_sim.plant.plant_structs import RotorStruct, TendonStruct
 FRAME_DURATION_NS = 135_000
 """Maximum duration of a classical frame of 8 bytes at 1 Mbit/s [ns].
 
-The answers of a tick follow each other at this distance. Source: VCAN.
+The times of neighbouring answers in a tick differ by the duration of a frame. Source: VCAN.
 """
 FD_FRAME_DURATION_NS = 57_000
 """Maximum duration of an FD frame of 8 bytes at 1/5 Mbit/s [ns]. Source: VCAN."""
@@ -76,28 +77,28 @@ NEXT_FRAME, ANSWERS, IN_ORDER, SENT, WAKE_NS = range(5)
 """Indices into the array ``progress``.
 
 The first three numbers of the array are the index of the next frame, the number of answers, and a
-flag. The flag is 1 if the times of the answers rise. The other two numbers are the number of
-unsolicited frames, and the earliest wake time of all drives [ns].
+flag that is 1 if the times of the answers rise. The other two numbers of the array are the number
+of unsolicited frames, and the earliest wake time of all drives [ns].
 """
 NEVER_NS = 1 << 62
-"""Time of the next wake-up if no drive needs a wake-up [ns]."""
+"""Wake time that means that no drive needs a wake-up [ns]."""
 _STANDARD_ID_COUNT = 0x800
 """Number of standard identifiers.
 
-The table of receivers has two blocks of this size for each bus, for data frames and for remote
-frames.
+For each bus, the table of receivers has two blocks with one entry per standard identifier: for data
+frames and for remote frames.
 """
 _TENSION_LOW, _TENSION_STEP, _TENSION_OFFSET = sensor_node.TENSION_CODE
 _JOINT_LOW, _JOINT_STEP, _JOINT_OFFSET = sensor_node.JOINT_CODE
 _SPECIAL_COMMAND_BITS = 0xFFFFFFFFFFFFFF
-"""Seven bytes of FF as an integer. Special commands of MIT motors start with these bytes."""
+"""Seven bytes of FF as an integer. Special commands of MIT motors start with seven bytes of FF."""
 
 
 class ReceiverStruct(ctypes.Structure):
-    """A node that receives frames with a certain identifier.
+    """Entry for a node that receives frames with a certain identifier.
 
-    The fields are the kind of the node, the row in the array for this kind, and the index of the
-    next receiver or -1.
+    The fields are the kind of the node, the node's row in the array for this kind, and the index of
+    the next receiver or -1.
     """
 
     _fields_ = [(name, ctypes.c_int64) for name in ("kind", "number", "next")]
@@ -126,7 +127,8 @@ def table_index(bus: int, can_id: int) -> int:
 def _payload_as_integer(payload: Any) -> int:
     """Return eight bytes as an integer.
 
-    The first byte is the most significant. The sign of the integer has no meaning.
+    The first byte of the payload is the most significant byte. The sign of the integer has no
+    meaning.
     """
     word = 0
     for i in range(8):
@@ -136,7 +138,7 @@ def _payload_as_integer(payload: Any) -> int:
 
 @kernel_helper
 def _fill_header(answer_record: Any, can_id: int, length: int, flags: int, bus: int) -> None:
-    """Fill all fields of a frame, but not the time. The payload is set to zero."""
+    """Fill all fields of a frame except the time. The payload is set to zero."""
     answer_record.can_id = can_id
     answer_record.length = length
     answer_record.flags = flags
@@ -164,8 +166,8 @@ def _mit_needs_python(node: Any, rotor: Any, frame: Any, t_ns: int) -> bool:
     """Return True if Python must process a frame for an MIT drive."""
     if frame.length != 8 or t_ns >= node.wake_ns or rotor.faulty != 0 or node.mode != MODE_MIT:
         return True
-    # Only the first seven bytes of the payload are compared. The eighth byte is the code of the
-    # special command.
+    # The code compares only the first seven bytes of the payload. The eighth byte is the code of
+    # the special command.
     return _payload_as_integer(frame.data) >> 8 & _SPECIAL_COMMAND_BITS == _SPECIAL_COMMAND_BITS
 
 
@@ -199,7 +201,7 @@ def _read_float(payload: Any) -> float:
 
 @kernel_helper
 def _odrive_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
-    """Return True if Python must process a torque setpoint or an encoder request for an ODrive."""
+    """Return True if Python must process a frame for an ODrive: a torque setpoint or an encoder request."""
     if frame.flags & FDF or rotor.faulty != 0 or node.motion_due_ns > 0:
         return True
     return bool(
@@ -235,7 +237,7 @@ def _answer_odrive(
 
 @kernel_helper
 def _cia402_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
-    """Return True if Python must process a SYNC, an RPDO or a master's heartbeat for a CiA 402 drive."""
+    """Return True if Python must process a frame for a CiA 402 drive: a SYNC, an RPDO or the master's heartbeat."""
     if frame.flags & FDF or rotor.faulty != 0 or node.thermal_ns < 0:
         return True
     if frame.can_id == node.sync_id:
@@ -257,7 +259,7 @@ def _cia402_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
 def _answer_cia402(
     node: Any, rotor: Any, frame: Any, t_ns: int, answer_frames: Any, count: int
 ) -> int:
-    """Process a SYNC, an RPDO or the master's heartbeat in a CiA 402 drive.
+    """Process a frame in a CiA 402 drive: a SYNC, an RPDO or the master's heartbeat.
 
     Returns:
         Number of answers in ``answer_frames``.
@@ -280,7 +282,7 @@ def _answer_cia402(
     else:
         values[CONTROL_WORD] = data[0] | data[1] << 8
         torque = int(data[2] | data[3] << 8)
-        # Conversion of 16 bits to a signed number (two's complement).
+        # The statement below converts 16 bits to a signed number (two's complement).
         values[TARGET_TORQUE] = torque - (1 << 16) if torque >= 1 << 15 else torque
         apply_torque(node, rotor.own_servo)
     schedule_cia402(node, t_ns, False)
@@ -294,7 +296,7 @@ def _write_sensor_frames(
     """Write the payloads of the sensor node into the frames that answer a SYNC frame.
 
     Args:
-        words: payloads as integers. The payloads are written with the low byte first.
+        words: payloads as integers. The kernel writes the payloads with the low byte first.
         channels: number of channels in all payloads together.
         can_id: identifier of the first frame.
         frame: the SYNC frame.
@@ -373,15 +375,15 @@ def _assign_bus_times(
 ) -> bool:
     """Set the times of answers.
 
-    The times are those of a bus that first transmits all frames of the host, and then the answers,
-    one after the other.
+    The times are valid for a bus that transmits all frames of the host before the answers, one
+    frame after the other.
 
     Args:
         frames: frames of the host.
         answer_frames: answers whose times are set.
         count: number of answers.
         t_ns: start of the tick [ns].
-        last_ns: largest delay of an answer after the start of the tick [ns].
+        last_ns: largest time from the start of the tick to an answer [ns].
         buses: number of buses.
 
     Returns:
@@ -467,7 +469,7 @@ def _answer_drive(  # noqa: PLR0913 - compiled functions take flat arrays
 
 @kernel_helper
 def _wake_ns(receiver_row: Any, mit: Any, odrive: Any, cia402: Any) -> int:
-    """Return the wake time of a drive [ns]."""
+    """Return the time at which a drive must wake next [ns]."""
     if receiver_row.kind == MIT_KIND:
         return int(mit[receiver_row.number].wake_ns)
     return int(
@@ -512,7 +514,7 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
         table: index of the first receiver of each identifier, or -1.
         max_answers: largest possible number of answers to one frame.
         receivers: array of all receivers. The indices in ``table`` and in the receivers are indices
-            into this array.
+            into ``receivers``.
         mit: rows of MIT drives.
         odrive: rows of ODrives.
         cia402: rows of CiA 402 drives.
@@ -546,8 +548,8 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
         while index >= 0:
             receiver_row = receivers[index]
             if receiver_row.kind == SENSOR_NODE_KIND:
-                # The kernel cannot draw random numbers. So all random numbers for one SYNC frame
-                # must be drawn before the call.
+                # The kernel cannot draw random numbers. So the caller must draw all random numbers
+                # for one SYNC frame before it calls the kernel.
                 has_enough_noise = noise_bounds[1] >= noise_bounds[0] + 2 * len(cell_order) + len(
                     joint_order
                 )
@@ -604,7 +606,7 @@ ROTOR_DTYPE = np.dtype(RotorStruct)
 def answer(
     frames: Any, answer_frames: Any, at: Any, t_ns: int, last_ns: int, max_answers: int
 ) -> None:
-    """Answer the frames of the host. Most of the arrays are given by their addresses.
+    """Answer the frames of the host. The caller gives most of the arrays by their memory addresses.
 
     The kernel ``_answer`` explains the answers.
 
@@ -635,10 +637,10 @@ def answer(
 
 @kernel_helper
 def _must_wake_odrive(node: Any, rotor: Any, now_ns: int) -> bool:
-    """Return True if an ODrive has due work other than the two cyclic messages.
+    """Return True if an ODrive must do work other than to send its two cyclic messages.
 
-    Python must wake the drive for this work: the update of temperatures, the watchdog, the end of a
-    calibration, the modes of ``odrive.motion_modes``, and the messages of firmware 0.5.
+    Python must wake the drive for the other work: the update of temperatures, the watchdog, the end
+    of a calibration, the modes of ``odrive.motion_modes``, and the messages of firmware 0.5.
     """
     is_busy = node.busy_until_ns > 0 or node.motion_due_ns > 0
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= THERMAL_PERIOD_NS
@@ -648,9 +650,9 @@ def _must_wake_odrive(node: Any, rotor: Any, now_ns: int) -> bool:
 
 @kernel_helper
 def _must_wake_cia402(node: Any, now_ns: int) -> bool:
-    """Return True if a CiA 402 drive has due work other than the heartbeat.
+    """Return True if a CiA 402 drive must do work other than to send its heartbeat.
 
-    Python must wake the drive for this work.
+    Python must wake the drive for the other work.
     """
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= CIA402_THERMAL_PERIOD_NS
     if node.motion_due_ns > 0:
@@ -725,7 +727,7 @@ def send_due_frames(
         progress: array with the number of frames in ``sent_frames``, see ``SENT``.
 
     Returns:
-        False if Python must wake a drive. In this case, no frame is written.
+        False if Python must wake a drive. If a drive must be woken, no frame is written.
     """
     for i in range(len(drives)):
         receiver_row = drives[i]
@@ -764,13 +766,13 @@ def send_due_frames(
 def merge_sorted_frames(host_frames: Any, other_frames: Any, merged_frames: Any) -> None:
     """Write the frames of two arrays into ``merged_frames``, sorted by time.
 
-    Frames with equal times keep their order.
+    The function keeps the order of frames with equal times.
     """
     count = len(host_frames)
     for i in range(len(merged_frames)):
         frame = host_frames[i] if i < count else other_frames[i - count]
-        # The loop is an insertion sort. It is fast because both arrays are almost sorted, and it
-        # keeps the order of equal times.
+        # The loop is an insertion sort. The sort is fast because both arrays are almost sorted, and
+        # keeps the order of frames with equal times.
         insertion_index = i
         while insertion_index > 0 and merged_frames[insertion_index - 1].t_ns > frame.t_ns:
             merged_frames[insertion_index] = merged_frames[insertion_index - 1]

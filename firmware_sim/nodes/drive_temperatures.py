@@ -1,7 +1,7 @@
 """Temperatures of the winding and the MOSFETs of a drive.
 
-The winding and the MOSFETs are each modelled as a body with a heat capacity that loses heat to the
-surroundings.
+The model treats the winding and the MOSFETs as two separate bodies. Each body has a heat capacity,
+and loses heat to the surroundings.
 """
 
 import ctypes
@@ -12,7 +12,8 @@ AMBIENT_C = 25.0
 PHASE_RESISTANCE_OHM = 0.6
 """Resistance of the whole current path [ohm].
 
-The value is assumed. With it, a current of 2.1 A (0.55 N m) dissipates 2.7 W.
+The value of the resistance is assumed. At a current of 2.1 A (torque of 0.55 N m), the current path
+dissipates 2.7 W.
 """
 WINDING_K_PER_W = 8.0
 """Thermal resistance of the winding, assumed for an actuator of 40 mm [K/W]."""
@@ -34,7 +35,7 @@ class DriveTemperatures:
     """
 
     def __init__(self, torque_constant: float) -> None:
-        """Start with both temperatures at ambient temperature.
+        """Set the winding and the MOSFETs to ambient temperature.
 
         Args:
             torque_constant: torque constant of the motor [N m/A].
@@ -66,7 +67,7 @@ class DriveTemperatures:
 
 
 class ThermalStruct(ctypes.Structure, DriveTemperatures):
-    """Temperatures of a drive, stored in the array row of the drive."""
+    """Temperatures of a drive, which are stored in the array row of the drive."""
 
     _fields_ = [(name, ctypes.c_double) for name in ("winding", "mosfet")]
 
@@ -74,6 +75,6 @@ class ThermalStruct(ctypes.Structure, DriveTemperatures):
 def _low_pass_value(value: float, target_value: float, time_constants: float) -> float:
     """Move a value towards a target, as a first-order lag does.
 
-    The time is given as a number of time constants.
+    The elapsed time is given as a number of time constants.
     """
     return target_value + (value - target_value) * math.exp(-time_constants)

@@ -1,8 +1,8 @@
 """Generators of setpoints, and cascaded controllers, for the position and velocity modes of the drives.
 
-In a real drive, these controllers run at 10 to 20 kHz. In the simulation, the position loop runs
-once per millisecond. The velocity loop is a part of the servo (``plant.motor``) and is integrated
-implicitly. The drives of all protocols use the same cascade of controllers:
+In a real drive, the position and velocity controllers run at 10 to 20 kHz. In the simulation, the
+position loop runs once per millisecond. The velocity loop is a part of the servo (``plant.motor``),
+which is integrated implicitly. The drives of all protocols use the same cascade of controllers:
 
     velocity demand = position gain (position - angle) + velocity, within +-speed
     torque          = velocity gain (velocity demand - omega) + integral + feedforward, within +-limit
@@ -22,14 +22,15 @@ VELOCITY_BANDWIDTH = 200.0
 INTEGRAL_GAIN_RATIO = 20.0
 """Integral gain divided by velocity gain, for drives without a documented gain [1/s].
 
-The value is an assumption.
+The ratio of the gains is an assumption.
 """
 POSITION_GAIN = 10.0
 """Assumed position gain of drives without a documented gain [1/s]."""
 INTEGRAL_DECAY = 0.99**8
-"""Factor by which the integral decays in each period while the torque is limited.
+"""Factor by which the integral of the velocity loop decays in each period while the torque is limited.
 
-Source: ODrive firmware, controller.cpp: a factor of 0.99 in each of eight loops per millisecond.
+Source: ODrive firmware, controller.cpp: the integral decays by a factor of 0.99 in each of eight
+loops per millisecond.
 """
 
 
@@ -48,16 +49,16 @@ class LoopGains(NamedTuple):
 
 
 def assumed_gains(inertia: float, position: float = POSITION_GAIN) -> LoopGains:
-    """Return gains for a drive. The documentation of this drive states no gains.
+    """Return assumed gains for a drive without documented gains.
 
-    These assumed gains follow from an inertia [kg m2] and a position gain [1/s].
+    The assumed gains follow from an inertia [kg m2] and a position gain [1/s].
     """
     velocity = VELOCITY_BANDWIDTH * inertia
     return LoopGains(position, velocity, INTEGRAL_GAIN_RATIO * velocity)
 
 
 class MotionSetpoint:
-    """The setpoint that a generator moves: position, velocity and acceleration.
+    """The setpoint that a setpoint generator moves: position, velocity and acceleration.
 
     Attributes:
         position: position setpoint [rad].
@@ -90,8 +91,8 @@ class MotionSetpoint:
         largest = (deceleration if is_decelerating else acceleration) * step_s
         change = min(largest, max(-largest, velocity - self.velocity))
         if is_decelerating and abs(change) > abs(self.velocity):
-            # When the motion reverses, the velocity is zero for one step, because acceleration and
-            # deceleration may differ.
+            # When the motion reverses, the velocity is zero for one step, because the acceleration
+            # limit can differ from the deceleration limit.
             change = -self.velocity
         self.velocity += change
         self.acceleration = change / step_s
@@ -102,7 +103,7 @@ class MotionSetpoint:
     ) -> bool:
         """Move the setpoint towards a position with a trapezoidal velocity profile.
 
-        In each step, the rest of the motion is planned again.
+        Each step plans the remaining motion again.
 
         Args:
             target: target position [rad].
@@ -118,7 +119,7 @@ class MotionSetpoint:
         if math.isinf(deceleration):
             stopping_speed = abs(remaining_distance) / step_s
         else:
-            # The next lines compute the largest speed from which the setpoint can stop within the
+            # The lines below compute the largest speed from which the setpoint can stop within the
             # remaining distance, if each step changes the velocity by fall * step_s.
             half_speed_step = 0.5 * deceleration * step_s
             stopping_speed = (
@@ -127,8 +128,8 @@ class MotionSetpoint:
                 )
                 - half_speed_step
             )
-        # In the last step, the setpoint jumps to the target. For this jump, up to twice the
-        # deceleration may be necessary.
+        # In the last step, the setpoint jumps to the target. The jump requires up to twice the
+        # deceleration limit.
         min_speed = deceleration * step_s
         if (
             abs(remaining_distance) <= min(min_speed, speed) * step_s
@@ -168,7 +169,7 @@ class CascadeController:
     """
 
     def __init__(self, motor: Motor) -> None:
-        """Use the encoder and the servo of a motor."""
+        """Connect the controller to the encoder and the servo of a motor."""
         self._motor = motor
         self.integral = 0.0
 
@@ -188,7 +189,7 @@ class CascadeController:
             gains: gains of both loops.
             speed: largest velocity demand [rad/s].
             limit: torque limit [N m].
-            step_s: time since the last call [s]. If 0, the integrator keeps its value.
+            step_s: time since the last call [s]. If the time is 0, the integrator keeps its value.
             torque: feedforward torque [N m].
         """
         motor = self._motor

@@ -1,6 +1,6 @@
 """Random numbers with a normal distribution, drawn in blocks.
 
-The numbers equal ``random.Random(seed).gauss(0, 1)``.
+The random numbers equal those of ``random.Random(seed).gauss(0, 1)``.
 """
 
 import math
@@ -15,7 +15,7 @@ from firmware_sim.compiled import compiled
 NOISE_BLOCK_SIZE = 512
 """Count of random numbers in a block.
 
-The count is even, because the algorithm generates pairs of numbers.
+The size of a block is even, because the algorithm generates pairs of numbers.
 """
 
 
@@ -49,7 +49,7 @@ class NormalNoise:
         """
         _, words, _ = random.Random(seed).getstate()
         # Python and numpy both use the generator MT19937, and convert its integers to doubles in
-        # the same way. Therefore both sequences have the same bits.
+        # the same way. Therefore the sequences of Python and numpy have the same bits.
         self._uniform = np.random.RandomState()
         self._uniform.set_state(("MT19937", np.array(words[:-1], np.uint32), words[-1], 0, 0.0))
         self.numbers: Any = np.zeros(2 * NOISE_BLOCK_SIZE)
@@ -58,7 +58,7 @@ class NormalNoise:
     def draw(self, count: int) -> None:
         """Draw numbers until at least ``count`` unused numbers are available.
 
-        ``count`` is at most ``NOISE_BLOCK_SIZE``.
+        The argument ``count`` must be at most ``NOISE_BLOCK_SIZE``.
         """
         first_index, end = self.bounds.tolist()
         if end - first_index < count:
@@ -74,7 +74,7 @@ class NormalNoise:
         block = np.empty(NOISE_BLOCK_SIZE)
         if isinstance(
             _normal_from_uniform, FunctionType
-        ):  # If this kernel is not compiled, lists are faster than arrays.
+        ):  # If the kernel ``_normal_from_uniform`` is not compiled, lists are faster than arrays.
             noise_values = [0.0] * NOISE_BLOCK_SIZE
             _normal_from_uniform(uniform_numbers.tolist(), noise_values)
             return noise_values

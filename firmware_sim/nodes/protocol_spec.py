@@ -1,4 +1,4 @@
-"""The interface between a drive protocol and the simulator: the simulated node, and its motors as delivered."""
+"""The interface between a drive protocol and the simulator: the simulated node, and the motors as delivered."""
 
 import math
 from collections.abc import Callable
@@ -15,13 +15,14 @@ SENSOR_NODE_KIND, MIT_KIND, ODRIVE_KIND, CIA402_KIND = range(4)
 class SimulatedNode(Protocol):
     """A simulated node on the bus.
 
-    The methods get the present time as an argument.
+    The methods of a node get the present time as an argument.
 
     Attributes:
         wake_ns: time of the next call of ``wake`` [ns].
         malformed: number of frames with an identifier of the node that the node could not decode.
         ids: identifiers of the frames that the node answers. After each change of the identifiers,
-            the set is a different object. It is None if the node must see every frame.
+            the set of identifiers is a different object. The attribute is None if the node must
+            receive every frame.
     """
 
     @property
@@ -31,14 +32,14 @@ class SimulatedNode(Protocol):
 
     @property
     def ids(self) -> frozenset[int] | None:
-        """Return the identifiers of the frames that the node answers, or None if it must see every frame."""
+        """Return the identifiers of the frames that the node answers, or None if the node must receive every frame."""
         ...
 
     @property
     def malformed_frame_count(self) -> int:
         """Return the number of frames that the node could not decode.
 
-        Only frames with an identifier of the node are counted.
+        The number includes only frames with an identifier of the node.
         """
         ...
 
@@ -51,10 +52,10 @@ class SimulatedNode(Protocol):
         ...
 
     def wake(self, t_ns: int) -> list[Frame] | None:
-        """Do the work that is due, such as updates of watchdog and temperatures.
+        """Do the work of the node that is due, such as updates of watchdog and temperatures.
 
         Returns:
-            The unsolicited frames to send. None if the node never sends any.
+            The unsolicited frames to send, or None if the node never sends unsolicited frames.
         """
         ...
 
@@ -71,12 +72,12 @@ class DriveNode(SimulatedNode, Protocol):
 
 
 class ShaftSpec(NamedTuple):
-    """Data of a motor with the settings that the maker has delivered.
+    """Data of a motor as the maker delivers it.
 
     All data are converted to the output shaft.
 
     Attributes:
-        peak: torque at full scale of the frames [N m].
+        peak: torque at the full scale of the torque field in frames [N m].
         inertia: inertia of the free shaft [kg m2].
         torque_constant: torque constant of the motor [N m/A].
         position: largest position in frames [rad].
@@ -84,7 +85,8 @@ class ShaftSpec(NamedTuple):
         options: options of the motor, as in a hand file.
         limit: largest torque that the motor can make [N m].
         top_speed: speed of the motor without load [rad/s].
-        stall_torque: torque at standstill that the supply voltage alone would allow [N m].
+        stall_torque: torque of the motor at standstill, if only the supply voltage limits the
+            torque [N m].
     """
 
     peak: float
@@ -104,7 +106,7 @@ def unchanged_frame(frame: Frame) -> Frame:
 
 
 FRAME_FOR_NO_NODE = Frame(EXTENDED_FLAG, b"")
-"""A frame with an identifier of no node."""
+"""A frame whose identifier belongs to no node."""
 
 
 class ProtocolSpec(NamedTuple):
@@ -115,15 +117,15 @@ class ProtocolSpec(NamedTuple):
             angle when the spool angle theta is 0 [rad].
         numbers: valid node numbers of drives.
         shaft: shaft of the default motor on a test bench.
-        host_frame: function from a node number to the identifier and the payload of
-            a frame that only hosts send and that has no effect.
+        host_frame: function from a node number to the identifier and the payload of a frame that
+            only hosts send and that has no effect on the drive.
         corrupt_command: function that makes the command *disable* ineffective, for a faulty drive.
         corrupt_reply: function that changes a value in the reply to a read request, for a faulty
             drive.
         force_command: function that makes a drive follow a torque command in any state, for a
             faulty drive. None if the protocol has no such function.
-        row: class of a node whose numbers are kept in a row of an array, for compiled kernels.
-            None without such a class.
+        row: class of a node that keeps its state in a row of an array, for compiled kernels. None
+            if the protocol has no such class.
         node_kind: kind of node in compiled kernels, see ``cyclic_kernels.ReceiverStruct``.
     """
 

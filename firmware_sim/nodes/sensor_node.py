@@ -1,6 +1,7 @@
 """The simulated sensor node of a hand.
 
-When a SYNC frame arrives, the node reads the load cells and joint encoders, and sends the readings.
+When a SYNC frame arrives, the sensor node reads the load cells and joint encoders, and sends the
+readings.
 
 Frame (up to 8 bytes, bits numbered from the lowest bit of byte 0, Intel order):
 
@@ -12,8 +13,9 @@ Frame (up to 8 bytes, bits numbered from the lowest bit of byte 0, Intel order):
     joint code       2048 + angle / (2 pi rad / 4096), or 2048 + position / 50 um
 
 The first tension frame has the base identifier. The first joint frame has the base identifier +
-0x10. Each further frame has the next higher identifier. A frame with fewer than five channels has
-only as many bytes as these channels need. Source: DBC of the hand, sensor_node.
+0x10. Each further tension frame or joint frame has the next higher identifier. A frame with fewer
+than five channels has only as many bytes as its channels need. Source: DBC of the hand,
+sensor_node.
 """
 
 import ctypes
@@ -39,7 +41,7 @@ JOINT_STEP_RAD = 2.0 * math.pi / 4096
 JOINT_STEP_M = 5e-5
 """Resolution of the code of a prismatic joint [m]."""
 MAX_JOINT_CHANNELS = 80
-"""Number of channels in the 16 identifiers of joint frames."""
+"""Largest number of joint channels: five channels in each of the 16 joint frames."""
 JOINT_ZERO_CODE = 2048
 """Joint code of the joint angle zero."""
 JOINT_OFFSET = 0x10
@@ -49,9 +51,9 @@ _MAX_CHANNEL_CODE = 4095
 _NEVER_NS = 1 << 62
 """Time of an event that will not happen [ns]."""
 TENSION_CODE = (TENSION_MIN_N, TENSION_STEP_N, 0)
-"""Parameters of a tension code: value of code 0, resolution and offset."""
+"""Parameters of a tension code: tension at code 0, resolution and offset of the code."""
 JOINT_CODE = (0.0, JOINT_STEP_RAD, JOINT_ZERO_CODE)
-"""Parameters of a joint code: value of code 0 before the offset, resolution and offset."""
+"""Parameters of a joint code: angle at code 0 before the offset is added, resolution, and offset of the code."""
 
 
 class SensorStruct(ctypes.Structure):
@@ -69,9 +71,9 @@ class SensorStruct(ctypes.Structure):
 def _encode_value(value: float, low: float, step: float, offset: int) -> int:
     """Return the 12-bit code of a value.
 
-    The codes 0 and 4095 mean that the value is outside of the range of the codes.
+    The codes 0 and 4095 mean that the encoded value is outside of the range of the codes.
     """
-    # In Python and in compiled code, round() rounds halves to even numbers.
+    # In Python and in compiled code, round() rounds a half to the nearest even number.
     return min(_MAX_CHANNEL_CODE, max(0, round((value - low) / step) + offset))
 
 
@@ -79,7 +81,8 @@ def _encode_value(value: float, low: float, step: float, offset: int) -> int:
 def payload_size(channels: int) -> int:
     """Return the size of a payload [bytes].
 
-    ``channels`` is the number of channels in this payload and all following payloads.
+    The argument ``channels`` is the number of channels in this payload and all following payloads
+    together.
     """
     return (4 + 12 * min(CHANNELS_PER_FRAME, channels) + 7) // 8
 
@@ -104,13 +107,13 @@ def _pack_codes(counter: int, codes: Any, words: Any) -> None:
 def encode(
     values: Any, low: float, step: float, offset: int, counter: int, codes: Any, words: Any
 ) -> None:
-    """Encode the values of channels, and pack their codes.
+    """Encode the values of channels, and pack the codes of the values into payloads.
 
     The kernels ``_encode_value`` and ``_pack_codes`` explain the format.
 
     Args:
         values: (channels,) value of each channel.
-        low: value of code 0 before the offset.
+        low: value of code 0 before the offset is added.
         step: difference of the values of two neighbouring codes.
         offset: offset of the code.
         counter: counter in the SYNC frame.
@@ -128,16 +131,17 @@ def read_cells(
 ) -> None:
     """Compute the readings of the load cells.
 
-    A reading is the true tension plus the bias plus noise. The bias is a random walk.
+    A reading is the sum of the true tension, the bias of the load cell, and noise. The bias is a
+    random walk.
 
     Args:
         true_tensions: true tension of each cell [N].
-        bias: bias of each cell [N], which the kernel updates.
-        normal_numbers: random numbers with a normal distribution: one for the drift of each cell's bias,
-            then one for the noise of each cell.
+        bias: bias of each load cell [N], which the kernel updates.
+        normal_numbers: random numbers with a normal distribution: one for the bias drift of each
+            load cell, then one for the noise of each load cell.
         drift: standard deviation of the change of the bias since the last sample [N].
         noise: standard deviation of the noise in a reading [N].
-        readings: reading of each cell [N], written by the kernel.
+        readings: reading of each load cell [N], written by the kernel.
     """
     channels = len(true_tensions)
     for i in range(channels):
@@ -150,7 +154,7 @@ def read_cells(
 def bias_drift_deviation(node: Any, t_ns: int) -> float:
     """Return the standard deviation of the change of the load-cell bias since the last sample [N].
 
-    Store the time of the sample.
+    Store the time of the sample in the node.
 
     After 100 s, the standard deviation of the bias is ``bias_drift``.
     """
@@ -161,7 +165,7 @@ def bias_drift_deviation(node: Any, t_ns: int) -> float:
 
 @kernel_helper
 def has_joint_reading(node: Any, joints: int, counter: int) -> bool:
-    """Return True if the answer to a SYNC with this counter also contains the joint angles."""
+    """Return True if the answer to a SYNC frame with the given counter contains joint frames."""
     return joints > 0 and counter % node.joint_decimation == 0
 
 
@@ -232,11 +236,11 @@ class SensorNode:
             cell.
         joint_faults: for each channel, the function by which a fault changes the reading of the
             joint encoder.
-        suppressed: functions by the identifier of a frame. Such a function is called instead of
+        suppressed: functions by the identifier of a frame. The node calls the function instead of
             sending the frame.
         ids: set with the identifier of SYNC.
         malformed_frame_count: number of SYNC frames of a wrong length.
-        wake_ns: a time that is never reached, because the node need not be woken.
+        wake_ns: a time that is never reached, because the node does not need to be woken.
     """
 
     def __init__(
@@ -290,7 +294,7 @@ class SensorNode:
         return (self._spec.sync_id,)
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """Answer a SYNC frame with tension frames, and with joint frames if these are due.
+        """Answer a SYNC frame with tension frames, and with joint frames if joint frames are due.
 
         Returns:
             The answers, or None if the frame is not a SYNC frame.
@@ -339,7 +343,7 @@ class SensorNode:
 
 
 class SensorNodeRow(SensorStruct, SensorNode):
-    """A sensor node that keeps its numbers in a row of an array. Compiled kernels use this row."""
+    """A sensor node that keeps its state in a row of an array, which compiled kernels read and write."""
 
     def initialise(
         self, spec: SensorSpec, tensions: Callable[[], Any], angles: Callable[[], Any], seed: int
@@ -354,7 +358,7 @@ class SensorNodeRow(SensorStruct, SensorNode):
 def _readings_with_faults(
     readings: Any, fault_functions: dict[int, Callable[[float], float]]
 ) -> Any:
-    """Change the readings of single channels by their faults, and return all readings."""
+    """Apply the faults of single channels to the readings of these channels, and return all readings."""
     for i, fault in sorted(fault_functions.items()):
         readings[i] = fault(float(readings[i]))
     return readings

@@ -15,7 +15,7 @@ from firmware_sim.scene.scene import Scene
 
 AZIMUTH_DEG = 200.0
 ELEVATION_DEG = -38.0
-"""Direction of view: from the front onto the side of the hand [deg]."""
+"""Direction of view of the camera: from the front onto the side of the hand [deg]."""
 PICTURE_FILL_FRACTION = 0.95
 """Radius of the hand as a fraction of the largest radius that fits into the picture."""
 LINK_COLOURS = (
@@ -30,7 +30,7 @@ COLOUR_BY_BODY = {"object": (0.85, 0.83, 0.77), "table": (0.55, 0.60, 0.65)}
 """Colours of object and table."""
 PALM_COLOUR = (0.36, 0.40, 0.44)
 SKY_COLOUR = (0.87, 0.91, 0.94)
-"""Colours of the palm and of the background."""
+"""Colour of the background, and colour of the palm (above)."""
 SKY_XML = '<asset><texture type="skybox" builtin="flat" rgb1="{0} {1} {2}" width="8" height="48"/></asset>'
 
 
@@ -93,7 +93,8 @@ class Camera:
             mujoco.mjtCatBit.mjCAT_ALL.value,
             self._scene,
         )
-        # Another camera of this process may have made its own graphics context the current one.
+        # Another camera of the process has possibly made its own graphics context the current
+        # context.
         self._gl.make_current()
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         picture_rectangle = mujoco.MjrRect(0, 0, self.width_px, self.height_px)
@@ -115,9 +116,9 @@ class Camera:
 def _open_graphics(width_px: int, height_px: int) -> Any:
     """Open a graphics context.
 
-    As in MuJoCo, the environment variable ``MUJOCO_GL`` chooses the graphics library. If this
-    variable is not set and there is no screen, the library EGL draws on the graphics card or on the
-    processor.
+    As in MuJoCo, the environment variable ``MUJOCO_GL`` chooses the graphics library. If
+    ``MUJOCO_GL`` is not set and the machine has no screen, the library EGL draws on the graphics
+    card or on the processor.
 
     Raises:
         SimulatorError: a graphics context cannot be opened.
@@ -139,7 +140,7 @@ def _open_graphics(width_px: int, height_px: int) -> Any:
 
 def _graphics_errors() -> tuple[type[Exception], ...]:
     """Return the exceptions with which graphics libraries report that they cannot be used."""
-    # If the library lacks an EGL function, an AttributeError is raised.
+    # If the graphics library lacks an EGL function, Python raises an AttributeError.
     graphics_error_types = (
         AttributeError,
         ImportError,
@@ -171,7 +172,7 @@ def _view_of_hand(model: Any, data: Any, aspect_ratio: float) -> Any:
 
     Args:
         model: MuJoCo model that is drawn.
-        data: state of the model in which the hand is open.
+        data: MuJoCo state of the model, in which the hand is open.
         aspect_ratio: width of the picture divided by the height of the picture.
     """
     bodies = [

@@ -1,12 +1,12 @@
 """Kernels that advance tendons, rotors and servos by a step, in scalar arithmetic.
 
-In compiled kernels, tendons and rotors are the rows of an array. In interpreted Python, they are
-objects in a list. The rows and the objects have the same attributes.
+In compiled kernels, tendons and rotors are the rows of an array. In interpreted Python, tendons and
+rotors are objects in a list. The rows and the objects have the same attributes.
 
 Tendon damping and Coulomb-like capstan friction rise steeply with the speed of the tendon. The
-links are light, so an explicit step would be unstable. Therefore the engine integrates the slope of
-both forces implicitly, as a damping of the tendon. The kernels then add the torque of this damping
-to the links again, so that only the exact friction remains.
+links are light, so an explicit step would be unstable. Therefore the engine integrates the slopes
+of the damping and of the friction implicitly, as a damping of the tendon. The kernels then
+compensate the torque of the added damping at the links, so that only the exact friction remains.
 """
 
 import math
@@ -25,7 +25,7 @@ Source: MODEL, section 3, v0.
 COULOMB_SPEED = 0.05
 """Spool speed at which Coulomb friction reaches 76 % of its final value [rad/s].
 
-At this speed of the spool, the tendon moves at 0.25 mm/s.
+At a spool speed of 0.05 rad/s, the tendon moves at 0.25 mm/s.
 """
 ENCODER_STEP = 2.0 * math.pi / (1 << 14)
 """Resolution of the encoder [rad]: 14 bits for one turn of the spool. Source: MODEL, section 4."""
@@ -35,10 +35,11 @@ DIVERGENCE_SPEED_RAD_S = 1e5
 PRISMATIC_FLAG_INDEX = 10
 """Index of a number of each pulley.
 
-The number is 1 at a prismatic joint. See ``tendon.PRISMATIC_FLAG_INDEX``.
+The number of a pulley with this index is 1 at a prismatic joint. See
+``tendon.PRISMATIC_FLAG_INDEX``.
 """
 PARAMETERS_PER_PULLEY = 11
-"""Count of numbers that each pulley has in ``arms``, see ``tendon.PARAMETERS_PER_PULLEY``."""
+"""Number of array elements of ``arms`` for each pulley, see ``tendon.PARAMETERS_PER_PULLEY``."""
 
 DRIVETRAIN_ARGUMENT_TYPES = (TendonStruct, "counts", "vector", RotorStruct)
 """Types of the kernel arguments: tendons, joint index of each pulley, numbers of each pulley, rotors."""
@@ -71,7 +72,7 @@ def _wrapped_tendon_length(arms: Any, i: int, q: float) -> float:
     for k in range(4, PRISMATIC_FLAG_INDEX):
         length += arms[at + k] * power / (k - 3.0)
         power *= angle
-    # Beyond the limits of the joint angle, the moment arm is constant.
+    # At joint angles beyond the limits, the moment arm is constant.
     return float(length + _moment_arm_at(arms, i, q) * (q - angle))
 
 
@@ -79,10 +80,10 @@ def _wrapped_tendon_length(arms: Any, i: int, q: float) -> float:
 def _elastic_tension(tendon: Any, stretch: float) -> float:
     """Compute the elastic tension [N] of a tendon at a stretch [m].
 
-    Above the stretch at the knee of the curve, the tendon is softer.
+    Above the stretch at the knee of the tension-stretch curve, the tendon is softer.
 
-    Source: MODEL, section 3, ``phi``. How much softer the tendon becomes is a parameter, because
-        the paper prints no curve.
+    Source: MODEL, section 3, ``phi``. The stiffness above the knee is a parameter, because the
+    paper prints no curve.
     """
     if stretch <= 0.0:
         return 0.0
@@ -98,8 +99,9 @@ def _elastic_tension(tendon: Any, stretch: float) -> float:
 def _friction_per_speed(tendon: Any, tension_loss: float, tension_angle: float) -> float:
     """Compute the friction force on a tendon divided by the speed of the tendon [N s/m].
 
-    The kernel uses this quotient (the secant of the friction curve) instead of the derivative (the
-    tangent). With the tangent, friction would reverse the motion of a light link.
+    The kernel uses the quotient of force and speed (the secant of the friction curve) instead of
+    the derivative (the tangent). With the tangent, friction would reverse the motion of a light
+    link.
 
     Args:
         tendon: the tendon, with its present speed.
@@ -107,8 +109,8 @@ def _friction_per_speed(tendon: Any, tension_loss: float, tension_angle: float) 
         tension_angle: tension of the tendon times its wrap angle [N rad].
     """
     speed = abs(tendon.speed)
-    # When the tendon is almost at rest, the quotient would be 0/0. In this case, the limit of the
-    # quotient is returned.
+    # When the tendon is almost at rest, the quotient of force and speed would be 0/0. The kernel
+    # then returns the limit of the quotient.
     if speed < 1e-3 * CAPSTAN_SPEED:
         return float(tension_angle * tendon.friction / CAPSTAN_SPEED)
     return float(tension_loss / speed)
@@ -133,8 +135,8 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
 
     The kernel also sets the slope of the friction over the speed of the tendon.
 
-    Friction at a pulley reduces the tension behind the pulley. The wrap angle is the sum over this
-    pulley and all pulleys before it.
+    Friction at a pulley reduces the tension behind the pulley. The wrap angle is the sum over the
+    pulley and all pulleys before the pulley.
     Source: MODEL, section 3.
     """
     tension = tendon.tension
@@ -146,8 +148,8 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
         # At a prismatic joint, the tendon does not bend.
         if arms[PARAMETERS_PER_PULLEY * i + PRISMATIC_FLAG_INDEX] == 0.0:
             angle += q[joints[i]]
-        # The next lines compute the capstan equation. If the speed is positive, the tendon moves
-        # towards the spool, and friction reduces the tension behind a pulley.
+        # The lines below compute the capstan equation. If the tendon speed is positive, the tendon
+        # moves towards the spool, and friction reduces the tension behind a pulley.
         local_tension = tension * math.exp(-rate * angle)
         torque[joints[i]] += _moment_arm_at(arms, i, q[joints[i]]) * local_tension
         if local_tension < min_tension:
@@ -175,8 +177,8 @@ def _add_tendon_torques(
     speed = 0.0
     for i in range(tendon.first, tendon.end):
         stretch -= _wrapped_tendon_length(arms, i, q[joints[i]])
-        # The stretch of a tendon is the excursion of the spool minus the excursions of the joints.
-        # A positive spool angle winds the tendon up, and a positive joint angle closes the digit.
+        # The stretch of a tendon is the travel at the spool minus the excursions at the joints. A
+        # positive spool angle winds the tendon up, and a positive joint angle closes the digit.
         speed += _moment_arm_at(arms, i, q[joints[i]]) * dq[joints[i]]
     tension = 0.0
     if stretch > 0.0:
@@ -196,8 +198,8 @@ def _add_tendon_torques(
 def _compensate_damping(tendon: Any, joints: Any, arms: Any, dq: Any, torque: Any) -> None:
     """Compensate the torque of the tendon damping in MuJoCo.
 
-    MuJoCo will subtract this torque. Therefore the kernel adds it to ``torque`` [N m]. MuJoCo
-    computes this damping with the mean moment arms.
+    MuJoCo will subtract the damping torque. Therefore the kernel adds the damping torque to
+    ``torque`` [N m]. MuJoCo computes the damping torque with the mean moment arms.
     """
     speed = 0.0
     for i in range(tendon.first, tendon.end):
@@ -231,7 +233,8 @@ def limit_torque_by_speed(
 ) -> float:
     """Limit a torque command to the range from slope (-speed - omega) to slope (speed - omega) [N m].
 
-    Here omega is the rotor's velocity at the end of the step, as in the command of the servo.
+    In the limits, omega is the rotor's velocity at the end of the step, as in the command of the
+    servo.
 
     Args:
         rotor: rotor whose torque is limited.
@@ -247,7 +250,7 @@ def limit_torque_by_speed(
     sign = 1.0 if rotor.gain > 0.0 else -1.0
     mass = inertia + rotor.viscous
     push = inertia * rotor.omega + rotor.gain * (1.0 - rotor.lag) * rotor.torque - drag_torque
-    # The next lines solve limit = slope (+-speed - omega), where omega = (push + gain lag limit) /
+    # The lines below solve limit = slope (+-speed - omega), where omega = (push + gain lag limit) /
     # mass.
     scale = mass + slope * abs(rotor.gain) * rotor.lag
     max_torque = (slope * speed * mass - sign * slope * push) / scale
@@ -262,17 +265,17 @@ def limit_torque_by_speed(
 def compute_command(rotor: Any) -> None:
     """Compute the limited torque command of the servo from the velocity at the end of the step [N m].
 
-    The control loop of a real drive runs at 10 to 20 kHz. The simulation uses the velocity at the
-    end of the step. All gains that are stable in the drive are therefore stable in the simulation.
-    Some drives move their position setpoint themselves. Such a setpoint is first moved to its value
-    at the end of the step.
+    The control loop of a real drive runs at 10 to 20 kHz. The simulation uses the velocity of the
+    rotor at the end of the step. Because of the velocity at the end of the step, all gains that are
+    stable in the drive are stable in the simulation. If a drive moves its position setpoint itself,
+    the kernel first moves the setpoint to its value at the end of the step.
     """
     servo = rotor.own_servo
     filter_fraction = rotor.lag
     gain = rotor.gain
     smoothed_sign = math.tanh(rotor.omega / COULOMB_SPEED)
-    # The slope is the derivative of the smoothed Coulomb friction. The implicit step contains this
-    # slope.
+    # The slope is the derivative of the smoothed Coulomb friction. The implicit step contains the
+    # slope of the friction.
     slope = rotor.coulomb * (1.0 - smoothed_sign * smoothed_sign) / COULOMB_SPEED
     inertia = rotor.inertia / rotor.step + slope
     drag = rotor.load + rotor.coulomb * smoothed_sign
@@ -281,8 +284,8 @@ def compute_command(rotor: Any) -> None:
     if servo.target_speed != 0.0:
         servo.position += rotor.step * servo.target_speed
     if servo.kp != 0.0 or servo.kd != 0.0:
-        # The command at the end of the step consists of a fixed part and a part that depends on the
-        # new velocity.
+        # The torque command at the end of the step is the sum of a fixed torque and a torque that
+        # depends on the new velocity.
         command_at_rest = (
             command + servo.kp * (servo.position - rotor.angle) + servo.kd * servo.velocity
         )
@@ -305,7 +308,7 @@ def compute_command(rotor: Any) -> None:
         )
     if rotor.top_speed > 0.0:
         # The back-EMF reduces the voltage that drives the current. The remaining voltage falls
-        # linearly, and is zero at the no-load speed.
+        # linearly with the speed, and is zero at the no-load speed.
         slope = rotor.stall_torque / rotor.top_speed
         command = limit_torque_by_speed(
             rotor, command, inertia, drag, rotor.top_speed, slope, False
@@ -321,8 +324,8 @@ def integrate_motor(rotor: Any) -> None:
     torque = rotor.torque + rotor.lag * (rotor.command - rotor.torque)
     push = rotor.impedance * rotor.omega + rotor.gain * torque - rotor.drag
     omega = push / (rotor.impedance + rotor.viscous)
-    # The rotor angle comes last, because it is computed from the new velocity (semi-implicit
-    # Euler).
+    # The rotor angle is integrated last, because it is computed from the new velocity
+    # (semi-implicit Euler).
     rotor.torque = torque
     rotor.omega = omega
     rotor.theta += rotor.step * omega
@@ -361,7 +364,7 @@ def step_drivetrain(
     damping: Any,
     all_rotors: bool,
 ) -> None:
-    """Compute the part of a step that MuJoCo does not compute: tendons and rotors.
+    """Compute a step of the tendons and the rotors, which MuJoCo does not compute.
 
     The kernel ``_integrate_steps`` describes the whole step.
 
@@ -374,8 +377,8 @@ def step_drivetrain(
         dq: joint velocities [rad/s].
         torque: joint torques, written by the kernel [N m].
         damping: damping of each tendon, written by the kernel [N s/m].
-        all_rotors: True to step all rotors. False to leave out the rotors whose attribute
-            ``steps_alone`` is set.
+        all_rotors: True to step all rotors. False to step only the rotors whose attribute
+            ``steps_alone`` is not set.
     """
     for i in range(len(torque)):
         torque[i] = 0.0
@@ -384,7 +387,7 @@ def step_drivetrain(
     for i in range(len(tendons)):
         tendon = tendons[i]
         # The two antagonistic tendons of a spool pair pull in opposite directions on one spool. The
-        # loads of these two tendons therefore have opposite signs.
+        # loads of the two tendons of a pair therefore have opposite signs.
         _add_tendon_torques(tendon, joints, arms, rotors[tendon.motor], q, dq, torque)
         _compensate_damping(tendon, joints, arms, dq, torque)
         damping[i] = tendon.slope
@@ -418,7 +421,7 @@ def _integrate_steps(
         data: address of the second argument of the step function.
 
     Returns:
-        Number of completed steps. This number is less than ``count`` if the simulation has
+        Number of completed steps. The number of steps is less than ``count`` if the simulation has
         diverged, and 0 if a motor has a fault.
     """
     for i in range(len(rotors)):
@@ -428,7 +431,7 @@ def _integrate_steps(
         speeds = 0.0
         for speed in dq:
             speeds += speed
-        # This condition is also true if the sum of the speeds is NaN.
+        # The condition is written in this form so that it is true if the sum of the speeds is NaN.
         if not abs(speeds) < DIVERGENCE_SPEED_RAD_S:
             return step_index
         step_drivetrain(tendons, joints, arms, rotors, q, dq, torque, damping, True)
@@ -441,14 +444,14 @@ REAL_DTYPE = np.dtype(np.float64)
 COUNT_DTYPE = np.dtype(np.int64)
 TENDON_DTYPE = np.dtype(TendonStruct)
 ROTOR_DTYPE = np.dtype(RotorStruct)
-"""Dtypes of the arrays that ``steps`` makes from addresses."""
+"""Dtype of an array that ``steps`` makes from an address, like the constants above."""
 
 
 @compiled("count", "counts")
 def steps(count: int, at: Any) -> int:
     """Integrate tendons, rotors and links over a number of time steps.
 
-    The arrays are given by their addresses.
+    The caller gives the arrays by their memory addresses.
 
     The kernel ``_integrate_steps`` describes the step.
 

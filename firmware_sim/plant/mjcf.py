@@ -21,7 +21,7 @@ HAND_FRICTION = 0.5
 OBJECT_COLLISION_BIT = 1
 """Collision category of the object.
 
-Two shapes collide if the category of one is in the affinity of the other.
+Two shapes collide if the category of one shape is in the affinity of the other shape.
 """
 FINGER_COLLISION_BIT = 2
 """Collision category of the digits that close from the same side as the first digit."""
@@ -45,18 +45,18 @@ TABLE_HALF_EXTENTS = (0.12, 0.12, 0.005)
 VISUAL_GEOM_GROUP = 2
 """MuJoCo group of the meshes. Viewers show the groups 0 to 2."""
 COLLISION_GEOM_GROUP = 3
-"""MuJoCo group of the shapes that meshes replace in pictures. Viewers do not show this group."""
+"""MuJoCo group of the shapes that meshes replace in pictures. Viewers do not show the group 3."""
 ZERO_FACTOR_TOLERANCE = 1e-9
 """Largest factor of a joint in a loopback tendon that counts as 0."""
 COUPLING_STIFFNESS = 'solref="0.004 1" solimp="0.99 0.999 0.001"'
 """Stiffness of the constraint that keeps the length of a loopback tendon.
 
-The stiffness is that of the contacts or higher.
+The constraint is at least as stiff as the contacts.
 """
 MAX_CONTACTS = 16
 """Maximum number of measured contacts between a digit and the object.
 
-MuJoCo makes at most two for each link.
+MuJoCo makes at most two contacts for each link.
 """
 
 _OPTIONS = f"""
@@ -72,24 +72,24 @@ _OPTIONS = f"""
     </default>
   </default>
 """
-"""Options and defaults of the engine. For the source of the settings see ``model_text``."""
+"""Options and defaults of the engine. The function ``model_text`` states the source of the settings."""
 
 
 def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
     """Build the model of a hand and a scene as MJCF text.
 
-    The joints have the same order as in the hand. In qpos and qvel, the joints of the hand come
-    first, and the free joint of the object follows. The contacts are softer than in section 6 of
-    MODEL. Section 6 gives a solref of 0.002. With this value, the penetration in a grasp is less
-    than the error of the collision detector. A contact with such a small penetration would vanish
-    for single steps. Source of the other settings: MODEL, section 6.
+    The joints in the model have the same order as in the hand. In qpos and qvel, the joints of the
+    hand come first, and the free joint of the object follows. The contacts in the model are softer
+    than in section 6 of MODEL. Section 6 gives a solref of 0.002. With a solref of 0.002, the
+    penetration in a grasp would be less than the error of the collision detector, so that contacts
+    would vanish for single steps. Source of the other settings: MODEL, section 6.
 
     Args:
         hand: description of the hand.
         scene: object and support, as the scene file describes them.
-        meshes: True for a model that is drawn. Links with a mesh then show the mesh, and their
-            capsules are in the hidden group. Meshes have neither mass nor contacts. The plant uses
-            a model without meshes.
+        meshes: True for a model that is drawn. In this model, links with a mesh show the mesh, and
+            the capsules of these links are in the hidden group. Meshes have neither mass nor
+            contacts. The plant uses a model without meshes.
     """
     mesh_by_link = {mesh.link: mesh for mesh in hand.meshes} if meshes else {}
     friction = scene.grasp_object.friction if scene.grasp_object else HAND_FRICTION
@@ -120,9 +120,10 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
 
 
 def opposed_digits(hand: Hand) -> list[bool]:
-    """Return one truth value for each digit.
+    """Return one boolean value for each digit.
 
-    The value is True if the digit closes against the first closing digit, as the thumb does.
+    The value of a digit is True if the digit closes against the first closing digit, as the thumb
+    does.
     """
     first_closing_direction = _closing_direction(hand, hand.closing_digits[0])
     return [
@@ -134,7 +135,7 @@ def opposed_digits(hand: Hand) -> list[bool]:
 def _closing_direction(hand: Hand, digit: Digit) -> Any:
     """Compute the direction in which a digit closes, in the palm frame.
 
-    It is the y axis of the last link at rest.
+    The closing direction is the y axis of the last link at rest.
     """
     direction = rest_poses(digit)[-1][1][:, 1]
     while digit.carrier:
@@ -179,7 +180,7 @@ def _numbers_text(values: Sequence[float]) -> str:
 
 
 def palm_box(hand: Hand, carrier: str) -> tuple[Any, Any]:
-    """Compute the box of a palm: a square box behind the mounts of all digits that a link carries.
+    """Compute the box of a palm, or of a link that carries digits: a square box behind the mounts of the digits.
 
     Args:
         hand: the hand.
@@ -202,8 +203,8 @@ def _mesh_assets(meshes_by_link: dict[str, LinkMesh]) -> str:
     """Build the MJCF assets of the meshes. Without meshes, the text is empty."""
     if not meshes_by_link:
         return ""
-    # The setting inertia="shell" also works for open surfaces. The inertia itself has no effect,
-    # because meshes have no mass.
+    # The setting inertia="shell" works for closed and for open surfaces. The inertia of a mesh has
+    # no effect, because meshes have no mass.
     meshes = "".join(
         f'<mesh name="{link}" file={quoteattr(mesh.file)} scale="{_numbers_text(mesh.scale)}" inertia="shell"/>'
         for link, mesh in meshes_by_link.items()
@@ -253,7 +254,7 @@ def _last_link(hand: Hand, name: str) -> int:
 
 
 def _group_attribute(has_mesh: bool) -> str:
-    """Return the attribute that hides a shape in pictures because a mesh replaces the shape.
+    """Return the MJCF attribute that hides a shape in pictures because a mesh replaces the shape.
 
     Without a mesh, the text is empty.
     """
@@ -261,10 +262,11 @@ def _group_attribute(has_mesh: bool) -> str:
 
 
 def find_links_at_palm(hand: Hand, digit: Digit) -> list[bool]:
-    """Return one truth value for each link of a digit at rest.
+    """Return one boolean value for each link of a digit at rest.
 
-    The value is True if the link overlaps the palm, or the link that carries the digit. The hinge
-    of such a link is close to the palm. In the model, these links do not collide with the palm.
+    The value of a link is True if the link overlaps the palm, or the link that carries the digit.
+    The hinge of a link that overlaps the palm is close to the palm. In the model, overlapping links
+    do not collide with the palm.
     """
     centre, half_sizes = palm_box(hand, digit.carrier)
     carrier = [
@@ -352,7 +354,7 @@ def _digit_collision_bits(is_opposed: bool, is_near_palm: bool) -> tuple[int, in
 def _carrier_collision_bits() -> tuple[int, int]:
     """Return the collision category and the collision affinity of the links of a digit that carries other digits.
 
-    These links have the same category and affinity as the palm.
+    The links of a carrying digit have the same category and affinity as the palm.
     """
     return PALM_COLLISION_BIT, OBJECT_COLLISION_BIT
 
@@ -388,7 +390,7 @@ def _link_geometry(
 
 
 def _tendon_element(tendon: TendonSpec) -> str:
-    """Build a tendon without stiffness.
+    """Build the MuJoCo element of a tendon without stiffness.
 
     The plant sets the damping of the tendon in each step, see ``drivetrain``.
     """
@@ -399,16 +401,16 @@ def _tendon_element(tendon: TendonSpec) -> str:
 def _loopback_elements(hand: Hand, digit: Digit) -> dict[str, str]:
     """Build the loopback tendons of a digit with spool pairs.
 
-    They make the joints obey the coupling matrix B of the digit.
+    The loopback tendons make the joints obey the coupling matrix B of the digit.
 
     A digit with spool pairs has no springs. If only the spool pairs held the digit, coupled joints
-    could turn against each other. In a real hand, a loopback tendon or a bar couples such joints.
-    For every vector c with B^T c = 0, the combination of the joint angles with the coefficients c
-    is constant. In the model, each such c is a tendon, and ``_equality_element`` keeps the length of this
-    tendon constant.
+    could turn against each other. In a real hand, a loopback tendon or a bar couples the coupled
+    joints. For every vector c with B^T c = 0, the combination of the joint angles with the
+    coefficients c is constant. In the model, each vector c is a tendon, and ``_equality_element``
+    keeps the length of this tendon constant.
 
     Returns:
-        The loopback tendons by name. In the model, they come after the tendons of
+        The loopback tendons by name. In the model, the loopback tendons come after the tendons of
         ``Hand.all_tendons``.
     """
     if not digit.coupling or not hand.has_spool_pairs(digit):
@@ -429,7 +431,7 @@ def _loopback_elements(hand: Hand, digit: Digit) -> dict[str, str]:
 def _equality_element(loopback_names: Iterable[str]) -> str:
     """Build the constraints that keep the lengths of the loopback tendons constant.
 
-    Without such tendons, the text is empty.
+    Without loopback tendons, the returned text is empty.
     """
     constraints = "".join(
         f'<tendon tendon1="{name}" {COUPLING_STIFFNESS}/>' for name in loopback_names
@@ -479,7 +481,7 @@ def _object_element(grasp_object: GraspObject) -> str:
 
 
 def _table_element(grasp_object: GraspObject, support: SinkingTable | None) -> str:
-    """Build the table under the object. If the scene has no support, the text is empty."""
+    """Build the table under the object. If the scene has no support, the returned text is empty."""
     if support is None:
         return ""
     x, y, z = table_position(grasp_object)

@@ -1,8 +1,8 @@
 """A motor: the rotor at the spool and the servo of the drive, integrated with the time step of the plant.
 
 The control loop of a real drive runs at 10 to 20 kHz, which is faster than the time steps of the
-plant. Therefore the simulation integrates the control loop implicitly. Gains that are stable in the
-drive are then stable in the simulation, without sub-steps.
+plant. Therefore the simulation integrates the control loop implicitly. With the implicit
+integration, gains that are stable in the drive are stable in the simulation, without sub-steps.
 """
 
 import math
@@ -28,8 +28,8 @@ VELOCITY_LAG_S = 1e-3
 def time_step_factors(step_s: float) -> tuple[float, float, float]:
     """Compute three numbers of a motor for a given time step.
 
-    The numbers are the time step [s], the lag of the current, and the lag of the velocity. A lag is
-    the fraction by which a first-order filter approaches its input in one step.
+    The numbers are the time step [s], the lag of the current, and the lag of the velocity estimate.
+    A lag is the fraction by which a first-order filter approaches its input in one step.
     """
     return step_s, 1.0 - math.exp(-step_s / CURRENT_LAG_S), 1.0 - math.exp(-step_s / VELOCITY_LAG_S)
 
@@ -40,10 +40,10 @@ class Motor:
     Attributes:
         theta: spool angle, positive in the winding direction [rad].
         omega: angular velocity of the spool [rad/s].
-        torque: torque, as derived by the drive from the current [N m].
+        torque: torque of the motor, which the drive derives from the current [N m].
         velocity: angular velocity that the drive estimates [rad/s].
         heat: integral of the squared torque since the node last updated its temperatures [N2 m2 s].
-        servo: setpoints and gains of the drive. A fault can replace this servo by the servo of
+        servo: setpoints and gains of the drive. A fault can replace the servo by the servo of
             another motor.
         own_servo: setpoints and gains of the motor itself in the memory of the rotor, for kernels.
         inertia: inertia of the rotor [kg m2].
@@ -52,21 +52,22 @@ class Motor:
         gain: true torque divided by the torque that the drive derives from its current.
         top_speed: speed of the motor without load [rad/s], 0 for a motor without a speed
             limit.
-        stall_torque: torque at standstill if only the supply voltage limited it [N m].
+        stall_torque: torque of the motor at standstill, if only the supply voltage limits the
+            torque [N m].
         step: time step of the plant [s].
-        lag: fraction by which the current approaches its command in one step.
+        lag: fraction by which the motor current approaches its command in one step.
         velocity_lag: fraction by which the estimated velocity approaches the true velocity in one
             step.
         load: torque of the tendons on the spool [N m].
         angle: spool angle as measured by the servo [rad].
         command: torque command of the current loop [N m].
-        drag: load plus Coulomb friction [N m].
+        drag: torque of the load plus Coulomb friction [N m].
         impedance: inertia divided by the step, plus the slope of the friction [N m s/rad].
-        steps_alone: True if the rotor is stepped by Python and not by ``step_drivetrain``.
-        number: row of the rotor among all rotors of a hand.
-        encoder_fault: function that changes the measured angle [rad]. None without a fault.
-        power_stage_fault: function that changes the torque command [N m]. None without a
-            fault.
+        steps_alone: True if Python code steps the rotor, and False if ``step_drivetrain`` steps the
+            rotor.
+        number: index of the rotor in the array of all rotors of a hand.
+        encoder_fault: function that changes the measured angle [rad], or None without a fault.
+        power_stage_fault: function that changes the torque command [N m], or None without a fault.
         faulty: True if the encoder or the power stage has a fault.
     """
 
@@ -76,7 +77,7 @@ class Motor:
     _power_stage_fault: Callable[[float], float] | None
 
     def __init__(self, spec: MotorSpec, step_s: float) -> None:
-        """Set the rotor to a state at rest.
+        """Set the parameters of the rotor, and its state at rest.
 
         Args:
             spec: description of the motor.
@@ -103,7 +104,7 @@ class Motor:
 
     @property
     def encoder_fault(self) -> Callable[[float], float] | None:
-        """Return the function that changes the measured angle. None without a fault."""
+        """Return the function that changes the measured angle, or None without a fault of the encoder."""
         return self._encoder_fault
 
     @encoder_fault.setter
@@ -113,7 +114,7 @@ class Motor:
 
     @property
     def power_stage_fault(self) -> Callable[[float], float] | None:
-        """Return the function that changes the torque command. None without a fault."""
+        """Return the function that changes the torque command, or None without a fault of the power stage."""
         return self._power_stage_fault
 
     @power_stage_fault.setter
@@ -137,7 +138,7 @@ class Motor:
         self.step_without_plant()
 
     def step_without_plant(self) -> None:
-        """Integrate the motor over a step against the present load, with faults of encoder and power stage."""
+        """Integrate the motor over a step against the present load, and apply faults of encoder and power stage."""
         measure_angle(self)
         if self._encoder_fault and (self.servo.kp or self.servo.kd):
             self.angle = self._encoder_fault(self.angle)
@@ -148,18 +149,18 @@ class Motor:
 
 
 class MotorRow(RotorStruct, Motor):
-    """A motor that keeps its numbers in a row of an array. Compiled kernels use this row."""
+    """A motor that keeps its state in a row of an array, which compiled kernels read and write."""
 
 
 def motor_rows(specs: Sequence[MotorSpec], step_s: float) -> tuple[list[Motor], Any]:
-    """Create motors whose numbers are in the rows of one array.
+    """Create motors that keep their state in the rows of one array.
 
     Args:
         specs: descriptions of the motors.
         step_s: time step of the plant [s].
 
     Returns:
-        The motors, and the array with their rows.
+        The motors, and the array with the rows of the motors.
     """
     memory = (MotorRow * len(specs))()
     motors: list[Motor] = list(memory)

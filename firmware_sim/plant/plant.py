@@ -1,7 +1,7 @@
 """The plant of the simulation: links, object, contacts, tendons and rotors, in time steps of 0.5 ms.
 
 The engine computes links, object and contacts. ``drivetrain`` computes tendons and rotors. If a
-node samples the plant within a step, the step is divided at the exact time of the sample.
+node samples the plant within a step, the plant divides the step at the exact time of the sample.
 """
 
 import random
@@ -26,10 +26,10 @@ STEP_NS = round(STEP_S * 1e9)
 INITIAL_SLACK_RANGE_M = (1e-3, 3e-3)
 """Range of the random slack of tendons at power-up [m].
 
-Tendons are slack because the motors were off before.
+At power-up, tendons are slack because the motors were off before.
 """
 LARGEST_OVERLAP_M = 3e-3
-"""Largest depth to which an object may overlap a link or the palm at power-up [m]."""
+"""Largest depth to which an object is allowed to overlap a link or the palm at power-up [m]."""
 TABLE_UPDATE_STEPS = 4
 """Number of plant steps from one update of the table to the next."""
 
@@ -42,16 +42,16 @@ class Plant:
         scene: description of object, support and later events.
         engine: rigid bodies and contacts.
         motors: rotors by the names of the motors.
-        tendons: each tendon with the winding rotor, in the order of ``Hand.all_tendons``.
+        tendons: each tendon with the rotor that winds it, in the order of ``Hand.all_tendons``.
         table: table under the object, or None in a scene without a support.
         load: force on the object that grows with time, or None in most scenes.
-        stages: stages after the grasp, or None in most scenes.
+        stages: stages of the scene after the grasp, or None in most scenes.
         stage: index of the present stage, or -1 before the first stage.
         sampled: arguments for the kernels by which nodes read the plant: arrays of the drivetrain,
             joint angles [rad], joint velocities [rad/s], and an array into which tensions are
             written [N].
         steps: number of completed steps.
-        step_progress_ns: completed part of the time step in progress [ns].
+        step_progress_ns: completed time of the present time step [ns].
     """
 
     def __init__(
@@ -64,8 +64,8 @@ class Plant:
             scene: description of object, support and later events.
             seed: seed for the random slack of the tendons.
             homed: True to start with taut tendons.
-            is_compiled: True to use compiled kernels. If False, the start is one second faster,
-                but each step is slower.
+            is_compiled: True to use compiled kernels. If False, the start of the plant is one
+                second faster, but each step is slower.
 
         Raises:
             SimulatorError: MuJoCo does not accept the hand, a tendon names an unknown motor or
@@ -86,8 +86,8 @@ class Plant:
             self._rotors, rotors = motor_rows(hand.motors, STEP_S)
         else:
             self._rotors = rotors = [Motor(motor, STEP_S) for motor in hand.motors]
-        # The key of this dict is the index of the first tendon of each spool pair, and the value is
-        # the index of the second tendon.
+        # In the dict below, a key is the index of the first tendon of a spool pair, and the value
+        # is the index of the second tendon.
         first_of_pair = [i for i, spec in enumerate(hand.tendons) if spec.pretension]
         self._antagonist = {
             i: len(hand.tendons) + pair_index for pair_index, i in enumerate(first_of_pair)
@@ -129,7 +129,7 @@ class Plant:
     def _check_overlaps(self) -> None:
         """Raise an error if the object overlaps the open hand.
 
-        Otherwise contact forces would throw the hand and the object apart.
+        If the object overlapped the hand, contact forces would throw the hand and the object apart.
         """
         overlaps = {
             name: depth
@@ -147,7 +147,7 @@ class Plant:
     def _build_routing(self, is_compiled: bool) -> TendonRouting:
         """Build the tendons of the hand and their pulleys.
 
-        If a tendon names an unknown motor or joint, raise an error.
+        If the description of a tendon names an unknown motor or joint, raise an error.
         """
         hand = self.hand
         motors = [motor.name for motor in hand.motors]
@@ -187,12 +187,12 @@ class Plant:
         for i, (spec, (tendon, motor)) in enumerate(
             zip(self.hand.tendons, self.tendons, strict=False)
         ):
-            # A negative length means that the tendon is unwound.
+            # A negative wound length means that the tendon is unwound from the spool.
             wound_length = -rng.uniform(*INITIAL_SLACK_RANGE_M)
             motor.theta = wound_length / tendon.radius
             if spec.pretension:
-                # The tendons of a spool pair stay taut, because they were mounted while the spool
-                # was at this angle.
+                # The tendons of a spool pair stay taut, because the pair was mounted while the
+                # spool was at its present angle.
                 tendon.extra_length += wound_length
                 self.tendons[self._antagonist[i]][0].extra_length -= wound_length
 
@@ -214,7 +214,8 @@ class Plant:
     def advance(self, count: int) -> None:
         """Advance the plant by a number of time steps.
 
-        A divided step is completed first. A divided step counts as one step.
+        If an earlier call has divided a time step, the method first completes the divided step. A
+        divided step counts as one step.
 
         Args:
             count: number of time steps.
@@ -227,7 +228,8 @@ class Plant:
             block = 1 if self.step_progress_ns else min(count, self._steps_until_table_update())
             self._run_steps(block)
             count -= block
-            # The table and the load change only between two steps, never within a step.
+            # The table and the load of the scene change only between two time steps, never within a
+            # time step.
             if (
                 self.table
                 and self.steps % TABLE_UPDATE_STEPS == 0
@@ -239,10 +241,11 @@ class Plant:
                 self.engine.push_object([force * component for component in self.load.direction])
 
     def advance_within_step(self, duration_ns: int) -> None:
-        """Advance the plant by a part of the next time step.
+        """Advance the plant by a fraction of the next time step.
 
         Args:
-            duration_ns: length of the part [ns]. The sum of all parts must be less than a step.
+            duration_ns: duration of the advance [ns]. The sum of all durations within a step must
+                be less than the step.
 
         Raises:
             SimulatorError: the plant has diverged, because its parameters are too extreme for the
@@ -273,9 +276,9 @@ class Plant:
             rotors[name] = value
 
     def _steps_until_table_update(self) -> int:
-        """Return the number of steps until the scene acts again.
+        """Return the number of steps until the scene next acts on the plant.
 
-        The scene acts with its table, its load and its stages.
+        The scene acts on the plant by its table, its load and its stages.
         """
         if self.load:
             return 1
@@ -289,11 +292,11 @@ class Plant:
     def _run_steps(self, count: int) -> None:
         """Run a number of time steps of the plant.
 
-        If no motor has a fault, a single call of the kernel runs all steps.
+        If no motor has a fault, a single call of the compiled kernel runs all steps.
         """
         if self.step_progress_ns:
-            # The rest of a divided step is completed first, so that later steps start at multiples
-            # of STEP_NS.
+            # The code first completes the rest of a divided time step, so that later steps start at
+            # multiples of STEP_NS.
             self._run_step_of_duration(STEP_NS - self.step_progress_ns)
             self.step_progress_ns = 0
             self.steps += 1
@@ -324,7 +327,7 @@ class Plant:
         q, dq, torque, damping = self._bodies or self._joint_lists()
         if (
             not abs(sum(engine.dq.tolist())) < drivetrain.DIVERGENCE_SPEED_RAD_S
-        ):  # this condition is also true if the sum of the speeds is NaN
+        ):  # the condition is written in this form so that it is true if the sum of the speeds is NaN
             raise self._divergence_error()
         if faulty_motors:
             for motor in self._rotors:
@@ -338,10 +341,10 @@ class Plant:
         engine.step()
 
     def _joint_lists(self) -> tuple[list[float], list[float], list[float], list[float]]:
-        """Return the four lists that interpreted kernels need.
+        """Return the four lists that the kernels need when they run as interpreted Python.
 
-        The first two contain the joint angles and velocities. The other two contain zeros, which
-        the kernels replace by torques and damping.
+        The first two lists contain the joint angles and velocities. The other two lists contain
+        zeros, which the kernels replace by torques and damping.
         """
         q = self.engine.q.tolist()
         dq = self.engine.dq.tolist()
@@ -386,8 +389,8 @@ class Plant:
         """Compute the present tension of each tendon at the load cell of the tendon.
 
         Returns:
-            Tensions, shape (tendons,) [N]. The array belongs to the plant. The next call overwrites
-            it.
+            Tensions, shape (tendons,) [N]. The array belongs to the plant, and the next call of the
+            method overwrites the array.
         """
         q, dq, *_ = self._bodies or self._joint_lists()
         self._kernels.tensions(*self._drivetrain, q, dq, self._tensions)
@@ -396,7 +399,8 @@ class Plant:
     def tensions(self) -> list[float]:
         """Return the present tension of each tendon at the load cell of the tendon [N].
 
-        A spool pair has a single value, the difference between the tensions of its two tendons.
+        For a spool pair, the result contains a single value, the difference between the tensions of
+        its two tendons.
         """
         cell_tensions = self.cells().tolist()
         net = [float(tension) for tension in cell_tensions[: len(self.hand.tendons)]]

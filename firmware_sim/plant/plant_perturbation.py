@@ -32,8 +32,8 @@ def perturbed_hand(hand: Hand, factors: dict[str, float]) -> Hand:
 
     Args:
         hand: description of the hand, as the hand file gives it.
-        factors: factors by key of ``PERTURBATION_KEYS``. The value of ``bias`` is not a factor but an offset
-            [N].
+        factors: factors by key of ``PERTURBATION_KEYS``. The value of the key ``bias`` is not a
+            factor but an offset of the load cells [N].
 
     Returns:
         The description of the perturbed hand.

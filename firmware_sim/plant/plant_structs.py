@@ -1,6 +1,6 @@
-"""C structures with the numbers of tendons and rotors. Compiled kernels read and write them.
+"""C structures with the state of tendons and rotors. Compiled kernels read and write the structures.
 
-Kernels that run as interpreted Python accept any object with the same attributes.
+Kernels that run as interpreted Python accept any object with the attributes of a structure.
 """
 
 import ctypes
@@ -16,15 +16,15 @@ class Servo:
 
     Attributes:
         kp: stiffness towards the position setpoint [N m/rad].
-        kd: damping of the difference to the velocity setpoint [N m s/rad].
+        kd: damping towards the velocity setpoint [N m s/rad].
         position: position setpoint [rad].
         velocity: velocity setpoint [rad/s].
         torque: feedforward torque [N m].
         limit: torque limit of the drive [N m].
         speed_limit: speed above which the drive brakes [rad/s].
-        speed_gain: braking torque per speed above ``speed_limit`` [N m s/rad], 0 if there is
-            no speed limit.
-        target_speed: speed at which the drive itself moves the position setpoint [rad/s].
+        speed_gain: braking torque, divided by the excess of the speed over ``speed_limit`` [N m
+            s/rad], 0 if there is no speed limit.
+        target_speed: speed with which the drive itself moves the position setpoint [rad/s].
     """
 
     kp: float = 0.0
@@ -44,7 +44,7 @@ class Servo:
 
 
 class ServoStruct(ctypes.Structure, Servo):
-    """Servo as a part of a ``RotorStruct``."""
+    """Memory of a servo, which is a field of ``RotorStruct``."""
 
     _fields_ = [
         (name, ctypes.c_double)

@@ -22,7 +22,7 @@ class RigidBodyEngine:
     Attributes:
         step: function that advances MuJoCo by one time step.
         native: addresses of MuJoCo's step function and of its two arguments, for compiled code.
-            None if compiled code cannot call the function.
+            None if compiled code cannot call the step function.
         q: joint angles [rad].
         dq: joint velocities [rad/s].
         applied: torques that tendons apply to the joints [N m].
@@ -35,8 +35,8 @@ class RigidBodyEngine:
 
         Args:
             xml: MuJoCo model of the hand and the scene, as MJCF text.
-            joint_count: number of the hand's joints. These joints are the first degrees of freedom
-                of the model.
+            joint_count: number of the hand's joints. The joints of the hand are the first degrees
+                of freedom of the model.
         """
         self._model: Any = mujoco.MjModel.from_xml_string(xml)
         self._data: Any = mujoco.MjData(self._model)
@@ -46,7 +46,7 @@ class RigidBodyEngine:
         n = joint_count
         self.step: Callable[[], None] = lambda: mujoco.mj_step(model, data)
         self.native = _mj_step_addresses(model, data)
-        # These arrays refer to MuJoCo's own memory. They are valid as long as the data object
+        # The arrays below refer to MuJoCo's own memory, and are valid as long as the data object
         # exists.
         self.q: Any = data.qpos[:n]
         self.dq: Any = data.qvel[:n]
@@ -88,7 +88,7 @@ class RigidBodyEngine:
 
         Returns:
             Function without arguments. The function returns the force on each digit in the palm
-            frame: x, y, z of the first digit, then of the next one.
+            frame: x, y, z of the first digit, then of the next digit.
         """
         index = np.array(
             [
@@ -99,20 +99,21 @@ class RigidBodyEngine:
         )
         data = self._data.sensordata
         # The sensor measures the force that the first body (the digit) exerts on the second body.
-        # The sign is therefore changed, which gives the force on the digit.
+        # The code therefore changes the sign of the measured force, to get the force on the digit.
         return lambda: (-data[index]).tolist()  # type: ignore[no-any-return,unused-ignore]
 
     def force_indices(self, sensor_kind: str, digits: list[str]) -> list[int]:
-        """Return the index in ``sensed`` at which the force of each digit begins.
+        """Return, for each digit, the index in ``sensed`` at which the force on this digit begins.
 
-        The forces in ``sensed`` have the opposite sign. See ``make_force_reader``.
+        The forces in ``sensed`` have the opposite sign of the forces on the digits. See
+        ``make_force_reader``.
         """
         return [self._sensor_index(f"{sensor_kind}/{digit}") for digit in digits]
 
     def normal_forces(self, digits: list[str]) -> Callable[[], list[float]]:
         """Build a function that returns the normal force between each digit and the object [N].
 
-        The value of a digit is the sum over its contacts with the object.
+        The normal force of a digit is the sum over all contacts of the digit with the object.
         """
         first_sensor_indices = [self._sensor_index(f"normal/{digit}") for digit in digits]
         index = np.array(
@@ -133,7 +134,7 @@ class RigidBodyEngine:
         self._model.opt.timestep = step_s
 
     def brake(self, joints: list[int], damping: float) -> Callable[[], None]:
-        """Set a high damping in some joints, to brake them [N m s/rad].
+        """Set a high damping in some joints, to brake these joints [N m s/rad].
 
         Returns:
             Function that restores the former damping of the joints.
@@ -178,7 +179,7 @@ class RigidBodyEngine:
         mujoco.mj_forward(self._model, self._data)
 
     def push_object(self, force: list[float]) -> None:
-        """Apply a constant force to the centre of the object: x, y, z in the palm frame [N]."""
+        """Apply a constant force (x, y, z in the palm frame) to the centre of the object [N]."""
         self._data.xfrc_applied[self._model.body("object").id, :3] = force
 
     def set_friction(self, coefficient: float) -> None:
@@ -200,7 +201,7 @@ def _mj_step_addresses(model: Any, data: Any) -> tuple[int, int, int] | None:
     """Return the addresses of MuJoCo's function ``mj_step``, of the model, and of the data.
 
     If compiled code calls the function by its address, an error inside MuJoCo ends the process.
-    MuJoCo reports few errors. It reports no error if the plant diverges.
+    MuJoCo reports few errors, and reports no error if the plant diverges.
     """
     library = next(Path(mujoco.__file__).parent.glob("libmujoco*"), None)
     if library is None:

@@ -11,12 +11,12 @@ from firmware_sim.hand_description import MOMENT_ARM_COEFFICIENT_COUNT, TendonSp
 from firmware_sim.plant.plant_structs import TendonStruct
 
 PRISMATIC_FLAG_INDEX = 4 + MOMENT_ARM_COEFFICIENT_COUNT
-"""Index of the number of a pulley that is 1 at a prismatic joint, where the tendon does not bend."""
+"""Index of a pulley's number that is 1 at a prismatic joint, where the tendon does not bend, and 0 at a hinge."""
 PARAMETERS_PER_PULLEY = PRISMATIC_FLAG_INDEX + 1
-"""Count of numbers of a pulley.
+"""Count of the numbers that describe a pulley.
 
-They are the mean moment arm [m], 1 if the arm varies, two joint limits [rad], and coefficients. The
-last is at ``PRISMATIC_FLAG_INDEX``.
+The numbers are the mean moment arm [m], 1 if the moment arm varies, two joint limits [rad], the
+coefficients, and the flag at ``PRISMATIC_FLAG_INDEX``.
 """
 
 
@@ -36,8 +36,8 @@ class Tendon:
         tension: tension at the load cell, between spool and first pulley, in the last step [N].
         speed: speed of the tendon towards the spool in the last step [m/s]. The speed is positive
             when the digit closes.
-        slope: slope of tendon damping and friction over the speed of the tendon, for the implicit
-            integrator [N s/m].
+        slope: slope of the damping force and the friction force over the speed of the tendon, for
+            the implicit integrator [N s/m].
         extra_length: length of the tendon beyond the length in its description [m].
         radius: radius of the spool [m], negative if a positive spool angle pays the tendon
             out.
@@ -45,13 +45,14 @@ class Tendon:
         after_knee: stiffness of the tendon at tensions far above the knee [N/m].
         knee: highest tension at which the stiffness is constant [N].
         knee_stretch: stretch of the tendon at the knee [m].
-        knee_width: width of the transition at the knee, as a difference of stretch [m].
+        knee_width: width of the transition at the knee, as a difference of the tendon's stretch
+            [m].
         damping: viscous damping of the tendon [N s/m].
         friction: coefficient of friction of the tendon in the capstan equation.
         wrap: wrap angle of the tendon before the first joint [rad].
-        motor: row of the rotor that winds the tendon.
+        motor: index of the rotor that winds the tendon, in the array of rotors.
         first: index of the tendon's first pulley.
-        end: index after the tendon's last pulley.
+        end: index of the tendon's last pulley, plus 1.
     """
 
     first: int
@@ -62,7 +63,7 @@ class Tendon:
 
         Args:
             spec: description of the tendon.
-            motor: row of the rotor that winds the tendon.
+            motor: index of the rotor that winds the tendon, in the array of rotors.
             spool_radius: radius of the spool that winds the tendon [m].
         """
         self.tension = self.speed = self.slope = 0.0
@@ -98,7 +99,7 @@ class Tendon:
 
 
 class TendonRow(TendonStruct, Tendon):
-    """A tendon that keeps its numbers in a row of an array. Compiled kernels use this row."""
+    """A tendon that keeps its state in a row of an array, which compiled kernels read and write."""
 
 
 class TendonRouting:
@@ -136,8 +137,8 @@ class TendonRouting:
             motor = motors.index(spec.motor)
             tendon.set_parameters(spec, motor, radii[motor])
             tendon.first = len(path)
-            # At a joint with a moment arm of 0, the tendon passes through the joint's axis. So
-            # there is no pulley at this joint.
+            # At a joint with a moment arm of 0, the tendon passes through the joint's axis. So the
+            # tendon has no pulley at this joint.
             passed_joints = [name for name, arm in spec.arms.items() if arm]
             path += [(joints.index(name), _pulley_parameters(spec, name)) for name in passed_joints]
             tendon.end = len(path)

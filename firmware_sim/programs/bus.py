@@ -9,7 +9,7 @@ from firmware_sim.printing import printable_text
 from firmware_sim.shared_clock import SharedClock
 
 _POLL_S = 0.2
-"""Period of the check for a stop signal [s]."""
+"""Period with which the program checks for a stop signal [s]."""
 
 
 def run(words: list[str]) -> None:

@@ -60,14 +60,14 @@ ENDPOINT_HELP = "\n".join(
         *((key, number) for number, (key, _) in MOTION_ENDPOINTS.items()),
     ]
 )
-"""Table of the ODrive endpoints in the help text."""
+"""Table of the ODrive endpoints for the help text."""
 HELP_EPILOG = f"""{HELP_EXAMPLES}
 endpoints of an ODrive with firmware 0.6, for SDO (real numbers are in its flat_endpoints.json):
 {ENDPOINT_HELP}
 
 objects of a CiA 402 drive, for CANopen tools: {EDS_PATH}
 """
-"""Text after the options in the help."""
+"""Text that follows after the options in the help text."""
 
 
 class SimulatedDriveBench:
@@ -79,7 +79,7 @@ class SimulatedDriveBench:
         motors: rotors of the drives, in the order of the drive descriptions.
         nodes: simulated nodes of the drives, in the order of the drive descriptions.
         slip_ns: total delay behind the wall clock that the simulation will never make up [ns].
-        step_progress_ns: completed part of the time step in progress [ns].
+        step_progress_ns: completed time of the present time step [ns].
         faults: faults injected while the bench runs.
     """
 
@@ -139,14 +139,14 @@ class SimulatedDriveBench:
                 self.queue_frames(self.faults.advance(self.t_ns))
 
     def queue_frames(self, frames: list[Frame]) -> None:
-        """Store frames that the simulator will send without a request."""
+        """Store frames that the simulator will send without a request from a host."""
         self._unsolicited += frames
 
     def advance_exactly(self, t_ns: int) -> None:
         """Advance the drives exactly to the time ``t_ns``.
 
-        If this time is within a time step, the step is divided. The next call first completes the
-        divided step.
+        If the time ``t_ns`` is within a time step, the method divides the step. The next call of
+        ``advance`` or ``advance_exactly`` completes the divided step before further steps.
         """
         self.advance(t_ns)
         remaining_ns = t_ns - self.t_ns
@@ -155,7 +155,7 @@ class SimulatedDriveBench:
             self.step_progress_ns += remaining_ns
 
     def _advance_shafts(self, duration_ns: int) -> None:
-        """Advance every shaft by a duration [ns]: a step or a part of a step."""
+        """Advance every shaft by a duration [ns], which is a time step or a fraction of a time step."""
         self.t_ns += duration_ns
         for motor in self.motors:
             if motor.step != duration_ns * 1e-9:
@@ -163,7 +163,7 @@ class SimulatedDriveBench:
             motor.advance(0.0)
 
     def take_unsolicited_frames(self) -> list[Frame]:
-        """Return the unsolicited frames since the last call."""
+        """Return the unsolicited frames of the drives since the last call."""
         unsolicited_frames = self._unsolicited
         self._unsolicited = []
         return unsolicited_frames

@@ -1,6 +1,7 @@
 """Drives as the manufacturer delivers them.
 
-Identifiers, ranges and timing are those of the manufacturer. The shaft of each drive is free.
+Identifiers, ranges and timing are as the manufacturer delivers them. The shaft of each drive is
+free.
 """
 
 from firmware_sim.hand_description import MotorSpec, SimulatorError
@@ -15,7 +16,7 @@ MIT_PROTOCOL_BY_MOTOR_TYPE = {
     **dict.fromkeys(mit_bench.MOTOR_TYPE_RANGES, "mit"),
     **dict.fromkeys(cubemars.FULL_SCALE_BY_MOTOR_TYPE, "cubemars"),
 }
-"""Motor types that speak MIT mode, each with the name of the protocol in handctl."""
+"""Name of the handctl protocol for each motor type that has an MIT mode."""
 ROBSTRIDE_PROTOCOLS = ("robstride", "robstride_mit")
 """Protocols of RobStride motors."""
 ROBSTRIDE_MOTOR_TYPES = tuple(FULL_SCALE_BY_MOTOR_TYPE)
@@ -38,14 +39,14 @@ def drive_spec(
 
     Args:
         protocol: key of ``nodes.PROTOCOL_SPECS``. If the protocol is ``mit`` and the motor type is
-            one of CubeMars, the drive uses the protocol cubemars.
+            a type of CubeMars, the drive uses the protocol ``cubemars``.
         node_id: node number of the drive.
         motor_type: motor type of the protocol, such as a key of ``MIT_PROTOCOL_BY_MOTOR_TYPE``, empty for the
             default of the protocol.
-        fd: True for an MIT motor that has been set to CAN FD.
+        fd: True for an MIT motor whose settings select CAN FD.
         inertia: inertia of the shaft [kg m2], or None for the default inertia of the motor type.
-        firmware: firmware version of an ODrive, 0.6 or 0.5. Drives with other protocols ignore this
-            value.
+        firmware: firmware version of an ODrive, 0.6 or 0.5. Drives with other protocols ignore the
+            firmware version.
 
     Raises:
         SimulatorError: the node number or the motor type is not valid for the protocol.
@@ -70,10 +71,10 @@ def drive_spec(
 
 
 def _check_type(protocol: str, motor_type: str) -> None:
-    """Check that a protocol has a motor type. ``mit`` accepts all motor types with an MIT mode.
+    """Check that a protocol has a motor type. The protocol ``mit`` accepts all motor types with an MIT mode.
 
     Raises:
-        SimulatorError: the motor type does not exist, or speaks another protocol.
+        SimulatorError: the motor type does not exist, or uses another protocol.
     """
     types = (
         ROBSTRIDE_MOTOR_TYPES

@@ -178,7 +178,7 @@ def _serve_hand(
 
     stop_on_signal(stop)
     gc.collect()
-    gc.freeze()  # from now on, garbage collection ignores the modules that have been loaded so far
+    gc.freeze()  # from this line on, garbage collection ignores the modules that have been loaded so far
     print(ready_line, flush=True)
     try:
         server.run()

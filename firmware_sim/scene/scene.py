@@ -43,9 +43,10 @@ class SinkingTable:
         drop_force: smallest contact force with which a digit counts as holding the object [N].
         drop_hold: time for which the digits must hold the object without a break before the table
             sinks [s].
-        drop_digits: number of digits that must hold the object. If the hand has fewer digits, all
-            of its digits must hold the object.
-        drop_opposed: True if one of these digits must press from the other side, as the thumb does.
+        drop_digits: number of digits that must hold the object. If the hand has fewer digits than
+            this number, all digits of the hand must hold the object.
+        drop_opposed: True if at least one digit must press from the side of the thumb, and at least
+            one other digit from the opposite side.
         sink_speed: speed of the sinking table [m/s].
         sink_depth: distance below the initial position at which the table stops [m].
     """
@@ -82,8 +83,8 @@ class GrowingLoad:
 class Scene:
     """The surroundings of a hand: an object, its support, a load on the object, and the stages after the grasp.
 
-    In a scene without an object, the support, the load and the stages are also missing. If
-    ``palm_contact`` is False, the digits pass through the palm.
+    A scene without an object has no support, no load and no stages. If ``palm_contact`` is False,
+    the digits pass through the palm.
     """
 
     name: str
@@ -110,7 +111,7 @@ def load_scene(text: str | None) -> Scene:
             ``cylinder:40``. None for a hand without an object.
 
     Raises:
-        SimulatorError: the scene does not exist, or its file is incomplete.
+        SimulatorError: the scene does not exist, or the file of the scene is incomplete.
     """
     if text is None:
         return Scene("none")
@@ -129,7 +130,7 @@ def load_scene(text: str | None) -> Scene:
 def _resized_scene(scene: Scene, diameter_text: str, text: str) -> Scene:
     """Return the scene with another diameter of the object.
 
-    The gap between the object and the palm stays the same.
+    The gap between the object and the palm does not change with the diameter.
     """
     try:
         diameter = float(diameter_text) * 1e-3
@@ -139,7 +140,7 @@ def _resized_scene(scene: Scene, diameter_text: str, text: str) -> Scene:
         raise SimulatorError(f"scene {text}: expected a diameter in millimetres, as in cylinder:35")
     old_object = scene.grasp_object
     height = diameter if old_object.shape == "sphere" else old_object.size[2]
-    # The palm ends at the plane x = 0.
+    # The front face of the palm lies in the plane x = 0.
     gap = old_object.position[0] - old_object.size[0] / 2.0
     position = (diameter / 2.0 + gap, old_object.position[1], old_object.position[2])
     return replace(
@@ -150,7 +151,7 @@ def _resized_scene(scene: Scene, diameter_text: str, text: str) -> Scene:
 
 
 def _read_scene(path: Any, location: str) -> Scene:
-    """Read a scene file, and check that its parts are consistent with each other."""
+    """Read a scene file, and check that its sections are consistent with each other."""
     try:
         if not path.is_file():
             raise ValueError("no such file")
@@ -186,7 +187,7 @@ def _read_scene(path: Any, location: str) -> Scene:
 
 
 def _parse_palm_contact(value: object) -> bool:
-    """Check the value of the key ``palm_contact``. It is true if the digits can touch the palm."""
+    """Check the value of the key ``palm_contact``. The value is true if the digits can touch the palm."""
     if not isinstance(value, bool):
         raise ValueError(f"palm_contact {value!r}: expected true or false")
     return value

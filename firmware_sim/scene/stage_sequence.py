@@ -1,6 +1,6 @@
 """Stages of a scene after the grasp.
 
-In a stage, the hand is turned, the object is pushed, or the friction changes.
+In a stage, the scene turns the hand, pushes the object, or changes the friction.
 """
 
 import math
@@ -10,7 +10,7 @@ from typing import Any
 GRAVITY_M_S2 = 9.81
 """Standard gravity [m/s2]."""
 STAGE_KEYS = {"down", "turn_s", "last_s", "push_N", "push_at_s", "push_s", "friction"}
-"""Keys that a stage may have in a scene file."""
+"""Keys that a stage can have in a scene file."""
 
 Vector = tuple[float, float, float]
 
@@ -19,19 +19,19 @@ Vector = tuple[float, float, float]
 class SceneStage:
     """One stage of a scene.
 
-    The first stage starts when the table starts to sink. Each later stage starts when the previous
-    stage ends.
+    The first stage of a scene starts when the table starts to sink. Each later stage starts when
+    the previous stage ends.
 
     Attributes:
-        gravity_direction: unit vector of gravity in the palm frame after the turn. If None, the direction
-            stays the same.
+        gravity_direction: unit vector of gravity in the palm frame after the turn of the hand. If
+            None, the direction of gravity stays the same.
         turn: duration of the turn of gravity to the new direction [s].
-        duration: duration of the rest of the stage, after the turn [s].
+        duration: time from the end of the turn to the end of the stage [s].
         push: force at the centre of the object in the palm frame [N].
         push_start: time from the end of the turn to the start of the push [s].
         push_duration: duration of the push [s].
-        friction: sliding friction coefficient after the turn. If None, the coefficient stays
-            the same.
+        friction: sliding friction coefficient after the turn. If None, the coefficient of the
+            previous stage stays in effect.
     """
 
     gravity_direction: Vector | None
@@ -123,8 +123,8 @@ class StageSequence:
     def state_at(self, time: float) -> SceneState:
         """Return the state of the scene at a given time.
 
-        The time begins when the table starts to sink [s]. After the last stage, the state no longer
-        changes.
+        The argument ``time`` counts from the start of the sinking of the table [s]. After the last
+        stage, the state of the scene no longer changes.
         """
         start = 0.0
         gravity = self._gravity
@@ -167,11 +167,11 @@ def _scaled_vector(vector: Vector, factor: float) -> Vector:
 def _rotated_vector(start: Vector, end: Vector, fraction: float) -> Vector:
     """Interpolate between two vectors along a great circle.
 
-    If the vectors are opposite, the path is a straight line.
+    If the vectors are opposite, the interpolation follows a straight line.
 
     Args:
         start: vector at fraction 0.
-        end: vector at fraction 1. The result is as long as the first vector.
+        end: vector at fraction 1. The result has the length of ``end``.
         fraction: fraction of the way from ``start`` to ``end``, from 0 to 1.
     """
     interpolated = tuple(a + (b - a) * fraction for a, b in zip(start, end, strict=True))

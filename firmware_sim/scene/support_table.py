@@ -20,14 +20,15 @@ def is_object_grasped(
 ) -> bool:
     """Return True if enough digits press on the object.
 
-    If ``both_sides`` is True, digits must press from both sides.
+    If ``both_sides`` is True, digits must press on both sides of the object.
 
     Args:
         contact_forces: array that contains x, y, z of the contact force on each digit [N], among other
             values.
-        force_indices: index of the first value of each digit, shape (digits,).
-        is_opposed: 1 for each digit that closes against the first digit, and 0 for the others, shape
+        force_indices: index in ``contact_forces`` of the first value of each digit, shape
             (digits,).
+        is_opposed: 1 for each digit that closes against the first digit, and 0 for the other
+            digits, shape (digits,).
         min_force_squared: square of the smallest force with which a digit counts as pressing [N2].
         digits: number of digits that must press.
         both_sides: True if digits on both sides of the object must press.
@@ -51,7 +52,7 @@ class SupportTable:
 
     Attributes:
         depth: distance of the table below its initial position [m].
-        dropped_at: plant time when the table started to sink [s]. None before this time.
+        dropped_at: plant time when the table started to sink [s], or None before the table sinks.
     """
 
     def __init__(
@@ -66,10 +67,11 @@ class SupportTable:
         Args:
             support: description of the table, from the scene.
             opposed: True for each digit that closes against the first digit.
-            indices: index at which the force of each digit begins. By default, the forces are three
-                values for each digit, one digit after the other.
-            kernels: compiled kernels of this module, for forces in an array. If None, the
-                Python functions are used.
+            indices: for each digit, the index in ``forces`` at which the force on this digit
+                begins. By default, the forces are three values for each digit, one digit after the
+                other.
+            kernels: compiled kernels of this module, for forces in an array. If None, the table
+                uses the Python functions.
         """
         self._support = support
         start_indices = list(indices) or list(range(0, 3 * len(opposed), 3))
@@ -82,7 +84,7 @@ class SupportTable:
             if kernels
             else (start_indices, sides)
         )
-        # If the hand has fewer digits than required, all of its digits must hold the object.
+        # If the hand has fewer digits than required, all digits of the hand must hold the object.
         digits = min(support.drop_digits, len(opposed))
         self._criteria = support.drop_force**2, digits, support.drop_opposed
         self._grasped_since: float | None = None
@@ -117,7 +119,7 @@ class SupportTable:
     def _check_grasp(self, time: float, forces: Any) -> None:
         """Start to sink the table when the digits have held the object long enough.
 
-        They must hold the object for the time ``drop_hold`` without a break.
+        The digits must hold the object for the time ``drop_hold`` without a break.
         """
         if self._support.drop_when != "grasped" or not self._grasped(
             forces, *self._digits, *self._criteria

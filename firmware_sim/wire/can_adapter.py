@@ -1,8 +1,8 @@
 """Latency of a CAN adapter, the device between a host and the CAN controller on the wire.
 
 The USB controller of a host transfers data only at the start of a USB frame. For a full-speed
-device, a USB frame starts every 1 ms. For a high-speed device, one starts every 125 us. In both
-directions, a CAN frame has to wait for the start of the next USB frame. A serial bus inside an
+device, a USB frame starts every 1 ms. For a high-speed device, a USB frame starts every 125 us. In
+both directions, a CAN frame must wait for the start of the next USB frame. A serial bus inside an
 adapter transfers one CAN frame after the other. Source of the USB times: USB 2.0 specification,
 5.3.3 (frames and microframes).
 """
@@ -13,7 +13,8 @@ from typing import NamedTuple
 CLOCK_DRIFT = 1e-4
 """Relative difference between the clocks of USB and host.
 
-As a result, all phases of the USB frames occur.
+Because of the difference, the starts of the USB frames pass through all positions relative to the
+clock of the host.
 """
 
 
@@ -21,12 +22,12 @@ class AdapterClass(NamedTuple):
     """A class of CAN adapters with similar latency.
 
     Attributes:
-        send_period_ns: period of the times at which frames can leave the host [ns], or 0 if they do
-            not wait.
-        receive_period_ns: period of the times at which received frames can reach the host [ns], or 0 if
-            they do not wait.
+        send_period_ns: period of the times at which frames can leave the host [ns], or 0 if frames
+            do not wait.
+        receive_period_ns: period of the times at which received frames can reach the host [ns], or
+            0 if frames do not wait.
         frame_duration_ns: duration of a frame on a serial bus inside the adapter, in either direction [ns].
-        text: description of the class, with examples of adapters.
+        text: description of the class of adapters, with examples.
     """
 
     send_period_ns: int
@@ -63,7 +64,7 @@ class AdapterLatency:
     """
 
     def __init__(self, adapter_class: str, seed: int = 0) -> None:
-        """Initialise the latency of a USB adapter. The phase of its USB frames is random.
+        """Initialise the latency of a USB adapter. The start time of its USB frames is random.
 
         Args:
             adapter_class: key of ``ADAPTER_CLASSES``.
@@ -74,9 +75,9 @@ class AdapterLatency:
         self._sent_ns = self._received_ns = 0
 
     def send(self, t_ns: int) -> int:
-        """Return the time when a frame of the host arrives at the controller [ns].
+        """Return the time when a frame of the host arrives at the CAN controller [ns].
 
-        ``t_ns`` is the time when the host sends the frame.
+        The argument ``t_ns`` is the time when the host sends the frame.
         """
         adapter = self._adapter
         start_ns = self._next_period_start(t_ns, adapter.send_period_ns)
@@ -86,7 +87,7 @@ class AdapterLatency:
     def receive(self, t_ns: int) -> int:
         """Return the time when a frame from the wire arrives at the host [ns].
 
-        ``t_ns`` is the time when the controller receives the frame.
+        The argument ``t_ns`` is the time when the CAN controller receives the frame.
         """
         adapter = self._adapter
         start_ns = self._next_period_start(t_ns, adapter.receive_period_ns)
@@ -94,7 +95,7 @@ class AdapterLatency:
         return self._received_ns
 
     def _next_period_start(self, t_ns: int, period_ns: int) -> int:
-        """Return the start of the next transfer period [ns]."""
+        """Return the start of the next transfer period of the adapter [ns]."""
         if not period_ns:
             return t_ns
         period = period_ns * (1.0 + CLOCK_DRIFT)

@@ -1,4 +1,4 @@
-"""A simulated CAN controller: queue, error counters, error state, and the error frames to the owner.
+"""A simulated CAN controller: queue, error counters, error state, and error frames to the owner of the controller.
 
 Error frame (8 bytes):
 
@@ -25,7 +25,7 @@ PASSIVE_ERROR_COUNT = 128
 BUS_OFF_ERROR_COUNT = 256
 """Value of the transmit error counter at which the controller leaves the bus."""
 TX_ERROR_INCREMENT = 8
-"""Increase of the transmit error counter at a transmit error."""
+"""Increment of the transmit error counter for one transmit error."""
 MAX_REPORTED_ERROR_COUNT = 255
 """Largest value of an error counter in an error frame."""
 
@@ -80,9 +80,9 @@ class CanController:
             off the bus.
         sent: number of frames sent successfully.
         on_receive: function that is called with each received frame and its time [ns], and with
-            error frames of the controller. None to ignore received frames.
-        retry_ns: earliest time of the next transmission [ns]. An error-passive sender must wait for
-            other senders.
+            error frames of the controller. If None, the controller ignores received frames.
+        retry_ns: earliest time of the next transmission [ns]. An error-passive sender must wait
+            longer than other senders.
     """
 
     def __init__(self, queue_depth: int, on_receive: Callable[[Frame, int], None] | None) -> None:
@@ -102,18 +102,18 @@ class CanController:
         self._last_error = 0
         """Classes of the last transmit error.
 
-        An error of the same classes is not reported again until a frame is sent.
+        The controller reports an error of the same classes again only after it has sent a frame.
         """
 
     @property
     def is_on_bus(self) -> bool:
-        """Return True if the controller takes part in the bus, and False in the state bus-off."""
+        """Return True if the controller can send and receive on the bus, and False in the state bus-off."""
         return self.state != CanErrorState.BUS_OFF
 
     def queue_frame(self, frame: Frame, t_ns: int) -> bool:
         """Queue a frame for sending.
 
-        If the frame is refused, the owner of the controller gets an error frame.
+        If the controller refuses the frame, the owner of the controller gets an error frame.
 
         Args:
             frame: frame to send.
@@ -152,7 +152,7 @@ class CanController:
         if self.rx_errors:
             # According to ISO 11898-1, a received frame reduces the receive error counter. In an
             # error-passive receiver, the counter falls below the error-passive level. In any other
-            # receiver, it falls by one.
+            # receiver, the counter falls by one.
             self.rx_errors = min(self.rx_errors, PASSIVE_ERROR_COUNT) - 1
             self._update_error_state(t_ns)
         if self.on_receive:
@@ -161,8 +161,8 @@ class CanController:
     def count_unacknowledged_frame(self, t_ns: int) -> None:
         """Count a transmit error, because no controller has acknowledged the sent frame.
 
-        In an error-passive sender, the counter does not change. So a controller that is alone on a
-        bus never reaches the state bus-off.
+        In an error-passive sender, the transmit error counter does not change. So a controller that
+        is alone on a bus never reaches the state bus-off.
         """
         if self.state < CanErrorState.PASSIVE:
             self.tx_errors += TX_ERROR_INCREMENT
@@ -188,7 +188,7 @@ class CanController:
     def _count_error(self, error_class: int, t_ns: int) -> None:
         """Update the error state after a transmit error.
 
-        Repeated errors of the same kind are reported only once, until a frame has been sent
+        The controller reports repeated errors of the same kind only once, until it has sent a frame
         successfully.
         """
         is_state_changed = self._update_error_state(t_ns, error_class)
@@ -199,11 +199,11 @@ class CanController:
     def _update_error_state(self, t_ns: int, error_class: int = 0) -> bool:
         """Update the error state from the error counters.
 
-        If the state changes, report the change to the owner.
+        If the error state changes, report the change to the owner of the controller.
 
         Args:
             t_ns: present time [ns].
-            error_class: error classes to add to the report.
+            error_class: error classes to add to the error frame of the report.
 
         Returns:
             True if the state changed.
@@ -215,8 +215,8 @@ class CanController:
             self.queue.clear()
             self._send_error_frame(CAN_ERR_BUSOFF | error_class, t_ns)
         else:
-            # The states are numbered so that the sum of these two comparisons is the number of the
-            # present state.
+            # The states are numbered so that the sum of the two comparisons below is the number of
+            # the present state.
             self.state = CanErrorState(
                 (max_error_count >= WARNING_ERROR_COUNT) + (max_error_count >= PASSIVE_ERROR_COUNT)
             )
@@ -225,7 +225,7 @@ class CanController:
         return self.state != state_before
 
     def _status_bits(self) -> int:
-        """Return the bits of data[1] in an error frame for the present state."""
+        """Return the bits of data[1] in an error frame for the present error state."""
         if self.state == CanErrorState.ACTIVE:
             return ERROR_ACTIVE
         limit, receive, send = (
@@ -243,7 +243,7 @@ class CanController:
         Args:
             error_class: error classes.
             t_ns: present time [ns].
-            extra_bytes: further bytes of the payload, by their position.
+            extra_bytes: further bytes of the payload, by the position of the byte.
         """
         if not self.on_receive:
             return

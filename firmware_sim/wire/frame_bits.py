@@ -2,10 +2,11 @@
 
 Source: ISO 11898-1:2015, frame formats and bit stuffing.
 
-In a classical frame, stuff bits are inserted into these fields: start of frame, identifier, RTR,
-IDE, reserved bit, DLC, data, and CRC. No stuff bits are inserted after the CRC. In an FD frame,
-stuff bits are inserted in the same way from the start of frame to the end of the data. The stuff
-count and the CRC of an FD frame have fixed stuff bits instead, one before every four bits.
+In a classical frame, stuff bits are inserted into the following fields: start of frame, identifier,
+RTR, IDE, reserved bit, DLC, data, and CRC. No stuff bits are inserted after the CRC of a classical
+frame. In an FD frame, stuff bits are inserted in the same way from the start of frame to the end of
+the data. The stuff count and the CRC of an FD frame have fixed stuff bits, one before every four
+bits.
 """
 
 from dataclasses import dataclass
@@ -18,10 +19,10 @@ INTERFRAME_BITS = 3
 TAIL_BITS = 1 + 1 + 1 + 7 + INTERFRAME_BITS
 """Number of bits of CRC delimiter, acknowledge slot, acknowledge delimiter, end of frame and interframe space.
 
-No stuff bits are inserted into this tail.
+No stuff bits are inserted into the listed fields, which end a frame.
 """
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
-"""Payload length that each data length code of CAN FD stands for [bytes]."""
+"""Payload length for each data length code of CAN FD [bytes]."""
 CRC15_POLYNOMIAL = 0x4599
 """Generator polynomial of the classical CRC, x15 + x14 + x10 + x8 + x7 + x4 + x3 + 1, without the leading term."""
 
@@ -34,8 +35,8 @@ class BitRates:
         nominal: bit rate of the arbitration and of classical frames [bit/s].
         data: bit rate in the data phase of FD frames with bit-rate switch [bit/s], 0 for a
             bus without CAN FD.
-        counts_actual_stuffing: True to count the actual stuff bits of each frame. False to count the largest
-            possible number of stuff bits for the length of the frame.
+        counts_actual_stuffing: True to count the actual stuff bits of each frame, and False to
+            count the largest possible number of stuff bits for the length of the frame.
     """
 
     nominal: int
@@ -43,14 +44,14 @@ class BitRates:
     counts_actual_stuffing: bool = False
 
     def duration_of_bits_ns(self, count: int) -> int:
-        """Return the duration of a number of nominal bits [ns]."""
+        """Return the duration of the given number of bits at the nominal bit rate [ns]."""
         return round(count * 1e9 / self.nominal)
 
     def frame_duration_ns(self, frame: Frame) -> int:
         """Return the time for which a frame occupies the wire [ns], including the interframe space."""
         content = bytes(frame.data) if self.counts_actual_stuffing else bytes(len(frame.data))
-        # If the actual stuff bits are not counted, zeros replace the content, so that the cache key
-        # depends only on the length.
+        # If the actual stuff bits are not counted, zeros replace the content of the frame, so that
+        # the cache key depends only on the length of the frame.
         nominal_bits, data_bits = _frame_bits(
             frame.can_id, content, frame.flags & (FDF | BRS), self.counts_actual_stuffing
         )
@@ -62,9 +63,9 @@ class BitRates:
 def arbitration_priority(can_id: int) -> int:
     """Return the arbitration field of a frame as a number.
 
-    The frame with the lowest number wins the arbitration.
+    The frame with the lowest arbitration field wins the arbitration.
 
-    Arbitration cannot decide between frames with equal numbers.
+    Arbitration cannot decide between frames with equal arbitration fields.
     """
     is_remote = bool(can_id & REMOTE_FLAG)
     if can_id & EXTENDED_FLAG:
@@ -73,8 +74,8 @@ def arbitration_priority(can_id: int) -> int:
         # The arbitration field of a 29-bit identifier has 11 base bits, SRR and IDE (both
         # recessive, 1), 18 extension bits, and RTR.
         return base << 21 | 0b11 << 19 | lower_id_bits << 1 | is_remote
-    # In the arbitration field of an 11-bit identifier, RTR takes the place of SRR, and IDE is
-    # dominant. So a data frame wins over a remote frame.
+    # The arbitration field of an 11-bit identifier has RTR where a 29-bit identifier has SRR, and
+    # its IDE is dominant. So a data frame wins over a remote frame.
     return (can_id & 0x7FF) << 21 | is_remote << 20
 
 
@@ -82,7 +83,7 @@ def arbitration_priority(can_id: int) -> int:
 def _frame_bits(
     can_id: int, data: bytes, flags: int, counts_actual_stuffing: bool
 ) -> tuple[int, int]:
-    """Count the bits of a frame at the nominal and at the fast bit rate."""
+    """Return the number of a frame's bits at the nominal bit rate, and the number at the data bit rate."""
     return (
         _fd_frame_bits(can_id, data, flags, counts_actual_stuffing)
         if flags & FDF
@@ -112,7 +113,7 @@ def _classical_frame_bits(
 def _fd_frame_bits(
     can_id: int, data: bytes, flags: int, counts_actual_stuffing: bool
 ) -> tuple[int, int]:
-    """Count the bits of an FD frame at the nominal and at the fast bit rate."""
+    """Return the number of an FD frame's bits at the nominal bit rate, and the number at the data bit rate."""
     size = next(length for length in FD_LENGTHS if length >= len(data))
     has_fast_bits = bool(flags & BRS)
     header_bits = (
@@ -156,7 +157,8 @@ def _identifier_bits(can_id: int) -> str:
 def _stuff_bit_count(bit_string: str) -> int:
     """Count the stuff bits of a bit string.
 
-    After five equal bits, the opposite bit is inserted. Counting continues with the inserted bit.
+    After five equal bits, the sender inserts the opposite bit. The count of equal bits continues
+    with the inserted bit.
     """
     last_bit = ""
     run = 0
@@ -175,8 +177,8 @@ def _crc15(bit_string: str) -> str:
     """Compute the CRC of a classical frame from a sequence of bits, as 15 binary digits."""
     register = 0
     for bit in bit_string:
-        # This line is one step of the CRC's shift register, with the feedback of the top bit and
-        # the input bit.
+        # The line below is one step of the CRC's shift register, with the feedback of the top bit
+        # and the input bit.
         shifted_bit = register >> 14 ^ (bit == "1")
         register = register << 1 & 0x7FFF ^ (CRC15_POLYNOMIAL if shifted_bit else 0)
     return format(register, "015b")

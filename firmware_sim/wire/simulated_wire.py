@@ -1,8 +1,9 @@
 """A simulated wire.
 
-A wire carries one frame at a time. If several frames wait, the frame with the lowest identifier is
-sent first. A frame on the wire is never interrupted. The caller calls ``advance`` to advance the
-time of the wire. All times come from the caller, and may be real or virtual.
+A wire carries one frame at a time. If several frames wait for the wire, the frame with the lowest
+identifier is sent before the others. A frame on the wire is never interrupted. The caller calls
+``advance`` to advance the time of the wire. All times come from the caller, and can be real or
+virtual.
 """
 
 import random
@@ -18,11 +19,11 @@ NEVER_NS = 1 << 62
 DEFAULT_QUEUE_DEPTH = 128
 """Default capacity of a controller's queue [frames], as ``ip link set can0 txqueuelen 128``."""
 ERROR_FLAGS_BITS = 12 + 8
-"""Number of bits of the superposed error flags of several controllers, and of the error delimiter."""
+"""Number of bits of the superposed error flags of several controllers, plus the bits of the error delimiter."""
 ERROR_FLAG_BITS = 6 + 8
-"""Number of bits of the error flag of a sender that is alone on the bus, and of the error delimiter."""
+"""Number of bits of the error flag of a sender that is alone on the bus, plus the bits of the error delimiter."""
 END_OF_FRAME_BITS = 1 + 7
-"""Number of bits that a destroyed frame does not reach: acknowledge delimiter and end of frame."""
+"""Number of the last bits of a frame that a destroyed frame does not reach: acknowledge delimiter and end of frame."""
 SUSPEND_BITS = 8
 """Number of bits for which an error-passive sender must wait after a frame."""
 RECOVERY_BITS = 128 * 11
@@ -35,8 +36,8 @@ class WireOptions:
 
     Attributes:
         queue: largest number of frames in the queue of a controller.
-        error_rate: fraction of the frames that are destroyed on the wire at random.
-        restart_ms: time from the state bus-off until the controller is restarted [ms]. If the value
+        error_rate: fraction of the frames that the wire destroys at random.
+        restart_ms: time from the state bus-off until the controller is restarted [ms]. If the time
             is negative, the controller is not restarted.
         seed: seed of the random errors.
     """
@@ -48,7 +49,7 @@ class WireOptions:
 
 
 class SimulatedWire:
-    """A simulated CAN bus on which frames take time.
+    """A simulated CAN bus on which the transmission of a frame takes time.
 
     Attributes:
         rate: bit rates of the wire.
@@ -56,7 +57,8 @@ class SimulatedWire:
         busy_ns: time during which frames and errors have occupied the wire [ns].
         frames: number of frames sent successfully.
         errors: number of frames that were destroyed or not acknowledged.
-        disturbed: number of the next frames that the wire will destroy. Tests set the number.
+        disturbed: number of the next frames that the wire will destroy. Only tests set this number
+            of frames.
     """
 
     def __init__(self, rate: BitRates, options: WireOptions = WireOptions()) -> None:
@@ -86,7 +88,7 @@ class SimulatedWire:
             on_receive: function called with each received frame and its time [ns], None to ignore
                 received frames.
             queue_depth: capacity of the controller's queue [frames]. If None, the options of the
-                wire decide.
+                wire give the capacity.
         """
         controller = CanController(
             self.options.queue if queue_depth is None else queue_depth, on_receive
@@ -95,7 +97,7 @@ class SimulatedWire:
         return controller
 
     def remove_controller(self, controller: CanController) -> None:
-        """Disconnect a controller. A frame that is already on the wire is still completed."""
+        """Disconnect a controller from the wire. The wire still completes a frame that the controller is sending."""
         self._controllers.remove(controller)
         controller.queue.clear()
         self._senders = [
@@ -105,7 +107,7 @@ class SimulatedWire:
         ]
 
     def next_event_ns(self) -> int:
-        """Return the time of the next event on the wire [ns]. Return NEVER_NS if none exists."""
+        """Return the time of the next event on the wire [ns], or NEVER_NS if there is no next event."""
         due_ns = self._end_ns if self._end_ns != NEVER_NS else self._start_ns()
         return min(due_ns, self._restart_ns()) if self._restarts else due_ns
 
@@ -161,15 +163,15 @@ class SimulatedWire:
         lowest_priority_number = min([c.queue[0][1] for c in candidates])
         self._senders = [c for c in candidates if c.queue[0][1] == lowest_priority_number]
         frames = [c.queue[0][2] for c in self._senders]
-        # Two frames with the same identifier both win arbitration. If the contents of these frames
-        # differ, both frames are destroyed.
+        # Two frames with the same identifier both win the arbitration. If the contents of the two
+        # frames differ, both frames are destroyed.
         are_identical = len(frames) == 1 or all(frame[:3] == frames[0][:3] for frame in frames)
         self._acknowledged = self._has_receiver()
         self._intact = are_identical and self._acknowledged and not self._is_next_frame_disturbed()
         frame_duration_ns = max(map(self.rate.frame_duration_ns, frames))
         if not self._intact:
             # After an error, an error flag replaces the rest of the frame. The error flag is longer
-            # if several controllers send it.
+            # if several controllers send error flags.
             frame_duration_ns += self.rate.duration_of_bits_ns(
                 (ERROR_FLAGS_BITS if self._acknowledged else ERROR_FLAG_BITS) - END_OF_FRAME_BITS
             )
@@ -177,14 +179,14 @@ class SimulatedWire:
         self._end_ns = t_ns + frame_duration_ns
 
     def _has_receiver(self) -> bool:
-        """Check whether any controller except the senders is on the bus."""
+        """Return True if any controller except the senders is on the bus."""
         for controller in self._controllers:
             if controller.state != CanErrorState.BUS_OFF and controller not in self._senders:
                 return True
         return False
 
     def _is_next_frame_disturbed(self) -> bool:
-        """Decide whether the wire destroys the next frame, either on request or at random."""
+        """Decide whether the wire destroys the next frame, either on request of a test or at random."""
         if self.disturbed:
             self.disturbed -= 1
             return True
@@ -220,7 +222,7 @@ class SimulatedWire:
                 controller.deliver(frame, t_ns)
 
     def _destroy_frame(self, senders: list[CanController], t_ns: int) -> None:
-        """Count an error in all controllers, because a frame was destroyed.
+        """Count an error in all controllers, because a frame was destroyed on the wire.
 
         The senders keep the frame in their queues for a retry.
         """

@@ -26,7 +26,7 @@ _MAX_BITRATE = 20_000_000
 
 @dataclass(frozen=True, slots=True)
 class WireSpec:
-    """Description of simulated wires, as read from the command line.
+    """Description of simulated wires, which the command line gives.
 
     Attributes:
         options: options of the wires.
@@ -48,8 +48,8 @@ class WireSpec:
         """Return the latency of a host's CAN adapter.
 
         Args:
-            adapter_number: number of the adapter. This number determines at which random time of
-                the period the adapter's USB frames start.
+            adapter_number: number of the adapter. The number of the adapter determines at which
+                random time of the period its USB frames start.
         """
         return AdapterLatency(self.adapter, self.options.seed + adapter_number)
 
@@ -78,7 +78,7 @@ def parse_wire_options(words: Sequence[str]) -> WireSpec:
 
 
 def _updated_spec(spec: WireSpec, option_text: str) -> WireSpec:
-    """Return a copy of a specification with one value changed by a word."""
+    """Return a copy of a wire specification in which a command-line word has changed one value."""
     key, _, text = option_text.partition("=")
     if key not in WIRE_OPTION_KEYS:
         raise SimulatorError(

@@ -1,4 +1,4 @@
-"""CiA 402 drives on a bench, with the settings as delivered.
+"""CiA 402 drives on a test bench, with the settings of a drive as delivered.
 
 The data of the free shaft are assumptions.
 """
@@ -9,13 +9,13 @@ from firmware_sim.nodes.cia402.node import Cia402Node, Cia402NodeRow
 from firmware_sim.nodes.protocol_spec import CIA402_KIND, FRAME_FOR_NO_NODE, ProtocolSpec, ShaftSpec
 
 VALID_NODE_NUMBERS = range(1, 0x7F)
-"""Valid node numbers of drives. The last node number of CANopen, 127, belongs to handctl."""
+"""Valid node numbers of drives. The last node number of CANopen, 127, is the node number of handctl."""
 
 
 TEST_BENCH_SHAFT = ShaftSpec(1.0, 5e-5, 0.08, top_speed=24.0 / 0.08, stall_torque=4.0)
 """Shaft of the default motor at 24 V.
 
-Voltage constant [V s/rad] and torque constant [N m/A] are equal.
+The voltage constant [V s/rad] and the torque constant [N m/A] of the motor are equal.
 """
 
 
@@ -25,12 +25,12 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 
 def _corrupt_command(frame: Frame) -> Frame:
-    """Replace a command for switching the torque off by a frame that no node receives."""
-    # The replaced frames are RPDOs in whose control word bit 1 (enable voltage) is 0.
+    """Replace a command that switches the torque off by a frame that no node receives."""
+    # The replaced frames are RPDOs with a control word in which bit 1 (enable voltage) is 0.
     is_disable_command = (
         0x200 < frame.can_id < 0x280 and len(frame.data) >= 2 and not frame.data[0] & 0x02
     )
-    # The NMT commands are 2 stop, 0x80 pre-operational, 0x81 reset node and 0x82 reset
+    # The NMT commands below are 2 stop, 0x80 pre-operational, 0x81 reset node and 0x82 reset
     # communication.
     is_release_command = is_disable_command or (
         frame.can_id == 0 and frame.data[:1] in (b"\2", b"\x80", b"\x81", b"\x82")
@@ -40,7 +40,8 @@ def _corrupt_command(frame: Frame) -> Frame:
 
 def _corrupt_reply(frame: Frame) -> Frame:
     """Replace the value of object 0x6072 (maximum torque) by 65535 in the reply to a read request."""
-    # These are the first bytes of an SDO upload reply with two bytes (0x4B) from object 0x6072.
+    # The compared bytes are the first bytes of an SDO upload reply with two bytes (0x4B) from
+    # object 0x6072.
     is_corrupted = 0x580 < frame.can_id < 0x600 and frame.data[:4] == b"\x4b\x72\x60\x00"
     return (
         frame._replace(data=frame.data[:4] + b"\xff\xff\0\0") if is_corrupted else frame

@@ -1,6 +1,6 @@
 """Kernels for the cyclic frames of a CiA 402 drive.
 
-The kernels accept an array row or a Python object as the drive. Source: fact sheet cia402.
+The kernels accept a drive as an array row or as a Python object. Source: fact sheet cia402.
 
 The standard RPDO (little-endian) has the control word in bytes 0..1 and the target torque in bytes
 2..3, in thousandths of the rated torque. The standard TPDO, sent after SYNC, has the status word in
@@ -28,24 +28,24 @@ CYCLIC_OBJECTS = (
     (0x6040, 0), (0x6041, 0), (0x6061, 0), (0x6064, 0), (0x606C, 0), (0x6071, 0), (0x6072, 0), (0x6077, 0), (0x6078, 0),
     (0x60B2, 0), (0x1016, 1), (0x1017, 0), (0x6080, 0),
 )  # fmt: skip
-"""Objects with the first places in the list of a dictionary's values.
+"""Objects that come first in the list of an object dictionary's values.
 
-Therefore kernels know the indices of these objects.
+Because of the fixed order, kernels know the indices of the listed objects.
 """
 (CONTROL_WORD, STATUS_WORD, MODE_SHOWN, POSITION, VELOCITY, TARGET_TORQUE, MAX_TORQUE, TORQUE, CURRENT,
  TORQUE_OFFSET, MASTER, HEARTBEAT_PERIOD_MS, MAX_SPEED) = range(len(CYCLIC_OBJECTS))  # fmt: skip
-"""Indices of the values of ``CYCLIC_OBJECTS`` in the list of a dictionary's values."""
+"""Indices of the values of ``CYCLIC_OBJECTS`` in the list of an object dictionary's values."""
 MAX_OBJECT_COUNT = 192
-"""Maximum number of object values in the row of a drive."""
+"""Maximum number of object values in the array row of a drive."""
 SPEED_LIMIT_BAND = 0.1
 """Range of speed in which the torque falls to zero, as a fraction of the speed limit.
 
-The value is an assumption.
+The range of speed is an assumption.
 """
 _MAX_INT16 = (1 << 15) - 1
-"""Maximum value of a signed object of two bytes."""
+"""Maximum value of an object with a signed data type of two bytes."""
 _MAX_INT32 = (1 << 31) - 1
-"""Maximum value of a signed object of four bytes."""
+"""Maximum value of an object with a signed data type of four bytes."""
 
 
 class Cia402Struct(ctypes.Structure):
@@ -53,8 +53,8 @@ class Cia402Struct(ctypes.Structure):
 
     The class ``node.Cia402Node`` explains the fields.
 
-    ``motor_number`` is the row of the drive's rotor. ``bus`` is the index of the drive's bus in the
-    list of the hand's buses.
+    ``motor_number`` is the index of the drive's rotor in the array of rotors. ``bus`` is the index
+    of the drive's bus in the list of the hand's buses.
     """
 
     _fields_ = [
@@ -105,12 +105,12 @@ def update_measured_objects(
     shaft = sign * gear * angle + node.offset
     word = status_word(power)
     if node.mode_bits >= 0:
-        # Bits 10 to 13 depend on the mode of operation.
+        # Bits 10 to 13 of the status word depend on the mode of operation.
         word = word & ~0x3C00 | node.mode_bits
     values[STATUS_WORD] = word
-    # The position is counted in encoder counts at the motor shaft.
+    # The unit of the position object is the encoder count at the motor shaft.
     values[POSITION] = _clamp_to_range(round(shaft / TURN_RAD * node.counts), _MAX_INT32)
-    # In this drive, object 0x606C (velocity) has the unit revolutions per minute.
+    # In the simulated drive, object 0x606C (velocity) has the unit revolutions per minute.
     values[VELOCITY] = _clamp_to_range(round(sign * gear * velocity / TURN_RAD * 60.0), _MAX_INT32)
     values[TORQUE] = values[CURRENT] = _clamp_to_range(
         round(sign * torque / gear / node.rated * 1000.0), _MAX_INT16
@@ -124,11 +124,11 @@ def apply_torque(node: Any, servo: Any) -> None:
     thousandths = values[TARGET_TORQUE] + values[TORQUE_OFFSET]
     limit = values[MAX_TORQUE]
     servo.limit = node.peak
-    # This factor converts thousandths of the rated torque at the shaft to N m at the spool.
+    # The factor below converts thousandths of the rated torque at the shaft to N m at the spool.
     servo.torque = (
         node.direction * node.gear * node.rated / 1000.0 * min(limit, max(-limit, thousandths))
     )
-    # This factor converts revolutions per minute at the shaft to rad/s at the spool.
+    # The factor below converts revolutions per minute at the shaft to rad/s at the spool.
     servo.speed_limit = values[MAX_SPEED] * TURN_RAD / 60.0 / node.gear
     servo.speed_gain = 0.0
     if servo.speed_limit > 0.0:
@@ -137,7 +137,7 @@ def apply_torque(node: Any, servo: Any) -> None:
 
 @kernel_helper
 def is_in_torque_mode(node: Any, power: Any) -> bool:
-    """Return True if the drive follows torque commands: enabled and in torque mode."""
+    """Return True if the drive follows torque commands, because it is enabled and in torque mode."""
     return bool(power.state == ENABLED_STATE and node.values[MODE_SHOWN] == CYCLIC_TORQUE_MODE)
 
 
@@ -170,7 +170,8 @@ def watchdog_expired(node: Any, t_ns: int) -> bool:
 def schedule_wake(node: Any, t_ns: int, has_frame_to_send: bool) -> None:
     """Set the time at which a drive must wake next.
 
-    The drive wakes for the temperatures, the heartbeat, the timeout of the master, or a motion.
+    The drive wakes to update its temperatures or a motion, to send its heartbeat, or to check the
+    timeout of the master.
 
     Args:
         node: simulated drive, as an array row or as a Python object.

@@ -13,17 +13,18 @@ Source: fact sheet cia402 and CiA 402-2 (IEC 61800-7-201).
 
 The units are count, 1/min, 1/min/s and thousandths of the rated torque, as in 0x6064, 0x606C and
 0x6071. Bit 11 of the status word is set while a position limit (0x607D) or the speed limit (0x6080)
-acts. A following error above 0x6065 for longer than 0x6066 causes fault 0x8611. With 0xFFFFFFFF in
-0x6065, no following error causes a fault.
+acts. A following error above the value of object 0x6065 causes fault 0x8611 after the time in
+object 0x6066. With the value 0xFFFFFFFF in object 0x6065, no following error causes a fault.
 
 Choices of this simulation:
 
 - When the drive is enabled or changes its mode, 0x607A and the demand become the present position.
-  0x60FF is kept.
+  Object 0x60FF is kept.
 - In cyclic position mode, positions are interpolated over the period in object 0x60C2.
-- In profile position mode, the drive stores one set-point in addition to the active one.
-- After homing, the home position has the value of 0x607C. The methods 33 and 34 move to the next
-  index pulse. With the methods 35 and 37, the present position becomes the home position.
+- In profile position mode, the drive stores one set-point in addition to the active set-point.
+- After homing, the position at home equals the value of object 0x607C. The methods 33 and 34 move
+  to the next index pulse. With the methods 35 and 37, the present position becomes the home
+  position.
 - The gains of the position and velocity controllers are assumed.
 """
 
@@ -43,7 +44,7 @@ PROFILE_POSITION = 1
 HOMING_MODE = 6
 CYCLIC_POSITION = 8
 CYCLIC_VELOCITY = 9
-"""Numbers of the modes of operation, as in object 0x6060."""
+"""Number of a mode of operation, as in object 0x6060, like the constants above."""
 MOTION_MODES = (PROFILE_POSITION, HOMING_MODE, CYCLIC_POSITION, CYCLIC_VELOCITY)
 FOLLOWING_ERROR = 0x8611
 """Emergency code: following error."""
@@ -51,7 +52,7 @@ TARGET_REACHED_BIT = 1 << 10
 INTERNAL_LIMIT_BIT = 1 << 11
 SETPOINT_FOLLOWED_BIT = 1 << 12
 FOLLOWING_ERROR_BIT = 1 << 13
-"""Bits of the status word.
+"""Bit of the status word, like the constants above.
 
 SETPOINT_FOLLOWED_BIT also stands for *set-point acknowledged* and *homing attained*.
 """
@@ -59,13 +60,13 @@ NEW_SETPOINT_BIT = 1 << 4
 CHANGE_IMMEDIATELY_BIT = 1 << 5
 RELATIVE_BIT = 1 << 6
 HALT_BIT = 1 << 8
-"""Bits of the control word. In homing mode, NEW_SETPOINT_BIT starts homing."""
+"""Bit of the control word, like the constants above. In homing mode, NEW_SETPOINT_BIT starts homing."""
 INDEX_NEGATIVE, INDEX_POSITIVE = 33, 34
 """Homing methods that move to the next index pulse, in negative or positive direction."""
 HOMING_METHODS = (INDEX_NEGATIVE, INDEX_POSITIVE, 35, 37)
 """All homing methods of the drive."""
 FOLLOWING_ERROR_WINDOW_OFF = 0xFFFFFFFF
-"""Value of the following error window that switches the supervision off."""
+"""Value of object 0x6065 (following error window) that switches the supervision of the following error off."""
 POSITION_GAIN = 20.0
 """Assumed gain of the position controller [1/s]."""
 
@@ -83,11 +84,11 @@ def check_object_value(object_index: int, value: int) -> None:
 class MotionModes:
     """The position, velocity and homing modes of a drive, with demand values and controllers.
 
-    The demand is the desired shaft position in the units of the frames [count].
+    The demand value is the desired shaft position in the unit of the frames [count].
     """
 
     def __init__(self, node: Any) -> None:
-        """Use the objects and the rotor of a drive, see ``node.Cia402Node``."""
+        """Connect the modes to the objects and the rotor of a drive, see ``node.Cia402Node``."""
         self._node = node
         self._demand = MotionSetpoint()
         self._position_at_spool = MotionSetpoint()
@@ -109,7 +110,7 @@ class MotionModes:
         return self._mode != 0
 
     def start(self, mode: int, t_ns: int) -> None:
-        """Enter a motion mode at the present position. A mode that is already active continues."""
+        """Enter a motion mode at the present position. If the mode is already active, it continues."""
         if mode == self._mode:
             return
         node = self._node
@@ -143,7 +144,7 @@ class MotionModes:
     def _take_control(self, control_word: int) -> None:
         """Apply the bits of a control word that belong to the active mode.
 
-        Bit 4 starts a motion only on its rising edge.
+        Bit 4 of the control word starts a motion only on its rising edge.
         """
         rising_edge = control_word & ~self._control & NEW_SETPOINT_BIT
         self._control = control_word
@@ -167,7 +168,7 @@ class MotionModes:
         elif self._next is None:
             self._next = target
         self._acknowledged = True
-        # The bit *target reached* still refers to the previous target.
+        # At this point, the bit *target reached* still refers to the previous target.
         self._bits &= ~TARGET_REACHED_BIT
 
     def _start_homing(self) -> None:
@@ -306,7 +307,7 @@ class MotionModes:
         return has_arrived and abs(self._position() - self._target) <= window
 
     def _status_bits(self) -> int:
-        """Return the bits that the active mode sets in the status word of the drive."""
+        """Return the status word bits that the active mode of the drive sets."""
         if self._mode in (CYCLIC_POSITION, CYCLIC_VELOCITY):
             return self._bits | SETPOINT_FOLLOWED_BIT
         if self._control & HALT_BIT:
@@ -319,8 +320,8 @@ class MotionModes:
         self._bits = (
             self._bits | TARGET_REACHED_BIT if is_reached else self._bits & ~TARGET_REACHED_BIT
         )
-        # In profile position mode, a set-point stays acknowledged until the host clears the bit and
-        # the buffer is free.
+        # In profile position mode, a set-point stays acknowledged until the host clears the bit
+        # *new set-point* and the set-point buffer is free.
         self._acknowledged = self._next is not None or (
             self._acknowledged and bool(self._control & NEW_SETPOINT_BIT)
         )

@@ -14,17 +14,18 @@ Frames (COB-ID, payload little-endian):
     RPDO, TPDO  see ``pdo``
 
 A text object is uploaded in several segments. The first reply is 0x41 with the length of the text.
-Requests 0x60 and 0x70 then alternate, and each reply has up to seven bytes of the text. Writing
-``save`` to 0x1010:1 stores the settings.
+The requests 0x60 and 0x70 of the host then alternate, and each reply has up to seven bytes of the
+text. Writing ``save`` to 0x1010:1 stores the settings.
 
 SDO specifiers: 0x40 upload request, 0x43 | 4 n upload reply with n unused bytes, 0x23 | 4 n
 download request, 0x60 download reply, 0x80 abort.
 
-Choices where the fact sheet is not definite:
+Choices of this simulator where the fact sheet is not definite:
 
 - Object 0x6076 has the unit mN·m, unless the option ``rated_torque_unit`` is uN_m.
 - If object 0x6007 is 1, two events are faults: the node leaves the state operational while enabled,
-  or the master's heartbeat is lost. If 0x6007 is 2 or 3, these events switch the power stage off.
+  or the master's heartbeat is lost. If 0x6007 is 2 or 3, each of these two events switches the
+  power stage off.
 - A host can change PDOs only while the node is in the state pre-operational.
 """
 
@@ -72,13 +73,13 @@ HEARTBEAT_LOST = 0x8130
 MOTOR_OVERHEATED_ERROR = 0x4310
 """Emergency code: over-temperature of the motor."""
 STOPPED_WHILE_ENABLED_ERROR = 0x8100
-"""Emergency code: the node left operational while enabled."""
+"""Emergency code: the node left the NMT state operational while the drive was enabled."""
 PDO_LENGTH_ERROR = 0x8210
 """Emergency code: an RPDO is too short."""
 OVERHEATING_C = 120.0
 """Winding temperature at which the drive trips [degC]."""
 _UNITS_PER_N_M = {"mN_m": 1e3, "uN_m": 1e6}
-"""Value of object 0x6076 for a torque of 1 N m, by its unit."""
+"""Value of object 0x6076 for a torque of 1 N m, by the unit of the object."""
 
 
 class Cia402Node:
@@ -107,7 +108,7 @@ class Cia402Node:
         frame_pending: True if a frame of the drive waits to be sent.
         motion: position, velocity and homing modes of the drive.
         motion_due_ns: time of the next update of ``motion_modes`` [ns], or 0 in torque mode.
-        mode_bits: bits that the active mode sets in the status word, or -1 in torque mode.
+        mode_bits: status word bits that the active mode sets, or -1 in torque mode.
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
@@ -143,7 +144,7 @@ class Cia402Node:
         self._reset(sends_boot_message=True)
 
     def _reset(self, sends_boot_message: bool) -> None:
-        """Restart the drive with its stored settings.
+        """Restart the drive with the settings that it has stored.
 
         Args:
             sends_boot_message: True to send the boot-up message.
@@ -167,13 +168,13 @@ class Cia402Node:
             self._unsolicited.append(Frame(0x700 + self.node_id, b"\0"))
 
     def _initial_objects(self) -> tuple[ObjectDictionary, PowerStage]:
-        """Return the dictionary and the power stage after power-up."""
+        """Return the object dictionary and the power stage in the state after power-up."""
         objects = ObjectDictionary(self.node_id)
         self.values = objects.values
         return objects, PowerStage()
 
     def _update_derived_values(self) -> None:
-        """Update the attributes derived from communication objects."""
+        """Update the attributes of the node that are derived from communication objects."""
         self.sync_id = self.objects[0x1005, 0] & 0x7FF
         self.master_id = 0x700 + (self.objects[0x1016, 1] >> 16 & 0x7F)
         self.rpdo_id, (self.tpdo_id, self.tpdo_kind) = (
@@ -262,7 +263,7 @@ class Cia402Node:
         self._apply_torque()
 
     def lose_settings(self) -> None:
-        """Give the torque limit and the supervision of the master their default values, but keep the drive's state."""
+        """Set the torque limit and the supervision of the master to their defaults, but keep the drive's state."""
         initial = ObjectDictionary(self.node_id)
         for key in ((0x6072, 0), (0x6007, 0), (0x1016, 1)):
             self.objects[key] = initial[key]
@@ -279,7 +280,7 @@ class Cia402Node:
     def _answer_sdo_request(self, data: bytes) -> None:
         """Answer a request for an object (SDO request).
 
-        Numbers have up to four bytes and are transferred in one frame.
+        A number has up to four bytes and is transferred in one frame.
         """
         if len(data) != 8:
             self.malformed_frame_count += 1
@@ -309,11 +310,12 @@ class Cia402Node:
             return (
                 bytes((0x43 | (4 - len(raw_bytes)) << 2,)) + data[1:4] + raw_bytes.ljust(4, b"\0")
             )
-        # Command 1 is a download request. Bit 1 is set if the transfer is expedited (in one frame).
+        # Command 1 is a download request. Bit 1 of the specifier is set if the transfer is
+        # expedited (in one frame).
         if specifier >> 5 != 1 or not specifier & 2:
             raise SdoAbort(ABORT_UNKNOWN_COMMAND)
-        # If bit 0 is set, bits 3..2 give the number of unused bytes. If bit 0 is not set, the
-        # request does not contain the size. In this case, the size of the object is used.
+        # If bit 0 of the specifier is set, bits 3..2 give the number of unused bytes. If bit 0 is
+        # not set, the size of the object is used, because the request contains no size.
         size = 4 - (specifier >> 2 & 3) if specifier & 1 else self.objects.size(key)
         self._write_object(key, data[4 : 4 + size])
         return b"\x60" + data[1:4] + bytes(4)
@@ -335,15 +337,15 @@ class Cia402Node:
         if not self._segments:
             raise SdoAbort(ABORT_UNKNOWN_COMMAND)
         segment = self._segments.pop(0)
-        # Bit 4 is the toggle bit. Bits 3..1 are the number of unused bytes. Bit 0 marks the last
-        # segment.
+        # In the specifier of the reply, bit 4 is the toggle bit, bits 3..1 are the number of unused
+        # bytes, and bit 0 marks the last segment.
         command_byte = toggle_bit << 4 | (7 - len(segment)) << 1 | (not self._segments)
         return bytes((command_byte,)) + segment.ljust(7, b"\0")
 
     def _write_object(self, key: tuple[int, int], value_bytes: bytes) -> None:
         """Write the value that a host has sent to an object, and apply the new value."""
-        # This range contains the communication and mapping objects of RPDOs (0x1400, 0x1600) and
-        # TPDOs (0x1800, 0x1A00).
+        # The range of indices below contains the communication and mapping objects of RPDOs
+        # (0x1400, 0x1600) and TPDOs (0x1800, 0x1A00).
         if 0x1400 <= key[0] < 0x1C00:
             if self.nmt != PRE_OPERATIONAL:
                 raise SdoAbort(ABORT_WRONG_STATE)
@@ -408,7 +410,7 @@ class Cia402Node:
         return True
 
     def _synchronise(self) -> bool:
-        """Process a SYNC frame: apply the stored RPDOs, measure, and send TPDOs.
+        """Process a SYNC frame: apply the stored RPDOs, update the measured objects, and send TPDOs.
 
         Returns:
             True if the node is in the state operational.
@@ -429,7 +431,7 @@ class Cia402Node:
         )
 
     def _apply_torque(self) -> None:
-        """Follow the target torque or a motion mode, if the power stage and the mode of operation allow it."""
+        """Follow the target torque or a motion mode, if the power stage and the mode of operation allow this."""
         mode = self.objects[0x6061, 0]
         if self.power.state == ENABLED_STATE and mode in MOTION_MODES:
             if not self.motion.is_active:
@@ -445,7 +447,7 @@ class Cia402Node:
             self.motor.servo.release()
 
     def wake(self, t_ns: int) -> list[Frame]:
-        """Do the work that is due: temperatures, motion, heartbeat and supervision of the master.
+        """Update the temperatures and the motion, send the heartbeat, and check the master, where each is due.
 
         Returns:
             The frames that the drive sends.
@@ -477,7 +479,7 @@ class Cia402Node:
 
 
 class Cia402NodeRow(Cia402Struct, Cia402Node):
-    """A drive that keeps its numbers in a row of an array. Compiled kernels use this row."""
+    """A drive that keeps its state in a row of an array, which compiled kernels read and write."""
 
     layout = Cia402Struct
 

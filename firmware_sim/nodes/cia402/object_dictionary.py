@@ -33,14 +33,14 @@ ABORT_UNKNOWN_COMMAND = 0x05040001
 SDO_CLIENT_ABORT_COMMAND = 0x80
 """First byte of a request with which the client aborts a transfer.
 
-The drive does not answer this request.
+The drive does not answer an abort of the client.
 """
 
 COMMAND_OBJECTS = {
     (0x6040, 0), (0x6060, 0), (0x6071, 0), (0x607A, 0), (0x60B0, 0), (0x60B1, 0), (0x60B2, 0), (0x60FF, 0),
     (0x1010, 1),
 }  # fmt: skip
-"""Writable objects that are commands and not settings."""
+"""Writable objects that are commands and not settings of the drive."""
 VISIBLE_STRING_TYPE = 0x0009
 """Data type of a text in an EDS file (VISIBLE_STRING). Source: CiA 306."""
 
@@ -52,7 +52,7 @@ class SdoAbort(Exception):  # noqa: N818 - the standard's word
     """An error with which a node refuses an SDO request.
 
     Attributes:
-        code: SDO abort code for the client.
+        code: SDO abort code that the node sends to the client.
     """
 
     def __init__(self, code: int) -> None:
@@ -62,7 +62,7 @@ class SdoAbort(Exception):  # noqa: N818 - the standard's word
 
 
 def sdo_reply(request: bytes, access_object: Callable[[bytes, ObjectKey], bytes]) -> bytes:
-    """Return the payload with which an SDO server replies to a request.
+    """Return the payload with which a node (SDO server) replies to an SDO request.
 
     Args:
         request: payload of the SDO request, 8 bytes.
@@ -87,7 +87,7 @@ class ObjectDictionary:
         """Read the EDS file, and set all objects to the default values.
 
         Args:
-            node_id: node number. The default identifiers depend on this number.
+            node_id: node number of the drive. The default identifiers depend on the node number.
             object_memory: memory for ``kernels.MAX_OBJECT_COUNT`` values. If None, a list is
                 allocated.
         """
@@ -149,7 +149,7 @@ class ObjectDictionary:
     def settings(self) -> dict[ObjectKey, int]:
         """Return the values of the objects that a drive can store.
 
-        These are all writable objects, without commands.
+        A drive can store all writable objects that are not commands.
         """
         return {key: self[key] for key in self._writable if key not in COMMAND_OBJECTS}
 
@@ -164,7 +164,7 @@ class ObjectDictionary:
         return self._sizes[key]
 
     def is_mappable(self, key: ObjectKey) -> bool:
-        """Return True if an object may be mapped into a PDO."""
+        """Return True if an object can be mapped into a PDO."""
         return key in self._mappable
 
     def read(self, key: ObjectKey) -> bytes:
@@ -177,7 +177,7 @@ class ObjectDictionary:
         return self[key].to_bytes(size, "little", signed=key in self._signed)
 
     def write(self, key: ObjectKey, value_bytes: bytes) -> None:
-        """Write the bytes of a received frame to an object.
+        """Write a value from a received frame, as bytes, to an object.
 
         Raises:
             SdoAbort: the object does not exist, is read-only, or has a different length.

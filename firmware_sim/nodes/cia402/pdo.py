@@ -1,6 +1,6 @@
 """The process data objects (PDOs) of the simulated CiA 402 drive.
 
-The drive has four RPDOs and four TPDOs, which are mapped over SDO. Source: fact sheet cia402.
+The drive has four RPDOs and four TPDOs. A host maps the PDOs over SDO. Source: fact sheet cia402.
 
 Objects of PDO i:
 
@@ -27,9 +27,9 @@ ABORT_NOT_MAPPABLE = 0x06040041
 ABORT_PDO_TOO_LONG = 0x06040042
 """SDO abort code: the mapped objects exceed the length of a PDO. Source: CiA 301."""
 STANDARD_RPDO = [((0x6040, 0), 2), ((0x6071, 0), 2)]
-"""Mapping of the only RPDO that kernels can handle: mapped objects and their sizes [bytes]."""
+"""Mapping of the only RPDO that compiled kernels can handle: mapped objects and their sizes [bytes]."""
 STANDARD_TPDO = [((0x6041, 0), 2), ((0x6064, 0), 4), ((0x6077, 0), 2)]
-"""Mapping of the only TPDO that kernels can handle: mapped objects and their sizes [bytes]."""
+"""Mapping of the only TPDO that compiled kernels can handle: mapped objects and their sizes [bytes]."""
 MAX_SYNCHRONOUS_TYPE = 240
 """Highest transmission type with which a PDO depends on SYNC."""
 
@@ -38,7 +38,7 @@ class NodePdos:
     """The received and sent PDOs of one node."""
 
     def __init__(self, objects: ObjectDictionary) -> None:
-        """Use the communication and mapping objects of an object dictionary."""
+        """Connect the PDOs to the communication and mapping objects of an object dictionary."""
         self._objects = objects
         self._waiting: dict[int, bytes] = {}
 
@@ -46,7 +46,7 @@ class NodePdos:
         """Write a communication or mapping object over SDO.
 
         Raises:
-            SdoAbort: the mapping is not possible, or is in use by an active PDO.
+            SdoAbort: the mapping is not possible, or an active PDO uses the mapping.
         """
         index, sub = key
         if index & 0x200:
@@ -62,7 +62,7 @@ class NodePdos:
         self._objects.write(key, value_bytes)
 
     def _check_mapping(self, mapping_index: int, entry_count: int) -> None:
-        """Check that a mapping has an allowed number of entries and an allowed length."""
+        """Check that the mapping of a PDO has an allowed number of entries and an allowed total length."""
         if entry_count > 4:
             raise SdoAbort(ABORT_VALUE_OUT_OF_RANGE)
         if sum(self._objects[mapping_index, i + 1] & 0xFF for i in range(entry_count)) > 64:
@@ -77,12 +77,12 @@ class NodePdos:
     def _rpdo_index(self, can_id: int) -> int:
         """Return the index of the RPDO with a given identifier.
 
-        If no RPDO has this identifier, return -1.
+        If no RPDO has the given identifier, return -1.
         """
         return next((i for i in range(4) if self._objects[0x1400 + i, 1] == can_id), -1)
 
     def accepts_identifier(self, can_id: int) -> bool:
-        """Return True if an RPDO has this identifier."""
+        """Return True if an RPDO of the node has the given identifier."""
         return self._rpdo_index(can_id) >= 0
 
     def unpack(self, can_id: int, payload: bytes) -> list[ObjectKey] | None:
@@ -100,7 +100,7 @@ class NodePdos:
         return self._store_rpdo(number, payload)
 
     def _store_rpdo(self, pdo_number: int, payload: bytes) -> list[ObjectKey]:
-        """Write the objects of an RPDO and return their keys."""
+        """Write the objects of an RPDO, and return the keys of these objects."""
         keys = []
         offset = 0
         for key, size in self._mapped_objects(0x1600 + pdo_number):
@@ -110,7 +110,7 @@ class NodePdos:
         return keys
 
     def synchronise(self) -> list[ObjectKey]:
-        """Write the objects of the RPDOs that have waited for this SYNC frame.
+        """Write the objects of the RPDOs that have waited for a SYNC frame.
 
         Returns:
             The objects that were written.
@@ -142,8 +142,8 @@ class NodePdos:
     def standard_rpdo(self) -> int:
         """Return the identifier of the RPDO that compiled kernels can handle.
 
-        If there is no such RPDO, return -1. The RPDO contains the control word and the target
-        torque, and is written at once.
+        If there is no such RPDO, return -1. The standard RPDO contains the control word and the
+        target torque, and is written at once.
         """
         for i in range(4):
             can_id = self._objects[0x1400 + i, 1]
@@ -159,9 +159,9 @@ class NodePdos:
     def standard_tpdo(self) -> tuple[int, int]:
         """Return the identifier and the transmission type of the TPDO that compiled kernels can handle.
 
-        The TPDO contains status word, position and torque. The TPDO is sent after SYNC, and is the
-        only active TPDO. If the PDOs are arranged in another way, or if an RPDO depends on SYNC,
-        the identifier is -1.
+        The standard TPDO contains status word, position and torque. It is sent after SYNC, and is
+        the only active TPDO. If the PDOs are arranged in another way, or if an RPDO depends on
+        SYNC, the identifier is -1.
         """
         active = self._active_tpdos()
         waits_for_sync = any(

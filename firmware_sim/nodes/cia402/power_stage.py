@@ -6,9 +6,9 @@ Bits of the control word: 0 switch on, 1 enable voltage, 2 quick stop (the value
 operation, 7 fault reset (on its rising edge).
 
 The fact sheet does not determine the following behaviour. In the state *ready to switch on*, the
-control word 0x0F executes the transitions 3 and 4 together. After a quick stop, the state becomes
-*switch on disabled* without a further command. The state *fault reaction active* is left within one
-step.
+control word 0x0F executes the transitions 3 and 4 together. After a quick stop, the drive changes
+to the state *switch on disabled* without a further command. The drive leaves the state *fault
+reaction active* within one step.
 """
 
 import ctypes
@@ -26,8 +26,8 @@ _STATUS_WORD_BITS = (0x40, 0x21, 0x23, 0x27, 0x08)
 def status_word(power_stage: Any) -> int:
     """Return the status word of a drive.
 
-    Bit 4 is *voltage enabled*, bit 9 *remote*, and bit 12 *drive follows the target torque*. The
-    other bits of the status word encode the state.
+    In the status word, bit 4 is *voltage enabled*, bit 9 *remote*, and bit 12 *drive follows the
+    target torque*. The other bits of the status word encode the state.
     """
     return (
         _STATUS_WORD_BITS[power_stage.state]
@@ -53,7 +53,8 @@ class PowerStage:
     def command(self, control_word: int) -> None:
         """Apply a control word.
 
-        The bit fault reset acts on its rising edge. All other bits act by their level.
+        The bit fault reset acts on its rising edge. All other bits of the control word act by their
+        level.
         """
         is_reset_edge = bool(control_word & 0x80) and not self.reset_bit
         self.reset_bit = bool(control_word & 0x80)
@@ -61,7 +62,7 @@ class PowerStage:
             self.state = OFF_STATE if is_reset_edge else FAULT_STATE
             return
         if not control_word & 0x02 or not control_word & 0x04:
-            self.state = OFF_STATE  # The control word commands *disable voltage* or *quick stop*.
+            self.state = OFF_STATE  # In the branch below, the control word commands *disable voltage* or *quick stop*.
         elif control_word & 0x07 == 0x06:
             self.state = READY_STATE
         elif self.state != OFF_STATE and control_word & 0x0F == 0x0F:
@@ -75,6 +76,6 @@ class PowerStage:
 
 
 class PowerStruct(ctypes.Structure, PowerStage):
-    """The state machine of a power stage. Its numbers are in the array row of a drive."""
+    """The state machine of a power stage, whose state is in the array row of a drive."""
 
     _fields_ = [(name, ctypes.c_int64) for name in ("state", "reset_bit")]

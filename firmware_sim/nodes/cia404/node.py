@@ -12,7 +12,7 @@ Frames (COB-ID, payload little-endian):
 The fact sheet does not determine the following behaviour. The node ignores a SYNC frame with a
 payload, because object 0x1019 does not exist. TPDOs of the types 254 and 255 (on a change) are sent
 only once, when the node becomes operational. The host can write communication objects only while
-the node is pre-operational. The settings are lost at a restart.
+the node is pre-operational. The node loses its settings at a restart.
 """
 
 import math
@@ -55,8 +55,8 @@ class LoadCellAmplifiers:
         bias: present bias of each load cell [N].
         cell_faults: functions by which faults change the readings, by the index of the load cell.
         joint_faults: empty mapping, because amplifiers have no joint encoders.
-        suppressed: functions by the identifier of a frame, for faults that suppress this frame. The
-            function is called in place of sending the frame.
+        suppressed: functions by the identifier of a frame, for faults that suppress the frame. The
+            node calls the function in place of sending the frame.
     """
 
     def __init__(self, spec: SensorSpec, tensions: Callable[[], Any], seed: int) -> None:
@@ -92,7 +92,7 @@ class LoadCellAmplifiers:
     def frame_id_of_cell(self, index: int) -> int:
         """Return the identifier of the frame that contains the reading of a given load cell.
 
-        The identifier belongs to the mapping that a host usually sets.
+        The identifier is valid for the mapping that a host usually sets.
         """
         node = next(node for node in self.nodes if index in node.cells)
         return 0x180 + 0x100 * ((index - node.cells.start) // 2) + node.node_id
@@ -100,7 +100,7 @@ class LoadCellAmplifiers:
     def sample_tensions(self, t_ns: int) -> Any:
         """Return the readings of all load cells [N].
 
-        After each SYNC frame, all amplifiers use the same sample_tensions.
+        After each SYNC frame, all amplifiers use the same sampled tensions.
         """
         if t_ns != self._sampled_ns:
             elapsed_s = (t_ns - self._sampled_ns) * 1e-9 if self._sampled_ns >= 0 else 0.0
@@ -122,7 +122,7 @@ class AmplifierNode:
         cells: indices of the load cells of this amplifier in the hand's list of load cells.
         nmt: NMT state of the amplifier.
         objects: object dictionary of the amplifier.
-        ids: identifiers of the frames that the node may answer.
+        ids: identifiers of the frames that the node possibly answers.
         malformed_frame_count: number of frames that the node could not decode.
         wake_ns: time of the next heartbeat [ns].
         serial: serial number of the amplifier.
@@ -148,7 +148,7 @@ class AmplifierNode:
         self.restart()
 
     def restart(self) -> None:
-        """Restart with the values of all objects as delivered, and announce the restart on the bus."""
+        """Restart the amplifier with all objects as delivered, and announce the restart on the bus."""
         self.objects = AmplifierObjects(self.node_id, len(self.cells), self._range, self.serial)
         self.nmt = PRE_OPERATIONAL
         self._syncs = 0
@@ -184,7 +184,7 @@ class AmplifierNode:
         return self._take_queued_frames()
 
     def wake(self, t_ns: int) -> list[Frame]:
-        """Return the heartbeat if it is due, and all frames that wait to be sent."""
+        """Return all frames that wait to be sent, with the heartbeat if it is due."""
         self._now_ns = t_ns
         period_ns = self.objects[0x1017, 0] * 1_000_000
         if period_ns and not self._out:
@@ -193,7 +193,7 @@ class AmplifierNode:
         return self._take_queued_frames()
 
     def _take_queued_frames(self) -> list[Frame]:
-        """Return the frames that wait to be sent, except suppressed frames. Then empty the list."""
+        """Return the frames that wait to be sent, except suppressed frames, and empty the list of waiting frames."""
         queued_frames = self._out
         self._out = []
         suppressed = self._load_cells.suppressed
@@ -229,7 +229,8 @@ class AmplifierNode:
     def _send_tpdos(self, is_due: Callable[[int], bool]) -> None:
         """Send all TPDOs that are due.
 
-        The function ``is_due`` returns True if the transmission type of a TPDO is due.
+        The argument ``is_due`` is a function that takes a transmission type, and returns True if
+        TPDOs of this type are due.
         """
         self._sample_load_cells()
         for i in range(TPDO_COUNT):
@@ -245,7 +246,7 @@ class AmplifierNode:
     def _answer_sdo_request(self, data: bytes) -> None:
         """Answer a request for an object (SDO request).
 
-        Objects have up to four bytes and are transferred in one frame.
+        An object has up to four bytes and is transferred in one frame.
         """
         if len(data) != 8:
             self.malformed_frame_count += 1
@@ -270,8 +271,8 @@ class AmplifierNode:
             return (
                 bytes((0x43 | (4 - len(raw_bytes)) << 2,)) + data[1:4] + raw_bytes.ljust(4, b"\0")
             )
-        # Command 1 is a download request. Bit 1 is set if the transfer is expedited (in one frame).
-        # Bit 0 is set if the request gives the size.
+        # Command 1 is a download request. Bit 1 of the specifier is set if the transfer is
+        # expedited (in one frame). Bit 0 is set if the request gives the size of the value.
         if data[0] >> 5 != 1 or data[0] & 3 != 3:
             raise SdoAbort(ABORT_UNKNOWN_COMMAND)
         if 0x1000 <= key[0] < 0x1C00 and self.nmt != PRE_OPERATIONAL and key != (0x1017, 0):

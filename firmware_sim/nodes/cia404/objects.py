@@ -1,7 +1,7 @@
 """The object dictionary of the simulated CiA 404 amplifier. Source: docs/facts/cia404.md.
 
-The objects below have the values as delivered. n is the node number, and c is a channel, counted
-from 1.
+The list below gives the values of the objects as delivered. In the list, n is the node number, and
+c is a channel, counted from 1.
 
     1000:0  device type    0x00020194: analogue inputs, profile 404
     1005:0  SYNC           0x080
@@ -35,7 +35,7 @@ PDO_DISABLED_BIT = 1 << 31
 NEWTON_UNIT = 0x0021_0000
 """Number of the unit newton in object 0x6131. Source: CiA 303-2."""
 MANUFACTURER_UNIT = 0x00FD_0000
-"""Number of the maker's unit in object 0x6131, until a host sets another unit."""
+"""Number of the maker's unit, which object 0x6131 has until a host sets another unit."""
 TPDO_COUNT = 4
 """Number of TPDOs of an amplifier."""
 ABORT_NOT_MAPPABLE = 0x06040041
@@ -49,9 +49,9 @@ POSITIVE_OVERLOAD_STATUS = 2
 NEGATIVE_OVERLOAD_STATUS = 4
 """Status bit: the reading is below the range."""
 OVERLOAD_RATIO = 1.03125
-"""Smallest reading that counts as overload, divided by the rated load.
+"""Smallest reading of a load cell that counts as overload, divided by the rated load.
 
-Source: WIKA MH-4-CAN, 3.125 % beyond the range.
+Source: WIKA MH-4-CAN, overload at 3.125 % beyond the range.
 """
 FLOAT_PROCESS_VALUE = 0x6130
 """Index of the process value as a float."""
@@ -62,7 +62,7 @@ INT32_PROCESS_VALUE = 0x9130
 _OVERLOAD_VALUES = {INT16_PROCESS_VALUE: -(1 << 15), INT32_PROCESS_VALUE: -(1 << 31)}
 """Integer process values that report an overload.
 
-In an overload, the process value as a float is NaN. Source: WIKA MH-4-CAN.
+In an overload, the float process value is NaN. Source: WIKA MH-4-CAN.
 """
 _MAPPABLE_SIZES_BYTES = {
     FLOAT_PROCESS_VALUE: 4,
@@ -70,7 +70,7 @@ _MAPPABLE_SIZES_BYTES = {
     INT32_PROCESS_VALUE: 4,
     0x6150: 1,
 }
-"""Sizes of the objects that can be mapped [bytes]."""
+"""Sizes of the objects that can be mapped into a TPDO [bytes]."""
 
 
 class AmplifierObjects:
@@ -155,7 +155,7 @@ class AmplifierObjects:
         return self._values[key].to_bytes(self._sizes[key], "little")
 
     def write(self, key: ObjectKey, value_bytes: bytes) -> None:
-        """Write the bytes of a received frame to an object.
+        """Write a value from a received frame, as bytes, to an object.
 
         Raises:
             SdoAbort: the object does not exist, is read-only or has another length, or the mapping
@@ -172,7 +172,7 @@ class AmplifierObjects:
         self._values[key] = value
 
     def _check_mapping(self, key: ObjectKey, value: int) -> None:
-        """Check that a new mapping value is possible, and that the TPDO of the mapping is off."""
+        """Check that a new value of a mapping object is possible, and that the TPDO of the mapping is off."""
         index, sub = key
         if not self[index - 0x200, 1] & PDO_DISABLED_BIT:
             raise SdoAbort(ABORT_WRONG_STATE)

@@ -30,8 +30,8 @@ MOTOR_TYPE_RANGES = {
 }
 """PMAX [rad], VMAX [rad/s] and TMAX [N m] of each motor type.
 
-The fact sheet lacks some types. The values of these types come from public client software: DM4310V
-from i2rt, DM6248 from openarm_can.
+The fact sheet lacks some types. The ranges of the types that the fact sheet lacks come from public
+client software: DM4310V from i2rt, DM6248 from openarm_can.
 """
 
 
@@ -59,7 +59,7 @@ class MotorRating(NamedTuple):
 
     @property
     def stall_torque(self) -> float:
-        """Return the torque at standstill that the supply voltage alone would allow [N m]."""
+        """Return the torque of the motor at standstill, if only the supply voltage limits the torque [N m]."""
         # With space-vector modulation, the largest amplitude of a phase voltage is the supply
         # voltage divided by sqrt(3).
         return self.torque_constant * self.supply_voltage / math.sqrt(3.0) / self.resistance
@@ -98,23 +98,23 @@ GEAR_RATIOS = {
 }
 """Value of the register gear ratio of each motor type.
 
-The client i2rt 1.3.6 has a table of this value for DM3507, DM4310, DM4310V, DM4340, DM6248 and
-DM8009. It refuses a motor whose register differs from this table. The values of all other types are
-assumptions: the last two digits of the type, and 1 for motors without a gear.
+The client i2rt 1.3.6 has a table of gear ratios for DM3507, DM4310, DM4310V, DM4340, DM6248 and
+DM8009. The client refuses a motor whose register differs from the table. The gear ratios of all
+other types are assumptions: the last two digits of the type, and 1 for motors without a gear.
 """
 STALL_TORQUE_RATIO = 2.0
-"""Stall torque divided by TMAX, for motor types without a published rating.
+"""Ratio of the stall torque to TMAX, for motor types without a published rating.
 
-The no-load speed of these types is VMAX.
+The no-load speed of motor types without a published rating is VMAX.
 
-The factor and this no-load speed are assumptions.
+The ratio and the no-load speed are assumptions.
 """
 DEFAULT_MOTOR_TYPE = "dm4310"
 """Motor type if none is given."""
 INERTIA_PER_TORQUE = 2e-4
 """Inertia of a geared MIT motor at the output, divided by TMAX [kg m2/N m].
 
-A DM-J4310 (10 N m) has 2e-3 kg m2.
+A DM-J4310 with TMAX 10 N m has an inertia of 2e-3 kg m2.
 """
 
 
@@ -143,9 +143,10 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 def _corrupt_command(frame: Frame) -> Frame:
     """Replace the command *disable* by a request for feedback.
 
-    After this request, the faulty motor still answers.
+    The faulty motor answers the request for feedback, but stays enabled.
     """
-    # The identifiers of remote and extended frames have flags above their lowest 11 bits.
+    # The identifiers of remote and extended frames have flags above the lowest 11 bits of the
+    # identifier.
     if frame.data != b"\xff" * 7 + b"\xfd" or frame.can_id > 0x7FF:
         return frame
     data = frame.can_id.to_bytes(2, "little") + b"\xcc" + bytes(5)
@@ -154,8 +155,8 @@ def _corrupt_command(frame: Frame) -> Frame:
 
 def _corrupt_reply(frame: Frame) -> Frame:
     """Replace the value of the register TMAX by 1 in the reply to a read request."""
-    # The reply belongs to a read request (0x33) for register 23 (TMAX), from a motor with an
-    # identifier below 0x100.
+    # The function changes only replies to a read request (0x33) for register 23 (TMAX), from motors
+    # with an identifier below 0x100.
     data = frame.data
     is_corrupted = len(data) == 8 and data[2] == 0x33 and data[3] == 23 and data[1] == 0
     return (

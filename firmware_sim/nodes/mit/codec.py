@@ -19,8 +19,8 @@ Feedback from MST_ID (8 bytes, highest byte and bit first):
     bit  7..0   temperature of the winding [degC]
 
 Kernels handle the eight bytes of a payload as one signed 64-bit integer. The sign of the integer
-has no meaning. Callers that want compiled kernels must call them through this module, because
-``compiled.use_compiled_kernels`` replaces the attributes of the module.
+has no meaning. Callers that want compiled kernels must call the kernels through this module,
+because ``compiled.use_compiled_kernels`` replaces the attributes of the module.
 """
 
 import ctypes
@@ -59,7 +59,7 @@ class MitRanges(NamedTuple):
 class MitStruct(ctypes.Structure):
     """Memory of a simulated drive, which compiled kernels read and write. See ``node.MitNode``.
 
-    ``motor_number`` is the row of the drive's rotor.
+    ``motor_number`` is the index of the drive's rotor in the array of rotors.
     """
 
     _fields_ = [
@@ -103,8 +103,8 @@ def value_to_code(value: float, limit: float, bits: int) -> int:
     firmware.
     """
     clamped_value = -limit if value < -limit else limit if value > limit else value
-    # The operations are in the same order as in the firmware, because another order would round
-    # differently.
+    # The operations are in the same order as in the firmware, because another order would give
+    # other rounding errors.
     return int((clamped_value + limit) * ((1 << bits) - 1) / (2.0 * limit))
 
 
@@ -170,8 +170,8 @@ def write_feedback(
         | value_to_code(v, velocity, 12) << 12
         | value_to_code(t, torque, 12)
     )
-    # The most significant byte is first converted to a signed byte. In compiled code, the shift of
-    # an unsigned byte above 127 would overflow 64 bits.
+    # The code first converts the most significant byte to a signed byte. In compiled code, the
+    # shift of an unsigned byte above 127 would overflow 64 bits.
     signed_byte = state_and_id_byte - 256 if state_and_id_byte > 127 else state_and_id_byte
     return (
         signed_byte << 56
@@ -192,8 +192,8 @@ def apply_command(node: Any, servo: Any, command_word: int) -> None:
     """
     ranges = node.position_range, node.velocity_range, node.torque_range
     position, velocity, servo.kp, servo.kd, torque = read_command(command_word, *ranges)
-    # An angle in a frame is converted to the spool: subtract the encoder offset, and then apply the
-    # direction of the motor.
+    # To convert an angle in a frame to a spool angle, subtract the encoder offset, and then apply
+    # the direction of the motor.
     servo.position = node.direction * (position - node.offset)
     servo.velocity = node.direction * velocity
     servo.torque = node.direction * torque

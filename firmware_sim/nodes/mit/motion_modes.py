@@ -9,8 +9,8 @@ mode.
 
 Source: fact sheet mit_damiao and the manual of DM-J4310-2EC. According to the manual, the ramps in
 registers ACC and DEC act in position-velocity and velocity mode, and the codes of force-position
-mode end at 10000. The gains are assumptions. It is also an assumption that a value of 0 in ACC or
-DEC, as delivered, means no ramp.
+mode end at 10000. The gains of the controllers are assumptions. Another assumption is that a value
+of 0 in ACC or DEC, as delivered, means no ramp.
 """
 
 import math
@@ -26,18 +26,18 @@ from firmware_sim.nodes.motion_control import (
 )
 
 NEVER_NS = (1 << 63) - 1
-"""Time of the next update of a motor without a setpoint: never [ns]."""
+"""Time of the next update for a motor without a setpoint, which means never [ns]."""
 
 
 class MotionModes:
-    """The motion modes of a motor, with setpoint and controllers.
+    """The motion modes of a motor, with the setpoint and the controllers of each mode.
 
     Attributes:
         due_ns: time of the next update of the setpoint [ns].
     """
 
     def __init__(self, node: Any) -> None:
-        """Use the registers and the rotor of a motor, see ``node.MitNode``."""
+        """Connect the modes to the registers and the rotor of a motor, see ``node.MitNode``."""
         self._node = node
         self._setpoint = MotionSetpoint()
         self._cascade = CascadeController(node.motor)
@@ -64,7 +64,7 @@ class MotionModes:
         )
 
     def follow_force_position(self, position: float, speed: float, fraction: float) -> None:
-        """Store target position [rad], largest speed [rad/s] and fraction of the largest current from a frame."""
+        """Store target position [rad], largest speed [rad/s] and largest current (as a fraction) from a frame."""
         self._set_target(
             assumed_gains(self._node.motor.inertia),
             self._position_at_spool(position),
@@ -85,7 +85,8 @@ class MotionModes:
     def start(self, t_ns: int) -> None:
         """Follow the target from a given time on [ns].
 
-        If no target was followed before, the ramps start from the present motion of the motor.
+        If the motor followed no target before, the ramps start from the present motion of the
+        motor.
         """
         if not self._running:
             self._running = True
@@ -121,7 +122,7 @@ class MotionModes:
             elif step_s:
                 self._setpoint.ramp(target, rise, deceleration, step_s)
         elif node.mode == reg.MODE_FORCE or rise == deceleration == math.inf:
-            # In this mode, the controllers limit the speed, and the setpoint does not.
+            # In force-position mode, the controllers limit the speed, and the setpoint does not.
             self._setpoint.jump_to(self._target)
         elif step_s:
             self._setpoint.trapezoid(self._target, speed, rise, deceleration, step_s)

@@ -2,16 +2,17 @@
 
 Source: fact sheet mit_damiao.
 
-Choices where the fact sheet has only an assumption:
+Choices of this simulator where the fact sheet has only an assumption:
 
-- Commands to ESC_ID restart the watchdog, but requests for registers do not. The manual only says
-  "no CAN commands within the interval". Therefore the option ``watchdog`` can select another
-  behaviour from ``WATCHDOG_BEHAVIOURS``.
+- Commands to ESC_ID restart the watchdog, but requests for registers do not. The condition for the
+  watchdog in the manual is only "no CAN commands within the interval". Therefore the option
+  ``watchdog`` can select another behaviour from ``WATCHDOG_BEHAVIOURS``.
 - The special command FE (set zero) has an effect only while the motor is disabled.
-- A command for another mode than the mode in CTRL_MODE is answered, but has no effect.
+- The motor answers a command for another mode than the mode in CTRL_MODE, but the command has no
+  effect.
 - The position and velocity modes use cascaded controllers with fixed gains, see ``motion_modes``.
 - In the feedback, positions beyond PMAX are replaced by PMAX.
-- Requests for unknown registers are not answered.
+- The motor does not answer requests for unknown registers.
 
 Register request to 0x7FF (8 bytes):
 
@@ -20,8 +21,9 @@ Register request to 0x7FF (8 bytes):
     byte 3     register
     byte 4..7  value, uint32 or float32, low byte first
 
-The reply has the identifier MST_ID and the same layout. A special command has seven bytes FF,
-followed by FC (enable), FD (disable), FE (set zero) or FB (clear error).
+The reply to a register request has the identifier MST_ID and the same layout as the request. A
+special command has seven bytes FF, followed by FC (enable), FD (disable), FE (set zero) or FB
+(clear error).
 """
 
 import enum
@@ -69,7 +71,7 @@ WATCHDOG_BEHAVIOURS = {
     FED_BY_FRAMES: "register requests feed it too",
     FIRES_ALWAYS: "commands feed it, and it also fires while the motor is disabled",
 }
-"""Possible behaviours of the watchdog, by the value of the option ``watchdog``."""
+"""Possible behaviours of the drive's watchdog, by the value of the option ``watchdog``."""
 EACH_CLEAR_ANSWERED, ERROR_CLEAR_ANSWERED, NO_CLEAR_ANSWERED = "each", "error", "never"
 CLEAR_COMMAND_ANSWERS = {
     EACH_CLEAR_ANSWERED: "each clear command is answered",
@@ -95,7 +97,7 @@ class FeedbackState(enum.IntEnum):
 
 
 _ENABLED = FeedbackState.ENABLED
-"""The state ENABLED as a module constant, because its look-up in ``_process_command`` is then faster."""
+"""The state ENABLED as a module constant, which ``_process_command`` can look up faster than an attribute."""
 
 
 class MitNode:
@@ -119,7 +121,8 @@ class MitNode:
         velocity_range: largest velocity in frames, register 22 [rad/s].
         mode: control mode, register 10.
         torque_range: largest torque in frames, register 23 [N m].
-        direction: +1 or -1, the sign between the motor angle and the spool angle.
+        direction: +1 if the motor angle grows with the spool angle, and -1 if the motor angle
+            falls.
     """
 
     state: int
@@ -170,7 +173,7 @@ class MitNode:
         self.timeout_ns = int(self.registers[reg.TIMEOUT]) * WATCHDOG_UNIT_NS
         mode = int(self.registers[reg.CTRL_MODE])
         if mode != self.mode:
-            # A setpoint is valid only in the mode in which a host has sent it.
+            # A setpoint is valid only in the mode in which a host has sent the setpoint.
             self._release_motor()
         self.mode = mode
 
@@ -214,8 +217,8 @@ class MitNode:
         """Process a frame to ESC_ID, and return the payload of the answer, or None if the frame is malformed."""
         if len(data) != 8:
             return None
-        # The last byte of the payload is compared first. It differs in most commands. So the other
-        # seven bytes are rarely compared.
+        # The code compares the last byte of the payload first, because this byte differs in most
+        # commands. So the code rarely compares the other seven bytes.
         if data[7] >= _CLEAR_COMMAND and data[7] != 0xFF and data[:7] == _SPECIAL_COMMAND_START:
             return self._process_special_command(data, t_ns)
         self.watchdog_fed_ns = t_ns
@@ -351,7 +354,7 @@ class MitNode:
         """Restore the saved registers, but keep the state of the motor.
 
         Args:
-            torque_max: new value of TMAX [N m], or 0 for the saved value.
+            torque_max: new value of the register TMAX [N m], or 0 to keep the saved value.
         """
         self.registers.power_cycle()
         if torque_max:
@@ -359,7 +362,7 @@ class MitNode:
         self._update_derived_values()
 
     def wake(self, t_ns: int) -> None:
-        """Do the work that is due: temperatures, watchdog and motion mode."""
+        """Update the temperatures and the motion mode, and check the watchdog, where each is due."""
         if t_ns - self.thermal_ns >= THERMAL_PERIOD_NS or self.thermal_ns < 0:
             self._update_temperatures(t_ns)
         is_watchdog_active = (
@@ -373,7 +376,7 @@ class MitNode:
         self._schedule()
 
     def _schedule(self) -> None:
-        """Schedule the next wake of the motor, also for its motion mode.
+        """Schedule the next wake of the motor, including the wakes for its motion mode.
 
         Compiled code does not handle motion modes.
         """
@@ -394,7 +397,7 @@ class MitNode:
 
 
 class MitNodeRow(MitStruct, MitNode):
-    """A node that keeps its numbers in a row of an array. Compiled kernels use this row."""
+    """A node that keeps its state in a row of an array, which compiled kernels read and write."""
 
     layout = MitStruct
 

@@ -50,7 +50,8 @@ OUTPUT_POSITION = 81
 DM4310_GEAR_RATIO = 10.0
 """Gear ratio of a DM-J4310.
 
-The motors of a hand have this gear ratio, because the hand file does not name their type.
+All MIT motors of a hand have the gear ratio of a DM-J4310, because the hand file does not name the
+motor type.
 """
 _UINT_REGISTERS = {7, 8, 9, 10, 13, 14, 15, 16, 35, 36}
 """Registers of type uint32. All other registers are float32."""
@@ -82,7 +83,8 @@ MODE_MIT, MODE_POSITION, MODE_VELOCITY, MODE_FORCE = range(1, 5)
 class MitRegisters:
     """The registers of one motor.
 
-    A value that is written acts at once, but is lost at power-off unless it is saved.
+    A value that a host writes to a register acts at once, but is lost at power-off unless the host
+    saves the registers.
     """
 
     def __init__(self, spec: MotorSpec) -> None:
@@ -112,9 +114,9 @@ class MitRegisters:
         )
 
     def write(self, register: int, value_bytes: bytes) -> None:
-        """Write the four bytes of a received frame to a register.
+        """Write a value from a received frame, as four bytes, to a register.
 
-        Read-only registers and impossible values are ignored.
+        The function ignores impossible values, and values for read-only registers.
         """
         value = float(struct.unpack("<I" if register in _UINT_REGISTERS else "<f", value_bytes)[0])
         if register not in _READ_ONLY_REGISTERS and _is_value_possible(register, value):
@@ -130,14 +132,14 @@ class MitRegisters:
 
 
 def _is_value_possible(register: int, value: float) -> bool:
-    """Check whether a value may be written to a register."""
+    """Return True if a register accepts a value."""
     if register == CTRL_MODE:
         return MODE_MIT <= value <= MODE_FORCE
     if register in (MST_ID, ESC_ID):
         return 0 <= value < 0x7FF
     if register == DECELERATION:
         return -math.inf < value < 0.0
-    # Register 35 contains the code of the bit rate.
+    # Register 35 contains the code of the bus's bit rate.
     if register == 35:
         return value <= 11
     return math.isfinite(value) and (value > 0 or register not in _POSITIVE_REGISTERS)

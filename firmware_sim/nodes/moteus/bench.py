@@ -1,6 +1,6 @@
 """Moteus controllers as delivered.
 
-The data of the motor and of the free shaft are assumptions. They suit a motor such as mj5208.
+The data of the motor and of the free shaft are assumptions that suit a motor such as mj5208.
 """
 
 from firmware_sim.bus.frame import EXTENDED_FLAG, FDF, Frame
@@ -16,7 +16,7 @@ STOP_PAYLOAD = b"\x01\x00\x00"
 def _host_frame(node_id: int) -> tuple[int, bytes]:
     """Return a request that reads the mode of a moteus controller.
 
-    The request states that the sender has number 0. The controller replies to this number.
+    The request states that the sender has number 0. The controller sends its reply to the number 0.
     """
     return EXTENDED_FLAG | 0x8000 | node_id, b"\x11\x00"
 
@@ -24,7 +24,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 def _corrupt_command(frame: Frame) -> Frame:
     """Replace the command of mode 0 by the command of mode 13 (*stay within*) without bounds.
 
-    In mode 13, the drive then makes no torque, but keeps the power stage on.
+    In mode 13 without bounds, the drive makes no torque, but keeps the power stage on.
     """
     return (
         frame._replace(data=b"\x01\x00\x0d" + frame.data[3:])

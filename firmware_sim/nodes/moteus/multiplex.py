@@ -7,16 +7,16 @@ Source: docs/facts/moteus.md.
     0x20..0x2F reply    count, first register, values        0x50  no operation
     0x40 text in, 0x41 text out: channel, length, text       0x42  poll for text: channel, longest length
 
-Bits 3 and 2 of a register subframe give the type of the values: int8, int16, int32 or float32. Bits
-1 and 0 contain the number of values. If both bits are 0, the number of values follows as a varuint.
-Numbers are little-endian.
+In the first byte of a register subframe, bits 3 and 2 give the type of the values: int8, int16,
+int32 or float32. Bits 1 and 0 contain the number of values. If bits 1 and 0 are 0, the number of
+values follows as a varuint. Numbers are little-endian.
 """
 
 import math
 import struct
 
 INT8, INT16, INT32, FLOAT = range(4)
-"""Numbers of the types of register values."""
+"""Codes of the types of register values."""
 REGISTER_STRUCTS = (
     struct.Struct("<b"),
     struct.Struct("<h"),
@@ -25,7 +25,7 @@ REGISTER_STRUCTS = (
 )
 """Encoding of a register value, by type."""
 MAX_INTEGER_BY_TYPE = (127, 32767, 2147483647)
-"""Largest integer of each integer type. The most negative integer means NaN."""
+"""Largest integer of each integer type. The most negative integer of a type means NaN."""
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Payload lengths in CAN FD [bytes]."""
 PADDING_SUBFRAME = b"\x50"
@@ -100,7 +100,7 @@ def encode_varuint(value: int) -> bytes:
 def decode_register(
     register_bytes: bytes, value_type: int, lsb_values: tuple[float, float, float]
 ) -> float:
-    """Decode the bytes of a register value. The most negative integer means NaN."""
+    """Decode the bytes of a register value. The most negative integer of a type means NaN."""
     (number,) = REGISTER_STRUCTS[value_type].unpack(register_bytes)
     if value_type == FLOAT:
         return float(number)
@@ -117,8 +117,8 @@ def encode_register(value: float, value_type: int, lsb_values: tuple[float, floa
         return REGISTER_STRUCTS[FLOAT].pack(value)
     if not math.isfinite(value):
         return REGISTER_STRUCTS[value_type].pack(-MAX_INTEGER_BY_TYPE[value_type] - 1)
-    # The quotient is rounded to float32, because the drive does the same. In float64, 0.00003 /
-    # 1e-5 would be slightly less than 3.
+    # The code rounds the quotient to float32, because the drive does the same. In float64, the
+    # quotient 0.00003 / 1e-5 would be slightly less than 3.
     count = struct.unpack("<f", struct.pack("<f", value / lsb_values[value_type]))[0]
     return REGISTER_STRUCTS[value_type].pack(
         int(max(-MAX_INTEGER_BY_TYPE[value_type], min(MAX_INTEGER_BY_TYPE[value_type], count)))
@@ -126,7 +126,7 @@ def encode_register(value: float, value_type: int, lsb_values: tuple[float, floa
 
 
 def subframe_head(base: int, value_type: int, register_count: int, first_register: int) -> bytes:
-    """Return the first bytes of a register subframe, in front of the values."""
+    """Return the first bytes of a register subframe, which precede the values."""
     subframe = base | value_type << 2
     start = (
         bytes([subframe | register_count])

@@ -1,24 +1,23 @@
 """A motor with a moteus controller. Source: docs/facts/moteus.md.
 
-The drive executes a frame subframe by subframe. If the frame writes the mode, all written registers
-take effect at the end of the frame. The drive builds the reply before these registers take effect.
-Therefore the reply contains the mode that the drive had before the frame. If a subframe is unknown,
-the drive ignores the rest of the frame.
+The drive executes a frame subframe by subframe. If the frame writes the mode register, all written
+registers take effect at the end of the frame. The drive builds the reply before the written
+registers take effect. Therefore the reply contains the mode that the drive had before the frame. If
+a subframe is unknown, the drive ignores the rest of the frame.
 
 In position mode, the drive moves the commanded position with the commanded velocity until the next
-command. A command without a position keeps the present target.
+command. A command without a position keeps the present target position.
 
-Choices where the fact sheet has only an assumption:
+Choices of this simulator where the fact sheet has only an assumption:
 
 - The drive needs 10 ms to prepare the power stage (modes 2, 3 and 4).
 - The drive is already calibrated, and has the gains of ``text_channel.FACTORY_CONFIGURATION``. The
   integrator of the drive is not simulated.
-- Limits of velocity, acceleration and slip have no effect in the simulation. The target moves as if
-  these limits were nan.
-- Stop position, fixed current and the voltage modes are not simulated. A command with one of these
-  modes is refused, as an invalid value is.
-- Beyond a position limit, the feedforward torque cannot push further in the direction of that
-  limit.
+- Limits of velocity, acceleration and slip have no effect in the simulation. The target position
+  moves as if these limits were nan.
+- Stop position, fixed current and the voltage modes are not simulated. The drive refuses a command
+  with one of these modes, in the same way as an invalid value.
+- Beyond a position limit, the feedforward torque cannot push the motor farther beyond this limit.
 """
 
 import math
@@ -35,9 +34,9 @@ from firmware_sim.plant.motor import Motor
 STOPPED, FAULT, ENABLING, CALIBRATING, CALIBRATED = range(5)
 POSITION, TIMEOUT, ZERO_VELOCITY, STAY_WITHIN_MODE = range(10, 14)
 BRAKE = 15
-"""Numbers of the modes, as in the mode register."""
+"""Number of a mode, as in the mode register, like the constants above."""
 COMMANDABLE_MODES = {STOPPED, POSITION, ZERO_VELOCITY, STAY_WITHIN_MODE, BRAKE}
-"""Modes available to hosts in this simulation."""
+"""Modes that a host can command in this simulation."""
 MAX_MODE_NUMBER = 16
 """Largest number of a mode."""
 OVER_TEMPERATURE = 38
@@ -47,7 +46,7 @@ POSITION_LIMIT_FAULT = 39
 UNDER_VOLTAGE = 40
 """Fault code: the supply voltage is too low."""
 TORQUE_LIMIT_ACTIVE = 102
-"""Fault code in an active mode: the commanded torque limit acts."""
+"""Code for an active mode: the commanded torque limit reduces the torque."""
 BROADCAST_NUMBER = 0x7F
 """Destination number of frames to all drives."""
 ENABLING_DURATION_NS = 10_000_000
@@ -65,7 +64,7 @@ TURN_RAD = 2.0 * math.pi
 INT32_ONLY_REGISTERS = frozenset(
     (0x100, 0x101, 0x102, 0x110, 0x120, 0x121, 0x122, 0x150, 0x151, 0x152, 0x153, 0x158)
 )
-"""Registers that can only be read as int32."""
+"""Registers that a host can read only as int32."""
 
 
 class MoteusNode:
@@ -81,7 +80,7 @@ class MoteusNode:
         ids: None, because the node answers many identifiers.
         malformed_frame_count: number of frames that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
-        watchdog_fed_ns: time of the last command [ns].
+        watchdog_fed_ns: time of the last command, which has restarted the watchdog [ns].
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
@@ -140,7 +139,8 @@ class MoteusNode:
     def _reply_frame(self, data: bytes, host: int, frame: Frame) -> Frame:
         """Return the frame of a reply to a host.
 
-        If the reply is too long for the format of the request, the frame has the format CAN FD.
+        If the reply is too long for the frame format of the request, the returned frame has the
+        format CAN FD.
         """
         number = self.node_id << 8 | host
         can_id = number | EXTENDED_FLAG if number >= 0x800 else number
@@ -176,7 +176,7 @@ class MoteusNode:
         """Execute a subframe that writes or reads registers.
 
         Returns:
-            The bytes to add to the reply, or None if the rest of the frame is meant for another
+            The bytes to add to the reply, or None if the rest of the payload is meant for another
             controller.
         """
         kind = subframe >> 2 & 3
@@ -199,7 +199,7 @@ class MoteusNode:
     def _read_registers(self, value_type: int, count: int, first_register: int) -> bytes:
         """Return the reply to a request that reads registers.
 
-        If a register has no value, the reply ends with an error for this register.
+        If a requested register has no value, the reply ends with an error for this register.
         """
         values = list[bytes]()
         error = b""
@@ -220,7 +220,7 @@ class MoteusNode:
         ) + error
 
     def _write_register(self, register: int, value_type: int, register_bytes: bytes) -> int:
-        """Write a register, and return an error number. The number 0 means no error."""
+        """Write a register, and return an error number. The error number 0 means no error."""
         register = reg.COMMAND_REGISTER_BY_ALIAS.get(register, register)
         if register == reg.MODE:
             mode = mp.decode_register(register_bytes, value_type, mp.UNSCALED_LSB)
@@ -246,10 +246,10 @@ class MoteusNode:
         return 0
 
     def _set_position(self, turns: float, to_nearest_turn: bool) -> None:
-        """Shift the reported position to a value.
+        """Shift the zero of the position, so that the drive reports a given value.
 
-        If ``to_nearest_turn`` is True, the shift is a whole number of turns. The reported position
-        is then as near as possible to the value.
+        If ``to_nearest_turn`` is True, the shift is a whole number of turns. After a shift by whole
+        turns, the reported position is as near as possible to the value.
         """
         if math.isfinite(turns):
             shift = turns - self._position
@@ -258,7 +258,7 @@ class MoteusNode:
     def _read_register(self, register: int, value_type: int) -> bytes | None:
         """Return the bytes of a register.
 
-        Return None if the register is unknown or cannot have the type.
+        Return None if the register is unknown or cannot be read with the given type.
         """
         register = reg.COMMAND_REGISTER_BY_ALIAS.get(register, register)
         if register in INT32_ONLY_REGISTERS:
@@ -286,7 +286,7 @@ class MoteusNode:
             return self._serial >> 32 * (register - 0x120) & 0xFFFFFFFF
         if reg.UUID <= register < reg.UUID + 4:
             return self._uuid_word(register - reg.UUID)
-        # These registers contain the model number, the firmware version, the version of the
+        # The registers below contain the model number, the firmware version, the version of the
         # register map, the node number, and the support of the UUID mask.
         value_by_register = {
             0x100: 3,
@@ -315,8 +315,8 @@ class MoteusNode:
     def _fault_code(self) -> int:
         """Return the fault code of the drive.
 
-        In the modes position and *stay within*, a limit may reduce the torque of the position loop.
-        The code of this limit is then returned.
+        If a limit reduces the torque of the position loop in the modes position and *stay within*,
+        return the code of this limit.
         """
         motor = self.motor
         servo = motor.servo
@@ -348,7 +348,7 @@ class MoteusNode:
     def _execute_text_subframe(self, subframe: int, reader: mp.PayloadReader) -> bytes:
         """Execute a subframe of the text channel.
 
-        Return as many of the channel's answers as fit into the reply.
+        Return as many bytes of the channel's answers as fit into the reply.
         """
         channel = reader.varuint()
         length = reader.varuint()
@@ -362,7 +362,7 @@ class MoteusNode:
         )
 
     def _apply_mode(self, mode: int, t_ns: int) -> None:
-        """Execute the commanded mode. Only a stop command ends the modes fault and timeout."""
+        """Execute the commanded mode. Only a stop command ends the mode *fault* or the mode *timeout*."""
         if mode == STOPPED:
             self._stop()
             return
@@ -434,7 +434,7 @@ class MoteusNode:
     ) -> None:
         """Set gains and setpoints of the servo from values in turn, turn/s and N m.
 
-        A limit of NaN stands for the peak torque.
+        A torque limit of NaN stands for the peak torque of the motor.
         """
         servo = self.motor.servo
         sign = self._direction
@@ -459,7 +459,7 @@ class MoteusNode:
     def trip(self, fault: int) -> None:
         """Enter the mode *fault* with a given code.
 
-        With the code TIMEOUT, enter the mode *timeout* without a fault code.
+        With the fault code TIMEOUT, enter the mode *timeout* and set no fault code.
         """
         self.motor.servo.release()
         self._has_target = False
@@ -481,7 +481,7 @@ class MoteusNode:
     def _timeout_ns(self) -> int:
         """Return the timeout of the watchdog [ns], or 0 if the watchdog is off.
 
-        If no command arrives within this time, the watchdog fires.
+        If no command arrives within the timeout, the watchdog fires.
         """
         seconds = self.command[reg.TIMEOUT]
         if seconds == 0.0:
@@ -498,7 +498,7 @@ class MoteusNode:
         self.wake_ns = min(due_times)
 
     def wake(self, t_ns: int) -> None:
-        """Do the work that is due: end of the preparation, watchdog and temperatures."""
+        """End the preparation of the power stage, check the watchdog, and update temperatures, where each is due."""
         self._t_ns = t_ns
         if self.mode == ENABLING and t_ns - self._enabling_ns >= ENABLING_DURATION_NS:
             self._start_mode()
@@ -514,9 +514,9 @@ class MoteusNode:
         self._schedule()
 
     def _start_mode(self) -> None:
-        """Enter the commanded mode after the preparation.
+        """Enter the commanded mode after the preparation of the power stage.
 
-        In position mode, a position outside of its limits is a fault.
+        At the start of position mode, a position outside of the position limits is a fault.
         """
         position = self._position
         is_outside = position < self._configuration_item(
@@ -535,7 +535,7 @@ class MoteusNode:
     def _enter_timeout_mode(self) -> None:
         """Enter the mode *timeout*.
 
-        The configuration item ``servo.timeout_mode`` selects the effect of this mode.
+        The configuration item ``servo.timeout_mode`` selects the effect of the mode *timeout*.
         """
         effect = int(self._configuration_item("servo.timeout_mode"))
         self.mode = effect if effect in (POSITION, ZERO_VELOCITY, BRAKE) else STOPPED

@@ -43,7 +43,7 @@ LSB_BY_MEASURED_REGISTER: Mapping[int, tuple[float, float, float]] = {
     0x03B: mp.POSITION_LSB, 0x03C: mp.VELOCITY_LSB, 0x03D: mp.TORQUE_LSB,
     0x050: mp.POSITION_LSB, 0x051: mp.VELOCITY_LSB, 0x070: mp.UNSCALED_LSB,
 }  # fmt: skip
-"""Read-only registers with the values of one integer step."""
+"""Value of one integer step as int8, int16 and int32, for each read-only register."""
 LSB_BY_COMMAND_REGISTER: Mapping[int, tuple[float, float, float]] = {
     POSITION: mp.POSITION_LSB, VELOCITY: mp.VELOCITY_LSB, FEEDFORWARD: mp.TORQUE_LSB,
     KP_SCALE: mp.FRACTION_LSB, KD_SCALE: mp.FRACTION_LSB,
@@ -53,19 +53,19 @@ LSB_BY_COMMAND_REGISTER: Mapping[int, tuple[float, float, float]] = {
     IGNORE_POSITION_BOUNDS: mp.UNSCALED_LSB,
     LOWER_BOUND: mp.POSITION_LSB, UPPER_BOUND: mp.POSITION_LSB, 0x01C: mp.CURRENT_LSB, 0x01D: mp.CURRENT_LSB,
 }  # fmt: skip
-"""Registers of a command with the values of one integer step.
+"""Value of one integer step as int8, int16 and int32, for each command register.
 
-A write of the mode resets these registers to ``REGISTER_DEFAULTS``.
+A write of the mode register resets the command registers to ``REGISTER_DEFAULTS``.
 """
 COMMAND_REGISTER_BY_ALIAS = {
     0x042: FEEDFORWARD, 0x043: KP_SCALE, 0x044: KD_SCALE, 0x045: MAX_TORQUE, 0x046: TIMEOUT, 0x047: INTEGRATOR_SCALE,
     0x048: IGNORE_POSITION_BOUNDS,
 }  # fmt: skip
-"""Second register numbers of command registers, for the mode *stay within*."""
+"""Command register for each alias, a second register number that the mode *stay within* uses."""
 NAN = float("nan")
 REGISTER_DEFAULTS: Mapping[int, float] = {
     **dict.fromkeys(LSB_BY_COMMAND_REGISTER, 0.0), KP_SCALE: 1.0, KD_SCALE: 1.0, INTEGRATOR_SCALE: 1.0,
     MAX_TORQUE: NAN, 0x026: NAN,
     0x028: NAN, 0x029: NAN, 0x02A: NAN, 0x02C: NAN, LOWER_BOUND: NAN, UPPER_BOUND: NAN,
 }  # fmt: skip
-"""Values of the command registers after a write of the mode."""
+"""Values of the command registers after a write of the mode register."""

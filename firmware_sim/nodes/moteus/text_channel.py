@@ -2,8 +2,8 @@
 
 Commands and answers are lines of text. Source: docs/facts/moteus.md.
 
-If a configuration item is changed, the change is in the working memory until ``conf write`` stores
-it.
+A change of a configuration item is only in the working memory until ``conf write`` stores the
+change.
 """
 
 import math
@@ -31,7 +31,7 @@ FACTORY_CONFIGURATION: dict[str, float] = {
 INTEGER_CONFIGURATION_ITEMS = {"servo.timeout_mode", "servo.fixed_voltage_mode"}
 """Configuration items whose values are integers."""
 MAX_COMMAND_LINE_BYTES = 256
-"""Size of the drive's line buffer [bytes]. A longer line is dropped."""
+"""Size of the drive's line buffer [bytes]. The drive drops a longer command line."""
 
 
 class TextChannel:
@@ -40,7 +40,7 @@ class TextChannel:
     Attributes:
         items: configuration items in the working memory.
         saved: configuration items in the permanent memory.
-        out: answers that the host has not read yet, as one text.
+        out: answers of the drive that the host has not read yet, as one text.
     """
 
     def __init__(self, stop_drive: Callable[[], None]) -> None:
@@ -68,7 +68,7 @@ class TextChannel:
             self._line = b""
 
     def read(self, max_bytes: int) -> bytes:
-        """Take at most ``max_bytes`` bytes from the unread answers."""
+        """Remove at most ``max_bytes`` bytes from the unread answers, and return these bytes."""
         sent_bytes = self.out[:max_bytes]
         self.out = self.out[max_bytes:]
         return sent_bytes
@@ -76,13 +76,13 @@ class TextChannel:
     def restore_saved(self) -> None:
         """Load the stored configuration, and delete all text in the channel.
 
-        A restart does the same.
+        A restart of the drive has the same effect.
         """
         self.items = dict(self.saved)
         self.out = self._line = b""
 
     def _execute_command_line(self, command_words: list[str]) -> str:
-        """Execute a command line, and return the answer without its line end."""
+        """Execute a command line of the host, and return the answer without its line end."""
         match command_words:
             case ["conf", "get", name]:
                 return self._configuration_text(name) if name in self.items else "ERR error reading"

@@ -11,14 +11,14 @@ ENDPOINT_NUMBERS = {"endpoint_enable_watchdog": 201, "endpoint_watchdog_timeout"
              "endpoint_torque_min": 204}  # fmt: skip
 """Assumed endpoint numbers of an ODrive's settings.
 
-The real numbers differ between firmware versions.
+The real endpoint numbers differ between firmware versions.
 """
 TORQUE_CONSTANT = 0.05
 """Assumed torque constant of the motor [N m/A]."""
 TOP_SPEED = 24.0 / TORQUE_CONSTANT
 """Speed of the motor without load at 24 V [rad/s].
 
-In SI units, voltage constant and torque constant are equal.
+In SI units, the voltage constant and the torque constant of a motor are equal.
 """
 FIRMWARE_OPTIONS: dict[str, dict[str, Any]] = {
     "0.6": dict(ENDPOINT_NUMBERS),
@@ -39,7 +39,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 
 def _corrupt_command(frame: Frame) -> Frame:
-    """Replace the commands Estop and Set_Axis_State(IDLE) by a frame that no node receives."""
+    """Replace a command Estop or Set_Axis_State(IDLE) by a frame that no node receives."""
     command = frame.can_id & 0x1F
     is_release_command = command == 0x02 or (command == 0x07 and frame.data[:1] == b"\1")
     return FRAME_FOR_NO_NODE if is_release_command else frame

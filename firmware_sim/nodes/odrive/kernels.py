@@ -1,4 +1,4 @@
-"""Kernels for the cyclic messages of an ODrive. The drive is an array row or a Python object.
+"""Kernels for the cyclic messages of an ODrive. The kernels accept a drive as an array row or as a Python object.
 
 Source: fact sheet odrive_cansimple.
 """
@@ -30,8 +30,8 @@ class OdriveStruct(ctypes.Structure):
 
     The class ``node.OdriveNode`` explains the fields.
 
-    ``motor_number`` is the row of the drive's rotor. ``bus`` is the index of the drive's bus in the
-    list of the hand's buses.
+    ``motor_number`` is the index of the drive's rotor in the array of rotors. ``bus`` is the index
+    of the drive's bus in the list of the hand's buses.
     """
 
     _fields_ = [
@@ -79,12 +79,12 @@ def set_torque(node: Any, servo: Any, torque: float, t_ns: int) -> None:
 
     In torque control without a ramp, the drive follows the setpoint at once.
 
-    The setpoint restarts the watchdog in every control mode.
+    The torque setpoint restarts the watchdog in every control mode.
     """
     node.watchdog_fed_ns = t_ns
     node.setpoint = torque
-    # In every other mode, the drive follows the setpoint when the mode is updated next, see
-    # ``motion_modes``.
+    # In every mode other than torque control without a ramp, the drive follows the setpoint at the
+    # next update of the mode, see ``motion_modes``.
     if (
         node.state != CLOSED_LOOP
         or node.control_mode != TORQUE_CONTROL
@@ -99,8 +99,8 @@ def follow_torque(node: Any, servo: Any, torque: float) -> None:
     """Follow a torque setpoint [N m at the shaft] within the limits of the drive."""
     limit = node.current_limit * node.torque_constant
     servo.limit = limit if limit < node.peak else node.peak
-    # The limits may be NaN. So the comparisons must be exactly those of Python's min(high, max(low,
-    # torque)).
+    # The torque limits can be NaN. So the comparisons must be exactly those of Python's min(high,
+    # max(low, torque)).
     torque = torque if torque > node.torque_min else node.torque_min
     torque = torque if torque < node.torque_max else node.torque_max
     servo.torque = node.direction * node.gear * torque
@@ -113,9 +113,9 @@ def trip_at_speed_limit(node: Any, servo: Any) -> None:
 
     Speed limit and gain act in every control mode of an ODrive.
 
-    In torque control, the drive brakes if the speed is above the limit
+    In torque control, the drive brakes if the speed is above the speed limit
     (``enable_torque_mode_vel_limit``, on by default). In velocity control, the drive limits the
-    setpoint of the velocity. In both cases, the torque is gain (limit - velocity). Source: ODrive
+    velocity setpoint. In both control modes, the torque is gain (limit - velocity). Source: ODrive
     firmware 0.5.6, ``controller.cpp``, limitVel.
     """
     servo.speed_limit = node.velocity_limit * TURN_RAD / node.gear
@@ -148,8 +148,8 @@ def watchdog_expired(node: Any, t_ns: int) -> bool:
 def schedule_wake(node: Any) -> None:
     """Set the time at which a drive must wake next.
 
-    The drive wakes for the temperatures, the cyclic messages, the watchdog, the calibration, or a
-    motion.
+    The drive wakes for the update of the temperatures, a cyclic message, the watchdog, the end of a
+    calibration, or a motion.
     """
     wake_ns = min(node.thermal_ns + THERMAL_PERIOD_NS, node.heartbeat_due_ns, node.encoder_due_ns)
     if node.state == CLOSED_LOOP and node.timeout_ns > 0:
@@ -163,7 +163,7 @@ def schedule_wake(node: Any) -> None:
 
 @kernel_helper
 def next_period_ns(due_ns: int, t_ns: int, period_ns: int) -> int:
-    """Return the time at which a cyclic message is due again [ns]. It has just been sent.
+    """Return the time at which a cyclic message that has just been sent is due again [ns].
 
     Args:
         due_ns: time when the sent message was due [ns].

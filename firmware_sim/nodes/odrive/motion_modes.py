@@ -3,16 +3,17 @@
     control mode 1 torque, 2 velocity, 3 position
     input mode   1 setpoint as received, 2 velocity ramp, 3 position filter, 5 trapezoid, 6 torque ramp
 
-The inputs are the values of Set_Input_Pos, Set_Input_Vel and Set_Input_Torque. Each of these
-messages sets its inputs in every mode. A mode uses only the inputs that it needs. Gains, filter,
-ramps and integrator are those of the ODrive firmware (MIT licence), controller.cpp. While the
-torque is limited, the integrator decays. In each step, the rest of the trapezoid is planned again.
-The result differs from trapTraj.cpp only if the target changes during the motion.
+The inputs are the values of Set_Input_Pos, Set_Input_Vel and Set_Input_Torque. Each of the three
+messages sets its inputs in every mode. Each control mode uses only the inputs that it needs. Gains,
+filter, ramps and integrator are the same as in the ODrive firmware (MIT licence), controller.cpp.
+While the torque is limited, the integrator decays. In each step, the drive plans the rest of the
+trapezoid again. The trapezoid differs from trapTraj.cpp only if the target changes during the
+motion.
 
-The simulation differs from the firmware in the following points. A speed above the limit is not an
-error, because the position controller limits the velocity demand. Input mode 0 (inactive) keeps the
-last setpoint. The list above contains all simulated modes. The firmware refuses other modes, but
-the simulation ignores them.
+The simulation differs from the firmware in the following points. A speed above the velocity limit
+is not an error, because the position controller limits the velocity demand. Input mode 0 (inactive)
+keeps the last setpoint. The list above contains all simulated modes. The firmware refuses other
+modes, but the simulation ignores commands of other modes.
 """
 
 import math
@@ -51,7 +52,7 @@ MOTION_ENDPOINTS = {
 }
 """Name and vendor's default of each setting that no message can set, by its endpoint number.
 
-The units are turn/s2, N m/s and 1/s. The endpoint numbers are assumptions, as in
+The units of the defaults are turn/s2, N m/s and 1/s. The endpoint numbers are assumptions, as in
 ``bench.ENDPOINT_NUMBERS``. Source of the defaults: ODrive firmware 0.5.6.
 """
 VELOCITY_RAMP_RATE, TORQUE_RAMP_RATE, FILTER_BANDWIDTH = MOTION_ENDPOINTS
@@ -64,7 +65,7 @@ class MotionSettings(NamedTuple):
         velocity_limit: velocity limit of trajectories [turn/s].
         acceleration: acceleration of trajectories [turn/s2].
         deceleration: deceleration of trajectories [turn/s2].
-        inertia: feedforward torque per acceleration of the setpoint [N m s2/turn].
+        inertia: feedforward torque, divided by the acceleration of the setpoint [N m s2/turn].
         position_gain: gain of the position loop [1/s].
         velocity_gain: gain of the velocity loop [N m s/turn].
         integral_gain: integrator gain of the velocity loop [N m/turn].
@@ -86,9 +87,9 @@ _FIELDS_BY_MESSAGE = {
     0x1A: ("position_gain",),
     0x1B: ("velocity_gain", "integral_gain"),
 }
-"""Settings that each message changes, by command number."""
+"""Settings that each message changes, by the command number of the message."""
 _MESSAGES_THAT_ALLOW_ZERO = {0x13, 0x1A, 0x1B}
-"""Command numbers of the messages whose values may be 0."""
+"""Command numbers of the messages whose values are allowed to be 0."""
 
 
 class MotionModes:
@@ -99,12 +100,12 @@ class MotionModes:
     Attributes:
         input_position: position of the last Set_Input_Pos [turn].
         input_velocity: velocity of the last Set_Input_Pos or Set_Input_Vel [turn/s].
-        settings: settings that messages have set.
+        settings: settings that messages of the host have set.
         done: True if the axis has completed a trajectory.
     """
 
     def __init__(self, node: Any) -> None:
-        """Use the settings and the rotor of an axis, see ``node.OdriveNode``."""
+        """Connect the modes to the settings and the rotor of an axis, see ``node.OdriveNode``."""
         self._node = node
         self.settings = MotionSettings()
         self.input_position = self.input_velocity = 0.0
@@ -116,7 +117,7 @@ class MotionModes:
         self._updated_ns = 0
 
     def set(self, command: int, values: tuple[float, ...]) -> None:
-        """Apply the settings of a message, if all its values are possible."""
+        """Apply the settings of a message, if all values in the message are possible."""
         min_value = 0.0 if command in _MESSAGES_THAT_ALLOW_ZERO else math.ulp(0.0)
         if all(min_value <= value < math.inf for value in values):
             self.settings = self.settings._replace(
@@ -223,8 +224,8 @@ class MotionModes:
         gains = LoopGains(
             position_gain, settings.velocity_gain * spool_sign, settings.integral_gain * spool_sign
         )
-        # The drive has a torque limit for each direction. The servo has one limit for both
-        # directions. So the smaller of both limits is used.
+        # The drive has a torque limit for each direction. The servo has one torque limit for both
+        # directions. So the servo gets the smaller limit of the drive.
         torque_limit = max(0.0, min(node.torque_max, -node.torque_min)) * node.gear
         limit = min(node.peak, node.current_limit * node.torque_constant, torque_limit)
         speed = node.velocity_limit * TURN_RAD / node.gear

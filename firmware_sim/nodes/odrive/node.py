@@ -30,17 +30,18 @@ little-endian:
 A host requests a Get message with a remote frame or an empty data frame of the message's
 identifier.
 
-Choices where the fact sheet has only an assumption:
+Choices of this simulator where the fact sheet has only an assumption:
 
 - The error field of the heartbeat combines the active errors and the disarm reason.
 - Only setpoint messages feed the watchdog.
 - A setpoint of NaN disarms the axis with the error *missing input*.
-- A disarm reason stays until Clear_Errors. With a disarm reason, the axis refuses closed loop.
+- A disarm reason stays until Clear_Errors. With a disarm reason, the axis refuses closed-loop
+  control.
 - The hand file gives the numbers of the endpoints.
 - With the option ``confirms_writes``, the axis has firmware 0.6.11, which confirms the write of an
-  endpoint. The confirmation is a TxSdo without a value.
-- A calibration takes ``CALIBRATION_DURATION_NS`` and moves nothing. With the option ``uncalibrated``, the
-  axis refuses closed loop before a calibration.
+  endpoint. The confirmation of a write is a TxSdo without a value.
+- A calibration takes ``CALIBRATION_DURATION_NS`` and does not move the motor. With the option
+  ``uncalibrated``, the axis refuses closed-loop control before a calibration.
 - The module ``motion_modes`` has position control, velocity control and their input modes.
 """
 
@@ -88,15 +89,15 @@ DISARMED_RESULT = 3
 BUSY_RESULT = 1
 """Procedure result: a procedure still runs."""
 CANCELLED_RESULT = 2
-"""Procedure result: the host has ended a procedure."""
+"""Procedure result: the host has ended a procedure early."""
 INVALID_STATE = 13
 """Procedure result: the requested state is not possible."""
 NOT_CALIBRATED = 14
-"""Procedure result: closed loop needs a calibration first."""
+"""Procedure result: closed-loop control requires an earlier calibration."""
 CALIBRATION_DURATION_NS = {3: 4_000_000_000, 4: 2_000_000_000, 7: 2_000_000_000}
 """Duration of each calibration (full, motor, encoder offset) by its axis state [ns].
 
-The durations are assumptions.
+The durations of the calibrations are assumptions.
 """
 COUNTS_PER_TURN = 8192
 """Encoder counts of one turn: the vendor's default of firmware 0.5."""
@@ -107,9 +108,9 @@ HEARTBEAT_PERIOD_MS = 100
 ENCODER_PERIOD_MS = 10
 """Vendor's default period of the encoder estimates [ms]."""
 FIRST_SERIAL_NUMBER = 0x0D_5A_11_00_00_00
-"""Serial number of node 0. Other nodes add their node number."""
+"""Serial number of the axis with node number 0. Other nodes add their node number."""
 OVERHEATING_C = 120.0
-"""Winding temperature at which the axis disarms [degC]."""
+"""Winding temperature at which the axis disarms itself [degC]."""
 _MIN_PAYLOAD_BYTES = {
     0x02: 0, 0x04: 4, 0x07: 4, 0x0B: 8, 0x0C: 8, 0x0D: 8, 0x0E: 4, 0x0F: 8, 0x11: 4, 0x12: 8,
     0x13: 4, 0x16: 0, 0x18: 0, 0x19: 4, 0x1A: 4, 0x1B: 8,
@@ -123,7 +124,7 @@ _LEGACY_ERRORS = {
     WATCHDOG_ERROR: 1 << 11,
     ESTOP_ERROR: 1 << 14,
 }
-"""Axis error bits of firmware 0.5.x, by the error bits of firmware 0.6.x."""
+"""Axis error bit of firmware 0.5.x for each error bit of firmware 0.6.x."""
 
 
 class OdriveNode:
@@ -134,11 +135,12 @@ class OdriveNode:
         active_errors: bits of the present errors.
         disarm_reason: bits of the errors that have disarmed the axis since the last Clear_Errors.
         result: result of the last procedure.
-        endpoints: bytes of the stored settings by endpoint number, such as enable_watchdog,
+        endpoints: stored settings as bytes, by endpoint number. Examples are enable_watchdog,
             watchdog_timeout and the torque limits.
         control_mode: control mode, which selects the controlled quantity.
         input_mode: input mode, which selects how setpoints follow the inputs.
-        setpoint: torque setpoint, or feedforward torque in other control modes [N m].
+        setpoint: torque setpoint in torque control, or feedforward torque in other control modes [N
+            m].
         motion: position control, velocity control and input modes of the axis.
         motion_due_ns: time of the next update of ``motion_modes`` [ns], 0 in torque control without a
             ramp.
@@ -156,7 +158,7 @@ class OdriveNode:
         thermal_ns: time of the last update of the temperatures [ns].
         heartbeat_due_ns: time of the next heartbeat [ns].
         encoder_due_ns: time of the next encoder estimates [ns].
-        accepted_ids: identifiers for the node to answer.
+        accepted_ids: identifiers of the frames that the node answers.
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
@@ -205,16 +207,16 @@ class OdriveNode:
             self._numbers["torque_min"]: struct.pack("<f", -math.inf),
         }
         self.endpoints.pop(0, None)
-        # If the hand file uses the number of a default endpoint for another endpoint, the endpoint
-        # of the hand file counts.
+        # If the hand file gives the number of a default endpoint to another endpoint, the endpoint
+        # of the hand file has this number.
         defaults = {
             number: struct.pack("<f", value) for number, (_, value) in MOTION_ENDPOINTS.items()
         }
         self.endpoints = defaults | self.endpoints
         self.legacy = options.get("firmware") == "0.5"
-        if usb := options.get(
-            "usb_watchdog_s"
-        ):  # A host can make this setting only over USB. No frame can change it.
+        if (
+            usb := options.get("usb_watchdog_s")
+        ):  # A host can change the setting below only over USB. No CAN frame can change the setting.
             self._numbers |= {"enable_watchdog": -1, "watchdog_timeout": -2}
             self.endpoints |= {-1: b"\1", -2: struct.pack("<f", usb)}
         self._confirms_writes = bool(options.get("confirms_writes", False))
@@ -240,7 +242,7 @@ class OdriveNode:
         self.input_mode = input_mode
 
     def _update_derived_values(self) -> None:
-        """Update the attributes derived from endpoints."""
+        """Update the attributes of the axis that are derived from endpoints."""
         self.torque_min, self.torque_max = (
             self._endpoint_limit("torque_min", -math.inf),
             self._endpoint_limit("torque_max", math.inf),
@@ -282,7 +284,7 @@ class OdriveNode:
     def _answer_remote_frame(self, node: int, command: int) -> list[Frame]:
         """Answer a request for a Get message.
 
-        Only the request for Get_Address may be a broadcast.
+        Only the request for Get_Address is allowed to be a broadcast.
         """
         if node == BROADCAST_NUMBER and command != 0x06:
             return []
@@ -292,7 +294,7 @@ class OdriveNode:
     def _get_payload(self, command: int) -> bytes:
         """Return the payload of a Get message.
 
-        If the firmware has no such message, the payload is empty.
+        If the firmware does not have the message, the payload is empty.
         """
         gear = self.gear
         sign = self.direction
@@ -351,7 +353,7 @@ class OdriveNode:
     def _set_state(self, state: int, t_ns: int) -> None:
         """Set the axis state as the host requests.
 
-        If the axis has an error, it refuses closed loop.
+        If the axis has an error, the axis refuses closed-loop control.
         """
         if state == IDLE_STATE:
             self._release_axis(CANCELLED_RESULT if self.busy_until_ns else SUCCESS_RESULT)
@@ -370,7 +372,7 @@ class OdriveNode:
             self.motion.start(t_ns)
 
     def _is_calibration_possible(self, state: int) -> bool:
-        """Return True if an axis state is a calibration that may start now."""
+        """Return True if an axis state is a calibration that can start now."""
         has_error = self.active_errors or self.disarm_reason
         return state in CALIBRATION_DURATION_NS and self.state == IDLE_STATE and not has_error
 
@@ -380,7 +382,7 @@ class OdriveNode:
             self._set_modes(control_mode, input_mode)
 
     def _set_motion(self, command: int, data: bytes) -> None:
-        """Apply a message that sets limits of trajectories or gains."""
+        """Apply a message that sets gains, or limits of trajectories."""
         values = struct.unpack_from("<ff" if command in (0x12, 0x1B) else "<f", data)
         self.motion.set(command, values)
         self.velocity_gain = self.motion.settings.velocity_gain
@@ -402,7 +404,7 @@ class OdriveNode:
     def _set_input(self, command: int, data: bytes, t_ns: int) -> None:
         """Set the inputs of Set_Input_Pos (0x0C) or Set_Input_Vel (0x0D).
 
-        The active mode uses only the inputs that it needs.
+        The active mode uses only the inputs that the mode needs.
         """
         if command == 0x0C:
             position, velocity, torque = struct.unpack("<fhh", data)
@@ -419,7 +421,7 @@ class OdriveNode:
     def _endpoint_limit(self, name: str, default: float) -> float:
         """Return the float of a named endpoint.
 
-        If the hand file does not give the number of this endpoint, return ``default``.
+        If the hand file does not give the number of the endpoint, return ``default``.
         """
         raw_limit = self.endpoints.get(self._numbers[name])
         return float(struct.unpack("<f", raw_limit)[0]) if raw_limit else default
@@ -427,7 +429,8 @@ class OdriveNode:
     def endpoint_float(self, endpoint: int) -> float:
         """Return a setting of ``MOTION_ENDPOINTS``.
 
-        If the hand file uses the number of this setting for another endpoint, return the default.
+        If the hand file gives the endpoint number of the setting to another endpoint, return the
+        default value of the setting.
         """
         if endpoint in self._numbers.values():
             return MOTION_ENDPOINTS[endpoint][1]
@@ -437,7 +440,8 @@ class OdriveNode:
     def _execute_sdo_request(self, data: bytes) -> list[Frame]:
         """Read or write an endpoint.
 
-        Firmware before 0.6.11 does not answer a write. Later firmware confirms it.
+        Firmware before 0.6.11 does not answer a write request. Firmware from 0.6.11 on confirms a
+        write.
         """
         operation = data[0]
         endpoint = int.from_bytes(data[1:3], "little")
@@ -458,9 +462,9 @@ class OdriveNode:
         ]
 
     def _set_position(self, data: bytes) -> None:
-        """Shift the zero until the present position has the given value.
+        """Shift the zero position until the present position has the given value.
 
-        The value is given in turns, or in counts with firmware 0.5.
+        The host gives the value in turns, or in counts with firmware 0.5.
         """
         (value,) = struct.unpack_from("<i" if self.legacy else "<f", data)
         position = value / COUNTS_PER_TURN if self.legacy else value
@@ -481,7 +485,8 @@ class OdriveNode:
     def _reboot(self, reboot_action: int) -> None:
         """Restart with the saved settings.
 
-        Action 1 saves the present settings first, and action 2 erases them.
+        Before the restart, action 1 saves the present settings, and action 2 erases the saved
+        settings.
         """
         self._saved = {1: self._storable_settings(), 2: self._factory}.get(
             reboot_action, self._saved
@@ -503,7 +508,7 @@ class OdriveNode:
         self._update_derived_values()
 
     def _release_axis(self, procedure_result: int) -> None:
-        """Enter the axis state idle with a procedure result. The motor turns freely."""
+        """Enter the axis state *idle* with a procedure result. In this state, the motor turns freely."""
         self.motor.servo.release()
         self.motion_due_ns = 0
         self.state = IDLE_STATE
@@ -512,12 +517,12 @@ class OdriveNode:
         self.setpoint = 0.0
 
     def disarm(self, error_bit: int) -> None:
-        """Enter the axis state idle because of an error. The motor turns freely."""
+        """Enter the axis state *idle* because of an error. In this state, the motor turns freely."""
         self.disarm_reason |= error_bit
         self._release_axis(DISARMED_RESULT)
 
     def wake(self, t_ns: int) -> list[Frame]:
-        """Do the work that is due: temperatures, watchdog, calibration, motion and cyclic messages.
+        """Update temperatures, watchdog, calibration and motion, and send cyclic messages, where each is due.
 
         Returns:
             The cyclic messages that are due.
@@ -573,11 +578,11 @@ class OdriveNode:
 
 
 class OdriveNodeRow(OdriveStruct, OdriveNode):
-    """An axis that keeps its numbers in a row of an array. Compiled kernels use this row."""
+    """An axis that keeps its state in a row of an array, which compiled kernels read and write."""
 
     layout = OdriveStruct
 
     def initialise(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Initialize the row of the axis. See ``OdriveNode``."""
+        """Initialize the array row of the axis. The class ``OdriveNode`` explains the arguments."""
         OdriveNode.__init__(self, spec, motor, offset)
         self.motor_number = motor.number

@@ -13,7 +13,7 @@ from firmware_sim.nodes.robstride.node import (
 )
 
 INERTIA_PER_TORQUE = 2e-4
-"""Inertia at the output divided by the torque at full scale [kg m2/N m], as for other geared motors."""
+"""Output inertia divided by the torque at full scale [kg m2/N m]. Other geared motors have the same ratio."""
 
 
 def shaft_of_robstride_motor(motor_type: str) -> ShaftSpec:
@@ -30,7 +30,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 
 def _corrupt_command(frame: Frame) -> Frame:
-    """Replace a stop command by a control command with zero torque. The motor stays enabled."""
+    """Replace a stop command by a control command with zero torque, so that the motor stays enabled."""
     number = frame.can_id & ~EXTENDED_FLAG
     if number >> 24 != 4 or frame.data[:1] != b"\0":
         return frame

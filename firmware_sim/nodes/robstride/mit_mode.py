@@ -18,12 +18,13 @@ Source: docs/facts/robstride.md, section MIT mode.
 
 A feedback frame has the identifier of the host. The payload of feedback is the number of the motor,
 the position (16 bits), the velocity (12 bits), the torque (12 bits) and the temperature (16 bits,
-in 0.1 degC). The identity has the identifier of the motor.
+in 0.1 degC). An identity frame has the identifier of the motor.
 
-Choices where the fact sheet has only an assumption:
+Choices of this simulator where the fact sheet has only an assumption:
 
-- Frames with 29-bit identifiers are ignored.
-- Commands of the position mode and the velocity mode are answered, but have no effect.
+- The motor ignores frames with 29-bit identifiers.
+- The motor answers commands of the position mode and the velocity mode, but the commands have no
+  effect.
 - The motor sends no fault reports.
 """
 
@@ -48,7 +49,7 @@ POSITION_RANGE = 12.57
 FACTORY_HOST_ID = 0
 """Number of the host in a motor as delivered."""
 HOST_ID_OFFSET = 0x10
-"""The host's number minus the motor's number, if the hand file does not give ``host_id``."""
+"""Number of the host minus number of the motor, if the hand file does not give ``host_id``."""
 _SPECIAL_COMMAND_START = b"\xff" * 6
 """First six bytes of a special command."""
 
@@ -106,7 +107,7 @@ class RobstrideMitNode(RobstrideNode):
     ) -> list[Frame]:
         """Execute a special command.
 
-        Byte 6 of the frame is either FF, or a value that belongs to the command.
+        Byte 6 of the frame is either FF, or an argument of the command.
         """
         is_plain_request = data_area == 0xFF
         if command_code == 0xFB and not is_plain_request:
@@ -123,8 +124,8 @@ class RobstrideMitNode(RobstrideNode):
         elif command_code == 0xFD and is_plain_request:
             self._stop(clear_faults=False)
         elif command_code == 0xFB:
-            # LeRobot sends this command repeatedly to running motors. So the command must not stop
-            # a motor.
+            # LeRobot sends the command below repeatedly to running motors. So the command must not
+            # stop a motor.
             self.fault = 0
         elif command_code == 0xFE and is_plain_request:
             self.offset = -self._direction * self.motor.encoder()
@@ -133,7 +134,7 @@ class RobstrideMitNode(RobstrideNode):
         return [self._feedback_frame(frame)]
 
     def _set_run_mode(self, mode: int) -> None:
-        """Set the mode of operation, unless the motor is in run mode."""
+        """Set the mode of operation (0, 1 or 2), unless the motor is enabled."""
         if self.mode != RUN_MODE:
             self.parameters[0x7005] = bytes(((0, 5, 2)[mode], 0, 0, 0))
 
@@ -202,13 +203,13 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 
 def _corrupt_command(frame: Frame) -> Frame:
-    """Replace a stop command by a command with zero torque. The motor stays enabled."""
+    """Replace a stop command by a command with zero torque, so that the motor stays enabled."""
     stop = frame.can_id < 0x80 and frame.data == b"\xff" * 7 + b"\xfd"
     return frame._replace(data=b"\x7f\xff\x7f\xf0\0\0\x07\xff") if stop else frame
 
 
 def _force_command(node: RobstrideMitNode, frame: Frame) -> None:
-    """Follow a control command in any mode of the motor."""
+    """Follow an MIT control command in any mode of the motor."""
     if (
         frame.can_id == node.node_id
         and len(frame.data) == 8

@@ -17,12 +17,13 @@ Source: docs/facts/robstride.md.
 
 The motor answers the types 1, 3, 4, 6, 0x12 and 0x16 with a frame of type 2.
 
-Choices where the fact sheet has only an assumption:
+Choices of this simulator where the fact sheet has only an assumption:
 
 - The answer to a control command goes to the host that sent the latest request.
 - Enable commands and control commands restart the watchdog. When the watchdog fires, the motor
   enters reset mode without a fault.
-- Faults other than over-temperature stay until they are cleared. A fault prevents enabling.
+- Faults other than over-temperature stay until a host clears them. A motor with a fault refuses to
+  be enabled.
 - After each new fault, the motor sends a fault report to the host that sent the latest request.
 - The motor does not answer a request for a mode of operation other than 0, or for another bit rate
   or protocol.
@@ -51,32 +52,32 @@ POSITION_RANGE = 4.0 * math.pi
 """Largest position in frames, for all motor models [rad]."""
 RESET_MODE = 0
 RUN_MODE = 2
-"""Modes of the motor, as in the identifier of the feedback."""
+"""Mode of the motor, as in the identifier of the feedback, like the constants above."""
 UNDER_VOLTAGE = 1 << 0
 OVER_CURRENT = 1 << 1
 OVER_TEMPERATURE_FAULT = 1 << 2
 ENCODER_FAULT = 1 << 3
 OVERLOAD_FAULT = 1 << 4
 UNCALIBRATED_FAULT = 1 << 5
-"""Bits of the faults in the identifier of the feedback."""
+"""Bit of a fault in the identifier of the feedback, like the constants above."""
 FAULT_REPORT_BITS = {
     UNDER_VOLTAGE: 1 << 2, OVER_CURRENT: 1 << 4, OVER_TEMPERATURE_FAULT: 1 << 0, ENCODER_FAULT: 1 << 9,
     OVERLOAD_FAULT: 1 << 14, UNCALIBRATED_FAULT: 1 << 7,
 }  # fmt: skip
-"""Bits of the faults in the fault report, by the bit of the fault in the feedback."""
+"""Bit of each fault in the fault report, by the bit of the same fault in the feedback."""
 FEEDBACK_FAULTS = 0x3F
 """Mask of the faults that the feedback can report.
 
-Faults with higher bits appear only in the fault report, see ``FAULT_REPORT_SHIFT``.
+Faults with higher bit numbers appear only in the fault report, see ``FAULT_REPORT_SHIFT``.
 """
 FAULT_REPORT_SHIFT = 8
-"""Number of the fault bit that corresponds to bit 0 of the fault report."""
+"""Number of the bit in ``fault`` that corresponds to bit 0 of the fault report."""
 OVERHEATING_C = 135.0
 """Winding temperature above which the motor reports a fault [degC]."""
 THERMAL_PERIOD_NS = 100_000_000
 """Period of the update of the temperatures [ns]."""
 TIMEOUT_UNIT_NS = 50_000
-"""One count of the watchdog's timeout [ns]: 20000 counts are a second."""
+"""Duration of one count of the watchdog's timeout [ns]: 20000 counts are a second."""
 FIRST_SERIAL_NUMBER = 0x5253_0500_0000_0000
 """Identity (64 bits) of motor 0. Other motors add their number."""
 FACTORY_HOST_ID = 0xFD
@@ -99,7 +100,7 @@ READ_ONLY_PARAMETERS = (0x7019, 0x701A, 0x701B, 0x701C)
 def value_to_code(value: float, largest: float) -> int:
     """Encode a value between -largest and largest as 16 bits.
 
-    If a value is outside of this range, the nearest value of the range is encoded.
+    If a value is outside of the range, the nearest value of the range is encoded.
     """
     return round((min(largest, max(-largest, value)) + largest) / (2.0 * largest) * 65535)
 
@@ -121,7 +122,7 @@ class RobstrideNode:
         ids: None, because the node answers many identifiers.
         malformed_frame_count: number of frames that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
-        watchdog_fed_ns: time of the last command [ns].
+        watchdog_fed_ns: time of the last command, which has restarted the watchdog [ns].
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
@@ -167,7 +168,7 @@ class RobstrideNode:
     def timeout_ns(self) -> int:
         """Return the timeout of the watchdog [ns], or 0 if the watchdog is off.
 
-        If no command arrives within this time, the watchdog fires.
+        If no command arrives within the timeout, the watchdog fires.
         """
         return int.from_bytes(self.parameters[0x7028], "little") * TIMEOUT_UNIT_NS
 
@@ -311,7 +312,7 @@ class RobstrideNode:
         return values[parameter]
 
     def _write_parameter(self, data: bytes, _t_ns: int) -> None:
-        """Write a parameter. Unknown parameters, and values out of range, are ignored."""
+        """Write a parameter. The motor ignores unknown parameters and values out of range."""
         number = int.from_bytes(data[:2], "little")
         value_coding = WRITABLE_PARAMETERS.get(number)
         if value_coding is None:
@@ -342,7 +343,7 @@ class RobstrideNode:
     def trip(self, fault: int) -> None:
         """Enter reset mode with a fault.
 
-        The value 0 stands for the watchdog, which sets no fault.
+        The fault value 0 stands for the watchdog, which sets no fault.
         """
         self.motor.servo.release()
         self.mode = RESET_MODE

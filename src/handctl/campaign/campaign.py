@@ -1,6 +1,7 @@
 """Fault campaign for one hand and some drive protocols.
 
-The campaign runs all scenarios of the fault matrix. It also makes runs without faults.
+The campaign runs all scenarios of the fault matrix. The campaign also simulates runs without
+faults.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -17,7 +18,7 @@ from handctl.safety.safety_action import SafetyAction
 from handctl.session.lockstep_simulation import SimulatedRun
 
 QUICK_SCENARIO_STEP = 7
-"""Interval between two scenarios that a quick campaign runs.
+"""Distance between two scenarios that a quick campaign runs, in the list of all scenarios.
 
 A quick campaign runs only every seventh scenario of the fault matrix.
 """
@@ -40,7 +41,8 @@ class CampaignReport:
         control_rates_hz: control rate by protocol [Hz].
         results: results of the scenarios, by protocol.
         false_alarms: false alarms of each protocol, by the name of the protocol. A false alarm is a
-            fault with reaction HOLD or a more severe one in a run without injected faults.
+            fault that the controller reports in a run without injected faults, with reaction HOLD
+            or a more severe reaction.
         simulated_s: simulated time of the runs without faults, for all protocols together [s].
     """
 
@@ -52,11 +54,11 @@ class CampaignReport:
 
     @property
     def all_results(self) -> list[ScenarioResult]:
-        """Return the results of the scenarios for all protocols."""
+        """Return the results of the scenarios of all protocols in one list."""
         return [result for results in self.results.values() for result in results]
 
     def as_json(self) -> dict[str, Any]:
-        """Return the report as plain values for JSON. The totals come first."""
+        """Return the report as plain values for JSON. The values that summarise the whole campaign come first."""
         results = self.all_results
         return {
             "hand": self.hand,
@@ -94,8 +96,9 @@ def campaign_scenarios(
     """Return the scenarios that a campaign runs.
 
     A full campaign runs all scenarios. If `row_ids` is not empty, the campaign runs only the
-    scenarios of these rows of the fault matrix. A quick campaign runs every seventh scenario. The
-    seed determines the first scenario of this sample. Another seed selects another sample.
+    scenarios of the named rows of the fault matrix. A quick campaign runs every seventh scenario.
+    The seed determines the first scenario of a quick campaign. Another seed selects another sample
+    of the scenarios.
     """
     period_ms = 1e3 / rate_hz
     selected_scenarios = scenarios_of_hand(hand, protocol, period_ms)
@@ -136,8 +139,8 @@ def run_campaign(
         on_failure: function called with the simulation of a failed scenario, and with the result.
         row_ids: ids of the rows of the fault matrix to run. If no ids are given, all rows are run.
         fault_free_only: True to run only the runs without faults, and no scenarios.
-        seed: seed of the scenarios and of the first run without faults. Each later run without
-            faults has the next seed.
+        seed: seed of the scenarios and of the first run without faults. For each later run without
+            faults, the seed is increased by 1.
     """
     report = CampaignReport(name)
     for protocol in protocols:
@@ -150,8 +153,8 @@ def run_campaign(
         )
         results = report.results[protocol] = []
 
-        # The default arguments bind the values of this protocol. Without these arguments, the
-        # function would use the values of the last protocol of the loop.
+        # The default arguments bind the values of the present protocol. Without the default
+        # arguments, the function would use the values of the last protocol of the loop.
         def add_result(
             result: ScenarioResult,
             results: list[ScenarioResult] = results,
@@ -185,9 +188,9 @@ def simulate_without_faults(
 ) -> list[str]:
     """Simulate a hand without faults, and return the false alarms.
 
-    The noise is larger than normal, and some frames are lost. During the run, the hand moves and
-    grasps repeatedly. A run that does not reach a grasp counts as a false alarm, because such a run
-    tests too little.
+    In the simulation, the sensor noise is larger than normal, and some frames are lost. During the
+    run, the hand moves and grasps repeatedly. A run that does not reach a grasp counts as a false
+    alarm, because such a run tests too little.
     """
     alarms: list[str] = []
     remaining_s = duration_s

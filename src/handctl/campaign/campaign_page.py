@@ -1,4 +1,4 @@
-"""Output of a campaign's report: as an HTML page in a single file, and as lines for a terminal."""
+"""Output of a campaign's report as an HTML page in a single file, and as lines for a terminal."""
 
 import html
 from collections import Counter
@@ -20,7 +20,7 @@ td.n { text-align: right; font-variant-numeric: tabular-nums; } .bad { color: #b
 .bar { display: inline-block; height: .7em; background: #3b6fb6; } .bar.bad { background: #b00020; }
 """
 BAR_WIDTH_EM = 6.0
-"""Width of a bar for a reaction time equal to the largest allowed time [em]."""
+"""Width of a bar that stands for the largest allowed reaction time [em]."""
 TABLE_TITLES = (
     "row",
     "fault",
@@ -88,14 +88,15 @@ def _slowest_result_per_row(results: Iterable[ScenarioResult]) -> list[ScenarioR
         current = slowest_by_row.get(result.id)
         if current is None or reaction_time_ratio(result) > reaction_time_ratio(current):
             slowest_by_row[result.id] = result
-    # The rows are in the order of the fault catalogue: bus, node, tendon, host, interface.
+    # The rows of the table are in the order of the fault catalogue: bus, node, tendon, host,
+    # interface.
     return sorted(
         slowest_by_row.values(), key=lambda result: ("BNTHI".index(result.id[0]), result.id)
     )
 
 
 def reaction_time_ratio(result: ScenarioResult) -> float:
-    """Return the reaction time in a scenario, divided by the longest time that is allowed.
+    """Return the reaction time in a scenario, divided by the largest allowed reaction time.
 
     If there was no reaction, the result is 9.9.
     """

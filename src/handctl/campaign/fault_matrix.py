@@ -1,10 +1,10 @@
-"""Fault matrix as data.
+"""Fault matrix as data: the faults of a hand, and the reaction that each fault requires.
 
 Each row gives a fault, the affected parts of the hand, the stages of the run and the required
-reaction. Each row also has a time limit for the reaction. The time counts from the physical event
-to the CAN frames that carry the reaction. The limit is a number of ticks, plus milliseconds if the
-fault or a drive needs more time. An ODrive, for example, reports its state only every 100 ms, and
-the temperature every 200 ms.
+reaction. Each row also has a time limit for the reaction. The reaction time counts from the
+physical event to the CAN frames that carry the reaction. The time limit is a number of ticks, plus
+milliseconds if the fault or a drive needs more time. An ODrive, for example, reports its state only
+every 100 ms, and the temperature every 200 ms.
 """
 
 import math
@@ -60,33 +60,39 @@ class FaultMatrixRow(NamedTuple):
 
     Attributes:
         id: id of the fault in the fault catalogue.
-        fault: command for the simulator, or text that begins with HOST_FAULT_PREFIX. The text may contain
-            place holders for the part of the hand that has the fault: {node}, {tendon}, {digit},
-            {bus} or {joint}. The place holder {other} stands for the next motor. Other place
-            holders stand for sizes. {trip} and {limit} are a tendon's tension_trip_N and
-            drive_limit_N. {late} is a delay that is late at the control rate [ms]. {stall} is a
-            number of missed ticks that is a stall at the control rate. {jump} and {rough} are a
-            step and a noise that no drive can make at the control rate [rad].
+        fault: command for the simulator, or text that begins with HOST_FAULT_PREFIX. The text can
+            contain place holders for the part of the hand that has the fault: {node}, {tendon},
+            {digit}, {bus} or {joint}. The place holder {other} stands for the next motor. Other
+            place holders stand for sizes. {trip} and {limit} are a tendon's tension_trip_N and
+            drive_limit_N. {late} is a delay that counts as late at the control rate [ms]. {stall}
+            is a number of missed ticks that counts as a stall of the host at the control rate.
+            {jump} and {rough} are a step and a noise that no drive can make at the control rate
+            [rad].
         action: least severe reaction that is sufficient for the fault.
-        max_ticks: time limit for the reaction [control periods]. ``max_extra_ms`` is added to this limit.
+        max_ticks: time limit for the reaction [control periods]. ``max_extra_ms`` is added to this
+            time limit.
         max_extra_ms: addition to the time limit ``max_ticks`` [ms].
         accepted_faults: prefixes of the fault ids that are accepted as a detection. The first
             prefix is the fault of the row itself.
         stages: stages of a run in which the fault is tested.
         protocols: drive protocols with which the fault is tested.
-        extra_ms_by_protocol: further time that the reaction may take with some protocols [ms], by the name of
-            the protocol.
-        extra_ticks: further number of ticks that the reaction may take with some protocols, by the
-            name of the protocol. These ticks are added to the time ``extra_ms_by_protocol``.
-        needs_prompt_torque: True if the fault shows only in a load cell, or in the torque that the reply
-            to a command contains. Drives that report the torque in a separate frame then need a load cell.
-        extra_ms_without_load_cell: further time if the tendon of the fault has no load cell [ms].
+        extra_ms_by_protocol: further time that is allowed for the reaction with some protocols
+            [ms], by the name of the protocol.
+        extra_ticks: further number of ticks that is allowed for the reaction with some protocols,
+            by the name of the protocol. The time of these ticks is added to
+            ``extra_ms_by_protocol``.
+        needs_prompt_torque: True if the fault shows only in a load cell, or in the torque that the
+            reply to a command contains. For such a fault, drives that report the torque in a
+            separate frame need a load cell.
+        extra_ms_without_load_cell: further time that is allowed for the reaction if the tendon of
+            the fault has no load cell [ms].
         extra_sensor_frames: number of further frames of the sensor node that the detection needs.
-            ``max_ticks`` contains one tick for each of these frames. If the hand has no load cells,
-            the sensor node sends only joint frames, and each comes after ``joint_decimation`` ticks.
-        force_change_N: variation of the motor force that the detection needs [N]. The time limit
-            counts from the instant at which the motor force has varied by this much since the
-            fault. If the motor force never varies by this much, no reaction is required.
+            ``max_ticks`` contains one tick for each further frame of the sensor node. If the hand
+            has no load cells, the sensor node sends only joint frames, and each comes after
+            ``joint_decimation`` ticks.
+        force_change_N: variation of the motor force that the detection of the fault needs [N]. The
+            time limit counts from the instant at which the motor force has varied by this force
+            since the fault. If the motor force never varies by this force, no reaction is required.
         scales_with_period: True if the detection waits for a time constant or a delay in milliseconds. At a
             control period below ``TIME_LIMIT_PERIOD_MS``, ``max_ticks`` then stands for the same
             time in more ticks.
@@ -118,7 +124,7 @@ class FaultMatrixRow(NamedTuple):
         )
 
     def missing_sensor_ticks(self, hand: Hand, fault: str, period_ms: float) -> int:
-        """Return the additional ticks that the reaction to a fault may take on a hand without some sensors.
+        """Return the additional ticks that are allowed for the reaction to a fault on a hand without some sensors.
 
         Args:
             hand: description of the simulated hand.
@@ -173,17 +179,17 @@ CUT = SafetyAction.CUT
 SINGLE_ANSWER_PROTOCOLS = (MIT, CIA402, MOTEUS, ROBSTRIDE)
 """Protocols whose drives send exactly one answer to each command."""
 READBACK_PROTOCOLS = (MIT, ODRIVE, MOTEUS, ROBSTRIDE)
-"""Protocols with which the host can read the temperature of a drive, and detect that a drive receives no commands."""
+"""Protocols by which the host can read a drive's temperature, and detect that a drive receives no commands."""
 PROTOCOLS_WITH_11_BIT_IDS = (MIT, ODRIVE, CIA402)
 """Protocols whose drives answer with 11-bit identifiers."""
 
 _EXCHANGED_DRIVE_FAULTS = ("N14", "N05", "N06", "T04", "T02", "N04", "T03")
-"""Faults that may be detected earlier than N17 if two drives are exchanged, in motion or at unequal tensions."""
+"""Faults that can be detected earlier than N17 if two drives are exchanged, in motion or at unequal tensions."""
 
 _TORN_TENDON_FAULTS = ("T08", "N06")
 """Faults that show that joint and spool do not move together.
 
-The controller may report them in place of T01 and T02 after a tendon has torn.
+After a tendon has torn, the controller possibly reports these faults in place of T01 and T02.
 """
 
 FAULT_MATRIX: tuple[FaultMatrixRow, ...] = (
@@ -194,7 +200,7 @@ FAULT_MATRIX: tuple[FaultMatrixRow, ...] = (
     FaultMatrixRow("B03", "drop node={node} p=0.6 seed=3", HOLD, 102, 0.0, ("B03", "B17", "N02", "N11"),
         protocols=(ODRIVE,)),
     FaultMatrixRow("B03", "replay node=sensors size=16", RELAX, 102, 0.0, ("B03", "N02", "B04")),
-    # The delayed frame shows the fault only when it arrives.
+    # A delayed frame shows the fault only when the frame arrives.
     FaultMatrixRow("B04", "delay node=sensors size={late} for=20ms", WARN, 4, accepted_faults=("B04",),
         scales_with_period=True),
     FaultMatrixRow("B05", "duplicate node={node}", WARN, 2, accepted_faults=("B05", "N13", "B06"),
@@ -202,7 +208,8 @@ FAULT_MATRIX: tuple[FaultMatrixRow, ...] = (
     FaultMatrixRow("B05", "duplicate node=sensors", WARN, 2, accepted_faults=("B05",)),
     FaultMatrixRow("B06", "twin node={node}", RELAX, 2, accepted_faults=("B06",), protocols=SINGLE_ANSWER_PROTOCOLS),
     FaultMatrixRow("B06", "twin node=sensors", RELAX, 2, accepted_faults=("B06",)),
-    # The first frame comes after the second frame, so the detector needs two frames.
+    # If a fault exchanges two frames, the first frame comes after the second frame, so the detector
+    # needs two frames.
     FaultMatrixRow("B07", "reorder node=sensors", WARN, 2, accepted_faults=("B07",), extra_sensor_frames=1),
     FaultMatrixRow("B08", "shorten node={node}", RELAX, 4, accepted_faults=("B08", "B17")),
     FaultMatrixRow("B09", "shorten node={node} for=3ms", WARN, 2, accepted_faults=("B09",)),
@@ -221,16 +228,18 @@ FAULT_MATRIX: tuple[FaultMatrixRow, ...] = (
         protocols=READBACK_PROTOCOLS,
         extra_ms_by_protocol={ODRIVE: 160.0}),
     FaultMatrixRow("B17", "drop node={node}", RELAX, 4, accepted_faults=("B17",)),
-    # N12: reading back the settings may show the restart before the drive reports it.
+    # N12: the read-back of the settings can show the restart of a drive before the drive reports
+    # the restart.
     FaultMatrixRow("N01", "reset node={node}", RELAX, 2, accepted_faults=("N01", "N11", "N12", "B17"),
         extra_ms_by_protocol=REPORT_DELAY_MS, extra_ticks=DRIVE_RESTART_TICKS),
     FaultMatrixRow("N01", "reset node={node}", RELAX, 2, accepted_faults=("N01", "N11", "B17"), stages=(ARMING_STAGE,),
         protocols=(MIT, CIA402, ROBSTRIDE),
         extra_ticks=DRIVE_RESTART_TICKS),
-    # Without load cells, only the frames of the joint encoders are missed, and they do not come in each tick.
+    # Without load cells, only the frames of the joint encoders are missed, and the sensor node does
+    # not send these frames in each tick.
     FaultMatrixRow("N02", "drop node=sensors", RELAX, 1, 30.0, ("N02",), ALL_STAGES, extra_sensor_frames=3),
     FaultMatrixRow("N02", "off node={node}", RELAX, 5, accepted_faults=("B17", "B02", "N01"), stages=ALL_STAGES),
-    # Without load cells, the position loop is softer, and the motor follows its goal later.
+    # Without load cells, the position loop is softer, and the motor reaches its goal later.
     FaultMatrixRow("N04", "stuck encoder={node}", RELAX, 2, 500.0, ("N04", "T04", "N05", "N06", "T08"),
         (FREE_MOTION_STAGE,), extra_ms_without_load_cell=100.0),
     FaultMatrixRow("N04", "stuck joint={joint}", RELAX, 2, 500.0, ("N04", "N06", "T08"), (FREE_MOTION_STAGE,),
@@ -258,23 +267,23 @@ FAULT_MATRIX: tuple[FaultMatrixRow, ...] = (
     FaultMatrixRow("N11", "error node={node} size=60", CUT, 2, accepted_faults=("N11b",), protocols=(MOTEUS,)),
     FaultMatrixRow("N11", "error node={node} size=0x4000", CUT, 2, accepted_faults=("N11b",), protocols=(ROBSTRIDE,)),
     FaultMatrixRow("N12", "forget node={node}", CUT, 4, 1000.0, ("N12",), protocols=(MIT, ODRIVE, CIA402, ROBSTRIDE)),
-    # Every command of this drive protocol contains the torque limit and the watchdog time. After a
-    # restart, the drive also forgets its position limits. The default position limits make the
-    # drive remove its torque. The controller reports this as N14 (a command is not obeyed). At the
-    # edge of its default limits, the drive also pulls for some ticks. The slack tendon that it then
-    # winds up looks like a torn one (T01).
+    # Every command of the drive protocol of this row contains the torque limit and the watchdog
+    # time. After a restart, the drive also forgets its position limits. The default position limits
+    # make the drive remove its torque. The controller reports the removed torque as N14 (a command
+    # is not obeyed). At the edge of its default position limits, the drive also pulls for some
+    # ticks. The slack tendon that the drive then winds up looks like a torn tendon (T01).
     FaultMatrixRow("N12", "forget node={node}", RELAX, 4, 1000.0, ("N12", "N14", "T01"), protocols=(MOTEUS,)),
-    # A drive may restart before it first answers the enable command. Such a restart looks like a
+    # If a drive restarts before its first answer to the enable command, the restart looks like a
     # lost command. The controller recognises the restart by the settings that the drive has lost.
     FaultMatrixRow("N12", "reset node={node}", RELAX, 4, 1000.0, ("N12", "N01", "N14"), (ARMING_STAGE,), (MOTEUS,)),
     FaultMatrixRow("N13", "twin node={node} seed=1", RELAX, 2, accepted_faults=("B06", "N13"),
               protocols=SINGLE_ANSWER_PROTOCOLS),
     FaultMatrixRow("N13", "duplicate node={node} seed=1", RELAX, 4, accepted_faults=("N13", "B06"),
               protocols=SINGLE_ANSWER_PROTOCOLS),
-    # A load cell shows the missing tension. Without a load cell, the fault N17 finds the drive
-    # within the time constant of the comparison, although the command of this drive is smaller than
-    # the thresholds of N14. N14 compares low-passed forces, so its detection takes the same time at
-    # every control rate.
+    # A load cell shows that the tension of a disobedient drive is missing. Without a load cell, the
+    # check for the fault N17 finds the drive within the time constant of the comparison, although
+    # the torque command of the drive is smaller than the thresholds of N14. N14 compares low-passed
+    # forces, so its detection takes the same time at every control rate.
     FaultMatrixRow("N14", "disobey node={node} size=0", RELAX, 22, accepted_faults=("N14", "T02", "T04", "N17"),
         stages=(GRASP_STAGE,), protocols=SINGLE_ANSWER_PROTOCOLS, extra_ms_without_load_cell=250.0,
         scales_with_period=True),
@@ -284,7 +293,8 @@ FAULT_MATRIX: tuple[FaultMatrixRow, ...] = (
     FaultMatrixRow("N15", "slow node={node} size=2", WARN, 22, accepted_faults=("N15",),
         protocols=SINGLE_ANSWER_PROTOCOLS),
     FaultMatrixRow("N15", "slow node={node} size=4", WARN, 4, accepted_faults=("B01",), protocols=(ODRIVE,)),
-    # An ODrive sends its torque in a separate frame, and sends none after a cut.
+    # An ODrive reports its torque in a separate frame. After a CUT, an ODrive sends no torque
+    # frame.
     FaultMatrixRow("N16", "hold_on node={node}", CUT, 2, 100.0, ("N16",), (GRASP_STAGE,),
         needs_prompt_torque=True),
     FaultMatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
@@ -301,8 +311,8 @@ FAULT_MATRIX: tuple[FaultMatrixRow, ...] = (
         (FREE_MOTION_STAGE,), (ODRIVE,)),
     # Without a load cell, a torn tendon is visible only after the joint and the spool have moved
     # apart. If the torque command of a motor is smaller than the friction of the motor, the spool
-    # does not turn. In this case the joint moves slowly, and the filter of the fault N06b takes 0.3
-    # s more.
+    # does not turn. If the spool does not turn, the joint moves slowly, and the filter in the
+    # detector of the fault N06b takes 0.3 s more.
     FaultMatrixRow("T01", "snap tendon={tendon}", RELAX, 10, accepted_faults=("T01", *_TORN_TENDON_FAULTS),
         stages=(GRASP_STAGE,), extra_ms_without_load_cell=500.0),
     FaultMatrixRow("T02", "snap tendon={tendon}", WARN, 4, 110.0, ("T02", "T01", "N04", *_TORN_TENDON_FAULTS),
@@ -368,15 +378,15 @@ TEST_PLACE_BY_UNTESTED_FAULT = {
     "H12": "real processes",
     "H14": "real processes", "H15": "the soak",
 }  # fmt: skip
-"""Faults in sections 2.1 to 2.4 of the fault catalogue that the matrix lacks, with the place where each is tested."""
+"""Faults in sections 2.1 to 2.4 of the fault catalogue that the matrix lacks, each with the tests of the fault."""
 
 
 def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenario]:
     """Return the scenarios of every row of the matrix.
 
-    Each row is tested in all its stages. If the hand has several parts that the fault can affect,
-    there is one test with the first and one test with the last of these parts, for example with the
-    first and with the last motor.
+    Each row of the fault matrix is tested in all its stages. If the hand has several parts that the
+    fault can affect, there is one test with the first part and one test with the last part, for
+    example with the first and with the last motor.
 
     Args:
         hand: description of the simulated hand.
@@ -409,10 +419,10 @@ def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[Fault
 def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenario]:
     """Return the scenarios with two faults: one for every pair of the faults in `FAULT_IDS_TESTED_IN_PAIRS`.
 
-    All these scenarios happen during a grasp. The fault with the more severe reaction comes first.
-    The other fault of the pair starts a few ticks later, on another part of the hand, such as
-    another motor. A hand may lack the part that a fault affects, such as a load cell. In this case,
-    there are no pairs with this fault. `period_ms` is the control period [ms].
+    All scenarios with two faults happen during a grasp. The fault with the more severe reaction
+    comes first. The other fault of the pair starts a few ticks later, on another part of the hand,
+    such as another motor. If a hand lacks the part that a fault affects, such as a load cell, there
+    are no pairs with this fault. `period_ms` is the control period [ms].
     """
     rows = [
         next(row for row in FAULT_MATRIX if row.id == id_ and protocol in row.protocols)
@@ -421,8 +431,8 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenar
     scenarios = []
     for i, first_scenario in enumerate(rows):
         for second_scenario in rows[i + 1 :]:
-            # If two faults are present, the controller must react as it does to the more severe
-            # fault alone.
+            # If two faults are present, the controller must react as if only the more severe fault
+            # were present.
             main_row, other_row = (
                 (first_scenario, second_scenario)
                 if first_scenario.action >= second_scenario.action
@@ -443,10 +453,11 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenar
 def fault_texts_for_hand(hand: Hand, fault: str, period_ms: float) -> list[str]:
     """Return the text of a fault for each part of the hand that the fault can affect.
 
-    The list is empty if the hand has no such part.
+    If the hand has no part that the fault can affect, the list is empty.
     """
     sizes = {
-        # One tick more than the shortest stall that is a fault.
+        # The number of missed ticks is one more than in the shortest stall of the host that counts
+        # as a fault.
         "stall": tick_count_for_time(MAX_STALL_S, period_ms * 1e-3, MIN_STALLED_TICKS) + 1,
         "late": max(MIN_LATE_DELAY_MS, MIN_LATE_DELAY_TICKS * period_ms),
         "jump": POSITION_JUMP_RAD * max(1.0, period_ms / POSITION_JUMP_MS),
@@ -459,7 +470,7 @@ def fault_texts_for_hand(hand: Hand, fault: str, period_ms: float) -> list[str]:
 def _placeholder_values(hand: Hand, fault: str) -> list[dict[str, str]]:
     """Return the values of the place holders for each part of the hand that a fault can affect.
 
-    A fault text without such a place holder gives a single entry.
+    A fault text without a place holder for a part gives a single entry.
     """
     if "{tendon}" in fault:
         has_limit = "{trip}" in fault or "{limit}" in fault
@@ -472,8 +483,8 @@ def _placeholder_values(hand: Hand, fault: str) -> list[dict[str, str]]:
             }
             for tendon in hand.tendon
             if not names_cell or tendon.name in hand.sensor_node.tendons
-            # If a trip tension is near the end of the load cell's range, the controller would
-            # report it as saturation.
+            # The controller would report a trip tension near the end of the load cell's range as
+            # saturation.
             if not has_limit or tendon.tension_trip_N < MAX_READABLE_TRIP_N
         ]
     if "{other}" in fault:

@@ -1,10 +1,10 @@
-"""Random sequences of faults, and rules that the controller must obey in any such sequence.
+"""Random sequences of faults, and rules that the controller must obey in every sequence.
 
-The fault matrix tests whether the controller detects each single fault in time. A sequence contains
-several temporary or permanent faults, one after the other. They affect any part of the hand, in any
-stage of the run. Requests of a client may come between the faults.
+The fault matrix tests whether the controller detects each single fault in time. A random sequence
+contains several temporary or permanent faults, one after the other. The faults affect any part of
+the hand, in any stage of the run. Requests of a client can come between the faults.
 
-The controller must obey these rules:
+The controller must obey the following rules in every sequence:
 
 - No tick raises an exception.
 - The mode of the hand never changes back to an earlier mode.
@@ -34,7 +34,7 @@ from handctl.runtime.mailbox import CLEAR_REQUEST, STOP_REQUEST
 from handctl.session.lockstep_simulation import SimulatedRun
 
 SEQUENCE_TICKS = 200
-"""Length of a sequence, after which the hand is stopped [ticks]."""
+"""Length of a sequence [ticks]. After the sequence, a request stops the hand."""
 MIN_FAULTS = 2
 MAX_FAULTS = 6
 """Largest number of faults in a sequence."""
@@ -45,7 +45,7 @@ PERMANENT_FAULTS = ("snap", "slack")
 HOST_FAULT_FRACTION = 0.2
 """Fraction of a sequence's steps that are requests or faults of the host."""
 BRIEF_FAULT_FRACTION = 0.6
-"""Fraction of the simulator's faults in a sequence that end by themselves."""
+"""Fraction of the faults of the simulator in a sequence that end by themselves."""
 HOST_FAULT_TEXTS = (
     f"{HOST_FAULT_PREFIX}ask stop",
     f"{HOST_FAULT_PREFIX}ask clear",
@@ -53,17 +53,17 @@ HOST_FAULT_TEXTS = (
     f"{HOST_FAULT_PREFIX}skip 3",
     f"{HOST_FAULT_PREFIX}late 0.3",
 )
-"""Requests and faults of the host that a sequence may contain."""
+"""Requests and faults of the host that a sequence can contain."""
 SHUTDOWN_TIMEOUT_S = 2.5
-"""Time for which a run is observed after the stop [s].
+"""Time for which a run is observed after the stop request [s].
 
-The time is long enough for relaxing, disarming, the timeouts of both, and the heartbeat of an
-ODrive.
+The observation time is long enough for relaxing and disarming with their timeouts, and for the
+heartbeat of an ODrive.
 """
 WATCHDOG_S = 0.05
 """Time without a command after which a drive disables itself [s]."""
 MAX_RUNAWAY_REACTION_TICKS = 10
-"""The controller stops commanding a runaway drive after at most this number of ticks."""
+"""Largest number of ticks after which the controller stops commanding a runaway drive."""
 SHUTDOWN_MODE_ORDER = (
     HandMode.ARMING,
     HandMode.ACTIVE,
@@ -79,7 +79,7 @@ class FaultStep(NamedTuple):
     """Fault or request in a sequence.
 
     Attributes:
-        tick: tick of the fault or request, counted from the start of the sequence.
+        tick: number of the tick of the fault or request, counted from the start of the sequence.
         fault: text of the fault for the simulator, or text of a request or host fault for
             `HostFault`.
     """
@@ -123,8 +123,8 @@ def draw_sequence(hand: Hand, protocol: str, period_ms: float, seed: int) -> Fau
     The result depends only on the seed, the hand, the protocol and the control period [ms].
     """
     chance = random.Random(f"sequence {seed}")
-    # Every row of the matrix has the same probability, no matter how many parts of the hand its
-    # fault can affect.
+    # Every row of the fault matrix has the same probability. The number of parts that the fault can
+    # affect does not matter.
     rows = [row for row in FAULT_MATRIX if protocol in row.protocols]
     count = chance.randint(MIN_FAULTS, MAX_FAULTS)
     steps = []
@@ -228,7 +228,7 @@ def run_sequence(simulation: SimulatedRun, sequence: FaultSequence) -> ScenarioR
 
 
 def _sequence_ticks(simulation: SimulatedRun, sequence: FaultSequence) -> Iterator[dict[str, Any]]:
-    """Yield the inputs of each tick.
+    """Yield the inputs of each tick of a sequence.
 
     Before a planned tick, inject the fault that the simulator has to cause in this tick. After the
     last tick of the sequence, the inputs contain a stop request.
@@ -253,7 +253,7 @@ def _sequence_ticks(simulation: SimulatedRun, sequence: FaultSequence) -> Iterat
 def violations_in_tick(
     state_before: ControllerState, state_after: ControllerState, is_cleared: bool
 ) -> list[str]:
-    """Return one line of text for each rule that the controller violates in a tick."""
+    """Return a text for each rule that the controller violates in a tick."""
     violations = []
     if SHUTDOWN_MODE_ORDER.index(state_after.mode) < SHUTDOWN_MODE_ORDER.index(state_before.mode):
         violations.append(
@@ -268,7 +268,7 @@ def violations_in_tick(
         state_after.view("setpoint") > state_before.view("setpoint") + 1e-9
     ):
         violations.append("a setpoint rises while the hand relaxes")
-    # The relative tolerance covers the rounding of torques that the CAN frames cause.
+    # The relative tolerance covers the rounding of torques in CAN frames.
     if state_after.mode == HandMode.RELAX and np.any(
         state_after.view("asked") > np.maximum(state_before.view("asked"), 0.0) * (1.0 + 1e-9)
     ):
@@ -279,13 +279,13 @@ def violations_in_tick(
 def _tension_bound(
     simulation: SimulatedRun, sequence: FaultSequence, start_tension: list[float]
 ) -> float:
-    """Return the largest tension that may occur in a sequence [N].
+    """Return the largest tension that is allowed in a sequence [N].
 
-    For a runaway drive, two assumptions are made. At the start, the tendon is slack. The drive
-    pulls until its watchdog has fired.
+    For a runaway drive, the function assumes that the tendon is slack at the start, and that the
+    drive pulls until its watchdog has fired.
     """
     # Without a runaway drive, the bound is the larger of two tensions: the largest trip tension,
-    # and the largest tension at the start.
+    # and the largest tension at the start of the sequence.
     limits = simulation.controller.derived_constants.limits
     model = simulation.controller.model
     if not any(step.fault.startswith(RUNAWAY_FAULT) for step in sequence.steps):
@@ -323,7 +323,7 @@ def violations_on_replay(
     """Execute the ticks of a simulated run again, with the same inputs.
 
     Return a text about the first tick whose state, frames or events differ from the first
-    execution. If no tick differs, the list is empty.
+    execution. If no tick differs from the first execution, the list is empty.
     """
     for entry, tick_output in simulation.recorded_ticks[first_tick:]:
         state, replayed = simulation.controller.tick(state, entry)

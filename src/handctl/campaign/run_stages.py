@@ -30,13 +30,13 @@ from handctl.session.lockstep_simulation import SimulatedRun, SimulatorSettings
 from handctl.session.run_plan import default_control_rate
 
 FIRST_NODE_NUMBER = 0x10
-"""Node id of the first motor in a hand whose drives have been replaced."""
+"""Node id of the first motor, if the drives of a packaged hand have been replaced."""
 DATA_BITRATE = 5_000_000
 """Bit rate of the data phase on the buses of a hand whose drives need CAN FD [bit/s]."""
 MIN_CONTROL_RATE_HZ = 200.0
 """Lowest control rate at which the controller reacts to every fault within the fault's time limit [Hz]."""
 SPLIT_BUS_RATE_HZ = 250.0
-"""Control rate for which motors are distributed over more buses [Hz]."""
+"""Control rate that the buses must allow after the motors have been distributed over more buses [Hz]."""
 CAMPAIGN_TASK: dict[str, Any] = {
     "schema": 1,
     "name": "campaign",
@@ -50,7 +50,7 @@ CAMPAIGN_TASK: dict[str, Any] = {
 RUN_STAGES = (ARMING_STAGE, FREE_MOTION_STAGE, GRASP_STAGE)
 """Stages of a run in the order of time."""
 FREE_MOTION_STAGE_DELAY_S = 0.2
-"""Time from the start of the free motion to the stage FREE, at which faults are injected [s]."""
+"""Time from the start of the free motion to the stage at which faults are injected into the free motion [s]."""
 STAGE_TIMEOUT_S = 12.0
 """Longest simulated time until a run reaches the next stage [s]."""
 
@@ -80,8 +80,9 @@ def hand_with_drives(
 
     The buses use CAN FD if the protocol needs CAN FD.
 
-    The frames of the new drives may allow only a control rate below ``MIN_CONTROL_RATE_HZ``. If the
-    hand has only one bus in this case, the motors of the hand are distributed over more buses.
+    The frames of the new drives possibly allow only a control rate below ``MIN_CONTROL_RATE_HZ``.
+    If the control rate is too low and the hand has only one bus, the motors are distributed over
+    more buses.
 
     Args:
         hand: description of the hand.
@@ -151,7 +152,7 @@ def advance_to_stage(simulation: SimulatedRun, stage: str) -> None:
     """Simulate a run up to a given stage.
 
     Raises:
-        ConfigError: the run does not reach the stage, so this hand cannot be tested.
+        ConfigError: the run does not reach the stage, so the hand cannot be tested.
     """
     free_motion_ticks = 0
 
@@ -182,7 +183,7 @@ def advance_to_stage(simulation: SimulatedRun, stage: str) -> None:
 class StagedRun(Protocol):
     """Experiment that starts from a given stage of a run.
 
-    The experiment is a scenario of the fault matrix or a sequence of random faults.
+    A staged experiment is a scenario of the fault matrix or a sequence of random faults.
     """
 
     @property
@@ -243,7 +244,7 @@ def run_in_forked_processes(
 ) -> None:
     """Run experiments, each in a forked copy of this process.
 
-    Each copy begins with the present state of the simulation. So the run up to the stage is
+    Each forked copy begins with the present state of the simulation. So the run up to the stage is
     simulated only once for all experiments.
 
     Args:

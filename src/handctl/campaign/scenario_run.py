@@ -36,7 +36,7 @@ RUNAWAY_FAULT = "runaway"
 SHUT_DOWN_MODES = (HandMode.DISARM, HandMode.DONE)
 """Modes in which the hand shuts down."""
 SECOND_FAULT_DELAY_TICKS = 5
-"""Number of ticks from the first fault of a pair to the second one."""
+"""Number of ticks from the first fault of a pair to the second fault."""
 FAULT_PAIR_EXTRA_TICKS = 2
 """Further reaction time allowed for a pair of faults, because of a missed tick and the next tick [ticks]."""
 
@@ -49,14 +49,14 @@ class ScenarioResult:
         scenario: description of the scenario.
         id: id of the scenario's row in the fault matrix.
         stage: stage of the run at which the fault was injected.
-        effect_count: number of times that the injected fault took effect. Without an effect, the
-            scenario is not a valid test.
-        ticks: number of ticks from the physical event to the frames with the reaction, or from the
-            change of the motor force that the detection needs. The number
-            is -1 without a reaction.
+        effect_count: number of times that the injected fault took effect. If the fault had no
+            effect, the scenario is not a valid test.
+        ticks: number of ticks from the physical event to the frames with the reaction. If the
+            detection needs a change of the motor force, the ticks count from this change. The
+            number is -1 without a reaction.
         bound: largest allowed number of ticks until the reaction.
         detected_by: id of the fault that the controller reported, and the name of the affected
-            part. The text is empty if the controller reported nothing.
+            part. If the controller reported no fault, the text is empty.
         safe_ticks: number of ticks from the physical event until all motor torques are zero. The
             number is -1 if a torque remains.
         tension: largest true tension of a tendon during the scenario [N].
@@ -82,8 +82,8 @@ class ScenarioResult:
 
     def as_json(self) -> dict[str, Any]:
         """Return the result as plain values for JSON."""
-        # The keys must stay equal to those of the report file, because other programs read that
-        # file.
+        # The keys must stay equal to the keys in the report file, because other programs read the
+        # report file.
         keys = {
             "effect_count": "felt",
             "detected_by": "found",
@@ -138,7 +138,7 @@ def run_scenario(
         elif i == SECOND_FAULT_DELAY_TICKS and scenario.second_fault:
             simulation.simulated_hand.inject(scenario.second_fault)
         t_ns = (simulation.k + int(inputs.get("skipped_ticks", 0))) * simulation.period_ns
-        # If the fault stops the host for some ticks, the reaction time begins with the tick in
+        # If the fault stops the host for some ticks, the reaction time counts from the tick in
         # which the host continues.
         start_ns = t_ns if host and i == 0 else start_ns
         tick_output = simulation.run_tick(**inputs)
@@ -187,9 +187,9 @@ def tension_bound(
 ) -> float:
     """Return the largest tension that the drives and the momentum of the rotors can cause in a scenario [N].
 
-    Only the fault `runaway` makes a drive pull harder than commanded. With all other faults, the
-    tension must not exceed the trip tension. A single reading above the trip tension makes the hand
-    relax.
+    Only the fault `runaway` makes a drive pull harder than commanded. With all faults other than
+    `runaway`, the tension must not exceed the trip tension. A single reading above the trip tension
+    makes the hand relax.
 
     Args:
         simulation: simulation of the run.
@@ -218,8 +218,8 @@ def runaway_tension(
 
     A runaway drive pulls with its largest force F, and accelerates its rotor. The rotor acts like a
     mass m at the tendon. The tendon has the stiffness k, and resists. If the tension is T at the
-    start, the tension rises up to F + sqrt((F - T)^2 + k m v^2). Here v is the speed of the rotor
-    at the start, plus the speed that F adds while the finger moves freely.
+    start of the fault, the tension rises up to F + sqrt((F - T)^2 + k m v^2). The speed v is the
+    speed of the rotor at the start, plus the speed that F adds while the finger moves freely.
 
     Args:
         model: model of the hand.
@@ -247,7 +247,7 @@ def runaway_tension(
 def _first_effect_ns(simulation: SimulatedRun, host: "HostFault | None", start_ns: int) -> int:
     """Return the time at which the injected fault first took effect [ns].
 
-    The time is -1 if the fault has had no effect yet.
+    If the fault has had no effect yet, the returned time is -1.
     """
     if host is not None:
         return start_ns
@@ -257,9 +257,10 @@ def _first_effect_ns(simulation: SimulatedRun, host: "HostFault | None", start_n
 class ReactionStart:
     """Instant from which the reaction time of a scenario counts.
 
-    Normally this is the first effect of the fault. A stuck load cell is not visible until the motor
-    force has varied, see ``FaultMatrixRow.force_change_N``. Its reaction time then counts from the
-    instant at which the low-passed motor force has varied enough.
+    Normally, the reaction time counts from the first effect of the fault. A stuck load cell is not
+    visible until the motor force has varied, see ``FaultMatrixRow.force_change_N``. For a stuck
+    load cell, the reaction time therefore counts from the instant at which the low-passed motor
+    force has varied enough.
     """
 
     def __init__(self, simulation: SimulatedRun, scenario: FaultScenario) -> None:
@@ -276,7 +277,7 @@ class ReactionStart:
 
     @property
     def has_begun(self) -> bool:
-        """Return False if the motor force has not varied enough for a detection."""
+        """Return True if the motor force has varied enough for a detection, or does not need to vary."""
         return not self._force_change_N or self._varied_ns >= 0
 
     def update(self, simulation: SimulatedRun, first_effect_ns: int, t_ns: int) -> int:
@@ -287,7 +288,8 @@ class ReactionStart:
 
         Args:
             simulation: simulation after the present tick.
-            first_effect_ns: time of the first effect of the fault [ns], -1 before it.
+            first_effect_ns: time of the first effect of the fault [ns], or -1 before the first
+                effect.
             t_ns: time of the present tick [ns].
         """
         if first_effect_ns < 0 or not self._force_change_N:
@@ -300,7 +302,7 @@ class ReactionStart:
         return self._varied_ns if self._varied_ns >= 0 else t_ns
 
     def _motor_force(self, simulation: SimulatedRun) -> float:
-        """Return the force of the scenario's motor at its tendon [N]."""
+        """Return the force of the motor that has the fault, converted to the tendon [N]."""
         torque = simulation.simulated_hand.truth()["torque"][self._tendon]
         return float(
             torque / simulation.controller.model.tendon_constants.spool_radius[self._tendon]
@@ -315,7 +317,7 @@ def _observe_tick(
     reaction_start_ns: int,
     t_ns: int,
 ) -> None:
-    """Update the result of a scenario by the output of a tick."""
+    """Add the output of a tick to the result of a scenario."""
     row = scenario.row
     truth = simulation.simulated_hand.truth()
     result.tension = max(result.tension, *truth["tension"])
@@ -331,8 +333,9 @@ def _observe_tick(
         )
         if not result.detected_by and reports_fault and is_expected:
             result.detected_by = " ".join(event.text.split(":")[0].split()[:1]) + f" {event.where}"
-    # If the required reaction is RELAX or a more severe one, any mode in which the hand relaxes or
-    # shuts down counts as a reaction. But if CUT is required, the mode RELAX is not enough.
+    # If the required reaction is RELAX or a more severe reaction, any mode in which the hand
+    # relaxes or shuts down counts as a reaction. But if the required reaction is CUT, the mode
+    # RELAX does not count as a reaction.
     has_reacted = tick_output.action >= row.action or (
         row.action >= SafetyAction.RELAX
         and tick_output.mode in (*SHUT_DOWN_MODES, HandMode.RELAX, HandMode.CUT)
@@ -340,7 +343,7 @@ def _observe_tick(
     has_reacted = has_reacted and not (
         row.action == SafetyAction.CUT and tick_output.mode == HandMode.RELAX
     )
-    # The controller only reports the fault H01 and does not react otherwise. So the report counts
+    # The only reaction of the controller to the fault H01 is a report. So the report of H01 counts
     # as the reaction.
     if row.id == "H01":
         has_reacted = bool(result.detected_by)
@@ -359,7 +362,7 @@ def _observe_tick(
 
 
 def _judge_result(result: ScenarioResult, row: FaultMatrixRow, is_visible: bool) -> ScenarioResult:
-    """Add the verdict and the list of problems to a result, and return the result.
+    """Add the verdict on a scenario (passed or not) and the list of problems to the result, and return the result.
 
     Args:
         result: result of the run.
@@ -390,7 +393,7 @@ def _judge_result(result: ScenarioResult, row: FaultMatrixRow, is_visible: bool)
 
 
 class HostFault:
-    """Fault of the host computer, or request of an operator to the controller.
+    """Fault of the host computer, or request from an operator to the controller.
 
     The text of a fault has one of the forms `io KIND [WHERE] [lasting]`, `skip N`, `late FRACTION`
     and `ask REQUEST [TIMES]`.

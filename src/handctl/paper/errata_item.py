@@ -13,15 +13,15 @@ class ErrataVerdict(StrEnum):
     EQUAL = "equal"
     """The printed value is exact, or the printed statement is true."""
     ROUNDED = "rounded"
-    """The printed value is the exact value correctly rounded, or was calculated from a correctly rounded value."""
+    """The printed value is the correctly rounded exact value, or was calculated from a correctly rounded value."""
     TRUNCATED = "truncated"
-    """The printed value is the exact value with its last digits cut off, or was calculated from such a value."""
+    """The printed value is the exact value without its last digits, or was calculated from a truncated value."""
     LOWER_BOUND = "bound"
     """The printed value is a lower bound, and the measured value is larger."""
     WRONG = "wrong"
     """The printed statement is false, or the printed value is neither exact nor rounded, truncated or a bound."""
     UNDECIDABLE = "undecidable"
-    """The paper contradicts itself or is ambiguous, and nothing in it shows which meaning is right."""
+    """The paper contradicts itself or is ambiguous, and nothing in the paper shows which meaning is right."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,12 +32,12 @@ class ErrataItem:
         id: unique identifier of the item. The words of an identifier are joined by dots, e.g.
             `eq10.gravity`.
         where: equation or section of the paper with the statement.
-        printed: the statement, as it is printed in the paper.
+        printed: statement of the paper, exactly as printed.
         computed: exact value in full precision, or the correct expression, or None if nothing can
             be calculated.
-        unit: unit of the exact value, empty for expressions and counts.
+        unit: unit of the exact value. The text is empty for expressions and for numbers of things.
         verdict: verdict on the statement, derived from the printed and the exact value.
-        why: explanation of the verdict for a reader of the paper.
+        why: explanation of the verdict, for readers of the paper.
         evidence: kinds of evidence for the verdict, e.g. `arithmetic`, `Lagrange`, `dimensions`.
         deviation: largest relative difference between the printed and the correct expression at
             random states, or None if the item is about a number.

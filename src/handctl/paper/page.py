@@ -28,7 +28,7 @@ REGENERATE_COMMAND = (
 MEASURED_IN_SIMULATOR_COMMENT = (
     "<!-- measured in the simulator: differs in its last digits from machine to machine -->"
 )
-"""Comment that the page contains before sections whose content differs from machine to machine."""
+"""Comment before each section of the page whose content differs from machine to machine."""
 FIGURE_CAPTIONS = {
     "fig1-hand": "Fig. 1: the hand from its description, half closed.",
     "fig2-model": "Fig. 2: kinematic model of a finger, with relative angles q and absolute angles θ.",
@@ -98,7 +98,7 @@ def page_as_markdown(page_sections: Sequence[PageSection]) -> str:
 def _markdown_table(number_table: Sequence[Sequence[str]]) -> list[str]:
     """Return the lines of a table of numbers as Markdown.
 
-    The first line has the titles. An empty table has no lines.
+    The first line contains the titles of the columns. For an empty table, the result is empty.
     """
     if not number_table:
         return []
@@ -107,7 +107,7 @@ def _markdown_table(number_table: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _summary_text(errata_items: list[ErrataItem]) -> str:
-    """Return a text with the number of errata items for each verdict, and the command that generates the page."""
+    """Return a text that states the number of errata items per verdict, and the command that generates the page."""
     counts = ", ".join(
         f"{count} {verdict}" for verdict, count in count_by_verdict(errata_items).items()
     )
@@ -195,7 +195,7 @@ def _html_badge(verdict: str) -> str:
 
 def _html_paragraph(paragraph: str) -> str:
     """Return a paragraph as HTML, where the code in backquotes is marked as code."""
-    # If the paragraph is split at the backquotes, every second part is code.
+    # If the paragraph is split at the backquotes, every second piece of text is code.
     text_parts = html.escape(paragraph).split("`")
     return "".join(
         f"<code>{text_part}</code>" if i % 2 else text_part
@@ -216,8 +216,8 @@ def _html_numbers(number_table: Sequence[Sequence[str]]) -> str:
 
     The first row of the table contains the titles of the columns.
     """
-    # The first row of the table contains the titles of the columns. The code below makes them
-    # header cells.
+    # The first row of the table contains the titles of the columns. The code below makes these
+    # titles header cells.
     titles, *rows = (
         "".join(f"<td>{html.escape(cell)}</td>" for cell in row) for row in number_table
     )

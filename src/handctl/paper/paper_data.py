@@ -1,6 +1,6 @@
 """The hand of the paper, and some numbers of the paper as exact fractions.
 
-All other numbers of the paper follow from these numbers.
+All other numbers of the paper follow from the numbers in this module.
 """
 
 import math
@@ -28,7 +28,7 @@ GRAVITY_M_PER_S2 = Fraction(981, 100)
 ALLOWABLE_STRESS_MPA = Fraction(190)
 """Allowable stress of the wire [MPa]. Source: section 5."""
 KNEE_TENSIONS_N = (Fraction(200), Fraction(250))
-"""Tensions at the knee of the force-displacement curve: one that section 5 states, one from the abstract [N]."""
+"""Tensions at the knee of the force-displacement curve: the value in section 5, and the value in the abstract [N]."""
 PAYLOAD_KG = "0.915"
 """Payload, as it is printed in the paper [kg]."""
 
@@ -69,7 +69,7 @@ def tip_distances_mm(digit: Digit) -> tuple[Fraction, ...]:
 def tension_per_newton(digit: Digit) -> Fraction:
     """Return the tendon tension that balances a force of 1 N at the tip of a straight digit [N/N].
 
-    The balance holds at joint 1.
+    The tension balances the force at joint 1.
     """
     return tip_distances_mm(digit)[0] / PULLEY_RADIUS_MM
 
@@ -77,7 +77,7 @@ def tension_per_newton(digit: Digit) -> Fraction:
 def tension_for_payload(mass: int) -> Fraction:
     """Return the tension in each finger's tendon with which three fingers hold a mass [N].
 
-    The fingers hold the mass [kg] by friction.
+    Friction between the fingers and the object holds the mass [kg].
     """
     return (
         mass
@@ -98,5 +98,5 @@ def wire_stress_mpa(tension_n: Fraction | float, diameter_mm: float) -> float:
 
 
 def payload_kg(normal_force_N: Fraction) -> Fraction:
-    """Return the mass that the friction of a contact holds, for a given normal force [kg]."""
+    """Return the mass that the friction of one contact holds, for a given normal force [kg]."""
     return FRICTION_COEFFICIENT * normal_force_N / GRAVITY_M_PER_S2

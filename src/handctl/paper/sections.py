@@ -34,9 +34,10 @@ class PageSection:
         title: heading of the section.
         text: paragraphs of the section.
         figures: names of the figures in the section.
-        items: items of the section. Each is a row of the table.
+        items: errata items of the section. Each item is a row of the table of errata.
         measured: True if the section shows results of simulated experiments.
-        table: table of numbers before the items. The first row contains the titles of the columns.
+        table: table of numbers before the errata items. The first row contains the titles of the
+            columns.
     """
 
     title: str
@@ -50,7 +51,8 @@ class PageSection:
 def page_sections(experiment_results: Mapping[str, Any] | None) -> tuple[PageSection, ...]:
     """Return all sections of the page.
 
-    Without results of experiments, the sections about measurements are left out.
+    Without results of experiments, the returned list does not contain the sections about
+    measurements.
 
     Args:
         experiment_results: results of `experiments.run_experiments`, or None.

@@ -12,8 +12,8 @@ ROUNDING_TOLERANCE = Fraction(1, 10**12)
 def verdict_of_number(printed_number: str, exact_value: Fraction | float) -> ErrataVerdict:
     """Return the verdict on a printed number, given the exact value.
 
-    The verdict is the first of ``equal``, ``rounded`` and ``truncated`` that applies. If none
-    applies, it is ``wrong``.
+    The verdict is the first of ``equal``, ``rounded`` and ``truncated`` that applies. If none of
+    the three applies, the verdict is ``wrong``.
 
     Args:
         printed_number: decimal number as printed, e.g. `18.33`.
@@ -24,7 +24,7 @@ def verdict_of_number(printed_number: str, exact_value: Fraction | float) -> Err
     unit = last_digit_value(printed_number)
     if abs(printed_value - value) <= ROUNDING_TOLERANCE * abs(value):
         return ErrataVerdict.EQUAL
-    # The difference is at most half of one unit in the last printed digit.
+    # The difference between the numbers is at most half of one unit in the last printed digit.
     if 2 * abs(printed_value - value) <= unit:
         return ErrataVerdict.ROUNDED
     if printed_value * value >= 0 and 0 < abs(value) - abs(printed_value) < unit:
@@ -44,8 +44,8 @@ def verdict_of_derived_number(
         printed_number: decimal number as printed.
         exact_value: exact value.
         value_from_other_number: value that results from a calculation with the other printed number.
-        source_verdict: verdict on the other printed number. If the number is wrong but equals
-            `value_from_other_number`, the verdict on the other number is returned.
+        source_verdict: verdict on the other printed number. If the printed number is wrong but
+            equals `value_from_other_number`, the verdict on the other number is returned.
     """
     verdict = verdict_of_number(printed_number, exact_value)
     is_explained = verdict_of_number(printed_number, value_from_other_number) == ErrataVerdict.EQUAL
@@ -60,10 +60,10 @@ def verdict_of_statement(is_true: bool) -> ErrataVerdict:
 def verdict_of_lower_bound(printed_number: str, value: float) -> ErrataVerdict:
     """Return the verdict on a lower bound that the paper states.
 
-    The argument `value` was reached in practice. The lower bound is first
-    judged like any printed number. If the result is not ``wrong``, it is also the verdict on the
-    bound. Otherwise, the verdict is ``bound`` if the value is above the printed bound, and
-    ``wrong`` if the value is below it.
+    The argument `value` was reached in practice. The lower bound is first judged like any printed
+    number. If the result is not ``wrong``, the result is the verdict on the bound. If the result is
+    ``wrong``, the verdict is ``bound`` for a value above the printed bound, and ``wrong`` for a
+    value below the printed bound.
     """
     verdict = verdict_of_number(printed_number, value)
     return (
@@ -90,14 +90,14 @@ def verdict_of_contradiction(
 ) -> ErrataVerdict:
     """Return the verdict on several printed values of the same quantity.
 
-    If these values differ and there is no exact value, the verdict is undecidable.
+    If the printed values differ and there is no exact value, the verdict is undecidable.
     """
     if exact_value is None:
         return verdict_of_ambiguous_statement(
             [value == printed_numbers[0] for value in printed_numbers]
         )
     verdicts = [verdict_of_number(value, exact_value) for value in printed_numbers]
-    # The members of this enumeration are listed in the order of severity.
+    # The members of ``ErrataVerdict`` are listed in the order of severity.
     return max(verdicts, key=list(ErrataVerdict).index)
 
 
@@ -107,9 +107,9 @@ def last_digit_value(printed_number: str) -> Fraction:
 
 
 def rounding_interval(printed_number: str) -> tuple[Fraction, Fraction]:
-    """Return the lower and the upper end of an interval.
+    """Return the lower and the upper end of the rounding interval of a printed number.
 
-    The interval contains all values that would be rounded to a printed number.
+    The interval contains all values that are equal to the printed number after rounding.
     """
     half_last_digit = last_digit_value(printed_number) / 2
     return Fraction(printed_number) - half_last_digit, Fraction(printed_number) + half_last_digit

@@ -1,9 +1,10 @@
 """Gains of a hand on disk.
 
-There is a file with the present gains, and a numbered history. With the history, every change can
-be undone. Runs use `HAND.gains.toml`. The file `HAND.gains/0001.toml` and the files with the next
-numbers contain all gains that have been applied so far. Each file is written under a temporary name
-and then renamed. A reader therefore gets either the complete old file or the complete new file.
+One file contains the present gains of a hand, and a numbered history contains all applied gains.
+With the history, every change of the gains can be undone. Runs use `HAND.gains.toml`. The file
+`HAND.gains/0001.toml` and the files with the next numbers contain all gains that have been applied
+so far. Each file is written under a temporary name and then renamed. A program that reads the gains
+therefore gets either the complete old file or the complete new file.
 """
 
 import datetime
@@ -24,7 +25,7 @@ from handctl.errors import ConfigError
 from handctl.output_files import write_text_atomically
 
 MANUAL_EDIT_NOTE = "edited by hand"
-"""Note in the provenance of gains that a user edited."""
+"""Note in the provenance of those gains that a user has edited by hand."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +42,7 @@ class StoredGains:
 
     @property
     def number(self) -> int:
-        """Return the number of the entry in the history."""
+        """Return the number of this entry in the history of gains."""
         return self.file.provenance.number
 
 
@@ -69,7 +70,7 @@ class GainsStore:
     def present_gains(self) -> GainsFile | None:
         """Return the present gains of the hand.
 
-        If there is no gains file, return None. Runs then use the packaged gains.
+        If there is no gains file, return None. Without a gains file, runs use the packaged gains.
 
         Raises:
             ConfigError: the file of the present gains cannot be used.
@@ -126,12 +127,12 @@ class GainsStore:
         return self._write_gains(gains, provenance)
 
     def roll_back(self, to: int | None = None) -> GainsFile:
-        """Restore the gains before the present gains, or the gains with a given number.
+        """Restore the gains that precede the present gains in the history, or the gains with a given number.
 
-        The number 0 restores the packaged gains.
+        The argument `to` with the value 0 restores the packaged gains.
 
         Raises:
-            ConfigError: There are no earlier gains, or the number does not exist.
+            ConfigError: The history contains no earlier gains, or no gains with the given number.
         """
         self._store_edited_gains()
         entries = {entry.number: entry for entry in self.history_entries()}
@@ -174,8 +175,9 @@ class GainsStore:
     ) -> GainsFile:
         """Write gains to the history with the next number, and then make them the present gains.
 
-        A user may have copied the present file, so that the history does not contain it. In this
-        case, the new gains are recorded as the successor of the newest entry.
+        If a user has replaced the file of the present gains by a copy, the history possibly does
+        not contain the present gains. If the history lacks the present gains, the new gains are
+        recorded as the successor of the newest entry.
         """
         present_gains = self.present_gains()
         entries = self.history_entries()
@@ -197,8 +199,8 @@ class GainsStore:
         text = gains_text(gains, written_provenance)
         try:
             self.history_folder.mkdir(parents=True, exist_ok=True)
-            # The history is written first. So if the program crashes between the two writes, the
-            # present gains have not changed.
+            # The history is written before the file of the present gains. So a crash of the program
+            # between the two writes does not change the present gains.
             write_text_atomically(
                 self.history_folder / f"{written_provenance.number:04d}.toml",
                 text,
@@ -215,7 +217,7 @@ class GainsStore:
 def _number_of_previous_gains(
     gains_by_number: dict[int, StoredGains], present_gains: GainsFile
 ) -> int:
-    """Return the number that the gains before the present gains have in the history.
+    """Return the history number of the gains that precede the present gains.
 
     After a rollback, the restored gains count as the present gains.
 

@@ -1,11 +1,11 @@
 """Verification of new gains on the hand itself.
 
-The hand first executes an exercise with the old gains. Then it executes the exercise with the new
-gains, in rounds of rising amplitude.
+The hand first executes an exercise with the old gains. Then the hand executes the exercise with the
+new gains, in rounds of rising amplitude.
 
-If a limit is violated, an observer of the run requests the old gains again. The controller treats
-the requests of the observer like the requests of any client. Therefore the log contains these
-requests, and the run can be executed again.
+If the hand violates a limit with the new gains, an observer of the run requests the old gains
+again. The controller treats the requests of the observer like the requests of any client. Therefore
+the log contains the requests of the observer, and the run can be executed again.
 """
 
 import json
@@ -32,12 +32,12 @@ from handctl.tune.scoring import GainScore, GroundTruth, digit_angles, score_tic
 ROUNDS_WITH_OLD_GAINS = 2
 """Number of rounds of the exercise with the old gains.
 
-The last of these rounds is compared with the new gains.
+The last round with the old gains is compared with the last round with the new gains.
 """
 ROUND_AMPLITUDES = (0.3, 1.0, 0.3, 0.6, 1.0)
-"""Amplitudes of the rounds of the exercise: first those with the old gains, then those with the new gains.
+"""Amplitudes of the rounds of the exercise: first the rounds with the old gains, then those with the new gains.
 
-Before the round that is compared, both old and new gains have at least one other round.
+For the old and for the new gains, at least one other round precedes the compared round.
 """
 RINGING_WINDOW_S = 0.1
 """Duration of the window in which oscillations of the torques are measured [s].
@@ -48,15 +48,16 @@ BLOCKED_LAG_RAD = 0.1
 """Difference between command and estimated angle at which a digit in contact counts as blocked [rad].
 
 A digit that only touches something still follows its command. With gains that keep the margins, a
-free digit lags by less than a third of this value.
+free digit lags behind its command by less than a third of this angle.
 """
 BLOCKED_DURATION_NS = 50_000_000
-"""Time after which a digit that lags in contact counts as blocked [ns].
+"""Time after which a digit in contact that lags behind its command counts as blocked [ns].
 
-In this time, the controller also detects the contact of a digit that blocks the first one.
+Within this duration, the controller detects the contact of both digits, if one digit blocks
+another.
 """
 PROPOSED_AMPLITUDE_FRACTION = 0.9
-"""Amplitude that is proposed for a hand with blocked digits, as a fraction of the amplitude of the contact."""
+"""Amplitude that is proposed for a hand with blocked digits, as a fraction of the amplitude at the contact."""
 AMPLITUDE_ROUNDING_STEP = 0.05
 """Step to which a proposed amplitude is rounded down."""
 
@@ -73,10 +74,10 @@ class BlockedDigit:
     Attributes:
         digit: name of the digit.
         by: names of the other digits that were blocked at the same time.
-        angle: mean joint angle of the digit, as text with its unit.
+        angle: mean joint angle of the blocked digit, as text with a unit.
         amplitude: amplitude of the round.
-        proposed_amplitude: amplitude at which the digit stays in front of the contact. The value is
-            0 if there is none.
+        proposed_amplitude: amplitude of the exercise at which the digit does not reach the contact.
+            The value is 0 if there is no such amplitude.
     """
 
     digit: str
@@ -86,7 +87,7 @@ class BlockedDigit:
     proposed_amplitude: float
 
     def __str__(self) -> str:
-        """Return the reason why a verification with this digit is not valid."""
+        """Return the reason why a verification with this blocked digit is not valid."""
         by = f" by {' and '.join(self.by)}" if self.by else ""
         text = f"{self.digit} is blocked{by} at {self.angle}"
         text += ": the amplitude is too large for this hand"
@@ -122,9 +123,9 @@ class GainsRollback:
 
     Attributes:
         t_s: time at which the return was requested [s].
-        k: number of the tick in which the return was requested.
-        amplitude: amplitude of the exercise in that round.
-        why: text with the limit that was violated and the measured value.
+        k: number of the tick in which the observer requested the return.
+        amplitude: amplitude of the exercise in the round in which the return was requested.
+        why: text with the violated limit and the measured value.
     """
 
     t_s: float
@@ -137,20 +138,20 @@ class GainsRollback:
 class VerifyObserver:
     """Observer of a verification run, which requests the new gains.
 
-    If a limit is exceeded, the observer requests the old gains again.
+    If the hand exceeds a limit, the observer requests the old gains again.
 
     Attributes:
         hand: description of the running hand.
         old_gains: gains with which the run starts.
-        new_gains: gains to verify. The old and the new gains may differ only in gains that a
-            running controller can change.
+        new_gains: gains to verify. The new gains are allowed to differ from the old gains only in
+            gains that a running controller can change.
         limits: limits for the rounds with the new gains.
         amplitudes: amplitudes of the rounds of the exercise.
         rounds_with_old_gains: number of rounds with the old gains.
         rollback: record of the return to the old gains, or None if no return was necessary.
-        blocked: first digit that was blocked in a move, or None if no digit was blocked. The
-            tracking limit does not apply to a blocked digit, because its error says nothing about
-            the gains.
+        blocked: first digit that was blocked in a move, or None if no digit was blocked. The limit
+            of the tracking error does not apply to a blocked digit, because the error of a blocked
+            digit says nothing about the gains.
     """
 
     hand: Hand
@@ -201,8 +202,8 @@ class VerifyObserver:
     def _blocked_names(self, tick_output: TickOut) -> tuple[str, ...]:
         """Return the names of the digits in contact.
 
-        If none of these digits lags behind its goal, the result is empty. The digit with the
-        largest lag comes first.
+        If no digit in contact lags behind its goal, the result is empty. The digit with the largest
+        lag comes first.
         """
         numbers = tick_output.telemetry
         goal_deviation = np.abs(numbers.q_goal - numbers.q) / self.hand.display_units.scale
@@ -236,7 +237,7 @@ class VerifyObserver:
         )
 
     def _request_gains(self, gains: Gains, present_gains: Gains) -> None:
-        """Add a request that sets the given gains, as far as a running controller can change these gains."""
+        """Add a request that sets those of the given gains that a running controller can change."""
         # If a request does not set the force of some tendon, the running controller keeps the
         # present force of this tendon. Therefore the request must set the forces of all tendons.
         value_by_key = values_by_key(gains) | {
@@ -262,8 +263,8 @@ class VerifyObserver:
         self._last_torque = torque
         if torque_before is None or tick_output.mode != HandMode.ACTIVE:
             return 0.0
-        # The control rate is not known to the observer. Therefore the mean period of the ticks so
-        # far is used.
+        # The observer does not know the control rate. Therefore the observer uses the mean period
+        # of the ticks so far.
         period = entry.t_ns / max(entry.k, 1) / 1e9
         self._squared_torque_rates.append(
             float(np.square(torque - torque_before).mean()) / period**2
@@ -275,7 +276,7 @@ class VerifyObserver:
     def _tracking_violation(self, telemetry: Telemetry | PackedTelemetry) -> str:
         """Return a text about the joint that is farthest from its goal.
 
-        If this joint does not violate the limit, the text is empty.
+        If the farthest joint does not violate the limit, the text is empty.
         """
         units = self.hand.display_units
         is_touching = np.repeat(telemetry.contact > 0.0, self._joint_counts)
@@ -322,9 +323,9 @@ COMPARED_MEASURES = {
     "effort_Nm_per_s": ("effort", "N m/s"),
     "peak_tension_N": ("peak tension", "N"),
 }
-"""Name and unit of each compared measure, by its field in `GainScore`."""
+"""Name and unit of each compared measure of quality, by the field of `GainScore` with this measure."""
 DEFAULT_RELATIVE_SPREAD = 0.1
-"""If there is only one run, this spread of a measure is assumed, as a fraction of the old value."""
+"""Spread of a measure that is assumed if there is only one run, as a fraction of the value with the old gains."""
 MAX_EQUAL_DIFFERENCE_FRACTION = 0.02
 """Largest difference between old and new value that is judged as "same", as a fraction of the old value."""
 
@@ -333,15 +334,15 @@ MAX_EQUAL_DIFFERENCE_FRACTION = 0.02
 class MeasureComparison:
     """Comparison of the old and the new gains by one measure of quality.
 
-    Only the rounds with full amplitude are compared.
+    The comparison uses only the rounds with full amplitude.
 
     Attributes:
         name: name of the measure of quality.
         unit: unit of the measure.
         old: mean of the measure over the runs with the old gains.
         new: mean of the measure over the runs with the new gains.
-        spread: half of the 95 % interval of the difference. If there is only one run, the value is
-            an assumption.
+        spread: half of the 95 % confidence interval of the difference between new and old value. If
+            there is only one run, the spread is an assumption.
         verdict: "better", "worse" or "same".
     """
 
@@ -357,7 +358,7 @@ def compare_rounds(round_scores: list[list[GainScore]]) -> list[MeasureCompariso
     """Compare the old and the new gains.
 
     In each run, the last round with the old gains and the last round with the new gains are
-    compared. Both rounds have the full amplitude.
+    compared. In both compared rounds, the exercise has the full amplitude.
 
     Args:
         round_scores: scores of the rounds of each run.
@@ -389,15 +390,16 @@ def scores_by_round(
 ) -> list[GainScore]:
     """Calculate the score of each round of the exercise.
 
-    The rounds with the old gains come first in the result.
+    In the result, the rounds with the old gains come before the rounds with the new gains.
 
-    Digits in contact are left out of the tracking error, because they cannot follow their commands.
+    The tracking error does not include digits in contact, because a digit in contact cannot follow
+    its commands.
 
     Args:
         log: log of the verification.
         hand: hand description of the run.
         truth: true values from the simulator, or None on hardware. On hardware, the estimates of
-            the controller are used instead.
+            the controller replace the true values.
         offset_ns: time on the clock of the simulator at which the time of the run was 0 [ns].
     """
     start_indices = [change.k for change in log.phases if change.name == "settle"]

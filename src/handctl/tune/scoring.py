@@ -1,6 +1,7 @@
 """Scores of gains. A score comes from runs of the whole controller on simulated plants.
 
-To get a score, the goals of an exercise are compared with the true values of the simulator.
+A score is calculated from the differences between the goals of an exercise and the true values of
+the simulator.
 """
 
 import tempfile
@@ -50,11 +51,11 @@ class GainScore:
         tracking_deg: difference between the goal and the true mean joint angle while digits move
             [deg].
         tension_N: difference between the goal and the true tension while tensions are held [N].
-        effort_Nm_per_s: rate of the commanded motor torque, a measure of wear and noise [N
-            m/s].
+        effort_Nm_per_s: rate of change of the commanded motor torque, a measure of wear and noise
+            [N m/s].
         peak_tension_N: largest true tension of any tendon on any of the plants [N].
-        shortfall: missing part of the margin on the worst plant, as a fraction of the required
-            margin. The value is 0 or less if all margins are large enough.
+        shortfall: required margin minus the margin on the worst plant, as a fraction of the
+            required margin. The shortfall is 0 or less if all margins are large enough.
         failure: reason why a run ended early or has no score, or an empty text.
         blocked: names of digits that were blocked by something during a move, separated by commas.
             While a digit is blocked, its tracking error is not part of the score.
@@ -76,11 +77,11 @@ class GainScore:
     def relative_cost(self, scale: "GainScore") -> float:
         """Return the cost of this score as a single number, relative to a reference score.
 
-        In the cost, tracking and tension have most of the weight. If two sets of gains have similar
-        tracking and tension, the effort decides.
+        In the cost, the errors of tracking and tension have most of the weight. If two sets of
+        gains have similar errors of tracking and tension, the effort decides.
         """
-        # The weights of tracking, tension and effort are 1, 1 and 0.1. They are divided by their
-        # sum 2.1, so that the cost of the reference is 1.
+        # The weights of tracking, tension and effort are 1, 1 and 0.1. The weights are divided by
+        # their sum 2.1, so that the cost of the reference score is 1.
         relative_objectives = [
             objective / max(scale_objective, 1e-9)
             for objective, scale_objective in zip(self.objectives, scale.objectives, strict=True)
@@ -104,7 +105,7 @@ def evaluate_job(score_job: Mapping[str, Any]) -> dict[str, Any]:
         The `GainScore`, as a table.
     """
     hand = hand_from_content(tomllib.loads(score_job["hand"]), "the hand of the search")
-    # If a job comes from another process, it contains lists in place of tuples.
+    # A job from another process contains lists in place of tuples.
     gains = validate_content(score_job["gains"], Gains, "the gains of the search")
     model = HandModel.from_hand(hand, gains, float(score_job["rate_hz"]))
     plants = score_job["plants"]
@@ -116,7 +117,7 @@ def evaluate_job(score_job: Mapping[str, Any]) -> dict[str, Any]:
         runs.append(score_exercise(hand, model, factors, int(score_job["seed"]) + i))
         if runs[-1].failure:
             return _score_table(replace(runs[-1], shortfall=shortfall))
-    # In a root mean square, the worst plants have the largest weight.
+    # In a root mean square over plants, the worst plants have the largest weight.
     tracking, tension, effort = np.sqrt(
         np.mean([np.square(run.objectives) for run in runs], axis=0)
     ).tolist()
@@ -256,7 +257,7 @@ def digit_angles(hand: Hand, q: Array) -> Array:
 class GroundTruth(NamedTuple):
     """Reference for a score: the true values from the simulator.
 
-    On hardware, the estimates of the controller are used in their place.
+    On hardware, the estimates of the controller replace the true values.
 
     Attributes:
         angle: (ticks, D) mean joint angle of each digit [rad], see ``digit_angles``.
@@ -285,7 +286,7 @@ def score_ticks(
     torque: Array,
     truth: GroundTruth,
 ) -> GainScore:
-    """Return the score of some ticks of an exercise, without the margins.
+    """Return the score of the given ticks of an exercise, without the margins.
 
     Args:
         t_ns: (ticks,) times of the ticks [ns].

@@ -43,8 +43,7 @@ def _new_figure(width: float, height: float) -> Any:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")
-    # The figure has a canvas of its own, which needs neither a display nor the global state of
-    # pyplot.
+    # The figure has its own canvas, which needs neither a display nor the global state of pyplot.
     FigureCanvasAgg(figure)
     return figure
 
@@ -95,8 +94,8 @@ def _style_axes(axes_row: Any, kind: LoopKind) -> None:
     circle_angles = np.linspace(0.0, 2.0 * np.pi, 200)
     plane.plot(np.cos(circle_angles), np.sin(circle_angles), color=GREY_COLOR, linewidth=0.8)
     plane.plot([-1.0], [0.0], "+", color="black")
-    # On the negative real axis, the gain margin is the distance of -1 from the origin, divided by
-    # the distance of the curve.
+    # On the negative real axis, the gain margin is the distance from the origin to -1, divided by
+    # the distance from the origin to the curve.
     plane.plot([-(10.0 ** (-MIN_GAIN_MARGIN_DB / 20.0))], [0.0], "|", color="black")
     plane.set(
         title=f"Nyquist; bar: {MIN_GAIN_MARGIN_DB:g} dB",
@@ -166,7 +165,7 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
     left_axes.set(
         xlabel="tracking error [deg rms]", ylabel="tension error [N rms]", title="feasible trials"
     )
-    # Beside the plots, the legend does not hide any trial.
+    # A legend beside the plots does not hide any trial.
     figure.legend(*left_axes.get_legend_handles_labels(), loc="outside lower left", ncols=3)
     costs = [
         result.relative_cost(trial) if trial.is_feasible else np.nan for trial in result.trials
@@ -201,8 +200,8 @@ def draw_verify(
         hand: description of the hand of the run.
         truth: true values from the simulator, or None on hardware.
         offset_ns: time on the clock of the simulator at which the time of the run was 0 [ns].
-        rollback: record of the return to the old gains during the run. None if there was
-            none.
+        rollback: record of the return to the old gains during the run. None if the gains were not
+            changed back.
     """
     figure = _new_figure(12, 7.5)
     figure.suptitle(f"{hand.name}: {hand.digit_names[0]}, old gains first, new gains shaded")

@@ -82,6 +82,6 @@ def run_bench_task(
 def _hand_model(hand_file: str) -> HandModel:
     """Return the model of a hand, and design the gains for this hand.
 
-    The result is cached, because the design of the gains takes about a second.
+    The function caches the model, because the design of the gains takes about a second.
     """
     return HandModel.from_hand(load_hand(hand_file), Gains(), RATE_HZ)

@@ -1,7 +1,7 @@
 """Experiments of the paper, described as jobs for worker processes.
 
-A job and the result of a job consist of plain values. Therefore they can be sent to another
-process.
+A job and the result of a job consist of plain values. Therefore jobs and results can be sent to
+another process.
 """
 
 import json
@@ -55,12 +55,13 @@ def run_experiments(workers: JobRunner) -> dict[str, Any]:
     """Run all experiments of the paper, and return the results.
 
     Returns:
-        A table with the results of `force_displacement.measure_tendons` under `force_displacement`,
-        and a list under `payload` with one result for each diameter and axis.
+        A table with two keys. The key `force_displacement` has the results of
+        `force_displacement.measure_tendons`. The key `payload` has a list with one result for each
+        diameter and axis.
     """
     search_jobs = [{"do": "search", "diameter_mm": diameter} for diameter in payload.DIAMETERS_MM]
-    # The jobs that load the hand need the tensions that the search jobs find. Therefore the search
-    # jobs run first.
+    # The jobs that load the hand need the grip tensions that the search jobs find. Therefore the
+    # search jobs run first.
     pull_result, *grip_results = workers([{"do": "pull"}, *search_jobs])
     loads = [
         {"do": "load", "diameter_mm": diameter, "axis": axis, "found": grip}

@@ -27,22 +27,22 @@ HAND_NAME = "jamia_bench"
 BLOCKED_JOINT_RANGE_DEG = 0.01
 """Range of motion that remains in a clamped joint [deg].
 
-In three such joints, it moves the tendon by 1.6 um.
+The remaining motion of three clamped joints moves the tendon by 1.6 um.
 """
 MAX_PULL_N = 238.0
 """Tension to which the tendons are pulled [N].
 
-With its overshoot, the tension stays below 244 N, at which the load cells count as saturated.
+Even with its overshoot, the tension stays below 244 N. At 244 N, the load cells count as saturated.
 """
 PULL_RATE_N_PER_S = 60.0
 """Rate at which the tension of the pulled tendons increases [N/s]."""
 LINEAR_TENSION_RANGE_N = (30.0, 150.0)
 """Range of tension in which the curves of all tendons are linear [N].
 
-A line through this range gives the origin of a curve.
+A straight line through the linear range of a curve gives the origin of the curve.
 """
 MAX_NOISE_RESIDUAL = 1.2
-"""Largest residual of a curve that counts as linear [standard deviations of the load cell]."""
+"""Largest residual at which a curve counts as linear [standard deviations of the load-cell noise]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,12 +50,12 @@ class TendonCurve:
     """Measured force-displacement curve of a tendon.
 
     Attributes:
-        nominal_knee_N: tension at which the simulated tendon becomes softer (the knee of its curve)
+        nominal_knee_N: tension at the knee of the curve, above which the simulated tendon is softer
             [N].
         displacement: (samples,) displacement of the tendon at the spool [mm]. The displacement is
-            zero where the extension of the linear part reaches the force 0.
+            zero where the extrapolated linear section of the curve reaches the force 0.
         force: (samples,) reading of the load cell [N].
-        stiffness: stiffness in the linear part of the curve [N/m].
+        stiffness: stiffness of the tendon in the linear section of the curve [N/m].
         knee: tension at the measured knee [N], or None if the whole curve is linear.
         knee_sigma: standard deviation of the measured knee [N].
     """
@@ -71,8 +71,8 @@ class TendonCurve:
 def blocked_hand(knee_tensions: tuple[float, ...]) -> Hand:
     """Return the hand of the test bench, with all joints clamped.
 
-    The curve of a tendon has a knee. The first tendons of the returned hand have this knee at the
-    given tensions [N].
+    The force-displacement curve of a tendon has a knee. In the returned hand, the first tendons
+    have their knees at the given tensions [N].
     """
     content = copy.deepcopy(load_hand(HAND_NAME).content)
     for digit in content["digit"]:
@@ -136,7 +136,7 @@ def curve_of_tendon(measured_curve: Mapping[str, Any], noise_N: float) -> Tendon
 
     Args:
         measured_curve: result of `measure_tendons` for one tendon.
-        noise_N: standard deviation of the load cell [N].
+        noise_N: standard deviation of the noise of the load cell [N].
     """
     travel = np.array(measured_curve["travel_m"])
     force = np.array(measured_curve["force_N"])
@@ -145,7 +145,8 @@ def curve_of_tendon(measured_curve: Mapping[str, Any], noise_N: float) -> Tendon
     force = force[is_finite]
     linear_mask = (force > LINEAR_TENSION_RANGE_N[0]) & (force < LINEAR_TENSION_RANGE_N[1])
     slope, offset = np.polyfit(travel[linear_mask], force[linear_mask], 1)
-    # The extrapolated linear part reaches the force 0 at the displacement -offset / slope.
+    # The extrapolated linear section of the curve reaches the force 0 at the displacement -offset /
+    # slope.
     displacement = travel + offset / slope
     residual = float(np.sqrt(np.mean((force - slope * displacement) ** 2)))
     knee, sigma = (
@@ -169,8 +170,8 @@ def _fit_knee(displacement: Array, force: Array, initial_slope: float) -> tuple[
         return np.array([tendon.elastic_tension(value) for value in x.tolist()])
 
     bounds = ([100.0, 0.05, 1e-5], [300.0, 0.95, 2e-3])
-    # The fit uses only every fourth sample. With more samples, the fit takes longer, and the knee
-    # hardly becomes more accurate.
+    # The fit uses only every fourth sample. With all samples, the fit takes longer, and the fitted
+    # knee is hardly more accurate.
     parameters, covariance = curve_fit(
         knee_curve, displacement[::4], force[::4], (180.0, 0.5, 2e-4), bounds=bounds
     )

@@ -1,7 +1,7 @@
 """Measurement of the payload of a hand in the simulator.
 
-The hand grips a cylinder with 6 N per finger. Then a force pulls the cylinder along one axis. The
-force grows until the cylinder slips.
+The hand grips a cylinder with 6 N per finger. After the grip, a force pulls the cylinder along one
+axis. The force grows until the cylinder slips.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ from handctl.programs.task import Task
 from handctl.report.truth_record import TruthRecord, read_truth
 
 HAND_NAME = "jamia"
-"""Name of the packaged hand for this measurement."""
+"""Name of the packaged hand whose payload is measured."""
 DIAMETERS_MM = (30.0, 35.0, 40.0)
 """Diameters of the cylinders [mm]."""
 LOAD_DIRECTIONS: dict[str, tuple[int, int, int]] = {
@@ -35,7 +35,7 @@ CYLINDER_MASS_KG = 0.05
 TENSION_STEPS_N = (20.0, 26.0, 32.0, 38.0, 44.0)
 """Tensions at which the search measures the normal forces [N].
 
-The tension at which a finger presses with 6 N is interpolated between them.
+The tension at which a finger presses with 6 N is interpolated between the measured tensions.
 """
 TENSION_STEP_S = 0.5
 """Time for which the search holds each tension [s]."""
@@ -48,13 +48,13 @@ LOAD_DURATION_S = 5.5
 SLIP_SPEED_M_PER_S = 1e-3
 """Largest speed at which the object does not count as slipping [m/s]."""
 SLIP_DISTANCE_M = 2e-3
-"""Largest distance by which the object may move without counting as slipping [m]."""
+"""Largest displacement at which the object does not count as slipping [m]."""
 SPEED_WINDOW_S = 0.1
 """Length of the window over which the speed of the object is measured [s]."""
 AVERAGED_ROW_COUNT = 100
 """Number of rows of the ground truth over which normal forces are averaged.
 
-There is a row for each millisecond.
+The ground truth has a row for each millisecond.
 """
 SCENE_TOML_TEMPLATE = """name = "payload"
 [object]
@@ -78,12 +78,12 @@ rate_N_per_s = {rate}
 def search_grip_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
     """Return the tension of each digit for a grip with 6 N per finger, and the start time of the grip.
 
-    The search increases the tension in steps. The result is interpolated between these steps.
-    Because of friction, the normal force depends on the earlier tensions of the grip. Therefore a
-    second grip starts directly with the interpolated tension. The forces in the second grip are
-    used to correct the tension once. The thumb must balance the fingers. Therefore the tension of
-    the thumb is the mean tension of the fingers. In all runs with this diameter, the grip begins at
-    the same time.
+    The search increases the tension in steps. The returned tension is interpolated between the
+    tension steps. Because of friction, the normal force depends on the earlier tensions of the
+    grip. Therefore a second grip starts directly with the interpolated tension. With the normal
+    forces in the second grip, the function corrects the tension once. The thumb must balance the
+    fingers. Therefore the tension of the thumb is the mean tension of the fingers. In all runs with
+    the same diameter, the grip begins at the same time.
     """
     names = src.paper_hand().digit_names
     phases = [
@@ -94,8 +94,8 @@ def search_grip_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
     normal_forces = np.array(
         [_mean_normal_forces(truth, _phase_end_ns(recording, phase["name"])) for phase in phases]
     )
-    # The interpolation needs forces that strictly increase. From phase to phase, 1e-6 N more is
-    # added to each force, so that equal forces become different.
+    # The interpolation needs normal forces that strictly increase. The code adds k times 1e-6 N to
+    # the forces of phase k, so that equal forces become different.
     normal_forces = np.maximum.accumulate(normal_forces + 1e-6 * np.arange(len(phases))[:, None])
     start_s = recording.t_ns[recording.phase.index(phases[0]["name"])] / 1e9
     target_normal_forces = np.full(len(names), float(src.FINGER_GRIP_FORCE_N))
@@ -119,7 +119,8 @@ def _tension_for_normal_forces(
 ) -> dict[str, float]:
     """Return the tension of each digit at which the fingers press with the given normal forces [N].
 
-    The tensions are interpolated between the steps of the search (steps, digits).
+    The tensions are interpolated between the tension steps of the search. The measured forces have
+    the shape (steps, digits).
     """
     names = src.paper_hand().digit_names
     tension = {
@@ -144,11 +145,11 @@ def load_until_slip(
     end = int(np.searchsorted(truth.t_ns, _phase_end_ns(recording, "load")))
     normal_forces = _mean_normal_forces(truth, int(truth.t_ns[first_row]))
     slip, end_reason = _find_slip(truth, first_row, end)
-    # Along the axis z, the weight of the object acts in the same direction as the load.
+    # For the load case z, the weight of the object acts in the same direction as the load.
     weight = CYLINDER_MASS_KG * float(src.GRAVITY_M_PER_S2) if load_axis == "z" else 0.0
     load = float(truth.interpolated_column("load", truth.t_ns[slip : slip + 1])[0]) + weight
-    # The axis x points out of the palm. So the palm carries the sum of the digits' contact forces
-    # along x.
+    # The axis x points out of the palm. So the palm carries the sum of the contact forces of the
+    # digits along x.
     palm = sum(
         float(
             truth.interpolated_column(
@@ -243,7 +244,8 @@ def _find_slip(truth: TruthRecord, first_row: int, end_row: int) -> tuple[int, s
         "moved": np.flatnonzero(object_motion > SLIP_DISTANCE_M),
         "creep": np.flatnonzero(speed > SLIP_SPEED_M_PER_S) + window,
     }
-    # A speed is assigned to the end of the time window over which it is measured.
+    # A speed of the object is assigned to the end of the time window in which the speed is
+    # measured.
     slip_starts = [
         (int(rows[0]), end_reason) for end_reason, rows in crossings.items() if len(rows)
     ]
@@ -254,7 +256,7 @@ def _find_slip(truth: TruthRecord, first_row: int, end_row: int) -> tuple[int, s
 def friction_bound_kg(payload_result: Mapping[str, Any]) -> float:
     """Return the largest mass that the hand can hold according to Coulomb friction [kg].
 
-    The mass follows from the measured normal forces of the digits and the palm on the object.
+    The mass is computed from the measured normal forces of the digits and the palm on the object.
     """
     normal = sum(payload_result["normal_N"].values()) + payload_result["palm_N"]
     return float(src.FRICTION_COEFFICIENT) * float(normal) / float(src.GRAVITY_M_PER_S2)
@@ -323,4 +325,4 @@ TEXT_BY_CRITERION = {
     "creep": "it crept faster than 1 mm/s",
     "held": "it still held at the end",
 }
-"""Words for each criterion that can end a measurement."""
+"""Text for each criterion that can end a measurement of the payload."""

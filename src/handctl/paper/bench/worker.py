@@ -18,8 +18,8 @@ def main() -> None:
 
     If an experiment fails, the error message is written in place of the result.
 
-    The worker ignores Ctrl-C, because the process that sends the jobs handles Ctrl-C. The sending
-    process then sends SIGTERM to the worker. After this signal, the worker deletes its temporary
+    The worker ignores Ctrl-C, because the process that sends the jobs handles Ctrl-C. After Ctrl-C,
+    the sending process sends SIGTERM to the worker. After SIGTERM, the worker deletes its temporary
     folder and ends.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)

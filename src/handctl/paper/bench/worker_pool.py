@@ -14,19 +14,19 @@ from handctl.paper.bench.experiments import ExperimentJob, ExperimentResult, Job
 WORKER_MODULE = "handctl.paper.bench.worker"
 WorkerProcess = subprocess.Popen[str]
 ReportFunction = Callable[[ExperimentJob, bool], None]
-"""Function that is called with False at the start of each job, and with True at its end."""
+"""Function that is called with False at the start of each job, and with True at the end of the job."""
 
 
 @contextmanager
 def worker_pool(worker_count: int, report: ReportFunction) -> Iterator[JobRunner]:
-    """Start worker processes. The processes end at the end of the context, even after an error.
+    """Start worker processes. The worker processes end at the end of the context, even after an error.
 
     Args:
         worker_count: number of processes.
         report: function that is called at the start and at the end of each job.
     """
     command = [sys.executable, "-m", WORKER_MODULE]
-    # Because the workers have a process session of their own, they do not receive Ctrl-C from the
+    # Because the workers have their own process session, they do not receive Ctrl-C from the
     # terminal.
     children = [
         subprocess.Popen(
@@ -52,7 +52,7 @@ def _distribute_jobs(
 ) -> list[ExperimentResult]:
     """Distribute jobs among workers, and return the results in the order of the jobs.
 
-    When a worker has returned a result, it gets the next job.
+    When a worker has returned a result, the worker gets the next job.
     """
     results: dict[int, ExperimentResult] = {}
     pending_jobs = iter(enumerate(jobs))
@@ -108,6 +108,6 @@ def _read_result(child: WorkerProcess) -> ExperimentResult:
 
 
 def _require_pipe(worker_pipe: IO[str] | None) -> IO[str]:
-    """Return a pipe, if it exists."""
+    """Return a pipe of a worker process, and assert that the pipe exists."""
     assert worker_pipe is not None
     return worker_pipe

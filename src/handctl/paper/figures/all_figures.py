@@ -24,7 +24,7 @@ def figure_contents(
 ) -> dict[str, tuple[tuple[float, float], DrawFunction]]:
     """Return a dict with the size [inch] and the drawing function of each figure, by the name of the figure.
 
-    Without results of experiments, the figures of measurements are left out.
+    Without results of experiments, the dict does not contain the figures about measurements.
     """
     figure_functions: dict[str, tuple[tuple[float, float], DrawFunction]] = {
         "fig1-hand": (fig1_hand.HAND_FIGURE_SIZE_IN, fig1_hand.draw_hand_figure),
@@ -55,8 +55,8 @@ def draw_all_figures(folder: Path, experiment_results: Mapping[str, Any] | None)
 
     Args:
         folder: folder to write to, created if it does not exist.
-        experiment_results: results of `experiments.run_experiments`. If they are None, the figures about
-            measurements are left out.
+        experiment_results: results of `experiments.run_experiments`. If the results are None, the
+            figures about measurements are left out.
 
     Returns:
         Path of the SVG file of each figure, by the name of the figure.

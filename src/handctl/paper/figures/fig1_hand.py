@@ -23,7 +23,7 @@ LABEL_OFFSETS_MM = {
 """Offset of the label of each digit [mm]."""
 FACES_AROUND = 24
 FACES_ALONG = 6
-"""The two numbers above are the number of faces around a bar, and the number of rings on its round end."""
+"""The two constants above are the number of faces around a bar, and the number of rings on the round end of a bar."""
 LIGHT_DIRECTION = np.array([0.35, -0.45, 0.82])
 """Direction from which the light comes."""
 VIEW_ANGLES_DEG = (24.0, -58.0)
@@ -33,7 +33,7 @@ VIEW_ANGLES_DEG = (24.0, -58.0)
 def draw_hand_figure(figure: Any) -> None:
     """Draw the palm, and then the digits.
 
-    All digits belong to one collection of faces, so that near faces hide far faces.
+    The figure draws all digits as one collection of faces, so that near faces hide far faces.
     """
     from matplotlib.patheffects import withStroke
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped,unused-ignore]
@@ -129,7 +129,7 @@ def _capsule_faces(start_point: Array, end_point: Array, radius: float) -> list[
     up = np.cross(axis, side)
     quarter_turn_angles = np.linspace(0.0, np.pi / 2, FACES_ALONG)
     # The first rings of corners are along the straight part of the bar. The other rings are around
-    # the round end.
+    # the round end of the bar.
     ring_centres_and_radii = [
         (start_point + (end_point - start_point) * fraction, radius)
         for fraction in np.linspace(0.0, 0.9, 5)
@@ -156,8 +156,8 @@ def _shaded_colour(face_corners: Array, colour: str) -> tuple[float, float, floa
 
     normal = np.cross(face_corners[2] - face_corners[0], face_corners[3] - face_corners[1])
     length = float(np.linalg.norm(normal))
-    # The brightness of a face is at least 0.55, which is the ambient light. The rest of the
-    # brightness depends on the angle between the face and the light.
+    # The brightness of a face is at least 0.55, which is the ambient light. The brightness above
+    # 0.55 depends on the angle between the face and the light.
     brightness = (
         0.55
         + 0.45

@@ -1,4 +1,4 @@
-"""Fig. 2 of the paper: kinematic model of a finger, with links, hinges, relative and absolute angles."""
+"""Fig. 2 of the paper: kinematic model of a finger, with its links, hinges, and relative and absolute angles."""
 
 from typing import Any
 

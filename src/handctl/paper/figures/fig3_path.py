@@ -16,7 +16,7 @@ from handctl.paper.model import kinematics
 
 PATH_FIGURE_SIZE_IN = (9.6, 4.5)
 AREA_CELL_MM = 0.25
-"""Size of the cells of which the drawn area consists [mm]."""
+"""Edge length of the square cells of which the drawn area consists [mm]."""
 SAMPLE_COUNTS = {"index": 161, "thumb": 900}
 """Number of sampled angles of each joint, by digit."""
 HEIGHT_RANGE_MM = (-12.0, 60.0)
@@ -81,11 +81,11 @@ def _draw_reachable_area(
 ) -> None:
     """Fill the cells that contain a sampled position of the fingertip.
 
-    The gaps between these cells are filled, too.
+    The gaps between the cells with sampled positions are filled, too.
     """
     bins = [np.arange(low, high + AREA_CELL_MM, AREA_CELL_MM) for low, high in (x_limits, y_limits)]
-    # Otherwise, empty cells between two samples would look like positions that the tip cannot
-    # reach.
+    # Without the filling, empty cells between two samples would look like positions that the tip
+    # cannot reach.
     reached_cells = binary_closing(
         np.histogram2d(tip_positions[:, 0], tip_positions[:, 1], bins=bins)[0] > 0, iterations=3
     )

@@ -1,6 +1,6 @@
 """Fig. 4 and 6 of the paper: moments at the joints of a straight digit.
 
-A force on the tip causes some of these moments. The tendon causes the others.
+A force on the tip causes some of the moments at the joints. The tendon causes the other moments.
 """
 
 from typing import Any
@@ -73,7 +73,7 @@ def _draw_digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
 
 
 def _draw_digit_outline(axes: Any, joint_xs: list[float]) -> None:
-    """Draw the digit below the axis, with the force at the tip of the digit."""
+    """Draw the outline of the digit below the axis of the plot, with the force at the tip of the digit."""
     axes.plot(
         joint_xs,
         [-12.5] * len(joint_xs),

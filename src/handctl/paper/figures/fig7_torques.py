@@ -1,6 +1,6 @@
-"""Fig. 7 of the paper: parts of the torque that closes a digit.
+"""Fig. 7 of the paper: components of the torque that closes a digit.
 
-The figure also shows T_1 by Eq. 10, once for the printed equation and once for the corrected
+A second figure shows T_1 by Eq. 10, once for the printed equation and once for the corrected
 equation.
 """
 
@@ -78,7 +78,8 @@ def draw_torque_figure(figure: Any) -> None:
 
 def _add_tension_axis(axes: Any, moment_arm_m: float, is_labelled: bool) -> None:
     """Add an axis that shows the torque as a tension of the tendon."""
-    # The torques are converted from mN m to N m. Division by the lever then gives tensions in N.
+    # The torques are converted from mN m to N m. Division of a torque in mN m by the moment arm in
+    # mm gives a tension in N.
     factor = 1e-3 / moment_arm_m
     side = axes.secondary_yaxis(
         "right", functions=(lambda torque: torque * factor, lambda force: force / factor)

@@ -1,6 +1,6 @@
 """Fig. 5 of the paper, and a figure of the payload.
 
-Both show measurements on the simulated bench, and mark the values of the paper.
+Both figures show measurements on the simulated test bench, and mark the values of the paper.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ AXIS_COLOURS = (BLUE, ORANGE, GREEN)
 
 
 def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
-    """Draw the curves of both tendons, the two knees that the paper states, and the stress limit of section 5."""
+    """Draw the force-displacement curves of both tendons, the knees in the paper, and the stress limit of section 5."""
     axes = figure.subplots()
     allowed_tension = float(src.FINGER_GRIP_FORCE_N * src.tension_per_newton(src.paper_finger()))
     axis_limit = 1.12 * float(max(src.KNEE_TENSIONS_N))
@@ -87,8 +87,8 @@ def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
         xlim=(0, end), ylim=(0, axis_limit), title="Tendon of a blocked finger, pulled over the bus"
     )
     axes.legend(loc="lower right", fontsize=8.5, markerscale=4)
-    # Stress is proportional to tension. Therefore the second axis differs from the first one only
-    # by a factor.
+    # Stress is proportional to tension. Therefore the axis of the stress differs from the axis of
+    # the tension only by a factor.
     factor = src.wire_stress_mpa(1.0, wire)
     stress_axis = axes.secondary_yaxis(
         "right", functions=(lambda force: force * factor, lambda mpa: mpa / factor)
@@ -172,14 +172,14 @@ def _draw_lines(axes: Any) -> None:
 def _draw_load_traces(
     axes: Any, load_axis: str, payload_results: Sequence[Mapping[str, Any]]
 ) -> None:
-    """Draw how far the object has moved, over the load along an axis."""
+    """Draw the displacement of the object over the load along an axis."""
     gravity = float(src.GRAVITY_M_PER_S2)
     for result, colour in zip(payload_results, AXIS_COLOURS, strict=True):
         axes.plot(
             result["trace_mm"], np.array(result["trace_N"]) / gravity, color=colour, linewidth=1.3
         )
-        # This is the first sample at which the load is at least the load at which the object
-        # slipped.
+        # The variable below is the first sample at which the load is at least the load at which the
+        # object slipped.
         row = int(np.searchsorted(result["trace_N"], result["load_N"]))
         position = result["trace_mm"][min(row, len(result["trace_mm"]) - 1)]
         axes.plot(

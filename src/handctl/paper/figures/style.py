@@ -13,7 +13,7 @@ GREEN = "#3c9d5d"
 RED = "#d01c1c"
 PURPLE = "#7a5fb5"
 GREY = "#6b6b6b"
-"""The colours above are used in all figures of the paper, and in the figures of a run."""
+"""All figures of the paper and the figures of a run use the colours above."""
 DIGIT_COLOURS = {"index": BLUE, "middle": ORANGE, "ring": GREEN, "thumb": "#b8436f"}
 """Colour of each digit."""
 PLOT_SETTINGS: Any = {

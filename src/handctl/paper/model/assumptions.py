@@ -1,6 +1,6 @@
-"""Assumptions that the model of the paper makes without stating them.
+"""Assumptions that the model of the paper makes, but that the paper does not state.
 
-For each assumption, the effect on the numbers is given.
+For each assumption, the module gives the effect on the numbers of the paper.
 """
 
 from fractions import Fraction
@@ -67,14 +67,14 @@ def _check_coupling() -> list[ErrataItem]:
     """
     tip_distances = src.tip_distances_mm(src.paper_finger())
     # If all joint angles are equal, the principle of virtual work gives T times 3 r_p = F times the
-    # sum of the levers. Here T is the tension, and F is the force at the tip.
+    # sum of the levers. In this equation, T is the tension, and F is the force at the tip.
     tension = sum(tip_distances, Fraction(0)) / (len(tip_distances) * src.PULLEY_RADIUS_MM)
     force = src.FINGER_GRIP_FORCE_N * tension
     torque = src.FINGER_GRIP_FORCE_N * tension * src.SPOOL_RADIUS_MM / 1000
     arms = src.paper_hand().moment_arms[
         src.paper_hand().digit_tendons["index"], src.paper_hand().digit_joints["index"]
     ]
-    # `free` is the number of joint motions that no tendon controls.
+    # The variable `free` is the number of joint motions that no tendon controls.
     free_dimensions = len(tip_distances) - int(np.linalg.matrix_rank(arms))
     return [
         ErrataItem(
@@ -145,14 +145,15 @@ def _check_bending() -> ErrataItem:
 def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_ANGLES_DEG) -> Array:
     """Return the normal forces at the middles of three links (3,) [N].
 
-    These forces balance the tendon, which runs over equal pulleys.
+    The normal forces balance the tendon, which runs over equal pulleys.
     """
     lengths = np.array(paper_digit("index").lengths)
     link_angles = np.cumsum(np.radians(angles_deg))
     moment_arm_matrix = np.zeros((3, 3))
     for joint in range(3):
         for link in range(joint, 3):
-            # This is the lever with which a normal force at the middle of `link` acts on `joint`.
+            # The expression below is the lever with which a normal force at the middle of `link`
+            # acts on `joint`.
             distance_to_link = lengths[joint:link] @ np.cos(
                 link_angles[link] - link_angles[joint:link]
             )

@@ -1,8 +1,8 @@
 """Equations 1 to 12 of the paper, term by term: the printed term, its readings, and the correct term.
 
-The correct terms (`correct_form`) follow from Lagrange's equations. The tests derive them with sympy. If
-the printed form of a term is ambiguous, because an operator is missing or a bracket is never
-closed, the term has several `readings`.
+The correct terms (`correct_form`) follow from Lagrange's equations. The tests derive the correct
+terms with sympy. If the printed form of a term is ambiguous, because an operator is missing or a
+bracket is never closed, the term has several `readings`.
 """
 
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ class EquationTerm:
     Attributes:
         id: identifier of the errata item about this term.
         where: equation that contains the term.
-        printed_form: the term, as it is printed in the paper.
-        readings: possible meanings of the printed term. If only one meaning of an undefined symbol
-            is possible, the symbol is read in this way.
+        printed_form: term of the equation, exactly as printed in the paper.
+        readings: possible meanings of the printed term. If an undefined symbol can have only one
+            meaning, the readings use this meaning.
         correct_form: correct form of the term.
         explanation: explanation of the error in the printed term.
-        mirror_id: identifier of another term with the same coefficient. Both coefficients must be
-            equal, because the mass matrix is symmetric.
+        mirror_id: identifier of another term with the same coefficient. The coefficients of both
+            terms must be equal, because the mass matrix is symmetric.
     """
 
     id: str

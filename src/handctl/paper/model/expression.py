@@ -1,7 +1,8 @@
 """Formulas that are given as text.
 
 A formula can be evaluated with numbers or arrays, checked for dimensions, and typeset. The tests
-give the same text to sympy. Therefore the page shows exactly the formulas that sympy has proved.
+give the text of each formula to sympy. Therefore the page about the paper shows exactly the
+formulas that sympy has proved.
 """
 
 import ast
@@ -40,12 +41,12 @@ class Expression:
 
     @property
     def names(self) -> frozenset[str]:
-        """Return the names in the formula, without the names of functions."""
+        """Return the names of the quantities in the formula, without the names of functions."""
         names = {node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name)}
         return frozenset(names - FUNCTION_BY_NAME.keys() - {"pi"})
 
     def evaluate(self, values_by_symbol: Mapping[str, Any]) -> Any:
-        """Return the value of the formula for given values of its names.
+        """Return the value of the formula for given values of the names in the formula.
 
         If the values are arrays, the formula is evaluated element by element.
 
@@ -68,7 +69,7 @@ class Expression:
 
 
 FUNCTION_BY_NAME: dict[str, Callable[[Any], Any]] = {"sin": np.sin, "cos": np.cos}
-"""Functions that a formula may use."""
+"""Functions that are allowed in a formula."""
 
 
 def _value_of_node(formula_node: ast.expr, values_by_symbol: Mapping[str, Any]) -> Any:
@@ -214,7 +215,7 @@ def _typeset_text(formula_node: ast.expr) -> tuple[str, int]:
 
 
 def _node_without_minus(formula_node: ast.expr) -> ast.expr:
-    """Return a product without the minus sign that its first factor may have.
+    """Return a product without the minus sign of its first factor.
 
     If there is no minus sign, the node is returned unchanged.
     """

@@ -1,4 +1,4 @@
-"""Section 4 of the paper: checks of Eq. 1 and 2 and of their angles, and the reach of a fingertip."""
+"""Section 4 of the paper: checks of Eq. 1 and 2 and of the angles in them, and the reach of a fingertip."""
 
 from collections.abc import Callable
 
@@ -16,7 +16,7 @@ from handctl.paper.verdicts import verdict_of_statement
 EQUATION_1 = Expression("30*cos(theta) + 15*cos(2*theta) + 10*cos(3*theta)")
 EQUATION_2 = Expression("30*sin(theta) + 15*sin(2*theta) + 10*sin(3*theta)")
 SAMPLED_ANGLES_RAD = np.linspace(-1.0, 2.0, 61)
-"""Angles at which Eq. 1 and 2 are compared [rad]."""
+"""Joint angles at which Eq. 1 and 2 are compared with the path of the fingertip [rad]."""
 
 
 def paper_digit(name: str) -> DigitModel:
@@ -112,7 +112,8 @@ def _lengths_text(name: str) -> list[str]:
 def _check_general_position() -> list[ErrataItem]:
     """Check the position of the fingertip that section 4 states, at random joint angles.
 
-    Section 4 states the position as L1 cos q1 + L2 cos(q1 + q2) + .., and the same with sines.
+    Section 4 states the position as L1 cos q1 + L2 cos(q1 + q2) + .., and the second coordinate as
+    the same sum with sines.
     """
     model = paper_digit("index")
     random = np.random.default_rng(1)

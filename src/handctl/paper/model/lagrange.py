@@ -2,8 +2,8 @@
 
 The correct terms follow from Lagrange's equations.
 
-All derivatives are calculated with complex steps. Such derivatives are exact except for rounding
-errors, and need no algebra by hand.
+All derivatives are calculated with complex steps. Derivatives with complex steps are exact except
+for rounding errors, and need no algebra by hand.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,13 +28,13 @@ STATE_COUNT = 200
 RELATIVE_TOLERANCE = 1e-9
 """Largest relative difference that counts as a rounding error.
 
-The smallest effect of a misprint is about 0.1.
+The smallest relative difference that a misprint causes is about 0.1.
 """
 COMPLEX_STEP = 1e-30
 """Size of the complex step of a derivative.
 
-The step may be as small as desired, because the method subtracts no two numbers. Source: Squire &
-Trapp (1998).
+The step can be as small as desired, because the complex-step method never subtracts one number from
+another. Source: Squire & Trapp (1998).
 """
 ENERGY_DIMENSION: Dimension = (1, 2, -2)
 """Dimension of energy, and of torque."""
@@ -53,7 +53,7 @@ StateSamples = Mapping[str, Any]
 def random_states() -> StateSamples:
     """Return random parameters, angles, rates and accelerations of order 1. Each has the shape (STATES,).
 
-    These random values are the same in every run.
+    The random values are the same in every run of the program.
     """
     random = np.random.default_rng(7)
     values: dict[str, Array] = {}
@@ -77,7 +77,7 @@ def finger_states(digit: DigitModel) -> StateSamples:
 
 
 def relative_deviation(printed_value: Any, correct_value: Any) -> float:
-    """Return the largest difference between values and correct values, divided by the largest correct value."""
+    """Return the largest difference between printed and correct values, divided by the largest correct value."""
     return float(np.max(np.abs(printed_value - correct_value)) / np.max(np.abs(correct_value)))
 
 
@@ -97,8 +97,8 @@ def _energy_of_terms(terms: Sequence[EquationTerm], states: StateSamples) -> Any
 def _momentum_rate(states: StateSamples, i: int) -> Array:
     """Return the derivative of ∂K/∂θ̇_i with respect to time.
 
-    The kinetic energy K is quadratic in the rates. Therefore a difference quotient of K with a step
-    of size 1 is exact.
+    The kinetic energy K is quadratic in the rates. Therefore a difference quotient of the kinetic
+    energy K with a step of size 1 is exact.
     """
     shifted_states = dict(states)
     for j in (1, 2, 3):
@@ -147,7 +147,7 @@ def _term_item(term: EquationTerm) -> ErrataItem:
         relative_deviation(reading.evaluate(states), correct_values) for reading in term.readings
     ]
     verdict = verdict_of_ambiguous_statement([value < RELATIVE_TOLERANCE for value in deviations])
-    # A reader can see wrong dimensions and a missing symmetry without a computer.
+    # A reader of the paper can find wrong dimensions and a missing symmetry without a computer.
     faults = (
         []
         if verdict == ErrataVerdict.EQUAL
@@ -171,9 +171,10 @@ def _wrong_dimensions_text(term: EquationTerm) -> str:
 
 
 def _asymmetry_text(term: EquationTerm) -> str:
-    """Compare the printed coefficients of a term and its mirror term.
+    """Compare the printed coefficient of a term with that of the mirror term.
 
-    If the coefficients differ, return a text about this. Otherwise, return an empty text.
+    If the coefficients differ, return a text about the difference. If the coefficients are equal,
+    return an empty text.
     """
     if not term.mirror_id:
         return ""
@@ -196,7 +197,7 @@ def _asymmetry_text(term: EquationTerm) -> str:
 def equation_errata() -> list[ErrataItem]:
     """Return the errata items for Eq. 7 to 9, and for Eq. 10 to 12 as a whole.
 
-    These equations are compared with handctl's equations of motion.
+    Each equation is compared with handctl's equations of motion.
     """
     digit = paper_finger()
     states = finger_states(digit)
@@ -242,7 +243,7 @@ def _check_joint_torque(
 ) -> ErrataItem:
     """Check whether T_i in the paper is the torque at joint i.
 
-    In fact, a motor at the joint must produce the torque tau = S^T T.
+    In fact, the motors at the joints must produce the torques tau = S^T T.
     """
     joints = joint_torques(digit, states)
     is_equal = relative_deviation(model[0], joints[:, 0]) < RELATIVE_TOLERANCE
@@ -257,9 +258,9 @@ def _check_joint_torque(
 
 
 def _agreement_text(deviation: float) -> str:
-    """Return a text that says how closely two values agree.
+    """Return a text that states how closely the printed and the correct value agree.
 
-    Decimal digits that may differ between machines are left out.
+    The text contains no decimal digits that can differ between machines.
     """
     return "to rounding" if deviation < RELATIVE_TOLERANCE else f"to {deviation:.1g}"
 
@@ -297,5 +298,5 @@ def _relative_from_absolute(states: StateSamples, name: str) -> Array:
 
 
 def printed_equation_value(terms: Sequence[EquationTerm], states: StateSamples) -> Any:
-    """Return the value of a printed equation. Ambiguous terms have their first reading."""
+    """Return the value of a printed equation. The first reading of each ambiguous term is used."""
     return sum(term.readings[0].evaluate(states) for term in terms)

@@ -1,6 +1,7 @@
 """Dynamics of section 7 in a motion.
 
-The torque that closes a digit is divided into parts. Each part has one cause.
+The torque that closes a digit is divided into components. Each component of the torque has one
+cause.
 """
 
 from dataclasses import dataclass
@@ -18,13 +19,13 @@ from handctl.paper.model.lagrange import finger_states, printed_equation_value
 from handctl.paper.verdicts import verdict_of_ambiguous_statement, verdict_of_statement
 
 CLOSED_JOINT_ANGLE_DEG = 60.0
-"""Angle of each joint at the end of the motion [deg]."""
+"""Angle of each joint at the end of the closing motion [deg]."""
 CLOSING_DURATIONS_S = (0.6, 0.3, 0.15)
 """Durations of the motions whose torques are drawn [s]."""
 SAMPLE_COUNT = 301
 """Number of samples of a motion."""
 TORQUE_CAUSES = ("inertia", "Coriolis", "gravity", "springs", "motor inertia")
-"""Causes of the torque. The first three are effects of the links alone."""
+"""Causes of the torque. The first three causes are effects of the links alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +38,8 @@ class ClosingTorques:
         times: (samples,) times of the samples [s].
         torque_by_cause: (samples,) torque at the single coordinate of the digit for each cause, by
             the name of the cause [N m].
-        moment_arm_m: moment arm of the tendon for this coordinate, which is the sum of all pulley radii
-            [m].
+        moment_arm_m: moment arm of the tendon for the single coordinate of the digit, which is the
+            sum of all pulley radii [m].
     """
 
     digit: str
@@ -102,7 +103,7 @@ def closing_torque_t1(duration_s: float) -> tuple[Array, Array, Array]:
     motion_samples = np.array([[value[0] for value in path.motion_at(float(t))] for t in times])
     states = dict(finger_states(digit))
     for order in range(3):
-        # If all joint angles are equal, the absolute angles are multiples of the first angle.
+        # If all joint angles are equal, the absolute angles are multiples of the first joint angle.
         states |= {"d" * order + f"th{i}": i * motion_samples[:, order] for i in (1, 2, 3)}
     correct_torque = sum(term.correct_form.evaluate(states) for term in equations.TORQUE_TERMS_1)
     return (
@@ -113,10 +114,10 @@ def closing_torque_t1(duration_s: float) -> tuple[Array, Array, Array]:
 
 
 def motion_errata() -> list[ErrataItem]:
-    """Return the errata items about the torque during a motion.
+    """Return the errata items about the torque that closes a digit.
 
-    The items are about Eq. 10 for a straight finger, about the completeness of Eq. 3 to 12, and
-    about the torque that section 8 mentions.
+    The errata items are about Eq. 10 for a straight finger, about the completeness of Eq. 3 to 12,
+    and about the torque that section 8 mentions.
     """
     return [_check_static_torque(), _check_completeness(), _check_torque_value()]
 
@@ -124,7 +125,7 @@ def motion_errata() -> list[ErrataItem]:
 def _check_static_torque() -> ErrataItem:
     """Check whether T_1 of Eq. 10 is the torque that holds a straight finger at joint 1.
 
-    In fact, this torque is the sum of T_1 to T_3 in Eq. 10 to 12.
+    In fact, the holding torque at joint 1 is the sum of T_1 to T_3 in Eq. 10 to 12.
     """
     _, printed_torque, correct_torque = closing_torque_t1(CLOSING_DURATIONS_S[1])
     digit = upright_digit("index")

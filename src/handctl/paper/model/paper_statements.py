@@ -20,7 +20,7 @@ COUNT_TAG = ("count",)
 SYMBOL_PATTERN = re.compile(r"(?<![A-Za-z])[A-Za-z](?:_[A-Za-z]|[₀-₉])?(?![A-Za-z])")
 """Pattern of a symbol in a printed equation: a letter with or without an index."""
 CONTROL_WORDS = ("desired", "error", "gain", "measured", "reference", "feedback")
-"""Words that occur in the meanings of a control law's symbols."""
+"""Words by which the meaning of a symbol of a control law is recognised."""
 MEANING_BY_SYMBOL = {
     "I": "moment of inertia", "m": "mass", "L": "length", "d": "distance of the centre of mass", "g": "gravity",
 }  # fmt: skip
@@ -78,7 +78,7 @@ def _check_degrees_of_freedom() -> list[ErrataItem]:
 def _check_palm_joint() -> ErrataItem:
     """Check the statement in section 3 of the paper that the joint in the palm link is fixed.
 
-    The words can mean the first joint of a finger, or the palm itself.
+    The words of the paper can mean the first joint of a finger, or the palm itself.
     """
     joints = len(src.paper_finger().joints)
     angles = {
@@ -119,7 +119,7 @@ def _depends_on_rate(energy_terms: Sequence[EquationTerm], name: str) -> bool:
 def _check_phalanges() -> ErrataItem:
     """Check whether the energy of each link is independent of the other links.
 
-    In separate fingers, the energies would be independent.
+    If the links were separate fingers, the energies would be independent.
     """
     # In a single finger, the energy of link 2 depends on the rate of link 1, and the energy of link
     # 3 on the rate of link 2.
@@ -170,7 +170,7 @@ def _check_lengths() -> ErrataItem:
 def _check_axis_of_inertia() -> ErrataItem:
     """Compare the energy of a bar with its moments of inertia about the axes y and z.
 
-    The bar turns in the x-y plane, and the energy is its kinetic energy.
+    The bar turns in the x-y plane, and the energy is the kinetic energy of the bar.
     """
     length = 30.0
     height = 8.0
@@ -182,8 +182,8 @@ def _check_axis_of_inertia() -> ErrataItem:
     x, y, z = np.meshgrid(*grid, indexing="ij")
     energy = float(np.mean(x**2 + y**2)) / 2.0
     moment_by_axis = {"y": float(np.mean(x**2 + z**2)), "z": float(np.mean(x**2 + y**2))}
-    # The energy of rotation is half of the moment of inertia times the squared rate. Here the rate
-    # is 1.
+    # The energy of rotation is half of the moment of inertia times the squared rate. In the code
+    # below, the rate is 1.
     correct_axes = [
         axis
         for axis, inertia in moment_by_axis.items()

@@ -1,6 +1,6 @@
 """Sections 5 and 6 of the paper: moments, tension, torque, payload and wire.
 
-All these values are calculated from numbers of the paper.
+All values of this module are calculated from numbers of the paper.
 """
 
 import math
@@ -46,7 +46,7 @@ def number_item(
 ) -> ErrataItem:
     """Return an errata item about a printed number.
 
-    The verdict follows from the printed decimal digits.
+    The verdict on the printed number follows from the printed decimal digits.
 
     In the paper, `symbol` is printed after the number.
     """
@@ -107,7 +107,8 @@ Joints are counted from the palm, beginning with 0.
 def _check_moment_labels() -> list[ErrataItem]:
     """Check the labels of the moments in the paper.
 
-    Some labels name several joints. Such a label states that the moments at these joints are equal.
+    Some labels of moments name several joints. A label with several joints states that the moments
+    at these joints are equal.
     """
     rows = []
     for id, location, printed_label, digit, joint, named_joint in FIGURE_LABELS:
@@ -195,8 +196,8 @@ def _check_finger() -> list[ErrataItem]:
     tension_item = number_item(
         "sec5.tension", "Sec. 5", "18.33", tension, "N per N",
         f"55/3. At 6 N: {float(6 * tension):g} N.", " F")  # fmt: skip
-    # The paper calculates the torque from the tension after rounding it. Therefore the torque in
-    # the paper contains a rounding error.
+    # The paper rounds the tension, and calculates the torque from the rounded tension. Therefore
+    # the torque in the paper contains a rounding error.
     torque_from_rounded_tension = Fraction("18.33") * src.SPOOL_RADIUS_MM / 1000
     verdict = verdict_of_derived_number(
         "0.09165", torque, torque_from_rounded_tension, tension_item.verdict
@@ -258,7 +259,7 @@ def _check_wire_diameters() -> list[ErrataItem]:
 def _check_area() -> ErrataItem:
     """Check the printed formula for the area of the wire, A = pi d2/4.
 
-    The formula gives an area only if the 2 is an exponent.
+    The printed formula gives an area only if the 2 after d is an exponent.
     """
     printed_formula = Expression("pi*d2/4")
     correct_formula = Expression("pi*d**2/4")
@@ -328,8 +329,8 @@ def _check_thumb() -> list[ErrataItem]:
 def _missing_radius() -> ErrataItem:
     """Calculate the pulley radius, which the paper does not state, from the printed tension 8.33 F."""
     printed_formula = "r_p = mm"
-    # All numbers that are rounded to 8.33 correspond to an interval of pulley radii. This interval
-    # contains exactly one whole number of millimetres.
+    # All numbers that are rounded to 8.33 correspond to an interval of pulley radii. The interval
+    # of the radii contains exactly one whole number of millimetres.
     low, high = sorted(
         src.tip_distances_mm(src.paper_thumb())[0] / bound for bound in rounding_interval("8.33")
     )

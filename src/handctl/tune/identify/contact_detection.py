@@ -1,16 +1,18 @@
 """Detection of a contact during the sweeps of a digit, from the residuals of the fit.
 
-Assume that a digit touches an obstacle at some angle. From this angle on, an additional tension
-grows while the digit closes. The fit attributes most of the additional tension to the springs, but
-no parameter can reproduce the kink in the curve. The fit therefore includes a ramp of tension that
-begins at some angle. The ramp is fitted together with all parameters, in the linearised fit. The
-score of the contact is the size of the ramp in standard deviations.
+Assume that a digit touches an obstacle at some angle. From the angle of the contact on, an
+additional tension grows while the digit closes. The fit attributes most of the additional tension
+to the springs, but no parameter can reproduce the kink in the curve. To detect a contact, the fit
+therefore includes a ramp of tension that begins at some joint angle. The linearised fit determines
+the ramp together with all parameters. The score of the contact is the size of the ramp in standard
+deviations.
 Source: score test (Rao 1948).
 
 A contact that lasts during the whole sweep causes no kink. If a contact blocks one of n joints
-during the whole sweep, the digit behaves like a free digit with other springs. The springs then
-seem to have n / (n - 1) of the stiffness and (n - 1) / n of the preload. The travel shows whether a
-joint is blocked. If the digit closes farther than n - 1 joints can, no joint is blocked.
+during the whole sweep, the digit behaves like a free digit with other springs. The springs of the
+blocked digit then seem to have n / (n - 1) of their stiffness and (n - 1) / n of their preload. The
+travel of the tendon shows whether a joint is blocked. If the digit closes farther than n - 1 joints
+permit, no joint is blocked.
 """
 
 from collections.abc import Sequence
@@ -26,34 +28,34 @@ MIN_CONTACT_SCORE_OF_SEVERAL_TENDONS = 6.0
 """Smallest score of a ramp that counts as a contact, for a digit with several tendons.
 
 In simulations without contact (20 seeds, parameters wrong by up to 30 %), scores reach 3.1 for
-digits with one tendon and 3.9 for digits with several. With several tendons, a ramp is tried at
-every joint, and errors of joint encoders are neglected. A finger of the hand jamia that touches the
-thumb between 14 and 25 degrees has scores from 4.7 to 17.
+digits with one tendon and 3.9 for digits with several tendons. With several tendons, the search
+tries a ramp at every joint, and neglects errors of joint encoders. A finger of the hand jamia that
+touches the thumb between 14 and 25 degrees has scores from 4.7 to 17.
 """
 MAX_SCORE_WITHOUT_CONTACT = 3.0
-"""A fit can exclude a blocked digit only if the score of its ramp is at most this value."""
+"""Largest score of the ramp at which a fit can exclude a blocked digit."""
 MIN_ROWS_WITHOUT_CONTACT = 80
-"""A fit can exclude a blocked digit only if its sweep has at least this number of rows."""
+"""Smallest number of rows in the sweep with which a fit can exclude a blocked digit."""
 MAX_MEAN_SQUARE_WITHOUT_CONTACT = 1.5
-"""A fit can exclude a blocked digit only if the mean square of its residuals is at most this value."""
+"""Largest mean square of the residuals at which a fit can exclude a blocked digit."""
 MAX_OUTLIERS_WITHOUT_CONTACT = 0.005
-"""A fit can exclude a blocked digit only if its fraction of outliers is at most this value."""
+"""Largest fraction of outliers at which a fit can exclude a blocked digit."""
 RAMP_START_COUNT = 40
-"""Number of angles at which a ramp is tried to begin."""
+"""Number of joint angles that are tried as the beginning of a ramp."""
 SWEEP_END_FRACTION = 0.04
-"""Fraction of the sweep at each end in which no ramp may begin.
+"""Fraction of the sweep at each end in which no ramp is allowed to begin.
 
-Too few rows would determine a ramp that begins near an end of the sweep.
+The fit would have too few rows of data for a ramp that begins near an end of the sweep.
 """
 MIN_UNEXPLAINED_RAMP_FRACTION = 1e-6
-"""Smallest fraction of a ramp's squared norm that the parameters must leave unexplained."""
+"""Smallest fraction of a ramp's squared norm that the parameters of the fit must leave unexplained."""
 
 
 class ResidualRamp(NamedTuple):
     """Ramp with the largest score in the residuals of a fit.
 
     Attributes:
-        score: size of the ramp in standard deviations. The value is positive if the ramp adds
+        score: size of the ramp in standard deviations. The score is positive if the ramp adds
             tension.
         begin: mean joint angle at which the ramp begins [rad].
         end: largest mean joint angle of the sweep [rad].
@@ -61,7 +63,7 @@ class ResidualRamp(NamedTuple):
         rows: number of averaged data points (bins) in the sweep.
         outlier_fraction: fraction of the data points in the sweep that the fit has excluded as outliers.
         mean_square: mean square of the residuals of the sweep, without outliers.
-        contact_score: smallest score at which the ramp counts as a contact of this digit.
+        contact_score: smallest score at which the ramp counts as a contact of the digit.
     """
 
     score: float
@@ -109,7 +111,7 @@ def steepest_ramp(
     used_columns = jacobian[rows].any(axis=1)
     if not used_columns.any():
         return None
-    # The columns of `basis` span all curves that a change of the parameters can explain.
+    # The columns of `basis` span all residual curves that a change of the parameters can explain.
     basis = np.linalg.qr(jacobian)[0]
     low = float(angle.min())
     high = float(angle.max())
@@ -124,7 +126,8 @@ def steepest_ramp(
         for unit in unit_vectors:
             column = np.zeros(len(residual))
             column[rows] = shape * unit
-            # Only the part of the ramp outside of this span counts for the score.
+            # Only the component of the ramp that the parameters cannot explain counts for the
+            # score.
             orthogonal_part = column - basis @ (basis.T @ column)
             size = float(orthogonal_part @ orthogonal_part)
             if size > MIN_UNEXPLAINED_RAMP_FRACTION * float(column @ column):
@@ -154,12 +157,12 @@ def are_joints_moving(
     Args:
         joint_count: number of joints of the digit.
         preload: identified preload of the springs, divided by the preload in the hand file.
-        half_width: half of the width of this ratio's confidence interval.
+        half_width: half of the width of the confidence interval of the ratio ``preload``.
         travel: largest excursion of the tendon [m].
-        full_travel: excursion of the tendon with all joints at their closed ends [m].
+        full_travel: excursion of the tendon with all joints at their upper limits [m].
     """
     # The ratio of the preloads is 1 if all n joints move, and (n - 1) / n if one joint is blocked.
-    # The limit lies halfway between these two values.
+    # The limit of the ratio lies halfway between 1 and (n - 1) / n.
     min_fraction = 1.0 - 0.5 / joint_count
     return (
         preload + half_width >= min_fraction

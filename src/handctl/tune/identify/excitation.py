@@ -1,6 +1,6 @@
 """Excitation of a digit, from which its parameters are identified.
 
-The motion stays within the limits of the digit. The excitation takes about twenty seconds per
+The motion of the digit stays within the joint limits. The excitation takes about twenty seconds per
 digit.
 """
 
@@ -15,9 +15,9 @@ from handctl.tune.identify.excitation_antagonists import antagonist_steps
 SWEEP_MARGIN_DEG = 6.0
 """Smallest distance of free sweeps from both ends of the joints' ranges [deg]."""
 SWEEP_TOP_DEG = 32.0
-"""Upper end of free sweeps, as an angle from the stop of the open joint [deg].
+"""Upper end of free sweeps, as a joint angle from the open stop [deg].
 
-At larger angles, the fingers of the packaged hands touch thumb or palm.
+At larger joint angles, the fingers of the packaged hands touch the thumb or the palm.
 """
 SWING_AMPLITUDE_DEG = 9.0
 """Amplitude of the sinusoidal swing of the joints [deg]."""
@@ -26,31 +26,32 @@ SWING_MIN_FREQUENCY_HZ = 0.7
 SWING_MAX_FREQUENCY_HZ = 6.0
 """Highest frequency of the swing [Hz]."""
 PRESS_TENSION_FRACTIONS = (0.08, 0.15, 0.5)
-"""Three tensions, as fractions of the largest tension of the tendon.
+"""Three tensions of the presses, as fractions of the largest tension of the tendon.
 
-The first is the tension after the presses. The others are the lower and the upper tension of a
-press against an obstacle.
+The first tension is the tension after the presses against an obstacle. The other two tensions are
+the lower and the upper tension of a press.
 
 A motor that is 30 % weaker than in the hand file reaches only two thirds of the commanded tension.
-At higher tensions, the monitor would report a wrong load cell (T04b) because of so weak a motor.
+With a motor that is 30 % too weak, the monitor would report a wrong load cell (T04b) at higher
+tensions.
 """
 MIN_TENSION_N = 1.1
 """Lower tension when a tendon is stretched while its digit rests on the open stop [N]."""
 STRETCH_UPPER_FRACTION = 0.6
 """Upper tension of a stretch, as a fraction of the tension at which the digit leaves its open stop.
 
-The lifting tension is calculated with the springs of the hand file.
+The tension at which the digit leaves its stop is calculated with the springs of the hand file.
 """
 MIN_STRETCH_RANGE_N = 0.5
 """Smallest difference between the upper and the lower tension of a stretch [N].
 
-A smaller difference would be hidden in the noise of the load cell.
+The noise of the load cell would hide a smaller difference of the tensions.
 """
 STRETCH_DURATION_S = 0.9
 """Duration of one rise or one fall of the tension in a stretch [s].
 
-The friction of the motor is larger than the tension, and the gains may be low. On faster ramps, the
-tension would change by only a third of the commanded range.
+The friction of the motor is larger than the tension, and the gains are possibly low. On faster
+ramps of the commanded tension, the tension would change by only a third of the commanded range.
 """
 STRETCH_COUNT = 4
 """Number of times that the tension of a stretched tendon rises and falls."""
@@ -203,7 +204,7 @@ def _sweep_range(hand: Hand, digit: str) -> tuple[float, float]:
 def lift_off_tension(hand: Hand, digit: str) -> float:
     """Return the tension at which the first joint of a digit leaves its open stop [N].
 
-    The friction and the weight are neglected.
+    The calculation of the tension neglects the friction and the weight.
     """
     digit_file = hand.digit_named(digit)
     model = DigitModel.from_hand(hand, digit)

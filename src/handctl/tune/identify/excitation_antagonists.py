@@ -1,11 +1,11 @@
 """Motions from which the parameters of a digit can be identified, if tendons both close and open the digit.
 
-Such a digit has n + 1 tendons and no springs, or it has spool pairs.
+A digit that tendons close and open has n + 1 tendons and no springs, or it has spool pairs.
 
-First, the digit sweeps about a middle posture. The joints first move together. Then they move
-against each other, so that the digit winds up each tendon while it pays out others. After the
-sweeps, the digit oscillates. At the end, the tendons are stretched while the digit is pressed
-against its lower stops.
+First, the digit sweeps about a middle posture. In the sweeps, the joints first move together. Then
+the joints move against each other, so that the motors wind up each tendon while they pay out
+others. After the sweeps, the digit oscillates. At the end, the tendons are stretched while the
+digit is pressed against its lower stops.
 """
 
 import math
@@ -19,18 +19,18 @@ from handctl.hand.link_tree import LinkTree
 from handctl.programs.excitation import ExciteStep
 
 LOWEST_SWEEP_ANGLE_DEG = 0.0
-"""Smallest joint angle of the sweeps [deg]. At smaller angles, a thumb may touch the palm."""
+"""Smallest joint angle of the sweeps [deg]. At smaller joint angles, a thumb can touch the palm."""
 HIGHEST_SWEEP_ANGLE_DEG = 32.0
 """Largest joint angle of the sweeps [deg].
 
-At larger angles, the fingers of the packaged hands touch thumb or palm.
+At larger joint angles, the fingers of the packaged hands touch the thumb or the palm.
 """
 STOP_MARGIN_DEG = 6.0
 """Smallest distance of the sweeps from the joint limits [deg]."""
 SIDEWAYS_SWEEP_RANGE_DEG = (-2.0, 12.0)
 """Ends of sweeps that move a digit sideways [deg].
 
-The range is small because neighbouring digits are close.
+The range of the sideways sweep is small, because neighbouring digits are close.
 """
 SWEEP_DURATIONS_S = (0.8, 0.45, 0.45)
 """Durations of the motions from one end of a sweep to the other [s]."""
@@ -47,9 +47,9 @@ SWING_TORQUE_FRACTION = 0.25
 STRETCH_TENSION_FRACTION = 0.3
 """Largest tension while a tendon is stretched, as a fraction of ``tension_max_N``.
 
-The tendons that hold the digit open have this tension for several seconds. At higher tensions, the
-monitor would mistake a motor that makes 30 % less torque than commanded for a wrong load cell
-(T04b) or an oscillation (N14b).
+The tendons that hold the digit open have the largest tension for several seconds. At higher
+tensions, the monitor would mistake a motor that makes 30 % less torque than commanded for a wrong
+load cell (T04b) or an oscillation (N14b).
 """
 SPOOL_PAIR_MIN_TENSION_FRACTION = 0.07
 """Smallest net tension while a spool pair is stretched, as a fraction of ``tension_max_N``."""
@@ -65,23 +65,25 @@ OPENING_DURATION_S = 1.5
 MAX_TORQUE_RATIO = 0.7
 """Largest joint torque of a stretched closing tendon, as a fraction of the opening torque of the other tendons."""
 TAUT_TENSION_RATIO = 1.3
-"""Tensions that take up the slack, divided by the smallest tensions that balance each other."""
+"""Ratio of the tensions that take up the slack to the smallest tensions that balance each other."""
 COUNTER_MOTION_FRACTION = 0.5
 """Amplitude of a coordinate that moves against the other coordinates, as a fraction of its full amplitude.
 
-At full amplitude, a tendon that crosses both joints would not move.
+If two joints moved against each other with full amplitude, a tendon that crosses both joints would
+not move.
 """
 TENSION_RATE_N_PER_S = 250.0
 """Rate at which the tension changes while a tendon is stretched [N/s].
 
-At this rate, the spool turns fast enough that the direction of its friction is known.
+At a rate of 250 N/s, the spool turns fast enough that the direction of the spool's friction is
+known.
 """
 STRETCH_WAIT_S = 0.06
 """Waiting time after a stretch [s]."""
 STRETCH_COUNT = 5
-"""Number of stretches up and down of each tendon that is not a spool pair."""
+"""Number of times that the tension of each stretched tendon rises and falls, except in spool pairs."""
 SPOOL_PAIR_STRETCH_COUNT = 10
-"""Number of stretches up and down of all spool pairs of a digit.
+"""Number of times that the net tension of the stretched spool pairs of a digit rises and falls.
 
 All pairs are stretched at once.
 """
@@ -89,7 +91,7 @@ SPOOL_PAIR_MAX_TENSION_FRACTION = 0.65
 """Largest net tension while a spool pair is stretched, as a fraction of ``tension_max_N``.
 
 If the net tension exceeds twice the pretension, one of the two tendons is slack. The largest net
-tension must be well above this point.
+tension must be well above twice the pretension.
 """
 
 
@@ -213,17 +215,17 @@ def sweep_range(digit: DigitModel) -> tuple[Array, Array]:
 
 
 def _sign_patterns(coordinate_count: int) -> list[Array]:
-    """Return patterns for the motion of the coordinates.
+    """Return sign patterns for the motion of a digit's coordinates.
 
     Each pattern has one factor for each coordinate (coordinate_count,).
 
     In the first pattern, all coordinates move together. In each other pattern, one coordinate moves
-    against all others.
+    against all other coordinates.
     """
     sign_patterns = [np.ones(coordinate_count)]
     if coordinate_count > 1:
-        # With two coordinates, a single pattern of this kind is sufficient, because each coordinate
-        # moves against the other.
+        # With two coordinates, a single pattern with opposite motion is sufficient, because each
+        # coordinate moves against the other.
         sign_patterns += [
             np.where(np.arange(coordinate_count) == i, -COUNTER_MOTION_FRACTION, 1.0)
             for i in range(coordinate_count if coordinate_count > 2 else 1)
@@ -258,7 +260,7 @@ def _swing_amplitudes(
 def _tension_limits(hand: Hand, digit: DigitModel) -> tuple[Array, Array]:
     """Return the tension floors and the largest stretch tensions of a digit's tendons [N].
 
-    Both have the shape (n_t,).
+    The floors and the stretch tensions have the shape (n_t,) each.
     """
     tendons = hand.tendon[digit.tendons]
     floor = np.array([tendon.tension_floor_N for tendon in tendons])
@@ -283,9 +285,10 @@ def _stretched_tensions(hand: Hand, digit: DigitModel) -> tuple[Array, list[tupl
 
     The tendons are stretched while the digit is pressed against its lower stops.
 
-    If there are spool pairs, all of them are stretched at once. Otherwise, all tendons that open
-    the digit are stretched at once. Then each tendon that closes the digit is stretched alone. The
-    torque of the closing tendon stays small enough for the opening tendons to hold the digit open.
+    All spool pairs of a digit are stretched at once. In a digit without spool pairs, all tendons
+    that open the digit are stretched at once. Then each tendon that closes the digit is stretched
+    alone. The torque of the closing tendon stays small enough for the opening tendons to hold the
+    digit open.
     """
     floor, largest = _tension_limits(hand, digit)
     if hand.is_pair[digit.tendons].any():

@@ -2,12 +2,12 @@
 
     sum_j R_ji f_j exp(-mu_j sgn(w_j) (phi_j + q_1 + .. + q_i)) = S k_i (q_i + P p_i) + b_i q_i' + m (M q'' + g)_i
 
-This equation is the torque balance of joint i in free motion. The exponent contains a sum of
+The equation above is the torque balance of joint i in free motion. The exponent contains a sum of
 angles: the wrap angle of tendon j, and the angles of the joints up to joint i that tendon j
 crosses. The drift of the load cells is known from the fits of single tendons. Each row of the fit
-is such a balance. The row is divided by the noise that the load cells cause in the balance. Errors
-of the joint encoders are neglected, because their effect is a tenth of the effect of load-cell
-errors. Source: as in `fit_load`.
+is the torque balance of a joint, divided by the noise that the load cells cause in the torque
+balance. The fit neglects errors of the joint encoders, because their effect is a tenth of the
+effect of load-cell errors. Source: as in `fit_load`.
 """
 
 from collections.abc import Sequence
@@ -35,14 +35,15 @@ from handctl.tune.identify.tendon_data import Array, TendonData, average_samples
 SHARED_PARAMETERS = ("spring_stiffness", "spring_preload", "joint_damping", "link_mass")
 """Names of the parameters that all tendons of a digit share.
 
-These parameters are factors that multiply values of the hand file.
+The shared parameters are factors that multiply values of the hand file.
 
-In the vector of the fit, the capstan coefficients of the tendons follow after these parameters.
+In the parameter vector of the fit, the capstan coefficients of the tendons follow after the shared
+parameters.
 """
 HALF_WINDOW_S = 0.01
 """Time before and after a joint reading over which signals are averaged [s]."""
 MIN_SPEED_M_S = 2.5e-3
-"""A sample is used only if all tendons of the digit move at least at this speed [m/s].
+"""Smallest speed that all tendons of the digit must have in a sample that the fit uses [m/s].
 
 At lower speeds, the direction of friction is not known at every pulley.
 """
@@ -56,7 +57,7 @@ MIN_DATA_ROWS = 20
 class TorqueBalance:
     """Data of a digit at certain times.
 
-    At these times, the digit moves freely, and its joint encoders are read.
+    At each time of the data, the digit moves freely, and the joint encoders of the digit are read.
 
     Attributes:
         digit: model of the digit.
@@ -87,7 +88,7 @@ class TorqueBalance:
     ) -> "TorqueBalance | None":
         """Combine the data and the fits of a digit's tendons to the data for the fit of the digit.
 
-        If too few times can be used, return None.
+        If too few sample times can be used, return None.
 
         Args:
             digit: model of the digit.
@@ -179,7 +180,7 @@ class TorqueBalance:
     def required_torque(self, spring: float, preload: float, damping: float, mass: float) -> Array:
         """Return the torques (m, joints) that are necessary because of springs, damping, inertia and weight [N m].
 
-        The arguments are factors of the values in the hand file.
+        The arguments are factors by which the values in the hand file are multiplied.
         """
         digit = self.digit
         springs = (
@@ -197,7 +198,7 @@ class TorqueBalance:
 def _joint_rates(
     digit: DigitModel, q: Array, speed: Array, acceleration: Array
 ) -> tuple[Array, Array]:
-    """Convert speeds and accelerations of the tendons (m, tendons) to those of the joints (m, joints).
+    """Convert speeds and accelerations of tendons (m, tendons) to rates and accelerations of joints (m, joints).
 
     The joint rates are in rad/s, and the joint accelerations in rad/s^2. If the moment arms R
     depend on the joint angles, the acceleration of a tendon contains the additional term R' q'^2.
@@ -263,10 +264,10 @@ def fit_digit(balance: TorqueBalance) -> FitSolution:
 def fits_with_digit_solution(
     tendon_fits: Sequence[TendonFit], solution: FitSolution, balance: TorqueBalance
 ) -> list[TendonFit]:
-    """Add the parameters from the fit of a digit to the fits of its tendons, and return these fits.
+    """Add the parameters from the fit of a digit to the fits of its tendons, and return the fits of the tendons.
 
-    Each tendon gets its capstan coefficient. The first tendon also gets the factors that all
-    tendons share.
+    Each tendon gets its capstan coefficient. The fit of the first tendon gets, in addition, the
+    factors that all tendons share.
     """
     rows = len(balance.t) * balance.q.shape[1]
     tendon_fits = [replace(fit, ramp=_unexplained_ramp(solution, balance)) for fit in tendon_fits]
@@ -294,7 +295,7 @@ def _unexplained_ramp(solution: FitSolution, balance: TorqueBalance) -> Residual
 def _friction_scales(digit: DigitModel) -> Array:
     """Return the scale of each tendon's capstan coefficient (tendons,).
 
-    It is the same scale as in the fits of the single tendons.
+    The scale of a capstan coefficient is the same as in the fits of the single tendons.
     """
     return np.where(digit.friction > 0.0, digit.friction, 1e-3)
 
@@ -302,7 +303,8 @@ def _friction_scales(digit: DigitModel) -> Array:
 def _spaced_indices(indices: NDArray[np.intp], min_spacing: int) -> NDArray[np.intp]:
     """Select indices that are at least `min_spacing` apart.
 
-    With this distance, the averages at two selected indices share no readings.
+    With the distance `min_spacing`, the averages at two selected indices have no readings in
+    common.
     """
     selected_indices: list[int] = []
     for index in indices.tolist():
@@ -314,9 +316,9 @@ def _spaced_indices(indices: NDArray[np.intp], min_spacing: int) -> NDArray[np.i
 def _tendon_rates(data: TendonData, half_window: int) -> tuple[Array, Array]:
     """Return the speed [m/s] and the acceleration [m/s^2] of a tendon.
 
-    At the start and the end of the data, both are NaN.
+    At the start and the end of the data, the speed and the acceleration are NaN.
 
-    The differences are taken over twice the time over which signals are averaged.
+    Both rates are differences over twice the time over which signals are averaged.
     """
     x = data.travel
     step = 2 * half_window

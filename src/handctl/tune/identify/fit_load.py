@@ -2,16 +2,16 @@
 
 The model applies to a digit that is at its open stop or moves freely.
 
-At the open stop, only the tendon is stretched: f = k (x - o). In free motion, the torques at each
-joint are in balance:
+At the open stop of a digit, the joints rest and only the tendon stretches: f = k (x - o). In free
+motion, the torques at each joint are in balance:
 
     S k_i (q_i + P p_i) + b_i q_i' + m (a_i q'' + g_i) = r_i f exp(-mu sgn(w) (phi_0 + q_1 + .. + q_i)),
 
 The excursions of the joints and the stretch of the tendon add up to the travel: sum r_i q_i + f / k
-= x - o. If a moment arm depends on the joint angle, its integral takes the place of r_i q_i. The
-equations are solved for the tension f, because the noise of the encoder is negligible compared with
-the noise of the load cell. S, P and m are factors of the springs, preloads and masses in the hand
-file. Source: capstan equation, virtual work, equations of motion of `hand.dynamics`.
+= x - o. If a moment arm depends on the joint angle, the integral of the moment arm replaces r_i
+q_i. The equations are solved for the tension f, because the noise of the encoder is negligible
+compared with the noise of the load cell. S, P and m are factors of the springs, preloads and masses
+in the hand file. Source: capstan equation, virtual work, equations of motion of `hand.dynamics`.
 """
 
 from dataclasses import dataclass
@@ -31,12 +31,12 @@ The digit moves little during a bin. A fit of bins has a fifth of the rows that 
 samples would have.
 """
 MIN_SPEED_M_S = 4e-3
-"""A sample of free motion is used only if the tendon moves at least at this speed [m/s].
+"""Smallest speed that the tendon must have in a sample of free motion that the fit uses [m/s].
 
-At lower speeds, the direction of friction is not known at every pulley.
+At lower speeds of the tendon, the direction of friction is not known at every pulley.
 """
 TABLE_ANGLES_RAD = np.radians(np.linspace(0.0, 110.0, 23))
-"""Joint angles of the table of inertia and weight. All joints have the same angle [rad]."""
+"""Joint angles of the table of inertia and weight. In each row of the table, all joints have the same angle [rad]."""
 NEWTON_STEPS = 14
 """Number of Newton steps with which the tension is calculated."""
 DIFFERENCE_STEP_RAD = 1e-4
@@ -49,7 +49,7 @@ A moment arm that increases with the joint angle reduces the effective stiffness
 MAX_FRICTION_EXPONENT = 3.0
 """Largest absolute exponent in the capstan equation.
 
-The exponent can reach this bound only in the first steps of a solver.
+The exponent of the capstan equation can reach this bound only in the first steps of a solver.
 """
 
 
@@ -103,7 +103,7 @@ def average_in_bins(
 ) -> SignalBins:
     """Return averages of those readings that a mask selects, over bins of equal duration.
 
-    A bin is used if the mask is True for all readings in it, and if no reading is missing. If
+    A bin is used if the mask is True for all readings in the bin, and if no reading is missing. If
     `is_moving` is True, the tendon must also move in a single direction during the bin.
     """
     count = max(1, round(bin_s / data.period))
@@ -139,7 +139,7 @@ def average_in_bins(
 def _central_rates(travel: Array, period: float, half_window: int) -> tuple[Array, Array]:
     """Return the speed and the acceleration for a series of travels, from differences over `half_window` periods.
 
-    Both are zero at the two ends of the data.
+    Speed and acceleration are zero at the two ends of the data.
     """
     speed = np.zeros_like(travel)
     acceleration = np.zeros_like(travel)
@@ -159,12 +159,12 @@ class DigitLoad:
 
     Attributes:
         arms: moment arm of the tendon at each joint [m]. If a moment arm depends on the joint
-            angle, this is the mean over the angles.
+            angle, the value is the mean moment arm over the angles.
         spring: spring stiffness [N m/rad].
         preload: preload of the springs [rad].
         damping: joint damping [N m s/rad].
         wrap: wrap angle of the tendon before the first pulley [rad].
-        inertia: (grid, n) torque at each joint per acceleration, if all joints accelerate together,
+        inertia: (grid, n) torque at each joint, divided by the common acceleration of all joints,
             at the angles of the table.
         weight: (grid, n) torque of the weight at each joint, at the angles of the table [N m].
         varying_arm_digit: model of the digit if its moment arms depend on the joint angles, or None
@@ -244,8 +244,9 @@ class DigitLoad:
         stiffness = p.spring * self.spring
         q = [mean.copy() for _ in self.arms]
         f = np.full_like(mean, 10.0)
-        # Newton's method changes the tension until the travel of the tendon is right. For a given
-        # tension, the joint angles are computed one by one, beginning at the palm.
+        # Newton's method changes the tension until the model gives the measured travel of the
+        # tendon. For a given tension, the joint angles are computed one by one, beginning at the
+        # palm.
         for _ in range(NEWTON_STEPS):
             angle = np.full_like(mean, self.wrap)
             excursion = f / p.stiffness
@@ -264,7 +265,7 @@ class DigitLoad:
                     - load_torques[i]
                     - stiffness[i] * p.preload * self.preload[i]
                 )
-                # If a moment arm increases with the joint angle, it acts against the spring.
+                # A moment arm that increases with the joint angle acts against the spring.
                 held_tension = np.maximum(
                     stiffness[i] - arm_derivative * f * friction_factor,
                     MIN_STIFFNESS_FRACTION * stiffness[i],

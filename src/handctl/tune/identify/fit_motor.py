@@ -1,13 +1,13 @@
-"""Motor equation in weak form: it is multiplied by a smooth time window and integrated.
+"""Motor equation in weak form: the equation is multiplied by a smooth time window and integrated.
 
-So no measured signal has to be differentiated.
+With the weak form, no measured signal has to be differentiated.
 
     K u(t - d) = J/r w' + b/r w + tau_c/r sgn w + r f      per window: all terms times a window, integrated by parts
 
 Here, u is the commanded force, converted to the tendon, w is the speed of the spool, and f is the
 tension at the load cell. All terms are forces, converted to the tendon [N]. Source: modulating
 functions (Shinbrot 1954). Integration by parts moves the derivatives from the signals to the
-window. The derivatives of the window are known exactly.
+window. The derivatives of the window function are known exactly.
 """
 
 from dataclasses import dataclass
@@ -21,20 +21,21 @@ from handctl.tune.identify.tendon_data import Array, TendonData
 HALF_WINDOW_S = 0.022
 """Half the length of a window [s].
 
-A window of this length has enough bandwidth for the motion of a motor of a hand. Half of the window
+A window of 44 ms has enough bandwidth for the motion of a motor of a hand. Half of the window
 contains eleven load-cell samples at 500 Hz.
 """
 MIN_HALF_WINDOW_SAMPLES = 6
 """Smallest half length of a window [samples].
 
-Half lengths are whole numbers of samples, because only then the sums equal the integrals.
+The half length of a window is a whole number of samples, because only then the sums over samples
+equal the integrals.
 """
 SPACING_FRACTION = 0.4
-"""Distance between the centres of windows, as a fraction of their half length."""
+"""Distance between the centres of neighbouring windows, as a fraction of the half length of a window."""
 MIN_SPEED_RAD_S = 0.25
 """Smallest speed of the spool in a window that is used [rad/s].
 
-At lower speeds the sign of the friction is not known.
+At lower speeds of the spool, the sign of the friction is not known.
 """
 
 
@@ -69,13 +70,13 @@ class MotorWindows:
     noise_ratio: float
 
     def delayed_command(self, delay: float) -> Array:
-        """Return the windowed command (m,) [N], under the assumption that commands take effect after a delay [s]."""
+        """Return the command averaged with each window (m,) [N], if commands take effect after a delay [s]."""
         weights = np.diff(_window_integral((self.offsets + delay) / self.half_window_s))
         return np.asarray(self.commands @ weights)
 
 
 class WindowWeights(NamedTuple):
-    """Weights of the samples of a window, with the shape (n,) each.
+    """Weights of the samples in a window. Each array has the shape (n,).
 
     Attributes:
         samples: positions of the samples relative to the centre of the window.
@@ -106,10 +107,10 @@ class WindowWeights(NamedTuple):
     def derivatives(self, values: Array) -> tuple[Array, Array, Array]:
         """Return the mean, the first derivative and the second derivative of a signal.
 
-        The windows of the signal have the shape (..., n). Each result has the shape (...).
+        The signal is given in windows, with the shape (..., n). Each result has the shape (...).
         """
-        # Integration by parts replaces the derivative of the signal by that of the window, with the
-        # opposite sign.
+        # Integration by parts replaces the derivative of the signal by the negative derivative of
+        # the window function.
         return values @ self.mean, -values @ self.first_derivative, values @ self.second_derivative
 
 
@@ -157,7 +158,7 @@ def motor_windows(data: TendonData, spool_radius: float) -> MotorWindows:
 def speed_from_difference(travel: Array, period: float, half_window: int = 3) -> Array:
     """Return the speed for a series of travels, from differences over a few control periods [m/s].
 
-    At both ends of the data, the speed is zero.
+    At both ends of the data, the returned speed is zero.
     """
     speed = np.full(len(travel), np.nan)
     speed[half_window:-half_window] = (travel[2 * half_window :] - travel[: -2 * half_window]) / (
@@ -167,8 +168,8 @@ def speed_from_difference(travel: Array, period: float, half_window: int = 3) ->
 
 
 def _window_value(s: Array) -> Array:
-    """Return the window function. It is proportional to cos^4 over [-1, 1], and 0 outside. Its area is 1."""
-    # At the ends of the window, the first three derivatives of this function are 0. Therefore
+    """Return the window function: proportional to cos^4 over [-1, 1], and 0 outside, with an area of 1."""
+    # At the ends of the window, the first three derivatives of the window function are 0. Therefore
     # integration by parts gives no boundary terms.
     return np.asarray(np.where(np.abs(s) < 1.0, 4.0 / 3.0 * np.cos(0.5 * np.pi * s) ** 4, 0.0))
 

@@ -4,11 +4,11 @@
     F = n(load; p, mu)                                     free motion
     g(F; k, p) = x - m s(q) - o                            on a stop, and in free motion
 
-F is the net tension at the spool. In free motion, F balances the force n. The force n is a sum. It
-contains the inertia, the weight and the damping of the links, and the friction of both tendons. The
-difference between the positions of spool and joints is the stretch of the pair. The characteristic
-g gives the stretch at a net tension F. The stiffness is 2 k while both tendons are taut, and k if F
-exceeds twice the pretension p.
+F is the net tension at the spool. In free motion, F balances the force n. The force n is the sum of
+the inertia, the weight and the damping of the links, and the friction of both tendons. The stretch
+of the pair is the travel of the spool minus the excursion of the joints. The characteristic g gives
+the stretch at a net tension F. The stiffness of the pair is 2 k while both tendons are taut, and k
+if F exceeds twice the pretension p.
 
 No sensor of a spool pair measures a force. Therefore all forces are measured in units of the
 drive's torque. If a motor makes 10 % less torque than commanded, inertia, friction and tendon
@@ -59,18 +59,18 @@ SPOOL_PAIR_PARAMETERS = (
 )  # fmt: skip
 """Names of the parameters in the fit of a spool pair.
 
-In the vector of the fit, two parameters follow: the error of the model's link inertia, and the time
-difference of the encoders.
+In the parameter vector of the fit, two parameters follow after the named parameters: the error of
+the model's link inertia, and the time difference of the encoders.
 """
 SPOOL_PAIR_PRIOR_DEVIATIONS = {
     "link_mass": 0.5, "joint_damping": 0.4, "pretension": 0.5, "tendon_stiffness": 1.0, "stretch_offset": 100.0,
 }  # fmt: skip
 """Prior standard deviation of parameters of a spool pair, divided by the scale of the parameter.
 
-The links were weighed, but in the units of this fit their masses are divided by the unknown torque
-gain. The damping of a joint and the viscous friction of its motor have the same effect. Without a
-prior for the pretension, a pair with two taut tendons could not be distinguished from a pair of
-twice the stiffness with one slack tendon.
+The links were weighed, but in the units of this fit the masses of the links are divided by the
+unknown torque gain. The damping of a joint and the viscous friction of its motor have the same
+effect. Without a prior for the pretension, a pair with two taut tendons could not be distinguished
+from a pair of twice the stiffness with one slack tendon.
 """
 SPOOL_PAIR_MODEL_ERROR = {
     "motor_coulomb": 0.025, "capstan": 0.03, "pretension": 0.03, "tendon_stiffness": 0.01,
@@ -83,8 +83,8 @@ were chosen in simulations of five hands.
 LOAD_INERTIA_SIGMA = 0.05
 """Standard deviation of the error of the model's link inertia, as a fraction of the inertia of the rotor.
 
-Rotor and links accelerate together. Therefore only the model of the links can separate the two
-inertias.
+Rotor and links accelerate together. Therefore only the model of the links can separate the inertia
+of the rotor from the inertia of the links.
 """
 INITIAL_NOISE_N = 0.3
 """Assumed standard deviation of the motor equation's residuals in the first fit [N].
@@ -92,11 +92,11 @@ INITIAL_NOISE_N = 0.3
 The second fit uses the standard deviation that the residuals of the first fit show.
 """
 MIN_NOISE_N = 0.02
-"""Smallest standard deviation that is used for the motor equation's residuals [N]."""
+"""Smallest standard deviation that the fit uses for the residuals of the motor equation [N]."""
 PRETENSION_START_FACTORS = (1.0, 1.5, 2.2)
-"""The fit starts several times, with the pretension of the hand file multiplied by each of these factors."""
+"""Factors of the pretension of the hand file with which the fit starts, once for each factor."""
 MIN_READINGS = 3
-"""The stretch in a window is used only if the window contains at least this number of joint readings."""
+"""Smallest number of joint readings in a window whose stretch the fit uses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +104,8 @@ class SpoolPairWindows:
     """Signals of a spool pair, averaged with a time window. Each array has the shape (m,).
 
     Attributes:
-        motor: windows of the motor equation. In these windows, the tension is not known.
+        motor: windows of the motor equation. In the windows of a spool pair, the tension is not
+            known.
         is_free: True if the digit moves freely, and False if the pair is stretched while the digit is
             pressed against a stop.
         inertial_tension: net tension that is necessary at the joints because of inertia and weight [N].
@@ -113,8 +114,8 @@ class SpoolPairWindows:
         friction_fraction: friction of the tendons with its sign, as a fraction of the friction at
             high speed.
         travel: mean travel of the spool at the times at which the joint encoders were read [m].
-        excursion: mean excursion at the same times, computed with the moment arms of the hand file
-            [m]. If there are too few readings, it is NaN.
+        excursion: mean excursion at the times of the joint readings, computed with the moment arms
+            of the hand file [m]. If there are too few readings, the excursion is NaN.
         reading_count: effective number of joint-encoder readings in each window.
     """
 
@@ -143,7 +144,8 @@ class SpoolPairWindows:
             digit: model of the digit.
             tendon: index of the pair among the pairs of the digit.
             data_of_tendons: data of all pairs of the digit, in their order.
-            rest_angles: (J,) angles of all joints [rad]. The joints of the other digits keep these angles.
+            rest_angles: (J,) angles of all joints [rad]. The joints of the other digits keep their
+                rest angles.
 
         Raises:
             LogError: the pair hardly moves.
@@ -193,7 +195,7 @@ class SpoolPairWindows:
 
 
 def select_windows(windows: MotorWindows, selection_mask: NDArray[np.bool_]) -> MotorWindows:
-    """Return the selected windows of a motor."""
+    """Return those windows of a motor that a mask selects."""
     field_names = ("t", "tension", "acceleration", "speed", "sign", "commands")
     return replace(
         windows, **{name: getattr(windows, name)[selection_mask] for name in field_names}
@@ -208,8 +210,8 @@ def _joint_motion(
 ) -> tuple[Array, Array, Array]:
     """Return angles, rates and accelerations (m, joints) of a digit, computed from the motion of its pairs (n_t, 3, m).
 
-    The stretch of the tendons is neglected here. The angles are shifted so that their mean equals
-    the mean of the joint readings.
+    The joint motion is computed without the stretch of the tendons. The joint angles are shifted so
+    that their mean equals the mean of the joint readings.
     """
     travel, speed, acceleration = (mean_derivatives[:, i].T for i in range(3))
     joints_from_excursions = digit.excursion_to_joints.T
@@ -231,7 +233,7 @@ def _torque_of_digit(
 ) -> Array:
     """Return the torques (joints,) that are necessary because of the inertia and the weight of a digit's links [N m].
 
-    The links of digits that this digit carries are included.
+    The torques include the links of all digits that the given digit carries.
     """
     motion = np.zeros((3, len(rest_angles)))
     motion[0] = rest_angles
@@ -248,11 +250,11 @@ def _stretch_readings(
 ) -> tuple[Array, Array, Array]:
     """Return the travel and the excursion (m,) in windows, at the times at which the joint encoders were read [m].
 
-    Also return the effective number of readings in each window.
+    The last result is the effective number of readings in each window.
 
-    While a pair is stretched against a stop, its travel changes, but its excursion does not. In
-    such a window, the travel is averaged over all ticks, and not only over the times of the
-    readings.
+    While a pair is stretched against a stop, its travel changes, but its excursion does not. In a
+    window of a stretch, the travel is averaged over all ticks, and not only over the times of the
+    joint readings.
     """
     has_reading: NDArray[np.bool_] = np.asarray(np.isfinite(data.joints).all(axis=1))
     excursion = np.where(
@@ -267,7 +269,8 @@ def _stretch_readings(
     known_stretch = np.where(
         count >= MIN_READINGS, (excursion[window_rows] * weight).sum(axis=1) / total, np.nan
     )
-    # It is an effective number, because the window gives different weights to the readings.
+    # The number of readings is an effective number, because the window gives different weights to
+    # the readings.
     return travel, known_stretch, total**2 / np.maximum((weight**2).sum(axis=1), 1e-12)
 
 
@@ -280,7 +283,7 @@ def spool_pair_tension(net_tension: Array, pretension: float, pulley_ratios: Arr
         pulley_ratios: tension of the first tendon behind the pulleys, divided by the tension of this
             tendon at the spool.
 
-    The formula is the same as in `core.estimation.spool_pair`, but for arrays.
+    The formula of the tension is the same as in `core.estimation.spool_pair`, but for arrays.
     """
     tension_if_both_taut = (
         2.0
@@ -296,7 +299,7 @@ def spool_pair_tension(net_tension: Array, pretension: float, pulley_ratios: Arr
 
 
 def spool_pair_stretch(net_tension: Array, stiffness: float, pretension: float) -> Array:
-    """Return the stretch of a pair (m,) [m]: the length by which the spool is ahead of the joints.
+    """Return the stretch of a spool pair (m,) [m]: the travel of the spool minus the excursion of the joints.
 
     The net tension (m,) is in N.
     """
@@ -317,8 +320,8 @@ class SpoolPairProblem:
         motor_noise: standard deviation of the residuals of the motor equation [N].
         reading_noise: standard deviation of an excursion that is computed from a single
             joint-encoder reading [m].
-        start_parameters: scaled parameters at which the fit starts. These parameters come from the
-            hand file.
+        start_parameters: scaled parameters at which the fit starts. The start parameters come from
+            the hand file.
     """
 
     windows: SpoolPairWindows
@@ -329,7 +332,7 @@ class SpoolPairProblem:
     start_parameters: Array
 
     def parameter_value(self, z: Array, name: str) -> float:
-        """Return a parameter in SI units, or as a factor for a value of the hand file."""
+        """Return the named parameter in SI units, or as a factor for a value of the hand file."""
         return float(
             z[SPOOL_PAIR_PARAMETERS.index(name)]
             * self.parameter_scales[PARAMETER_NAMES.index(name)]
@@ -371,7 +374,7 @@ class SpoolPairProblem:
         )
 
     def stretch(self, z: Array) -> Array:
-        """Return the length (m,) by which the spool is ahead of the joints [m].
+        """Return the length (m,) by which the travel of the spool exceeds the excursion of the joints [m].
 
         If a window contains too few joint-encoder readings, the length is NaN.
         """
@@ -491,7 +494,7 @@ def fit_spool_pair(
 def _start_parameters(windows: SpoolPairWindows) -> Array:
     """Return the scaled parameters at which the fit starts.
 
-    They consist of the values in the hand file and of a first estimate of the stretch offset.
+    The start parameters are the values in the hand file and a first estimate of the stretch offset.
     """
     first_parameters = np.ones(len(SPOOL_PAIR_PARAMETERS) + 2)
     is_measured = np.isfinite(windows.excursion)
@@ -510,9 +513,9 @@ def _start_parameters(windows: SpoolPairWindows) -> Array:
 def _start_candidates(first_candidate: Array) -> list[Array]:
     """Return several start points of the fit, with different pretensions.
 
-    If the pretension at the start is too small, the solver may find a wrong solution. In this
-    solution, one tendon is slack, and the stiffness is twice as large. From this wrong solution,
-    small steps cannot lead to the right parameters.
+    If the pretension at the start of the fit is too small, the solver possibly finds a wrong
+    solution, in which one tendon is slack and the stiffness is twice as large. From the wrong
+    solution, small steps of the solver cannot lead to the right parameters.
     """
     start_candidates = []
     for factor in PRETENSION_START_FACTORS:
@@ -525,13 +528,13 @@ def _start_candidates(first_candidate: Array) -> list[Array]:
 def _robust_cost(residual: Array) -> float:
     """Return the cost of residuals by the soft L1 norm.
 
-    In this cost, outliers have little weight.
+    With the soft L1 norm, outliers have little weight.
     """
     return float((np.sqrt(1.0 + (residual / OUTLIER_RESIDUAL) ** 2) - 1.0).sum())
 
 
 def _as_tendon_fit(hand: Hand, problem: SpoolPairProblem, solution: FitSolution) -> TendonFit:
-    """Return the result for a spool pair in the same form as the fit of a single tendon."""
+    """Return the result of the fit of a spool pair in the same form as the result of a single tendon."""
     windows = problem.windows
     count = len(PARAMETER_NAMES)
     target = [PARAMETER_NAMES.index(name) for name in SPOOL_PAIR_PARAMETERS]

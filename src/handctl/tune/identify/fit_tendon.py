@@ -28,7 +28,7 @@ PARAMETER_NAMES = (
 )  # fmt: skip
 """Names of a tendon's parameters in the order of the fit.
 
-In the vector of the fit, the drift of the load cell follows after these parameters.
+In the parameter vector of the fit, the drift of the load cell follows after the named parameters.
 """
 LOAD_PARAMETERS = slice(
     PARAMETER_NAMES.index("tendon_stiffness"), PARAMETER_NAMES.index("stretch_offset") + 1
@@ -47,14 +47,14 @@ practically unknown.
 STOP_SOFTNESS = 0.04
 """Compliance of the open stop, as a fraction of the compliance of the tendon in the hand file.
 
-Tendon and stop are springs in series, and no measurement separates them. Therefore the compliance
-of the stop is assumed, with an uncertainty of half its value. In the packaged simulator the
+Tendon and stop are springs in series, and no measurement separates them. Therefore the fit assumes
+the compliance of the stop, with an uncertainty of half its value. In the packaged simulator the
 compliance of the stops at the tendon is 3.8e-7 m/N, which is 0.038 of the tendon's compliance.
 """
 DEFAULT_PRIOR_DEVIATION = 3.0
 """Prior standard deviation of all parameters that are not in `PRIOR_DEVIATIONS`, divided by their scale.
 
-This prior keeps a fit finite if the data do not determine a parameter.
+The prior keeps a fit finite if the data do not determine a parameter.
 """
 TARE_SIGMA_N = 1.0
 """Prior standard deviation of the offset of a tared load cell [N]."""
@@ -63,8 +63,8 @@ DRIFT_KNOT_INTERVAL_S = 1.0
 STOP_BIN_DURATION_S = 0.05
 """Duration of the bins of data at the open stop [s].
 
-At the stop, the travel changes slowly. In a bin of this duration, the travel passes so many encoder
-counts that the quantisation averages out.
+While the digit is at the open stop, the travel of the tendon changes slowly. In a bin of 50 ms, the
+travel passes so many encoder counts that the quantisation averages out.
 """
 MIN_SCALED_PARAMETER = 0.02
 """Lower bound of scaled parameters that must be positive."""
@@ -73,7 +73,7 @@ MAX_SCALED_PARAMETER = 20.0
 CONFIDENCE_LEVEL = 0.95
 """Confidence level of all intervals."""
 MAX_HALF_WIDTH = 0.5
-"""A parameter counts as identified if the half width of its interval is at most this fraction of its value."""
+"""Largest half width of the confidence interval of an identified parameter, as a fraction of the value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class TendonFitProblem:
         digit_load: model of the digit, or None if the digit has several tendons or no springs.
         motor_windows: time windows of the motor equation.
         free_motion_bins: averaged data (bins) in which the digit moves freely.
-        open_stop_bins: bins of data in which the digit is on the open stop.
+        open_stop_bins: bins of data in which the digit is at the open stop.
         slack_tendon_bins: bins in which the tendon is slack.
         drift_knots: (k,) times of the knots of the drift of the load cell [s].
         cell_noise_N: standard deviation of a load-cell sample [N].
@@ -142,8 +142,9 @@ class TendonFitProblem:
             cell_noise_N=_cell_noise(
                 data.tension[data.slack | stop], hand.sensor_node.tension_noise_N
             ),
-            # The drift is modelled as a random walk. Its standard deviation increases with the
-            # square root of the time. The hand file contains the standard deviation after 100 s.
+            # The drift is modelled as a random walk. The standard deviation of the random walk
+            # increases with the square root of the time. The hand file contains the standard
+            # deviation after 100 s.
             drift_step_N=max(hand.sensor_node.tension_bias_drift_N, 1e-3)
             * (DRIFT_KNOT_INTERVAL_S / 100.0) ** 0.5,
         )
@@ -160,7 +161,7 @@ class TendonFitProblem:
     def parameter_bounds(self) -> tuple[Array, Array]:
         """Return the lower and the upper bounds of the scaled parameters.
 
-        Only the delay and the stretch offset may be negative.
+        Only the delay and the stretch offset are allowed to be negative.
         """
         unbounded = np.full(len(PARAMETER_NAMES) + len(self.drift_knots), np.inf)
         low = -unbounded
@@ -175,8 +176,8 @@ class TendonFitProblem:
     def _initial_stretch_offset(self) -> float:
         """Return a first estimate of the stretch offset [m].
 
-        The estimate uses the data at the open stop. Without such data, it is the smallest travel in
-        free motion.
+        The estimate uses the data at the open stop. Without data at the open stop, the estimate is
+        the smallest travel in free motion.
         """
         stiffness = self.parameter_scales[PARAMETER_NAMES.index("tendon_stiffness")]
         if len(self.open_stop_bins.t):
@@ -208,8 +209,8 @@ class TendonFitProblem:
         ]
         for bin_means, model in self._expected_tensions(p, stiffness):
             rows.append(
-                # The standard deviation of a mean over n readings is that of one reading, divided
-                # by sqrt(n).
+                # The standard deviation of a mean over n readings is the standard deviation of one
+                # reading, divided by sqrt(n).
                 (bin_means.tension - self._cell_offset(bin_means.t, drift) - model)
                 / (self.cell_noise_N / bin_means.count**0.5)
             )
@@ -257,7 +258,7 @@ class TendonFitProblem:
 def parameter_scales(hand: Hand, tendon: str) -> Array:
     """Return the scales of a tendon's parameters (15,).
 
-    A scale is usually the value in the hand file.
+    The scale of a parameter is usually its value in the hand file.
     """
     tendon_section = hand.tendon[hand.tendon_names.index(tendon)]
     motor = hand.motor_of_tendon(tendon)
@@ -266,14 +267,14 @@ def parameter_scales(hand: Hand, tendon: str) -> Array:
         tendon_section.stiffness_N_per_m, 1.0, 1.0, tendon_section.friction_coefficient, 1.0, 1.0,
         STRETCH_OFFSET_SCALE_M, STOP_SOFTNESS, 1.0, tendon_section.pretension_N or 1.0,
     ])  # fmt: skip
-    # Even a parameter that is zero in the hand file needs a scale.
+    # Even a parameter whose value in the hand file is zero needs a scale that is not zero.
     return np.where(value_scales > 0.0, value_scales, 1e-3)
 
 
 def stop_stiffness(stiffness: float, relative_compliance: float, nominal_stiffness: Array) -> float:
     """Return the common stiffness of the tendon and the open stop [N/m].
 
-    Both act like springs in series.
+    The tendon and the open stop act like springs in series.
     """
     # The compliance of springs in series is the sum of their compliances.
     return stiffness / (
@@ -295,7 +296,7 @@ class TendonFit:
         degrees_of_freedom: degrees of freedom of the variance of each parameter.
         sensitivity: (rows, 15) weighted Jacobian of the rows with measured data.
         residual: (rows,) residuals, including the residuals of the priors.
-        ramp: ramp of tension in the residuals of the free sweeps. None without free sweeps.
+        ramp: ramp of tension in the residuals of the free sweeps, or None without free sweeps.
     """
 
     problem: TendonFitProblem
@@ -324,18 +325,18 @@ class TendonFit:
     def half_widths(self) -> dict[str, float]:
         """Return half of the width of the 95 % confidence interval of each parameter.
 
-        The value has the unit of the parameter.
+        Each half width has the unit of its parameter.
         """
         return self.half_widths_of(1)
 
     def half_widths_of(self, parameter_count: int) -> dict[str, float]:
-        """Return half of the widths of confidence intervals.
+        """Return half of the widths of joint confidence intervals.
 
         With a probability of 95 %, all of `parameter_count` parameters are in their intervals at
         the same time.
 
-        Source: Sidak (1967). If the parameters are not independent of each other, the intervals
-            are wider than necessary.
+        Source: Sidak (1967). If the parameters are not independent of each other, the joint
+        confidence intervals are wider than necessary.
         """
         spread = (
             np.sqrt(np.diag(self.covariance))[: len(PARAMETER_NAMES)]
@@ -408,7 +409,7 @@ def _cell_noise(quiet_readings: Array, nominal_noise: float) -> float:
         quiet_readings: tensions at rest and during slow stretches, where neighbouring readings differ only
             by noise [N].
         nominal_noise: standard deviation that the hand file states [N]. If there are too few
-            readings, this value is returned.
+            readings, the standard deviation of the hand file is returned.
     """
     quiet_readings = quiet_readings[np.isfinite(quiet_readings)]
     return (
@@ -432,7 +433,7 @@ def merge_solution(
         solution: result of the other fit.
         row_count: number of data rows of the other fit.
         parameter_names: names of the parameters to replace.
-        source_rows: indices of these parameters in the other solution.
+        source_rows: indices of the replaced parameters in the other solution.
     """
     target = [PARAMETER_NAMES.index(name) for name in parameter_names]
     z = fit.z.copy()
@@ -457,7 +458,7 @@ def merge_solution(
 def add_model_error(fit: TendonFit, error_of_parameter: Mapping[str, float]) -> TendonFit:
     """Return a fit whose variances also contain the errors of the model.
 
-    These errors cannot be seen in the scatter of the residuals.
+    Errors of the model cannot be seen in the scatter of the residuals.
 
     Args:
         fit: fit of a tendon's parameters.

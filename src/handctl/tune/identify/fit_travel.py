@@ -4,9 +4,9 @@
 
 The travel x of the spool is the sum of the joints' excursion s(q) and the tendon's stretch f / k.
 The factor m multiplies the moment arms of the hand file. The joint encoders are read at slightly
-different times than the motor encoders. This difference of time adds the term d x' while the joints
-move. The offset o follows the drift of the load cell. This equation contains neither joint stops
-nor return springs.
+different times than the motor encoders. The time difference between the encoders adds the term d x'
+while the joints move. The offset o follows the drift of the load cell. The equation of the travel
+contains neither joint stops nor return springs.
 """
 
 from dataclasses import replace
@@ -28,9 +28,10 @@ from handctl.tune.identify.least_squares import solve_least_squares
 from handctl.tune.identify.tendon_data import MIN_TENSION_N, Array, TendonData, average_samples
 
 TRAVEL_PARAMETERS = ("tendon_stiffness", "moment_arm")
-"""Names of the parameters that this fit identifies.
+"""Names of the parameters that the fit to the travel identifies.
 
-In the vector of the fit, the time difference of the encoders and the offset follow.
+In the parameter vector of the fit, the time difference of the encoders and the offset follow after
+the named parameters.
 """
 TRAVEL_MODEL_ERROR = {
     "tendon_stiffness": 0.012, "moment_arm": 0.0003, "torque_gain": 0.006, "motor_inertia": 0.008,
@@ -38,8 +39,8 @@ TRAVEL_MODEL_ERROR = {
 }  # fmt: skip
 """Standard deviation of the errors of the model by parameter, as a fraction of the value.
 
-The intervals are calculated from blocks of time that are too short to show the slow drift of the
-load cell. The values were chosen in simulations of five hands.
+The confidence intervals are calculated from blocks of time that are too short to show the slow
+drift of the load cell. The values were chosen in simulations of five hands.
 """
 SENSOR_SKEW_S = 1e-3
 """Scale of the time difference between the encoders, and its prior standard deviation [s]."""
@@ -75,9 +76,9 @@ def fit_travel(
 ) -> TendonFit:
     """Return the fit of a tendon.
 
-    Its stiffness and moment arm are fitted to the travel of the tendon.
+    The stiffness and the moment arm of the tendon are fitted to the travel of the tendon.
 
-    If there are too few joint-encoder readings, the fit is returned unchanged.
+    If there are too few joint-encoder readings, the function returns the given fit unchanged.
 
     Args:
         digit: model of the digit.
@@ -116,7 +117,7 @@ def fit_travel(
         stretch = tension / (z[0] * nominal)
         drift_offset = np.interp(t, knots, z[scalar_count:]) * STRETCH_OFFSET_SCALE_M
         expected = z[1] * excursion + stretch + offset + drift_offset + z[2] * SENSOR_SKEW_S * speed
-        # The offset follows the drift of the load cell, which is a random walk.
+        # The offset of the travel follows the drift of the load cell, which is a random walk.
         steps = np.diff(z[scalar_count:]) * STRETCH_OFFSET_SCALE_M * nominal / problem.drift_step_N
         prior = np.array(
             [

@@ -1,8 +1,8 @@
 """Identifiability of the parameters of a fit: which parameters the data do not determine or cannot distinguish.
 
 The analysis uses the Jacobian of the data, scaled by the values of the hand file and by the noise
-of the load cell. The solver returns a value for every parameter. But a parameter, or a combination
-of parameters, may not influence the residuals. In this case, the data do not determine the value.
+of the load cell. The solver returns a value for every parameter. But if a parameter or a
+combination of parameters does not influence the residuals, the data do not determine the value.
 """
 
 from dataclasses import dataclass
@@ -21,11 +21,11 @@ from handctl.tune.identify.fit_tendon import (
 from handctl.tune.identify.tendon_data import Array, TendonData
 
 MAX_CORRELATION = 0.95
-"""Largest absolute correlation of two estimated parameters that are not reported as trading off."""
+"""Largest absolute correlation between two estimated parameters that is not reported as a trade-off."""
 COHERENCE_SEGMENTS = 6
-"""Number of parts into which the excitation is divided, to average the coherence.
+"""Number of time segments into which the excitation is divided, to average the coherence.
 
-With a single part, the coherence would always be 1.
+Without a division of the excitation, the coherence would always be 1.
 """
 BALANCE_PARAMETERS = ("spring_stiffness", "spring_preload", "capstan", "joint_damping")
 """Parameters that only the balance of torques at the joints determines, if a digit has several tendons."""
@@ -38,10 +38,11 @@ class Identifiability:
 
     Attributes:
         names: names of the identified parameters.
-        missing: parameters that are not identified, each with the reason.
+        missing: parameters that the fit has not identified, each with the reason.
         rank: number of combinations of parameters that the data determine.
-        columns: number of all combinations, which is the number of parameters.
-        condition_number: largest singular value of the Jacobian divided by the smallest.
+        columns: number of all combinations of parameters, which equals the number of parameters.
+        condition_number: largest singular value of the Jacobian, divided by the smallest singular
+            value.
         weakest_combination: combination of parameters that the data determine worst, as text.
         correlated_pairs: pairs of identified parameters whose errors are correlated, each with the
             correlation.
@@ -67,7 +68,7 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
     """
     unobservable_reasons = unobservable_parameters(hand, digit, tendon)
     jacobian = fit.sensitivity
-    # Each right singular vector is a combination of parameters. The singular value of this vector
+    # Each right singular vector is a combination of parameters. The singular value of the vector
     # measures how much the data say about the combination.
     _, sizes, directions = np.linalg.svd(jacobian, full_matrices=False)
     half_widths = fit.half_widths
@@ -103,8 +104,8 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
             *(f"{name}: {reason}" for name, reason in reasons.items() if reason),
             *_unidentifiable_parameters(fit, hand, tendon),
         ),
-        # A combination of parameters is counted if its 95 % interval is as narrow as that of an
-        # identified parameter.
+        # A combination of parameters is counted if its 95 % confidence interval is as narrow as the
+        # interval of an identified parameter.
         rank=int((1.96 / np.maximum(sizes, 1e-12) < MAX_HALF_WIDTH).sum()),
         columns=len(PARAMETER_NAMES),
         condition_number=float(sizes[0] / max(sizes[-1], 1e-12)),
@@ -114,11 +115,11 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
 
 
 def _lacks_needed_encoders(hand: Hand, digit: str) -> bool:
-    """Return True if a digit with springs and several tendons has no joint encoders.
+    """Return True if a digit has springs and several tendons, but no joint encoders.
 
-    In such a digit, the tension of a single tendon does not show the load of the springs. The
-    torques at a joint are in balance only at the present joint angle. Therefore an encoder would
-    have to measure this angle.
+    In a digit with several tendons, the tension of a single tendon does not show the load of the
+    springs. The torques at a joint are in balance only at the present joint angle. Therefore a
+    joint encoder would have to measure the joint angle.
     """
     tendons = hand.digit_tendons[digit]
     has_springs = hand.digit_named(digit).has_springs
@@ -133,8 +134,8 @@ def _lacks_needed_encoders(hand: Hand, digit: str) -> bool:
 def _is_interval_narrow(name: str, half_width: float, width: float) -> bool:
     """Return True if the confidence interval of a parameter is narrow enough.
 
-    The width of the interval is compared with the value of the parameter. For the parameter
-    `delay`, the width is compared with a millisecond.
+    The width of the confidence interval is compared with the value of the parameter. For the
+    parameter `delay`, the width of the interval is compared with a millisecond.
     """
     scale = DELAY_SCALE_S if name == "delay" else abs(half_width)
     return bool(width < MAX_HALF_WIDTH * scale)
@@ -159,7 +160,7 @@ def _reason_not_identified(jacobian: Array, name: str) -> str:
 def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, str]:
     """Return the parameters that the sensors of a hand cannot identify, each with the reason.
 
-    If a tendon does not have a parameter, the reason is an empty text.
+    If the tendon lacks a parameter, the reason for this parameter is an empty text.
 
     Args:
         hand: description of the hand.
@@ -188,9 +189,9 @@ def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, st
 
 
 def _unidentifiable_parameters(fit: TendonFit, hand: Hand, name: str) -> list[str]:
-    """Return the parameters that this excitation cannot identify, even if it lasts longer.
+    """Return the parameters that the excitation in the log cannot identify, even if the excitation lasts longer.
 
-    Each text also contains the reason.
+    Each text contains the name of the parameter and the reason.
     """
     problem = fit.problem
     tendon = hand.tendon[hand.tendon_names.index(name)]
@@ -238,10 +239,10 @@ def _parameter_combination_text(direction: Array) -> str:
 
 
 def excitation_coherence(data: TendonData) -> tuple[Array, Array]:
-    """Return frequencies [Hz], and the coherence of motor force and tendon speed at these frequencies.
+    """Return frequencies [Hz], and the coherence of motor force and tendon speed at each frequency.
 
-    The coherence is from 0 to 1. At a coherence of 1, the speed follows from the force through a
-    linear system. Noise, friction, and other causes of the motion reduce the coherence.
+    The coherence is from 0 to 1. At a coherence of 1, the motor force determines the tendon speed
+    through a linear system. Noise, friction, and other causes of the motion reduce the coherence.
     """
     is_used = data.torque_mask & np.isfinite(data.travel)
     force = data.command[is_used]

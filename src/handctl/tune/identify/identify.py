@@ -38,28 +38,28 @@ from handctl.tune.identify.tendon_data import Array, TendonData, tendon_data
 EXCITATION_BAND_HZ = (0.7, 6.0)
 """Frequency band over which the coherence is averaged [Hz].
 
-The sinusoidal swing of a digit sweeps through this band.
+The frequency of a digit's sinusoidal swing sweeps through the whole band.
 """
 MIN_COHERENCE = 0.2
-"""Coherence below which no parameter of the motion of a rotor is kept.
+"""Coherence below which the parameters that come from the motion of a rotor are rejected.
 
 The mean coherence of two unrelated random signals, calculated in the same way over 8 to 20 s, is
-0.09. In 99 of 100 draws it is below 0.2. The excitation of `handctl identify` reaches 0.55 to 0.85
-with packaged hands, and a grasp 0.05 to 0.4.
+0.09. In 99 of 100 draws of two random signals, the mean coherence is below 0.2. The excitation of
+`handctl identify` reaches 0.55 to 0.85 with packaged hands, and a grasp 0.05 to 0.4.
 """
 SWING_PARAMETERS = ("motor_inertia", "motor_viscous", "delay")
 """Parameters that are invalid if the coherence is low.
 
-They come from the acceleration and the speed of the rotor in the band of the coherence. Forces at
-rest and slow motions determine the other parameters, such as the torque gain.
+Acceleration and speed of the rotor, in the frequency band of the coherence, determine the listed
+parameters. Forces at rest and slow motions determine the other parameters, such as the torque gain.
 """
 LOW_COHERENCE_TEXT = f"coherence is below {MIN_COHERENCE:g}"
-"""Reason for which a parameter of the motion of a rotor is not kept."""
+"""Reason why a parameter that comes from the motion of a rotor is rejected."""
 SWEEP_PARAMETERS = (*DIGIT_KEY_BY_PARAMETER, "capstan")
 """Parameters that are invalid if the digit touched an obstacle during the sweeps.
 
-Parameters of motor and tendon stay valid, because they do not depend on the torque balance of the
-digit.
+A contact leaves the parameters of motor and tendon valid, because they do not depend on the torque
+balance of the digit.
 """
 
 
@@ -94,7 +94,7 @@ class TendonResult:
     def identified_names(self) -> tuple[str, ...]:
         """Return the names of the identified parameters that are valid.
 
-        A contact or a low coherence makes some parameters invalid.
+        A contact or a low coherence makes some identified parameters invalid.
         """
         if self.blocked_event_text:
             return ()
@@ -109,13 +109,13 @@ class TendonResult:
     def is_incoherent(self) -> bool:
         """Return True if the motor force and the motion are hardly related.
 
-        Their coherence is then no larger than chance would cause.
+        The coherence of motor force and motion is then no larger than chance would cause.
         """
         return self.coherence < MIN_COHERENCE
 
     @property
     def reason_by_invalid_quantity(self) -> dict[str, str]:
-        """Return the reason for each quantity that has no valid value.
+        """Return, for each quantity without a valid value, the reason why the value is not valid.
 
         The fitted parameters come first, and then other quantities.
         """
@@ -140,7 +140,7 @@ class TendonResult:
             return None
         at = [PARAMETER_NAMES.index(name) for name in names]
         scale = self.fit.problem.parameter_scales[at]
-        # In the fit, parameters are scaled. In the file, they are in SI units.
+        # In the fit, parameters are scaled. In the calibration file, parameters are in SI units.
         covariance = self.fit.covariance[np.ix_(at, at)] * np.outer(scale, scale)
         values = self.fit.parameter_values
         half_widths = self.fit.half_widths
@@ -268,9 +268,9 @@ def _result_with_contacts(hand: Hand, result: TendonResult, event: str) -> Tendo
     """Add information about contacts to the result of a tendon.
 
     Contacts make some parameters invalid. To detect obstacles, the controller uses the springs of
-    the hand file. If the real springs are a third stiffer than those in the hand file, the
-    controller reports an obstacle that does not exist. Therefore the event of the controller is
-    ignored if the fit explains the whole sweep.
+    the hand file. If the real springs are a third stiffer than the springs in the hand file, the
+    controller reports an obstacle that does not exist. Therefore the function ignores the contact
+    event of the controller if the fit explains the whole sweep.
     """
     contact = contact_text(hand, result)
     residual_ramp = result.fit.ramp
@@ -331,8 +331,9 @@ def blocked_digits(log: RunLog) -> dict[str, str]:
 
     The keys of the result are the names of the excited digits.
 
-    If two digits touch each other, the controller may report the wrong digit as blocked. Even then,
-    the event is assigned to the digit that was excited at the time.
+    If two digits touch each other, the controller possibly reports the wrong digit as blocked. Even
+    if the event names the wrong digit, the event is assigned to the digit that was excited at the
+    time.
     """
     events = [
         event_entry
@@ -358,7 +359,8 @@ def _digit_fits(
     """Return the fits of the tendons of a digit.
 
     If the digit has several tendons, springs and friction come from the fit of the whole digit. The
-    first value is the data of the fit of the digit. If there is no such fit, this value is None.
+    first returned value is the data for the fit of the whole digit. If the whole digit is not
+    fitted, the first value is None.
     """
     fits = [fit for _, fit in data_and_fits]
     digit = DigitModel.from_hand(hand, name)
@@ -401,14 +403,14 @@ def utc_now_text() -> str:
 
 
 COLUMN_WIDTHS = (18, 10, 19, 9, 9)
-"""Width of each column of a result table, except the last [characters]."""
+"""Width of each column of a result table, except the last column [characters]."""
 
 
 def result_table(result_of_tendon: dict[str, TendonResult], is_verbose: bool = False) -> list[str]:
-    """Return lines about each parameter, for a terminal.
+    """Return the lines of a table of the parameters, for a terminal.
 
-    A line contains the confidence interval and the value in the hand file, or the reason why there
-    is no value.
+    A line contains the value of a parameter, the confidence interval and the value in the hand
+    file. If there is no value, the line contains the reason.
 
     Args:
         result_of_tendon: results by the name of the tendon.
@@ -436,13 +438,13 @@ def result_table(result_of_tendon: dict[str, TendonResult], is_verbose: bool = F
 
 
 def _table_row(*cells: str) -> str:
-    """Return a row of a table of results, given the text for each cell."""
+    """Return a row of the table of results, given the text for each cell."""
     fixed_cells = [cell.ljust(width) for cell, width in zip(cells, COLUMN_WIDTHS, strict=False)]
     return "  " + " ".join([*fixed_cells, *cells[len(COLUMN_WIDTHS) :]]).rstrip()
 
 
 def _identified_row(result: TendonResult, key: str) -> str:
-    """Return the row of an identified parameter. The unit of a pure number is written as "-"."""
+    """Return the table row of an identified parameter. The unit of a pure number is written as "-"."""
     size, unit = (1e3, "ms") if key == "delay" else (1.0, PARAMETER_UNITS[key])
     value = size * result.fit.parameter_values[key]
     width = size * result.fit.half_widths[key]

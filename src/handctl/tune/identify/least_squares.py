@@ -1,8 +1,8 @@
 """Solution of a least-squares fit, and the uncertainty of the fitted parameters.
 
-The residuals vary between blocks of time. The confidence intervals follow from the size of this
-variation. Therefore errors of the model widen the intervals. The rows need not be independent of
-each other.
+The confidence intervals follow from the variation of the residuals between blocks of time.
+Therefore errors of the model widen the intervals. The rows of data need not be independent of each
+other.
 """
 
 from collections.abc import Callable, Iterator
@@ -20,19 +20,19 @@ MIN_DEGREES_OF_FREEDOM = 3.0
 MIN_VARIANCE_FRACTION = 1e-9
 """Lower bound of the squared contribution of the data to the variance of a parameter.
 
-Below this value only the prior determines the parameter.
+If the contribution of the data is below the bound, only the prior determines the parameter.
 """
 MAX_SOLVER_STEPS = 40
 """Largest number of evaluations by the solver.
 
-If the solver needs more, the data do not determine the parameters.
+If the solver needs more evaluations, the data do not determine the parameters.
 """
 OUTLIER_RESIDUAL = 2.5
-"""Residual above which a row gets less weight, for example during an unexpected contact [standard deviations]."""
+"""Residual above which a row of data gets less weight, e.g. during an unexpected contact [standard deviations]."""
 NOISE_BLOCK_S = 0.25
 """Duration of the blocks of time [s]. Residuals of different blocks count as independent."""
 MAX_BLOCK_ROWS = 500
-"""Largest number of rows in a block. The computing time increases with the third power of this number.
+"""Largest number of rows in a block. The computing time increases with the third power of the number of rows.
 
 A block of a run at 500 Hz has up to 375 rows. In a damaged log in which all times are equal, one
 block would contain all rows.
@@ -66,7 +66,8 @@ def solve_least_squares(
 ) -> FitSolution:
     """Solve a least-squares problem in two rounds.
 
-    The first round is robust, and finds the outliers. The second round leaves the outliers out.
+    The first round of the solver is robust, and finds the outliers. The second round of the solver
+    leaves the outliers out.
 
     Args:
         residual_function: function from parameters (n,) to residuals in standard deviations. The rows of
@@ -110,29 +111,28 @@ def _parameter_covariance(
 ) -> tuple[Array, Array]:
     """Return the covariance of the parameters, and the degrees of freedom of each parameter's variance.
 
-    Both follow from the variation of the residuals between blocks of time, and from the prior
-    knowledge.
+    The covariance and the degrees of freedom follow from the variation of the residuals between
+    blocks of time, and from the prior knowledge.
 
-    The residuals of a block are corrected. After the correction, they are equal to the residuals of
-    a fit without this block. The covariance is never smaller than the covariance for independent
-    noise.
+    The residuals of each block are corrected, so that they equal the residuals of a fit without the
+    block. The covariance is never smaller than the covariance for independent noise.
 
     The degrees of freedom are calculated for independent noise with a standard deviation of 1, and
-    not from the residuals. If they were calculated from the residuals, one block with large
-    residuals could leave less than three degrees of freedom for the friction.
+    not from the residuals. If the degrees of freedom were calculated from the residuals, one block
+    with large residuals could leave less than three degrees of freedom for the friction.
     Source: the jackknife over clusters in its linear form (Bell & McCaffrey 2002, CR3),
     Satterthwaite's degrees of freedom with their working model.
     """
     plain_covariance = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
-    # The rows with prior knowledge are exact by definition. Therefore they enter the middle factor
-    # of the sandwich estimator without correction.
+    # The rows with prior knowledge are exact by definition. Therefore the rows of the priors enter
+    # the middle factor of the sandwich estimator without correction.
     score_covariance = jacobian[len(sample_times) :].T @ jacobian[len(sample_times) :]
     expected = [np.diag(plain_covariance @ score_covariance @ plain_covariance)]
     for rows in _rows_by_time_block(sample_times):
         block_jacobian = jacobian[rows]
         residual_maker = np.eye(len(rows)) - block_jacobian @ plain_covariance @ block_jacobian.T
         # If a single block determines a parameter alone, the matrix (I - H) is singular. Therefore
-        # a least-squares solution takes the place of the inverse of (I - H).
+        # a least-squares solution replaces the inverse of (I - H).
         corrected_columns = np.linalg.lstsq(
             residual_maker, np.column_stack([residual[rows], block_jacobian]), rcond=1e-9
         )[0]
@@ -150,7 +150,8 @@ def _parameter_covariance(
             )
         )
     robust_covariance = plain_covariance @ score_covariance @ plain_covariance
-    # The robust covariance may be larger than that of independent noise, but never smaller.
+    # The robust covariance can be larger than the covariance for independent noise, but never
+    # smaller.
     robust_width_factor = np.sqrt(
         np.maximum(np.diag(robust_covariance) / np.diag(plain_covariance), 1.0)
     )

@@ -19,20 +19,20 @@ Mask = NDArray[np.bool_]
 SLACK_STEP_NAMES = ("tare",)
 """Names of the steps of an excitation in which the tendon is slack."""
 STOP_STEP_NAMES = ("stretch",)
-"""Names of the steps in which the tendon is taut and the digit is at its open stop."""
+"""Names of the excitation steps in which the tendon is taut and the digit is at its open stop."""
 FREE_STEP_NAMES = ("sweep",)
-"""Names of the steps in which the digit moves freely."""
+"""Names of the steps of an excitation in which the digit moves freely."""
 CONTACT_PHASES = ("close", "open")
-"""Names of the steps in which a contact begins or ends.
+"""Names of the excitation steps in which a contact begins or ends.
 
-The motor force may jump within one sample.
+When a contact begins or ends, the motor force can jump within one sample.
 """
 IGNORED_STEP_START_S = 0.02
-"""Duration of the beginning of each step, from which no data are used [s]."""
+"""Time at the beginning of each excitation step, from which no data are used [s]."""
 TRANSIENT_S = 0.35
-"""Time after which the springs have opened the digit and a relaxed tendon is slack [s]."""
+"""Time after which a relaxed tendon is slack, because the springs have opened the digit [s]."""
 STOP_DISTANCE_DEG = 2.0
-"""Distance from a joint stop below which the stop may carry part of the load [deg]."""
+"""Distance from a joint stop below which the stop possibly carries a fraction of the load [deg]."""
 MIN_TENSION_N = 2.0
 """Tension above which a tendon counts as taut [N]."""
 
@@ -41,7 +41,8 @@ MIN_TENSION_N = 2.0
 class TendonData:
     """Measurements and commands of a tendon during the excitation of its digit.
 
-    Row j of every array belongs to the time j periods after the first row.
+    Row j of every array belongs to the time that is j control periods after the time of the first
+    row.
 
     Attributes:
         tendon: name of the tendon.
@@ -50,13 +51,15 @@ class TendonData:
         t: (n,) time on the clock of the log [s].
         travel: (n,) travel at the spool [m], with NaN for a missing value.
         tension: (n,) reading of the load cell minus the tare [N], with NaN for a missing value.
-        command: (n,) motor force that is commanded from this time on, converted to the tendon [N].
+        command: (n,) motor force that is commanded from each time ``t`` on, converted to the tendon
+            [N].
         joints: (n, joints) readings of the digit's joint encoders [rad], with NaN for a missing
             reading.
         slack: (n,) True if the tendon is slack, so that the load cell shows its offset.
         stop: (n,) True if the tendon is taut and the digit is at its open stop.
         free_motion_mask: (n,) True if the tendon is taut and the digit moves freely.
-        torque_mask: (n,) True if the motor equation is valid between this time and the next.
+        torque_mask: (n,) True if the motor equation is valid between the time of the row and the
+            time of the next row.
     """
 
     tendon: str
@@ -78,8 +81,8 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
 
     If the log contains no excitation, return the data of all tendons.
 
-    The measurements that arrive in a tick were taken in the previous tick. Therefore all
-    measurements are shifted by one tick.
+    The measurements that arrive in a tick were taken in the previous tick. Therefore the function
+    shifts all measurements by one tick.
 
     Args:
         log: log of any run.
@@ -94,8 +97,8 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
     }
     settling_ticks = round(IGNORED_STEP_START_S / period)
     transient_ticks = round(TRANSIENT_S / period)
-    # After the last tick, there is no further measurement. Therefore every array ends one tick
-    # earlier than the log.
+    # After the last tick, the log contains no further measurement. Therefore every array ends one
+    # tick earlier than the log.
     active = (log.mode == HandMode.ACTIVE)[:-1]
     # If a tick was missed, the equation between a command and the next measurement is not valid.
     is_consecutive = np.append(np.diff(log.k) == 1, True)[:-1]
@@ -164,7 +167,8 @@ def _digit_has_tendon(hand: Hand, digit: str, tendon: int) -> bool:
 def _free_motion_mask(log: RunLog, hand: Hand, digit: str) -> Mask:
     """Return a mask of the ticks in which a digit moves freely.
 
-    In these ticks, the digit has followed a trajectory for some time, and is away from its stops.
+    In the selected ticks, the digit has followed a trajectory for some time, and is away from its
+    stops.
     """
     joints = hand.digit_joints[digit]
     (digit_file,) = (candidate for candidate in hand.digit if candidate.name == digit)
@@ -203,7 +207,7 @@ def _step_mask(
 def _restrict_to_excitation(
     data: TendonData, phase_of_tick: NDArray[np.str_], digit: str
 ) -> TendonData:
-    """Return the part of the data in which the digit was excited."""
+    """Return the data from the time in which the digit was excited."""
     ticks = np.flatnonzero(np.char.startswith(phase_of_tick[:-1], f"{digit} "))
     rows = slice(int(ticks[0]), int(ticks[-1]) + 1)
     excited_samples = {
@@ -226,7 +230,7 @@ def _restrict_to_excitation(
 def average_samples(values: Array, half_window: int) -> Array:
     """Return moving averages: each is the mean of a sample and of `half_window` samples on each side of the sample.
 
-    At both ends of the data, the result is NaN.
+    At both ends of the data, the moving average is NaN.
     """
     mean_values = np.full(len(values), np.nan)
     width = 2 * half_window + 1

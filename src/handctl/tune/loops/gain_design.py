@@ -1,17 +1,17 @@
 """Design of gains by one of two methods.
 
-The first method finds the largest authority that keeps the margins on all plants. The second method
-places the poles at given frequencies. Authority is the parameter of LQR that this design varies. By
-Bryson's rule, the authority is the force whose cost equals the cost of the errors. More authority
-makes a loop faster and its margins smaller. Therefore the authority of each tendon is increased
-alone, until a margin would become too small. The smallest authority of all tendons becomes the
-common ``force_N``. A tendon that permits more than twice the common authority gets a separate
-force. So a digit with little authority, such as a heavy wrist, does not make other digits slow. The
-eigenvalues of the closed loop confirm the reported margins. A function that the caller provides,
-such as a simulation, confirms the designed gains.
+The first design method finds the largest authority that keeps the margins on all plants. The second
+design method places the poles at given frequencies. The authority of a loop is the parameter of LQR
+that the first method varies. By Bryson's rule, the authority is the force whose cost equals the
+cost of the errors. More authority makes a loop faster and its margins smaller. Therefore the design
+increases the authority of each tendon alone, until a margin would become too small. The smallest
+authority of all tendons becomes the common ``force_N``. A tendon that permits more than twice the
+common authority gets a separate force. So a digit with little authority, such as a heavy wrist,
+does not make other digits slow. The eigenvalues of the closed loop confirm the reported margins. A
+function that the caller provides, such as a simulation, confirms the designed gains.
 
-To place poles, the design uses this equation: for a plant with one input and weights on position
-and speed, the characteristic polynomial d of the closed loop satisfies
+The placement of poles uses an equation for a plant with one input and weights on position and
+speed. The characteristic polynomial d of the closed loop satisfies
 
     d(s) d(-s) = p(s) p(-s) + (q1 |g1(s)|^2 + q2 |g2(s)|^2) / r.
 
@@ -60,7 +60,7 @@ BISECTION_STEPS = 5
 FORCE_REDUCTION_STEP = math.log(1.03)
 """Step by which a force is reduced after the search, in the natural logarithm of the force.
 
-The force is reduced until the margins that eigenvalues confirm are large enough.
+The force is reduced until the margins, which the eigenvalues confirm, are large enough.
 """
 MAX_FORCE_REDUCTIONS = 6
 """Largest number of reductions of a force after the search."""
@@ -73,11 +73,11 @@ simulation.
 MIN_SEPARATE_FORCE_RATIO = 2.0
 """Ratio of a tendon's authority to the common authority, above which the tendon gets a separate force."""
 FORCE_SIGNIFICANT_DIGITS = 3
-"""Number of significant digits of a designed force. Further digits are cut off."""
+"""Number of significant digits of a designed force. The force is rounded down to these digits."""
 DISTURBANCE_REJECTION_FRACTIONS = (1.0, 0.7, 0.5, 0.35, 0.25, 0.1, 0.0)
 """Fractions of disturbance rejection that the design tries, largest first.
 
-With the filters of some hands, loops with a large fraction have no margin.
+With the filters of some hands, loops with a large fraction of disturbance rejection have no margin.
 """
 
 
@@ -108,7 +108,7 @@ class GainDesign:
     def with_zero_old_margins(self, reason: str) -> "GainDesign":
         """Return the design with margins of zero for the old gains.
 
-        This is right if the hand did not come to rest with the old gains in simulation.
+        Margins of zero are right if the hand did not come to rest with the old gains in simulation.
 
         Args:
             reason: reason why the hand does not come to rest.
@@ -124,9 +124,10 @@ class GainDesign:
         )
 
     def as_weights(self) -> Gains:
-        """Express the designed gains with the default authority and scaled errors.
+        """Express the designed gains by the default authority and by scaled errors.
 
-        The new gains describe the same controller, because LQR depends only on ratios of weights.
+        The returned gains describe the same controller as the designed gains, because LQR depends
+        only on ratios of weights.
         """
         defaults = Gains()
         gains = self.gains
@@ -161,7 +162,7 @@ class GainDesign:
 def linear_factors(plant_factors: Mapping[str, float]) -> PlantFactors:
     """Return only those factors of a plant that scale linear parameters.
 
-    The factors of the friction are left out, because friction is not linear.
+    The result does not contain the factors of the friction, because friction is not linear.
     """
     names = PlantFactors.__dataclass_fields__
     return PlantFactors(**{key: value for key, value in plant_factors.items() if key in names})
@@ -201,7 +202,7 @@ def gains_with_poles(
 def _scaled_tendon_forces(
     gains: Gains, motion_factor: float, tension_factor: float
 ) -> list[dict[str, Any]]:
-    """Multiply the forces of single tendons by factors, and return the entries of these tendons.
+    """Multiply the separate forces of single tendons by factors, and return the gains entries of these tendons.
 
     The motion loop and the tension loop have different factors.
     """
@@ -220,7 +221,7 @@ def _scaled_tendon_forces(
 def _replace_gain_sections(
     gains: Gains, **sections: dict[str, float] | list[dict[str, Any]]
 ) -> Gains:
-    """Return gains in which some sections are replaced, after their bounds have been checked.
+    """Check the bounds of some sections of the gains, and return gains in which these sections are replaced.
 
     Raises:
         ValueError: a value is out of its bounds.
@@ -232,9 +233,10 @@ def _replace_gain_sections(
 
 
 def _motion_weights(model: HandModel, frequency: float, damping: float) -> tuple[float, float]:
-    """Return the two ratios of weights, force / error and force / speed error, of the motion loop.
+    """Return the two ratios of LQR weights of the motion loop: force / error, and force / speed error.
 
-    The plant is a single mass, and the characteristic polynomial is d(s) = s^2 + 2 z w s + w^2.
+    The plant of the motion loop is a single mass, and the characteristic polynomial is d(s) = s^2 +
+    2 z w s + w^2.
     """
     # At low frequencies, the rotor and a freely moving digit act as one mass.
     mass = float((model.tendon_constants.motor_mass + model.tendon_constants.load_mass).mean())
@@ -244,10 +246,10 @@ def _motion_weights(model: HandModel, frequency: float, damping: float) -> tuple
 
 
 def _tension_weights(model: HandModel, frequency: float, damping: float) -> tuple[float, float]:
-    """Return the two ratios of weights, force / error and force / speed error, of the tension loop.
+    """Return the two ratios of LQR weights of the tension loop: force / error, and force / speed error.
 
-    The plant is a rotor on its tendon. No weights give poles below the natural frequency of the
-    rotor without control.
+    The plant of the tension loop is a rotor on its tendon. No weights give poles below the natural
+    frequency of the uncontrolled rotor.
     """
     tendons = model.tendon_constants
     m = float(tendons.motor_mass.mean())
@@ -272,8 +274,8 @@ def _positive_root(squared_value: float, expected_text: str) -> float:
     """Return the square root of a positive number.
 
     Raises:
-        ValueError: the number is not positive. In this case, no weights lead to the requested
-            poles.
+        ValueError: the number is not positive. A number that is not positive means that no weights
+            lead to the requested poles.
     """
     if squared_value <= 0.0:
         raise ValueError(f"no weights have these poles; expected {expected_text}")
@@ -292,9 +294,9 @@ def worst_margins(
 ) -> LoopMargins:
     """Return the smallest value of each margin over all plants and all loops.
 
-    Of equal tendons, only one is computed.
+    In each group of equal tendons, the margins of only one tendon are computed.
 
-    The eigenvalues of the closed loops confirm these margins.
+    The eigenvalues of the closed loops confirm the returned margins.
     """
     return reduce(minimum_margins, _margins_of_loops(model, plants, kinds, confirmed_margins))
 
@@ -316,7 +318,7 @@ def keeps_required_margins(
 ) -> bool:
     """Return True if the loops of the given tendons have the required margins on every plant.
 
-    If `tendons` is not given, all tendons are checked. The check ends at the first loop whose
+    If `tendons` is not given, all tendons are checked. The function stops at the first loop whose
     margin is too small.
     """
     return all(
@@ -333,7 +335,7 @@ def _margins_of_loops(
 ) -> Iterator[LoopMargins]:
     """Yield the margins of each loop, tendon, and plant.
 
-    If `tendons` is not given, one of each group of equal tendons is used.
+    If `tendons` is not given, one tendon of each group of equal tendons is used.
     """
     for kind in kinds:
         for i in distinct_tendons(model) if tendons is None else tendons:
@@ -369,11 +371,11 @@ def design_gains(
 ) -> GainDesign:
     """Design gains with the largest disturbance rejection and the largest authority.
 
-    With these gains, all plants keep the margins.
+    With the designed gains, all plants keep the margins.
 
     Args:
-        model: model of the hand with its present gains. The design does not change the filter of
-            this model.
+        model: model of the hand with its present gains. The design of the gains does not change the
+            filter of this model.
         plants: ensemble of plants on all of which the margins must be kept.
         passes_test: function that returns True if the gains of a model pass a further test, such as
             a simulation.
@@ -405,8 +407,9 @@ def design_gains(
                     margins_after,
                 )
             has_unproven_design = has_unproven_design or margins_after.are_sufficient
-        # A smaller disturbance rejection changes only one term of the control law. If the hand does
-        # not come to rest even then, another term must be the cause.
+        # A smaller gain for disturbance rejection changes only one term of the control law. If the
+        # hand does not come to rest even with a smaller disturbance rejection, another term must be
+        # the cause.
         if has_unproven_design:
             raise ValueError(
                 "the gains that keep the margins do not come to rest in simulation; expected other weights"
@@ -454,8 +457,8 @@ def model_with_largest_force(
 ) -> HandModel | None:
     """Return the model in which each tendon's loop has the largest authority that keeps the margins.
 
-    If a tendon influences the loops of others, all tendons have equal forces. If no authority keeps
-    the margins, return None.
+    If a tendon influences the loops of other tendons, all tendons have equal forces. If no
+    authority keeps the margins, return None.
     """
     model = model_with_gains(model, _without_tendon_forces(model.gains, kind))
     forces: dict[int, float] = {}
@@ -476,8 +479,8 @@ def model_with_largest_force(
     model_with_tendon_forces = _model_with_tendon_forces(
         model_with_equal_forces, kind, separate_force_by_tendon
     )
-    # Each of these forces was found while all tendons had the same force. If two tendons share a
-    # joint, a larger force of one tendon reduces the margins of the other.
+    # The force of each tendon was found while all tendons had the same force. If two tendons share
+    # a joint, a larger force of one tendon reduces the margins of the other.
     return (
         model_with_tendon_forces
         if keeps_required_margins(model_with_tendon_forces, plants, (kind,))
@@ -488,14 +491,14 @@ def model_with_largest_force(
 def _largest_force(
     model: HandModel, kind: LoopKind, tendon: int, plants: tuple[PlantFactors, ...]
 ) -> float | None:
-    """Return the largest authority for the loop of a tendon that keeps the margins [N].
+    """Return the largest authority [N] with which the loop of a tendon keeps the margins.
 
     If no authority keeps the margins, return None.
 
-    The search begins with the smallest possible force. Even this force may violate the margins. The
-    integrator then makes a tendon oscillate, because the other feedback is too weak. After the
-    first force that keeps the margins, the force is increased until a margin is violated. The last
-    increase is then bisected. Larger forces are not tried.
+    The search begins with the smallest possible force. Even the smallest force possibly violates
+    the margins, if the integrator makes a tendon oscillate because the other feedback is too weak.
+    After the first force that keeps the margins, the force is increased until a margin is violated.
+    The interval of the last increase is then bisected. Larger forces are not tried.
     """
 
     def has_required_margins(force_logarithm: float) -> bool:
@@ -523,8 +526,8 @@ def _largest_force(
             best = tried_force
         else:
             high = tried_force
-    # The search uses the response at few frequencies. At more frequencies, or by the eigenvalues,
-    # the margins may be smaller.
+    # The search uses the response at few frequencies. The margins are possibly smaller when they
+    # are calculated at more frequencies or from the eigenvalues.
     for _ in range(MAX_FORCE_REDUCTIONS):
         tried_gains = _model_with_equal_forces(model, kind, _rounded_force(best))
         if all(
@@ -542,7 +545,7 @@ def _rounded_force(force_logarithm: float) -> float:
     """Return the force whose natural logarithm is given, rounded down to a few digits [N]."""
     force = math.exp(force_logarithm)
     unit = 10.0 ** (math.floor(math.log10(force)) - FORCE_SIGNIFICANT_DIGITS + 1)
-    # The summand 1e-9 compensates the rounding error of the quotient.
+    # The added number 1e-9 compensates the rounding error of the quotient.
     return float(f"{math.floor(force / unit + 1e-9) * unit:.{FORCE_SIGNIFICANT_DIGITS}g}")
 
 

@@ -3,14 +3,14 @@
 The models of the controller are finite differences of the controller's own code. The model of the
 plant is computed from the hand file.
 
-The finite differences call the same code as a tick of the controller. Therefore these models follow
-every change in the code of the filter or the control law. Each tendon is treated alone, as in the
-design of the gains. Friction is neglected, because its force is constant while a tendon moves. In
-each tick, the controller uses the readings of the previous tick. This delay of one tick represents
-the time for the transfer over the bus.
+The finite differences call the same code as a tick of the controller. Therefore the linear models
+follow every change in the code of the filter or the control law. Each tendon is treated alone, as
+in the design of the gains. Friction is neglected, because its force is constant while a tendon
+moves. In each tick, the controller uses the readings of the previous tick. The delay of the
+readings by one tick represents the time for the transfer over the bus.
 
-The control law is linearised without its limits. A loop at its limits would seem to have no gain
-and unlimited margins. At the operating point the goals equal the estimates, and all errors are
+The control law is linearised without its limits. A control law at its limits would seem to have no
+gain and unlimited margins. At the operating point the goals equal the estimates, and all errors are
 zero.
 """
 
@@ -45,30 +45,31 @@ Matrix = NDArray[np.float64]
 CURRENT_LAG_S = 0.3e-3
 """Time constant of the first-order lag between commanded and actual torque of a drive [s].
 
-Source: the current loops of drives have a bandwidth of some 500 Hz.
+Source: the current loops of drives have a bandwidth of about 500 Hz.
 """
 OPERATING_TENSION_N = 20.0
 """Tension of the operating point, far from slack and from the limits [N]."""
 OPERATING_SPEED_M_S = 0.015
 """Tendon speed of the operating point [m/s].
 
-At this speed, friction does not depend on the speed.
+At the tendon speed of the operating point, friction does not depend on the speed.
 """
 OPERATING_ANGLE_RAD = 0.6
 """Joint angle of the operating point, between the stops [rad]."""
 DIFFERENCE_STEPS = {"travel": 1e-7, "tension": 1e-2, "state": 2.0**-14}
 """Steps of the finite differences: travel [m], tension [N], and states as a fraction of their typical size."""
 UNREACHABLE_LIMIT = 1e12
-"""Value for the limits of motor torque [N m] and force [N]. No gains reach a limit of this size."""
+"""Value for the limits of motor torque [N m] and force [N]. No gains lead to a command of this size."""
 PLANNED_MOTION_TENSION_N = 1e4
 """Expected tension of a moving digit, chosen far outside of its friction band [N].
 
-With this value, the control law predicts the tension at the edge of the friction band.
+With so large an expected tension, the control law predicts the tension at the edge of the friction
+band.
 """
 MIN_LIMIT_DISTANCE = 0.1
 """Smallest distance of the operating point from the limits of a joint, as a fraction of the joint's range."""
 CONSTANT_STATE_TOLERANCE = 1e-9
-"""A state counts as constant if no coefficient of another state or an input in its equation exceeds this value."""
+"""Largest coefficient of other states and inputs in the equation of a state that counts as constant."""
 
 
 class LoopKind(enum.StrEnum):
@@ -101,9 +102,11 @@ class LinearSystem:
     def frequency_response(self, omega: Matrix) -> NDArray[np.complex128]:
         """Return the frequency response (len(omega),) of a system with one input and one output.
 
-        By the determinant lemma, 1 + C (zI - A)^-1 B = det(zI - A + BC) / det(zI - A). A determinant is the product of
-        the distances from z to the eigenvalues. Two sets of eigenvalues therefore replace a system of equations for
-        each frequency, which takes 20 times as long. The error is below 1e-9 of 1 + L for the packaged hands.
+        By the determinant lemma, 1 + C (zI - A)^-1 B = det(zI - A + BC) / det(zI - A). A
+        determinant is the product of the distances from z to the eigenvalues. Two sets of
+        eigenvalues therefore replace the solution of one system of equations per frequency, which
+        would take 20 times as long. For the packaged hands, the error of the frequency response is
+        below 1e-9 of 1 + L.
 
         Args:
             omega: angular frequencies [rad/s].
@@ -236,10 +239,10 @@ def open_loop(
 
 
 def connect_in_series(P: LinearSystem, K: LinearSystem) -> LinearSystem:
-    """Return the open loop of a plant P and a controller K, where the loop is cut at the motor force.
+    """Return the open loop L of a plant P and a controller K, where the loop is opened at the motor force.
 
     The output of the open loop is the force that the controller commands, with the opposite sign.
-    Therefore the margins follow from 1 + L.
+    Because of the opposite sign, the margins follow from 1 + L.
     """
     K = _without_constants(K)
     p = len(P.A)
@@ -247,9 +250,11 @@ def connect_in_series(P: LinearSystem, K: LinearSystem) -> LinearSystem:
     y = len(P.C)
     A = np.zeros((p + y + n, p + y + n))
     A[:p, :p] = P.A
-    A[p : p + y, :p] = P.C  # these rows store the readings for the next tick
+    A[p : p + y, :p] = P.C  # the rows below store the readings for the next tick
     A[p + y :, p : p + y] = K.B
-    A[p + y :, p + y :] = K.A  # the filter also uses the force that was commanded last
+    A[p + y :, p + y :] = (
+        K.A
+    )  # apart from the readings, the filter uses the force that was commanded last
     B = np.vstack([P.B, np.zeros((y + n, 1))])
     C = np.hstack([np.zeros((1, p)), K.D, K.C])
     return LinearSystem(A, B, -C, np.zeros((1, 1)), P.period)
@@ -277,7 +282,7 @@ def _without_constants(K: LinearSystem) -> LinearSystem:
 
 
 _TickFunction = Callable[[Matrix, Matrix], Matrix]
-"""Function that executes one tick of a tendon: from (state, reading) to the next state, followed by the force."""
+"""Function that executes one tick of a tendon: from (state, reading) to an array of the next state and the force."""
 
 
 def _central_difference(matrix_function: Callable[[float], Matrix], step: float) -> Matrix:
@@ -311,21 +316,21 @@ FEEDBACK_STATE_ROWS = [
     s.PLANNED_TENSION,
     s.PLANNED_TENSION_RATE,
 ]
-"""Rows of the tendon states that are part of the feedback: first those of the filter, then those of the control law."""
+"""Rows of the state block with the states of the feedback: first the filter states, then the control law states."""
 MEASUREMENT_ROWS = [s.MEASURED_TRAVEL, s.MEASURED_TENSION, s.MEASURED_EXCURSION]
 """Rows of the state block that contain the measurements of a tendon."""
 _TYPICAL_STATE_SIZES = 2.0 ** np.array([-17, -7, -17, -7, 0, 0, -17, 0, 0, 0, 0, 0])
 """Typical sizes of the states in `FEEDBACK_STATE_ROWS`, with which the finite differences are scaled.
 
-The sizes are powers of two. Thus the finite difference of a state that is only copied is exactly
-one.
+All sizes are powers of two, so that the finite difference of a state that a tick only copies is
+exactly one.
 """
 
 
 class _LinearController:
     """Filter and linear control law of a hand.
 
-    Both work on a state block.
+    The filter and the control law work on a state block.
 
     Attributes:
         model: model of the hand with its gains, without limits and without motor friction.
@@ -348,7 +353,7 @@ class _LinearController:
     def run_filter(self, block: BlockArray) -> None:
         """Execute the correction and the prediction of the filter.
 
-        No contact is detected, because no motor makes torque yet.
+        In this call, the filter detects no contact, because no motor makes torque yet.
         """
         self.layout.view(block, "mode")[...] = HandMode.ARMING
         tick_stages.correct_tension_estimate(block, self.layout.offsets, *self._constant_args)
@@ -369,7 +374,7 @@ def _operating_point(
 ) -> tuple[_TickFunction, Matrix, Matrix, Matrix]:
     """Return the tick function of a tendon, the state and the readings at the operating point, and small steps.
 
-    There is a small step for each state and each reading.
+    The steps are the small steps of the finite differences, one for each state and each reading.
     """
     controller = _LinearController(model)
     operating_point = _operating_point_state(controller, tendon, kind)
@@ -400,8 +405,8 @@ def _operating_point_state(
 ) -> BlockArray:
     """Return the state block at the operating point of a loop.
 
-    Every digit is half closed, and every tendon is taut. For a motion loop, the tendon is being
-    wound up. For a tension loop, the tendon is at rest. All errors are zero.
+    Every digit is half closed, and every tendon is taut. For a motion loop, the motor winds the
+    tendon up. For a tension loop, the tendon is at rest. All control errors are zero.
     """
     model = controller.model
     layout = controller.layout
@@ -466,8 +471,9 @@ def _operating_point_state(
 def _half_closed_coordinates(digit: DigitModel) -> Matrix:
     """Return coordinates (n_c,) at which all joints of a digit are well inside their ranges [rad].
 
-    If the coupling and the joint limits allow it, all joints are at `OPERATING_ANGLE_RAD`.
-    Otherwise, the result is the point that is farthest from all joint limits.
+    All joints are at `OPERATING_ANGLE_RAD`, if the coupling and the joint limits allow this angle.
+    If the coupling or a limit does not allow this angle, the result is the point that is farthest
+    from all joint limits.
     """
     low = digit.joint_min
     high = digit.joint_max
@@ -490,7 +496,7 @@ def _half_closed_coordinates(digit: DigitModel) -> Matrix:
 def _winding_rates(model: HandModel, d: int, tendon: int, speed: float) -> Matrix:
     """Return the coordinate rates (n_c,) at which a digit winds up one tendon with a given speed [m/s].
 
-    If the tendon belongs to another digit, all tendons of this digit are wound up at the given
+    If the tendon belongs to another digit, all tendons of digit ``d`` are wound up at the given
     speed.
     """
     digit = model.digits[d]
@@ -506,7 +512,7 @@ def _winding_rates(model: HandModel, d: int, tendon: int, speed: float) -> Matri
 def _joint_gain(model: HandModel) -> Matrix:
     """Return a vector (N,) with 1 or NaN for each tendon.
 
-    The value is 1 if joint encoders measure the excursion of the tendon.
+    The value of a tendon is 1 if joint encoders measure the excursion of the tendon.
     """
     is_joint_measured = [
         bool(np.any(blocks[TendonRegime.FREE].K[:, 2])) for blocks in model.filter_design.blocks

@@ -1,9 +1,9 @@
 """Margins of a control loop: gain, phase, disk and delay margin, crossover frequency and step response.
 
 A search needs thousands of margins. Each margin is therefore calculated from a frequency response.
-    The tests compare the calculated margins with those of the Python package `control`. The
-    eigenvalues of the closed loop confirm the reported margins. If the gain, the phase or the delay
-    changes by less than its margin, no pole reaches the unit circle.
+The tests compare the calculated margins with those of the Python package `control`. The eigenvalues
+of the closed loop confirm the reported margins. If the gain, the phase or the delay of a loop
+changes by less than its margin, no pole reaches the unit circle.
 Source: balanced disk margin 1 / max |S - 1/2| (Seiler, Packard, Gahinet, 2020).
 """
 
@@ -32,9 +32,9 @@ MIN_PHASE_MARGIN_DEG = 45.0
 LOWEST_FREQUENCY_HZ = 0.3
 """Lowest frequency of the calculated frequency responses [Hz]."""
 SEARCH_GRID_POINTS = 300
-"""Number of frequencies of a response that is calculated for a search."""
+"""Number of frequencies of a frequency response that is calculated for a search."""
 FINE_GRID_POINTS = 3000
-"""Number of frequencies of a response that is calculated for reported margins."""
+"""Number of frequencies of a frequency response that is calculated for reported margins."""
 MAX_OPEN_LOOP_GAIN = 1e-6
 """Largest gain over all frequencies at which a loop counts as open and has no margins."""
 MAX_GAIN_DB = 60.0
@@ -42,7 +42,7 @@ MAX_GAIN_DB = 60.0
 MAX_DELAY_S = 0.1
 """Largest reported delay margin [s]. Larger margins are not confirmed."""
 MARGIN_STEP_COUNT = 10
-"""Number of fractions of a margin at which the eigenvalues are calculated."""
+"""Number of fractions of a margin for which the eigenvalues are calculated."""
 DISK_DIRECTION_COUNT = 6
 """Number of directions on the edge of the disk at which the eigenvalues are calculated."""
 
@@ -52,8 +52,9 @@ class LoopMargins:
     """Stability margins of a control loop.
 
     Attributes:
-        gain_db: largest factor by which the gain of the loop may be multiplied or divided [dB]. The
-            margin is the smaller of the two factors. The gain margin is 0 if the loop is unstable.
+        gain_db: gain margin, the largest factor by which the gain of the stable loop can be
+            multiplied or divided [dB]. The gain margin is the smaller of both factors. The gain
+            margin is 0 if the loop is unstable.
         phase_deg: smallest difference between the phase and -180 degrees at a gain of one [deg].
         disk: balanced disk margin, from 0 (unstable loop) to 2.
         delay_s: largest additional delay with which the loop stays stable [s].
@@ -84,8 +85,8 @@ class LoopMargins:
     def shortfall(self) -> float:
         """Return the shortfall of the gain margin or the phase margin.
 
-        The shortfall is a fraction of the required margin. The larger shortfall of both margins
-        counts. If every margin is large enough, the result is 0 or less.
+        The shortfall is a fraction of the required margin. The result is the larger shortfall of
+        both margins. If every margin is large enough, the result is 0 or less.
         """
         if not self.stable:
             return 1.0 + min(self.peak, 100.0)
@@ -97,7 +98,7 @@ class LoopMargins:
 def zeroed_margins(linear_margins: LoopMargins) -> LoopMargins:
     """Return margins that are zero.
 
-    They replace margins that a simulation has contradicted.
+    The zero margins replace margins that a simulation has contradicted.
     """
     return _zero_margins(linear_margins.crossover_hz, linear_margins.peak, is_stable_loop=False)
 
@@ -179,9 +180,9 @@ def is_stable(system: LinearSystem, loop_factor: complex = 1.0, delay_ticks: int
 def confirmed_margins(system: LinearSystem) -> LoopMargins:
     """Return margins that the eigenvalues of the closed loop confirm.
 
-    The margin is reduced if an eigenvalue is outside of the unit circle at a tested change within
-    the margin. The frequency response is known only at some frequencies. A resonance between two of
-    these frequencies would not be found without the eigenvalues.
+    The function reduces a margin if a tested change of the loop within the margin moves an
+    eigenvalue out of the unit circle. The frequency response is known only at some frequencies.
+    Without the eigenvalues, a resonance between two of the known frequencies would not be found.
     """
     result = margins_of_loop(system, FINE_GRID_POINTS)
     if not result.stable or result.phase_deg == 0.0:
@@ -222,7 +223,8 @@ def _is_stable_with_factors(
 def _disk_factors(disk_size: float) -> NDArray[np.complex128]:
     """Return complex factors for the gain of the loop that lie on the edge of a balanced disk.
 
-    Complex conjugate factors have the same stability. Therefore only half of the edge is returned.
+    Complex conjugate factors have the same stability. Therefore the function returns factors on
+    only one half of the edge.
     """
     disk_points = disk_size * np.exp(1j * np.linspace(0.0, np.pi, DISK_DIRECTION_COUNT))
     return np.asarray((2.0 + disk_points) / (2.0 - disk_points))
@@ -233,10 +235,11 @@ def _largest_confirmed_margin(
     is_confirmed: Callable[[float], bool],
     step_count: int = MARGIN_STEP_COUNT,
 ) -> float:
-    """Return the largest part of a margin that the eigenvalues confirm.
+    """Return the largest fraction of a margin that the eigenvalues confirm.
 
-    Several fractions of the margin are tested. All fractions up to the result are confirmed. The
-    last hundredth of a margin is not tested, because the frequency response is interpolated.
+    The function tests several fractions of the margin. All fractions up to the result are
+    confirmed. The function does not test the last hundredth of a margin, because the frequency
+    response is interpolated.
     """
     tried_margins = linear_margin * np.linspace(0.0, 0.99, step_count + 1)[1:]
     for previous_margin, tried_margin in zip(
@@ -248,12 +251,12 @@ def _largest_confirmed_margin(
 
 
 def _gain_factors(L: NDArray[np.complex128]) -> list[float]:
-    """Return 1 / |L| at each frequency at which L crosses the negative real axis.
+    """Return 1 / |L| at each frequency at which the open loop L crosses the negative real axis.
 
-    The frequencies are interpolated.
+    The frequencies of the crossings are interpolated.
     """
-    # At a crossing, the imaginary part changes its sign between two frequencies with negative real
-    # parts.
+    # At a crossing of the negative real axis, the imaginary part of L changes its sign between two
+    # frequencies with negative real parts.
     i = np.flatnonzero((np.diff(np.sign(L.imag)) != 0.0) & (L.real[:-1] < 0.0) & (L.real[1:] < 0.0))
     fraction = L.imag[i] / (L.imag[i] - L.imag[i + 1])
     return [
@@ -264,13 +267,13 @@ def _gain_factors(L: NDArray[np.complex128]) -> list[float]:
 def _phase_angles(L: NDArray[np.complex128], omega: Matrix) -> list[tuple[float, float]]:
     """Return, for each crossing of the gain 1, the angle from -180 degrees [rad] and the frequency [rad/s].
 
-    Both are interpolated.
+    The angle and the frequency are interpolated.
     """
     size = np.log(np.maximum(np.abs(L), MAX_OPEN_LOOP_GAIN))
     i = np.flatnonzero(np.diff(np.sign(size)) != 0.0)
     fraction = size[i] / (size[i] - size[i + 1])
-    # The logarithm of the magnitude and the phase are interpolated, because both are almost linear
-    # in frequency.
+    # The logarithm of the magnitude and the phase are interpolated, because both quantities are
+    # almost linear in frequency.
     angle = np.abs(np.angle(-L[i] * (L[i + 1] / L[i]) ** fraction))
     return list(
         zip(
@@ -301,7 +304,7 @@ def worst_loop(
 def step_response(
     model: HandModel, tendon: int, kind: LoopKind, duration: float
 ) -> tuple[Matrix, Matrix]:
-    """Return the response of a closed loop when a disturbance force on the rotor rises by 1 N.
+    """Return the response of a closed loop to a disturbance force on the rotor that rises by 1 N.
 
     Args:
         model: model of the hand.

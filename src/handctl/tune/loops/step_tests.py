@@ -3,8 +3,8 @@
 Each test checks whether the hand comes to rest under the control of the whole controller.
 
 The linear models of the loops neglect friction, limits, quantisation, the drives and the other
-digits. Therefore gains are accepted only if they pass a test on the simulated plant. After a step
-of the joint angles, and after a step of the tensions, the hand must come to rest.
+digits. Therefore gains are accepted only if they pass a test on the simulated plant. In a test, the
+hand must come to rest after a step of the joint angles and after a step of the tensions.
 """
 
 from collections.abc import Iterator, Mapping
@@ -32,7 +32,8 @@ TENSION_STEP_N = 10.0
 OSCILLATION_ANGLE_RAD = 1e-3
 """Angle of an eigenvalue above which the eigenvalue counts as oscillating [rad per tick].
 
-At a control rate of 500 Hz, this angle corresponds to an oscillation of 0.08 Hz.
+At a control rate of 500 Hz, an angle of 0.001 rad per tick corresponds to an oscillation of 0.08
+Hz.
 """
 REST_DURATION_S = 0.5
 """Time for which the goals stay constant after a step [s]."""
@@ -45,25 +46,25 @@ MAX_FREE_SWING_N = 1.0
 MAX_HOLD_SWING_N = 2.0
 """Largest oscillation of a held tension at which a tendon counts as at rest, peak to peak [N].
 
-With margins of 6 dB and 45 degrees, the three oscillations are at most 0.0004 rad, 0.1 N, and 1.2
-N, because of quantisation, noise, and stick-slip. With a gain margin of 2 dB or less, or an
-unstable loop, a held tension oscillates by 2.9 N or more, or the run ends with a fault.
+With margins of 6 dB and 45 degrees, quantisation, noise and stick-slip cause oscillations of at
+most 0.0004 rad, 0.1 N (free tension) and 1.2 N (held tension). With a gain margin of 2 dB or less,
+or an unstable loop, a held tension oscillates by 2.9 N or more, or the run ends with a fault.
 """
 EARLY_PASS_FRACTION = 0.4
-"""Fraction of the limits below which one run decides that a hand comes to rest."""
+"""Fraction of the oscillation limits: if a run stays below, no further run is necessary to pass the test."""
 DESIGN_LIMIT_FRACTION = 0.7
-"""Fraction of the limits that the oscillations of a design may reach.
+"""Fraction of the oscillation limits that the oscillations with designed gains are allowed to reach.
 
-With other noise, the hand then comes to rest as well.
+The fraction is below 1, so that the hand comes to rest with other noise as well.
 """
 MEDIAN_RUN_COUNT = 5
 """Number of runs whose median oscillation is compared with the limits."""
 SEED_INCREMENT = 1000
-"""Difference between the seeds of two runs of the same plant."""
+"""Difference between the seeds of two successive runs of the same plant."""
 MAX_LOOP_AMPLIFICATION = 2.0
-"""Factor by which a loop may amplify the oscillation of the plant.
+"""Factor by which a loop is allowed to amplify the oscillation of the plant.
 
-At its gain margin of 6 dB, a loop with this margin amplifies disturbances by 1 / (1 - 10^(-6/20)) = 2.
+A loop with a gain margin of 6 dB amplifies disturbances by up to 1 / (1 - 10^(-6/20)) = 2.
 """
 
 
@@ -113,7 +114,7 @@ class StepOscillation:
         return self.is_within_limits(1.0)
 
     def is_within_limits(self, allowed_fraction: float) -> bool:
-        """Return True if the run did not fail and no oscillation is larger than a fraction of its limit."""
+        """Return True if the run did not fail and no oscillation is larger than the given fraction of its limit."""
         is_small = (
             self.angle_rad <= allowed_fraction * MAX_ANGLE_SWING_RAD
             and self.free_tension_N <= allowed_fraction * MAX_FREE_SWING_N
@@ -151,7 +152,7 @@ class StepOscillation:
 def simulate_swing(
     hand: Hand, model: HandModel, plant_factors: Mapping[str, float], seed: int
 ) -> StepOscillation:
-    """Execute both steps on a simulated plant, and return the largest oscillations.
+    """Execute the step of the angles and the step of the tensions on a simulated plant, and return the oscillations.
 
     Args:
         hand: description of the simulated hand.
@@ -194,8 +195,8 @@ def median_swing(
 ) -> StepOscillation:
     """Return the median oscillations of runs with different noise, or the first failure of a run.
 
-    A digit that slips on a stop causes a single peak in some runs. The median ignores this peak.
-    One run is enough if its oscillations are far below the limits.
+    A digit that slips on a stop causes a single peak of the oscillation in some runs. The median of
+    the runs ignores a single peak. One run is enough if its oscillations are far below the limits.
 
     Args:
         hand: description of the simulated hand.
@@ -235,9 +236,9 @@ def _peak_to_peak(values: Matrix) -> Matrix:
     The parabola removes slow creep, because creep is not an oscillation.
     """
     t = np.linspace(-1.0, 1.0, len(values))
-    # The columns of this matrix are t^2, t and 1.
+    # The columns of the matrix below are t^2, t and 1.
     vandermonde_matrix = np.vander(t, 3)
-    # The rest after the least-squares parabola is subtracted is the oscillation.
+    # The oscillation is the difference between the values and the least-squares parabola.
     return np.asarray(
         np.ptp(
             values
@@ -250,10 +251,10 @@ def _peak_to_peak(values: Matrix) -> Matrix:
 def is_loop_ringing(model: HandModel, factors: PlantFactors) -> bool:
     """Return True if a linear tension loop oscillates too long after a step.
 
-    It oscillates too long if it still oscillates when the oscillations are measured. The
+    A loop oscillates too long if it still oscillates when the oscillations are measured. The
     oscillating eigenvalues are the same at every tension below the knee of the tendon. The
-    measurement begins `REST_DURATION_S - EVALUATED_DURATION_S` after the step. At this time, the
-    oscillation must be below `MAX_HOLD_SWING_N`.
+    measurement begins `REST_DURATION_S - EVALUATED_DURATION_S` after the step. When the measurement
+    begins, the oscillation must be below `MAX_HOLD_SWING_N`.
 
     Args:
         model: model of the hand with its gains.
@@ -290,18 +291,18 @@ All other parameters of the plant are nominal.
 
 @dataclass
 class RestTest:
-    """Test of gains in a lockstep simulation. The hand must come to rest with these gains.
+    """Test of gains in a lockstep simulation. The hand must come to rest with the tested gains.
 
-    Four plants are simulated. Two are nominal plants: one has the nominal friction, and the other
-    has the lowest friction of all ensembles. The third plant has the smallest margins, and the
-    fourth has the highest friction. A simulation is necessary because the linear models neglect
+    The test simulates four plants. Two of them are nominal plants: one with the nominal friction,
+    and one with the lowest friction of all ensembles. The third plant has the smallest margins, and
+    the fourth has the highest friction. A simulation is necessary because the linear models neglect
     friction.
 
-    The links of a digit that presses on an object may chatter even at constant motor torque. The
-    chatter is a property of the plant. First, the oscillation is measured on the same plant without
-    feedback. Then this oscillation is multiplied by `MAX_LOOP_AMPLIFICATION`, and subtracted for
-    each tendon. Nothing is subtracted if the eigenvalues of a linear tension loop show that the
-    loop itself oscillates.
+    The links of a digit that presses on an object can chatter even at constant motor torque. The
+    chatter is a property of the plant. First, the test measures the oscillation of the same plant
+    without feedback. Then the test multiplies the oscillation without feedback by
+    `MAX_LOOP_AMPLIFICATION`, and subtracts it for each tendon. Nothing is subtracted if the
+    eigenvalues of a linear tension loop show that the loop itself oscillates.
 
     The chatter of pressed links varies by a factor of two between seeds of the noise. The test
     therefore uses the median of several runs, see `median_swing`.
@@ -311,9 +312,9 @@ class RestTest:
         factors: factors of the plants of the ensemble. The nominal plant comes first.
         plants: linear factors of the plants.
         seed: seed of the simulated noise.
-        fraction: fraction of the limits that the oscillations may reach.
+        fraction: fraction of the limits that the oscillations are allowed to reach.
         reason: reason why the hand did not come to rest with the gains that were tested last. The
-            value is empty if it did.
+            text is empty if the hand came to rest.
     """
 
     hand: Hand
@@ -326,7 +327,7 @@ class RestTest:
     _plant_swings_by_name: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
     def with_limit_fraction(self, fraction: float) -> "RestTest":
-        """Return the test with other limits. Both tests measure the plant without feedback only once."""
+        """Return the test with other limits. Both tests share the measurements of the plant without feedback."""
         return replace(self, fraction=fraction, reason="", _reason_by_gains={})
 
     def __call__(self, model: HandModel) -> bool:
@@ -373,7 +374,7 @@ class RestTest:
     ) -> tuple[float, ...]:
         """Return the median oscillation of each held tension without feedback [N].
 
-        If a run fails, its oscillations count as zero.
+        If a run without feedback fails, its oscillations count as zero.
         """
         if name not in self._plant_swings_by_name:
             model_without_feedback = HandModel.from_hand(

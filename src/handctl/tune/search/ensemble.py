@@ -1,6 +1,6 @@
-"""Random ensembles of plants. Their parameters differ from those of the identified hand.
+"""Random ensembles of plants. The parameters of the plants differ from those of the identified hand.
 
-A more uncertain identification leads to larger differences between the plants.
+If the identified parameters are more uncertain, the differences between the plants are larger.
 """
 
 from collections.abc import Mapping
@@ -20,8 +20,8 @@ MIN_FACTOR_SPREAD = {
 }
 """Smallest half width of the range of each factor, even if an identification is more precise.
 
-These limits exist because stiffness and friction of a tendon change during use. The keys are those
-of the option `perturb` of the simulator.
+The smallest half widths exist because stiffness and friction of a tendon change during use. The
+keys of the table are the keys of the option `perturb` of the simulator.
 """
 
 MAX_FACTOR_SPREAD = 0.9
@@ -38,8 +38,9 @@ def sample_ensemble(
     Args:
         plant_count: number of plants, including the nominal plant.
         seed: seed of the sequence.
-        spread_of_factor: half of the range of each factor, for example from an identification. If it is
-            smaller than in `MIN_FACTOR_SPREAD`, the value there is used.
+        spread_of_factor: half width of the range of each factor, for example from an
+            identification. If the half width is smaller than the value in `MIN_FACTOR_SPREAD`, the
+            value in this table is used.
 
     Returns:
         `plant_count` tables, each with the factor of each key.
@@ -48,8 +49,8 @@ def sample_ensemble(
         key: min(MAX_FACTOR_SPREAD, max(min_spread, (spread_of_factor or {}).get(key, 0.0)))
         for key, min_spread in MIN_FACTOR_SPREAD.items()
     }
-    # A Sobol sequence is balanced only if its length is a power of two. Therefore the length is
-    # rounded up to a power of two.
+    # A Sobol sequence is balanced only if its length is a power of two. Therefore the length of the
+    # sequence is rounded up to a power of two.
     drawn_samples = qmc.Sobol(len(half_widths), seed=seed).random(
         1 << max(0, (max(plant_count - 1, 1) - 1).bit_length())
     )
@@ -71,13 +72,13 @@ FACTOR_BY_PARAMETER = {
     "spring_stiffness": "spring",
     "motor_inertia": "motor_inertia",
 }
-"""Key of the ensemble's factor that scales each identified parameter."""
+"""Name of the ensemble factor that scales each identified parameter."""
 
 
 def factor_half_widths(identified: Mapping[str, IdentifiedParameters]) -> dict[str, float]:
     """Return the half width of the range of each factor.
 
-    The range contains all 95 % intervals of an identification.
+    The range of a factor contains all 95 % confidence intervals of an identification.
 
     Args:
         identified: identified parameters, by the name of the tendon.

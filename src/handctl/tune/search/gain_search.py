@@ -1,10 +1,11 @@
 """Search for gains in simulation, with the package Optuna. The result depends only on the seed.
 
-The search requests trials from Optuna in batches of a fixed size, and reports their scores in the
-same order. Each batch has a separate sampler, whose seed follows from the seed of the study and the
-number of the batch. Because of this, the result does not depend on the number of processes, and an
-interrupted study can be resumed. A resumed study begins with the trials of the last batch that have
-no score yet. If a batch was only partly requested, the whole batch is requested again.
+The search requests trials from Optuna in batches of a fixed size. The search reports the scores in
+the order of the trials. Each batch has a separate sampler, whose seed follows from the seed of the
+study and the number of the batch. Because of the batches, the result does not depend on the number
+of processes, and an interrupted study can be resumed. A resumed study begins with the trials of the
+last batch that have no score yet. If a batch was only partly requested, the whole batch is
+requested again.
 """
 
 import fcntl
@@ -23,7 +24,7 @@ from handctl.tune.search.search_space import GAIN_RANGES, clamped_gains
 from handctl.tune.search.workers import SearchWorkers
 
 BATCH_SIZE = 8
-"""Number of trials in a batch. With more worker processes than this, some would be idle."""
+"""Number of trials in a batch. If there are more worker processes than trials in a batch, some processes are idle."""
 RANDOM_BATCH_COUNT = 2
 """Number of batches with random trials. Later batches use the results of earlier trials."""
 STUDY_NAME = "handctl"
@@ -35,9 +36,10 @@ class SearchPlan:
     """Settings of a search for gains.
 
     Attributes:
-        hand: text of the hand file, because a worker on another machine may not have the file.
+        hand: text of the hand file, because a worker on another machine possibly lacks the file.
         rate_hz: control rate [Hz].
-        gains: gains of the first trial. All gains that the search does not vary keep these values.
+        gains: gains of the first trial. All gains that the search does not vary keep the values of
+            the first trial.
         plants: factors of the plants of the ensemble.
         seed: seed of the samplers and of the simulated noise.
         trials: number of trials.
@@ -56,16 +58,16 @@ class SearchPlan:
     def gains_of(self, trial_number: int, gain_values: Mapping[str, float]) -> Gains:
         """Return the gains of a trial.
 
-        The first trial has exactly the gains of the plan. These gains may be outside of the search
-        space.
+        The first trial has exactly the gains of the plan. The gains of the plan can be outside of
+        the search space.
         """
         return gains_with_values(self.gains, gain_values, "study") if trial_number else self.gains
 
     def trial_job(self, trial_number: int, gain_values: Mapping[str, float]) -> dict[str, Any]:
         """Return the job by which a worker computes the score of a trial.
 
-        The first trial is the reference for the others. The first trial is therefore simulated even
-        if its margins are too small.
+        The first trial is the reference for the other trials. Therefore the worker simulates the
+        first trial even if the margins of its gains are too small.
         """
         return {
             "hand": self.hand,
@@ -78,7 +80,7 @@ class SearchPlan:
 
     @property
     def identity(self) -> str:
-        """Return the part of the plan that must stay the same if an interrupted study is resumed."""
+        """Return the settings of the plan that must stay the same if an interrupted study is resumed."""
         plain_fields = {
             "hand": self.hand,
             "rate_hz": self.rate_hz,
@@ -100,7 +102,7 @@ class SearchTrial:
 
     @property
     def is_feasible(self) -> bool:
-        """Return True if the run of the trial finished the exercise, and the margins are large enough."""
+        """Return True if the run of the trial finished the exercise, and the margins of the gains are large enough."""
         return not self.score.failure and self.score.shortfall <= 0.0
 
 
@@ -151,14 +153,14 @@ class SearchResult:
 
 
 def _cost_reference(trials: tuple[SearchTrial, ...]) -> GainScore:
-    """Return the score that serves as the reference for costs."""
+    """Return the score of the trial that serves as the reference for costs."""
     first_score = trials[0].score
     feasible_scores = (trial.score for trial in trials if trial.is_feasible)
     return next(feasible_scores, first_score) if first_score.failure else first_score
 
 
 def _dominates(score: GainScore, other_score: GainScore) -> bool:
-    """Return True if a score is better than another in at least one objective, and worse in none."""
+    """Return True if a score is better than another score in at least one objective, and worse in no objective."""
     pairs = list(zip(score.objectives, other_score.objectives, strict=True))
     return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
 
@@ -191,7 +193,7 @@ def run_search(
 def _exclusive_lock(path: Path) -> Iterator[None]:
     """Lock a journal against other searches.
 
-    The lock ends when this process ends, even after a crash.
+    The lock of the journal ends when the process of the search ends, even after a crash.
 
     Raises:
         ConfigError: another search has locked the journal, or the file cannot be opened.
@@ -238,7 +240,7 @@ def _open_study(plan: SearchPlan, path: Path) -> Any:
         LookupError,
         TypeError,
         AssertionError,
-    ) as error:  # Optuna does not check the file, so a damaged journal may raise any of these errors.
+    ) as error:  # Optuna does not check the journal file, so a damaged journal can raise any of the errors below.
         raise ConfigError(
             f"cannot be used: {error}", str(path), "a new file, or a journal of `tune search`"
         ) from None
@@ -255,11 +257,11 @@ def _open_study(plan: SearchPlan, path: Path) -> Any:
 def _truncate_partial_line(path: Path) -> None:
     """Remove the last line of a journal if it is incomplete, for example after a power failure.
 
-    Otherwise Optuna would append its next entry to the incomplete line.
+    Without the removal, Optuna would append its next entry to the incomplete line.
 
     Raises:
         OSError: the file cannot be read or written.
-        ValueError: The file is not a journal. It stays unchanged.
+        ValueError: The file is not a journal. The file stays unchanged.
     """
     if not path.is_file():
         return
@@ -293,16 +295,17 @@ def _run_batch(
 def _unscored_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]:
     """Return the trials of the present batch that have no score yet.
 
-    A whole batch is requested from Optuna before the first score of this batch is reported.
-    Therefore an interrupted or extended search has the same trials as an uninterrupted search.
+    A whole batch is requested from Optuna before the first score of this batch is reported. Because
+    of the whole batches, an interrupted or extended search has the same trials as an uninterrupted
+    search.
     """
     from optuna.trial import Trial as OptunaTrial
     from optuna.trial import TrialState
 
     count = BATCH_SIZE - finished_count % BATCH_SIZE
     open_trials = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
-    # If the whole batch was requested earlier, the number of trials without a score is right, and
-    # all have their parameters.
+    # If the whole batch was requested earlier, the batch has the right number of trials, and all
+    # its trials have their parameters.
     if len(open_trials) == count and all(
         len(trial.params) == len(GAIN_RANGES) for trial in open_trials
     ):
@@ -327,10 +330,10 @@ def _fail_unfinished_trials(study: Any) -> None:
 
 def _report_score(study: Any, trial: Any, score: GainScore) -> None:
     """Report the score of a trial to the study."""
-    # The score, which is an attribute, is stored before the state. Therefore every finished trial
-    # has a score.
+    # The score is an attribute of the trial, and is stored before the state of the trial. Therefore
+    # every finished trial has a score.
     trial.set_user_attr("score", asdict(score))
-    # If an earlier call was interrupted before `tell`, the attribute already exists.
+    # If an earlier call was interrupted before `tell`, the attribute with the score already exists.
     if not trial.constraints:
         trial.set_constraint("margins", score.shortfall)
     study.tell(trial, list(score.objectives))
@@ -340,7 +343,8 @@ def _make_sampler(seed: int, batch: int) -> Any:
     """Return the sampler for a batch of trials."""
     from optuna.samplers import RandomSampler, TPESampler
 
-    # Because of the prime factor, batches of different studies have different seeds.
+    # The seed of the study is multiplied by a prime, so that batches of different studies have
+    # different seeds.
     batch_seed = (seed * 7919 + batch) % (1 << 31)
     if batch < RANDOM_BATCH_COUNT:
         return RandomSampler(seed=batch_seed)

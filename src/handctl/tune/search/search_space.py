@@ -30,7 +30,7 @@ GAIN_RANGES = {
 }
 """Ranges of all gains that a search varies: weights, disturbance rejection, and filter parameters.
 
-The force of Bryson's rule is fixed, because only ratios of weights have an effect.
+The force of Bryson's rule is fixed, because only ratios of the LQR weights have an effect.
 """
 
 

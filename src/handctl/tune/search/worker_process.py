@@ -18,8 +18,8 @@ def main() -> int:
     The worker ignores Ctrl-C, because the process of the search handles Ctrl-C.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # A collection of garbage would examine all imported modules again and again. This took 7 % of
-    # the time of a trial.
+    # Garbage collection would examine all imported modules repeatedly. In a measurement, garbage
+    # collection took 7 % of the time of a trial.
     gc.freeze()
     for line in sys.stdin:
         try:

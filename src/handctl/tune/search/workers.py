@@ -1,6 +1,6 @@
-"""Workers of a search: this process, a pool of processes, or a Dask cluster.
+"""Workers of a search: the calling process, a pool of processes, or a Dask cluster.
 
-The scores do not depend on the kind of worker.
+The scores of the trials do not depend on the kind of worker.
 """
 
 import json
@@ -56,7 +56,7 @@ class InProcessWorkers:
 class ProcessPool:
     """Pool of worker processes on this machine.
 
-    If a process has died, a new process repeats its job.
+    If a worker process has died, a new process repeats the job of the dead process.
     """
 
     def __init__(self, worker_count: int) -> None:
@@ -71,13 +71,13 @@ class ProcessPool:
     @staticmethod
     def _start_process() -> "subprocess.Popen[bytes]":
         # Each worker process uses one core. Additional threads of numerical libraries would compete
-        # for these cores.
+        # with the workers for the cores.
         environment = os.environ | dict.fromkeys(
             ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
         )
         command = [sys.executable, "-m", "handctl.tune.search.worker_process"]
-        # The worker has a process session of its own. So it does not receive Ctrl-C from the
-        # terminal, not even during its imports.
+        # The worker has a process session of its own. So the worker does not receive Ctrl-C from
+        # the terminal, not even during its imports.
         return subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
@@ -116,8 +116,8 @@ class ProcessPool:
                         "tune search",
                         "--jobs 1",
                     )
-                # If a worker has died, its job is the next one that is run. So the order of the
-                # results changes only a little.
+                # The job of a worker that has died is run before all waiting jobs. So the death of
+                # a worker changes the order of the results only a little.
                 pending_jobs.appendleft(i)
 
     def _wait_for_readable(self, busy_workers: Iterable[int]) -> list[int]:
@@ -136,7 +136,7 @@ class ProcessPool:
             channel.write(json.dumps(job).encode() + b"\n")
             channel.flush()
         except BrokenPipeError:
-            return  # the code that reads the output of the worker will notice that the worker has died
+            return  # the code that reads the output of the worker detects that the worker has died
 
     def _replace_process(self, worker_slot: int) -> None:
         """Replace a worker by a new process."""
@@ -179,7 +179,7 @@ class DaskCluster:
     def compute_scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
         """Yield the index and the score of each job.
 
-        See `SearchWorkers`. Dask repeats the jobs of a lost worker.
+        The interface `SearchWorkers` describes the order. Dask repeats the jobs of a lost worker.
         """
         from distributed import as_completed
 
@@ -205,7 +205,7 @@ def _check_result(result: ScoreResult) -> ScoreResult:
 
 
 def make_workers(worker_count: int, scheduler_address: str | None) -> SearchWorkers:
-    """Return workers: either a number of processes on this machine, or the cluster of a Dask scheduler."""
+    """Return the workers of a search: either processes on this machine, or the cluster of a Dask scheduler."""
     if scheduler_address:
         return DaskCluster(scheduler_address)
     return InProcessWorkers() if worker_count == 1 else ProcessPool(worker_count)
