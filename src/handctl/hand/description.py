@@ -83,20 +83,20 @@ class Hand(Section):
     schema_: qty.SchemaNumber = Field(alias="schema")
     """Version of the format of the hand file."""
     name: qty.Name
-    """Name of the hand, which is part of the names of calibration files and gain files."""
+    """Name of the hand. It names the files of calibration and gains."""
     description: qty.Text
     """One line about the hand."""
     mount: Mount
-    """Orientation of the palm, and mesh of the palm."""
+    """Orientation of the palm, and its mesh."""
     bus: tuple[Bus, ...] = Field(min_length=1)
     """CAN buses."""
     sensor_node: SensorNode
     """Sensor node with load cells and joint encoders.
 
-    A hand without sensors has a sensor node without channels, and the host sends no SYNC.
+    A hand without sensors has a node without channels, and SYNC is not sent.
     """
     stream: StreamLimits = StreamLimits()
-    """Limits of the joint targets that a client streams."""
+    """Limits of targets that a client streams."""
     digit: tuple[Digit, ...] = Field(min_length=1)
     """Fingers and thumb."""
     tendon: tuple[Tendon, ...] = Field(min_length=1)
