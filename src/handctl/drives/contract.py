@@ -78,7 +78,7 @@ class DriveFaultCause(enum.IntEnum):
     """Cause of a drive fault. Each drive protocol converts its own error codes to one of eight causes."""
 
     OTHER = 0
-    """The documents of the drive describe the error, but no other member of this enumeration fits."""
+    """The documents of the drive describe the error, but no other member of ``DriveFaultCause`` fits."""
     DROPPED_OUT = 1
     """The drive disabled itself or restarted."""
     WATCHDOG = 2
@@ -123,7 +123,7 @@ class DriveState(NamedTuple):
         error_text: error of the drive in words, or an empty text without an error.
         misread_frame_count: number of frames that had an identifier of the drive but an invalid payload.
         protocol_state: internal values of the protocol, such as an open request or the end of a waiting
-            time. Code outside the protocol does not read these internal values.
+            time. Code outside the protocol does not read ``protocol_state``.
     """
 
     phase: DrivePhase = DrivePhase.SILENT
@@ -181,13 +181,14 @@ class Drive(Protocol):
         command_limit: largest command at the spool: a torque [N m], or in the modes of
             ``drive_modes`` a position [rad] or velocity [rad/s].
         frames_per_tick: largest number of frames in one tick, in both directions, as (payload
-            bytes, CAN FD?). The bus load is computed from these frames.
+            bytes, CAN FD?). The bus load of the hand is computed from ``frames_per_tick`` and
+            ``background_frames``.
         background_frames: frames whose rate is not the control rate, as (payload bytes, CAN FD?,
             frames per second).
         has_extended_ids: True if the frames have 29-bit identifiers. Frames with 29-bit identifiers
             take longer on the bus.
         host_ids: identifiers of frames that a host sends to the drive. If the controller receives a
-            frame with such an identifier, another host has sent the frame.
+            frame with one of the identifiers in ``host_ids``, another host has sent the frame.
         node_ids: identifiers of frames that the drive sends.
         unverified_protections: protections of the drive that handctl cannot verify, shown to the
             operator before arming.
@@ -339,7 +340,8 @@ class Drive(Protocol):
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
         """Return the frames of a torque command [N m at the spool] that do not enable the drive.
 
-        A test sends these frames to check that a disabled drive ignores torque commands.
+        A test of the hardware sends the frames to check that a disabled drive ignores torque
+        commands.
 
         The tuple of frames is empty if every torque command of the protocol also enables the drive.
         """

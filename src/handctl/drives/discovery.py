@@ -32,10 +32,10 @@ class DiscoveredNode:
         serial: serial number, empty if not reported.
         state: state of the node in words, empty if not reported.
         error: error of the node in words, empty if not reported.
-        settings: values for the keys of a ``[[motor]]`` section, by key. Most of these values are
-            read from the drive.
-        options: values for the keys of ``[motor.options]``, by key. Most of these values are read
+        settings: values for the keys of a ``[[motor]]`` section, by key. The scan reads most values
             from the drive.
+        options: values for the keys of ``[motor.options]``, by key. The scan reads most values from
+            the drive.
         notes: warnings for the operator.
         origins: source of each value in ``settings`` and ``options`` that was not read from the
             drive, by key.
@@ -71,7 +71,7 @@ def is_number_used_by_two_drives(
 
     Args:
         payloads_by_command: received answers to each request of the scan, by request, for example by register
-            number. The scan sends each of these requests once.
+            number. The scan sends each request once.
         serial: key of the request for the serial number in ``payloads_by_command``. Two drives
             never answer the request for the serial number equally.
     """

@@ -8,7 +8,7 @@ to the latest request.
 The torque limit and the watchdog in the drive protect the hand even if the host fails. A drive can
 restart within a few milliseconds, and can then be enabled again. After a restart, the drive has its
 saved settings, and has lost the settings that the host wrote before arming. The feedback of a drive
-does not show a restart. For this reason, the host reads one setting of each enabled drive every
+does not show a restart. To detect a restart, the host reads one setting of each enabled drive every
 half second, one setting after the other. Each drive has its own time offset, so that no tick
 contains read-back requests to several drives.
 

@@ -89,7 +89,7 @@ class Signal(NamedTuple):
         offset: value at count 0 [unit].
         unit: unit of the value.
         channel: index of the tendon or joint, in a frame with several tendons or joints.
-        largest: largest absolute count of a float. It limits only position commands.
+        largest: largest absolute count of a float, used only to limit position commands.
     """
 
     name: str
@@ -175,8 +175,8 @@ class CyclicMessages(NamedTuple):
         integrates_velocity: True if the drive moves the commanded position with the commanded velocity
             until the next command. The value is False if the commanded position stays unchanged
             until the next command. If the host fails, a moving commanded position would increase
-            the tension more and more. For this reason, a command with a moving position contains a
-            torque limit.
+            the tension more and more. A command with a moving position contains a torque limit as a
+            protection.
     """
 
     feedback: tuple[CyclicMessage, ...]

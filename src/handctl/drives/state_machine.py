@@ -83,8 +83,8 @@ def request_recheck(
         error_code: error code that is set if the drive does not answer the request for a setting.
         t_ns: time of the tick [ns].
     """
-    # Most calls end at this return, because no request is due. The frames of the requests are built
-    # only for a request that is due.
+    # Most calls of ``request_recheck`` return here, because no request is due. The frames of the
+    # requests are built only for a request that is due.
     if t_ns < state.recheck.due_ns or not (rechecks := drive.rechecks):
         return state, ()
     recheck = rechecks[state.recheck.step]

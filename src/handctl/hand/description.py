@@ -48,17 +48,17 @@ DIGIT_KEYS_ADDED_LATER = (
 )  # fmt: skip
 """Keys of a digit that the first versions of handctl did not have.
 
-``Hand.content`` contains one of these keys only if the hand file contains the key.
+``Hand.content`` contains a key of this tuple only if the hand file contains the key.
 """
 TENDON_KEYS_ADDED_LATER = ("pretension_N", "excursion_ratio")
 """Keys of a tendon that the first versions of handctl did not have.
 
-``Hand.content`` contains one of these keys only if the hand file contains the key.
+``Hand.content`` contains a key of this tuple only if the hand file contains the key.
 """
 CONTROL_KEYS = ("control", "kp_N_m_per_rad", "kd_N_m_s_per_rad")
 """Keys of a motor that the first versions of handctl did not have.
 
-``Hand.content`` contains one of these keys only if the hand file contains the key. The keys of a
+``Hand.content`` contains a key of this tuple only if the hand file contains the key. The keys of a
 motor's position loop have no effect on ``Hand.identity``.
 """
 EMPTY_SENSOR_NODE: dict[str, Any] = {
@@ -243,7 +243,8 @@ class Hand(Section):
 
         The array is read-only. For example, the tendons of a finger also cross the wrist. If the
         tendon of a finger does not run through the axis of the wrist, the tension of the tendon
-        turns the wrist, and a motion of the wrist winds or unwinds the tendon.
+        turns the wrist. A motion of the wrist winds or unwinds a tendon that does not run through
+        the axis of the wrist.
         """
         arms = self.moment_arms - self.moment_arms_of_own_digit
         arms.setflags(write=False)

@@ -31,7 +31,7 @@ A joint whose axis has a larger angle moves the digit sideways.
 NEWTON_STEPS = 20
 """Largest number of Newton steps from an excursion to joint angles. Usually about five Newton steps are sufficient."""
 NEWTON_TOLERANCE_RAD = 1e-10
-"""The iteration ends when the Newton step is at most this angle [rad]."""
+"""Size of a Newton step at which the iteration ends [rad]."""
 SIDEWAYS_RANGE_RATIO = 0.5
 """Threshold for the opening range of a coordinate divided by its closing range.
 

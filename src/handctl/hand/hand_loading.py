@@ -1,6 +1,6 @@
 """Loading of packaged hands and hand files.
 
-First, each section of a hand file is validated alone. Then all sections are checked together.
+The validation of each section of a hand file precedes the checks of all sections together.
 """
 
 import tomllib

@@ -57,8 +57,8 @@ def inverse_kinematics(
 
     Returns:
         the solutions within one turn, first the solution with positive flexion of the second joint.
-        The tuple is empty if the point is out of reach. It is also empty if two equal links fold
-        onto the base, because their direction is then not determined.
+        The tuple is empty if the point is out of reach. The tuple is also empty if two equal links
+        fold onto the base, because the direction of the folded links is not determined.
 
     Raises:
         ValueError: the digit has neither two nor three joints, its hinges are not parallel, or it
@@ -85,8 +85,8 @@ def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tupl
     """Return the single coordinate theta of a coupled digit, q = B theta, at which the tip is closest to a point.
 
     The tip of the digit moves on a curve. A scan finds all intervals of the curve that contain a
-    minimum of the distance. The closest point is one of these minima or one of the two ends of the
-    curve.
+    minimum of the distance. The closest point of the curve is one of the minima or one of the two
+    ends of the curve.
 
     Args:
         digit: model of a digit that has a single coordinate.

@@ -1,7 +1,7 @@
 """Kinematics of a digit in the palm frame: positions of links and tip, and Jacobians.
 
-The frame of a digit is the frame of its mount. At joint angles of zero, the x axis of this frame
-points along the digit, and the y axis points in the direction of flexion.
+The frame of a digit is the frame of its mount. At joint angles of zero, the x axis of the digit's
+frame points along the digit, and the y axis points in the direction of flexion.
 """
 
 from typing import NamedTuple

@@ -68,7 +68,8 @@ def rpy_of_rotation(rotation: Array) -> tuple[float, float, float]:
     """Return roll, pitch and yaw [rad] of a rotation (3, 3).
 
     This function is the inverse of ``rotation_of_rpy``. At a pitch of 90 degrees, only the sum or
-    the difference of roll and yaw is defined. The function sets the yaw to 0 at this pitch.
+    the difference of roll and yaw is defined. At a pitch of 90 degrees, the function sets the yaw
+    to 0.
     """
     cosine_of_pitch = math.hypot(rotation[0, 0], rotation[1, 0])
     pitch = math.atan2(-rotation[2, 0], cosine_of_pitch)

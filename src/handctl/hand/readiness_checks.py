@@ -179,7 +179,7 @@ def can_tensions_balance(moment_arms: Vector) -> bool:
             # torque at the coordinate.
             False
         )
-    from scipy.optimize import nnls  # this import takes as long as all other checks of a hand
+    from scipy.optimize import nnls  # the import takes as long as all other checks
 
     # If the non-negative least-squares problem has no residual, the sum of the torques of the
     # tensions 1 + w with w >= 0 is zero.

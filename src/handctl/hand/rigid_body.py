@@ -293,7 +293,7 @@ def write_levers_after_turn(
         last_joint: index of the last link of the chain, on which the force acts.
         distance_from_joint: distance between the joint of the last link and the point [m].
         turning_joint: joint that turns.
-        angle: angle of the turn [rad]. A prismatic joint slides by this distance [m].
+        angle: angle of the turn [rad]. For a prismatic joint, the distance of the motion [m].
         levers_m: (n,) levers before the turn, modified in place up to the turned joint.
     """
     ax, ay, az = (

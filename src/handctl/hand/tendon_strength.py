@@ -1,9 +1,9 @@
 """Comparison of the force of a runaway drive with the strength of its tendon.
 
 A runaway drive is a drive that makes its largest torque without a command. The tension of the
-tendon reaches its peak 5 to 15 ms after the motor current rises, and no host can react in this
-time. Only the current limit inside the drive protects the tendon. If a constant force F accelerates
-a rotor from rest against an elastic tendon, the tension overshoots to 2 F.
+tendon reaches its peak 5 to 15 ms after the motor current rises, and no host can react within 15
+ms. Only the current limit inside the drive protects the tendon. If a constant force F accelerates a
+rotor from rest against an elastic tendon, the tension overshoots to 2 F.
 """
 
 from collections.abc import Iterable

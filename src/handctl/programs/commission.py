@@ -9,15 +9,15 @@ encoders.
 A tendon without a load cell has no tare. The motor force shows when a tendon without a load cell
 becomes taut.
 
-In a digit without springs, a single tendon would move the digit. For this reason, all tendons of a
-digit without springs first pull together, and press the digit against its lower joint limits. Then
-the tension of one tendon after the other is increased. At the lower joint limits, the excursion of
-the tendons is known, or joint encoders measure it. The program subtracts the excursion from the
-motor zeros.
+Because a single tendon would move a digit without springs, all tendons of the digit first pull
+together, and press the digit against its lower joint limits. After all tendons of the digit have
+pulled together, the program increases the tension of one tendon after the other. At the lower joint
+limits, the excursion of the tendons is known, or joint encoders measure it. The program subtracts
+the excursion from the motor zeros.
 
-Load cells drift while many tendons are pulled one by one. For this reason, no motor makes torque
-for a moment before each pull. The load-cell readings without torque are the reference for the
-responses of all load cells, and renew the tare of the next tendon.
+Because load cells drift while many tendons are pulled one by one, no motor makes torque for a
+moment before each pull. The load-cell readings without torque are the reference for the responses
+of all load cells, and renew the tare of the next tendon.
 """
 
 from collections.abc import Sequence
@@ -65,7 +65,8 @@ HOLD_SETTLING_TIMEOUT_S = 3.0
 """Time from the moment at which all tendons of a digit without springs are taut until their measurement [s].
 
 Before the first pull, the digit needs the time to move to its lower joint limits. The digit stays
-at these limits for the pulls of all its tendons, so only the first pull waits for the motion.
+at its lower joint limits for the pulls of all its tendons, so only the first pull waits for the
+motion.
 """
 PRESSING_TORQUE_FACTOR = 1.5
 """Torque that presses a digit without springs on its lower limits, as a multiple of the torque of a pull."""
@@ -78,8 +79,8 @@ MAX_CROSSTALK_FRACTION = 0.3
 MIN_EXCHANGED_ENCODER_MOTION_M = 0.1e-3
 """Smallest motion of another motor during a pull that shows exchanged encoders, if its own motor moves less [m].
 
-A motor without torque moves its tendon by less than this motion. A simulated motor without torque
-moves by at most 10 um. A motor whose tendon contracts after an earlier pull moves by at most 70 um.
+A motor without torque moves its tendon by less than 0.1 mm. A simulated motor without torque moves
+by at most 10 um. A motor whose tendon contracts after an earlier pull moves by at most 70 um.
 """
 
 (
@@ -111,9 +112,9 @@ class CommissionProgram:
     """Program that commissions a hand, with one step for the tares and one step for each tendon.
 
     Step 0 tares all load cells, and step i + 1 pulls tendon i. `ProgramProgress.record` is a table
-    with a row for each tendon. The columns are sum and number of tare samples, motor zero [rad],
-    response [N], crosstalk [N], sum of samples during the present pull, sum and number of samples
-    just before the pull, and travel at the start of the pull [m].
+    with a row for each tendon. The first columns are sum and number of tare samples, motor zero
+    [rad], response [N], and crosstalk [N]. The other columns are sum of samples during the present
+    pull, sum and number of samples just before the pull, and travel at the start of the pull [m].
     """
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
@@ -229,7 +230,7 @@ class CommissionProgram:
 
         Args:
             model: model of the hand.
-            progress: progress so far.
+            progress: progress of the commissioning.
             t: time [s].
             is_taut: True if all tendons of the digit are already taut.
         """
@@ -267,8 +268,8 @@ class CommissionProgram:
         touching_ticks = progress.touching[0]
         if touching_ticks == 0:
             if not estimate.is_slack[digit_tendons].any():
-                # From this tick on, the joints are pressed against their limits, so that the filter
-                # must treat the digit as a digit in contact.
+                # After the digit has come to rest, its joints are pressed against their limits, so
+                # that the filter must treat the digit as a digit in contact.
                 contact = tuple(d == model.digit_of_tendon[i] for d in range(len(model.digits)))
                 return replace(
                     progress, touching=(1, *progress.touching[1:]), since=t, contact=contact
@@ -587,7 +588,7 @@ def _table_with_pull_results(model: HandModel, table: Vector, i: int, samples: i
     table[i, ANSWER_COLUMN] = rise[i]
     tendons = np.arange(model.tendon_count)
     # Friction holds tension in a tendon that was pulled before, and the held tension falls without
-    # a command. For this reason, only an increase of the tension counts as crosstalk.
+    # a command. Only an increase of the tension counts as crosstalk.
     spring_tensions = np.where(
         model.redundancy.has_return_springs & (tendons < i), np.maximum(rest_tensions, 0.0), 0.0
     )
@@ -623,11 +624,11 @@ def _encoder_that_turned(model: HandModel, table: Vector, i: int, travel: Vector
 def idle_torque_warnings(hand: Hand, drives: Sequence[Drive]) -> tuple[str, ...]:
     """Return warnings about motors with which commissioning would fail, because they cannot be commanded to rest.
 
-    The torque command of some motors has no count for zero torque. When one of these motors is
-    idle, it makes the torque of the count nearest to zero. Commissioning accepts a tension from an
-    idle motor up to the fraction ``MAX_CROSSTALK_FRACTION`` of the pull tension. In simulation with
-    spools of 5 mm, AK80-9 motors (0.88 N) pass. AK70-10 motors (1.2 N) and AK10-9 motors (3.2 N) do
-    not pass.
+    The torque command of some motors has no count for zero torque. When a motor without a count for
+    zero torque is idle, it makes the torque of the count nearest to zero. Commissioning accepts a
+    tension from an idle motor up to the fraction ``MAX_CROSSTALK_FRACTION`` of the pull tension. In
+    simulation with spools of 5 mm, AK80-9 motors (0.88 N) pass. AK70-10 motors (1.2 N) and AK10-9
+    motors (3.2 N) do not pass.
 
     Args:
         hand: description of the hand.

@@ -50,7 +50,7 @@ class ExciteStep(Document):
     If the tuple is empty, `target` applies to all coordinates or tendons.
     """
     held: bool = False
-    """True if an obstacle stops the digit in this step. The filter treats a stopped digit as blocked."""
+    """True if an obstacle stops the digit during the step. The filter treats a stopped digit as blocked."""
     rate: float = Field(100.0, gt=0, le=5000)
     amplitude: float = Field(0.0, ge=0, le=1)
     amplitudes: tuple[float, ...] = ()

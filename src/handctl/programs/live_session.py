@@ -60,7 +60,7 @@ class LiveProgram:
     """
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the first step of the program. The hand is not armed in this step."""
+        """Return the first step of the program. The hand is not armed in the first step."""
         return ProgramProgress.initial(len(model.digits), "start")
 
     def advance(
@@ -199,7 +199,7 @@ class JogProgram:
     duration: float
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the first step of the program. The hand is not armed in this step."""
+        """Return the first step of the program. The hand is not armed in the first step."""
         return LiveProgram().initial_progress(model)
 
     def advance(

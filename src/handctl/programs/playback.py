@@ -86,7 +86,7 @@ class PlaybackProgram:
     raw: bool = False
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the first step of the program. The hand is not armed in this step."""
+        """Return the first step of the program. The hand is not armed in the first step."""
         return LiveProgram().initial_progress(model)
 
     def advance(

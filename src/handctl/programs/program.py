@@ -1,6 +1,6 @@
 """Interface of all programs of the controller.
 
-A program sets the goals of all digits in every tick. Its progress contains its state.
+A program sets the goals of all digits in every tick. The progress of a program contains its state.
 """
 
 from dataclasses import dataclass
@@ -76,7 +76,7 @@ class Program(Protocol):
     """
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the first step of the program. The hand is not armed in this step."""
+        """Return the first step of the program. The hand is not armed in the first step."""
         ...
 
     def advance(

@@ -395,9 +395,9 @@ def blended_move(
     """Return a move that begins with the position, rate and acceleration of a reference.
 
     The move ends at rest. If the speed of an earlier fast motion decreased during the whole of a
-    long move, the move would go far beyond its start and end. For this reason, the speed of the
-    earlier motion decreases in a shorter time, which is halved until the joints stay within their
-    range.
+    long move, the move would go far beyond its start and end. The speed of an earlier motion
+    decreases in a shorter time than the move, and this time is halved until the joints stay within
+    their range.
 
     Args:
         reference: (3, n) position, rate and acceleration at the start [rad, s].

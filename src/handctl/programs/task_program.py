@@ -76,7 +76,7 @@ class TaskProgram:
     task: Task
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the first step of the program. The hand is not armed in this step."""
+        """Return the first step of the program. The hand is not armed in the first step."""
         return ProgramProgress.initial(len(model.digits), "start")
 
     def advance(
@@ -497,9 +497,8 @@ def contact_margin_without_cells(model: HandModel, d: int) -> float:
     margin = float(model.margin_without_cell[digit.tendons].mean())
     if margin == 0.0:
         return 0.0
-    # The variable ``response`` contains the tension of each tendon per tip force, for the open
-    # digit. The estimated tip force is the least-squares fit of the response to the estimated
-    # tensions.
+    # The array ``tension_per_tip_force`` refers to the open digit. The estimated tip force is the
+    # least-squares fit of ``tension_per_tip_force`` to the estimated tensions.
     tension_per_tip_force = digit.torque_to_tension @ joint_lever(digit, digit.joint_min)
     return margin / float(np.linalg.norm(tension_per_tip_force))
 

@@ -60,7 +60,7 @@ NEXT_CONTROLWORD = {
 }
 """For each power state, the control word that leads one step towards the power state operation enabled.
 
-In a power state that is not a key of this dictionary, the host sends DISABLE_VOLTAGE.
+In a power state that is not a key of ``NEXT_CONTROLWORD``, the host sends DISABLE_VOLTAGE.
 """
 
 ERROR_TEXTS = {

@@ -4,10 +4,10 @@ The state machine configures, enables and disables a CiA 402 drive. In each tick
 RPDO (control word, target torque), and the drive sends one TPDO (status word, position, torque).
 The drive sends the TPDO at SYNC, a frame with the identifier 0x080. If the SYNC of a sensor node
 has the identifier 0x080, the SYNC of the sensor node also requests the TPDO of the drive. On a bus
-without such a sensor node, handctl sends SYNC after the command to a drive with the option
-``sync``. If no drive on the bus has the option ``sync``, handctl selects one drive
-(``controller.run_setup``). The watchdog of the drive supervises the heartbeat of this host. Only a
-status word proves that the drive is enabled or disabled.
+without a SYNC with the identifier 0x080 from a sensor node, handctl sends SYNC after the command to
+a drive with the option ``sync``. If no drive on the bus has the option ``sync``, handctl selects
+one drive (``controller.run_setup``). The watchdog of the drive supervises the heartbeat of this
+host. Only a status word proves that the drive is enabled or disabled.
 """
 
 import math
@@ -421,8 +421,8 @@ class Cia402Drive:
         """Return the next state of the drive and the frames to send, see ``contract.Drive``."""
         if target == LISTEN:
             return state, ()
-        # A status word also shows that the drive is alive. Possibly compiled code, and not this
-        # object, has received the latest status word.
+        # A status word also shows that the drive is alive. Possibly compiled code, and not
+        # ``receive``, has processed the latest status word.
         if (
             0
             <= max(get_progress(state).life_sign_ns, state.feedback_t_ns)

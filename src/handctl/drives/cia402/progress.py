@@ -80,7 +80,7 @@ def get_progress(state: DriveState) -> Cia402Progress:
 def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState:
     """Return the state of a drive after a status word.
 
-    The argument ``progress`` already contains the power state of this status word.
+    The argument ``progress`` already contains the power state of the received status word.
     """
     power = progress.power_state
     next_state = state._replace(protocol_state=progress)

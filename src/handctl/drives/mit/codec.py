@@ -32,8 +32,8 @@ little-endian:
 
 Register replies have the same identifier and length as feedback. This module distinguishes register
 replies from feedback by the first four bytes. If feedback had the first four bytes of a register
-reply, the position in the feedback would be within 0.3 % of -PMAX. No hand can reach such a
-position.
+reply, the position in the feedback would be within 0.3 % of -PMAX. No hand can reach a position so
+close to -PMAX.
 
 Source: Damiao DM-J4310-2EC manual. Details missing in the manual are from public client programs
 (LeRobot, i2rt, openarm_can).

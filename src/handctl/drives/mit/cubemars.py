@@ -93,7 +93,7 @@ use the count as a temperature in degC (TMotorCANControl) report 40 degC too muc
 MAX_RESTING_TORQUE_FRACTION = 0.02
 """Largest reported torque of a motor that counts as making no torque, as a fraction of the full scale.
 
-The sensor noise of a motor at rest is below this fraction.
+The sensor noise of a motor at rest is below 2 % of full scale.
 """
 SILENCE_TIMEOUT_NS = 250_000_000
 """Time without a frame after which a disabled motor returns to phase SILENT [ns]."""

@@ -275,14 +275,14 @@ class MitDrive:
             ):
                 return self._on_recheck_reply(state, reply)
         # Byte 0 of feedback from an enabled motor is 0x10 | node nibble. If the node number is from
-        # 0x10 to 0x1f, byte 0 of a register reply can have the same value. A frame with this value
-        # counts as feedback.
+        # 0x10 to 0x1f, byte 0 of a register reply can have the same value. A frame whose byte 0 has
+        # the value of feedback counts as feedback.
         if state.phase != ENABLED or self.node_id >> 4 != codec.ENABLED:
             reply = codec.decode_register_reply(data, self.node_id)
             if reply is not None:
                 return self._on_register_reply(state, reply, t_ns)
-        # The low nibble of byte 0 is the node number. If the nibble differs from the node number of
-        # this motor, the frame is from another motor.
+        # The low nibble of byte 0 is the node number. If the nibble differs from the low nibble of
+        # this motor's node number, the frame is from another motor.
         if (data[0] ^ self.node_id) & 0xF:
             return state._replace(misread_frame_count=state.misread_frame_count + 1)
         return self._on_feedback(state, data, t_ns)

@@ -3,10 +3,10 @@
 A drive answers requests and sends no other frame. A torque command selects position mode with gains
 0 and a feedforward torque. A position command also contains a position, a velocity, and fractions
 of the drive's gains. Torque commands and position commands also contain the torque limit and the
-watchdog timeout of the drive, and a request for feedback. Both commands enable the drive. If an
-enabled drive reports a mode other than position mode, the drive is in fault, and the host sends the
-stop command. The stop command also clears a fault of the drive. After a stop command, the host
-still regards the drive as faulty until the operator clears the fault.
+watchdog timeout of the drive, and a request for feedback. Torque commands and position commands
+enable the drive. If an enabled drive reports a mode other than position mode, the drive is in
+fault, and the host sends the stop command. The stop command also clears a fault of the drive. After
+a stop command, the host still regards the drive as faulty until the operator clears the fault.
 """
 
 import math

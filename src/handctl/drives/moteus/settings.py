@@ -9,9 +9,9 @@ other settings are configuration items, which the host reads and writes over the
 channel. ``conf set`` changes only the working memory of the drive. handctl sends no request that
 writes the flash.
 
-A frame with text can be lost, and an answer can come late. For this reason, each exchange starts
-with an empty text channel. After a request without an answer, the host reads the text channel until
-no text is left.
+A frame with text can be lost, and an answer can come late. Each exchange of texts must start with
+an empty text channel. After a request without an answer, the host reads the text channel until no
+text is left.
 """
 
 import math

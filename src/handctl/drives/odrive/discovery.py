@@ -36,7 +36,7 @@ _REQUEST_ONLY_MESSAGES = (IQ_CURRENT, BUS_VOLTAGE)
 _MESSAGES_SENT_ONCE = (ADDRESS, codec.GET_VERSION, *_REQUEST_ONLY_MESSAGES)
 """Numbers of messages that a drive sends once for each request of a scan."""
 CONFLICT_FREE_NODE_NUMBERS = (range(0x01, 0x04), range(0x09, 0x0C), range(0x34, 0x38))
-"""Node numbers whose identifiers differ from those of the predefined connection set of CANopen and of the sensor node.
+"""Node numbers whose identifiers belong neither to the predefined connection set of CANopen nor to the sensor node.
 
 Source: CiA 301, predefined connection set.
 """

@@ -4,7 +4,7 @@ The host reads the settings of the watchdog and of the torque limit by SDO. The 
 values, and reads the corrected settings again.
 
 The number of each endpoint differs between firmware versions and boards (``flat_endpoints.json``).
-For this reason, the hand file contains the endpoint numbers. If the hand file contains no endpoint
+The hand file contains the endpoint numbers of a drive. If the hand file contains no endpoint
 numbers, the operator must set the watchdog of the drive over USB, and handctl cannot verify the
 watchdog over CAN.
 """

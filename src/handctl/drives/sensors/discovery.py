@@ -3,9 +3,9 @@
 An answer of the sensor node contains the low four bits of the counter in the SYNC.
 
 SYNC does not move a motor that handctl has set up. Other CANopen drives possibly obey stored PDOs
-at SYNC. For this reason, a scan sends no SYNC on a bus with a CANopen drive, or with an ODrive with
-node number 4. The identifiers from ``command_ids`` of such a drive include the identifier of SYNC.
-Source: ``sensor_node``.
+at SYNC. A scan sends no SYNC on a bus with a CANopen drive, or with an ODrive with node number 4,
+because the identifiers from ``command_ids`` of these drives include the identifier of SYNC. Source:
+``sensor_node``.
 """
 
 from handctl.drives.discovery import DiscoveredNode, ProtocolDiscovery, ReceivedFrames
@@ -77,7 +77,7 @@ def _describe_node(can_id: int, received_frames: ReceivedFrames) -> DiscoveredNo
 
 
 def command_ids(node: DiscoveredNode) -> frozenset[int]:
-    """Return an empty set, because SYNC moves no motor. It only makes the sensor node take a sample."""
+    """Return an empty set, because SYNC moves no motor. SYNC only makes the sensor node take a sample."""
     return frozenset()
 
 

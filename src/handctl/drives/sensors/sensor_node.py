@@ -346,14 +346,14 @@ def sync_counters(decimation: int) -> bytes:
     """Return the counter bytes of the SYNC frames for about ``COUNTER_PERIOD`` ticks.
 
     If a counter of four bits counted up, the counter would have the same value again after 16 or 32
-    ticks. A frame with an age of 16 ticks would then seem fresh. For this reason, the counters of
-    handctl are pseudo-random. If the distance of two ticks is less than ``DISTINCT_COUNTER_TICKS``,
-    the low four bits of their counters differ. The low four bits of the counters of two ticks at a
-    larger distance are equal only by chance. The node decides by the remainder of the counter
-    modulo ``decimation`` if it sends angle frames, so the remainder equals the tick modulo
-    ``decimation``. If ``decimation`` is a multiple of 8, the remainder leaves only two possible
-    values for the low four bits. The low four bits of two ticks at a small distance can then be
-    equal, too.
+    ticks. A frame with an age of 16 ticks would then seem fresh. The counters of handctl are
+    pseudo-random, so that an old frame does not seem fresh. If the distance of two ticks is less
+    than ``DISTINCT_COUNTER_TICKS``, the low four bits of their counters differ. The low four bits
+    of the counters of two ticks at a larger distance are equal only by chance. The node decides by
+    the remainder of the counter modulo ``decimation`` if it sends angle frames, so the remainder
+    equals the tick modulo ``decimation``. If ``decimation`` is a multiple of 8, the remainder
+    leaves only two possible values for the low four bits. The low four bits of two ticks at a small
+    distance can then be equal, too.
     """
     rows = [range(remainder, 256, decimation) for remainder in range(decimation)]
     byte_by_nibble = [{byte & 0xF: byte for byte in row} for row in rows]

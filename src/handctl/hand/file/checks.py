@@ -92,7 +92,8 @@ MIT_REGISTER_ID = 0x7FF
 CANOPEN_FRAME_IDS = (0x080, 0x180, 0x200, 0x580, 0x600, 0x700)
 """Identifiers of the CANopen frames emergency, TPDO1, RPDO1, SDO in both directions and heartbeat.
 
-The identifier of a device's frame is one of these numbers plus the node number of the device.
+The identifier of a device's frame is a number of ``CANOPEN_FRAME_IDS`` plus the node number of the
+device.
 
 Source: CiA 301.
 """
@@ -120,8 +121,8 @@ MistakeIterator = Iterator[FileMistake]
 def check_hand(hand: Hand) -> MistakeIterator:
     """Yield the mistakes that concern several sections of a hand.
 
-    Some checks need valid references and list lengths. If a reference or a list length is wrong,
-    the function leaves these checks out.
+    If a reference or a list length is wrong, the function leaves out the checks that need valid
+    references and list lengths.
 
     Args:
         hand: hand whose single sections are already valid.
@@ -385,8 +386,8 @@ def _check_motors(hand: Hand) -> MistakeIterator:
         tendon_by_motor[tendon.motor] = tendon.name
     yield from motor_mistakes
     for motor in hand.motor:
-        # If a tendon names a wrong motor, the right motor has no tendon. In this case, the check
-        # reports only the wrong name.
+        # If a tendon names a wrong motor, the right motor has no tendon. The check then reports
+        # only the wrong name of the motor.
         if motor.name not in tendon_by_motor and not motor_mistakes:
             yield FileMistake(
                 "drives no tendon", f"motor[{motor.name}].name", "to be the motor of one tendon"
@@ -770,15 +771,15 @@ def _motor_identifiers(motor: Motor) -> Iterator[tuple[object, str]]:
         for service_base_id in CANOPEN_FRAME_IDS:
             yield service_base_id + motor.node_id, location
     elif motor.protocol == "moteus":
-        # The first identifier is that of moteus requests, with the source number 0 and the bit that
-        # asks for a reply. The second identifier is that of the replies, which has 11 bits if it is
-        # small enough.
+        # The first identifier belongs to moteus requests, with the source number 0 and the bit that
+        # asks for a reply. The second identifier belongs to moteus replies, and has 11 bits if it
+        # is small enough.
         yield EXTENDED_ID_FLAG | 0x8000 | motor.node_id, location
         number = motor.node_id << 8
         yield number if number < STANDARD_IDS else number | EXTENDED_ID_FLAG, location
     elif motor.protocol == "robstride":
-        # The first identifier is that of RobStride requests of type 0. The second identifier is
-        # that of the feedback of a running motor to the default host.
+        # The first identifier belongs to RobStride requests of type 0. The second identifier
+        # belongs to the feedback of a running RobStride motor to the default host.
         yield EXTENDED_ID_FLAG | 0xFD00 | motor.node_id, location
         yield EXTENDED_ID_FLAG | 0x0280_00FD | motor.node_id << 8, location
     else:

@@ -3,8 +3,8 @@
 The descriptions are the docstrings after the fields of the pydantic models.
 
 pydantic can store the docstrings in the fields of a model (``use_attribute_docstrings``). With the
-option ``use_attribute_docstrings``, every process would parse the source code of every model. For
-this reason, this module parses the source code itself, and only when a description is needed.
+option ``use_attribute_docstrings``, every process would parse the source code of every model.
+Instead of pydantic, this module parses the source code, and only when a description is needed.
 """
 
 import ast

@@ -422,7 +422,7 @@ def _spring_lines(answers: NewHandAnswers) -> list[str]:
     if answers.springs == "none":
         return []
     # All tendons that cross a joint close the joint. If all tensions are at the tension floor, the
-    # spring of the joint must open the joint against these tendons.
+    # spring of a joint must open the joint against all tendons that cross it.
     stiffness = [
         OPENING_TORQUE_RATIO
         * tendons
@@ -449,9 +449,8 @@ def _moment_arms(answers: NewHandAnswers, tendon: int) -> list[float]:
 
     Closing tendon i crosses all joints up to joint i. If a digit has n joints, one tendon opens the
     digit, and n tendons close it. If the tensions of the n closing tendons are equal, the opening
-    tendon balances them with n times the tension of one closing tendon. For this balance, the
-    moment arm of the opening tendon at a joint is in proportion to the number of tendons that close
-    the joint.
+    tendon balances them with n times the tension of one closing tendon. The moment arm of the
+    opening tendon at a joint is in proportion to the number of tendons that close the joint.
 
     Args:
         answers: the user's answers.

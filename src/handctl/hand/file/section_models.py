@@ -77,7 +77,7 @@ CIA404_KEYS = ("node_ids", "channels_per_node", "range_N", "process_value", "dec
 TPDO_IDS = (0x180, 0x280, 0x380, 0x480)
 """Identifiers of TPDO 1 to 4.
 
-The identifier of a device's TPDO is one of these numbers plus the node number of the device.
+The identifier of a device's TPDO is a number of ``TPDO_IDS`` plus the node number of the device.
 Source: CiA 301, predefined connection set.
 """
 CHANNELS_PER_TPDO = 2
@@ -540,7 +540,7 @@ class Tendon(Section):
     @model_validator(mode="before")
     @classmethod
     def _add_default_tendon_keys(cls, section_content: Any) -> Any:
-        """Add keys that a tendon may omit.
+        """Add the keys that a tendon in a hand file is allowed to omit.
 
         A spool pair has a tension floor of 0, because its net tension can be positive or negative.
         A tendon that moves only prismatic joints has no moment arms.

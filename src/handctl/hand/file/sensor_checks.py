@@ -27,7 +27,8 @@ CANOPEN_SYNC = 0x080
 AMPLIFIER_FRAME_IDS = (0x080, 0x580, 0x600, 0x700)
 """Identifiers of the frames of an amplifier: emergency, SDO in both directions, and heartbeat.
 
-The identifier of a frame is one of these numbers plus the node number of the amplifier.
+The identifier of a frame is a number of ``AMPLIFIER_FRAME_IDS`` plus the node number of the
+amplifier.
 
 Source: CiA 301.
 """

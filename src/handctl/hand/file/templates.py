@@ -9,8 +9,8 @@ schema 1, where every section contains all of its values. The following rules ap
    ``[KIND_template.NAME]`` replace values of the default. Values in the section itself replace
    values of both. Tables are merged key by key.
 2. Tables ``tendon.NAME`` and ``motor.NAME`` within a digit become tendons and motors with the name
-   DIGIT_NAME. Within these tables, ``j1`` means joint DIGIT_j1, and a motor of the same digit can
-   be named without DIGIT.
+   DIGIT_NAME. Within the tables of a digit, ``j1`` means joint DIGIT_j1, and a motor of the same
+   digit can be named without DIGIT.
 3. If a key needs a list with a value per link, one number stands for a list of equal values.
 4. ``"all"`` in the sensor node stands for all tendons, or all joints.
 """
@@ -207,8 +207,8 @@ class _TemplateResolver:
         default_section = self.content.get("default")
         default: TableContent = default_section if isinstance(default_section, Mapping) else {}
         for key, values in default.items():
-            # A default whose kind is misspelt is used for the most similar kind. Without this
-            # default, the validation would also report all its values as missing.
+            # A default whose kind is misspelt is used for the most similar kind. Without the
+            # misspelt default, the validation would also report all its values as missing.
             is_misspelt = (
                 key not in SECTION_KINDS
                 and section_kind not in default
@@ -249,7 +249,7 @@ class _TemplateResolver:
         for kind in TABLE_KINDS_IN_DIGIT:
             template_value = values.get(kind)
             if not isinstance(template_value, Mapping):
-                continue  # either the digit has no tables of this kind, or the later validation describes the mistake
+                continue  # either the digit has no tendons or motors, or the later validation describes the mistake
             del values[kind]
             for name, table in template_value.items():
                 location = self.origins[f"{path}.{kind}.{name}"]

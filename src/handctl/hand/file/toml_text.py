@@ -75,8 +75,8 @@ def _value_text(value: Any) -> str:
 def quoted_string(text: str) -> str:
     """Return a text as a TOML basic string, with quotes.
 
-    TOML has no escape sequence for characters without a UTF-8 encoding. The function replaces these
-    characters by the visible text of an escape sequence.
+    TOML has no escape sequence for characters without a UTF-8 encoding. The function replaces each
+    character without a UTF-8 encoding by the visible text of an escape sequence.
     """
     return json.dumps(escape_surrogates(text), ensure_ascii=False).replace("\x7f", "\\u007f")
 
