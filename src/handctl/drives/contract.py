@@ -149,7 +149,7 @@ class DriveState(NamedTuple):
         feedback_count: int = 0,
         recheck: RecheckCursor = INITIAL_RECHECK_CURSOR,
     ) -> "DriveState":
-        """Return the state with other values of the fields that the state block contains.
+        """Return the drive state with other values of the fields that the state block contains.
 
         The default values of the arguments are the values before the first feedback.
         """
@@ -340,8 +340,8 @@ class Drive(Protocol):
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
         """Return the frames of a torque command [N m at the spool] that do not enable the drive.
 
-        A test of the hardware sends the frames to check that a disabled drive ignores torque
-        commands.
+        The conformance test of a drive sends the frames to check that a disabled drive ignores
+        torque commands.
 
         The tuple of frames is empty if every torque command of the protocol also enables the drive.
         """
@@ -356,7 +356,7 @@ class Drive(Protocol):
         ...
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state and the frames that clear the drive's latched error.
+        """Return the drive state and the frames that clear the drive's latched error.
 
         After the frames that clear the error, the drive is still disabled.
         """

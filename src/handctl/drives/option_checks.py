@@ -1,4 +1,4 @@
-"""Checks of motor options in the hand file. All drive protocols use the same checks."""
+"""Checks of motor options in the hand file. All drive protocols use the same checks of motor options."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol, TypeVar

@@ -37,7 +37,7 @@ class ProtocolEntry(NamedTuple):
     Attributes:
         make_drive: function constructing a drive from a motor description and a bus index.
         discovery: discovery functions of the protocol, None if the drives answer only commands.
-        options: options of the protocol in the hand file, by key.
+        options: options of the protocol in the hand file, by the key of the option.
         make_mode: function constructing a drive in a position or velocity mode, None if the
             protocol supports only torque mode.
     """
@@ -115,7 +115,8 @@ def make_mode_drive(
         motor: description of the motor.
         bus: index of the bus.
         mode: quantity that the drive controls.
-        limits: largest speed and acceleration. In torque mode, the limits are not used.
+        limits: largest speed and acceleration of the drive. In torque mode, the limits are not
+            used.
 
     Raises:
         ConfigError: the protocol or an option is unknown, or handctl does not support the mode with

@@ -75,7 +75,7 @@ class RecheckedDrive(Protocol):
 def request_recheck(
     state: DriveState, drive: RecheckedDrive, error_code: int, t_ns: int
 ) -> tuple[DriveState, tuple[Frame, ...]]:
-    """Return the next state, and the next read-back request to the enabled drive if a request is due.
+    """Return the next drive state, and the next read-back request to the enabled drive if a request is due.
 
     Args:
         state: state of the drive.
@@ -104,7 +104,7 @@ def state_after_recheck_reply(
     answer: str,
     expected: str,
 ) -> DriveState:
-    """Return the state after a setting of the enabled drive was read again.
+    """Return the drive state after a setting of the enabled drive was read again.
 
     Args:
         state: state of the drive.
@@ -187,7 +187,7 @@ def start_disabling(state: DriveState, t_ns: int) -> DriveState:
 def state_when_off(
     state: DriveState, has_dropped_out: bool, error_code: int, error_text: str
 ) -> DriveState:
-    """Return the state after the drive has reported that it is off, without an error.
+    """Return the drive state after the drive has reported that it is off, without an error.
 
     The function uses the fields ``is_enable_sent``, ``enabled_by_other_host``, ``errors_to_ignore``, ``is_disabling``
     and ``disable_command_ns``.
@@ -221,7 +221,7 @@ def state_when_off(
 
 
 def state_when_on(state: DriveState, error_code: int, error_text: str) -> DriveState:
-    """Return the state after the drive has reported that it is on.
+    """Return the drive state after the drive has reported that it is on.
 
     The function uses the field ``is_enable_sent``.
 

@@ -268,8 +268,8 @@ class CommissionProgram:
         touching_ticks = progress.touching[0]
         if touching_ticks == 0:
             if not estimate.is_slack[digit_tendons].any():
-                # After the digit has come to rest, its joints are pressed against their limits, so
-                # that the filter must treat the digit as a digit in contact.
+                # When all tendons are taut, they press the joints against their limits. From this
+                # tick on, the filter must treat the digit as a digit in contact.
                 contact = tuple(d == model.digit_of_tendon[i] for d in range(len(model.digits)))
                 return replace(
                     progress, touching=(1, *progress.touching[1:]), since=t, contact=contact

@@ -78,7 +78,7 @@ def default_task(hand: Hand) -> tuple[Task, str]:
     """Return the default task of a hand, as an object and as the text of a task file.
 
     Args:
-        hand: hand that shall do the task.
+        hand: hand that shall execute the task.
     """
     largest = min(tendon.tension_max_N for tendon in hand.tendon)
     floor = max(tendon.tension_floor_N for tendon in hand.tendon)
@@ -148,8 +148,8 @@ def _closed_angles_deg(hand: Hand, name: str) -> np.ndarray:
 def _tension_factors(hand: Hand) -> dict[str, float]:
     """Return factors for the tensions of the digits in a hold.
 
-    The mean of the factors is 1. With the returned factors, the forces of the digits on an object
-    balance each other. With equal factors, for example, two fingers would push a thumb open.
+    The mean of the tension factors is 1. With the returned factors, the forces of the digits on an
+    object balance each other. With equal factors, for example, two fingers would push a thumb open.
     """
     balance = _force_balance_factors(hand)
     if balance is not None:

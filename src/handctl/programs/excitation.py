@@ -47,14 +47,14 @@ class ExciteStep(Document):
     targets: tuple[float, ...] = ()
     """Target of each coordinate [rad] or tendon [N] of the digit.
 
-    If the tuple is empty, `target` applies to all coordinates or tendons.
+    If `targets` is empty, `target` applies to all coordinates or tendons.
     """
     held: bool = False
     """True if an obstacle stops the digit during the step. The filter treats a stopped digit as blocked."""
     rate: float = Field(100.0, gt=0, le=5000)
     amplitude: float = Field(0.0, ge=0, le=1)
     amplitudes: tuple[float, ...] = ()
-    """Amplitude of each coordinate [rad]. If the tuple is empty, `amplitude` applies to all coordinates."""
+    """Amplitude of each coordinate [rad]. If `amplitudes` is empty, `amplitude` applies to all coordinates."""
     low_Hz: float = Field(0.5, gt=0, le=100)
     high_Hz: float = Field(5.0, gt=0, le=100)
 

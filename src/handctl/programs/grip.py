@@ -114,14 +114,14 @@ def advance_grip(
 
     Args:
         model: model of the hand.
-        grip: grip of the last tick.
+        grip: grip after the last tick.
         plan: grip that the task requires.
-        goals: goals of the digits.
-        estimate: estimate of the present tick.
+        goals: present goals of the digits.
+        estimate: estimated state of the hand in the present tick.
         t: time [s].
 
     Returns:
-        The grip, the goals, and the events.
+        The new grip, the new goals, and the events of the tick.
     """
     events: tuple[TickEvent, ...] = ()
     is_slip_judged = t >= grip.ready

@@ -243,7 +243,7 @@ def apply_goal(
         model: model of the hand.
         progress: progress with the present goals.
         request: request of an operator or a client.
-        estimate: estimate of the present tick.
+        estimate: estimated state of the hand in the present tick.
         t: time of the program [s].
         reference: for each digit, (3, n) position, rate and acceleration of the present reference.
             The move of a moving digit starts at the reference. The move of any other digit starts

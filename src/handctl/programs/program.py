@@ -26,7 +26,7 @@ class ProgramProgress:
     The hash of the controller's state includes the state of the program.
 
     Attributes:
-        step: index of the present step.
+        step: index of the present step of the program.
         since: time at which the present step began [s].
         goals: goal of each digit.
         contact: for each digit, True if it is in contact.
@@ -91,13 +91,13 @@ class Program(Protocol):
 
         Args:
             model: model of the hand.
-            progress: progress of the last tick.
-            estimate: estimate of the present tick.
-            measurements: measurements of the present tick.
+            progress: progress of the program after the last tick.
+            estimate: estimated state of the hand in the present tick.
+            measurements: sensor values and drive values measured for the present tick.
             t: time [s].
 
         Returns:
-            The new progress, and the events of the present tick.
+            The new progress of the program, and the events of the present tick.
         """
         ...
 

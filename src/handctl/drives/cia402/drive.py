@@ -357,7 +357,7 @@ class Cia402Drive:
         )
 
     def _on_sdo_reply(self, state: DriveState, payload: bytes) -> DriveState:
-        """Return the state after an SDO reply of the drive."""
+        """Return the drive state after an SDO reply of the drive."""
         progress = get_progress(state)
         reply = canopen.decode_sdo_reply(payload)
         if reply is not None and state.phase == ENABLED and state.recheck.is_waiting:
@@ -439,7 +439,7 @@ class Cia402Drive:
     def _advance_to_target(
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frames for the requested drive state.
+        """Return the next drive state and the frames for the requested drive state.
 
         The returned frames do not include heartbeat and SYNC.
         """
@@ -469,7 +469,7 @@ class Cia402Drive:
     def _disable(
         self, state: DriveState, progress: Cia402Progress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frames that disable the drive.
+        """Return the next drive state and the frames that disable the drive.
 
         A drive that is possibly enabled counts as enabled until a status word reports the state
         disabled.
@@ -494,7 +494,7 @@ class Cia402Drive:
     def _configure(
         self, state: DriveState, progress: Cia402Progress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the next SDO request.
+        """Return the next drive state and the next SDO request.
 
         Before the first SDO request, the host sets the node to the NMT state pre-operational.
         """
@@ -511,7 +511,7 @@ class Cia402Drive:
     def _start_node(
         self, state: DriveState, progress: Cia402Progress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state, and the frames that set the node to the NMT state operational.
+        """Return the next drive state, and the frames that set the node to the NMT state operational.
 
         The host repeats the frames until a status word arrives. If the operator has cleared a
         fault, the returned frame is an RPDO that resets the fault.
@@ -597,7 +597,7 @@ class Cia402Drive:
         return (self._sdo_frame(data),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frames that reset the fault of the drive.
+        """Return the next drive state and the frames that reset the fault of the drive.
 
         After the reset of the fault, the host reads back all objects again.
         """

@@ -119,7 +119,7 @@ def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState
 
 
 def _state_when_fault(state: DriveState, progress: Cia402Progress) -> DriveState:
-    """Return the state after the drive has reported a fault, with the error code of the latest emergency."""
+    """Return the drive state after the drive has reported a fault, with the error code of the latest emergency."""
     if progress.errors_to_ignore:
         return state._replace(
             protocol_state=progress._replace(errors_to_ignore=progress.errors_to_ignore - 1)
@@ -136,7 +136,7 @@ def _state_when_fault(state: DriveState, progress: Cia402Progress) -> DriveState
 
 
 def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
-    """Return the state after a heartbeat of the drive.
+    """Return the drive state after a heartbeat of the drive.
 
     If the drive has left the NMT state operational, the drive was stopped or has restarted. A drive
     that has restarted has lost its settings.

@@ -85,7 +85,7 @@ class LoadCellAmplifier:
         return state
 
     def _on_life_sign(self, state: AmplifierState) -> AmplifierState:
-        """Return the state after a frame that proves the NMT state operational.
+        """Return the amplifier state after a frame that proves the NMT state operational.
 
         A TPDO or a heartbeat has an effect only if the host has set up and started the amplifier.
         """
@@ -94,7 +94,7 @@ class LoadCellAmplifier:
         return state._replace(phase=READY, error_text="")
 
     def _on_heartbeat(self, state: AmplifierState, nmt_state: int) -> AmplifierState:
-        """Return the state after a heartbeat.
+        """Return the amplifier state after a heartbeat.
 
         If an amplifier has restarted or was stopped, the host must set up the amplifier again.
         """
@@ -105,7 +105,7 @@ class LoadCellAmplifier:
         return state
 
     def _on_sdo_reply(self, state: AmplifierState, data: bytes) -> AmplifierState:
-        """Return the state after an SDO reply of the amplifier."""
+        """Return the amplifier state after an SDO reply of the amplifier."""
         reply = codec.decode_sdo_reply(data)
         if reply is None or state.cursor.step >= len(self.steps):
             return state

@@ -144,7 +144,7 @@ OPTIONS = {
         "Temperature that the code 0 means. Set it to 0 if a cold motor reports a temperature below zero.",
     ),
 }
-"""Options of the protocol in the hand file."""
+"""Options of a CubeMars motor in the hand file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +241,7 @@ class CubemarsDrive:
 
     @property
     def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
-        """Return the frames of a tick: command and answer."""
+        """Return the frames of the motor in a tick: command and answer."""
         return ((8, False), (8, False))
 
     @property
@@ -251,7 +251,7 @@ class CubemarsDrive:
 
     @property
     def has_extended_ids(self) -> bool:
-        """Return False, because all identifiers have 11 bits."""
+        """Return False, because all identifiers of the MIT protocol have 11 bits."""
         return False
 
     @property
@@ -275,7 +275,7 @@ class CubemarsDrive:
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return the reason for each property that handctl cannot check."""
+        """Return the reason for each property of the drive that handctl cannot check."""
         return UNCHECKED_PROPERTIES
 
     @property
@@ -361,7 +361,7 @@ class CubemarsDrive:
         return next_state if disabling else next_state._replace(phase=FAULT)
 
     def _on_answer(self, state: DriveState, progress: CubemarsProgress) -> DriveState:
-        """Return the state after an answer to the latest enable or disable command."""
+        """Return the drive state after an answer to the latest enable or disable command."""
         # An answer that the motor sent before a command does not show the effect of the command.
         if state.feedback_t_ns < progress.command_start_ns:
             return state
@@ -416,7 +416,7 @@ class CubemarsDrive:
     def _state_after_command(
         self, state: DriveState, new_command: DriveTarget, t_ns: int
     ) -> DriveState:
-        """Return the state after an enable or disable command was sent.
+        """Return the drive state after an enable or disable command was sent.
 
         If the command differs from the latest command, the count of agreeing answers starts at 0.
         """

@@ -165,7 +165,7 @@ def _describe_motor(
 def _state_and_error(
     node_number: int, reply_id: int, received_frames: ReceivedFrames
 ) -> tuple[str, str]:
-    """Return the state and the error in the latest feedback of a motor, as texts.
+    """Return the drive state and the error in the latest feedback of a motor, as texts.
 
     The state and the error are empty texts if there is no feedback.
     """

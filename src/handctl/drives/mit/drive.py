@@ -65,7 +65,7 @@ OPTIONS = {
         "True if the drive uses CAN FD. The bus then needs the key `data_bitrate`.",
     ),
 }
-"""Options of the protocol in the hand file."""
+"""Options of a Damiao motor in the hand file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,7 @@ class MitDrive:
 
     @property
     def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
-        """Return the frames of a tick: command and answer."""
+        """Return the frames of the motor in a tick: command and answer."""
         return ((8, bool(self.flags)), (8, bool(self.flags)))
 
     @property
@@ -157,7 +157,7 @@ class MitDrive:
 
     @property
     def has_extended_ids(self) -> bool:
-        """Return False, because all identifiers have 11 bits."""
+        """Return False, because all identifiers of the MIT protocol have 11 bits."""
         return False
 
     @property
@@ -179,7 +179,7 @@ class MitDrive:
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return an empty mapping, because handctl can check every property."""
+        """Return an empty mapping, because handctl can check every property of the drive."""
         return {}
 
     @property
@@ -290,7 +290,7 @@ class MitDrive:
     def _on_register_reply(
         self, state: DriveState, reply: codec.RegisterReply, t_ns: int
     ) -> DriveState:
-        """Return the state after a register reply during configuration."""
+        """Return the drive state after a register reply during configuration."""
         if state.phase != CONFIGURING:
             return state
         progress = get_progress(state)
@@ -322,7 +322,7 @@ class MitDrive:
         )
 
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
-        """Return the state after a feedback frame.
+        """Return the drive state after a feedback frame.
 
         The returned state contains the values of the feedback frame and the effect of the state
         nibble.
@@ -457,7 +457,7 @@ class MitDrive:
         return (self._frame_to_motor(codec.special_command(codec.DISABLE)),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state, and the frame that clears the latched error of the drive.
+        """Return the next drive state, and the frame that clears the latched error of the drive.
 
         After the clear command, the host verifies the registers again.
         """

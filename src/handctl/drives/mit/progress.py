@@ -82,7 +82,7 @@ def get_progress(state: DriveState) -> MitProgress:
 
 
 def apply_status(state: DriveState, status_nibble: int) -> DriveState:
-    """Return the state after feedback with a state nibble.
+    """Return the drive state after feedback with a state nibble.
 
     The argument ``state`` already contains the values of the same feedback.
     """
@@ -96,7 +96,7 @@ def apply_status(state: DriveState, status_nibble: int) -> DriveState:
 
 
 def _state_after_error(state: DriveState, progress: MitProgress, status_nibble: int) -> DriveState:
-    """Return the state after the motor has reported an error.
+    """Return the drive state after the motor has reported an error.
 
     A motor with a known error makes no torque. A motor with an unknown state nibble possibly still
     makes torque.

@@ -182,7 +182,7 @@ class MoteusDrive:
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return an empty mapping, because handctl can check every property."""
+        """Return an empty mapping, because handctl can check every property of the drive."""
         return {}
 
     @property
@@ -263,7 +263,7 @@ class MoteusDrive:
         return self._on_setting_value(state, progress, setting, reply.values[setting.register], "")
 
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
-        """Return the state after feedback.
+        """Return the drive state after feedback.
 
         The returned state contains the values of the feedback, and the effect of the mode and the
         fault code.
@@ -329,7 +329,7 @@ class MoteusDrive:
         value: float | None,
         text: str,
     ) -> DriveState:
-        """Return the state after the value of a setting was received.
+        """Return the drive state after the value of a setting was received.
 
         A received text that is not a number counts as a wrong value of the setting.
         """
@@ -362,7 +362,7 @@ class MoteusDrive:
     def _on_serial_number(
         self, state: DriveState, progress: MoteusProgress, values: dict[int, float], t_ns: int
     ) -> DriveState:
-        """Return the state after the serial number was received.
+        """Return the drive state after the serial number was received.
 
         The host requests the serial number at the end of the configuration.
         """
@@ -533,7 +533,7 @@ class MoteusDrive:
         return (self._frame_to_drive(codec.STOP_PAYLOAD),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state, and the stop command that clears the latched error.
+        """Return the next drive state, and the stop command that clears the latched error.
 
         After the clear command, the host reads back the settings again.
         """

@@ -76,7 +76,7 @@ def get_progress(state: DriveState) -> MoteusProgress:
 
 
 def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
-    """Return the state after feedback with a mode and a fault code.
+    """Return the drive state after feedback with a mode and a fault code.
 
     The argument ``state`` already contains the values of the same feedback.
     """
@@ -104,7 +104,7 @@ def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
 
 
 def _state_when_in_other_mode(state: DriveState, progress: MoteusProgress) -> DriveState:
-    """Return the state after feedback with a mode that this host does not use.
+    """Return the drive state after feedback with a mode that this host does not use.
 
     In a mode that this host does not use, the drive possibly makes torque.
     """
@@ -118,7 +118,7 @@ def _state_when_in_other_mode(state: DriveState, progress: MoteusProgress) -> Dr
 
 
 def _state_after_error(state: DriveState, progress: MoteusProgress, error_code: int) -> DriveState:
-    """Return the state after the drive has reported an error.
+    """Return the drive state after the drive has reported an error.
 
     A drive with an error makes no torque.
     """

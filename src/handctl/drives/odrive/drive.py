@@ -305,7 +305,7 @@ class OdriveDrive:
         return self._on_value_message(state, command, frame)
 
     def _on_value_message(self, state: DriveState, command: int, frame: Frame) -> DriveState:
-        """Return the state after a frame with values: position and velocity, torque, or temperatures."""
+        """Return the drive state after a frame with values: position and velocity, torque, or temperatures."""
         if (
             command == codec.TEMPERATURE
             and (hottest := codec.decode_highest_temperature(frame.data)) is not None
@@ -325,7 +325,7 @@ class OdriveDrive:
         )
 
     def _on_version_message(self, state: DriveState, data: bytes) -> DriveState:
-        """Return the state after the message Get_Version, with the protocol version."""
+        """Return the drive state after the message Get_Version, with the protocol version."""
         if state.phase not in (SILENT, CONFIGURING):
             return state
         if data[0] != codec.PROTOCOL_VERSION:
@@ -342,7 +342,7 @@ class OdriveDrive:
         )
 
     def _on_address_message(self, state: DriveState, data: bytes) -> DriveState:
-        """Return the state after the message Address, with the node number and a serial number of 48 bits."""
+        """Return the drive state after the message Address, with the node number and a serial number of 48 bits."""
         if state.phase != CONFIGURING or data[0] != self.node_id:
             return state
         serial = int.from_bytes(data[1:7], "little")
@@ -353,7 +353,7 @@ class OdriveDrive:
         )
 
     def _on_setting_message(self, state: DriveState, data: bytes) -> DriveState:
-        """Return the state after a TxSdo with the value of a setting."""
+        """Return the drive state after a TxSdo with the value of a setting."""
         progress = get_progress(state)
         if state.phase == ENABLED and state.recheck.is_waiting:
             return self._on_recheck_reply(state, data)
@@ -542,7 +542,7 @@ class OdriveDrive:
     def _feedback_requests(
         self, state: DriveState, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state, and the remote frames to request feedback in a tick."""
+        """Return the next drive state, and the remote frames to request feedback in a tick."""
         frames = [self._remote_frame(codec.ENCODER_ESTIMATES)] * (not self.encoder_period_s) + [
             self._remote_frame(codec.TORQUES)
         ] * self.torque_feedback
@@ -595,7 +595,7 @@ class OdriveDrive:
         return (self._data_frame(codec.ESTOP, b""),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frames that clear the latched error of the drive.
+        """Return the next drive state and the frames that clear the latched error of the drive.
 
         After the clear command, the host configures the drive again.
         """

@@ -132,7 +132,7 @@ def on_heartbeat(state: DriveState, frame: Frame, firmware_05: bool) -> DriveSta
 def _state_after_error(
     state: DriveState, progress: OdriveProgress, heartbeat: codec.Heartbeat, firmware_05: bool
 ) -> DriveState:
-    """Return the state after a heartbeat that reports an error.
+    """Return the drive state after a heartbeat that reports an error.
 
     An error disables the drive. While the axis state is not idle, the drive possibly still makes
     torque.
@@ -149,7 +149,7 @@ def _state_after_error(
 
 
 def _state_when_enabled(state: DriveState, progress: OdriveProgress) -> DriveState:
-    """Return the state after a heartbeat that reports closed loop control."""
+    """Return the drive state after a heartbeat that reports closed loop control."""
     if progress.disable_command_ns >= 0 or (
         progress.enable_command_ns >= 0 and state.phase != FAULT
     ):
@@ -164,7 +164,7 @@ def _state_when_enabled(state: DriveState, progress: OdriveProgress) -> DriveSta
 
 
 def _state_when_in_other_axis_state(state: DriveState, progress: OdriveProgress) -> DriveState:
-    """Return the state after a heartbeat that reports another axis state, such as a calibration.
+    """Return the drive state after a heartbeat that reports another axis state, such as a calibration.
 
     In an axis state other than idle and closed loop control, the drive possibly makes torque that
     the host does not control.
@@ -185,7 +185,7 @@ def _state_when_in_other_axis_state(state: DriveState, progress: OdriveProgress)
 def _state_when_disabled(
     state: DriveState, progress: OdriveProgress, heartbeat: codec.Heartbeat
 ) -> DriveState:
-    """Return the state after a heartbeat that reports the axis state idle.
+    """Return the drive state after a heartbeat that reports the axis state idle.
 
     Shortly after a command, a received heartbeat is possibly older than the command.
     """
@@ -210,7 +210,7 @@ def _state_when_disabled(
 def _state_when_enable_failed(
     state: DriveState, progress: OdriveProgress, heartbeat: codec.Heartbeat
 ) -> DriveState:
-    """Return the state after a heartbeat that reports idle although an enable command was sent.
+    """Return the drive state after a heartbeat that reports idle although an enable command was sent.
 
     The drive has refused the command, the command was lost, or the drive has restarted.
 

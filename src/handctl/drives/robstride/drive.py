@@ -159,7 +159,7 @@ class RobstrideDrive:
 
     @property
     def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
-        """Return the frames of a tick: command and feedback."""
+        """Return the frames of the motor in a tick: command and feedback."""
         return ((8, False), (8, False))
 
     @property
@@ -169,7 +169,7 @@ class RobstrideDrive:
 
     @property
     def has_extended_ids(self) -> bool:
-        """Return True, because all identifiers have 29 bits."""
+        """Return True, because all identifiers of the private protocol have 29 bits."""
         return True
 
     @property
@@ -190,7 +190,7 @@ class RobstrideDrive:
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return an empty mapping, because handctl can check every property."""
+        """Return an empty mapping, because handctl can check every property of the drive."""
         return {}
 
     @property
@@ -276,7 +276,7 @@ class RobstrideDrive:
         return state._replace(phase=phase, protocol_state=progress)
 
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int, status: int) -> DriveState:
-        """Return the state after feedback.
+        """Return the drive state after feedback.
 
         The returned state contains the values of the feedback, and the effect of the status in the
         identifier.
@@ -293,7 +293,7 @@ class RobstrideDrive:
         return apply_status(next_state, status >> 6, status & 0x3F)
 
     def _on_fault_report(self, state: DriveState, data: bytes) -> DriveState:
-        """Return the state after a fault report.
+        """Return the drive state after a fault report.
 
         Bytes 0 to 3 of a fault report contain faults, and bytes 4 to 7 contain warnings. A motor
         with a fault makes no torque.
@@ -304,7 +304,7 @@ class RobstrideDrive:
         return apply_fault(state, codec.RESET_MODE, faults << codec.FAULT_REPORT_SHIFT & 0xFFFFFFFF)
 
     def _on_parameter_reply(self, state: DriveState, data: bytes, has_failed: bool) -> DriveState:
-        """Return the state after a parameter reply.
+        """Return the drive state after a parameter reply.
 
         The method compares the value in the reply with the required value of the parameter.
         """
@@ -458,7 +458,7 @@ class RobstrideDrive:
         return (self._request_frame(codec.STOP),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state, and the stop command that clears the latched faults.
+        """Return the next drive state, and the stop command that clears the latched faults.
 
         After the stop command, the host reads back the parameters again.
         """

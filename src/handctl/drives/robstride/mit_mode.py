@@ -186,7 +186,7 @@ class RobstrideMitDrive(CubemarsDrive):
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return the reason for each property that handctl cannot check."""
+        """Return the reason for each property of the drive that handctl cannot check."""
         return UNCHECKED_PROPERTIES
 
     def steady_status(self, state: DriveState) -> int:
@@ -216,7 +216,7 @@ class RobstrideMitDrive(CubemarsDrive):
         return self._on_answer(next_state, state.protocol_state)
 
     def _on_faults(self, state: DriveState, fault_bits: int) -> DriveState:
-        """Return the state after an answer to the request that reads the faults.
+        """Return the drive state after an answer to the request that reads the faults.
 
         The argument ``fault_bits`` contains one bit for each fault.
         """
@@ -247,7 +247,7 @@ class RobstrideMitDrive(CubemarsDrive):
         return next_state, frames
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state and the frames that clear the faults.
+        """Return the drive state and the frames that clear the faults.
 
         After the faults are cleared, the host starts again with stop commands to the motor.
         """

@@ -79,7 +79,7 @@ def get_progress(state: DriveState) -> RobstrideProgress:
 
 
 def apply_status(state: DriveState, mode: int, fault: int) -> DriveState:
-    """Return the state after feedback with a mode and faults.
+    """Return the drive state after feedback with a mode and faults.
 
     The argument ``state`` already contains the values of the same feedback.
     """

@@ -66,7 +66,7 @@ With an encoder frame in every tick, a hand of twelve motors and nine encoders c
 Hz on two buses.
 """
 EXTENSOR = "e"
-"""Short name of the tendon that opens a digit without springs. The motor of this tendon has the same name."""
+"""Short name of the tendon that opens a digit without springs. The motor of the tendon has the same name."""
 MAX_DIGITS_PER_SIDE = 8
 """Largest number of digits on one side of the hand."""
 

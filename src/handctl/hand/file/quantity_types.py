@@ -79,7 +79,7 @@ class NumberRange:
     hint: str = ""
 
     def __call__(self, value: Any) -> float:
-        """Return the value as a float."""
+        """Check the value, and return it as a float."""
         expected = f"a number from {self.low:g} to {self.high:g} {self.unit}".rstrip()
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise validation_error(expected)
@@ -97,13 +97,13 @@ class NumberRange:
 
 
 def number_in_range(minimum: float, maximum: float, unit: str = "", hint: str = "") -> CheckedType:
-    """Return the validation of a number within [low, high], see ``NumberRange``."""
+    """Return the validation of a number between two limits, see ``NumberRange``."""
     number = NumberRange(minimum, maximum, unit, hint)
     return CheckedType(number, number.schema)
 
 
 def integer_in_range(minimum: int, maximum: int) -> CheckedType:
-    """Return the validation of an integer within [low, high]."""
+    """Return the validation of an integer between two limits."""
 
     def check_value(value: Any) -> int:
         """Return the value if it is valid."""
@@ -165,11 +165,11 @@ def _check_options(value: Any) -> dict[str, bool | int | float | str]:
 
 
 def zero_or_number_in_range(minimum: float, maximum: float, unit: str, hint: str) -> CheckedType:
-    """Return the validation of a number that must be 0 or within [low, high], see ``NumberRange``."""
+    """Return the validation of a number that must be 0 or between two limits, see ``NumberRange``."""
     number = NumberRange(minimum, maximum, unit, hint)
 
     def check_value(value: Any) -> float:
-        """Return the value as a float."""
+        """Check the value, and return it as a float."""
         is_zero = isinstance(value, int | float) and not isinstance(value, bool) and value == 0
         if is_zero:
             return 0.0

@@ -30,7 +30,7 @@ INTERSECTION_TOLERANCE_M = 1e-7
 MIN_FLEXION_COMPONENT = 0.7
 """Smallest component along y of the direction in which the tip moves.
 
-If the component along y is smaller, the frame of the digit's last link is turned.
+If the tip moves with a smaller component along y, the frame of the digit's last link is turned.
 """
 NEGATIVE_FLEXION_RATIO = 0.1
 """Ratio of joint limits that shows the direction of flexion.
@@ -41,7 +41,7 @@ the negative of its lower limit.
 MIN_FORWARD_COMPONENT = 0.7
 """Smallest component along x of the mean direction of the digits.
 
-If the component along x is smaller, the palm frame is turned.
+If the digits point along x with a smaller component, the palm frame is turned.
 """
 MAX_MOUNT_OFFSET_M = 0.005
 """Largest distance of the foremost digit mount from the plane x = 0 [m].
