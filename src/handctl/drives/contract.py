@@ -45,7 +45,7 @@ class DriveTarget(enum.IntEnum):
     POLL = 1
     """Configure the drive, read back its limits and its watchdog, then request feedback.
 
-    The drive makes no torque.
+    With the target POLL, the drive makes no torque.
     """
     ENABLE = 2
     """Do the same as with POLL, then enable the drive.
@@ -62,7 +62,7 @@ class DrivePhase(enum.IntEnum):
     SILENT = 0
     """The drive has sent no frame yet, or has sent no frame for longer than its timeout."""
     CONFIGURING = 1
-    """The settings of the drive are being written and read back."""
+    """The host is writing and reading back the settings of the drive."""
     READY = 2
     """The host has verified all settings of the drive. The drive is disabled and makes no torque."""
     ENABLED = 3
@@ -199,8 +199,8 @@ class Drive(Protocol):
         position_step: resolution of the measured position [rad at the spool], 0 if unknown.
         cyclic_messages: signal tables of the frames that a tick exchanges with the enabled drive.
         rechecks: settings that compiled code reads again while the drive is enabled, each with one
-            request and one reply. The tuple is empty if the state machine itself reads the settings
-            again.
+            request and one reply. The tuple is empty if the state machine of the drive itself reads
+            the settings again.
         feedback_period_s: period of the drive's unrequested feedback [s], 0 if every tick requests
             feedback.
     """
@@ -278,7 +278,7 @@ class Drive(Protocol):
     def feedback_period_s(self) -> float:
         """Return the period of feedback that the drive sends without a request [s].
 
-        The result is 0 if every tick requests feedback.
+        The period is 0 if every tick requests feedback.
         """
         ...
 
@@ -295,9 +295,9 @@ class Drive(Protocol):
     def steady_status(self, state: DriveState) -> int:
         """Return the status that the feedback has while the state machine has nothing to do.
 
-        If the state machine must process every frame, return NO_STEADY_STATUS. As long as the
-        feedback has the steady status, only the measured values change, and the host is allowed to
-        continue its torque commands.
+        Return NO_STEADY_STATUS if the state machine of the drive must process every frame. As long
+        as the feedback has the steady status, only the measured values change, and the host is
+        allowed to continue its torque commands.
         """
         ...
 

@@ -3,9 +3,9 @@
 Each protocol has one ``ProtocolDiscovery``. A scan has four rounds. In round 0, the scan only
 listens. In round 1, the scan sends requests to all nodes at once. In round 2, the scan sends
 requests to every node number. In round 3, the scan requests details from discovered nodes. After
-each round of the scan, the nodes are computed from all received frames. The functions of this
-module store no state. ``split_safe_requests`` leaves out each request that a drive of another
-protocol would obey as a command.
+each round of the scan, the nodes are computed from all received frames. The functions of a
+discovery module store no state. ``split_safe_requests`` leaves out each request that a drive of
+another protocol would obey as a command.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -104,7 +104,8 @@ class ProtocolDiscovery(NamedTuple):
         command_ids: function returning the identifiers of frames that a node obeys as commands.
         other_host_frames: function returning those received frames that only another host can have
             sent.
-        ping: function returning a request to one node. The request does not move the motor.
+        ping: function returning a request to one node. The request ``ping`` does not move the
+            motor.
         is_ping_reply: function returning True if a frame is the answer of a node to ``ping``.
         correct_passive_result: function that corrects the data of a node if the scan has only
             listened. A missing answer has no meaning if the scan sends no requests.

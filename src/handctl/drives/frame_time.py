@@ -41,7 +41,8 @@ def frame_time_s(
             length that the standard allows.
         fd: True for a CAN FD frame with bit rate switch.
         bitrate: nominal bit rate [bit/s].
-        data_bitrate: bit rate of the data phase [bit/s]. With None, the nominal bit rate is used.
+        data_bitrate: bit rate of the data phase [bit/s]. If ``data_bitrate`` is None, the nominal
+            bit rate is used.
         extended: True for a 29-bit identifier.
     """
     extra_bits = EXTENDED_FRAME_EXTRA_BITS if extended else 0
@@ -98,7 +99,8 @@ def bus_time_s(
     Args:
         frames: frames of a tick as (payload bytes, CAN FD?, frames per tick).
         bitrate: nominal bit rate [bit/s].
-        data_bitrate: bit rate of the data phase [bit/s]. With None, the nominal bit rate is used.
+        data_bitrate: bit rate of the data phase [bit/s]. If ``data_bitrate`` is None, the nominal
+            bit rate is used.
     """
     return sum(
         number * frame_time_s(size, fd, bitrate, data_bitrate) for size, fd, number in frames

@@ -43,7 +43,7 @@ def check_identifiers(identifier_owners: Iterable[tuple[str, IdentifierOwner]]) 
         for other_where, other_owner in checked_owners:
             if owner.bus == other_owner.bus:
                 # Two nodes are allowed to receive the same frame of the host (NMT, SYNC). The
-                # identifier of a frame from a node must be unique.
+                # identifier of a frame from a node must be unique on its bus.
                 shared_identifiers = (
                     owner.node_ids & (other_owner.node_ids | other_owner.host_ids)
                     | owner.host_ids & other_owner.node_ids

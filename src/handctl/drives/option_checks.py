@@ -55,7 +55,7 @@ def checked_positive(value: object, key_path: str, largest: float) -> float:
     Raises:
         ConfigError: the value is not a number above 0, or is larger than ``largest``.
     """
-    # The check refuses bool, a subclass of int. The comparison is False for NaN.
+    # The check refuses bool, a subclass of int. The comparison with the limits is False for NaN.
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= largest:
         raise ConfigError(
             "missing" if value is None else repr(value),

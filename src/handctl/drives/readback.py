@@ -77,7 +77,7 @@ class ReadbackCursor(NamedTuple):
     def cursor_after_write(self) -> "ReadbackCursor":
         """Return the cursor after a write request.
 
-        The request after a write request reads the written setting.
+        The request that follows a write request reads the written setting.
         """
         return ReadbackCursor(self.step, write_count=self.write_count + 1)
 
@@ -119,8 +119,8 @@ def cursor_after_wrong_value(
 ) -> tuple[ReadbackCursor, str]:
     """Return the position in the read-back after a wrong value.
 
-    The request after a wrong value writes the setting. The host writes a setting at most
-    ``max_write_count`` times.
+    The request that follows the read of a wrong value writes the setting. The host writes a setting
+    at most ``max_write_count`` times.
 
     Args:
         cursor: position in the settings.

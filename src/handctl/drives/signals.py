@@ -75,7 +75,7 @@ A float32 below 256 counts represents each step exactly.
 
 
 class Signal(NamedTuple):
-    """Position of a value in a frame, and its scale. The value is count * scale + offset.
+    """Position of a value in a frame, and its scale. The value of the signal is count * scale + offset.
 
     Attributes:
         name: name of the signal.
@@ -190,7 +190,7 @@ POSITION_COMMAND = (
     SignalQuantity.POSITION, SignalQuantity.VELOCITY, SignalQuantity.STIFFNESS, SignalQuantity.DAMPING,
     SignalQuantity.TORQUE, SignalQuantity.TORQUE_LIMIT,
 )  # fmt: skip
-"""Signals of ``CyclicMessages.position``, in order. The last signal is optional.
+"""Signals of ``CyclicMessages.position``, in order. The last signal, the torque limit, is optional.
 
 The drive makes the torque kp (position - p) + kd (velocity - v) + torque, within +-limit.
 """

@@ -213,7 +213,8 @@ class Hand(Section):
     def moment_arms(self) -> NDArray[np.float64]:
         """Return the moment arms R of all tendons (N, J) [m], as a read-only array.
 
-        With joint angles q, the excursion is R q. Tensions f exert the joint torques R^T f.
+        With joint angles q, the excursion of the tendons is R q. Tensions f exert the joint torques
+        R^T f.
 
         If a moment arm depends on the joint angle, the entry of R is the mean of the moment arm
         over the range of the joint. For a prismatic joint, the entry of R is the excursion of the
@@ -241,10 +242,10 @@ class Hand(Section):
     def moment_arms_of_carrying_digits(self) -> NDArray[np.float64]:
         """Return the moment arms of tendons about joints of the digits that carry their digits, (N, J) [m].
 
-        The array is read-only. For example, the tendons of a finger also cross the wrist. If the
-        tendon of a finger does not run through the axis of the wrist, the tension of the tendon
-        turns the wrist. A motion of the wrist winds or unwinds a tendon that does not run through
-        the axis of the wrist.
+        The returned array is read-only. For example, the tendons of a finger also cross the wrist.
+        If the tendon of a finger does not run through the axis of the wrist, the tension of the
+        tendon turns the wrist. A motion of the wrist winds or unwinds a tendon that does not run
+        through the axis of the wrist.
         """
         arms = self.moment_arms - self.moment_arms_of_own_digit
         arms.setflags(write=False)

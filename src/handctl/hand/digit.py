@@ -43,9 +43,9 @@ In a digit with parallel axes, a coordinate with a larger ratio moves the digit 
 class DigitModel:
     """Digit with n joints, n_t tendons, and n_c reduced coordinates theta.
 
-    The joint angles are q = B theta. All arrays are read-only. A prismatic joint has other
-    quantities than a hinge: a position [m] for an angle [rad], a force [N] for a torque [N m], and
-    an excursion per position [m/m] for a moment arm [m].
+    The joint angles of the digit are q = B theta. All arrays of the model are read-only. A
+    prismatic joint has other quantities than a hinge: a position [m] for an angle [rad], a force
+    [N] for a torque [N m], and an excursion per position [m/m] for a moment arm [m].
 
     Attributes:
         name: name of the digit.

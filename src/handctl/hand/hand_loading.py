@@ -156,7 +156,7 @@ def hand_from_content(content: Mapping[str, Any], source_name: str) -> Hand:
 def hand_content(name_or_path: str | Path) -> dict[str, Any]:
     """Return the content of a hand file, with defaults and templates replaced by values.
 
-    The function does not validate the content.
+    The function does not validate the returned content.
 
     Raises:
         ConfigError: the file is missing, unreadable, or not TOML.

@@ -119,7 +119,8 @@ def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tupl
     for low, high, low_slope, high_slope in zip(
         grid, grid[1:], slope_values, slope_values[1:], strict=False
     ):
-        # The distance has a minimum where its slope changes from negative to positive.
+        # The distance from the tip to the point has a minimum where its slope changes from negative
+        # to positive.
         if low_slope <= 0.0 <= high_slope:
             candidates.append(brentq(slope, low, high, xtol=1e-14))
     closest_candidate = min(candidates, key=distance)

@@ -12,7 +12,8 @@ from handctl.hand.kinematics import joint_points, link_poses, link_rotations
 class FrameTransform(NamedTuple):
     """Pose of a frame in the palm frame.
 
-    The position is in m. The components of the unit quaternion have the order of ROS (x, y, z, w).
+    The position of the frame is in m. The components of the unit quaternion have the order of ROS
+    (x, y, z, w).
     """
 
     frame: str

@@ -53,7 +53,7 @@ LINK_TABLE_ROW_COUNT = 46
 POSE_ROTATION_COLUMN = 0
 """First column of a pose with the rotation from the link's frame to the palm frame.
 
-The rotation is stored row by row.
+The rotation matrix is stored row by row.
 """
 POSE_POSITION_COLUMN = 9
 """First column of a pose with the position of the link's joint in the palm frame [m]."""
@@ -215,8 +215,8 @@ def write_levers(
 ) -> None:
     """Write the levers [m] of a force on a link, about all joints from ``first_joint`` to the joint of the link.
 
-    The force acts at a point on the x axis of the link. The direction of the force is the link's y
-    axis, which points in the direction of flexion.
+    The force on the link acts at a point on the link's x axis. The direction of the force is the
+    link's y axis, which points in the direction of flexion.
 
     Args:
         pose: (n, POSE_COLUMN_COUNT) poses.
@@ -293,7 +293,8 @@ def write_levers_after_turn(
         last_joint: index of the last link of the chain, on which the force acts.
         distance_from_joint: distance between the joint of the last link and the point [m].
         turning_joint: joint that turns.
-        angle: angle of the turn [rad]. For a prismatic joint, the distance of the motion [m].
+        angle: angle of the turn [rad]. For a prismatic joint, the distance by which the joint
+            slides [m].
         levers_m: (n,) levers before the turn, modified in place up to the turned joint.
     """
     ax, ay, az = (

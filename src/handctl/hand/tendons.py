@@ -73,7 +73,7 @@ class TendonElasticity:
     def tangent_stiffness(self, stretch: float) -> float:
         """Return the derivative of the elastic tension with respect to the stretch [N/m].
 
-        For a slack tendon, the derivative is 0.
+        The derivative is 0 for a slack tendon.
         """
         excess = stretch - self.knee / self.stiffness
         if stretch <= 0.0:
@@ -83,7 +83,7 @@ class TendonElasticity:
     def stretch(self, tension: float) -> float:
         """Return the stretch [m] at a constant tension.
 
-        The function is the inverse of ``elastic_tension``.
+        The method is the inverse of ``elastic_tension``.
 
         Beyond the knee, Newton's method starts from the stretch of a linear tendon. The Newton
         steps approach the solution from one side, because the curvature of the tension has the same

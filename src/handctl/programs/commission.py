@@ -102,8 +102,8 @@ The constants before ``COLUMN_COUNT`` are the indices of the table's columns.
 TOUCHING_BEFORE_PULL = -1
 """Value of `ProgramProgress.touching[0]` before a pull.
 
-During a pull, the value is 0 until the tendon is taut. After the tendon has become taut, the value
-is 1 more than the number of readings.
+During a pull, `ProgramProgress.touching[0]` is 0 until the tendon is taut. After the tendon has
+become taut, it is 1 more than the number of readings.
 """
 
 
@@ -627,8 +627,8 @@ def idle_torque_warnings(hand: Hand, drives: Sequence[Drive]) -> tuple[str, ...]
     The torque command of some motors has no count for zero torque. When a motor without a count for
     zero torque is idle, it makes the torque of the count nearest to zero. Commissioning accepts a
     tension from an idle motor up to the fraction ``MAX_CROSSTALK_FRACTION`` of the pull tension. In
-    simulation with spools of 5 mm, AK80-9 motors (0.88 N) pass. AK70-10 motors (1.2 N) and AK10-9
-    motors (3.2 N) do not pass.
+    simulation with spools of 5 mm, AK80-9 motors (0.88 N) pass commissioning. AK70-10 motors (1.2
+    N) and AK10-9 motors (3.2 N) do not pass commissioning.
 
     Args:
         hand: description of the hand.

@@ -154,8 +154,9 @@ def _tension_factors(hand: Hand) -> dict[str, float]:
     balance = _force_balance_factors(hand)
     if balance is not None:
         return balance
-    # If no factors balance the forces, the palm or friction must balance them. The opposed digits
-    # together then press with the same force as the other digits together.
+    # If no tension factors balance the forces on the object, the palm or friction must balance the
+    # forces. The opposed digits together then press with the same force as the other digits
+    # together.
     opposed = _are_digits_opposed(hand)
     count = len(opposed)
     opposed_force = sum(opposed.values())
@@ -168,7 +169,7 @@ def _tension_factors(hand: Hand) -> dict[str, float]:
 
 
 def _force_balance_factors(hand: Hand) -> dict[str, float] | None:
-    """Return factors for which the forces of the digits cancel.
+    """Return tension factors for which the forces of the digits on an object cancel each other.
 
     The factors have the mean 1, and are as near to 1 as possible. Return None if a factor is below
     ``MIN_FORCE_BALANCE_FACTOR``.

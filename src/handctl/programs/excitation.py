@@ -98,7 +98,7 @@ class ExciteProgram:
     steps: tuple[ExciteStep, ...]
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress before the first step. The motors make no torque."""
+        """Return the progress before the first step. Before the first step, the motors make no torque."""
         return replace(ProgramProgress.initial(len(model.digits), "start"), step=-1)
 
     def advance(
@@ -138,7 +138,7 @@ class ExciteProgram:
         t: float,
         step_index: int,
     ) -> ProgressAndEvents:
-        """Begin a step of the excitation. After the last step, end the program."""
+        """Begin a step of the excitation. After the last step, the method ends the program."""
         goals = [DigitGoal()] * len(model.digits)
         if step_index == len(self.steps):
             finished_progress = replace(

@@ -170,8 +170,8 @@ class ExerciseProgram:
         stage = stages[stage_index]
         carriers = [name in model.hand.carrier_digits for name in model.hand.digit_names]
         # A digit that carries other digits keeps the angle of the first stage. A carrying digit
-        # cannot follow the fast moves. With a constant tension, it would fall under its load. The
-        # moves of the carried digits disturb the carrying digit.
+        # cannot follow the fast moves. With a constant tension, a carrying digit would fall under
+        # its load. The moves of the carried digits disturb the carrying digit.
         goals = tuple(
             previous_goal
             if is_carrier and stage_index

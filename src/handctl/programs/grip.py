@@ -87,8 +87,8 @@ class GripPlan:
     """Stiffness and tension limit of the grip that a task requires.
 
     Attributes:
-        stiffness: additional tension per metre that a tendon is pulled out [N/m]. With 0, the
-            tensions stay constant.
+        stiffness: additional tension per metre that a tendon is pulled out [N/m]. With a stiffness
+            of 0, the tensions stay constant.
         limit: (N,) tension up to which the controller is allowed to raise the tension after slip
             [N], or NaN for no increase. If all values are NaN, the controller only reports slip.
     """

@@ -106,7 +106,7 @@ def _carry_out_task(
 ) -> ProgressAndEvents:
     """Advance the task of a live session.
 
-    After the task has ended or failed, the session waits for requests again.
+    After the task has ended or failed, the live session waits for requests again.
     """
     progress, events = TaskProgram(task).advance(model, progress, estimate, measurements, t)
     return (end_task(progress) if progress.finished else progress), events
@@ -246,8 +246,9 @@ def apply_goal(
         estimate: estimated state of the hand in the present tick.
         t: time of the program [s].
         reference: for each digit, (3, n) position, rate and acceleration of the present reference.
-            The move of a moving digit starts at the reference. The move of any other digit starts
-            at the estimated angles. With None, all moves start at the estimated angles.
+            The move of a moving digit starts at its reference. The move of any other digit starts
+            at the estimated angles. If ``reference`` is None, all moves start at the estimated
+            angles.
     """
     names = model.hand.digit_names
     values = request.angle_deg if isinstance(request, MoveDigitsRequest) else request.tension_N

@@ -21,9 +21,9 @@ from handctl.programs.task import Task
 
 @dataclass(frozen=True, slots=True)
 class ProgramProgress:
-    """State of a program. All programs use the same fields.
+    """State of a program. All programs have a progress with the same fields.
 
-    The hash of the controller's state includes the state of the program.
+    The hash of the controller's state includes the progress of the program.
 
     Attributes:
         step: index of the present step of the program.

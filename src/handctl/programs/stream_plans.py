@@ -57,8 +57,8 @@ class StreamPlan:
         period: time from one target to the next [s].
         horizon: time from the sending of a target until the time at which the hand should reach the
             target [s].
-        joint_stiffness: stiffness of the streamed digits [N m/rad]. With None, the gains determine
-            the stiffness.
+        joint_stiffness: stiffness of the streamed digits [N m/rad]. If ``joint_stiffness`` is None,
+            the gains determine the stiffness.
         damping_ratio: damping ratio of the streamed digits, divided by the damping ratio with the
             gains.
     """

@@ -179,7 +179,7 @@ def check_joint_range(task: Task, hand: Hand, task_name: str, digits: Sequence[D
 
     Args:
         task: task that suits the hand in all other respects.
-        hand: hand with the joints.
+        hand: hand that shall execute the task.
         task_name: name of the task file, for error messages.
         digits: models of the hand's digits.
 
@@ -270,7 +270,7 @@ def check_tip_force(task: Task, hand: Hand, task_name: str) -> None:
 
     Args:
         task: task that suits the hand in all other respects.
-        hand: hand with the digits.
+        hand: hand that shall execute the task.
         task_name: name of the task file, for error messages.
 
     Raises:
@@ -301,7 +301,7 @@ def check_slip_limit(task: Task, hand: Hand, task_name: str) -> None:
 
     Args:
         task: task that suits the hand in all other respects.
-        hand: hand with the digits.
+        hand: hand that shall execute the task.
         task_name: name of the task file, for error messages.
 
     Raises:

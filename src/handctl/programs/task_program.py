@@ -144,7 +144,7 @@ class TaskProgram:
     def _enter_phase(
         self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
-        """Begin the next phase of the task. After the last phase, end the task."""
+        """Begin the next phase of the task. After the last phase, the method ends the task."""
         step = progress.step + 1
         if step > len(self.task.phase):
             return replace(progress, finished=True, phase="end"), (

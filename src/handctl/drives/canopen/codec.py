@@ -1,8 +1,8 @@
 """CANopen frames that do not depend on the device profile, such as NMT and short SDO transfers.
 
-All fields are little-endian. Most identifiers are the sum of a base identifier and the node number
-n. The base identifier depends on the CANopen service, such as SDO. A hyphen in the last column of
-the table means that the frame has no payload.
+All fields of the frames are little-endian. Most identifiers are the sum of a base identifier and
+the node number n. The base identifier depends on the CANopen service, such as SDO. A hyphen in the
+last column of the table means that the frame has no payload.
 
     frame      identifier  to    bytes and fields
     NMT        0x000       node  0 command | 1 node number
@@ -18,8 +18,8 @@ Source: CiA 301 4.2.
 import struct
 from typing import NamedTuple
 
-# Identifiers of frames. ``NMT`` and ``SYNC`` are complete identifiers. The node number is added to
-# every other constant.
+# Identifiers of frames. ``NMT`` and ``SYNC`` are complete identifiers. The sum of the node number
+# and any other constant is the identifier of a frame.
 NMT = 0x000
 SYNC = 0x080
 EMERGENCY = 0x080

@@ -26,11 +26,11 @@ class ObjectCheck(enum.IntEnum):
     """Rule for the check of an object: when the host writes the object, and which values the host accepts."""
 
     EQUAL = 0
-    """Read the object. The value in the drive must equal the required value."""
+    """Read the object. The value of the object must equal the required value."""
     BITS_SET = 1
     """Read the object. The bits that are set in the required value must also be set in the drive."""
     WRITE = 2
-    """Write the object, then read it. The value in the drive must equal the required value."""
+    """Write the object, then read it. The value of the object must equal the required value."""
     WRITE_IF_PRESENT = 3
     """Write and read the object as with the rule WRITE. Accept a drive without the object."""
     READ_IF_PRESENT = 4
@@ -38,10 +38,10 @@ class ObjectCheck(enum.IntEnum):
     EQUAL_IF_PRESENT = 5
     """Read the object.
 
-    The value in the drive must equal the required value. Accept a drive without the object.
+    The value of the object must equal the required value. Accept a drive without the object.
     """
     LOW_WORD_EQUAL = 6
-    """Read the object. The low 16 bits of the value must equal the required value."""
+    """Read the object. The low 16 bits of the object's value must equal the required value."""
     WRITE_IF_DIFFERENT = 7
     """Read the object. If the value differs from the required value, write it and read it again."""
 
@@ -164,9 +164,9 @@ def next_request(
 ) -> tuple[ReadbackCursor, bytes, str]:
     """Return the next SDO request of the read-back, with the new cursor and a problem in words.
 
-    The payload of the request is empty while the host waits for an answer of the drive. The text of
-    the problem is empty if no problem has occurred. The request for the first object is repeated
-    without a limit until the drive answers.
+    The payload of the request is empty while the host waits for an answer of the drive. The text is
+    empty if the read-back has no problem. The request for the first object is repeated without a
+    limit until the drive answers.
     """
     step = required_steps[cursor.step]
     cursor, send, problem = readback.request_setting(

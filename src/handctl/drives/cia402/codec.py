@@ -1,7 +1,8 @@
 """CANopen frames of a CiA 402 drive: PDOs, power states, and errors.
 
-All fields are little-endian. The identifier of a frame is the sum of a base identifier and the node
-number n. ``canopen.codec`` has the frames that do not depend on the device profile.
+All fields of the frames are little-endian. The identifier of a frame is the sum of a base
+identifier and the node number n. ``canopen.codec`` has the frames that do not depend on the device
+profile.
 
     frame      identifier  to     bytes and fields
     EMCY       0x080 + n   host   0..1 error code | 2 error register | 3..7 of the maker

@@ -441,7 +441,7 @@ class Cia402Drive:
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next drive state and the frames for the requested drive state.
 
-        The returned frames do not include heartbeat and SYNC.
+        The frames that the method returns do not include heartbeat and SYNC.
         """
         progress = get_progress(state)
         if target == DISABLE or (
@@ -513,7 +513,7 @@ class Cia402Drive:
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next drive state, and the frames that set the node to the NMT state operational.
 
-        The host repeats the frames until a status word arrives. If the operator has cleared a
+        The host repeats the NMT frames until a status word arrives. If the operator has cleared a
         fault, the returned frame is an RPDO that resets the fault.
         """
         if progress.errors_to_ignore and progress.power_state == codec.FAULT:

@@ -44,7 +44,7 @@ RAD_S_PER_RPM = math.tau / 60.0
 class Cia402ModeDrive(Cia402Drive):
     """CiA 402 drive in position mode or velocity mode.
 
-    The command is a position [rad] or a velocity [rad/s] at the spool. The attribute
+    The command to the drive is a position [rad] or a velocity [rad/s] at the spool. The attribute
     ``command_limit`` has the same unit as the command.
 
     Attributes:
@@ -138,8 +138,8 @@ def _motion_steps(mode: DriveMode, speed: int, window: int) -> tuple[setup.Setup
         maximum,
         setup.SetupStep(write, 0x6065, 0, window, 4),
         setup.SetupStep(write, 0x6066, 0, FOLLOWING_ERROR_MS, 2),
-        # The interpolation time is value x 10^index seconds. The index 0xFD means -3, so the value
-        # is in milliseconds.
+        # The interpolation time is value x 10^index seconds. The index 0xFD means -3, so the
+        # interpolation time is in milliseconds.
         setup.SetupStep(write, 0x60C2, 1, INTERPOLATION_PERIOD_MS, 1),
         setup.SetupStep(write, 0x60C2, 2, 0xFD, 1),
     )

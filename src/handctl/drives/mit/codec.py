@@ -82,7 +82,7 @@ _REGISTER_STRUCTS = {
     CTRL_MODE: _INTEGER_STRUCT,
     SERIAL_NUMBER: _INTEGER_STRUCT,
 }
-"""Registers with an unsigned integer. All other registers contain a float32."""
+"""Registers with an unsigned integer. All registers that are not in this table contain a float32."""
 MIT_MODE = 1
 """Value of register CTRL_MODE for MIT mode."""
 POSITION_MODE = 2
@@ -126,7 +126,7 @@ KD_MAX = 5.0
 _ZERO_MOTION_BITS = MAX_POSITION_COUNT // 2 << 48 | MAX_COUNT // 2 << 36
 """Payload of a command in which position, velocity, and gains are 0.
 
-The motor uses position and velocity only together with the gains.
+The motor multiplies position and velocity errors by the gains, so that gains of 0 cancel both.
 """
 
 
@@ -196,7 +196,7 @@ def impedance_message(
 ) -> CyclicMessage:
     """Return the signal table of the position command, see ``signals.POSITION_COMMAND``.
 
-    The command contains position, velocity, kp, kd and torque.
+    The position command contains position, velocity, kp, kd and torque.
 
     Args:
         can_id: identifier of the motor, ESC_ID.

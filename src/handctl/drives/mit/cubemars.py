@@ -10,12 +10,12 @@ Feedback has the identifier of the command and 8 bytes, big-endian. Older firmwa
     field   node 8   position 16   velocity 12   torque 12    temperature 8       error 8
     range            +-12.5 rad    by model      by model     1 degC from -40     see ERROR_TEXTS
 
-A CubeMars motor has no registers and no watchdog. The feedback does not show if the motor is
-enabled. A motor counts as enabled after several answers to the enable command. The motor counts as
-disabled after several answers to the disable command, if these answers report no torque. The host
-also uses the disable command to request feedback, because every other command can cause torque.
-``unverified_protections`` lists the protections that handctl cannot verify. Source: CubeMars AK
-Series Actuator Driver Manual V1.0.8, section 5.3.
+A CubeMars motor has no registers and no watchdog. The feedback of a CubeMars motor does not show if
+the motor is enabled. A motor counts as enabled after several answers to the enable command. The
+motor counts as disabled after several answers to the disable command, if these answers report no
+torque. The host also uses the disable command to request feedback, because every other command can
+cause torque. ``unverified_protections`` lists the protections that handctl cannot verify. Source:
+CubeMars AK Series Actuator Driver Manual V1.0.8, section 5.3.
 """
 
 import math
@@ -160,8 +160,8 @@ class CubemarsDrive:
         direction: 1 if positive torque of the motor winds the tendon, else -1.
         zero: angle of the motor when the spool angle is zero [rad].
         temperature_offset: temperature at count 0 in byte 6 of the feedback [degC].
-        command: signal table of the torque command, built from the other fields.
-        feedback: signal table of the feedback, built from the other fields.
+        command: signal table of the torque command, built from the other attributes.
+        feedback: signal table of the feedback, built from the other attributes.
     """
 
     name: str
@@ -454,8 +454,8 @@ class CubemarsDrive:
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the drive state without the error, and the frame of the disable command.
 
-        The protocol has no frame that clears an error. If the error remains, the motor reports it
-        again.
+        The protocol has no frame that clears an error. If the cause of an error remains, the motor
+        reports the error again.
         """
         progress: CubemarsProgress = state.protocol_state
         fresh_state = state._replace(
@@ -467,7 +467,7 @@ class CubemarsDrive:
         return fresh_state, self.torque_cut_frames()
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return no frames, because the motor has no watchdog."""
+        """Return no frames, because a CubeMars motor has no watchdog."""
         return ()
 
     def identity(self, state: DriveState) -> str:

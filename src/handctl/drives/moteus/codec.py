@@ -91,7 +91,7 @@ INTEGRATOR_SCALE = 0x02B
 FIRMWARE_VERSION = 0x101
 SERIAL_NUMBER = 0x120
 
-# Modes in which the drive makes no torque: stopped, fault.
+# Numbers of the modes in which the drive makes no torque: stopped, fault.
 STOPPED = 0
 FAULT_MODE = 1
 PREPARING_MODES = (2, 3, 4)
@@ -236,7 +236,7 @@ def command_message(
 ) -> CyclicMessage:
     """Return the signal table of the torque command.
 
-    The command selects position mode with gains 0 and a feedforward torque.
+    The torque command selects position mode with gains 0 and a feedforward torque.
 
     Args:
         node_id: node number of the drive.
@@ -289,9 +289,9 @@ def position_message(
 ) -> CyclicMessage:
     """Return the signal table of the position command, see ``signals.POSITION_COMMAND``.
 
-    The command contains position, velocity, kp, kd, torque and torque limit. The frame contains kp
-    and kd as fractions of the drive's gains. Between two position commands, the drive changes the
-    commanded position at the commanded velocity.
+    The position command contains position, velocity, kp, kd, torque and torque limit. The frame of
+    the command contains kp and kd as fractions of the drive's gains. Between two position commands,
+    the drive changes the commanded position at the commanded velocity.
 
     Args:
         torque: signal table of the torque command to the same drive.

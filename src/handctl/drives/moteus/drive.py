@@ -1,12 +1,13 @@
 """State machine that configures, enables and stops a moteus controller.
 
-A drive answers requests and sends no other frame. A torque command selects position mode with gains
-0 and a feedforward torque. A position command also contains a position, a velocity, and fractions
-of the drive's gains. Torque commands and position commands also contain the torque limit and the
-watchdog timeout of the drive, and a request for feedback. Torque commands and position commands
-enable the drive. If an enabled drive reports a mode other than position mode, the drive is in
-fault, and the host sends the stop command. The stop command also clears a fault of the drive. After
-a stop command, the host still regards the drive as faulty until the operator clears the fault.
+A moteus controller answers requests and sends no other frame. A torque command selects position
+mode with gains 0 and a feedforward torque. A position command also contains a position, a velocity,
+and fractions of the drive's gains. Torque commands and position commands also contain the torque
+limit and the watchdog timeout of the drive, and a request for feedback. Torque commands and
+position commands enable the drive. If an enabled drive reports a mode other than position mode, the
+drive is in fault, and the host sends the stop command. The stop command also clears a fault of the
+drive. After a stop command, the host still regards the drive as faulty until the operator clears
+the fault.
 """
 
 import math
@@ -79,8 +80,8 @@ class MoteusDrive:
         feedback: signal table of the feedback, built from the other attributes.
         configuration: configuration items that are read again while the drive is enabled. The
             configuration items are computed from the other attributes.
-        required: settings with the values that the settings must have before arming. The values are
-            computed from the other attributes.
+        required: settings with the values that the settings must have before arming. The required
+            values are computed from the other attributes.
     """
 
     name: str
@@ -303,8 +304,8 @@ class MoteusDrive:
         channel, line = progress.channel.take_line(text)
         progress = progress._replace(channel=channel)
         if is_channel_read:
-            # The frame answers a read that empties the text channel. The host can send the next
-            # request at once.
+            # The received frame answers a read that empties the text channel. The host can send the
+            # next request at once.
             cursor = progress.cursor
             progress = progress._replace(
                 cursor=cursor._replace(sent_ns=-1, tries=max(0, cursor.tries - 1))

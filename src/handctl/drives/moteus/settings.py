@@ -50,7 +50,7 @@ class MoteusSetting(NamedTuple):
 
 REQUIRED_CONFIGURATION = (
     # If the motor is beyond the positions ``position_min`` and ``position_max``, the drive reduces
-    # the torque. The default of both items is 0.01 turns.
+    # the torque. The default of ``position_min`` and ``position_max`` is 0.01 turns.
     MoteusSetting("servopos.position_min", math.nan),
     # In the fixed voltage mode of the drive, torque limits have no effect.
     MoteusSetting("servo.fixed_voltage_mode", 0.0),
@@ -62,19 +62,19 @@ REQUIRED_CONFIGURATION = (
 """Configuration items that the host reads before arming and again while the drive is enabled.
 
 Torque limit and watchdog need no repeated read-back, because every command contains both. After a
-restart of the drive, the items have their defaults. Of two consecutive items, at least one has a
-default that differs from the required value. At most two reads of items are thus needed to detect a
-restart.
+restart of the drive, the configuration items have their default values. Of two consecutive items,
+at least one has a default value that differs from the required value. At most two reads of items
+are thus needed to detect a restart.
 """
 
 
 def position_configuration(gains: codec.PositionGains) -> tuple[MoteusSetting, ...]:
     """Return the configuration items of a drive that closes a position loop.
 
-    The host reads the items again while the drive is enabled. With a limit of velocity or
-    acceleration, the drive would plan its own trajectory to the commanded position. With a finite
-    slip, the drive would move the commanded position towards the motor. The items are ordered so
-    that the default of every second item differs from the required value, see
+    The host reads the configuration items again while the drive is enabled. With a limit of
+    velocity or acceleration, the drive would plan its own trajectory to the commanded position.
+    With a finite slip, the drive would move the commanded position towards the motor. The items are
+    ordered so that the default of every second item differs from the required value, see
     ``REQUIRED_CONFIGURATION``.
     """
     min_position_key, fixed_voltage, timeout_mode, max_position_key = REQUIRED_CONFIGURATION

@@ -418,10 +418,10 @@ class OdriveDrive:
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state of a configured drive, and the frames to send.
 
-        The frames request feedback. If the requested drive state is ENABLE, the frames also enable
-        the drive. The host sends the enable command once, because a repeated enable command would
-        also enable a drive that has restarted. After the enable command, the host sends torque
-        commands of 0 N m until the drive reports the state enabled.
+        The returned frames request feedback. If the requested drive state is ENABLE, the returned
+        frames also enable the drive. The host sends the enable command once, because a repeated
+        enable command would also enable a drive that has restarted. After the enable command, the
+        host sends torque commands of 0 N m until the drive reports the state enabled.
         """
         state, requests = self._feedback_requests(state, t_ns)
         progress = get_progress(state)
@@ -474,10 +474,10 @@ class OdriveDrive:
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next drive state, and the request to read or write the next endpoint.
 
-        If the drive has already sent feedback, the host also requests the position. The host
-        verifies the settings of a drive again before an enable command, when other drives are
-        possibly enabled. Without the request for the position, the missing feedback of the drive
-        would then count as a fault.
+        If the drive has already sent feedback, the host requests the position in addition to the
+        endpoint. The host verifies the settings of a drive again before an enable command, when
+        other drives are possibly enabled. Without the request for the position, the missing
+        feedback of the drive would then count as a fault.
         """
         cursor, data, problem = endpoints.next_request(progress.cursor, self.settings, t_ns)
         next_state = state._replace(protocol_state=progress._replace(cursor=cursor))

@@ -31,7 +31,7 @@ CAUSE_BY_ERROR_BIT = {
     8: DriveFaultCause.VOLTAGE, 9: DriveFaultCause.VOLTAGE, 11: DriveFaultCause.VOLTAGE, 13: DriveFaultCause.OVERHEATED,
     14: DriveFaultCause.OVERHEATED, 24: DriveFaultCause.WATCHDOG,
 }  # fmt: skip
-"""Cause of error bits in a heartbeat. All other bits have the cause OTHER."""
+"""Cause of error bits in a heartbeat. Error bits that are not in this table have the cause OTHER."""
 # Time after which the host repeats a request, and time between two temperature requests [ns].
 REPEAT_PERIOD_NS = 20_000_000
 TEMPERATURE_PERIOD_NS = 200_000_000

@@ -225,7 +225,7 @@ def impedance_message(
 ) -> CyclicMessage:
     """Return the signal table of the position command, see ``signals.POSITION_COMMAND``.
 
-    The command contains position, velocity, kp, kd and torque.
+    The position command contains position, velocity, kp, kd and torque.
 
     Args:
         node_id: number of the motor.

@@ -32,7 +32,7 @@ CAUSE_BY_FAULT_BIT = {
     2: DriveFaultCause.OVERHEATED,
     8: DriveFaultCause.OVERHEATED,
 }
-"""Cause of fault bits of the motor. All other bits have the cause OTHER."""
+"""Cause of fault bits of the motor. Fault bits that are not in this table have the cause OTHER."""
 IGNORED_FAULT_COUNT = 3
 """Largest number of feedback frames with a fault that the host ignores after the clear command."""
 WATCHDOG_TEXT = "disabled by itself: it restarted, or its watchdog fired"

@@ -29,7 +29,7 @@ MAX_FRAME_BYTES = 8
 def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the SYNC frames that the scan sends in a round.
 
-    In round 3, the scan sends two SYNC frames. In the other rounds, it sends no SYNC frame.
+    In round 3, the scan sends two SYNC frames. In rounds 0 to 2, the scan sends no SYNC frame.
     """
     return (
         tuple(sync_with_counter(counter) for counter in PROBE_SYNC_COUNTERS)

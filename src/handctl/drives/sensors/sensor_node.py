@@ -1,8 +1,7 @@
 """Sensor node with load cells and joint encoders. handctl defines the frames of the node (``sensor_node.dbc``).
 
-The host sends SYNC frames. A SYNC frame has one byte, which is the counter. The sensor node answers
-SYNC with frames of 2 to 8 bytes. The fields of an answer are little-endian, and packed from the
-lowest bit:
+The host sends a SYNC frame with one byte, which is the counter. The sensor node answers SYNC with
+frames of 2 to 8 bytes. The fields of an answer are little-endian, and packed from the lowest bit:
 
     bits    0..3       4..15       16..27      28..39      40..51      52..63
     field   counter    channel 0   channel 1   channel 2   channel 3   channel 4

@@ -386,8 +386,8 @@ def _check_motors(hand: Hand) -> MistakeIterator:
         tendon_by_motor[tendon.motor] = tendon.name
     yield from motor_mistakes
     for motor in hand.motor:
-        # If a tendon names a wrong motor, the right motor has no tendon. The check then reports
-        # only the wrong name of the motor.
+        # If a tendon names a wrong motor, the right motor has no tendon. The check reports only the
+        # wrong motor name, and not the motor without a tendon.
         if motor.name not in tendon_by_motor and not motor_mistakes:
             yield FileMistake(
                 "drives no tendon", f"motor[{motor.name}].name", "to be the motor of one tendon"

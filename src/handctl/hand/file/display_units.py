@@ -13,8 +13,8 @@ Array = NDArray[np.float64]
 EQUIVALENT_M_PER_RAD = 0.01
 """Motion of a prismatic joint that counts as 1 rad of a hinge in thresholds and tolerances [m/rad].
 
-The value is a usual moment arm. A tendon motion of 0.01 m turns a hinge with a moment arm of 0.01 m
-by 1 rad.
+The value is the moment arm of a tendon at a usual hinge. A tendon motion of 0.01 m turns a hinge
+with a moment arm of 0.01 m by 1 rad.
 """
 DISPLAY_UNIT_NAMES = ("deg", "mm")
 """Displayed units of the positions of a hinge and of a prismatic joint."""

@@ -61,7 +61,7 @@ KEYS_CHOSEN_BY_USER = {
     "position_range_rad",
     "velocity_range_rad_s",
 }
-"""Keys whose values the user chooses. The user must measure all other missing values."""
+"""Keys whose values the user chooses. The user must measure the missing values of all other keys."""
 MISSING_MOMENT_ARMS_COMMENT = (
     f"{UNMEASURED_PLACEHOLDER} measure: the moment arm at each "
     "joint that it passes, as in "
@@ -77,7 +77,7 @@ PLACEHOLDER_TENDONS_COMMENT = (
 
 @dataclass(frozen=True)
 class ImportAnswers:
-    """The user's answers about values that a robot description does not contain.
+    """Answers of the user about values that a robot description does not contain.
 
     If an answer of the user is missing, the new hand file contains ``"TODO"``.
 

@@ -73,7 +73,7 @@ MAX_DIGITS_PER_SIDE = 8
 
 @dataclass(frozen=True)
 class NewHandAnswers:
-    """The user's answers about a new hand.
+    """Answers of the user about a new hand.
 
     Attributes:
         name: name of the hand.
@@ -82,11 +82,11 @@ class NewHandAnswers:
             fingers.
         links_mm: length of each link of a digit, from the palm to the tip [mm].
         width_mm: width of the links [mm].
-        palm_mm: distance between the two rows of digits [mm]. With None, the distance is computed
-            from the length of the digits.
+        palm_mm: distance between the two rows of digits [mm]. If ``palm_mm`` is None, the distance
+            is computed from the length of the digits.
         tendons: ``one`` for one tendon per digit, ``each`` for one tendon per joint.
-        pulley_mm: moment arm of the tendons at the joints [mm]. With None, the moment arm is
-            computed from the length of the digits.
+        pulley_mm: moment arm of the tendons at the joints [mm]. If ``pulley_mm`` is None, the
+            moment arm is computed from the length of the digits.
         spool_mm: radius of the spools [mm].
         tension_N: largest commanded tension [N].
         strength_N: rated breaking force of the tendons [N].
@@ -292,8 +292,8 @@ def _mount_positions(answers: NewHandAnswers) -> list[float]:
         min(spacing_of_passing_digits, MAX_DIGIT_ROW_WIDTH_MM / max(1, max(counts) - 1)),
     )
     # If the numbers of digits differ, but both are even or both are odd, one row of digits is moved
-    # by half of the distance between its digits. Without the move, digits of both rows would face
-    # each other.
+    # by half of the distance between its digits. If the row were not moved, digits of both rows
+    # would face each other.
     row_offset_mm = digit_spacing / 2 if counts[0] != counts[1] and sum(counts) % 2 == 0 else 0.0
     places = []
     for count in counts:
@@ -506,7 +506,7 @@ watchdog_ms = 50{options_line(answers.protocol, drive_options, answers.cells == 
 def options_line(protocol: str, drive_options: Mapping[str, Any], has_cells: bool) -> str:
     """Return the line with the options of the drives.
 
-    The line is empty if the protocol has no options.
+    The returned line is empty if the protocol has no options.
 
     Args:
         protocol: protocol of the drives.

@@ -90,7 +90,7 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
     The function does not change content of schema 1.
 
     If a section should be a table but is another value, the function does not change the value. The
-    later validation reports the wrong value with a better message.
+    later validation of the content reports the wrong value with a better message.
     """
     tables = [key for key in ("default", *TEMPLATE_KEYS.values()) if key in content]
     if content.get("schema") != SCHEMA_WITH_TEMPLATES and not tables:
@@ -447,7 +447,7 @@ def _is_list_of_tables(value: Any) -> bool:
 
 
 def _list_of_tables(value: Any) -> list[TableContent]:
-    """Return a list of tables. For any other value, return an empty list."""
+    """Return a list of tables. If the value is not a list of tables, return an empty list."""
     return list(value) if _is_list_of_tables(value) else []
 
 

@@ -1,8 +1,8 @@
 """Export of a hand as MJCF for MuJoCo: links, springs, stops and tendons with a controlled tension.
 
-The world frame is the palm frame. At joint angles of zero, the hand is open. Positive angles flex
-the digits. Each control input is the tension of one tendon at the joint pulleys [N]. The exported
-model contains no tendon elasticity, no friction and no rotors.
+The world frame of the exported model is the palm frame. At joint angles of zero, the hand is open.
+Positive angles flex the digits. Each control input is the tension of one tendon at the joint
+pulleys [N]. The exported model contains no tendon elasticity, no friction and no rotors.
 """
 
 from collections.abc import Mapping
@@ -210,8 +210,9 @@ def _add_couplings(model_root: ET.Element, hand: Hand) -> None:
 def _add_tendons(model_root: ET.Element, hand: Hand) -> None:
     """Add two elements for each tendon: a fixed tendon of MuJoCo with constant moment arms, and a motor.
 
-    The motor of a single tendon only pulls. The motor of a spool pair can pull in both directions.
-    If a moment arm depends on the joint angle, the fixed tendon has the mean of the moment arm.
+    The motor of a single tendon (not a spool pair) only pulls. The motor of a spool pair can pull
+    in both directions. If a moment arm depends on the joint angle, the fixed tendon has the mean of
+    the moment arm.
     """
     tendons = ET.SubElement(model_root, "tendon")
     actuators = ET.SubElement(model_root, "actuator")

@@ -23,7 +23,7 @@ from handctl.hand.file.section_models import MAX_LINKS
 MAX_ANGLE_TO_LINK_RAD = 1e-6
 """Largest angle between a link and the x axis of its frame [rad].
 
-The frame of a link with a larger angle is turned.
+If the angle between a link and its x axis is larger, the frame of the link is turned.
 """
 INTERSECTION_TOLERANCE_M = 1e-7
 """Largest distance of two joints whose axes count as meeting in a point [m]."""
@@ -461,7 +461,7 @@ def _palm_frame(
     """Return the rotation (3, 3) and the origin (3,) [m] of the palm frame in the root frame.
 
     The x axis of the palm frame points out of the palm, along the digits. The y axis points from
-    the thumb to the fingers. The first digit closes towards -y.
+    the thumb to the fingers. The first digit closes in the negative direction of the y axis.
     """
     frames_of_digits: list[tuple[Array, Array]] = []
     for link in links:

@@ -34,7 +34,7 @@ INDICES_BY_INERTIA_ATTRIBUTE = {
 NO_MESHES: Mapping[str, LinkMesh] = {}
 """Empty dictionary of meshes, for a hand that is exported with simple shapes only."""
 PALM_THICKNESS_M = 0.010
-"""Depth of the box that represents the palm [m]. The front of the box is at x = 0."""
+"""Depth of the box that represents the palm [m]. The front of the palm box is at x = 0."""
 PALM_BOX_MARGIN_M = 0.010
 """Extent of the palm box beyond the mounts of the outermost digits [m]."""
 
@@ -109,7 +109,7 @@ def _add_palm(
 ) -> None:
     """Add a box behind all digits that a link carries.
 
-    The box has no mass, because the palm does not move.
+    The box behind the digits has no mass, because the palm does not move.
     """
     centre, size = palm_box(hand, carrier)
     if mesh and carrier is None:
@@ -178,8 +178,8 @@ def _add_joint(robot_element: ET.Element, hand: Hand, digit: Digit, i: int) -> N
 def coupled_joints(hand: Hand, digit: Digit) -> dict[int, tuple[int, float]]:
     """Return the joint that each coupled joint of a digit follows, and the ratio of the two joint angles.
 
-    All joints are given by their index. The coupling of a digit with spool pairs is rigid. In a
-    digit without spool pairs, the springs determine the coupling, which is valid only in free
+    The result contains joints by their index. The coupling of a digit with spool pairs is rigid. In
+    a digit without spool pairs, the springs determine the coupling, which is valid only in free
     motion, so that the joints count as independent. A joint that depends on several coordinates
     follows no single joint, and is left out.
     """
