@@ -35,7 +35,7 @@ INITIAL_RECHECK_CURSOR = RecheckCursor()
 
 
 class DriveTarget(enum.IntEnum):
-    """Drive state that the controller requests.
+    """Drive state that the controller requests from the drive.
 
     In each tick, the drive goes one step towards the requested state.
     """
@@ -107,7 +107,7 @@ class DriveProperty(enum.Enum):
 
 
 class DriveState(NamedTuple):
-    """State of one drive. All values refer to the spool, and positive values wind the tendon.
+    """State of one motor drive. All values refer to the spool, and positive values wind the tendon.
 
     Attributes:
         phase: progress of the drive from the first frame to torque.
@@ -173,7 +173,7 @@ def is_confirmed_off(state: DriveState) -> bool:
 
 
 class Drive(Protocol):
-    """One motor with the protocol of its drive. Implementations are immutable.
+    """One motor with its drive, in the protocol of the drive. Implementations are immutable.
 
     Attributes:
         name: name of the motor in the hand file.

@@ -82,7 +82,7 @@ def is_number_used_by_two_drives(
 
 
 def keep_node_unchanged(node: DiscoveredNode) -> DiscoveredNode:
-    """Return the node unchanged.
+    """Return the description of a discovered node unchanged.
 
     ``keep_node_unchanged`` is the default for protocols in which a missing answer to a scan request
     has no meaning.
@@ -123,7 +123,7 @@ class ProtocolDiscovery(NamedTuple):
 def split_safe_requests(
     probe_frames: Iterable[Frame], command_ids: Iterable[frozenset[int]]
 ) -> tuple[tuple[Frame, ...], tuple[Frame, ...]]:
-    """Split requests into safe and unsafe requests.
+    """Split scan requests into safe and unsafe requests.
 
     A drive of another protocol would obey an unsafe request as a command.
 

@@ -15,7 +15,7 @@ from handctl.errors import ConfigError
 
 
 class DriveMode(enum.Enum):
-    """Quantity that the drive controls."""
+    """Quantity that the drive itself controls."""
 
     TORQUE = "torque"
     POSITION = "position"
@@ -24,7 +24,7 @@ class DriveMode(enum.Enum):
     """The drive controls the position. Each command also contains a current limit (Damiao drives)."""
 
     def command_at_rest(self, position: float) -> float:
-        """Return the command that causes no motion.
+        """Return the command to the drive that causes no motion.
 
         In the position modes, the command at rest is the present position. In the other modes, the
         command at rest is zero.
@@ -38,7 +38,7 @@ COMMAND_UNITS = {
     DriveMode.VELOCITY: "rad/s",
     DriveMode.FORCE_POSITION: "rad",
 }
-"""Unit of the command in each mode. Commands refer to the spool."""
+"""Unit of the command in each mode. The unit of a command refers to the spool."""
 
 
 class MotionLimits(NamedTuple):

@@ -33,16 +33,17 @@ FRAME_RECORD_DTYPE = np.dtype(
 )
 """Type of the record of a frame: reception time [ns], identifier with flag bits, flags, bus, length, payload."""
 FRAME_RECORD_BYTES = FRAME_RECORD_DTYPE.itemsize
-"""Size of a record [bytes]."""
+"""Size of the record of a frame [bytes]."""
 CLASSICAL_RECORD_BYTES = 24
 """Length of a record up to the eighth byte of the payload [bytes]."""
 RecordArray = NDArray[np.void]
 WordRows = NDArray[np.uint64]
 _WORD_DTYPE = np.dtype(np.uint64)
 WORDS_PER_RECORD = FRAME_RECORD_BYTES // 8
-"""Size of a record in words of eight bytes."""
-# Indices of the words of a record. TIME_WORD is the time. ID_AND_FLAGS_WORD contains identifier, flags, bus and
-# length, from the lowest bit on. FIRST_PAYLOAD_WORD is the first word of the payload.
+"""Size of the record of a frame, in words of eight bytes."""
+# Indices of the words in the record of a frame. TIME_WORD is the reception time. ID_AND_FLAGS_WORD
+# contains identifier, flags, bus and length, from the lowest bit on. FIRST_PAYLOAD_WORD is the
+# first word of the payload.
 TIME_WORD = 0
 ID_AND_FLAGS_WORD = 1
 FIRST_PAYLOAD_WORD = 2
@@ -118,7 +119,7 @@ class Frames(Sequence[Frame]):
         return hash(self.rows.tobytes())
 
     def __repr__(self) -> str:
-        """Return the frames as text."""
+        """Return the frames as text, for messages."""
         return f"Frames({list(self)!r})"
 
 

@@ -10,7 +10,7 @@ from handctl.hand.kinematics import joint_points, link_poses, link_rotations
 
 
 class FrameTransform(NamedTuple):
-    """Pose of a frame in the palm frame.
+    """Pose of a link frame, given in the palm frame.
 
     The position of the frame is in m. The components of the unit quaternion have the order of ROS
     (x, y, z, w).

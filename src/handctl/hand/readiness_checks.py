@@ -1,8 +1,8 @@
 """Checks that a hand must pass before a run, in addition to the checks of every hand file.
 
-Tools and logs can use any hand file that is valid. A run requires three more conditions. CAN
-controllers must support the bit rates, springs or antagonistic tendons must be able to open the
-digits, and positive coordinates must flex the digits.
+Tools and logs can use any hand file that is valid. For a run, a hand must fulfil three more
+conditions. CAN controllers must support the bit rates, springs or antagonistic tendons must be able
+to open the digits, and positive coordinates must flex the digits.
 """
 
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ CHECKED_POSTURE_COUNT = 11
 """Number of postures at which a digit is checked, if its moment arms depend on joint angles."""
 SPRING_STIFFNESS = REVOLUTE_KEYS.index("spring_stiffness_N_m_per_rad")
 SPRING_PRELOAD = REVOLUTE_KEYS.index("spring_preload_rad")
-"""Indices of the keys of return springs."""
+"""Index of each key of return springs in ``REVOLUTE_KEYS``."""
 SMALLEST_RANGE_DEG = 1.0
 """Smallest range of a coordinate that counts as a motion [deg]."""
 

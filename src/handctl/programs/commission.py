@@ -55,7 +55,8 @@ REST_DURATION_S = 0.2
 PULL_SETTLING_S = 0.7
 """Time from the moment at which a pulled tendon becomes taut until its measurement [s].
 
-In a digit without springs, also the time from the end of a pull to the reading of all load cells.
+In a digit without springs, the same time passes from the end of a pull to the reading of all load
+cells.
 """
 TAKE_UP_TIMEOUT_S = 3.0
 """Longest allowed time until a pulled tendon becomes taut [s]."""
@@ -100,7 +101,7 @@ COLUMN_COUNT = 9
 The constants before ``COLUMN_COUNT`` are the indices of the table's columns.
 """
 TOUCHING_BEFORE_PULL = -1
-"""Value of `ProgramProgress.touching[0]` before a pull.
+"""Value of `ProgramProgress.touching[0]` before the pull of a tendon.
 
 During a pull, `ProgramProgress.touching[0]` is 0 until the tendon is taut. After the tendon has
 become taut, it is 1 more than the number of readings.

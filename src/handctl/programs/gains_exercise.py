@@ -1,4 +1,4 @@
-"""Program for the comparison of gains.
+"""Program that moves the hand for a comparison of controller gains.
 
 The program executes the same moves and tensions with each set of gains, so that the errors of
 position and tension can be compared.

@@ -29,7 +29,7 @@ The recorded tension setpoints already have a limited rate.
 
 @dataclass(frozen=True, slots=True)
 class RecordedGoals:
-    """Goals from a recorded run.
+    """Goals of all digits, from a recorded run.
 
     The arrays have one row for each tick of the controller that repeats the run.
 
@@ -70,7 +70,7 @@ class RecordedGoals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaybackProgram:
-    """Program that repeats a recording.
+    """Program that repeats the motion in a recording.
 
     The program first takes up the slack of the tendons, then moves slowly to the first pose of the
     recording, and then follows the recording.

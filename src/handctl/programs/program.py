@@ -21,7 +21,7 @@ from handctl.programs.task import Task
 
 @dataclass(frozen=True, slots=True)
 class ProgramProgress:
-    """State of a program. All programs have a progress with the same fields.
+    """State of a program during a run. All programs have a progress with the same fields.
 
     The hash of the controller's state includes the progress of the program.
 
@@ -183,8 +183,8 @@ def tension_goal(
 def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
     """Return the tensions (n_t,) of a released digit d [N].
 
-    In a digit with antagonists, the tensions balance each other. In a digit with springs, each
-    tension is the given tension. The net tension of a released spool pair is zero.
+    In a digit with antagonists, the tensions balance each other. In a digit without antagonists,
+    each tension is the given tension. The net tension of a released spool pair is zero.
     """
     tendons = model.digit_tendons[d]
     balance = model.redundancy.balance_tension[tendons]

@@ -80,7 +80,7 @@ class StreamPlan:
 
 
 class StreamStatus(NamedTuple):
-    """State of the stream of targets after a tick.
+    """State of a stream of targets after a tick.
 
     Attributes:
         number: number of the latest accepted target, or -1 before the first target.

@@ -35,7 +35,7 @@ DurationS = Annotated[float, Field(gt=0, le=3600)]
 FOLLOW_SPEED_DEG_S = 700.0
 """Largest joint speed of a motion [deg/s].
 
-If a rotor stops at once, it adds tension in proportion to the speed of the joint.
+If a rotor stops at once, it adds tension in proportion to the speed of the rotor.
 """
 SHORTEST_MOVE_S = 0.05
 """Shortest duration of a move [s].
@@ -43,7 +43,7 @@ SHORTEST_MOVE_S = 0.05
 A shorter move would be a step of the position, and the square of its duration can underflow.
 """
 RESERVED_NAMES = ("start", "tare")
-"""Phase names that a task must not use.
+"""Phase names that a task file must not contain.
 
 The controller uses the reserved names for the start of a program and for load cells without a tare.
 """
@@ -234,7 +234,7 @@ def phase_key(index: int, phase: TaskPhase) -> str:
     """Return the location of a phase in error messages, for example ``phase[grasp]``.
 
     The location of a phase without a name contains its number, counted from 0. Messages about the
-    file format use the same form.
+    file format contain phase locations in the same form.
     """
     return f"phase[{phase.name if 'name' in phase.model_fields_set else index}]"
 

@@ -60,7 +60,7 @@ tip force far below 1 N.
 ARRIVAL_DURATION_S = 0.15
 """Time after the end of a trajectory at which a digit counts as arrived at its target [s]."""
 CONTACT_THRESHOLD_FACTOR_AFTER_ARRIVAL = 2.0
-"""Factor by which the contact threshold of a digit increases when the digit has arrived at its target.
+"""Factor that multiplies the contact threshold of a digit that has arrived at its target.
 
 A digit at rest touches no new object, and creeping friction can resemble a contact.
 """

@@ -85,7 +85,7 @@ class SdoReply(NamedTuple):
 
 
 def decode_sdo_reply(payload: bytes) -> SdoReply | None:
-    """Decode the 8 bytes of an SDO reply.
+    """Decode the 8 bytes in the payload of an SDO reply.
 
     Return None if the bytes are not a reply to a read or a write.
     """

@@ -32,7 +32,7 @@ CHANNEL_COUNT_OBJECT = (0x6131, 0)
 The number of channels is the number of entries in the array of units. Source: CiA 404.
 """
 NMT_STATES = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
-"""NMT states in words."""
+"""Names of the NMT states of a node."""
 _RPDO_BASE_IDS = (0x200, 0x300, 0x400, 0x500)
 """Base identifiers of the four RPDOs. The sum of base identifier and node number is the identifier of an RPDO."""
 

@@ -132,7 +132,7 @@ class Cia402Drive:
     feedback: SignalTable = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Build the signal tables of the cyclic frames."""
+        """Build the signal tables of the drive's cyclic frames."""
         sent_message = codec.command_message(
             self.node_id, self.ratio, self.rated_torque, self.command_limit
         )

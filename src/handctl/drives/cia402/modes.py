@@ -73,7 +73,7 @@ class Cia402ModeDrive(Cia402Drive):
         return ((6, False), (8, False), *(((0, False),) if self.sync else ()))
 
     def _command_at_rest(self, state: DriveState) -> float:
-        """Return the command that causes no motion.
+        """Return the command to the drive that causes no motion.
 
         In position mode, the command at rest is the present position. In velocity mode, the command
         at rest is zero.

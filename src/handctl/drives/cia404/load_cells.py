@@ -12,7 +12,7 @@ that SYNC has no payload.
 A channel of a TPDO contains the process value in newton, little-endian. The type of the process
 value is INTEGER32 (object 0x9130, with decimal digits) or REAL32 (object 0x6130). A TPDO has no
 counter, so only its arrival time shows which SYNC the TPDO answers. A TPDO is stale if it arrives
-too early to be an answer to the latest SYNC. A TPDO that arrives later counts as fresh. Source:
+too early to be an answer to the latest SYNC. A TPDO counts as fresh if it is not stale. Source:
 docs/facts/cia404.md.
 """
 
@@ -223,7 +223,7 @@ class Cia404LoadCells:
 
     @property
     def messages(self) -> tuple[CyclicMessage, ...]:
-        """Return the signal tables of the frames.
+        """Return the signal tables of the frames with tensions.
 
         ``Signal.channel`` is the index of the tendon whose tension the signal contains.
         """

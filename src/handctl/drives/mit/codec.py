@@ -50,7 +50,7 @@ BROADCAST_ID = 0x7FF
 
 The payload of a register request contains the node number of the motor.
 """
-# Last byte of each special command.
+# Last payload byte of each special command.
 ENABLE = 0xFC
 DISABLE = 0xFD
 CLEAR_ERROR = 0xFB
@@ -96,7 +96,7 @@ CODES_PER_RAD_S = 100.0
 FULL_SCALE_COUNT = 10_000
 """Largest count of the speed limit and of the current limit in a force-position command."""
 TIMEOUT_UNITS_PER_MS = 20
-"""Number of counts per millisecond in register TIMEOUT, the watchdog. One count is 50 us."""
+"""Number of counts per millisecond in register TIMEOUT, the watchdog. One count of the register is 50 us."""
 
 # Values of the state nibble for a motor without an error.
 DISABLED = 0
@@ -396,7 +396,7 @@ def register_request(
         node_id: node number of the motor, ESC_ID.
         operation_code: READ, WRITE or REFRESH.
         register: number of the register.
-        value: value to write. Operations other than WRITE ignore the value.
+        value: value to write. The value has no effect in operations other than WRITE.
     """
     raw_bytes = register_bytes(register, value) if operation_code == WRITE else bytes(4)
     return struct.pack("<HBB", node_id, operation_code, register) + raw_bytes

@@ -256,7 +256,7 @@ class CubemarsDrive:
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the identifier of commands.
+        """Return the identifier of commands to the motor.
 
         Feedback and commands have the same identifier, so commands of another host cannot be
         detected.
@@ -265,7 +265,7 @@ class CubemarsDrive:
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Return the identifier of feedback. Commands have the same identifier."""
+        """Return the identifier of feedback, which is also the identifier of commands."""
         return frozenset((self.node_id,))
 
     @property

@@ -360,8 +360,8 @@ class MitDrive:
             return state._replace(phase=SILENT, protocol_state=MitProgress()), (
                 self._refresh_frame(),
             )
-        # Some motors have a watchdog that runs even while the motor is disabled. Commands restart
-        # the watchdog.
+        # Some motors have a watchdog that runs even while the motor is disabled. Commands to the
+        # motor restart the watchdog.
         does_watchdog_need_commands = state.error_text == WATCHDOG_FIRES_WHILE_DISABLED_TEXT
         clear = (
             (self._frame_to_motor(codec.special_command(codec.CLEAR_ERROR)),)
@@ -428,7 +428,7 @@ class MitDrive:
         return next_state, (self._register_frame(data),) if data else ()
 
     def _command_payload(self, command: float) -> bytes:
-        """Return the payload of a command.
+        """Return the payload of a command to the motor.
 
         Args:
             command: command, in the unit of ``command_limit``.

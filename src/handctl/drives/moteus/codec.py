@@ -60,7 +60,7 @@ FD_FRAME_FLAGS = FDF | BRS
 REPLY_REQUESTED_BIT = 0x8000
 """Bit in the identifier of a request. If the bit is set, the drive sends a reply."""
 STANDARD_IDS = 0x800
-"""Number of possible identifiers with 11 bits. Larger identifiers have 29 bits."""
+"""Number of possible identifiers with 11 bits. Identifiers from this number on have 29 bits."""
 LAST_NODE = 0x7E
 """Largest node number of a drive. The number 0x7F addresses all drives."""
 BROADCAST = 0x7F
@@ -70,7 +70,7 @@ SOURCE_NODES = range(0x80)
 NOP = 0x50
 """Byte that fills the rest of a payload (no operation)."""
 FLOAT32_STEP = 2.0**-23
-"""Relative resolution of a float32."""
+"""Relative resolution of a number in the format float32."""
 MAX_TURNS = 256.0
 """Largest commanded position [turn].
 
@@ -151,7 +151,7 @@ QUERY_SUBFRAMES = bytes(
         MOTOR_TEMPERATURE,
     )
 )
-"""Subframes that request feedback."""
+"""Payload bytes (subframes) that request feedback from the drive."""
 FEEDBACK_LENGTH = 24
 """Length of a feedback frame [bytes]."""
 STATUS_HEADERS = ((0, b"\x21"), (3, b"\x22"), (7, b"\x2f\x01"), (21, b"\x21\x0a"))
@@ -389,7 +389,7 @@ def is_feedback(data: bytes) -> bool:
 
 
 class DriveReply(NamedTuple):
-    """Content of a reply from the drive.
+    """Decoded content of a reply from the drive.
 
     Attributes:
         values: value of each register in the reply, by register.

@@ -76,7 +76,7 @@ ENCODER_PERIOD_MS = 10
 """Period with which a drive with factory settings sends its position [ms]."""
 PROTOCOL_VERSION = 2
 """Version of CANSimple supported by handctl."""
-# Axis states of a drive.
+# Numbers of the axis states of an ODrive.
 IDLE = 1
 CLOSED_LOOP = 8
 # Control modes and the input mode in Set_Controller_Mode.
@@ -278,7 +278,7 @@ def decode_heartbeat(data: bytes) -> Heartbeat:
 
 
 def decode_float_pair(data: bytes) -> tuple[float, float] | None:
-    """Decode two float32 values. Return None if one of the values is not finite."""
+    """Decode the two float32 values in a payload. Return None if one of the values is not finite."""
     first_value, second_value = struct.unpack("<ff", data)
     return (
         (first_value, second_value)
@@ -298,7 +298,7 @@ def decode_highest_temperature(data: bytes) -> float | None:
 
 
 def encode_floats(*values: float) -> bytes:
-    """Return a payload with the values as float32.
+    """Return a payload that contains the given values as float32.
 
     Raises:
         ValueError: a value is not finite, or too large for a float32.
@@ -311,7 +311,7 @@ def encode_floats(*values: float) -> bytes:
 
 
 def encode_integers(*values: int) -> bytes:
-    """Return a payload with the values as uint32."""
+    """Return a payload that contains the given values as uint32."""
     return struct.pack(f"<{len(values)}I", *values)
 
 
@@ -326,5 +326,5 @@ def sdo_reply(endpoint: int, value: bytes) -> bytes:
 
 
 def decode_sdo_reply(data: bytes) -> tuple[int, bytes]:
-    """Decode the payload of TxSdo. Return the endpoint and the bytes of its value."""
+    """Decode the payload of TxSdo. Return the endpoint number and the bytes of the endpoint's value."""
     return int.from_bytes(data[1:3], "little"), data[4:]

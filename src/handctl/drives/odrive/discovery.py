@@ -43,7 +43,7 @@ Source: CiA 301, predefined connection set.
 OLD_FIRMWARE_NOTE = "does not report its version: treated as firmware 0.5.x, whose watchdog and limits are set over USB"
 """Warning for a drive that has not answered Get_Version."""
 _AXIS_STATE_TEXTS = {codec.IDLE: "idle", codec.CLOSED_LOOP: "closed loop control"}
-"""Axis states in words."""
+"""Names of the axis states of an ODrive."""
 _CYCLIC_MESSAGES = {0x00, 0x01, 0x03, 0x09, 0x14, 0x15, 0x17, 0x1C, 0x1D}
 """Numbers of messages that a drive can send without a request."""
 
@@ -80,7 +80,7 @@ def _remote_request(drive: DiscoveredNode, command: int) -> Frame:
 
 
 def discovered_drives(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
-    """Return the discovered drives.
+    """Return the descriptions of the discovered drives.
 
     A node counts as a drive if it has sent heartbeats of an ODrive, or the message Address.
     """

@@ -52,7 +52,7 @@ class OdriveModeDrive(OdriveDrive):
         return _CONTROL_MODES[self.mode]
 
     def _command_at_rest(self, state: DriveState) -> float:
-        """Return the command that causes no motion.
+        """Return the command to the drive that causes no motion.
 
         In position control, the command at rest is the present position. In velocity control, the
         command at rest is zero.

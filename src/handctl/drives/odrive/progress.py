@@ -134,8 +134,8 @@ def _state_after_error(
 ) -> DriveState:
     """Return the drive state after a heartbeat that reports an error.
 
-    An error disables the drive. While the axis state is not idle, the drive possibly still makes
-    torque.
+    An ODrive with an error disables itself. While the axis state is not idle, the drive possibly
+    still makes torque.
     """
     error_text = odrive_05.error_text if firmware_05 else codec.error_text
     fault_state = enter_fault(state, heartbeat.errors, error_text(heartbeat.errors))

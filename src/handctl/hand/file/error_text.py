@@ -29,7 +29,7 @@ class FileMistake(NamedTuple):
     right: str
 
     def error(self, source_name: str) -> ConfigError:
-        """Return the mistake as an exception.
+        """Return an exception that reports the mistake.
 
         The error message is a single line that contains the name of the file.
         """
@@ -245,7 +245,7 @@ def group_mistakes(mistakes: Iterable[FileMistake]) -> list[FileMistake]:
 
 
 def shortened_list(section_names: Sequence[str]) -> str:
-    """Join names with commas.
+    """Join names to a text with commas.
 
     From a list of more than three names, write the first two names, and the number of the other
     names.

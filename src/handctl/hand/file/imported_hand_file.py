@@ -451,7 +451,7 @@ def _digit_lines(digit: ModelDigit, import_answers: ImportAnswers) -> list[_Sect
 
 
 def _palm_mesh_lines(mesh: ModelMesh | None) -> Iterable[_SectionLine]:
-    """Yield lines for the mesh of the palm. Keys with their default value are left out."""
+    """Yield lines for the mesh of the palm. The lines omit keys with their default value."""
     if mesh is None:
         return
     yield _SectionLine("palm_mesh", quoted_string(mesh.file))
@@ -464,7 +464,7 @@ def _palm_mesh_lines(mesh: ModelMesh | None) -> Iterable[_SectionLine]:
 
 
 def _mesh_lines(link_meshes: Sequence[ModelMesh | None]) -> Iterable[_SectionLine]:
-    """Yield lines for the meshes of a digit. Keys with their default value are left out."""
+    """Yield lines for the meshes of a digit. The lines omit keys with their default value."""
     if not any(link_meshes):
         return
     no_mesh = ModelMesh("", np.ones(3), np.zeros(3), np.eye(3))

@@ -41,7 +41,7 @@ DIGIT_LENGTH_RATIO = 14.0
 With a constant ratio of length to moment arm, digits of any length press equally hard.
 """
 DIGIT_SIDE_CLEARANCE_MM = 2.0
-"""Space on each side of a digit [mm]."""
+"""Free space beside a digit, on each of its sides [mm]."""
 MAX_DIGIT_ROW_WIDTH_MM = 80.0
 """Largest width of a row of digits, if the gaps are wide enough for the opposed digits [mm]."""
 MOTORS_PER_BUS = 8
@@ -532,7 +532,7 @@ def _number_text(value: float) -> str:
 
 
 def _list_text(values: list[float] | list[list[float]]) -> str:
-    """Return the text of a list. If all entries are equal, return the text of one number."""
+    """Return the TOML text of a list. If all entries are equal, return the text of one number."""
     texts = [
         _list_text(value) if isinstance(value, list) else _number_text(value) for value in values
     ]

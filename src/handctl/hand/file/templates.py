@@ -7,7 +7,7 @@ schema 1, where every section contains all of its values. The following rules ap
 
 1. A digit, tendon or motor has the values of ``[default.KIND]``. Values of the section's template
    ``[KIND_template.NAME]`` replace values of the default. Values in the section itself replace
-   values of both. Tables are merged key by key.
+   values of the default and of the template. Tables are merged key by key.
 2. Tables ``tendon.NAME`` and ``motor.NAME`` within a digit become tendons and motors with the name
    DIGIT_NAME. Within the tables of a digit, ``j1`` means joint DIGIT_j1, and a motor of the same
    digit can be named without DIGIT.
@@ -447,7 +447,7 @@ def _is_list_of_tables(value: Any) -> bool:
 
 
 def _list_of_tables(value: Any) -> list[TableContent]:
-    """Return a list of tables. If the value is not a list of tables, return an empty list."""
+    """Return the value if it is a list of tables. If the value is not a list of tables, return an empty list."""
     return list(value) if _is_list_of_tables(value) else []
 
 

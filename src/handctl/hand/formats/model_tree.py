@@ -74,7 +74,7 @@ class ModelMesh:
 
     @staticmethod
     def from_plain_values(values: Mapping[str, Any]) -> "ModelMesh":
-        """Build a mesh from plain values."""
+        """Build a mesh of the robot description from plain values."""
         return ModelMesh(
             file=values["file"],
             scale=np.array(values["scale"], dtype=float),
@@ -145,7 +145,7 @@ class ModelLink:
 
     @staticmethod
     def from_plain_values(values: Mapping[str, Any], mesh: ModelMesh | None) -> "ModelLink":
-        """Build a link from plain values and its mesh.
+        """Build a link of the robot description from plain values and its mesh.
 
         The axis of a joint that flexes towards negative angles is reversed.
         """
