@@ -65,7 +65,7 @@ class SensorInterface(Protocol):
 
     @property
     def amplifier_frame_ranges(self) -> tuple[range, ...]:
-        """Return, for each measuring amplifier, the range of its frames in ``ids``."""
+        """Return the range of the frames in ``ids`` for each measuring amplifier."""
         ...
 
     @property
