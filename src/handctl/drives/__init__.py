@@ -1,4 +1,4 @@
 """Motor drives and load cells on CAN.
 
-The modules define the frames of each protocol, and a state machine for each protocol.
+The modules define the frames and the state machine of each drive protocol.
 """

@@ -1,17 +1,17 @@
 """Interface of every motor drive protocol.
 
-The interface covers the codec and the state machine of a protocol. All functions of the interface
-get the time as an argument.
+The interface covers the codec and the state machine of a protocol. A function of the interface that
+needs the time gets it as an argument.
 
-Each protocol is one class. Each object of the class is the immutable description of one motor on
-one bus. All changing values are in an immutable ``DriveState``. In each tick the controller calls
-``receive`` of each drive for every received frame. The controller then calls ``advance`` of each
-drive once, with the requested drive state. While a drive is enabled and its state machine has
-nothing to do, the controller calls neither of them. Compiled code in ``core.wire.cyclic_frames``
-then decodes the feedback and encodes the commands. The compiled code uses the tables of
-``cyclic_messages`` and ``rechecks``. The controller calls ``advance`` again if the
-status in the feedback differs from ``steady_status``, or when the time ``due_ns`` is reached. No
-function here reads a clock or a socket.
+Each drive protocol is one class. Each object of the class is the immutable description of one motor
+on one bus. All values of a drive that change during a run are in an immutable ``DriveState``. In
+each tick the controller calls ``receive`` of each drive for every received frame. After the calls
+of ``receive``, the controller calls ``advance`` of each drive once, with the requested drive state.
+While a drive is enabled and its state machine has nothing to do, the controller calls neither
+``receive`` nor ``advance``. Compiled code in ``core.wire.cyclic_frames`` then decodes the feedback
+and encodes the commands of the drive, with the tables of ``cyclic_messages`` and ``rechecks``. The
+controller calls ``advance`` again if the status in the feedback differs from ``steady_status``, or
+when the time ``due_ns`` is reached. No function of a drive protocol reads a clock or a socket.
 """
 
 import enum
@@ -28,14 +28,14 @@ if TYPE_CHECKING:  # imported for types only: signals imports numba, which progr
 NO_STEADY_STATUS = -1
 """Value of ``steady_status`` for a drive whose state machine must process every received frame."""
 MAX_TIME_NS = (1 << 63) - 1
-"""Largest time [ns]. ``due_ns`` returns it if no call of ``advance`` is scheduled."""
+"""Largest time [ns]. ``due_ns`` returns ``MAX_TIME_NS`` if no call of ``advance`` is scheduled."""
 
 INITIAL_RECHECK_CURSOR = RecheckCursor()
-"""Position in the repeated read-back before a drive is enabled."""
+"""Value of ``DriveState.recheck`` (position in the repeated read-back) before a drive is enabled."""
 
 
 class DriveTarget(enum.IntEnum):
-    """Drive state that the controller requests.
+    """Drive state that the controller requests from the drive.
 
     In each tick, the drive goes one step towards the requested state.
     """
@@ -43,12 +43,12 @@ class DriveTarget(enum.IntEnum):
     LISTEN = 0
     """Send nothing to the drive."""
     POLL = 1
-    """Configure the drive, read its limits and watchdog back, then poll feedback.
+    """Configure the drive, read back its limits and its watchdog, then request feedback.
 
-    The drive makes no torque.
+    With the target POLL, the drive makes no torque.
     """
     ENABLE = 2
-    """Do the steps of POLL, then enable the drive.
+    """Do the same as with POLL, then enable the drive.
 
     Torque commands follow when the drive reports the state enabled.
     """
@@ -57,28 +57,28 @@ class DriveTarget(enum.IntEnum):
 
 
 class DrivePhase(enum.IntEnum):
-    """Progress of a drive from silence to torque."""
+    """Progress of a drive from the first frame to torque."""
 
     SILENT = 0
-    """The drive has sent no frame yet, or none for longer than the timeout."""
+    """The drive has sent no frame yet, or has sent no frame for longer than its timeout."""
     CONFIGURING = 1
-    """The settings of the drive are being written and read back."""
+    """The host is writing and reading back the settings of the drive."""
     READY = 2
-    """All settings are verified. The drive is disabled and makes no torque."""
+    """The host has verified all settings of the drive. The drive is disabled and makes no torque."""
     ENABLED = 3
     """The drive has reported the state enabled, and follows torque commands."""
     FAULT = 4
-    """The drive reports an error, or a setting reads back wrong.
+    """The drive reports an error, or a setting of the drive has a wrong value.
 
-    ``DriveState.error`` has the code.
+    ``DriveState.error`` contains the error code.
     """
 
 
 class DriveFaultCause(enum.IntEnum):
-    """Cause of a drive fault. Each protocol converts its own error codes to these eight causes."""
+    """Cause of a drive fault. Each drive protocol converts its own error codes to one of eight causes."""
 
     OTHER = 0
-    """The protocol documents the error, but none of the other causes fits."""
+    """The documents of the drive describe the error, but no other member of ``DriveFaultCause`` fits."""
     DROPPED_OUT = 1
     """The drive disabled itself or restarted."""
     WATCHDOG = 2
@@ -88,13 +88,13 @@ class DriveFaultCause(enum.IntEnum):
     OVERHEATED = 4
     """The motor or the power stage is too hot."""
     SETTING_MISMATCH = 5
-    """A setting of the drive reads back wrong, or another host has enabled the drive."""
+    """A setting of the drive has a wrong value, or another host has enabled the drive."""
     COMMUNICATION_LOST = 6
     """The drive has sent no frame for longer than its timeout."""
     UNKNOWN = 7
     """The error code of the drive has no documented meaning.
 
-    The controller assumes the worst cause.
+    For an unknown error code, the controller assumes the worst cause.
     """
 
 
@@ -107,23 +107,23 @@ class DriveProperty(enum.Enum):
 
 
 class DriveState(NamedTuple):
-    """State of one drive. All values refer to the spool, and positive values wind the tendon.
+    """State of one motor drive. All values refer to the spool, and positive values wind the tendon.
 
     Attributes:
-        phase: progress from silence to torque.
-        position: position [rad], NaN before the first feedback.
-        velocity: velocity [rad/s].
+        phase: progress of the drive from the first frame to torque.
+        position: position of the spool [rad], NaN before the first feedback.
+        velocity: velocity of the spool [rad/s].
         torque: torque that the drive measures or estimates [N m].
         temperature: temperature of the hottest sensor of the drive [degC], NaN for a drive without
             a sensor.
-        feedback_t_ns: reception time of the latest feedback [ns], -1 before the first.
+        feedback_t_ns: reception time of the latest feedback [ns], -1 before the first feedback.
         feedback_count: number of feedback frames since the start.
         recheck: position in the list of settings that are read again while the drive is enabled.
         error: error code of the drive, or 0 without an error.
         error_text: error of the drive in words, or an empty text without an error.
         misread_frame_count: number of frames that had an identifier of the drive but an invalid payload.
         protocol_state: internal values of the protocol, such as an open request or the end of a waiting
-            time. Code outside the protocol does not read these internal values.
+            time. Code outside the protocol does not read ``protocol_state``.
     """
 
     phase: DrivePhase = DrivePhase.SILENT
@@ -149,9 +149,9 @@ class DriveState(NamedTuple):
         feedback_count: int = 0,
         recheck: RecheckCursor = INITIAL_RECHECK_CURSOR,
     ) -> "DriveState":
-        """Return the state with other values of the fields that the state block contains.
+        """Return the drive state with other values of the fields that the state block contains.
 
-        The defaults are the values before the first feedback.
+        The default values of the arguments are the values before the first feedback.
         """
         # The constructor takes a third of the time of ``_replace``. While drives are configured,
         # every tick calls this method for each drive.
@@ -164,16 +164,16 @@ class DriveState(NamedTuple):
 def is_confirmed_off(state: DriveState) -> bool:
     """Return True if a drive with target DISABLE has reported that it makes no torque.
 
-    The phases SILENT and CONFIGURING are no confirmation, because a drive reaches these phases
-    without a report. The phase FAULT is a confirmation only after a call of ``advance`` with the
-    target DISABLE. If a drive in fault may still make torque, this call changes its phase to
-    ENABLED.
+    The phases SILENT and CONFIGURING do not confirm that the drive makes no torque, because a drive
+    reaches these phases without a report. The phase FAULT is a confirmation only after a call of
+    ``advance`` with the target DISABLE. If a drive in fault possibly still makes torque, the call
+    of ``advance`` changes its phase to ENABLED.
     """
     return state.phase in (DrivePhase.READY, DrivePhase.FAULT)
 
 
 class Drive(Protocol):
-    """One motor with the protocol of its drive. Implementations are immutable.
+    """One motor with its drive, in the protocol of the drive. Implementations are immutable.
 
     Attributes:
         name: name of the motor in the hand file.
@@ -181,13 +181,14 @@ class Drive(Protocol):
         command_limit: largest command at the spool: a torque [N m], or in the modes of
             ``drive_modes`` a position [rad] or velocity [rad/s].
         frames_per_tick: largest number of frames in one tick, in both directions, as (payload
-            bytes, CAN FD?). The bus load is computed from these frames.
+            bytes, CAN FD?). The bus load of the hand is computed from ``frames_per_tick`` and
+            ``background_frames``.
         background_frames: frames whose rate is not the control rate, as (payload bytes, CAN FD?,
             frames per second).
         has_extended_ids: True if the frames have 29-bit identifiers. Frames with 29-bit identifiers
             take longer on the bus.
         host_ids: identifiers of frames that a host sends to the drive. If the controller receives a
-            frame with such an identifier, another host has sent the frame.
+            frame with one of the identifiers in ``host_ids``, another host has sent the frame.
         node_ids: identifiers of frames that the drive sends.
         unverified_protections: protections of the drive that handctl cannot verify, shown to the
             operator before arming.
@@ -197,8 +198,9 @@ class Drive(Protocol):
             additional frame is then a duplicate, or comes from a second drive with the same number.
         position_step: resolution of the measured position [rad at the spool], 0 if unknown.
         cyclic_messages: signal tables of the frames that a tick exchanges with the enabled drive.
-        rechecks: settings that are read again while the drive is enabled, each with one request and
-            one reply. The tuple is empty if the state machine itself reads the settings again.
+        rechecks: settings that compiled code reads again while the drive is enabled, each with one
+            request and one reply. The tuple is empty if the state machine of the drive itself reads
+            the settings again.
         feedback_period_s: period of the drive's unrequested feedback [s], 0 if every tick requests
             feedback.
     """
@@ -225,7 +227,7 @@ class Drive(Protocol):
     def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
         """Return the largest set of frames in one tick, as (payload bytes, CAN FD?).
 
-        The set contains the frames of both directions.
+        The set contains the frames from the host to the drive and from the drive to the host.
         """
         ...
 
@@ -276,7 +278,7 @@ class Drive(Protocol):
     def feedback_period_s(self) -> float:
         """Return the period of feedback that the drive sends without a request [s].
 
-        The result is 0 if every tick requests feedback.
+        The period is 0 if every tick requests feedback.
         """
         ...
 
@@ -287,23 +289,23 @@ class Drive(Protocol):
 
     @property
     def rechecks(self) -> tuple[SettingRecheck, ...]:
-        """Return the settings that are read again while the drive is enabled, see the class."""
+        """Return the settings that compiled code reads again while the drive is enabled."""
         ...
 
     def steady_status(self, state: DriveState) -> int:
         """Return the status that the feedback has while the state machine has nothing to do.
 
-        If the state machine must process every frame, return NO_STEADY_STATUS. As long as the
-        feedback has the steady status, only the measured values change, and torque commands may
-        continue.
+        Return NO_STEADY_STATUS if the state machine of the drive must process every frame. As long
+        as the feedback has the steady status, only the measured values change, and the host is
+        allowed to continue its torque commands.
         """
         ...
 
     def due_ns(self, state: DriveState) -> int:
-        """Return the next time at which ``advance`` must be called, even with an unchanged status [ns].
+        """Return the next time at which ``advance`` must be called, even if the status of the drive is unchanged [ns].
 
-        The requests of ``rechecks`` do not influence this time, because compiled code sends these
-        requests.
+        The requests of ``rechecks`` do not influence the returned time, because compiled code sends
+        these requests.
         """
         ...
 
@@ -312,7 +314,7 @@ class Drive(Protocol):
         ...
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Return the state of the drive after a received frame. A frame of another node leaves the state unchanged.
+        """Return the state of the drive after a received frame. A frame of another node has no effect.
 
         This method raises no error, whatever the frame contains.
         """
@@ -338,40 +340,42 @@ class Drive(Protocol):
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
         """Return the frames of a torque command [N m at the spool] that do not enable the drive.
 
-        A test sends these frames to check that a disabled drive ignores torque commands.
+        The conformance test of a drive sends the frames to check that a disabled drive ignores
+        torque commands.
 
-        The result is empty if every torque command of the protocol also enables the drive.
+        The tuple of frames is empty if every torque command of the protocol also enables the drive.
         """
         ...
 
     def torque_cut_frames(self) -> tuple[Frame, ...]:
         """Return the frames that remove the torque at once, in any state of the drive.
 
-        The frames do not depend on the state, and can therefore be built before a run.
+        The frames that remove the torque do not depend on the state of the drive, so that they can
+        be built before a run.
         """
         ...
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state and the frames that clear the drive's latched error.
+        """Return the drive state and the frames that clear the drive's latched error.
 
-        The drive stays disabled.
+        After the frames that clear the error, the drive is still disabled.
         """
         ...
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return the frames to send to the drive at the regular end of a run.
 
-        After these frames, the drive needs no further frames from the host.
+        After the release frames, the drive needs no further frames from the host.
 
-        The result is empty if the drive may still make torque.
+        The tuple of release frames is empty if the drive possibly still makes torque.
         """
         ...
 
     def identity(self, state: DriveState) -> str:
         """Return the serial number of the drive in the form that ``scan`` prints.
 
-        If the drive has no serial number, return ``node N``. Such a drive cannot be distinguished
-        from a drive of another hand with the same node number.
+        If the drive has no serial number, return ``node N``. A drive without a serial number cannot
+        be distinguished from a drive of another hand with the same node number.
         """
         ...
 

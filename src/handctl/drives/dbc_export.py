@@ -1,11 +1,11 @@
 """Export of the cyclic frames of a bus as a DBC file.
 
 The DBC file is written from the signal tables of the controller. The values in the DBC file are the
-values at the spool, and positive values wind the tendon. A DBC can have only one message per
-identifier. A command is left out if its answer has the same identifier (CubeMars), or if the
-identifier of the command contains a value (RobStride). Frames without values are also left out.
-These are remote frames, and a SYNC without payload. Settings, heartbeats, register replies and SDO
-replies are not in the signal tables, and therefore not in the DBC.
+values at the spool, and positive values wind the tendon. A DBC file can have only one message per
+identifier. The export omits a command if the answer to the command has the same identifier
+(CubeMars), or if the identifier of the command contains a value (RobStride). The export also omits
+frames without values: remote frames, and a SYNC without payload. Settings, heartbeats, register
+replies and SDO replies are not in the signal tables, and so not in the DBC file.
 """
 
 from collections.abc import Iterable, Sequence
@@ -16,11 +16,11 @@ from handctl.drives.frame import EXTENDED_FLAG, REMOTE_FLAG
 from handctl.drives.sensors.contract import SensorInterface
 from handctl.drives.signals import CyclicMessage, Signal, SignalCoding, SignalQuantity
 
-# Names of the host and of the sensor node in a DBC.
+# Names of the host and of the sensor node in a DBC file.
 HOST_NODE_NAME = "host"
 SENSOR_NODE_NAME = "sensor_node"
 EXTENDED_BIT = 1 << 31
-"""Flag bit of a 29-bit identifier in a DBC, as in SocketCAN."""
+"""Flag bit of a 29-bit identifier in a DBC file, as in SocketCAN."""
 
 
 class SentMessage(NamedTuple):
@@ -73,7 +73,8 @@ def export_bus_dbc(
 def dbc_text(sent_messages: Iterable[SentMessage]) -> str:
     """Return the content of a DBC file.
 
-    If several messages have the same identifier, only the first is used.
+    If several messages have the same identifier, the DBC file contains only the first of these
+    messages.
     """
     by_identifier: dict[int, SentMessage] = {}
     for sent_message in sent_messages:
@@ -126,14 +127,14 @@ _FRAME_FORMAT_LINES = (
     + ',"StandardCAN_FD","ExtendedCAN_FD";',
     'BA_DEF_DEF_ "VFrameFormat" "StandardCAN";',
 )
-"""Lines of a DBC to declare the attribute VFrameFormat, the mark of CAN FD frames.
+"""Lines of a DBC file that declare the attribute VFrameFormat, which marks CAN FD frames.
 
-Source: the form in which Vector's tools write this attribute and cantools reads it.
+Source: the form in which Vector's tools write the attribute VFrameFormat and cantools reads it.
 """
 
 
 def _signal_line(signal: Signal, receiver_name: str) -> str:
-    """Return the line of a DBC for a signal."""
+    """Return the line of a DBC file that describes a signal."""
     # In a DBC, @0 is big-endian and @1 little-endian. + is unsigned, - is signed or float.
     byte_order = 0 if signal.is_big_endian else 1
     sign = "+" if signal.coding == SignalCoding.UNSIGNED else "-"
@@ -142,7 +143,7 @@ def _signal_line(signal: Signal, receiver_name: str) -> str:
 
 
 def _with_drive_name(message: CyclicMessage, drive_name: str) -> CyclicMessage:
-    """Return the message with the name of the drive in front of its name."""
+    """Return the message with a new name that begins with the name of the drive."""
     return message._replace(name=f"{drive_name}_{message.name}")
 
 

@@ -1,11 +1,11 @@
 """Discovery of the nodes on a bus. No motor moves, because no drive obeys the requests as commands.
 
 Each protocol has one ``ProtocolDiscovery``. A scan has four rounds. In round 0, the scan only
-listens. In round 1, it sends requests to all nodes at once. In round 2, it sends requests to every
-node number. In round 3, it requests details from discovered nodes. After each round the nodes are
-computed from all received frames. The functions of this module store no state.
-``split_safe_requests`` leaves out each request that a drive of another protocol would obey as a
-command.
+listens. In round 1, the scan sends requests to all nodes at once. In round 2, the scan sends
+requests to every node number. In round 3, the scan requests details from discovered nodes. After
+each round of the scan, the nodes are computed from all received frames. The functions of a
+discovery module store no state. ``split_safe_requests`` leaves out each request that a drive of
+another protocol would obey as a command.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -15,8 +15,8 @@ from typing import NamedTuple
 from handctl.drives.frame import REMOTE_FLAG, Frame
 
 PROBE_ROUNDS = range(4)
-# Times of a scan [s]: time of listening, which is enough for several heartbeats, and time to wait
-# for answers in a round.
+# Times of a scan [s]: the time for which round 0 listens (long enough for several heartbeats), and
+# the time for which a round with requests waits for answers.
 SCAN_LISTEN_S = 0.7
 PROBE_ANSWER_TIMEOUT_S = 0.25
 
@@ -32,14 +32,14 @@ class DiscoveredNode:
         serial: serial number, empty if not reported.
         state: state of the node in words, empty if not reported.
         error: error of the node in words, empty if not reported.
-        settings: values for the keys of a ``[[motor]]`` section, by key. Most of these values are
-            read from the drive.
-        options: values for the keys of ``[motor.options]``, by key. Most of these values are read
+        settings: values for the keys of a ``[[motor]]`` section, by key. The scan reads most values
             from the drive.
+        options: values for the keys of ``[motor.options]``, by key. The scan reads most values from
+            the drive.
         notes: warnings for the operator.
         origins: source of each value in ``settings`` and ``options`` that was not read from the
             drive, by key.
-        twins: True if two drives answer with this node number.
+        twins: True if two drives answer with the same node number.
     """
 
     protocol: str
@@ -66,14 +66,14 @@ def is_number_used_by_two_drives(
 ) -> bool:
     """Return True if two drives with the same number have answered the requests.
 
-    A bus may deliver a single frame twice by mistake. No bus delivers the answers to two different
-    requests twice by mistake.
+    A bus sometimes delivers a single frame twice by mistake. No bus delivers the answers to two
+    different requests twice by mistake.
 
     Args:
         payloads_by_command: received answers to each request of the scan, by request, for example by register
-            number. The scan sends each of these requests once.
-        serial: key in ``payloads_by_command`` of the request for the serial number. Two drives never answer the
-            request for the serial number equally.
+            number. The scan sends each request once.
+        serial: key of the request for the serial number in ``payloads_by_command``. Two drives
+            never answer the request for the serial number equally.
     """
     serials = set(payloads_by_command.get(serial, ()))
     return (
@@ -82,9 +82,10 @@ def is_number_used_by_two_drives(
 
 
 def keep_node_unchanged(node: DiscoveredNode) -> DiscoveredNode:
-    """Return the node unchanged.
+    """Return the description of a discovered node unchanged.
 
-    This is the default for protocols in which a missing answer has no meaning.
+    ``keep_node_unchanged`` is the default for protocols in which a missing answer to a scan request
+    has no meaning.
     """
     return node
 
@@ -103,10 +104,11 @@ class ProtocolDiscovery(NamedTuple):
         command_ids: function returning the identifiers of frames that a node obeys as commands.
         other_host_frames: function returning those received frames that only another host can have
             sent.
-        ping: function returning a request to one node. The request does not move the motor.
+        ping: function returning a request to one node. The request ``ping`` does not move the
+            motor.
         is_ping_reply: function returning True if a frame is the answer of a node to ``ping``.
-        correct_passive_result: function that corrects the data of a node if the scan has only listened, without
-            requests. Without requests, a missing answer has no meaning.
+        correct_passive_result: function that corrects the data of a node if the scan has only
+            listened. A missing answer has no meaning if the scan sends no requests.
     """
 
     probe_frames: Callable[[int, ReceivedFrames], tuple[Frame, ...]]
@@ -121,7 +123,7 @@ class ProtocolDiscovery(NamedTuple):
 def split_safe_requests(
     probe_frames: Iterable[Frame], command_ids: Iterable[frozenset[int]]
 ) -> tuple[tuple[Frame, ...], tuple[Frame, ...]]:
-    """Split requests into safe and unsafe requests.
+    """Split scan requests into safe and unsafe requests.
 
     A drive of another protocol would obey an unsafe request as a command.
 

@@ -1,8 +1,9 @@
 """Drive modes in which the drive itself controls its position or velocity.
 
-A drive in such a mode is a ``contract.Drive``. Its command is not a torque, but a position [rad] or
-a velocity [rad/s] at the spool. The attribute ``command_limit`` of the drive has the unit of the
-command. The torque limit, the watchdog and the read-back are the same as in torque mode.
+A drive in position mode or velocity mode is a ``contract.Drive``. The command to the drive is not a
+torque, but a position [rad] or a velocity [rad/s] at the spool. The attribute ``command_limit`` of
+the drive has the unit of the command. The torque limit, the watchdog and the read-back are the same
+as in torque mode.
 """
 
 import enum
@@ -14,18 +15,19 @@ from handctl.errors import ConfigError
 
 
 class DriveMode(enum.Enum):
-    """Quantity that the drive controls."""
+    """Quantity that the drive itself controls."""
 
     TORQUE = "torque"
     POSITION = "position"
     VELOCITY = "velocity"
     FORCE_POSITION = "force-position"
-    """Position. Each command also contains a current limit (Damiao drives)."""
+    """The drive controls the position. Each command also contains a current limit (Damiao drives)."""
 
     def command_at_rest(self, position: float) -> float:
-        """Return the command that causes no motion.
+        """Return the command to the drive that causes no motion.
 
-        In the position modes, this is the present position. In the other modes, it is zero.
+        In the position modes, the command at rest is the present position. In the other modes, the
+        command at rest is zero.
         """
         return position if self in (DriveMode.POSITION, DriveMode.FORCE_POSITION) else 0.0
 
@@ -36,7 +38,7 @@ COMMAND_UNITS = {
     DriveMode.VELOCITY: "rad/s",
     DriveMode.FORCE_POSITION: "rad",
 }
-"""Unit of the command in each mode. Commands refer to the spool."""
+"""Unit of the command in each mode. The unit of a command refers to the spool."""
 
 
 class MotionLimits(NamedTuple):

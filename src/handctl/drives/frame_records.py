@@ -1,14 +1,16 @@
 """CAN frames as rows of bytes.
 
-Buses exchange these rows, compiled code reads and writes them, and the log stores them.
+Buses exchange CAN frames as rows of bytes, compiled code reads and writes the rows, and the log
+stores the rows.
 
     word 0      t_ns int64
     word 1      bits 0..31 can_id | 32..47 flags | 48..55 bus | 56..63 length
     word 2..9   data, 64 bytes
 
 Each row is a record of ten words of 8 bytes. All fields are little-endian. Code that handles single
-frames uses ``Frame`` objects instead. Examples are python-can interfaces, tests, tools, and the
-state machines of drives. ``Frames`` is a sequence over the rows that returns ``Frame`` objects.
+frames uses ``Frame`` objects instead of rows. Examples of such code are python-can interfaces,
+tests, tools, and the state machines of drives. ``Frames`` is a sequence over the rows that returns
+``Frame`` objects.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -31,16 +33,17 @@ FRAME_RECORD_DTYPE = np.dtype(
 )
 """Type of the record of a frame: reception time [ns], identifier with flag bits, flags, bus, length, payload."""
 FRAME_RECORD_BYTES = FRAME_RECORD_DTYPE.itemsize
-"""Size of a record [bytes]."""
+"""Size of the record of a frame [bytes]."""
 CLASSICAL_RECORD_BYTES = 24
 """Length of a record up to the eighth byte of the payload [bytes]."""
 RecordArray = NDArray[np.void]
 WordRows = NDArray[np.uint64]
 _WORD_DTYPE = np.dtype(np.uint64)
 WORDS_PER_RECORD = FRAME_RECORD_BYTES // 8
-"""Size of a record in words of eight bytes."""
-# Indices of the words of a record. TIME_WORD is the time. ID_AND_FLAGS_WORD contains identifier, flags, bus and
-# length, from the lowest bit on. FIRST_PAYLOAD_WORD is the first word of the payload.
+"""Size of the record of a frame, in words of eight bytes."""
+# Indices of the words in the record of a frame. TIME_WORD is the reception time. ID_AND_FLAGS_WORD
+# contains identifier, flags, bus and length, from the lowest bit on. FIRST_PAYLOAD_WORD is the
+# first word of the payload.
 TIME_WORD = 0
 ID_AND_FLAGS_WORD = 1
 FIRST_PAYLOAD_WORD = 2
@@ -66,13 +69,14 @@ class Frames(Sequence[Frame]):
     __slots__ = ("records",)
 
     def __init__(self, records: RecordArray) -> None:
-        """Store the records without a copy."""
+        """Store a reference to the records, without copying them."""
         self.records = records
 
     @staticmethod
     def from_rows(rows: WordRows) -> "Frames":
         """Return the frames stored in contiguous words (n, WORDS_PER_RECORD)."""
-        # This takes a quarter of the time of ``view``, which checks the fields of the record.
+        # The constructor ``np.ndarray`` takes a quarter of the time of ``view``, which checks the
+        # fields of the record.
         return Frames(np.ndarray(len(rows), FRAME_RECORD_DTYPE, rows))
 
     @property
@@ -115,7 +119,7 @@ class Frames(Sequence[Frame]):
         return hash(self.rows.tobytes())
 
     def __repr__(self) -> str:
-        """Return the frames as text."""
+        """Return the frames as text, for messages."""
         return f"Frames({list(self)!r})"
 
 
@@ -147,9 +151,9 @@ def frames_as_records(frames: Iterable[Frame]) -> Frames:
 
 
 def concatenate_frames(frame_batches: Sequence[Frames]) -> Frames:
-    """Return one sequence with the frames of several sequences."""
+    """Join several sequences of frames to one sequence."""
     nonempty_batches = [batch for batch in frame_batches if len(batch)]
     if len(nonempty_batches) < 2:
         return nonempty_batches[0] if nonempty_batches else NO_FRAMES
-    # The rows are joined as words, because numpy takes six times as long to join records.
+    # The rows are joined as 8-byte words, because numpy takes six times as long to join records.
     return Frames.from_rows(np.concatenate([batch.rows for batch in nonempty_batches]))

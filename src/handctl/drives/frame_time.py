@@ -1,13 +1,14 @@
 """Bus load of a hand.
 
-For each frame, the longest possible time with stuff bits is used.
+The computation uses the longest possible duration of each frame, with all stuff bits.
 
     classical   exposed to stuffing 34 + 8 n | at most (exposed - 1) / 4 stuff bits | 13 without stuffing
     CAN FD      header 17 + 4 stuff | ESI and DLC 5, data 8 n | stuff count 4, CRC 17 or 21, fixed stuff | 13
 
 The two rows count the bits of a frame with an 11-bit identifier and n data bytes. A 29-bit
-identifier adds SRR, IDE and 18 bits. All these bits are exposed to stuffing. The last 13 bits of a
-frame are CRC delimiter, acknowledge, end of frame, and interframe space. Source: ISO 11898-1.
+identifier adds SRR, IDE and 18 bits. The bits of a 29-bit identifier are exposed to stuffing. The
+last 13 bits of a frame are CRC delimiter, acknowledge, end of frame, and interframe space. Source:
+ISO 11898-1.
 """
 
 import math
@@ -16,9 +17,9 @@ from collections.abc import Iterable
 COMMON_CONTROL_RATES_HZ = (1000.0, 500.0, 400.0, 250.0, 200.0, 100.0, 50.0, 20.0, 10.0)
 """Usual control rates, highest first [Hz]."""
 MAX_BUS_LOAD = 0.70
-"""Fraction of the time for which the frames of a hand may occupy a bus.
+"""Largest fraction of the time for which the frames of a hand are allowed to occupy a bus.
 
-The rest is reserved for bursts.
+The rest of the time on the bus is reserved for bursts of frames.
 """
 
 
@@ -40,7 +41,8 @@ def frame_time_s(
             length that the standard allows.
         fd: True for a CAN FD frame with bit rate switch.
         bitrate: nominal bit rate [bit/s].
-        data_bitrate: bit rate of the data phase [bit/s]. With None, the nominal bit rate is used.
+        data_bitrate: bit rate of the data phase [bit/s]. If ``data_bitrate`` is None, the nominal
+            bit rate is used.
         extended: True for a 29-bit identifier.
     """
     extra_bits = EXTENDED_FRAME_EXTRA_BITS if extended else 0
@@ -54,15 +56,15 @@ FD_SIZES = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Possible payload lengths of a CAN FD frame [bytes]. Source: ISO 11898-1, table of DLC."""
 
 
-# Number of bits of a CAN FD frame from start of frame to BRS, and of their stuff bits. These bits
-# have the nominal bit rate.
+# Number of bits of a CAN FD frame from start of frame to BRS, and number of stuff bits among them.
+# The bits up to BRS have the nominal bit rate.
 FD_HEADER_BITS = 17
 FD_HEADER_STUFF_BITS = 4
 FD_END_BITS = 13
 """Number of bits after the CRC: delimiter, acknowledge, end of frame, interframe space.
 
-The bit rate changes in the middle of the CRC delimiter. The whole delimiter is counted at the
-nominal bit rate.
+The bit rate changes in the middle of the CRC delimiter. The computation counts the whole CRC
+delimiter at the nominal bit rate.
 """
 
 
@@ -71,17 +73,17 @@ def _fd_frame_time_s(
 ) -> float:
     """Return the longest possible duration of a CAN FD frame on the bus [s].
 
-    Up to the last data bit, stuff bits are inserted as in a classical frame. The CRC field has one
-    fixed stuff bit before every four bits. ``extra_identifier_bits`` is the number of bits that a 29-bit identifier
-    adds.
+    Up to the last data bit of a CAN FD frame, stuff bits are inserted as in a classical frame. The
+    CRC field has one fixed stuff bit before every four bits. ``extra_identifier_bits`` is the
+    number of bits that a 29-bit identifier adds.
     """
     payload_size = next(length for length in FD_SIZES if length >= payload_size)
     # The body of the frame has ESI, the four bits of DLC, and the data.
     body_bits = 5 + 8 * payload_size
     header_stuff_bits = FD_HEADER_STUFF_BITS + extra_identifier_bits // 4
     stuff_bits = (FD_HEADER_BITS + extra_identifier_bits + body_bits - 1) // 4 - header_stuff_bits
-    # The check field has a stuff count (3 bits and parity) and a CRC: 17 bits up to 16 data bytes,
-    # 21 bits above.
+    # The check field has a stuff count (3 bits and parity) and a CRC. The CRC has 17 bits for up to
+    # 16 data bytes, and 21 bits for more data bytes.
     check = 4 + (17 if payload_size <= 16 else 21)
     nominal = FD_HEADER_BITS + extra_identifier_bits + header_stuff_bits + FD_END_BITS
     return (
@@ -97,7 +99,8 @@ def bus_time_s(
     Args:
         frames: frames of a tick as (payload bytes, CAN FD?, frames per tick).
         bitrate: nominal bit rate [bit/s].
-        data_bitrate: bit rate of the data phase [bit/s]. With None, the nominal bit rate is used.
+        data_bitrate: bit rate of the data phase [bit/s]. If ``data_bitrate`` is None, the nominal
+            bit rate is used.
     """
     return sum(
         number * frame_time_s(size, fd, bitrate, data_bitrate) for size, fd, number in frames

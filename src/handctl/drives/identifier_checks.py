@@ -1,7 +1,7 @@
 """Check that each CAN identifier on a bus has only one meaning.
 
-The check uses the lists of identifiers in the drive objects. A new protocol therefore needs no new
-code here.
+The check uses the lists of identifiers in the drive objects, so that a new drive protocol needs no
+new code in this module.
 """
 
 from collections.abc import Iterable
@@ -11,7 +11,7 @@ from handctl.errors import ConfigError
 
 
 class IdentifierOwner(Protocol):
-    """Node with identifiers of its own: a drive, or the sensor node."""
+    """Node on a bus that has its own identifiers: a drive, or the sensor node."""
 
     @property
     def bus(self) -> int:
@@ -33,7 +33,7 @@ def check_identifiers(identifier_owners: Iterable[tuple[str, IdentifierOwner]]) 
     """Check that no two nodes on a bus use the same identifier for different frames.
 
     Args:
-        identifier_owners: each node, after the key path of its section in the hand file.
+        identifier_owners: pairs of the key path of a node's section in the hand file, and the node.
 
     Raises:
         ConfigError: two nodes use the same identifier.
@@ -42,8 +42,8 @@ def check_identifiers(identifier_owners: Iterable[tuple[str, IdentifierOwner]]) 
     for location, owner in identifier_owners:
         for other_where, other_owner in checked_owners:
             if owner.bus == other_owner.bus:
-                # Two nodes may receive the same frame of the host (NMT, SYNC). The identifier of a
-                # node's own frame must be unique.
+                # Two nodes are allowed to receive the same frame of the host (NMT, SYNC). The
+                # identifier of a frame from a node must be unique on its bus.
                 shared_identifiers = (
                     owner.node_ids & (other_owner.node_ids | other_owner.host_ids)
                     | owner.host_ids & other_owner.node_ids

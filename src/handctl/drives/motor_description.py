@@ -1,8 +1,8 @@
-"""List of drive protocols, and the keys of a ``[[motor]]`` section that the drives read.
+"""List of drive protocols, and the keys of a ``[[motor]]`` section (in the hand file) that the drives read.
 
-The section is in the hand file. ``PROTOCOL_TRAITS`` is the list of protocols. The module
-``protocol_registry`` adds the code of each protocol. A help text needs only this list. The import
-of ``protocol_registry`` would take too long for a help text.
+``PROTOCOL_TRAITS`` is the list of drive protocols. The module ``protocol_registry`` adds the code
+of each protocol. A help text needs only ``PROTOCOL_TRAITS``, because the import of
+``protocol_registry`` takes too long.
 """
 
 from collections.abc import Mapping
@@ -12,21 +12,22 @@ from handctl.errors import ConfigError
 
 
 class ProtocolTraits(NamedTuple):
-    """Properties of a protocol that are known without its code.
+    """Properties of a drive protocol that are known without an import of its code.
 
     Attributes:
         title: name of the protocol in documents.
-        is_verifiable: True if the drives have a watchdog, and limits that can be read back. The fault
-            campaign accepts only such protocols.
+        is_verifiable: True if the drives have a watchdog, and limits that can be read back. The
+            fault campaign accepts only protocols with ``is_verifiable``.
         can_fd: True if the bus of the drives needs CAN FD.
         options: values of the drive options in a simulated hand.
-        torque_option: drive option without which the drives report no torque. The text is empty if they
-            always report it.
+        torque_option: drive option without which the drives report no torque. The text is empty if
+            the drives always report their torque.
         position_option: drive option with which the drives close the position loop of a digit. The
-            text is empty if they need no option.
-        no_position_loop_reason: reason why the drives close no position loop. The text is empty if they do.
-        hint: advice about an option of the drives that no frame can verify, and that concerns no
-            protection. Commands print it with ``--verbose``.
+            text is empty if the drives need no option for the position loop.
+        no_position_loop_reason: reason why the drives close no position loop. The text is empty if
+            the drives close a position loop.
+        hint: advice about a drive option that no frame can verify, and that does not belong to a
+            protection. Commands print the advice with ``--verbose``.
         motor_types: values of the required option ``motor_type``, empty if the drives have no such
             option.
     """
@@ -45,7 +46,8 @@ class ProtocolTraits(NamedTuple):
     def has_separate_torque_frame(self) -> bool:
         """Return True if the reply to a command contains no torque.
 
-        The drive then reports its torque in a separate frame, and only with ``torque_option``.
+        A drive whose reply contains no torque reports its torque in a separate frame, and only with
+        ``torque_option``.
         """
         return bool(self.torque_option)
 
@@ -86,7 +88,7 @@ VERIFIABLE_PROTOCOLS = tuple(
 
 
 def motor_types_text() -> str:
-    """List the motor types of each protocol that needs the option ``motor_type``."""
+    """Return a text that lists the motor types of each protocol with the required option ``motor_type``."""
     return "; ".join(
         f"{name}: {', '.join(protocol_traits.motor_types)}"
         for name, protocol_traits in PROTOCOL_TRAITS.items()
@@ -95,10 +97,10 @@ def motor_types_text() -> str:
 
 
 def check_protocol_given(protocol: str | None, motor_type: str | None) -> None:
-    """Check that the operator has also chosen a protocol if a motor type was chosen.
+    """Check that an operator who has chosen a motor type has also chosen a protocol.
 
     Raises:
-        ConfigError: the operator has chosen a motor type, and no protocol.
+        ConfigError: the operator has chosen a motor type, but no protocol.
     """
     if motor_type is not None and protocol is None:
         raise ConfigError(motor_type, "--motor-type", "--protocol with it")
@@ -109,10 +111,10 @@ def options_with_motor_type(protocol: str, motor_type: str | None) -> dict[str, 
 
     Args:
         protocol: name of the protocol.
-        motor_type: chosen motor type, None for that in ``ProtocolTraits.options``.
+        motor_type: chosen motor type, None for the motor type in ``ProtocolTraits.options``.
 
     Raises:
-        ConfigError: the protocol has no such motor type.
+        ConfigError: the protocol has no motor type with the given name.
     """
     protocol_traits = PROTOCOL_TRAITS[protocol]
     if motor_type is None:
@@ -128,7 +130,7 @@ def options_with_motor_type(protocol: str, motor_type: str | None) -> dict[str, 
 
 
 def position_loop_protocols_text() -> str:
-    """List the protocols with a position loop in the drive, each with the required option."""
+    """Return a text that lists the protocols with a position loop in the drive, each with its required option."""
     names = [
         f"{name} with {protocol_traits.position_option}"
         if protocol_traits.position_option
@@ -142,7 +144,7 @@ def position_loop_protocols_text() -> str:
 class MotorDescription(Protocol):
     """A ``[[motor]]`` section of the hand file.
 
-    The attributes have the names of the keys in the file.
+    The attributes have the names of the keys in the hand file.
     """
 
     @property
@@ -192,7 +194,7 @@ class MotorDescription(Protocol):
 
     @property
     def options(self) -> Mapping[str, Any]:
-        """Return the options of the motor that its protocol defines."""
+        """Return the values of the protocol-specific options of the motor."""
         ...
 
     @property
@@ -202,10 +204,10 @@ class MotorDescription(Protocol):
 
     @property
     def kp_N_m_per_rad(self) -> float | None:  # noqa: N802 - the file's key
-        """Return the stiffness of the drive's position loop [N m/rad], None if absent."""
+        """Return the stiffness of the drive's position loop [N m/rad], None if the hand file does not contain it."""
         ...
 
     @property
     def kd_N_m_s_per_rad(self) -> float | None:  # noqa: N802 - the file's key
-        """Return the damping of the drive's position loop [N m s/rad], None if absent."""
+        """Return the damping of the drive's position loop [N m s/rad], None if the hand file does not contain it."""
         ...

@@ -1,4 +1,4 @@
-"""Checks of motor options in the hand file, which are the same for all protocols."""
+"""Checks of motor options in the hand file. All drive protocols use the same checks of motor options."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol, TypeVar
@@ -8,7 +8,7 @@ from handctl.errors import ConfigError
 
 
 class FullScale(Protocol):
-    """Ranges that the values in frames have for a motor model."""
+    """Ranges of the values in frames, which depend on the motor model."""
 
     @property
     def torque(self) -> float:
@@ -55,7 +55,7 @@ def checked_positive(value: object, key_path: str, largest: float) -> float:
     Raises:
         ConfigError: the value is not a number above 0, or is larger than ``largest``.
     """
-    # bool is a subclass of int, and is therefore excluded. The comparison is False for NaN.
+    # The check refuses bool, a subclass of int. The comparison with the limits is False for NaN.
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= largest:
         raise ConfigError(
             "missing" if value is None else repr(value),
@@ -127,7 +127,8 @@ def refuse_unknown_options(
     """Raise an error if the hand file has options that the protocol does not use.
 
     Args:
-        options: options that are left after the protocol has taken its own.
+        options: options that are left after the code of the protocol has removed the options that
+            it uses.
         key_path: key path of the options.
         declared_options: options of the protocol, for the error message.
 
@@ -141,7 +142,7 @@ def refuse_unknown_options(
 
 
 def check_full_scale(motor: MotorDescription, ranges: FullScale) -> None:
-    """Check that the torque limit of a motor is within the full scale of its model.
+    """Check that the torque limit of a motor is within the full scale of the motor model.
 
     Raises:
         ConfigError: the torque limit is larger than the full scale.

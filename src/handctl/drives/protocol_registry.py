@@ -36,11 +36,10 @@ class ProtocolEntry(NamedTuple):
 
     Attributes:
         make_drive: function constructing a drive from a motor description and a bus index.
-        discovery: discovery functions of the protocol. None if drives of the protocol answer only
-            commands.
-        options: options of the protocol in the hand file, by key.
-        make_mode: function constructing a drive in a position or velocity mode. None if the
-            protocol only supports torque.
+        discovery: discovery functions of the protocol, None if the drives answer only commands.
+        options: options of the protocol in the hand file, by the key of the option.
+        make_mode: function constructing a drive in a position or velocity mode, None if the
+            protocol supports only torque mode.
     """
 
     make_drive: Callable[[MotorDescription, int], Drive]
@@ -86,11 +85,11 @@ DISCOVERY_BY_PROTOCOL: dict[str, ProtocolDiscovery] = {
 PROTOCOLS_WITHOUT_DISCOVERY = tuple(
     name for name, entry in PROTOCOL_ENTRIES.items() if not entry.discovery
 )
-"""Protocols whose drives a scan cannot find, because they answer only commands."""
+"""Protocols whose drives a scan cannot discover, because the drives answer only commands."""
 
 
 def make_drive(motor: MotorDescription, bus: int) -> Drive:
-    """Return the drive for a motor description, in torque mode.
+    """Return the object of a drive in torque mode, for a motor description.
 
     Args:
         motor: description of the motor.
@@ -110,16 +109,17 @@ def make_drive(motor: MotorDescription, bus: int) -> Drive:
 def make_mode_drive(
     motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits
 ) -> Drive:
-    """Return the drive object for a motor description, in the given mode.
+    """Return the object of a drive in the given mode, for a motor description.
 
     Args:
         motor: description of the motor.
         bus: index of the bus.
         mode: quantity that the drive controls.
-        limits: largest speed and acceleration. In torque mode, the limits are not used.
+        limits: largest speed and acceleration of the drive. In torque mode, the limits are not
+            used.
 
     Raises:
-        ConfigError: the protocol or an option is unknown, or handctl does not support this mode of
+        ConfigError: the protocol or an option is unknown, or handctl does not support the mode with
             the protocol.
     """
     if mode == DriveMode.TORQUE:

@@ -1,21 +1,21 @@
 """Read-back of drive settings.
 
-The host reads each setting. If the value is wrong, the host writes the setting and reads it again.
-All protocols share the ``ReadbackCursor``, which is a position in the list of settings of a
-protocol. The code of a protocol adds the payload of each request, and recognises the reply to the
-open request.
+The host reads each setting of a drive. If a setting has a wrong value, the host writes the setting
+and reads it again. All drive protocols share the ``ReadbackCursor``, which is a position in the
+list of settings. The code of a protocol adds the payload of each request, and recognises the reply
+to the latest request.
 
-The torque limit and the watchdog in the drive protect the hand even if the host fails. Both are
-therefore read again while the drive is enabled. A drive may restart within a few milliseconds, and
-may then be enabled again. After the restart, the drive has its saved settings. The settings that
-the host wrote before arming are lost. The feedback of the drive does not show such a restart.
-Therefore the host reads one setting of each drive every half second, one setting after the other.
-Each drive has its own time offset, so that no tick contains the requests of several drives.
+The torque limit and the watchdog in the drive protect the hand even if the host fails. A drive can
+restart within a few milliseconds, and can then be enabled again. After a restart, the drive has its
+saved settings, and has lost the settings that the host wrote before arming. The feedback of a drive
+does not show a restart. To detect a restart, the host reads one setting of each enabled drive every
+half second, one setting after the other. Each drive has its own time offset, so that no tick
+contains read-back requests to several drives.
 
 If a setting needs only one frame for the request and one frame for the answer, the protocol
 describes both frames as a ``SettingRecheck``. While the drive is steady, compiled code in
 ``core.wire.cyclic_frames`` sends the request and accepts a reply with the required value. The state
-machine handles every other reply.
+machine of the drive handles every other reply.
 """
 
 from typing import NamedTuple
@@ -23,7 +23,7 @@ from typing import NamedTuple
 from handctl.drives.frame import Frame
 
 REQUEST_TIMEOUT_NS = 20_000_000
-"""Time after which a request without an answer is repeated [ns]."""
+"""Time after which the host repeats a request without an answer [ns]."""
 REQUEST_TRIES = 10
 """Number of unanswered requests for one setting after which the drive is in fault."""
 RECHECK_PERIOD_NS = 500_000_000
@@ -36,13 +36,13 @@ RECHECKS_PER_SECOND = 1e9 / RECHECK_PERIOD_NS
 RECHECK_STAGGER_NS = 37_000_000
 """Time from the request to one drive to the request to the drive with the next node number [ns].
 
-This offset and ``RECHECK_PERIOD_NS``, in milliseconds, have no common factor.
+In milliseconds, ``RECHECK_STAGGER_NS`` and ``RECHECK_PERIOD_NS`` have no common factor.
 """
 RECHECK_TRIES = 20
 """Number of consecutive requests without an answer after which a setting of an enabled drive counts as lost.
 
-On a bus that loses a fifth of the frames in each direction, 20 consecutive requests stay unanswered
-once in 10^9 periods.
+If a bus loses a fifth of the frames in each direction, 20 consecutive requests have no answer once
+in 10^9 periods.
 """
 
 
@@ -51,11 +51,12 @@ class ReadbackCursor(NamedTuple):
 
     Attributes:
         step: index of the present setting.
-        must_write: True if the next request writes the setting, because the value in the drive was
-            wrong.
-        write_count: number of writes of this setting so far.
-        sent_ns: time at which the open request was sent [ns], -1 if no request is open.
-        tries: number of requests for this setting so far.
+        must_write: True if the next request writes the present setting, because the value in the
+            drive was wrong.
+        write_count: number of writes of the present setting.
+        sent_ns: time at which the host sent the unanswered request [ns], -1 if every request has an
+            answer.
+        tries: number of requests for the present setting.
     """
 
     step: int = 0
@@ -66,7 +67,7 @@ class ReadbackCursor(NamedTuple):
 
     @property
     def is_waiting(self) -> bool:
-        """Return True if a request has been sent, but no answer has arrived yet."""
+        """Return True if the latest request has no answer yet."""
         return self.sent_ns >= 0
 
     def next_setting(self) -> "ReadbackCursor":
@@ -76,13 +77,13 @@ class ReadbackCursor(NamedTuple):
     def cursor_after_write(self) -> "ReadbackCursor":
         """Return the cursor after a write request.
 
-        The next request then reads the setting that was written.
+        The request that follows a write request reads the written setting.
         """
         return ReadbackCursor(self.step, write_count=self.write_count + 1)
 
 
 def is_request_due(cursor: ReadbackCursor, t_ns: int) -> bool:
-    """Return True if no request waits for an answer, or if the open request has timed out."""
+    """Return True if every request has an answer, or if the latest request has timed out."""
     return not cursor.is_waiting or t_ns - cursor.sent_ns >= REQUEST_TIMEOUT_NS
 
 
@@ -94,7 +95,7 @@ def cursor_after_request(cursor: ReadbackCursor, t_ns: int) -> ReadbackCursor:
 def request_setting(
     cursor: ReadbackCursor, name: str, t_ns: int, max_attempts: int = REQUEST_TRIES
 ) -> tuple[ReadbackCursor, bool, str]:
-    """Decide if a request to read or write the present setting must be sent now.
+    """Decide if the host must send a request to read or write the present setting in the present tick.
 
     Args:
         cursor: position in the settings, not beyond the last setting.
@@ -103,8 +104,8 @@ def request_setting(
         max_attempts: number of requests without an answer after which the drive has a problem.
 
     Returns:
-        the new cursor, True if the request is to be sent, and the problem in words, empty without a
-        problem.
+        the new cursor, True if the host must send the request, and the problem in words (an empty
+        text without a problem).
     """
     if not is_request_due(cursor, t_ns):
         return cursor, False, ""
@@ -118,7 +119,8 @@ def cursor_after_wrong_value(
 ) -> tuple[ReadbackCursor, str]:
     """Return the position in the read-back after a wrong value.
 
-    The next request then writes the setting, but at most ``max_write_count`` times.
+    The request that follows the read of a wrong value writes the setting. The host writes a setting
+    at most ``max_write_count`` times.
 
     Args:
         cursor: position in the settings.
@@ -151,7 +153,7 @@ class RecheckCursor(NamedTuple):
 
     @property
     def is_waiting(self) -> bool:
-        """Return True if a request has been sent, but no answer has arrived yet."""
+        """Return True if the latest request has no answer yet."""
         return self.tries > 0
 
 
@@ -162,9 +164,11 @@ class SettingRecheck(NamedTuple):
         name: name of the setting.
         request: frame of the request.
         reply: frame of the reply with the required value, with at most 8 bytes of payload.
-        key_byte_range: first byte of the payload that identifies the reply to this request, and the byte
-            after the last. A reply to another request differs in these bytes.
-        compared_byte_range: first byte of the payload that is compared, and the byte after the last.
+        key_byte_range: range of the payload bytes that identify the reply to the request, as first
+            byte and byte after the last. The reply to another request differs in the identifying
+            bytes.
+        compared_byte_range: range of the payload bytes that are compared with the required reply,
+            as first byte and byte after the last.
     """
 
     name: str
@@ -175,7 +179,7 @@ class SettingRecheck(NamedTuple):
 
 
 def first_recheck(node_id: int, t_ns: int) -> RecheckCursor:
-    """Return the first position in the repeated read-back of a drive.
+    """Return the position at the start of the repeated read-back of a drive.
 
     The drive is enabled at ``t_ns`` [ns].
     """
@@ -204,7 +208,7 @@ def cursor_after_recheck_reply(
 ) -> tuple[RecheckCursor, str]:
     """Compare a setting that was read again from an enabled drive with its required value.
 
-    If the value is wrong, the drive may have lost all its settings.
+    If a setting of an enabled drive is wrong, the drive has possibly lost all its settings.
 
     Args:
         check: position in the repeated read-back.
@@ -215,7 +219,8 @@ def cursor_after_recheck_reply(
         expected: required value, as text.
 
     Returns:
-        the new position, and the problem in words, empty without a problem.
+        the new position in the read-back, and the problem in words (an empty text without a
+        problem).
     """
     if is_equal:
         return RecheckCursor((check.step + 1) % setting_count, check.due_ns), ""
@@ -225,7 +230,7 @@ def cursor_after_recheck_reply(
 def _next_request_time_ns(node_id: int, t_ns: int) -> int:
     """Return the time of the next read-back request to a drive [ns].
 
-    Each drive has its own time slots.
+    Each drive has its own times for read-back requests.
     """
     offset = node_id * RECHECK_STAGGER_NS % RECHECK_PERIOD_NS
     return ((t_ns - offset) // RECHECK_PERIOD_NS + 1) * RECHECK_PERIOD_NS + offset

@@ -2,17 +2,17 @@
 
 A signal table contains the position, the coding and the scale of each value in a frame.
 
-One compiled packer and one compiled unpacker serve all protocols. ``drives.dbc_export`` uses the
-same tables to write a DBC file for other tools. Bits have the same numbers as in a DBC. Bit 0 is
-the lowest bit of the first byte. A little-endian signal starts at its lowest bit. A big-endian
-signal starts at its highest bit.
+All drive protocols use the same compiled packer and the same compiled unpacker.
+``drives.dbc_export`` uses the same tables to write a DBC file for other tools. The bits of a
+payload have the same numbers as in a DBC file. Bit 0 is the lowest bit of the first byte. A
+little-endian signal starts at its lowest bit. A big-endian signal starts at its highest bit.
 
-Payloads of CAN FD have up to 64 bytes. A signal is read from a window of eight bytes of the
-payload. The window begins at byte 0 if the signal ends at byte 7 or before. Otherwise the window
-begins at the first byte of the signal.
+Payloads of CAN FD have up to 64 bytes. The unpacker reads a signal from a window of eight bytes of
+the payload. The window begins at byte 0 if the signal ends at byte 7 or before. If the signal ends
+after byte 7, the window begins at the first byte of the signal.
 
-A command may have a signal in its identifier. The identifier is in the word of eight bytes before
-the payload. The lowest bit of this word has the number -64.
+The identifier of a command can contain a signal. The identifier is in the word of eight bytes
+before the payload. The lowest bit of the word with the identifier has the number -64.
 """
 
 import enum
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from handctl.compiled import kernel, kernel_helper
 
 WordArray = NDArray[np.uint64]
-"""Payloads as words of eight bytes. The first byte of a payload has the lowest bits."""
+"""Payloads as words of eight bytes. The first byte of a payload is in the lowest bits of the first word."""
 RealArray = NDArray[np.float64]
 IntegerArray = NDArray[np.int64]
 
@@ -37,17 +37,18 @@ class SignalQuantity(enum.IntEnum):
     VELOCITY = 1
     TORQUE = 2
     TEMPERATURE = 3
-    """Temperature. If a frame has several temperatures, the highest is used."""
+    """Temperature. If a frame has several temperatures, only the highest temperature is used."""
     STATUS = 4
     """Status of the drive.
 
-    Several status signals in a frame form one number, with the first in its highest bits.
+    Several status signals in a frame form one number, with the first signal in the highest bits of
+    the number.
     """
     TENSION = 5
     ANGLE = 6
     COUNTER = 7
     UNUSED = 8
-    """Signal with a constant value in commands, ignored in feedback."""
+    """Signal that has a constant value in commands, and is ignored in feedback."""
     STIFFNESS = 9
     """Stiffness of the drive's own position loop, kp."""
     DAMPING = 10
@@ -57,37 +58,38 @@ class SignalQuantity(enum.IntEnum):
 
 
 class SignalCoding(enum.IntEnum):
-    """Coding of the bits of a signal."""
+    """Number format of the bits of a signal."""
 
     UNSIGNED = 0
     SIGNED = 1
-    """Two's complement."""
+    """Signed integer in two's complement."""
     FLOAT = 2
-    """IEEE 754, 32 bits."""
+    """Floating-point number in IEEE 754 with 32 bits."""
 
 
 FLOAT_STEPS_PER_COUNT = 1 << 16
-"""Steps of a float from 0 to 1 count in position commands.
+"""Number of steps between two counts of a float in position commands.
 
-A float32 below 256 counts contains each of these steps exactly.
+A float32 below 256 counts represents each step exactly.
 """
 
 
 class Signal(NamedTuple):
-    """Place and scale of a value in a frame. The value is count * scale + offset.
+    """Position of a value in a frame, and its scale. The value of the signal is count * scale + offset.
 
     Attributes:
         name: name of the signal.
         quantity: physical quantity of the value.
-        start: number of the start bit, as in a DBC. In an identifier, bits count from -64.
+        start: number of the start bit, as in a DBC file. The bits of an identifier are numbered
+            from -64.
         length: number of bits of the signal.
-        is_big_endian: True if the highest byte comes first.
-        coding: coding of the count in these bits.
+        is_big_endian: True if the first byte of the signal is the highest byte.
+        coding: number format of the count.
         scale: change of the value per count [unit].
         offset: value at count 0 [unit].
         unit: unit of the value.
         channel: index of the tendon or joint, in a frame with several tendons or joints.
-        largest: largest absolute count of a float, which limits only position commands.
+        largest: largest absolute count of a float, used only to limit position commands.
     """
 
     name: str
@@ -106,7 +108,7 @@ class Signal(NamedTuple):
     def value_limits(self) -> tuple[float, float]:
         """Return the smallest and largest value of an unsigned integer signal or a float signal [unit].
 
-        The smallest value of a stiffness, a damping or a limit is 0.
+        The smallest value of a stiffness, a damping or a torque limit is 0.
         """
         low = 0.0
         high = (1 << self.length) - 1.0
@@ -125,13 +127,14 @@ class Signal(NamedTuple):
     def step(self) -> float:
         """Return the resolution of the value [unit].
 
-        The resolution is one count. For a float, it is 1 / ``FLOAT_STEPS_PER_COUNT`` of a count.
+        The resolution of an integer signal is one count. The resolution of a float is 1 /
+        ``FLOAT_STEPS_PER_COUNT`` of a count.
         """
         return abs(self.scale) / (FLOAT_STEPS_PER_COUNT if self.coding == SignalCoding.FLOAT else 1)
 
 
 class CyclicMessage(NamedTuple):
-    """Frame exchanged in every tick.
+    """Frame that host and drive exchange in every tick.
 
     Attributes:
         name: name of the message.
@@ -141,10 +144,10 @@ class CyclicMessage(NamedTuple):
         flags: flags of the frame, see ``frame``.
         base_payload: payload of a command in which all signals are 0.
         is_reply: True for feedback that answers a command.
-        limit: largest absolute value that a command may have, in the unit of its signal.
-        keeps_nearest_frame: True for feedback that the drive sends both on request and by itself, with values
-            measured at different times. If several such frames arrive in a tick, the one nearest to
-            the expected position is used.
+        limit: largest allowed absolute value of a command, in the unit of its signal.
+        keeps_nearest_frame: True for feedback that the drive sends both on request and without a
+            request, with values measured at different times. If several of these feedback frames
+            arrive in a tick, the frame nearest to the expected position is used.
     """
 
     name: str
@@ -163,15 +166,17 @@ class CyclicMessages(NamedTuple):
 
     Attributes:
         feedback: frames from the drive.
-        commands: frames to the drive, in this order. One of these frames contains the torque.
+        commands: frames to the drive, in the order in which the host sends them. One command
+            contains the torque.
         feedback_timeout_ns: longest time without feedback before the state machine must act [ns], 0
             for no limit.
-        position: the torque command with the signals of ``POSITION_COMMAND``, with which the drive
-            closes its own position loop. None if the protocol has no such frame.
+        position: command with the signals of ``POSITION_COMMAND``, with which the drive closes its
+            own position loop. None if the protocol has no position command.
         integrates_velocity: True if the drive moves the commanded position with the commanded velocity
             until the next command. The value is False if the commanded position stays unchanged
-            until the next command. After a failure of the host, a moving position would increase
-            the tension more and more, so its command contains a torque limit.
+            until the next command. If the host fails, a moving commanded position would increase
+            the tension more and more. A command with a moving position contains a torque limit as a
+            protection.
     """
 
     feedback: tuple[CyclicMessage, ...]
@@ -185,7 +190,7 @@ POSITION_COMMAND = (
     SignalQuantity.POSITION, SignalQuantity.VELOCITY, SignalQuantity.STIFFNESS, SignalQuantity.DAMPING,
     SignalQuantity.TORQUE, SignalQuantity.TORQUE_LIMIT,
 )  # fmt: skip
-"""Signals of ``CyclicMessages.position``, in order. The last one is optional.
+"""Signals of ``CyclicMessages.position``, in order. The last signal, the torque limit, is optional.
 
 The drive makes the torque kp (position - p) + kd (velocity - v) + torque, within +-limit.
 """
@@ -200,7 +205,7 @@ The drive makes the torque kp (position - p) + kd (velocity - v) + torque, withi
     CHANNEL_COLUMN,
     WINDOW_COLUMN,
 ) = range(7)
-"""Columns of the integer array in which the packer and the unpacker look up the signals.
+"""Columns of the integer array with the signals, which the packer and the unpacker read.
 
 START_COLUMN is the number of the lowest bit of the signal in the window. WINDOW_COLUMN is the first byte of the
 window in the payload, or IDENTIFIER_WINDOW.
@@ -210,21 +215,21 @@ IDENTIFIER_WINDOW = -8
 IDENTIFIER_BIT = -64
 """Number of the lowest bit of the identifier, where ``Signal.start`` counts bits."""
 INTEGER_COLUMN_COUNT = 7
-"""Number of columns of this integer array."""
+"""Number of columns of the integer array with the signals."""
 UNSIGNED, SIGNED, FLOAT = map(int, SignalCoding)
 """Values of ``SignalCoding`` as integers of the module, for compiled code."""
 SCALE_COLUMN, OFFSET_COLUMN = range(2)
-"""Columns of the float array, which has the scale and the offset of each signal."""
+"""Columns of the float array with the scale and the offset of each signal."""
 
 
 def integer_columns(signal: Signal) -> tuple[int, ...]:
-    """Return the values of a signal for the integer columns, see ``START_COLUMN``."""
+    """Return the row of a signal in the integer array, see ``START_COLUMN``."""
     order, coding, quantity = int(signal.is_big_endian), int(signal.coding), int(signal.quantity)
     if signal.start < 0:
         start = signal.start - IDENTIFIER_BIT
         return start, signal.length, order, coding, quantity, signal.channel, IDENTIFIER_WINDOW
     first_byte = signal.start // 8
-    # Number of bits of the first byte that come before the signal, in the order of its bits.
+    # Number of bits of the first byte that precede the signal, in the bit order of the signal.
     bits_before = 7 - signal.start % 8 if signal.is_big_endian else signal.start % 8
     window = first_byte if 8 * first_byte + bits_before + signal.length > 64 else 0
     start = 8 * (first_byte - window) + bits_before
@@ -236,7 +241,7 @@ def integer_columns(signal: Signal) -> tuple[int, ...]:
 
 @kernel_helper
 def read_window(words: Any, first_word: int, byte_offset: int) -> Any:
-    """Return eight bytes of a payload as uint64, from ``byte_offset`` on. Bytes after the last word are 0.
+    """Return eight bytes of a payload as uint64, from ``byte_offset`` on. Bytes beyond the last word are 0.
 
     Args:
         words: (n,) uint64 words of a row.
@@ -246,8 +251,8 @@ def read_window(words: Any, first_word: int, byte_offset: int) -> Any:
     at = first_word + byte_offset // 8
     shift = np.uint64(8 * (byte_offset % 8))
     value = words[at] >> shift
-    # The second word is read only if the window is in two words. Otherwise the shift would be 64
-    # bits, which is undefined.
+    # The second word is read only if the window is in two words. If the window is in one word, the
+    # shift of the second word would be 64 bits, which is undefined.
     if shift > np.uint64(0) and at + 1 < len(words):
         value |= words[at + 1] << (np.uint64(64) - shift)
     return value
@@ -257,7 +262,7 @@ def read_window(words: Any, first_word: int, byte_offset: int) -> Any:
 def write_window(words: Any, first_word: int, byte_offset: int, signal_bits: Any) -> None:
     """Write the bits of a signal (uint64) into a payload.
 
-    The payload must have zeros at the positions of these bits.
+    Before the call, the payload must have zeros at the positions of the signal's bits.
 
     Args:
         words: (n,) uint64 words of a row.
@@ -286,7 +291,7 @@ def bytes_reversed(word: Any) -> Any:
 def decode_signal(
     value: Any, signal_integers: IntegerArray, signal_scalings: RealArray, i: int
 ) -> float:
-    """Decode the value of signal i in a window.
+    """Decode the value of signal i from the bits of a window.
 
     If a float is not finite, return NaN.
     """
@@ -302,7 +307,7 @@ def decode_signal(
             else math.nan
         )
     integer_value = np.int64(bits)
-    # The top bit is the sign, and is extended to all higher bits.
+    # The top bit of the signal is the sign, which is copied to all higher bits of the number.
     if coding == SIGNED and integer_value >> (length - 1):
         integer_value -= np.int64(1) << length
     result: float = (
@@ -315,12 +320,12 @@ def decode_signal(
 def encode_signal(
     value: float, signal_integers: IntegerArray, signal_scalings: RealArray, i: int
 ) -> Any:
-    """Encode a value as signal i, and return its bits at their position in a window.
+    """Encode a value as signal i, and return the bits of the signal at their position in a window.
 
     The value must be finite and in the range of the signal. Half a count is rounded up.
     """
-    # floor(x + 0.5) is used, because round() rounds a half to the even number. The mask removes the
-    # bits above the signal that a negative number sets.
+    # The code uses floor(x + 0.5), because round() rounds a half to the even number. A negative
+    # number sets bits above the signal, which the mask removes.
     scaled = (value - signal_scalings[i, OFFSET_COLUMN]) / signal_scalings[i, SCALE_COLUMN]
     mask = (np.uint64(1) << np.uint64(signal_integers[i, LENGTH_COLUMN])) - np.uint64(1)
     if signal_integers[i, CODING_COLUMN] == FLOAT:
@@ -373,7 +378,7 @@ class SignalTable:
     """
 
     def __init__(self, message: CyclicMessage) -> None:
-        """Build the arrays of a message. Signals of quantity UNUSED are left out."""
+        """Build the arrays of a message, without signals of quantity UNUSED."""
         self.message = message
         signals = [signal for signal in message.signals if signal.quantity != SignalQuantity.UNUSED]
         self.signal_integers: IntegerArray = np.array(
@@ -387,7 +392,7 @@ class SignalTable:
     def unpack(self, data: bytes) -> list[float]:
         """Return the value of each signal in a payload.
 
-        If a float is not finite, its value is NaN.
+        If a float in the payload is not finite, its value is NaN.
         """
         values: list[float] = unpack_rows(
             self._payload_words(data), self.signal_integers, self.signal_scalings
@@ -409,7 +414,7 @@ class SignalTable:
             ValueError: a value is not finite, or exceeds the limit of the message.
         """
         for value, (name, unit) in zip(values, self._names, strict=True):
-            # The comparison is negated, so that it refuses NaN.
+            # The comparison is negated, so that the check refuses NaN.
             if not abs(value) <= self.message.limit:
                 raise ValueError(f"{name} {value} {unit}, expected at most {self.message.limit:g}")
         data = self._payload_words(self.message.base_payload)
@@ -421,7 +426,7 @@ class SignalTable:
     def _payload_words(self, data: bytes) -> WordArray:
         """Return the identifier and a payload as words (1, words).
 
-        If the payload is short, zeros are added at its end.
+        Zeros are added at the end of a short payload.
         """
         size = 8 * max(1, -(-self.message.length // 8))
         id_bytes = self.message.can_id.to_bytes(8, "little")

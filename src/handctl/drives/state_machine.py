@@ -1,9 +1,9 @@
-"""Steps that the state machines of several protocols have in common.
+"""Functions that the state machines of several drive protocols share.
 
-These steps are the transition to a fault, the repeated read-back, and enabling and disabling. The
-state machine of each protocol has its own progress. The progress is a named tuple in
-``DriveState.protocol_state``. Each function returns the next drive state. It uses only the fields of
-``EnablingProgress`` that its docstring lists.
+The shared functions are the transition to a fault, the repeated read-back, and enabling and
+disabling. The state machine of each protocol has its own progress, a named tuple in
+``DriveState.protocol_state``. Each function returns the next drive state, and uses only the fields
+of ``EnablingProgress`` that its docstring lists.
 """
 
 from typing import Any, Protocol, Self
@@ -16,22 +16,23 @@ from handctl.drives.readback import ReadbackCursor, SettingRecheck
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
 SILENCE_TIMEOUT_NS = 250_000_000
-"""Time without a frame after which a disabled drive may have lost power, and therefore its settings [ns]."""
+"""Time without a frame after which a disabled drive has possibly lost power, and with it its settings [ns]."""
 
 
 class EnablingProgress(Protocol):
-    """Fields of a progress that the functions of this module use.
+    """Fields of a state machine's progress that the functions of this module use.
 
     Attributes:
         cursor: position in the list of settings to read back.
         is_configured: True if all settings have their required values.
-        enabled_by_other_host: True if the drive may make torque without a command of this host.
+        enabled_by_other_host: True if the drive possibly makes torque without a command of this
+            host.
         is_enable_sent: True from the enable command until the drive reports that it is off.
         is_disabling: True while the drive is being disabled.
         disable_command_ns: time of the first disable command [ns].
-        errors_to_ignore: number of feedback frames with an error still to be ignored.
-        ready_ns: time at which the last setting was verified [ns].
-        serial: serial number of the drive, 0 if unknown.
+        errors_to_ignore: number of further feedback frames with an error that the host ignores.
+        ready_ns: time at which the host verified the last setting [ns].
+        serial: serial number of the drive, 0 if the serial number is unknown.
     """
 
     cursor: ReadbackCursor
@@ -46,14 +47,14 @@ class EnablingProgress(Protocol):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Return True if the drive may make torque."""
+        """Return True if the drive possibly makes torque."""
         ...
 
     def _replace(self, **changes: Any) -> Self: ...
 
 
 def enter_fault(state: DriveState, error_code: int, fault_text: str) -> DriveState:
-    """Return the state in phase FAULT, with the given error code and text."""
+    """Return the drive state in phase FAULT, with the given error code and error text."""
     return state._replace(phase=FAULT, error=error_code, error_text=fault_text)
 
 
@@ -74,15 +75,16 @@ class RecheckedDrive(Protocol):
 def request_recheck(
     state: DriveState, drive: RecheckedDrive, error_code: int, t_ns: int
 ) -> tuple[DriveState, tuple[Frame, ...]]:
-    """Return the next state, and the next read-back request to the enabled drive, if it is due.
+    """Return the next drive state, and the next read-back request to the enabled drive if a request is due.
 
     Args:
         state: state of the drive.
-        drive: drive whose settings are read again.
+        drive: drive whose settings the host reads again.
         error_code: error code that is set if the drive does not answer the request for a setting.
         t_ns: time of the tick [ns].
     """
-    # Most calls end here. The frames of the exchanges are built only for a request that is due.
+    # Most calls of ``request_recheck`` return here, because no request is due. The frames of the
+    # requests are built only for a request that is due.
     if t_ns < state.recheck.due_ns or not (rechecks := drive.rechecks):
         return state, ()
     recheck = rechecks[state.recheck.step]
@@ -102,7 +104,7 @@ def state_after_recheck_reply(
     answer: str,
     expected: str,
 ) -> DriveState:
-    """Return the state after a setting of the enabled drive was read again.
+    """Return the drive state after a setting of the enabled drive was read again.
 
     Args:
         state: state of the drive.
@@ -143,7 +145,7 @@ def may_have_lost_power(state: DriveState, t_ns: int) -> bool:
 
 
 def state_after_configuration(state: DriveState, t_ns: int, serial: int) -> DriveState:
-    """Return the state in phase READY, after all settings of a drive have been verified.
+    """Return the state in phase READY, after the host has verified all settings of a drive.
 
     A serial number of 0 means that the serial number is unknown.
     """
@@ -155,7 +157,7 @@ def state_after_configuration(state: DriveState, t_ns: int, serial: int) -> Driv
 
 
 def start_enabling(state: DriveState, node_id: int, t_ns: int) -> DriveState:
-    """Return the state of a drive when an enable command is sent to it.
+    """Return the state of a drive to which the host sends an enable command.
 
     The function uses the field ``is_enable_sent``.
     """
@@ -167,10 +169,11 @@ def start_enabling(state: DriveState, node_id: int, t_ns: int) -> DriveState:
 
 
 def start_disabling(state: DriveState, t_ns: int) -> DriveState:
-    """Return the state of a drive when a disable command is sent to it.
+    """Return the state of a drive to which the host sends a disable command.
 
-    A drive that may be enabled counts as enabled until its feedback reports that the drive is off.
-    The function uses the fields ``may_be_enabled``, ``is_disabling`` and ``disable_command_ns``.
+    A drive that is possibly enabled counts as enabled until its feedback reports that the drive is
+    off. The function uses the fields ``may_be_enabled``, ``is_disabling`` and
+    ``disable_command_ns``.
     """
     progress: EnablingProgress = state.protocol_state
     phase = ENABLED if progress.may_be_enabled else state.phase
@@ -184,24 +187,25 @@ def start_disabling(state: DriveState, t_ns: int) -> DriveState:
 def state_when_off(
     state: DriveState, has_dropped_out: bool, error_code: int, error_text: str
 ) -> DriveState:
-    """Return the state after the drive has reported that it is off, without an error.
+    """Return the drive state after the drive has reported that it is off, without an error.
 
     The function uses the fields ``is_enable_sent``, ``enabled_by_other_host``, ``errors_to_ignore``, ``is_disabling``
     and ``disable_command_ns``.
 
     Args:
-        state: state of the drive, with the values of this feedback.
-        has_dropped_out: True if the drive was on, so that without a disable command it has
-            disabled itself.
+        state: state of the drive, with the values of the received feedback.
+        has_dropped_out: True if the drive was on. A drive that was on and has received no disable
+            command has disabled itself.
         error_code: error code of a drive that has disabled itself.
-        error_text: text of this error.
+        error_text: text of the error ``error_code``.
     """
     progress: EnablingProgress = state.protocol_state
     progress_when_off = progress._replace(
         is_enable_sent=False, enabled_by_other_host=False, errors_to_ignore=0
     )
     if progress.is_disabling:
-        # Feedback from before the disable command does not show the effect of this command.
+        # Feedback that the drive sent before the disable command does not show the effect of the
+        # command.
         if state.feedback_t_ns < progress.disable_command_ns:
             return state
         return state._replace(
@@ -217,14 +221,14 @@ def state_when_off(
 
 
 def state_when_on(state: DriveState, error_code: int, error_text: str) -> DriveState:
-    """Return the state after the drive has reported that it is on.
+    """Return the drive state after the drive has reported that it is on.
 
     The function uses the field ``is_enable_sent``.
 
     Args:
         state: state of the drive.
         error_code: error code of a drive that this host has not enabled.
-        error_text: text of this error.
+        error_text: text of the error ``error_code``.
     """
     progress: EnablingProgress = state.protocol_state
     if progress.is_enable_sent and state.phase != FAULT:
@@ -233,7 +237,7 @@ def state_when_on(state: DriveState, error_code: int, error_text: str) -> DriveS
 
 
 def state_enabled_by_other_host(state: DriveState, error_code: int, error_text: str) -> DriveState:
-    """Return the state of a drive that may make torque without a command of this host.
+    """Return the state of a drive that possibly makes torque without a command of this host.
 
     The function uses the fields ``enabled_by_other_host`` and ``is_disabling``. The arguments have the same
     meaning as in ``state_when_on``.

@@ -1,4 +1,4 @@
-"""Description of a hand: the validated, unchangeable content of its TOML file, and quantities that follow from it."""
+"""Description of a hand: the validated, unchangeable content of its TOML file, and quantities computed from it."""
 
 import hashlib
 import json
@@ -32,12 +32,12 @@ from handctl.hand.moment_arms import is_moment_arm_varying, mean_moment_arm, mom
 MESH_KEYS = ("link_mesh", "link_mesh_scale", "link_mesh_position_m", "link_mesh_rpy_deg")
 """Keys of a digit that describe the meshes of its links.
 
-Keys of meshes have no effect on ``Hand.identity``.
+Keys that describe meshes have no effect on ``Hand.identity``.
 """
 PALM_MESH_KEYS = ("palm_mesh", "palm_mesh_scale", "palm_mesh_position_m", "palm_mesh_rpy_deg")
 """Keys of the section ``mount`` that describe the mesh of the palm.
 
-Keys of meshes have no effect on ``Hand.identity``.
+Keys that describe meshes have no effect on ``Hand.identity``.
 """
 DIGIT_KEYS_ADDED_LATER = (
     "joint_rated_torque_N_m",
@@ -48,18 +48,18 @@ DIGIT_KEYS_ADDED_LATER = (
 )  # fmt: skip
 """Keys of a digit that the first versions of handctl did not have.
 
-``Hand.content`` contains such a key only if the hand file has it.
+``Hand.content`` contains a key of this tuple only if the hand file contains the key.
 """
 TENDON_KEYS_ADDED_LATER = ("pretension_N", "excursion_ratio")
 """Keys of a tendon that the first versions of handctl did not have.
 
-``Hand.content`` contains such a key only if the hand file has it.
+``Hand.content`` contains a key of this tuple only if the hand file contains the key.
 """
 CONTROL_KEYS = ("control", "kp_N_m_per_rad", "kd_N_m_s_per_rad")
 """Keys of a motor that the first versions of handctl did not have.
 
-``Hand.content`` contains such a key only if the hand file has it. These keys have no effect on
-``Hand.identity``.
+``Hand.content`` contains a key of this tuple only if the hand file contains the key. The keys of a
+motor's position loop have no effect on ``Hand.identity``.
 """
 EMPTY_SENSOR_NODE: dict[str, Any] = {
     "sync_id": 0x080, "base_id": 0x1A0, "tendons": (), "joints": (), "joint_decimation": 1,
@@ -67,7 +67,8 @@ EMPTY_SENSOR_NODE: dict[str, Any] = {
 }  # fmt: skip
 """Sensor node of a hand without sensors.
 
-It has no channels, so its identifiers and noise have no effect.
+The sensor node of a hand without sensors has no channels, so its identifiers and noise have no
+effect.
 """
 
 
@@ -116,19 +117,19 @@ class Hand(Section):
             or not isinstance(buses[0], dict)
             or "name" not in buses[0]
         ):
-            # If the buses are missing, pydantic reports this later. Any bus name is used here, so
-            # that the missing buses are not reported twice.
+            # If the hand file has no buses, pydantic reports the missing buses later. The sensor
+            # node gets an arbitrary bus name, so that the missing buses are not reported twice.
             return file_content | {"sensor_node": EMPTY_SENSOR_NODE | {"bus": "main"}}
         return file_content | {"sensor_node": EMPTY_SENSOR_NODE | {"bus": buses[0]["name"]}}
 
     @cached_property
     def has_cell(self) -> NDArray[np.bool_]:
-        """Return True for each tendon with a load cell, (N,)."""
+        """Return for each tendon if it has a load cell, (N,)."""
         return np.array([name in self.sensor_node.tendons for name in self.tendon_names])
 
     @cached_property
     def is_pair(self) -> NDArray[np.bool_]:
-        """Return True for each tendon that is a spool pair: two antagonistic tendons on one spool, (N,)."""
+        """Return for each tendon if it is a spool pair: two antagonistic tendons on one spool, (N,)."""
         return np.array([tendon.pretension_N is not None for tendon in self.tendon])
 
     @cached_property
@@ -141,7 +142,7 @@ class Hand(Section):
 
     @cached_property
     def has_springs(self) -> bool:
-        """Return True if springs open every digit."""
+        """Return True if every digit has springs that open the digit."""
         return all(digit.has_springs for digit in self.digit)
 
     @cached_property
@@ -177,7 +178,7 @@ class Hand(Section):
 
     @cached_property
     def is_prismatic(self) -> NDArray[np.bool_]:
-        """Return True for each prismatic joint, (J,)."""
+        """Return for each joint if it is prismatic, (J,)."""
         return np.array(
             [
                 joint_is_prismatic
@@ -194,7 +195,7 @@ class Hand(Section):
     def mean_position_units(self, digit: str) -> DisplayUnits:
         """Return the unit (1,) in which a user sees the mean position of a digit's joints.
 
-        If all joints of the digit are prismatic, the unit is mm.
+        The unit of a digit's mean position is mm if all joints of the digit are prismatic.
         """
         return DisplayUnits.of([self.is_prismatic[self.digit_joints[digit]].all()])
 
@@ -212,11 +213,12 @@ class Hand(Section):
     def moment_arms(self) -> NDArray[np.float64]:
         """Return the moment arms R of all tendons (N, J) [m], as a read-only array.
 
-        With joint angles q, the excursion is R q. Tensions f exert the joint torques R^T f.
+        With joint angles q, the excursion of the tendons is R q. Tensions f exert the joint torques
+        R^T f.
 
-        If a moment arm depends on the joint angle, the entry of R is its mean over the range of the
-        joint. For a prismatic joint, the entry of R is the excursion of the tendon per motion of
-        the joint [m/m].
+        If a moment arm depends on the joint angle, the entry of R is the mean of the moment arm
+        over the range of the joint. For a prismatic joint, the entry of R is the excursion of the
+        tendon per motion of the joint [m/m].
         """
         limits = self.joint_limits.T.tolist()
         arms = np.array([
@@ -240,9 +242,10 @@ class Hand(Section):
     def moment_arms_of_carrying_digits(self) -> NDArray[np.float64]:
         """Return the moment arms of tendons about joints of the digits that carry their digits, (N, J) [m].
 
-        The array is read-only. For example, the tendons of a finger also cross the wrist. If such a
-        tendon does not run through the axis of the wrist, its tension turns the wrist. A motion of
-        the wrist then winds or unwinds the tendon.
+        The returned array is read-only. For example, the tendons of a finger also cross the wrist.
+        If the tendon of a finger does not run through the axis of the wrist, the tension of the
+        tendon turns the wrist. A motion of the wrist winds or unwinds a tendon that does not run
+        through the axis of the wrist.
         """
         arms = self.moment_arms - self.moment_arms_of_own_digit
         arms.setflags(write=False)
@@ -265,7 +268,7 @@ class Hand(Section):
 
     @cached_property
     def has_varying_arm(self) -> NDArray[np.bool_]:
-        """Return True for each tendon with a moment arm that depends on the joint angle, (N,)."""
+        """Return for each tendon if one of its moment arms depends on the joint angle, (N,)."""
         return np.array(
             [
                 any(map(is_moment_arm_varying, tendon.moment_arm_m.values()))
@@ -280,7 +283,7 @@ class Hand(Section):
 
     @cached_property
     def tendons_with_encoders(self) -> NDArray[np.bool_]:
-        """Return True for each tendon if all joints of its own digit that it crosses have encoders, (N,)."""
+        """Return for each tendon if all joints of its own digit that it crosses have encoders, (N,)."""
         has_joint_encoder = np.array([joint in self.sensor_node.joints for joint in self.joints])
         return np.asarray(
             ~((self.moment_arms_of_own_digit != 0.0) & ~has_joint_encoder).any(axis=1)
@@ -301,8 +304,8 @@ class Hand(Section):
     def base_joints(self) -> dict[str, int]:
         """Return the index of the joint whose link carries a digit, for each digit.
 
-        The index counts the joints of the whole hand. If the palm carries the digit, the index is
-        -1.
+        The joint index counts the joints of the whole hand. If the palm carries a digit, the joint
+        index is -1.
         """
         return {
             digit.name: -1 if digit.mount_on is None else self.digit_joints[digit.mount_on].stop - 1
@@ -317,11 +320,11 @@ class Hand(Section):
     def names_of_carrying_digits(self, digit: str) -> tuple[str, ...]:
         """Return the names of the digits that carry a digit.
 
-        The first name is that of the digit directly before the given digit.
+        The first returned name is the name of the digit that directly carries the given digit.
         """
         carrier_name = self.digit_named(digit).mount_on
-        # In an invalid hand file, digits may carry each other in a circle. Later checks refuse such
-        # a file.
+        # In an invalid hand file, digits possibly carry each other in a circle. Later checks refuse
+        # a hand file with a circle.
         carriers: list[str] = []
         while carrier_name in self.digit_names and carrier_name not in carriers:
             carriers.append(carrier_name)
@@ -331,9 +334,9 @@ class Hand(Section):
     def digit_of_tendon(self, tendon: Tendon) -> str | None:
         """Return the name of the digit that a tendon moves.
 
-        All other digits that this tendon crosses must carry the returned digit.
+        All other digits that the tendon crosses must carry the returned digit.
 
-        If there is no such digit, return None.
+        Return None if the crossed digits do not carry one common digit.
         """
         crossed_digits = [
             digit.name for digit in self.digit if not tendon.arms.keys().isdisjoint(digit.joints)
@@ -373,9 +376,10 @@ class Hand(Section):
 
     @cached_property
     def content(self) -> dict[str, Any]:
-        """Return the content of the file, with default values for missing keys.
+        """Return the content of the hand file, with default values for missing keys.
 
-        The names are the keys of the file. The values are plain values.
+        The names in the returned dictionary are the keys of the hand file, and the values are plain
+        values.
         """
         content = self.model_dump(by_alias=True, mode="python")
         keys_added_later = {
@@ -386,7 +390,7 @@ class Hand(Section):
         for kind, keys in keys_added_later.items():
             for section in content[kind]:
                 for key in keys:
-                    # If a hand file does not contain this key, its identity must not change.
+                    # The identity of a hand file that does not contain the key must not change.
                     if section[key] is None or section[key] in ((), {}):
                         del section[key]
         if content["sensor_node"]["joint_noise_m"] is None:
@@ -394,8 +398,8 @@ class Hand(Section):
         content["mount"] = {
             key: value for key, value in content["mount"].items() if value is not None
         }
-        # The content of a sensor node contains only the keys of the node's protocol. So the
-        # identity of a hand file from the time before sensor protocols existed does not change.
+        # The content of a sensor node contains only the keys of the node's protocol, so that the
+        # identity of a hand file without a sensor protocol does not change.
         for key in HANDCTL_NODE_KEYS if self.sensor_node.is_cia404 else ("protocol", *CIA404_KEYS):
             del content["sensor_node"][key]
         return content
@@ -403,7 +407,7 @@ class Hand(Section):
     def to_toml(self) -> str:
         """Return the content of the hand file as TOML text, for the log of a run.
 
-        ``load_hand`` reads an equal hand from this text.
+        ``load_hand`` reads an equal hand from the returned text.
         """
         return toml_text(self.content)
 
@@ -413,14 +417,13 @@ class Hand(Section):
 
         Comments, the spelling of numbers, and the order of keys in the file have no effect on the
         hash. The hash leaves out the limits of streams, the meshes, and the keys of a drive's
-        position loop. No calibration and no gains depend on them.
+        position loop. No calibration and no gains depend on the keys that the hash leaves out.
         """
         content = {key: value for key, value in self.content.items() if key != "stream"}
         content["digit"] = [_table_without_keys(digit, MESH_KEYS) for digit in content["digit"]]
         content["motor"] = [_table_without_keys(motor, CONTROL_KEYS) for motor in content["motor"]]
         content["mount"] = _table_without_keys(content["mount"], PALM_MESH_KEYS)
-        # Because the keys are sorted and the separators are fixed, equal content becomes equal
-        # text.
+        # With sorted keys and fixed separators, hand files with equal content have equal JSON text.
         canonical_json = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical_json.encode()).hexdigest()
 

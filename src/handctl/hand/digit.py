@@ -22,18 +22,18 @@ from handctl.hand.moment_arms import joint_excursions, moment_arms_at
 
 Array = NDArray[np.float64]
 JointValues = Sequence[float] | Array
-"""A sequence with one number per joint. Calculations are fastest with lists and tuples."""
+"""Sequence with one number per joint. Calculations are fastest with lists and tuples."""
 SIDEWAYS_ANGLE_DEG = 45.0
-"""Limit for the angle between the axes of a joint and of the last joint [deg].
+"""Largest angle between the axis of a joint and the axis of the last joint at which the joint counts as flexing [deg].
 
-Above it, the joint moves sideways.
+A joint whose axis has a larger angle moves the digit sideways.
 """
 NEWTON_STEPS = 20
-"""Largest number of Newton steps from an excursion to joint angles. About five steps are usual."""
+"""Largest number of Newton steps from an excursion to joint angles. Usually about five Newton steps are sufficient."""
 NEWTON_TOLERANCE_RAD = 1e-10
-"""Largest Newton step that ends the iteration [rad]."""
+"""Size of a Newton step at which the iteration ends [rad]."""
 SIDEWAYS_RANGE_RATIO = 0.5
-"""Limit for the opening range of a coordinate divided by its closing range.
+"""Threshold for the opening range of a coordinate divided by its closing range.
 
 In a digit with parallel axes, a coordinate with a larger ratio moves the digit sideways.
 """
@@ -43,9 +43,9 @@ In a digit with parallel axes, a coordinate with a larger ratio moves the digit 
 class DigitModel:
     """Digit with n joints, n_t tendons, and n_c reduced coordinates theta.
 
-    The joint angles are q = B theta. All arrays are read-only. Prismatic joints have other
-    quantities: a position [m] for an angle [rad], a force [N] for a torque [N m], and an excursion
-    per position [m/m] for a moment arm [m].
+    The joint angles of the digit are q = B theta. All arrays of the model are read-only. A
+    prismatic joint has other quantities than a hinge: a position [m] for an angle [rad], a force
+    [N] for a torque [N m], and an excursion per position [m/m] for a moment arm [m].
 
     Attributes:
         name: name of the digit.
@@ -64,21 +64,21 @@ class DigitModel:
         joint_min: (n,) smallest joint angles [rad].
         joint_max: (n,) largest joint angles [rad].
         joint_damping: (n,) viscous damping of each joint [N m s/rad].
-        armature: (n,) inertia of each joint itself, without its link [kg m2].
+        armature: (n,) inertia of the moving parts of each joint, without the link [kg m2].
         spring_stiffness: (n,) stiffness of each return spring [N m/rad].
         spring_preload: (n,) preload of each return spring [rad].
         mount_rotation: (3, 3) rotation that converts vectors from the frame of the digit to the
             palm frame.
         mount_position: (3,) position of the first joint in the palm frame [m].
         gravity: (3,) gravitational acceleration in the palm frame [m/s2]. If another digit carries
-            this digit, the frame of the carrying link takes the place of the palm frame in these
-            attributes.
+            the digit, the attributes of the mount refer to the frame of the carrying link instead
+            of the palm frame.
         table: (rigid_body.LINK_TABLE_ROW_COUNT, n) frames and inertial properties of the links, for
             ``rigid_body``.
         parent: (n,) column in ``table`` of the link before each link, -1 for the palm.
         moment_arms: moment arms R (n_t, n) [m]. If a moment arm depends on the joint angle, R
-            contains its mean. The method ``with_moment_arms_at`` returns a digit whose R belongs to given
-            angles.
+            contains the mean of the moment arm. The method ``with_moment_arms_at`` returns a digit
+            whose R belongs to given angles.
         coupling: B, (n, n_c), the identity matrix for independent joints.
         reduced_moment_arms: matrix R B (n_t, n_c) [m].
         excursion_to_joints: B (R B)^+, (n, n_t) [rad/m], from tendon excursion to joint angles.
@@ -136,8 +136,8 @@ class DigitModel:
     @property
     def coordinate_limits(self) -> tuple[Array, Array]:
         """Return the smallest and the largest reduced coordinates (n_c,) within the joint limits [rad]."""
-        # If an entry of B^+ is negative, the lower and the upper limit change places. Therefore
-        # both products with this entry are compared.
+        # If an entry of B^+ is negative, the lower joint limit gives the upper coordinate limit.
+        # The code compares the products of the entry with both joint limits.
         low = self.joints_to_coordinates * self.joint_min
         high = self.joints_to_coordinates * self.joint_max
         return np.minimum(low, high).sum(axis=1), np.maximum(low, high).sum(axis=1)
@@ -146,9 +146,9 @@ class DigitModel:
     def sideways_coordinates(self) -> NDArray[np.bool_]:
         """Return True for each coordinate (n_c,) that moves the digit sideways, such as abduction.
 
-        A joint moves the links sideways if its axis differs much from the axis of the last joint.
-        In a digit with parallel axes, a coordinate moves sideways if its range of opening is more
-        than half of its range of closing.
+        A joint moves the links sideways if the angle between its axis and the axis of the last
+        joint exceeds ``SIDEWAYS_ANGLE_DEG``. In a digit with parallel axes, a coordinate moves
+        sideways if its range of opening is more than half of its range of closing.
         """
         turned_axes = np.eye(3)
         axes = []
@@ -162,8 +162,8 @@ class DigitModel:
             turned_axes = turned_axes @ step.reshape(3, 3)
             axis = self.axes[i]
             if self.is_prismatic[i]:
-                # A prismatic joint moves a link like a hinge with this axis that is far away from
-                # the link.
+                # A prismatic joint moves a link like a hinge that is far away from the link and has
+                # the computed axis.
                 axis = np.cross((1.0, 0.0, 0.0), axis)
             axes.append(turned_axes @ axis)
         if np.linalg.norm(axes[-1]) < 0.5:
@@ -257,7 +257,7 @@ class DigitModel:
         return np.asarray(joint_excursions(self.arm_polynomials, self.joint_limits, q).sum(axis=-1))
 
     def with_moment_arms_at(self, q: ArrayLike) -> "DigitModel":
-        """Return a copy of the digit whose moment arms belong to the joint angles (n,) [rad].
+        """Return a copy of the digit with the moment arms at the joint angles (n,) [rad].
 
         If all moment arms are constant, return the digit itself.
         """
@@ -276,8 +276,8 @@ class DigitModel:
     def coordinates_of_excursion(self, excursion: Array) -> Array:
         """Return the coordinates (n_c,) [rad] that belong to excursions (n_t,) [m] of the tendons, by least squares.
 
-        If moment arms depend on the joint angle, the solution is found by Gauss-Newton steps. The
-        first step begins in the middle of the range of each joint.
+        If moment arms depend on the joint angle, Gauss-Newton steps find the coordinates. The first
+        Gauss-Newton step begins in the middle of the range of each joint.
         """
         if not self.has_varying_arm:
             return np.asarray(self.joints_to_coordinates @ self.excursion_to_joints @ excursion)
@@ -302,15 +302,15 @@ class DigitModel:
     ) -> Array:
         """Return the coordinates (n_c,) that give some joints their goal angles, and are nearest to ``present_angles``.
 
-        The result has the same unit as the arguments.
+        The returned coordinates have the same unit as the arguments.
 
-        If coupled joints cannot have all these angles at the same time, the result is a
-        least-squares solution.
+        If coupled joints cannot have all goal angles at the same time, the returned coordinates are
+        a least-squares solution.
 
         Args:
-            angle_of_joint: given angles, by the index of the joint.
+            angle_of_joint: goal angles, by the index of the joint.
             present_angles: (n_c,) present coordinates. All joints without a given angle move as
-                little as possible from them.
+                little as possible from their present angles.
         """
         rows = self.coupling[list(angle_of_joint)]
         return np.asarray(
@@ -327,19 +327,19 @@ class DigitModel:
 def coordinate_range(coupling: Array, joint_limits: Array) -> Array:
     """Return the range of each coordinate (2, n_c).
 
-    Within this range, all joints stay within their limits. Each range applies while all other
-    coordinates are zero. If a joint does not depend on a coordinate, it does not limit this
-    coordinate.
+    While a coordinate is within its range and all other coordinates are zero, all joints stay
+    within their limits. A joint that does not depend on a coordinate does not limit the coordinate.
 
     Args:
         coupling: matrix B (n, n_c), see ``DigitModel``.
-        joint_limits: (2, n) smallest and largest joint angles, in the unit of the result.
+        joint_limits: (2, n) smallest and largest joint angles, in the unit of the returned ranges.
     """
     ranges = []
     for column in coupling.T:
         moves_joint = column != 0.0
         coordinate_limits = joint_limits[:, moves_joint] / column[moves_joint]
-        # If an entry of B is negative, the lower and the upper limit of its joint change places.
+        # If an entry of B is negative, the lower limit of the joint gives the upper limit of the
+        # coordinate.
         ranges.append(
             (
                 coordinate_limits.min(axis=0).max(initial=-np.inf),
@@ -388,7 +388,7 @@ def link_table(digit: Digit) -> Array:
 def base_rotation(hand: Hand, digit: Digit) -> Array:
     """Return the rotation (3, 3) from the frame of the link that carries a digit to the palm frame.
 
-    All joints are at zero.
+    The rotation is valid while all joints of the carrying digits are at zero.
     """
     if digit.mount_on is None:
         return np.eye(3)

@@ -38,7 +38,7 @@ def inverse_dynamics(
 ) -> JointTorques:
     """Return the joint torques that a motion requires because of inertia and weight: M q'' + C q' + g.
 
-    Springs and damping are not included.
+    The torques of return springs and damping are not included.
 
     Args:
         digit: model of the digit.
@@ -129,7 +129,7 @@ def mass_matrix(digit: DigitModel, q: JointValues) -> Array:
 
 
 def forward_dynamics(digit: DigitModel, q: JointValues, dq: JointValues, tau: JointValues) -> Array:
-    """Return the joint accelerations (n,) that joint torques cause against inertia and weight [rad/s2].
+    """Return the joint accelerations (n,) that result from joint torques, inertia and weight [rad/s2].
 
     Args:
         digit: model of the digit.
@@ -146,8 +146,8 @@ def reduced_dynamics(
 ) -> tuple[Array, Array]:
     """Return the mass matrix and the bias of the equations of motion in the coordinates of a digit.
 
-    M_r = B^T M B and h_r = B^T (C q' + g + springs + damping). In these coordinates, the torque of
-    a motion is M_r theta'' + h_r.
+    M_r = B^T M B and h_r = B^T (C q' + g + springs + damping). The torque of a motion in the
+    coordinates of the digit is M_r theta'' + h_r.
 
     Args:
         digit: model of the digit.
@@ -214,6 +214,6 @@ def _as_float_array(values: JointValues) -> Array:
 def _as_plain_floats(values: JointValues) -> Sequence[float]:
     """Return the values as Python floats.
 
-    With Python floats, Python computes several times faster than with numpy's scalars.
+    Python code computes several times faster with Python floats than with numpy's scalars.
     """
     return values.tolist() if isinstance(values, np.ndarray) else values

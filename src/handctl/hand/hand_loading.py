@@ -1,6 +1,6 @@
 """Loading of packaged hands and hand files.
 
-Each section of a hand file is validated first. Then all sections are checked together.
+The validation of each section of a hand file precedes the checks of all sections together.
 """
 
 import tomllib
@@ -119,10 +119,10 @@ def parse_toml(text: str, source_name: str) -> dict[str, Any]:
 def _check_whole_numbers(content: dict[str, Any], source_name: str) -> None:
     """Refuse integers of more than 64 bits.
 
-    Python refuses to print very long integers. Therefore no error message could contain them.
+    Python refuses to print very long integers, so that no error message could contain them.
     """
-    # A list is used in place of recursion, because deeply nested content would exceed Python's
-    # recursion limit.
+    # The function uses a list instead of recursion, because deeply nested content would exceed
+    # Python's recursion limit.
     nodes: list[tuple[str, Any]] = list(content.items())
     while nodes:
         key, node = nodes.pop()
@@ -145,7 +145,7 @@ def hand_from_content(content: Mapping[str, Any], source_name: str) -> Hand:
         source_name: name of the source of the content, for error messages.
 
     Raises:
-        ConfigError: for the same reasons as in ``load_hand``.
+        ConfigError: the hand is invalid, see ``load_hand``.
     """
     hand, mistakes = validate_content(content)
     if hand is None:
@@ -156,7 +156,7 @@ def hand_from_content(content: Mapping[str, Any], source_name: str) -> Hand:
 def hand_content(name_or_path: str | Path) -> dict[str, Any]:
     """Return the content of a hand file, with defaults and templates replaced by values.
 
-    The content is not validated.
+    The function does not validate the returned content.
 
     Raises:
         ConfigError: the file is missing, unreadable, or not TOML.
@@ -165,10 +165,10 @@ def hand_content(name_or_path: str | Path) -> dict[str, Any]:
 
 
 def validate_content(content: Mapping[str, Any]) -> tuple[Hand | None, list[FileMistake]]:
-    """Validate the parsed content of a hand file, and find all mistakes in it.
+    """Validate the parsed content of a hand file, and find all mistakes in the content.
 
     Returns:
-        The hand and no mistakes, or None and at least one mistake.
+        The hand and an empty tuple of mistakes, or None and at least one mistake.
     """
     if not content:
         expected = (
@@ -199,8 +199,8 @@ def validate_content(content: Mapping[str, Any]) -> tuple[Hand | None, list[File
             digits, _valid_sections(resolved_content.content, "tendon", Tendon)
         )
     else:
-        # A mistake in a template would cause further mistakes wherever the template is used.
-        # Therefore the whole hand is checked only if the templates have no mistakes.
+        # The whole hand is checked only if the templates have no mistakes, because a mistake in a
+        # template would cause further mistakes wherever the template is used.
         hand_mistakes = [] if mistakes else list(check_hand(hand))
     mistakes += with_paths_in_hand_file(hand_mistakes, resolved_content.origins)
     return (None, mistakes) if mistakes else (hand, [])
@@ -211,9 +211,10 @@ class HandInspection(NamedTuple):
 
     Attributes:
         hand: the hand, or None if the content of the file is not valid.
-        mistakes: all mistakes that must be corrected before the hand may run. Even a valid hand can
-            have such mistakes.
-        origins: key path in the file, for each value, by the key path in the resolved content.
+        mistakes: all mistakes that the user must correct before a run. Even a valid hand can have
+            mistakes that prevent a run.
+        origins: key path of each value in the hand file, by the key path of the value in the
+            resolved content.
     """
 
     hand: Hand | None
@@ -228,8 +229,8 @@ def inspect_hand_content(content: Mapping[str, Any]) -> HandInspection:
         resolve_templates(content).origins if content.get("schema") == SCHEMA_WITH_TEMPLATES else {}
     )
     if hand is not None:
-        # The module that is imported here also imports numba. Importing numba takes long, and
-        # loading a hand does not need it.
+        # The import is inside the function, because ``readiness_checks`` imports numba. The import
+        # of numba takes long, and loading a hand does not need numba.
         from handctl.hand.readiness_checks import reasons_not_ready
 
         mistakes = with_paths_in_hand_file(reasons_not_ready(hand), origins)
@@ -239,7 +240,7 @@ def inspect_hand_content(content: Mapping[str, Any]) -> HandInspection:
 def _valid_sections(
     content: Mapping[str, Any], section_kind: str, model: type[ValidatedSection]
 ) -> Iterator[ValidatedSection]:
-    """Yield those sections of a kind that are valid by themselves."""
+    """Yield the sections of a kind that are valid without a check of other sections."""
     sections = content.get(section_kind)
     for section in sections if isinstance(sections, list | tuple) else ():
         with suppress(ValidationError):
@@ -247,5 +248,5 @@ def _valid_sections(
 
 
 def _valid_names_text(hand_names: tuple[str, ...]) -> str:
-    """Return the text that lists the valid names of hands, for messages."""
+    """Return the text for messages that lists the valid names of hands."""
     return "one of " + ", ".join(hand_names) + ", or the path of a hand file"

@@ -1,4 +1,4 @@
-"""Inverse kinematics: the joint angles of a digit at which its tip is at a given position."""
+"""Inverse kinematics: the joint angles at which the tip of a digit is at a given position."""
 
 import math
 from typing import NamedTuple
@@ -10,26 +10,27 @@ from handctl.hand.digit import Array, DigitModel, JointValues, coordinate_range
 from handctl.hand.kinematics import joint_points, tip_jacobian
 
 SCAN_INTERVAL_COUNT = 64
-"""Number of intervals in a scan along a coupled digit's path for the point closest to a target."""
+"""Number of intervals in a scan along the path of a coupled digit's tip for the point closest to a target."""
 REACH_TOLERANCE = 1e-12
 """Relative tolerance for rounding errors when a squared distance is compared with the squared reach."""
 MAX_SEARCH_STEPS = 60
 """Largest number of steps in the search for the closest tip position."""
 MIN_SEARCH_STEP_RAD = 1e-10
-"""The search ends after a step in which no coordinate changes by more than this value [rad]."""
+"""Largest change of a coordinate in the last step of a search [rad]."""
 START_DISTANCE_WEIGHT_M_PER_RAD = 1e-5
 """Weight of the distance from the start coordinates [m/rad].
 
-Of all postures with the same tip position, the weight selects the one nearest to the start.
+Of all postures with the same tip position, the weight selects the posture nearest to the start
+coordinates.
 """
 DAMPING_RANGE = (1e-8, 1e8)
 """Smallest and largest damping of a Levenberg-Marquardt step, relative to the largest curvature."""
 START_COORDINATE_FRACTIONS = (0.5, 0.15, 0.85)
-"""Start coordinates of a search without a given posture, as fractions of the coordinates' ranges."""
+"""Start coordinates of a search without a given start posture, as fractions of the coordinates' ranges."""
 
 
 class ClosestTip(NamedTuple):
-    """Posture of a digit whose tip is as close to a point as the joint limits allow.
+    """Posture of a digit in which its tip is as close to a given point as the joint limits allow.
 
     Attributes:
         coordinates: (n_c,) coordinates of the digit within the limits [rad].
@@ -45,8 +46,8 @@ def inverse_kinematics(
 ) -> tuple[tuple[float, ...], ...]:
     """Return the joint angles of a digit with two or three independent joints for a given position of its tip.
 
-    All hinges of the digit must be parallel. The tip then moves in the x-y plane of the digit's
-    frame, and the solution has a closed form. The joint limits are not applied.
+    All hinges of the digit must be parallel, so that the tip moves in the x-y plane of the digit's
+    frame and the solution has a closed form. The function does not apply the joint limits.
 
     Args:
         digit: model of the digit.
@@ -55,9 +56,9 @@ def inverse_kinematics(
         angle: direction of the last link [rad], required for three joints, ignored for two.
 
     Returns:
-        the solutions within one turn, first the one with positive flexion of the second joint.
-        There are no solutions if the point is out of reach, or if two equal links fold onto the
-        base, where their direction is free.
+        the solutions within one turn, first the solution with positive flexion of the second joint.
+        The tuple is empty if the point is out of reach. The tuple is also empty if two equal links
+        fold onto the base, because the direction of the folded links is not determined.
 
     Raises:
         ValueError: the digit has neither two nor three joints, its hinges are not parallel, or it
@@ -83,8 +84,9 @@ def inverse_kinematics(
 def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tuple[float, float]:
     """Return the single coordinate theta of a coupled digit, q = B theta, at which the tip is closest to a point.
 
-    The tip moves on a curve. A scan finds all intervals that contain a minimum of the distance. The
-    global minimum is the closest of these minima and of the two ends of the curve.
+    The tip of the digit moves on a curve. A scan finds all intervals of the curve that contain a
+    minimum of the distance. The closest point of the curve is one of the minima or one of the two
+    ends of the curve.
 
     Args:
         digit: model of a digit that has a single coordinate.
@@ -117,7 +119,8 @@ def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tupl
     for low, high, low_slope, high_slope in zip(
         grid, grid[1:], slope_values, slope_values[1:], strict=False
     ):
-        # The distance has a minimum where its slope changes from negative to positive.
+        # The distance from the tip to the point has a minimum where its slope changes from negative
+        # to positive.
         if low_slope <= 0.0 <= high_slope:
             candidates.append(brentq(slope, low, high, xtol=1e-14))
     closest_candidate = min(candidates, key=distance)
@@ -153,12 +156,12 @@ def _two_link_solutions(
 ) -> tuple[tuple[float, float], ...]:
     """Return the joint angles at which the end of two links is at a point.
 
-    There are two solutions, or one if the links are stretched or folded, or none if the point is
-    out of reach.
+    The number of solutions is two, one if the links are stretched or folded, and zero if the point
+    is out of reach.
 
     The angle between the links is the atan2 of (r - |l1 - l2|)(r + |l1 - l2|) and (l1 + l2 - r)(l1
-    + l2 + r). These products stay accurate near the stretched posture, where acos would lose half
-    of the digits.
+    + l2 + r). The products are accurate even near the stretched posture, where acos would lose half
+    of the significant digits.
     """
     r = math.hypot(x, y)
     fold_margin = (r - abs(l1 - l2)) * (r + abs(l1 - l2))
@@ -190,16 +193,16 @@ def closest_tip(
 ) -> ClosestTip:
     """Return the coordinates within the joint limits at which the tip of a digit is closest to a point.
 
-    The search uses Levenberg-Marquardt steps. Only coordinates that are not at a limit are moved
-    (projected Gauss-Newton). The search finds a local minimum. Therefore a motion has no jump if
-    each search starts at the previous posture. The digit may have any number of hinges with any
+    The search uses Levenberg-Marquardt steps, and moves only coordinates that are not at a limit
+    (projected Gauss-Newton). Because the search finds a local minimum, a motion has no jump if each
+    search starts at the previous posture. The digit can have any number of hinges with any
     directions, either coupled or independent.
 
     Args:
         digit: model of a digit that is mounted on the palm.
         position: (3,) point in the palm frame [m].
-        start_angles: (n_c,) coordinates at which the search starts [rad]. If it is None, searches start at
-            several postures, and the best of their results is returned.
+        start_angles: (n_c,) coordinates at which the search starts [rad]. With None, searches start
+            at several postures, and the function returns the best result.
 
     Source: Nocedal & Wright (2006), Numerical Optimization, 10.3 and 16.7.
     """
@@ -219,7 +222,7 @@ def closest_tip(
 def _locally_closest_tip(
     digit: DigitModel, target_point: Array, start_coordinates: Array
 ) -> ClosestTip:
-    """Return the local minimum of the distance that a search from the start coordinates finds."""
+    """Return the posture with a local minimum of the distance, found by a search from the start coordinates."""
     low, high = digit.coordinate_limits
     theta = start_coordinates.copy()
     gap = joint_points(digit, digit.coupling @ theta)[-1] - target_point

@@ -1,7 +1,7 @@
 """Kinematics of a digit in the palm frame: positions of links and tip, and Jacobians.
 
-A digit has the frame of its mount. At joint angles of zero, the x axis points along the digit, and
-the y axis points to the side of flexion.
+The frame of a digit is the frame of its mount. At joint angles of zero, the x axis of the digit's
+frame points along the digit, and the y axis points in the direction of flexion.
 """
 
 from typing import NamedTuple
@@ -53,7 +53,7 @@ def point_jacobian(
 ) -> Array:
     """Return the Jacobian (3, n) of a point on a link [m].
 
-    The Jacobian is the velocity of the point per joint velocity.
+    The Jacobian is the velocity of the point divided by the velocity of each joint.
 
     Args:
         digit: model of the digit.
@@ -61,7 +61,7 @@ def point_jacobian(
         link: index of the link, counted from 0.
         distance_from_joint: distance between the joint of the link and the point, along the link [m].
 
-    The column of a prismatic joint has no unit.
+    The column of a prismatic joint in the Jacobian has no unit.
     """
     poses = link_poses(digit, q)
     point_on_link = (
@@ -70,7 +70,7 @@ def point_jacobian(
     axes = poses[:, rigid_body.POSE_AXIS_COLUMN : rigid_body.POSE_AXIS_COLUMN + 3]
     revolute_columns = np.cross(axes, point_on_link - joint_positions(poses))
     jacobian = np.where(digit.is_prismatic[:, None], axes, revolute_columns).T
-    # Joints beyond this link do not move the point.
+    # Joints beyond the link ``link`` do not move the point.
     jacobian[:, link + 1 :] = 0.0
     return np.asarray(jacobian)
 
@@ -78,7 +78,7 @@ def point_jacobian(
 def tip_jacobian(digit: DigitModel, q: JointValues) -> Array:
     """Return the Jacobian (3, n) of the tip of a digit [m].
 
-    The Jacobian is the velocity of the tip per joint velocity.
+    The Jacobian is the velocity of the tip divided by the velocity of each joint.
     """
     return point_jacobian(digit, q, digit.joint_count - 1, digit.lengths[-1])
 

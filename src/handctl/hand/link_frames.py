@@ -10,9 +10,10 @@ from handctl.hand.kinematics import joint_points, link_poses, link_rotations
 
 
 class FrameTransform(NamedTuple):
-    """Pose of a frame in the palm frame.
+    """Pose of a link frame, given in the palm frame.
 
-    The position is in m. The unit quaternion has the order of ROS.
+    The position of the frame is in m. The components of the unit quaternion have the order of ROS
+    (x, y, z, w).
     """
 
     frame: str
@@ -24,8 +25,8 @@ def link_transforms(digit: DigitModel, q: JointValues) -> tuple[FrameTransform, 
     """Return the frames of all links and of the tip of a digit, in the palm frame.
 
     The origin of the frame ``<digit>_link1`` is at the first joint, and its x axis is along the
-    first link. The frames of the other links are defined in the same way. The last frame is
-    ``<digit>_tip``.
+    first link. The frames of the other links are defined like the frame of the first link. The last
+    frame is ``<digit>_tip``.
     """
     poses = link_poses(digit, q)
     # The frame of the tip has the same rotation as the last link.
@@ -45,11 +46,11 @@ def link_transforms(digit: DigitModel, q: JointValues) -> tuple[FrameTransform, 
 def quaternion_of_rotation(rotation: Array) -> tuple[float, float, float, float]:
     """Return the unit quaternion (x, y, z, w) of a rotation matrix (3, 3).
 
-    The largest component is calculated first. Thus no number is divided by a number near zero.
-    Source: Shepperd (1978).
+    The function calculates the largest component first, so that no number is divided by a number
+    near zero. Source: Shepperd (1978).
     """
     trace = float(np.trace(rotation))
-    # The entries of this list are four times the squares of x, y, z and w.
+    # The entries of ``squared_components`` are four times the squares of x, y, z and w.
     squared_components = [*(1.0 - trace + 2.0 * np.diag(rotation)).tolist(), 1.0 + trace]
     largest = max(range(4), key=squared_components.__getitem__)
     (_, xy, xz), (yx, _, yz), (zx, zy, _) = rotation.tolist()

@@ -25,8 +25,8 @@ def joint_axes(digit: Digit) -> Array:
 def joint_rotations(digit: Digit) -> Array:
     """Return the rotation (n, 3, 3) from the frame of each link to the frame before it.
 
-    The rotation is valid at a joint angle of zero. The frame before the first link is the frame of
-    the mount.
+    The rotation of a link is valid at a joint angle of zero. The frame before the first link is the
+    frame of the mount.
     """
     turns = digit.joint_rpy_deg or [(0.0, 0.0, 0.0)] * len(digit.link_length_m)
     return np.array([rotation_of_rpy(*np.radians(turn)) for turn in turns])
@@ -43,7 +43,8 @@ def link_inertia(digit: Digit, i: int) -> Array:
     values = digit.link_inertia_kg_m2[i]
     if isinstance(values, float):
         # The inertia about the long axis of the link is that of a round bar. The triangle
-        # inequality limits it to twice the inertia about an axis across the link.
+        # inequality limits the inertia about the long axis to twice the inertia about an axis
+        # across the link.
         axial_inertia = min(digit.link_mass_kg[i] * digit.link_radius_m**2 / 2, 2 * values)
         return np.diag([axial_inertia, values, values])
     xx, yy, zz, xy, xz, yz = values if len(values) == 6 else (*values, 0.0, 0.0, 0.0)
@@ -53,8 +54,8 @@ def link_inertia(digit: Digit, i: int) -> Array:
 def link_placement(digit: Digit, i: int) -> tuple[Array, Array]:
     """Return the position (3,) [m] and the rotation (3, 3) of link i, in the frame before the link.
 
-    Both are valid at a joint angle of zero. The frame before the first link belongs to the palm, or
-    to the link that carries the digit.
+    Position and rotation are valid at a joint angle of zero. The frame before the first link
+    belongs to the palm, or to the link that carries the digit.
     """
     rotation = joint_rotations(digit)[i]
     if i > 0:
@@ -67,7 +68,8 @@ def rpy_of_rotation(rotation: Array) -> tuple[float, float, float]:
     """Return roll, pitch and yaw [rad] of a rotation (3, 3).
 
     This function is the inverse of ``rotation_of_rpy``. At a pitch of 90 degrees, only the sum or
-    the difference of roll and yaw is defined. The yaw is then set to 0.
+    the difference of roll and yaw is defined. At a pitch of 90 degrees, the function sets the yaw
+    to 0.
     """
     cosine_of_pitch = math.hypot(rotation[0, 0], rotation[1, 0])
     pitch = math.atan2(-rotation[2, 0], cosine_of_pitch)
@@ -83,7 +85,7 @@ def rpy_of_rotation(rotation: Array) -> tuple[float, float, float]:
 def rotation_of_rpy(roll: float, pitch: float, yaw: float) -> Array:
     """Return the rotation (3, 3) for successive turns about the fixed axes x, y and z [rad].
 
-    The result is the product Rz(yaw) Ry(pitch) Rx(roll), as in URDF.
+    The rotation is the product Rz(yaw) Ry(pitch) Rx(roll), as in URDF.
     """
     cr = math.cos(roll)
     sr = math.sin(roll)

@@ -1,9 +1,9 @@
 """Model of a whole hand as a single tree of links.
 
-The model gives poses, mass matrix and static torques of all joints together. A digit may be mounted
-on the last link of another digit, as a finger is mounted on a wrist. The functions of ``dynamics``
-and ``kinematics`` apply to a single digit with a base at rest. The tree of the whole hand includes
-the motion of digits that carry other digits.
+The model computes poses, mass matrix and static torques of all joints together. A digit can be
+mounted on the last link of another digit, as a finger is mounted on a wrist. The functions of
+``dynamics`` and ``kinematics`` apply to a single digit whose base is at rest. The tree of links
+also includes the motion of digits that carry other digits.
 """
 
 from collections.abc import Sequence
@@ -45,8 +45,8 @@ class LinkTree:
 
         Args:
             hand: description of the hand.
-            digits: models of the hand's digits, in the order of the hand file. If no models are
-                given, this function builds them.
+            digits: models of the hand's digits, in the order of the hand file. If the sequence is
+                empty, the function builds the models.
         """
         digits = tuple(digits) or DigitModel.digit_models_of_hand(hand)
         parents = [

@@ -1,10 +1,10 @@
 """Moment arms of tendons at joints. A moment arm is constant, or a polynomial of the joint angle.
 
-All arms are stored as polynomials r(q) of the same fixed degree. The excursion of a tendon at a
-joint is the exact integral of r from 0 to q. Outside of the joint's range, the arm equals the arm
-at the nearer limit. Thus a polynomial is only evaluated in the range for which it was given. The
-excursion is therefore monotonic for all angles. A table of measured arms becomes the least-squares
-polynomial of degree ``MOMENT_ARM_FIT_DEGREE``.
+All moment arms are stored as polynomials r(q) of the same fixed degree. The excursion of a tendon
+at a joint is the exact integral of r from 0 to q. Outside of the joint's range, the moment arm
+equals the moment arm at the nearer joint limit. A polynomial is thus evaluated only in the range
+for which it was given, so that the excursion is monotonic for all joint angles. A table of measured
+moment arms becomes the least-squares polynomial of degree ``MOMENT_ARM_FIT_DEGREE``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,7 +25,7 @@ MOMENT_ARM_FIT_DEGREE = 3
 def moment_arm_polynomial(arm: MomentArm) -> Array:
     """Return the coefficients (POLYNOMIAL_COEFFICIENTS,) of a moment arm as a polynomial of the angle in rad.
 
-    The constant term comes first.
+    The first coefficient is the constant term of the polynomial.
 
     Args:
         arm: valid moment arm from a hand file.
@@ -48,7 +48,7 @@ def moment_arm_polynomial(arm: MomentArm) -> Array:
 def moment_arm_table(arm: MomentArm) -> tuple[Array, Array]:
     """Return the angles (k,) [rad] and the moment arms (k,) [m] of a table of moment arms.
 
-    For a moment arm without a table, k is 0.
+    For a moment arm that is not a table, k is 0.
     """
     if not isinstance(arm, Mapping) or "angle_deg" not in arm:
         return np.zeros(0), np.zeros(0)
@@ -58,7 +58,7 @@ def moment_arm_table(arm: MomentArm) -> tuple[Array, Array]:
 def moment_arm_table_residual(arm: MomentArm) -> float:
     """Return the largest difference between a table of moment arms and its polynomial [m].
 
-    For a moment arm without a table, the difference is 0.
+    For a moment arm that is not a table, the difference is 0.
     """
     angle, values = moment_arm_table(arm)
     fitted_moment_arms = np.polynomial.polynomial.polyval(angle, moment_arm_polynomial(arm))
@@ -66,9 +66,9 @@ def moment_arm_table_residual(arm: MomentArm) -> float:
 
 
 def is_moment_arm_varying(arm: MomentArm) -> bool:
-    """Return True if a moment arm is written as a polynomial or as a table.
+    """Return True if a moment arm in a hand file is a polynomial or a table.
 
-    Return False if it is a number.
+    Return False if the moment arm is a number.
     """
     return isinstance(arm, Mapping)
 

@@ -1,8 +1,8 @@
-"""Checks that a hand must pass before it may run, in addition to the checks of every hand file.
+"""Checks that a hand must pass before a run, in addition to the checks of every hand file.
 
-Tools and logs can use any hand file that is valid. For a run, three more conditions must hold. CAN
-controllers must support the bit rates, the digits must open by themselves, and positive coordinates
-must flex the digits.
+Tools and logs can use any hand file that is valid. For a run, a hand must fulfil three more
+conditions. CAN controllers must support the bit rates, springs or antagonistic tendons must be able
+to open the digits, and positive coordinates must flex the digits.
 """
 
 from collections.abc import Iterator
@@ -23,12 +23,12 @@ MAX_ARBITRATION_BITRATE = 1_000_000
 Source: ISO 11898-2.
 """
 MAX_TORQUE_RESIDUAL = 1e-6
-"""Largest torque that counts as 0, as a fraction of the torque of 1 N at the largest moment arm."""
+"""Largest torque that counts as 0, as a fraction of the torque that 1 N makes at the largest moment arm."""
 CHECKED_POSTURE_COUNT = 11
 """Number of postures at which a digit is checked, if its moment arms depend on joint angles."""
 SPRING_STIFFNESS = REVOLUTE_KEYS.index("spring_stiffness_N_m_per_rad")
 SPRING_PRELOAD = REVOLUTE_KEYS.index("spring_preload_rad")
-"""Indices of the keys of return springs."""
+"""Index of each key of return springs in ``REVOLUTE_KEYS``."""
 SMALLEST_RANGE_DEG = 1.0
 """Smallest range of a coordinate that counts as a motion [deg]."""
 
@@ -59,13 +59,13 @@ def _check_rates(bus: Bus) -> Iterator[FileMistake]:
 def _check_direction(digit: Digit) -> Iterator[FileMistake]:
     """Check that coupled joints can move within their limits.
 
-    Also check that positive coordinates flex the digit.
+    The function also checks that positive coordinates flex the digit.
     """
     if digit.coupling is None:
         return
     location = f"digit[{digit.name}].coupling"
     for i, (low, high) in enumerate(zip(*displayed_range(digit), strict=True)):
-        # If a prismatic joint can move by less than 1 mm, this does not count as a motion either.
+        # A range of less than 1 mm of a prismatic joint does not count as a motion either.
         if high - low < SMALLEST_RANGE_DEG:
             expected = "signs and sizes that leave the joints a common range within their limits"
             yield FileMistake(f"column {i} moves no joint within its limits", location, expected)
@@ -80,8 +80,8 @@ def _check_direction(digit: Digit) -> Iterator[FileMistake]:
 def displayed_range(digit: Digit) -> tuple[Vector, Vector]:
     """Return the smallest and the largest value (n_c,) of each coordinate of a digit [deg or mm].
 
-    While one coordinate moves between these values and the others are zero, all joints stay within
-    their limits.
+    While one coordinate moves between its two values and the other coordinates are zero, all joints
+    stay within their limits.
     """
     limits = np.array(digit.displayed_joint_limits)
     if digit.coupling is None:
@@ -93,7 +93,7 @@ def displayed_range(digit: Digit) -> tuple[Vector, Vector]:
 def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
     """Check that springs or antagonistic tendons can open a digit against the tension floor.
 
-    The check includes every coordinate of the digit.
+    The function checks every coordinate of the digit.
     """
     tendons = hand.digit_tendons[digit.name]
     if hand.is_pair[tendons].any():
@@ -109,7 +109,7 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
             )
             @ coupling
         )
-    arms = postures[0]  # moment arms of the digit when it is open
+    arms = postures[0]  # moment arms of the digit in its open posture
     floor = np.array([tendon.tension_floor_N for tendon in hand.tendon[tendons]])
     stiffness = np.array(digit.joint_values("spring_stiffness_N_m_per_rad"))
     opened_angles = np.add(digit.joint_limits[0], digit.joint_values("spring_preload_rad"))
@@ -144,7 +144,7 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
 def moment_arm_fit_lines(hand: Hand) -> tuple[str, ...]:
     """Return lines that report the differences between polynomials and tables of moment arms.
 
-    There is one line for each tendon with a table.
+    The text has one line for each tendon with a table of moment arms.
     """
     lines = []
     for tendon in hand.tendon:
@@ -165,7 +165,7 @@ def moment_arm_fit_lines(hand: Hand) -> tuple[str, ...]:
 
 
 def can_tensions_balance(moment_arms: Vector) -> bool:
-    """Return True if positive tensions can cancel all their torques.
+    """Return True if a set of positive tensions makes no torque at any coordinate.
 
     Args:
         moment_arms: matrix R B (n_t, n_c) of moment arms in the coordinates of a digit [m].
@@ -175,13 +175,13 @@ def can_tensions_balance(moment_arms: Vector) -> bool:
         (moment_arms.min(axis=0) >= 0.0) & (moment_arms.max(axis=0) > MAX_TORQUE_RESIDUAL * largest)
     ).any():
         return (
-            # If all moment arms at a coordinate are positive, tensions always make a torque
-            # together.
+            # If all moment arms at a coordinate are positive, positive tensions always make a
+            # torque at the coordinate.
             False
         )
-    from scipy.optimize import nnls  # this import takes as long as all other checks of a hand
+    from scipy.optimize import nnls  # the import takes as long as all other checks
 
-    # If this non-negative least-squares problem has no residual, the tensions 1 + w with w >= 0
-    # make no torque together.
+    # If the non-negative least-squares problem has no residual, the sum of the torques of the
+    # tensions 1 + w with w >= 0 is zero.
     _, residual = nnls(moment_arms.T, -moment_arms.sum(axis=0))
     return bool(residual <= MAX_TORQUE_RESIDUAL * largest)

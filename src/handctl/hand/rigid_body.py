@@ -1,14 +1,14 @@
 """Rigid-body mechanics of trees of links in compiled code: poses, weight and inverse dynamics.
 
-A table has a column for each link. The column of a link comes after the column of its parent.
-``parent`` contains the column of the parent of each link, or -1 if the parent is the palm. The
-origin of a link's frame is at the joint of the link, and its x axis is along the link. The tip of a
-link lies on the x axis, at the length of the link. Gravity and poses are given in the palm frame.
-The rates and forces in ``write_newton_euler`` are given in the frames of the links.
+A table of links has a column for each link. The column of a link comes after the column of its
+parent link. ``parent`` contains the column of each link's parent link, or -1 if the parent is the
+palm. The origin of a link's frame is at the joint of the link, and its x axis is along the link.
+The tip of a link lies on the x axis, at the length of the link. Gravity and poses are given in the
+palm frame. The rates and forces in ``write_newton_euler`` are given in the frames of the links.
 
-A joint is a hinge, or it is prismatic, which means that its link slides along the axis. For a
-prismatic joint, positions are in m, and not in rad. Torques are forces along the axis [N], and
-levers have no unit. The frame of a sliding link moves with the link.
+A joint is a hinge, or it is prismatic, which means that its link slides along the axis. The
+position of a prismatic joint is in m, and not in rad. The torque of a prismatic joint is a force
+along the axis [N], and its levers have no unit. The frame of a sliding link moves with the link.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms (2008), recursive Newton-Euler algorithm.
 """
@@ -26,10 +26,10 @@ IndexArray = NDArray[np.int64]
 FIXED_ROTATION_ROW = 0
 COSINE_ROTATION_ROW = 9
 SINE_ROTATION_ROW = 18
-"""First table rows with three matrices. Each matrix is stored row by row.
+"""First table row of each of the three matrices F, C and S. A matrix is stored row by row in the column of its link.
 
-The rotation from the frame of a link to that of its parent is F + C cos q + S sin q, with the matrices F,
-C and S in the order of these rows.
+The rotation from the frame of a link to that of its parent is F + C cos q + S sin q, with the
+matrices F, C and S in the order of their table rows.
 """
 JOINT_ORIGIN_ROW = 27
 """First table row with the joint's position in the parent's frame [m]."""
@@ -42,18 +42,18 @@ LINK_FIRST_MOMENT_ROW = 34
 LINK_INERTIA_ROW = 37
 """First table row with the link's inertia about its joint: xx, yy, zz, xy, xz, yz [kg m2]."""
 JOINT_ARMATURE_ROW = 43
-"""Table row with the inertia of the joint itself, without its link [kg m2]."""
+"""Table row with the armature of the joint: the inertia of its moving parts without the link [kg m2]."""
 LINK_LENGTH_ROW = 44
 """Table row with the link's length [m]."""
 IS_PRISMATIC_ROW = 45
 """Row in the table that is 1 for a prismatic joint, and 0 for a hinge."""
 LINK_TABLE_ROW_COUNT = 46
-"""Number of rows of a table."""
+"""Number of rows of a table of links."""
 
 POSE_ROTATION_COLUMN = 0
 """First column of a pose with the rotation from the link's frame to the palm frame.
 
-The rotation is stored row by row.
+The rotation matrix is stored row by row.
 """
 POSE_POSITION_COLUMN = 9
 """First column of a pose with the position of the link's joint in the palm frame [m]."""
@@ -62,7 +62,7 @@ POSE_AXIS_COLUMN = 12
 CARRIED_MASS_COLUMN = 15
 """Column of a pose with the mass of the link and of all links that it carries [kg]."""
 CARRIED_MOMENT_COLUMN = 16
-"""First column of a pose with the first moment of this mass, in the palm frame [kg m]."""
+"""First column of a pose with the first moment of the carried mass, in the palm frame [kg m]."""
 POSE_PRISMATIC_COLUMN = 19
 """Column in a pose that is 1 for a prismatic joint, and 0 for a hinge."""
 POSE_COLUMN_COUNT = 20
@@ -70,8 +70,8 @@ POSE_COLUMN_COUNT = 20
 
 # Columns of the working memory of ``write_newton_euler``. The columns 0 to 8 contain the rotation
 # from a link to its parent. Each of the following constants is the first column of a vector in the
-# frame of the link. Only the position of the joint (_ORIGIN_COLUMN) is given in the frame of the parent.
-# This position includes the motion of a prismatic joint.
+# frame of the link. Only the position of the joint (_ORIGIN_COLUMN) is given in the frame of the
+# parent link. The position of the joint includes the motion of a prismatic joint.
 _ANGULAR_VELOCITY_COLUMN = 9
 _ANGULAR_ACCELERATION_COLUMN = 12
 _ACCELERATION_COLUMN = 15
@@ -85,14 +85,14 @@ _WORK_TABLE_COLUMN_COUNT = 27
 def write_link_poses(
     link_table: Array, first_row: int, parent: IndexArray, q: Array, pose: Array
 ) -> None:
-    """Write the poses of all links, but not the carried masses and their moments.
+    """Write the poses of all links, without the carried masses and their first moments.
 
     Args:
         link_table: array that contains the table of links, see the docstring of the module.
         first_row: first row of the table in the array.
         parent: (n,) column of the parent of each link, or -1 if the parent is the palm.
         q: (n,) joint angles [rad].
-        pose: (n, POSE_COLUMN_COUNT) result.
+        pose: (n, POSE_COLUMN_COUNT) array for the poses.
     """
     turn = np.empty(9)
     for j in range(len(q)):
@@ -138,7 +138,7 @@ def write_link_poses(
 def _palm_frame_component(
     link_table: Array, first_row: int, pose: Array, j: int, axis_index: int
 ) -> float:
-    """Convert a vector of the table from the frame of link j to the palm frame, and return one component."""
+    """Return one component of a vector in the table, converted from the frame of link j to the palm frame."""
     x_product = pose[j, POSE_ROTATION_COLUMN + 3 * axis_index] * link_table[first_row, j]
     y_product = pose[j, POSE_ROTATION_COLUMN + 3 * axis_index + 1] * link_table[first_row + 1, j]
     z_product = pose[j, POSE_ROTATION_COLUMN + 3 * axis_index + 2] * link_table[first_row + 2, j]
@@ -185,7 +185,7 @@ def write_weight_torques(
         parent: see ``write_link_poses``.
         gravity: (3,) gravity in the palm frame [m/s2].
         pose: (n, POSE_COLUMN_COUNT) poses. The carried masses in the poses are overwritten.
-        torque: (n,) result.
+        torque: (n,) array for the joint torques.
     """
     write_carried_masses(link_table, first_row, parent, pose)
     for j in range(len(pose)):
@@ -200,8 +200,8 @@ def write_weight_torques(
                 + pose[j, POSE_AXIS_COLUMN + 2] * gravity[2]
             )
             continue
-        # The weight makes the torque (first moment) x gravity about the axis of the joint. The
-        # torque with the opposite sign balances the weight.
+        # The weight of the carried links makes the torque (first moment) x gravity about the axis
+        # of the joint. The torque with the opposite sign balances the weight.
         torque[j] = -(
             pose[j, POSE_AXIS_COLUMN] * (y * gravity[2] - z * gravity[1])
             + pose[j, POSE_AXIS_COLUMN + 1] * (z * gravity[0] - x * gravity[2])
@@ -215,15 +215,15 @@ def write_levers(
 ) -> None:
     """Write the levers [m] of a force on a link, about all joints from ``first_joint`` to the joint of the link.
 
-    The force acts at a point on the x axis of the link. Its direction is the link's y axis, which
-    points to the side of flexion.
+    The force on the link acts at a point on the link's x axis. The direction of the force is the
+    link's y axis, which points in the direction of flexion.
 
     Args:
         pose: (n, POSE_COLUMN_COUNT) poses.
         first_joint: first joint of the chain.
         touched_link: index of the link on which the force acts.
         distance_from_joint: distance between the joint of the link and the point [m].
-        levers_m: (n,) result, from ``first_joint`` to ``touched_link``.
+        levers_m: (n,) array for the levers, from ``first_joint`` to ``touched_link``.
     """
     px = (
         pose[touched_link, POSE_POSITION_COLUMN]
@@ -282,10 +282,10 @@ def write_levers_after_turn(
     angle: float,
     levers_m: Array,
 ) -> None:
-    """Write the levers of a force on the last link of a chain, after one joint has turned.
+    """Write the levers of a force on the last link of a chain of links, after one joint has turned.
 
-    The function ``write_levers`` explains the levers. The links beyond this joint turn together
-    with the force. Therefore the levers about the joints of these links stay the same.
+    The function ``write_levers`` explains the levers. The links beyond the turned joint turn
+    together with the force, so that the levers about the joints of these links stay the same.
 
     Args:
         pose: (n, POSE_COLUMN_COUNT) poses.
@@ -293,7 +293,8 @@ def write_levers_after_turn(
         last_joint: index of the last link of the chain, on which the force acts.
         distance_from_joint: distance between the joint of the last link and the point [m].
         turning_joint: joint that turns.
-        angle: angle of the turn [rad]. A prismatic joint slides by this distance [m].
+        angle: angle of the turn [rad]. For a prismatic joint, the distance by which the joint
+            slides [m].
         levers_m: (n,) levers before the turn, modified in place up to the turned joint.
     """
     ax, ay, az = (
@@ -374,7 +375,7 @@ def write_newton_euler(
         q: (n,) joint angles [rad].
         dq: (n,) joint rates [rad/s].
         ddq: (n,) joint accelerations [rad/s2].
-        torque: (n,) result.
+        torque: (n,) array for the joint torques.
     """
     work_table = np.empty((len(q), _WORK_TABLE_COLUMN_COUNT))
     for j in range(len(q)):
@@ -411,8 +412,8 @@ def _move_link(
 ) -> None:
     """Write the motion of link j, in the frame of the link.
 
-    The motion consists of the rotation to the parent, the rate, the angular acceleration, and the
-    acceleration minus gravity.
+    The motion of a link consists of the rotation to the parent link, the rate, the angular
+    acceleration, and the acceleration minus gravity.
     """
     cosine = math.cos(q)
     sine = math.sin(q)
@@ -492,7 +493,8 @@ def _move_link(
         work_table[j, _ANGULAR_VELOCITY_COLUMN + 2],
     )
     if prismatic:
-        # This term exists because the link slides in a turning frame: a q'' + 2 w x (a q').
+        # A link that slides in a turning frame has the additional acceleration a q'' + 2 w x (a
+        # q').
         work_table[j, _ACCELERATION_COLUMN] += ax * ddq + 2.0 * (wy * az - wz * ay) * dq
         work_table[j, _ACCELERATION_COLUMN + 1] += ay * ddq + 2.0 * (wz * ax - wx * az) * dq
         work_table[j, _ACCELERATION_COLUMN + 2] += az * ddq + 2.0 * (wx * ay - wy * ax) * dq
@@ -507,7 +509,7 @@ def _move_link(
 
 @kernel_helper
 def _load_link(link_table: Array, first_row: int, work_table: Array, j: int) -> None:
-    """Write the force and the torque at the joint of link j that the motion of this link requires."""
+    """Write the force and the torque at the joint of link j that the motion of the link requires."""
     mass = link_table[first_row + LINK_MASS_ROW, j]
     hx, hy, hz = (
         link_table[first_row + LINK_FIRST_MOMENT_ROW, j],
@@ -563,7 +565,7 @@ def _load_link(link_table: Array, first_row: int, work_table: Array, j: int) -> 
 
 @kernel_helper
 def _add_load_to_parent(work_table: Array, j: int, parent_link: int) -> None:
-    """Add the force and the torque of link j to those of the parent."""
+    """Add the force and the torque of link j to the force and the torque of the parent link."""
     fx, fy, fz = (
         work_table[j, _FORCE_COLUMN],
         work_table[j, _FORCE_COLUMN + 1],
@@ -585,8 +587,8 @@ def _add_load_to_parent(work_table: Array, j: int, parent_link: int) -> None:
     work_table[parent_link, _FORCE_COLUMN] += gx
     work_table[parent_link, _FORCE_COLUMN + 1] += gy
     work_table[parent_link, _FORCE_COLUMN + 2] += gz
-    # The force acts at the position o of the joint. Therefore the torque on the parent is R n + o x
-    # (R f).
+    # The force f acts at the position o of the joint, so that the torque on the parent link is R n
+    # + o x (R f).
     work_table[parent_link, _TORQUE_COLUMN] += (
         work_table[j, 0] * nx + work_table[j, 1] * ny + work_table[j, 2] * nz + (oy * gz - oz * gy)
     )
@@ -631,8 +633,9 @@ def rigid_body_torques(
 def inertia_matrix(link_table: Array, parent: IndexArray, q: Array) -> Array:
     """Return the mass matrix (n, n) at joint angles q (n,) [rad], including the armature [kg m2].
 
-    Column k contains the torques for a unit acceleration of joint k, at rest and without gravity.
-    The matrix is exactly symmetric, because the lower triangle is a copy of the upper triangle.
+    Column k of the mass matrix contains the joint torques for a unit acceleration of joint k, at
+    rest and without gravity. The mass matrix is exactly symmetric, because its lower triangle is a
+    copy of its upper triangle.
     """
     n = len(q)
     zero_rates = np.zeros(max(n, 3))
@@ -654,7 +657,7 @@ def tip_levers(
 ) -> Array:
     """Return the levers (n,) [m] of a force on a link about the joints of its chain, see ``write_levers``.
 
-    For joints beyond the link, the levers are 0.
+    The levers about joints beyond the touched link are 0.
     """
     pose = np.empty((len(q), POSE_COLUMN_COUNT))
     lever = np.zeros(len(q))

@@ -1,9 +1,9 @@
 """Comparison of the force of a runaway drive with the strength of its tendon.
 
-A runaway drive makes its largest torque without a command. The tension reaches its peak 5 to 15 ms
-after the current rises, and no host can react in this time. Only the current limit inside the drive
-protects the tendon. If a constant force F accelerates a rotor from rest against an elastic tendon,
-the tension overshoots to 2 F.
+A runaway drive is a drive that makes its largest torque without a command. The tension of the
+tendon reaches its peak 5 to 15 ms after the motor current rises, and no host can react within 15
+ms. Only the current limit inside the drive protects the tendon. If a constant force F accelerates a
+rotor from rest against an elastic tendon, the tension overshoots to 2 F.
 """
 
 from collections.abc import Iterable
@@ -15,13 +15,13 @@ from handctl.hand.file.error_text import lines_by_text
 from handctl.hand.moment_arms import moment_arms_at
 
 MIN_STRENGTH_RATIO = 1.5
-"""Required ratio of a tendon's ``rated_breaking_force_N`` to the peak tension when the drive runs away."""
+"""Required ratio of a tendon's ``rated_breaking_force_N`` to the peak tension during a runaway of its drive."""
 CHECKED_POSTURE_COUNT = 11
-"""Number of postures among which the largest absolute moment arms are searched."""
+"""Number of postures of a digit in which the largest absolute moment arms are searched."""
 RUNAWAY_OVERSHOOT = 2.0
-"""Ratio of peak tension to the constant force that moves a rotor.
+"""Ratio of the peak tension of a tendon to the constant force that accelerates the rotor.
 
-The rotor starts at rest, and its elastic tendon is slack at first and has no damping.
+The rotor starts at rest, and the elastic tendon is slack at the start and has no damping.
 """
 
 
@@ -31,15 +31,16 @@ def runaway_tension(force: float) -> float:
 
 
 def largest_safe_force(breaking_force: float) -> float:
-    """Return the largest drive force [N] that is safe for a tendon with this breaking force [N].
+    """Return the largest drive force [N] that is safe for a tendon with the given breaking force [N].
 
-    With this force, the tendon still has the ratio ``MIN_STRENGTH_RATIO``.
+    At the largest safe force, the ratio of breaking force to peak tension is
+    ``MIN_STRENGTH_RATIO``.
     """
     return breaking_force / (RUNAWAY_OVERSHOOT * MIN_STRENGTH_RATIO)
 
 
 def strength_warnings(hand: Hand) -> tuple[str, ...]:
-    """Return a line for each strength margin that is too small.
+    """Return a line of text for each strength margin that is too small.
 
     Tendons or joints with equal values share a line.
     """
@@ -84,7 +85,7 @@ def _runaway_text(key: str, force: float, breaking_force: float, spool_radius: f
 def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
     """Yield three values for each joint of a digit: name, torque during a runaway, and rated torque [N m or N].
 
-    If the digit has no rated torques, yield nothing.
+    For a digit without rated torques, the function yields nothing.
     """
     digit_section = hand.digit_named(digit)
     rated_loads = digit_section.rated_loads

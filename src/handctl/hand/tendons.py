@@ -11,7 +11,7 @@ from handctl.hand.file.section_models import Tendon
 CAPSTAN_FRICTION_SPEED_M_S = 1e-3
 """Speed v0 in the factor tanh(v / v0) of the friction [m/s].
 
-The factor avoids a jump when the motion reverses.
+The factor tanh(v / v0) avoids a jump of the friction when the motion reverses.
 """
 
 
@@ -19,11 +19,11 @@ The factor avoids a jump when the motion reverses.
 class TendonElasticity:
     """Tension of a tendon as a function of its stretch.
 
-    The tension increases linearly up to a point that is called the knee. Beyond the knee, the
-    stiffness changes smoothly to a different value.
+    The tension increases linearly with the stretch up to a point that is called the knee. Beyond
+    the knee, the stiffness changes smoothly to a different value.
 
-    phi = k dl up to f_k. Beyond this tension, with x = dl - f_k / k, phi = f_k + k2 x + (k - k2) w
-    (1 - exp(-x / w)). The tendon is slack at dl <= 0.
+    phi = k dl up to the tension f_k. Beyond f_k, with x = dl - f_k / k, phi = f_k + k2 x + (k - k2)
+    w (1 - exp(-x / w)). The tendon is slack at dl <= 0.
 
     Attributes:
         stiffness: k, stiffness up to the knee [N/m].
@@ -58,9 +58,9 @@ class TendonElasticity:
         return self.knee + self._tension_above_knee(excess)
 
     def tension(self, stretch: float, stretch_rate: float) -> float:
-        """Return the tension including the damping [N].
+        """Return the tension of the tendon including the damping [N].
 
-        The tension is 0 when the tendon is slack, and never below 0.
+        The tension of a slack tendon is 0. The tension is never below 0.
 
         Args:
             stretch: stretch of the tendon [m].
@@ -73,7 +73,7 @@ class TendonElasticity:
     def tangent_stiffness(self, stretch: float) -> float:
         """Return the derivative of the elastic tension with respect to the stretch [N/m].
 
-        For a slack tendon, the derivative is 0.
+        The derivative is 0 for a slack tendon.
         """
         excess = stretch - self.knee / self.stiffness
         if stretch <= 0.0:
@@ -83,10 +83,11 @@ class TendonElasticity:
     def stretch(self, tension: float) -> float:
         """Return the stretch [m] at a constant tension.
 
-        The function is the inverse of ``elastic_tension``.
+        The method is the inverse of ``elastic_tension``.
 
-        Beyond the knee, Newton's method starts from the stretch of a linear tendon. The steps
-        approach the solution from one side, because the curvature has the same sign everywhere.
+        Beyond the knee, Newton's method starts from the stretch of a linear tendon. The Newton
+        steps approach the solution from one side, because the curvature of the tension has the same
+        sign everywhere.
 
         Raises:
             ValueError: the tension is negative or not finite.
@@ -99,7 +100,7 @@ class TendonElasticity:
         for _ in range(NEWTON_STEPS):
             step = (tension - self.knee - self._tension_above_knee(excess)) / self._slope(excess)
             excess += step
-            # The step is smaller than float64 can represent.
+            # The Newton step is smaller than the resolution of float64.
             if abs(step) <= 1e-15 * excess:
                 break
         return self.knee / self.stiffness + excess
@@ -120,17 +121,16 @@ class TendonElasticity:
 
 
 NEWTON_STEPS = 100
-"""Largest number of Newton steps. About six steps are usual."""
+"""Largest number of Newton steps. Usually about six Newton steps are sufficient."""
 
 
 def pulley_factors(digit: DigitModel, q: JointValues, speed: JointValues) -> Array:
     """Return the ratio of the tension at each joint pulley to the load-cell tension: exp(-mu phi_i tanh(v / v0)).
 
-    Here, phi_i is the sum of the wrap angle before the first joint and the angles of the crossed
-    joints up to joint i. While the spool winds the tendon up, friction reduces the tension towards
-    the tip, and the factors are below 1. While the spool pays out the tendon, the factors are above
-    1. If the tendon is at rest, the factors are 1.
-    Source: capstan equation.
+    The angle phi_i is the sum of the wrap angle before the first joint and the angles of the
+    crossed joints up to joint i. While the spool winds the tendon up, friction reduces the tension
+    towards the tip, and the ratios are below 1. While the spool unwinds the tendon, the ratios are
+    above 1. If the tendon is at rest, the ratios are 1. Source: capstan equation.
 
     Args:
         digit: model of the digit.
@@ -138,9 +138,9 @@ def pulley_factors(digit: DigitModel, q: JointValues, speed: JointValues) -> Arr
         speed: winding speed of each tendon (n_t,) [m/s].
 
     Returns:
-        Factors for each tendon and joint (n_t, n).
+        Friction factor for each tendon and joint (n_t, n).
     """
-    # Only those hinges that a tendon crosses add to the wrap angle of the tendon.
+    # Only the hinges that a tendon crosses increase the wrap angle of the tendon.
     has_pulley = (digit.moment_arms != 0.0) & ~digit.is_prismatic
     wrapped_angles = np.cumsum(has_pulley * np.asarray(q), axis=1)
     exponent = digit.friction * np.tanh(np.divide(speed, CAPSTAN_FRICTION_SPEED_M_S))
@@ -150,7 +150,8 @@ def pulley_factors(digit: DigitModel, q: JointValues, speed: JointValues) -> Arr
 def effective_moment_arms(digit: DigitModel, q: JointValues, speed: JointValues) -> Array:
     """Return the moment arms R multiplied by the friction factors (n_t, n) [m].
 
-    The product of the transposed result and the tensions at the load cells gives the joint torques.
+    The product of the transposed effective moment arms and the load-cell tensions is the vector of
+    joint torques.
     """
     return digit.moment_arms_at(q) * pulley_factors(digit, q, speed)
 
@@ -158,7 +159,7 @@ def effective_moment_arms(digit: DigitModel, q: JointValues, speed: JointValues)
 def excursions(digit: DigitModel, q: JointValues) -> Array:
     """Return the excursion (n_t,) of each tendon at given joint angles [m].
 
-    The excursion is the integral of R over the joint angles.
+    The excursion of a tendon is the integral of its moment arms over the joint angles.
     """
     return digit.excursion_at_angles(q)
 
@@ -166,7 +167,7 @@ def excursions(digit: DigitModel, q: JointValues) -> Array:
 def reflected_inertia(digit: DigitModel) -> Array:
     """Return the inertia (n_c, n_c) of the rotors, converted to the coordinates of the digit [kg m2].
 
-    The tendons are taken as rigid. The result is (R B)^T (J_m / r_a^2) R B.
+    The computation assumes rigid tendons. The reflected inertia is (R B)^T (J_m / r_a^2) R B.
     """
     arms = digit.reduced_moment_arms
     return np.asarray(arms.T @ (digit.motor_mass[:, None] * arms))

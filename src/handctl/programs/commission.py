@@ -1,21 +1,23 @@
 """Program that commissions a hand.
 
 Commissioning finds the tares and the motor zeros, and proves that each motor pulls its own tendon.
-The motors pull one tendon after the other gently, while all other tendons are slack. Only the load
-cell of the pulled tendon may respond, and only the encoder of its motor may turn. This pull is too
-weak to move a digit against its springs. Therefore the joint encoders are not tested.
+The motors pull one tendon after the other gently, while all other tendons are slack. During a pull,
+only the load cell of the pulled tendon and only the encoder of its motor are allowed to respond.
+The pull is too weak to move a digit against its springs, so the program does not test the joint
+encoders.
 
-A tendon without load cell has no tare. For such a tendon, the force at its motor shows when the
-tendon becomes taut.
+A tendon without a load cell has no tare. The motor force shows when a tendon without a load cell
+becomes taut.
 
-In a digit without springs, a single tendon would move the digit. Therefore all tendons of such a
-digit first pull together. They press the digit against its lower joint limits. Then the tension of
-one tendon after the other is increased. At these limits, the excursion is known, or joint encoders
-measure it. This excursion is subtracted from the motor zeros.
+Because a single tendon would move a digit without springs, all tendons of the digit first pull
+together, and press the digit against its lower joint limits. After all tendons of the digit have
+pulled together, the program increases the tension of one tendon after the other. At the lower joint
+limits, the excursion of the tendons is known, or joint encoders measure it. The program subtracts
+the excursion from the motor zeros.
 
-Load cells drift while many tendons are pulled one by one. Therefore no motor makes torque for a
-moment before each pull. The readings without torque are the reference for the responses of all load
-cells. The same readings renew the tare of the next tendon.
+Because load cells drift while many tendons are pulled one by one, no motor makes torque for a
+moment before each pull. The load-cell readings without torque are the reference for the responses
+of all load cells, and renew the tare of the next tendon.
 """
 
 from collections.abc import Sequence
@@ -38,46 +40,48 @@ from handctl.hand.file.error_text import lines_by_text
 from handctl.programs.program import TARE_PHASE, ProgramProgress, ProgressAndEvents
 
 PULL_TENSION_N = 3.0
-"""Tension of a pull [N]."""
+"""Tension with which the program pulls a tendon [N]."""
 PULL_FORCE_LIMIT_N = 12.0
-"""Largest motor force of a pull: the sum of pull, friction and a margin [N].
+"""Largest motor force during the pull of a tendon: the sum of pull tension, friction and a margin [N].
 
-This limit matters if a load cell does not respond.
+The limit of the motor force matters if a load cell does not respond.
 """
 TARE_DURATION_S = 0.5
-"""Averaging time of the first tare [s]."""
+"""Averaging time of the first tare of the load cells [s]."""
 REST_SETTLING_S = 0.3
-"""Time without torque before the load cells are read again [s]."""
+"""Time without motor torque before the program reads the load cells again [s]."""
 REST_DURATION_S = 0.2
 """Averaging time of the load-cell readings without torque, before each pull [s]."""
 PULL_SETTLING_S = 0.7
 """Time from the moment at which a pulled tendon becomes taut until its measurement [s].
 
-All load cells of a digit without springs are also read this long after the previous pull ended.
+In a digit without springs, the same time passes from the end of a pull to the reading of all load
+cells.
 """
 TAKE_UP_TIMEOUT_S = 3.0
-"""Longest time that a pulled tendon may take to become taut [s]."""
+"""Longest allowed time until a pulled tendon becomes taut [s]."""
 HOLD_TIMEOUT_S = 10.0
-"""Longest time that all tendons of a digit without springs may take to become taut [s]."""
+"""Longest allowed time until all tendons of a digit without springs become taut [s]."""
 HOLD_SETTLING_TIMEOUT_S = 3.0
 """Time from the moment at which all tendons of a digit without springs are taut until their measurement [s].
 
-In this time, the digit moves to its lower limits. The digit stays there for the pulls of all its
-tendons, so only the first pull waits this long.
+Before the first pull, the digit needs the time to move to its lower joint limits. The digit stays
+at its lower joint limits for the pulls of all its tendons, so only the first pull waits for the
+motion.
 """
 PRESSING_TORQUE_FACTOR = 1.5
 """Torque that presses a digit without springs on its lower limits, as a multiple of the torque of a pull."""
 MEASUREMENT_DURATION_S = 0.3
 """Averaging time of the response to a pull [s]."""
 MIN_RESPONSE_FRACTION = 0.6
-"""Smallest accepted response of the tendon's own load cell, as a fraction of the pull."""
+"""Smallest accepted response of the pulled tendon's load cell, as a fraction of the pull tension."""
 MAX_CROSSTALK_FRACTION = 0.3
-"""Largest accepted response of any other load cell, as a fraction of the pull."""
+"""Largest accepted response of any other load cell, as a fraction of the pull tension."""
 MIN_EXCHANGED_ENCODER_MOTION_M = 0.1e-3
 """Smallest motion of another motor during a pull that shows exchanged encoders, if its own motor moves less [m].
 
-A motor without torque moves by less: simulated ones by at most 10 um, and a motor that gives back
-the stretch of an earlier pull by at most 70 um.
+A motor without torque moves its tendon by less than 0.1 mm. A simulated motor without torque moves
+by at most 10 um. A motor whose tendon contracts after an earlier pull moves by at most 70 um.
 """
 
 (
@@ -94,24 +98,24 @@ the stretch of an earlier pull by at most 70 um.
 COLUMN_COUNT = 9
 """Number of columns of the table in `ProgramProgress.record`.
 
-The constants above are the indices of its columns.
+The constants before ``COLUMN_COUNT`` are the indices of the table's columns.
 """
 TOUCHING_BEFORE_PULL = -1
-"""Value of `ProgramProgress.touching[0]` before a pull.
+"""Value of `ProgramProgress.touching[0]` before the pull of a tendon.
 
-During a pull, the value is 0 until the tendon is taut. After that, the value is 1 more than the
-number of readings.
+During a pull, `ProgramProgress.touching[0]` is 0 until the tendon is taut. After the tendon has
+become taut, it is 1 more than the number of readings.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class CommissionProgram:
-    """Program with a step for the tares and a step for each tendon.
+    """Program that commissions a hand, with one step for the tares and one step for each tendon.
 
-    Step 0 tares all load cells, step i + 1 pulls tendon i. `ProgramProgress.record` is a table with a row
-    for each tendon: sum of tare samples, their number, motor zero [rad], response [N], crosstalk
-    [N], sum of samples during the present pull, sum and number of samples just before it, travel at the
-    start of the pull [m].
+    Step 0 tares all load cells, and step i + 1 pulls tendon i. `ProgramProgress.record` is a table
+    with a row for each tendon. The first columns are sum and number of tare samples, motor zero
+    [rad], response [N], and crosstalk [N]. The other columns are sum of samples during the present
+    pull, sum and number of samples just before the pull, and travel at the start of the pull [m].
     """
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
@@ -158,7 +162,7 @@ class CommissionProgram:
         )
 
     def _check_tare(self, model: HandModel, progress: ProgramProgress) -> ProgressAndEvents | None:
-        """Return a failed progress if a tare is near an end of the load cell's range.
+        """Return a failed progress if the tare of a load cell is near a limit of its measuring range.
 
         If all tares are usable, return None.
         """
@@ -177,9 +181,9 @@ class CommissionProgram:
     ) -> ProgressAndEvents:
         """Read all load cells without torque, and renew the tare of the present tendon.
 
-        Then pull this tendon. A tare is renewed only if the tendon has never been taut. Friction
-        may hold tension in a tendon that was pulled before. The tares of all tendons in a digit
-        without springs are renewed together.
+        After the reading, the program pulls the present tendon. A tare is renewed only if the
+        tendon has never been taut, because friction possibly holds tension in a tendon that was
+        pulled before. The tares of all tendons in a digit without springs are renewed together.
         """
         if t - progress.since < REST_SETTLING_S:
             return progress, ()
@@ -191,11 +195,11 @@ class CommissionProgram:
         table[:, REST_SUM] += tension
         table[:, REST_SAMPLES] += 1.0
         samples = table[i, REST_SAMPLES]
-        # The duration of the averaging is a number of readings. So it lasts longer if readings are
+        # The averaging ends after a fixed number of readings, so it takes longer if readings are
         # missing.
         if samples * model.period < REST_DURATION_S:
             return _with_commissioning_table(progress, table), ()
-        # The new average has as much weight as all earlier readings together.
+        # The new average of a tare has as much weight as all earlier readings together.
         tendons_with_new_tare = (
             slice(i, i + 1)
             if model.redundancy.has_return_springs[i]
@@ -227,9 +231,9 @@ class CommissionProgram:
 
         Args:
             model: model of the hand.
-            progress: progress so far.
+            progress: progress of the commissioning.
             t: time [s].
-            is_taut: True if the tendons of the digit are already taut.
+            is_taut: True if all tendons of the digit are already taut.
         """
         i = progress.step - 1
         goals = _hold_goals(model, i, np.zeros(model.tendon_count))
@@ -258,15 +262,15 @@ class CommissionProgram:
     ) -> ProgressAndEvents:
         """Wait until the pressed digit is at rest, and read the load cells and the motor zero angles.
 
-        Then pull the tendon.
+        After the reading, the program pulls the present tendon.
         """
         i = progress.step - 1
         digit_tendons = model.digit_tendons[model.digit_of_tendon[i]]
         touching_ticks = progress.touching[0]
         if touching_ticks == 0:
             if not estimate.is_slack[digit_tendons].any():
-                # From now on, the joints are pressed against their limits. So the filter must treat
-                # the digit as a digit in contact.
+                # When all tendons are taut, they press the joints against their limits. From this
+                # tick on, the filter must treat the digit as a digit in contact.
                 contact = tuple(d == model.digit_of_tendon[i] for d in range(len(model.digits)))
                 return replace(
                     progress, touching=(1, *progress.touching[1:]), since=t, contact=contact
@@ -332,7 +336,8 @@ class CommissionProgram:
     ) -> ProgressAndEvents:
         """Pull the present tendon.
 
-        Wait until it is taut, let its tension settle, and measure the response.
+        The method waits until the tendon is taut and its tension has settled, and measures the
+        response.
         """
         i = progress.step - 1
         touching_ticks = progress.touching[0]
@@ -408,7 +413,7 @@ class CommissionProgram:
     ) -> ProgressAndEvents:
         """Release the present tendon.
 
-        Then wait before the next tendon, or finish.
+        After the release, the program waits before the pull of the next tendon, or finishes.
         """
         step = progress.step + 1
         is_same_digit = (
@@ -457,8 +462,8 @@ def _tare_text(model: HandModel) -> str:
 def _response_text(model: HandModel, i: int, answer: float, crosstalk: float) -> str:
     """Return the text of an accepted response to the pull of tendon i.
 
-    Only load cells can show that another tendon has responded. If there are no other load cells,
-    the text says that swapped tendons are not checked.
+    Only load cells can show that another tendon has responded. If the hand has no other load cells,
+    the text states that swapped tendons are not checked.
 
     Args:
         model: model of the hand.
@@ -478,7 +483,7 @@ def _response_text(model: HandModel, i: int, answer: float, crosstalk: float) ->
 def _missing_response_reason(model: HandModel, measured: TickMeasurements) -> str:
     """Return the reason why the load cell of the pulled tendon does not respond.
 
-    Another load cell may respond instead.
+    Possibly another load cell responds instead of the load cell of the pulled tendon.
     """
     measured_tensions = np.nan_to_num(measured.tension)
     other_tendon = int(measured_tensions.argmax())
@@ -491,7 +496,7 @@ def _missing_response_reason(model: HandModel, measured: TickMeasurements) -> st
 def _pull_goal(tendons: slice, i: int) -> DigitGoal:
     """Return the goal of a digit during the pull of tendon i.
 
-    If tendon i belongs to another digit, the goal is no torque.
+    The goal of a digit to which tendon i does not belong is zero torque.
     """
     if not tendons.start <= i < tendons.stop:
         return DigitGoal()
@@ -505,8 +510,9 @@ def _measured_or_estimated_tensions(
 ) -> Vector:
     """Return the tensions (N,) in a tick [N].
 
-    The tensions are the readings of load cells. For tendons without a load cell, they are the
-    estimates. If no estimate is given, a tendon without load cell counts as slack.
+    The tension of a tendon with a load cell is the reading of the load cell. The tension of a
+    tendon without a load cell is the estimated tension. If no estimate is given, a tendon without a
+    load cell counts as slack.
     """
     return np.where(
         model.hand.has_cell, measurements.tension, 0.0 if estimate is None else estimate.tension
@@ -532,8 +538,9 @@ def _hold_goals(model: HandModel, i: int, extra_tension: Vector) -> tuple[DigitG
     digit = model.digits[held_digit]
     tendons = model.digit_tendons[held_digit]
     arms = digit.with_moment_arms_at(digit.joint_min).reduced_moment_arms
-    # A stronger pull of one tendon must not lift the digit off its limits. The torque of this pull
-    # is at most the pull times the largest moment arm of a closing tendon.
+    # A stronger pull of one tendon must not move the digit away from its joint limits. The joint
+    # torque of the pull is at most the pull tension times the largest moment arm of a closing
+    # tendon.
     pressing_torque = PRESSING_TORQUE_FACTOR * PULL_TENSION_N * np.maximum(arms, 0.0).max(axis=0)
     torque = digit.coupling.T @ np.asarray(static_torque(digit, digit.joint_min)) - pressing_torque
     tension = tensions_for_torque(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
@@ -550,12 +557,12 @@ def _commissioning_table(progress: ProgramProgress) -> Vector:
 
 
 def _with_commissioning_table(progress: ProgramProgress, table: Vector) -> ProgramProgress:
-    """Return a copy of a progress, with another table."""
+    """Return a copy of a commissioning progress with another table."""
     return replace(progress, record=tuple(table.ravel().tolist()))
 
 
 def _tares_from_table(table: Vector) -> Vector:
-    """Return the tares (N,) of a table [N]."""
+    """Return the tares (N,) in a commissioning table [N]."""
     return np.asarray(table[:, TARE_SUM] / np.maximum(table[:, TARE_SAMPLES], 1.0))
 
 
@@ -565,12 +572,12 @@ def _with_new_tare(progress: ProgramProgress) -> ProgramProgress:
 
 
 def _table_with_pull_results(model: HandModel, table: Vector, i: int, samples: int) -> Vector:
-    """Return the table after the results for tendon i are stored and the sums are set to zero."""
+    """Return a copy of the commissioning table with the results for tendon i, and with all sums set to zero."""
     rest_tensions = table[:, REST_SUM] / table[i, REST_SAMPLES]
     rise = table[:, PULL_SUM] / samples - rest_tensions
     if model.redundancy.has_return_springs[i]:
-        # The pull stretches the tendon. So the motor turns beyond the position at which the tendon
-        # becomes taut.
+        # The pull stretches the tendon, so that the motor turns beyond the position at which the
+        # tendon becomes taut.
         stretch = (
             rise[i] / model.tendon_constants.stiffness[i] / model.tendon_constants.spool_radius[i]
         )
@@ -581,8 +588,8 @@ def _table_with_pull_results(model: HandModel, table: Vector, i: int, samples: i
         )
     table[i, ANSWER_COLUMN] = rise[i]
     tendons = np.arange(model.tendon_count)
-    # Friction holds tension in a tendon that was pulled before. This tension falls without a
-    # command. So only an increase counts as crosstalk.
+    # Friction holds tension in a tendon that was pulled before, and the held tension falls without
+    # a command. Only an increase of the tension counts as crosstalk.
     spring_tensions = np.where(
         model.redundancy.has_return_springs & (tendons < i), np.maximum(rest_tensions, 0.0), 0.0
     )
@@ -597,8 +604,8 @@ def _table_with_pull_results(model: HandModel, table: Vector, i: int, samples: i
 def _encoder_that_turned(model: HandModel, table: Vector, i: int, travel: Vector) -> int | None:
     """Return the tendon whose motor encoder turned in place of the encoder of tendon i, during the pull of tendon i.
 
-    If no such encoder turned, return None. A digit without springs is not tested, because it moves
-    by its weight while its motors make no torque.
+    Return None if no other encoder turned. The function does not test a digit without springs,
+    because the weight moves the digit while its motors make no torque.
 
     Args:
         model: model of the hand.
@@ -618,10 +625,11 @@ def _encoder_that_turned(model: HandModel, table: Vector, i: int, travel: Vector
 def idle_torque_warnings(hand: Hand, drives: Sequence[Drive]) -> tuple[str, ...]:
     """Return warnings about motors with which commissioning would fail, because they cannot be commanded to rest.
 
-    The range of a torque command may have no code for zero torque. When such a motor is idle, it
-    makes the torque of the nearest code. Commissioning accepts an idle pull up to the fraction
-    ``MAX_CROSSTALK_FRACTION`` of the commissioning pull. In simulation with spools of 5 mm, AK80-9
-    motors (0.88 N) pass. AK70-10 motors (1.2 N) and AK10-9 motors (3.2 N) do not pass.
+    The torque command of some motors has no count for zero torque. When a motor without a count for
+    zero torque is idle, it makes the torque of the count nearest to zero. Commissioning accepts a
+    tension from an idle motor up to the fraction ``MAX_CROSSTALK_FRACTION`` of the pull tension. In
+    simulation with spools of 5 mm, AK80-9 motors (0.88 N) pass commissioning. AK70-10 motors (1.2
+    N) and AK10-9 motors (3.2 N) do not pass commissioning.
 
     Args:
         hand: description of the hand.

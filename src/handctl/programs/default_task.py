@@ -24,39 +24,40 @@ from handctl.programs.task import Task
 CLOSED_FRACTION = 0.85
 """Angle of a closed coordinate divided by its largest angle.
 
-A digit that touches no object therefore stops before its joints reach their limits.
+With a closed angle below the largest angle, a digit that touches no object stops before its joints
+reach their limits.
 """
 CLOSING_SPEED_DEG_S = 50.0
 PRISMATIC_CLOSING_SPEED = 20.0
-"""Speed with which digits close [deg/s], and the speed of a hand with prismatic joints [deg/s or mm/s]."""
+"""Closing speed of digits [deg/s], and closing speed of a hand with prismatic joints [deg/s or mm/s]."""
 LARGEST_CLOSED_DEG = 120.0
 """Largest angle of a closed coordinate [deg]."""
 HOLD_TENSION_FRACTION = 0.3
-"""Tension of a hold divided by ``tension_max_N``, if as many digits close from one side as from the other."""
+"""Hold tension divided by ``tension_max_N``, if equally many digits close from both sides of the object."""
 MAX_HOLD_TENSION_FRACTION = 0.7
-"""Largest tension of a hold divided by ``tension_max_N``."""
+"""Largest hold tension divided by ``tension_max_N``."""
 MIN_FORCE_BALANCE_FACTOR = 0.1
-"""Smallest factor on the tension of a digit that may be used to balance the forces on an object.
+"""Smallest allowed factor on the tension of a digit to balance the forces on an object.
 
-If the balance requires a smaller factor, the tensions do not balance the forces.
+If the balance requires a smaller factor, the default task does not balance the forces.
 """
 PRESSING_FORCE_N = 1.0
-"""Smallest force with which a hold presses at the tip of a half-closed digit, against its springs [N]."""
+"""Smallest force at the tip of a half-closed digit in the hold phase, after subtraction of the spring force [N]."""
 CONTACT_TENSION_FRACTION = 0.16
-"""Tension of a digit in contact divided by ``tension_max_N``, in the time until all digits hold."""
+"""Tension of a digit in contact divided by ``tension_max_N``, until all digits are in contact."""
 RELEASE_TENSION_MARGIN_N = 6.0
-"""Tension of a release above the highest ``tension_floor_N`` of the hand [N]."""
+"""Difference between the tension of the release phase and the highest ``tension_floor_N`` of the hand [N]."""
 OPENING_DURATION_S = 1.2
 """Duration of the last phase, in which the hand opens [s].
 
-A joint that opens by 90 deg then moves at 140 deg/s at most.
+In 1.2 s, a joint opens by 90 deg with a speed of at most 140 deg/s.
 """
 EXTENSOR_TENSION_FACTOR = 1.5
-"""Tension of an extensor in a hold divided by ``tension_floor_N``."""
+"""Tension of an extensor in the hold phase, divided by ``tension_floor_N``."""
 CYLINDER_SCENE = "cylinder"
 """Scene with an object of 35 mm in front of the palm, for digits that flex in parallel planes."""
 SPHERE_SCENE = "sphere"
-"""Scene for digits that flex in other planes."""
+"""Scene with a sphere, for digits that do not flex in parallel planes."""
 MAX_AXIAL_COMPONENT = 0.1
 """Largest axial component of a direction of flexion that still counts as normal to the cylinder."""
 PALM_GAP_M = 0.002
@@ -77,14 +78,14 @@ def default_task(hand: Hand) -> tuple[Task, str]:
     """Return the default task of a hand, as an object and as the text of a task file.
 
     Args:
-        hand: hand for which the task is made.
+        hand: hand that shall execute the task.
     """
     largest = min(tendon.tension_max_N for tendon in hand.tendon)
     floor = max(tendon.tension_floor_N for tendon in hand.tendon)
     open_angles = {
         name: np.zeros_like(_closed_angles_deg(hand, name)).tolist() for name in hand.digit_names
     }
-    # A digit that carries other digits, such as a wrist, keeps its angle in this task.
+    # A digit that carries other digits, such as a wrist, keeps its angle in the default task.
     closing_digit_names = [name for name in hand.digit_names if name not in hand.carrier_digits]
     content: dict[str, Any] = {
         "schema": 1,
@@ -147,14 +148,15 @@ def _closed_angles_deg(hand: Hand, name: str) -> np.ndarray:
 def _tension_factors(hand: Hand) -> dict[str, float]:
     """Return factors for the tensions of the digits in a hold.
 
-    The mean of the factors is 1. With these factors, the forces of the digits on an object balance
-    each other. With equal factors, for example, two fingers would push a thumb open.
+    The mean of the tension factors is 1. With the returned factors, the forces of the digits on an
+    object balance each other. With equal factors, for example, two fingers would push a thumb open.
     """
     balance = _force_balance_factors(hand)
     if balance is not None:
         return balance
-    # In this case, the palm or friction balances the forces. The opposed digits together press with
-    # the same force as the other digits together.
+    # If no tension factors balance the forces on the object, the palm or friction must balance the
+    # forces. The opposed digits together then press with the same force as the other digits
+    # together.
     opposed = _are_digits_opposed(hand)
     count = len(opposed)
     opposed_force = sum(opposed.values())
@@ -167,10 +169,10 @@ def _tension_factors(hand: Hand) -> dict[str, float]:
 
 
 def _force_balance_factors(hand: Hand) -> dict[str, float] | None:
-    """Return factors for which the forces of the digits cancel.
+    """Return tension factors for which the forces of the digits on an object cancel each other.
 
-    The factors have the mean 1, and are as near to 1 as possible. If a factor is too small, return
-    None.
+    The factors have the mean 1, and are as near to 1 as possible. Return None if a factor is below
+    ``MIN_FORCE_BALANCE_FACTOR``.
     """
     directions = _flexion_directions(hand)
     rows = np.array(list(directions.values()))
@@ -183,7 +185,7 @@ def _force_balance_factors(hand: Hand) -> dict[str, float] | None:
 def _flexion_directions(hand: Hand) -> dict[str, Array]:
     """Return the direction (3,) in which the tip of each closing digit moves, in the palm frame.
 
-    It is the direction of the y axis of the last link when all joint angles are 0.
+    The direction is the y axis of the last link when all joint angles are 0.
     """
     tree = LinkTree.from_hand(hand)
     turned_link_rotations = link_rotations(tree.poses(np.zeros(len(hand.joints))))
@@ -204,10 +206,10 @@ def _are_digits_opposed(hand: Hand) -> dict[str, bool]:
 def _hold_tensions(hand: Hand, name: str, tension_fraction: float) -> float | list[float]:
     """Return the tension of each tendon of a digit during a hold [N].
 
-    Tendons that extend the digit are only kept taut.
+    The tension of a tendon that extends the digit is just large enough to keep the tendon taut.
 
-    For a digit of spool pairs, the result is a single number. It is the largest net tension while
-    the tip of the digit presses.
+    For a digit of spool pairs, the result is a single number: the largest net tension while the tip
+    of the digit presses.
     """
     if hand.is_pair[hand.digit_tendons[name]].any():
         largest = min(tendon.tension_max_N for tendon in hand.tendon[hand.digit_tendons[name]])
@@ -243,7 +245,7 @@ def _pressing_tension(hand: Hand, name: str) -> float:
     torque = springs + PRESSING_FORCE_N * reduced_tip_lever(digit, q)
     arms = digit.with_moment_arms_at(q).reduced_moment_arms
     closing_moment_arms = arms[arms.sum(axis=1) > 0.0].sum(axis=0)
-    # A coordinate whose angle stays the same, or that no tendon closes, determines no tension.
+    # A coordinate whose angle stays the same, or that no tendon closes, requires no tension.
     is_flexed = (half_closed_angles > 0.0) & (closing_moment_arms > 0.0)
     return float((torque[is_flexed] / closing_moment_arms[is_flexed]).max(initial=0.0))
 
@@ -277,9 +279,10 @@ def default_scene(hand: Hand) -> str:
     """Return the scene for the default task of a hand.
 
     The scene contains a cylinder or a ball between the open digits. The diameter of the object is
-    proportional to the length of the digits. If the object were thin, the tips of opposed digits
-    would touch each other. In some hands, such as an anthropomorphic hand, the digits cannot press
-    against each other. The object then has a diameter of 35 mm.
+    proportional to the length of the digits. On a thinner object, the tips of opposed digits would
+    touch each other. In some hands, such as an anthropomorphic hand, the digits cannot press
+    against each other. In a hand whose digits cannot press against each other, the object has a
+    diameter of 35 mm.
     """
     directions = _flexion_directions(hand)
     are_digits_parallel = all(
@@ -313,8 +316,8 @@ def _largest_object_diameter(hand: Hand, is_ball: bool) -> float:
         for start, end in pairwise(points):
             x, y, z = (start + fractions * (end - start)).T
             # A circle with diameter D that touches the line x = gap has its centre at x = gap +
-            # D/2. A point at the distance D/2 + r from this centre satisfies (x - gap)^2 + y^2 -
-            # r^2 = D (x - gap + r). For a ball, y^2 + z^2 takes the place of y^2.
+            # D/2. A point at the distance D/2 + r from the centre satisfies (x - gap)^2 + y^2 - r^2
+            # = D (x - gap + r). For a ball, y^2 + z^2 replaces y^2.
             reach_m = x - PALM_GAP_M + digit.radius
             passes_object = (reach_m > 0.0) & (is_ball | (np.abs(z) < OBJECT_HALF_LENGTH_M))
             free_space = (x - PALM_GAP_M) ** 2 + y**2 + is_ball * z**2 - digit.radius**2

@@ -1,9 +1,9 @@
-"""Program that excites a hand for identification.
+"""Program that moves a hand for the identification of its parameters.
 
 One digit moves at a time, and the motors of all other digits make no torque.
 
-The identification chooses the steps of the program. The name of each phase is `DIGIT STEP`, so that
-every tick of the log can be assigned to a step.
+The identification chooses the steps of the excitation. The name of each phase in the log is `DIGIT
+STEP`, so that every tick of the log can be assigned to a step.
 """
 
 from dataclasses import dataclass, replace
@@ -21,11 +21,11 @@ from handctl.document import Document
 from handctl.programs.program import ProgramProgress, ProgressAndEvents, coordinates_from_excursion
 
 TAUT_TIMEOUT_S = 4.0
-"""Longest time that a healthy tendon takes to become taut [s]."""
+"""Longest time in which an intact tendon becomes taut [s]."""
 
 
 class ExciteStep(Document):
-    """One step of the excitation, for one digit.
+    """Step of the excitation, in which one digit moves.
 
     - `limp`: no torque.
     - `taut`: take up the slack of the tendons, with the tension `target` [N].
@@ -34,27 +34,27 @@ class ExciteStep(Document):
       to `high_Hz`.
     - `tension`: change the tension to `target` [N] at `rate` [N/s].
 
-    The field `target` applies to all coordinates or tendons of the digit. The field `targets` gives
-    one target for each of them.
+    The field `target` applies to all coordinates or tendons of the digit. The field `targets`
+    contains one target for each coordinate or tendon.
     """
 
     digit: str
     name: str
-    """Name of the step, as in the name of the phase."""
+    """Name of the step, which is part of the name of the phase."""
     kind: Literal["limp", "taut", "move", "chirp", "tension"]
     duration_s: float = Field(gt=0, le=60)
     target: float = 0.0
     targets: tuple[float, ...] = ()
     """Target of each coordinate [rad] or tendon [N] of the digit.
 
-    If it is empty, `target` applies to all.
+    If `targets` is empty, `target` applies to all coordinates or tendons.
     """
     held: bool = False
-    """True if an obstacle stops the digit. The filter then treats the digit as blocked."""
+    """True if an obstacle stops the digit during the step. The filter treats a stopped digit as blocked."""
     rate: float = Field(100.0, gt=0, le=5000)
     amplitude: float = Field(0.0, ge=0, le=1)
     amplitudes: tuple[float, ...] = ()
-    """Amplitude of each coordinate [rad]. If it is empty, `amplitude` applies to all."""
+    """Amplitude of each coordinate [rad]. If `amplitudes` is empty, `amplitude` applies to all coordinates."""
     low_Hz: float = Field(0.5, gt=0, le=100)
     high_Hz: float = Field(5.0, gt=0, le=100)
 
@@ -98,7 +98,7 @@ class ExciteProgram:
     steps: tuple[ExciteStep, ...]
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress before the first step. The motors make no torque."""
+        """Return the progress before the first step. Before the first step, the motors make no torque."""
         return replace(ProgramProgress.initial(len(model.digits), "start"), step=-1)
 
     def advance(
@@ -138,7 +138,7 @@ class ExciteProgram:
         t: float,
         step_index: int,
     ) -> ProgressAndEvents:
-        """Begin a step. After the last step, finish."""
+        """Begin a step of the excitation. After the last step, the method ends the program."""
         goals = [DigitGoal()] * len(model.digits)
         if step_index == len(self.steps):
             finished_progress = replace(
@@ -165,7 +165,7 @@ class ExciteProgram:
 def _digit_goal(
     model: HandModel, d: int, step: ExciteStep, estimate: HandEstimate, t: float
 ) -> DigitGoal:
-    """Return the goal of digit d in a step."""
+    """Return the goal of digit d in a step of the excitation."""
     digit = model.digits[d]
     tendons = model.digit_tendons[d]
     coordinates = coordinates_from_excursion(digit, estimate)

@@ -1,7 +1,7 @@
-"""Program for the comparison of gains.
+"""Program that moves the hand for a comparison of controller gains.
 
-The program executes the same moves and tensions with each set of gains. Afterwards the errors in
-these moves and tensions can be compared.
+The program executes the same moves and tensions with each set of gains, so that the errors of
+position and tension can be compared.
 """
 
 import functools
@@ -22,11 +22,11 @@ from handctl.programs.program import (
 )
 
 REST_DURATION_S = 0.15
-"""Time at the end of every move, in which the digit may still oscillate [s]."""
+"""Time at the end of every move in which the digit is allowed to oscillate [s]."""
 HOME_ANGLE_RAD = math.radians(5.0)
 """Angle between the stop of the open digit and the first position of a move [rad].
 
-On the stop, the position error of a digit would be too small for the comparison.
+For a digit that rests on its stop, the position error would be too small for the comparison.
 """
 FULL_MOVE_RAD = math.radians(30.0)
 """Angle of a move at full amplitude [rad]."""
@@ -34,34 +34,35 @@ GENTLE_CLOSE_TENSION_N = 7.0
 """Net tension with which digits without springs close [N].
 
 From 8 N on, a digit without springs that closes freely looks like a digit with a torn tendon (fault
-T01). Its spools wind fast, and the tension is small.
+T01). In both cases, the spools wind fast, and the tension is small.
 """
 GENTLE_CLOSE_DURATION_S = 1.5
 """Time in which digits without springs close [s]."""
 GENTLE_TENSION_RATE_N_PER_S = 20.0
-"""Rate at which the tension of digits without springs then rises [N/s].
+"""Rate at which the tension of digits without springs rises after they have closed [N/s].
 
-Friction or another digit may have stopped a digit before its end stop. With a slow rise, this digit
-starts with little excess tension and reaches its stop early. With 40 N/s or more, its spool winds
-so fast that the tendon looks torn (fault T01).
+Friction or another digit has possibly stopped a digit before its end stop. With a slow rise of the
+tension, a stopped digit starts to move with little excess tension, and reaches its end stop early.
+With 40 N/s or more, the spool of the digit winds so fast that the tendon looks torn (fault T01).
 """
 GENTLE_RISE_DURATION_S = 1.3
-"""Time of this rise from 7 N to 30 N [s]."""
+"""Time in which the tension of digits without springs rises from 7 N to 30 N [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class ExerciseStage:
-    """One stage of the exercise. All digits do the same in a stage.
+    """Stage of the exercise. In a stage, all digits do the same.
 
     Attributes:
-        name: phase in the log: `settle`, `move`, `close` or `hold`. Only `move` and `hold` are
-            scored.
-        duration: duration including the rest [s].
+        name: name of the phase in the log: `settle`, `move`, `close` or `hold`. Only the errors in
+            `move` and `hold` are evaluated.
+        duration: duration of the stage, including the time of rest [s].
         angle: target angle of a move [rad], or NaN if the stage sets a tension. For a prismatic
             joint, 1 rad stands for 10 mm.
-        tension: target of a tension [N].
+        tension: tension target of the stage [N].
         rest: time of rest at the end of a move [s].
-        tension_rate: largest rate of the tension goals [N/s]. The gains may have a smaller limit.
+        tension_rate: largest rate of the tension goals [N/s]. The gains can contain a smaller
+            limit.
     """
 
     name: str
@@ -73,7 +74,7 @@ class ExerciseStage:
 
 
 def move_amplitude(angle: float) -> float:
-    """Return the amplitude of the exercise that moves the joints to a given angle [rad]."""
+    """Return the amplitude at which the exercise moves the joints to a given angle [rad]."""
     return (angle - HOME_ANGLE_RAD) / FULL_MOVE_RAD
 
 
@@ -108,9 +109,9 @@ def exercise_stages(
 
 @dataclass(frozen=True, slots=True)
 class ExerciseProgram:
-    """Program that takes up the slack of the tendons.
+    """Program that takes up the slack of the tendons and executes the exercise.
 
-    Then it executes the exercise once for each amplitude.
+    The program executes the exercise once for each amplitude.
 
     Attributes:
         amplitudes: fractions of the full angles and tensions, in the order of execution.
@@ -124,11 +125,11 @@ class ExerciseProgram:
         return tuple(stage for amplitude in self.amplitudes for stage in exercise_stages(amplitude))
 
     def stages_for_hand(self, model: HandModel) -> tuple[ExerciseStage, ...]:
-        """Return all stages for a hand. If tendons open a digit, the digit first closes gently."""
+        """Return all stages for a hand. A digit that is opened by tendons closes gently before its tension rises."""
         return _stages_of_program(self, model.hand.has_springs)
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the first step of the program. The hand is not armed in this step."""
+        """Return the first step of the program. The hand is not armed in the first step."""
         return LiveProgram().initial_progress(model)
 
     def advance(
@@ -168,9 +169,9 @@ class ExerciseProgram:
         stages = self.stages_for_hand(model)
         stage = stages[stage_index]
         carriers = [name in model.hand.carrier_digits for name in model.hand.digit_names]
-        # A digit that carries other digits keeps the angle of the first stage. Such a digit cannot
-        # follow the fast moves. If it held a constant tension, it would fall under its load. The
-        # moves of the carried digits disturb this digit.
+        # A digit that carries other digits keeps the angle of the first stage. A carrying digit
+        # cannot follow the fast moves. With a constant tension, a carrying digit would fall under
+        # its load. The moves of the carried digits disturb the carrying digit.
         goals = tuple(
             previous_goal
             if is_carrier and stage_index
@@ -188,10 +189,11 @@ class ExerciseProgram:
         ), (event,)
 
 
-# Every tick asks for the stages, and a search for gains has thousands of ticks per trial.
+# The stages are cached, because every tick needs them, and a search for gains has thousands of
+# ticks per trial.
 @functools.lru_cache(maxsize=8)
 def _stages_of_program(program: ExerciseProgram, has_springs: bool) -> tuple[ExerciseStage, ...]:
-    """Return the stages for a hand with or without springs, see ``ExerciseProgram.stages_of``."""
+    """Return the stages for a hand with or without springs, see ``ExerciseProgram.stages_for_hand``."""
     if has_springs:
         return program.stages
     gentle_close_stage = ExerciseStage(
@@ -209,7 +211,7 @@ def _stages_of_program(program: ExerciseProgram, has_springs: bool) -> tuple[Exe
 def _digit_goal(
     model: HandModel, d: int, stage: ExerciseStage, estimate: HandEstimate, t: float
 ) -> DigitGoal:
-    """Return the goal of digit d in a stage."""
+    """Return the goal of digit d in a stage of the exercise."""
     if not math.isnan(stage.angle):
         digit = model.digits[d]
         goal_coordinate = stage.angle * digit.coordinate_units.scale

@@ -1,12 +1,12 @@
-"""Grip of a hold.
+"""Grip with which the digits hold an object.
 
-The module computes the stiffness of the grip, detects slip, and raises the tension after slip.
+The module applies the stiffness of the grip, detects slip, and raises the tension after slip.
 
-If an object slips, it pushes a digit open. The tension stays constant, but the spool pays out the
-tendon. The excursion of the tendon is its travel minus its stretch. It is known to a few
-micrometres. Therefore the excursion shows a fraction of a millimetre at the object. A force along
-the hinges moves no joint (J^T F = 0). Therefore neither tendons nor joint encoders show when a bar
-of constant thickness slides along the hinges.
+If an object slips, it pushes a digit open. The tension stays constant, but the spool unwinds the
+tendon. The excursion of a tendon (travel minus stretch) is known to a few micrometres, so that it
+shows a slip of a fraction of a millimetre at the object. A force along the hinges moves no joint
+(J^T F = 0). If a bar of constant thickness slides along the hinges, neither tendons nor joint
+encoders show the slip.
 """
 
 import math
@@ -21,22 +21,23 @@ from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import TickEvent, Vector
 
 SLIP_EXCURSION_M = 20e-6
-"""Excursion difference that counts as slip [m].
+"""Change of a tendon's excursion that counts as slip [m].
 
-The difference is six standard deviations of the excursion in a quiet hold (3.5 um). The difference
-corresponds to a slip of about 0.1 mm/s along the tendon, and of 0.3 to 1 mm/s at the object.
+The threshold is six standard deviations of the excursion in a quiet hold (3.5 um each). The
+threshold corresponds to a slip of about 0.1 mm/s along the tendon, and of 0.3 to 1 mm/s at the
+object.
 """
 SLIP_DETECTION_PAUSE_S = 0.4
 """Time after a change of the grip's tension in which slip is not detected [s].
 
-In this time, the fingers adapt to the object.
+After a change of the tension, the fingers adapt to the object.
 """
 TENSION_RAISE_PAUSE_S = 0.1
-"""Shortest time between two rises of the tension [s]."""
+"""Shortest time between two rises of the grip's tension [s]."""
 TENSION_RAISE_FACTOR = 1.2
-"""Factor by which slip raises every tension of the grip."""
+"""Factor by which the controller raises every tension of the grip after slip."""
 TENSION_RAISE_RATE_N_PER_S = 300.0
-"""Rate at which tensions rise after slip [N/s].
+"""Rate at which the tensions of the grip rise after slip [N/s].
 
 The rate is high, because slip is faster than the closing of a grasp.
 """
@@ -45,15 +46,15 @@ The rate is high, because slip is faster than the closing of a grasp.
 class GripState(NamedTuple):
     """State of the grip during a hold.
 
-    Arrays have the shape (N,). They are NaN for tendons of digits that do not hold.
+    Arrays have the shape (N,), with NaN for the tendons of digits that do not hold.
 
     Attributes:
         tension: tension targets at the beginning of the hold [N].
-        reference_excursion: excursion at which a stiff grip pulls exactly these tensions [m], NaN until the
-            grip has settled.
-        ready: time from which slip is detected [s].
+        reference_excursion: excursion at which the tensions of a stiff grip equal ``tension`` [m],
+            NaN until the grip has settled.
+        ready: time from which on the controller detects slip [s].
         tension_factor: present factor on the tensions.
-        is_limit_reported: True after the event which reports that no more tension is allowed.
+        is_limit_reported: True after the event that reports that the tension limit is reached.
     """
 
     tension: Vector
@@ -66,7 +67,7 @@ class GripState(NamedTuple):
     def at_start_of_hold(
         model: HandModel, goals: tuple[DigitGoal, ...], estimate: HandEstimate, t: float
     ) -> "GripState":
-        """Return the grip at the beginning of a hold. The goals of the hold have just been set."""
+        """Return the grip at the beginning of a hold, after the goals of the hold have been set."""
         tension = np.full(model.tendon_count, np.nan)
         settling_s = 0.0
         for tendons, goal in zip(model.digit_tendons, goals, strict=True):
@@ -86,10 +87,10 @@ class GripPlan:
     """Stiffness and tension limit of the grip that a task requires.
 
     Attributes:
-        stiffness: additional tension per metre that a tendon is pulled out [N/m]. With 0, the
-            tensions stay constant.
-        limit: (N,) tension up to which the controller may raise the tension after slip [N], or NaN
-            for no increase. If all values are NaN, the controller only reports slip.
+        stiffness: additional tension per metre that a tendon is pulled out [N/m]. With a stiffness
+            of 0, the tensions stay constant.
+        limit: (N,) tension up to which the controller is allowed to raise the tension after slip
+            [N], or NaN for no increase. If all values are NaN, the controller only reports slip.
     """
 
     stiffness: float
@@ -97,7 +98,7 @@ class GripPlan:
 
 
 def grip_excursions(model: HandModel, estimate: HandEstimate) -> Vector:
-    """Return the excursion (N,) of each tendon up to a constant [m]: the wound length minus the stretch."""
+    """Return the excursion (N,) of each tendon with a constant offset [m]: the wound length minus the stretch."""
     return np.asarray(estimate.travel - estimate.tension / model.tendon_constants.stiffness)
 
 
@@ -113,20 +114,20 @@ def advance_grip(
 
     Args:
         model: model of the hand.
-        grip: grip of the last tick.
+        grip: grip after the last tick.
         plan: grip that the task requires.
-        goals: goals of the digits.
-        estimate: estimate of this tick.
+        goals: present goals of the digits.
+        estimate: estimated state of the hand in the present tick.
         t: time [s].
 
     Returns:
-        The grip, the goals, and the events.
+        The new grip, the new goals, and the events of the tick.
     """
     events: tuple[TickEvent, ...] = ()
     is_slip_judged = t >= grip.ready
     is_settled = not math.isnan(grip.reference_excursion[0])
     if is_slip_judged and not is_settled:
-        # In the first tick after the settling, the position of a stiff grip is stored.
+        # In the first tick after the grip has settled, the position of a stiff grip is stored.
         grip = grip._replace(reference_excursion=estimate.grip_travel.copy())
     if is_slip_judged:
         # A tendon that opens a digit is pulled out while the digit closes.
@@ -156,8 +157,8 @@ def _raise_tension_after_slip(
     )
     grip = grip._replace(ready=t + TENSION_RAISE_PAUSE_S)
     slip_text = f"{digit} is pushed open, {1e6 * opening_distances[worst_digit]:.0f} um of tendon"
-    # The tendon that is farthest below its limit determines the largest possible factor. All
-    # tensions are multiplied by the same factor.
+    # All tensions of the grip are multiplied by the same factor. The tendon that is farthest below
+    # its limit determines the largest possible factor.
     is_closing_side = model.redundancy.closing_sign > 0.0
     factor_limits = plan.limit[is_closing_side] / grip.tension[is_closing_side]
     max_factor = float(np.nanmax(np.append(factor_limits, 1.0)))
@@ -179,16 +180,17 @@ def _goals_of_held_grip(
     goals: tuple[DigitGoal, ...],
     excursion: Vector,
 ) -> tuple[DigitGoal, ...]:
-    """Return the goals with the tensions that slip and stiffness require.
+    """Return the goals with the tensions that slip and grip stiffness require.
 
-    No tension is below the floor.
+    No tension of the goals is below the tension floor.
     """
     limit = np.fmax(plan.limit, grip.tension)
     tension_factors = np.where(model.redundancy.closing_sign > 0.0, grip.tension_factor, 1.0)
     target = np.minimum(tension_factors * grip.tension, limit) + plan.stiffness * (
         grip.reference_excursion - excursion
     )
-    # A stiff grip may exceed the tension limit for slip, but not the tension ceiling of the hand.
+    # A stiff grip is allowed to exceed the tension limit for slip, but not the tension ceiling of
+    # the hand.
     target = np.clip(
         target,
         np.minimum(model.floor, grip.tension),

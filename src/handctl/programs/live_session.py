@@ -1,6 +1,6 @@
 """Programs that get their goals from requests.
 
-One program is a live session for `jog` or a client. The other program is a single jog.
+`LiveProgram` is a live session for `jog` or a client. `JogProgram` has one goal for a limited time.
 """
 
 from collections.abc import Mapping
@@ -44,23 +44,23 @@ from handctl.programs.task_program import TaskProgram
 
 
 def import_spline_functions() -> None:
-    """Import the spline functions for the phase `follow` in advance.
+    """Import the spline functions for the phase `follow` before a run.
 
-    The import takes 0.1 to 0.3 s. If a tick had to import the functions for the first such phase of
-    a client, a run in real time would end.
+    The import takes 0.1 to 0.3 s. If a tick had to import the functions, a run in real time would
+    end at the first phase `follow` of a client.
     """
     import scipy.interpolate  # noqa: F401
 
 
 @dataclass(frozen=True, slots=True)
 class LiveProgram:
-    """Program that tightens the tendons.
+    """Program that tightens the tendons and waits for requests.
 
-    Then it waits for requests until a stop.
+    The program waits for requests until it receives a stop request.
     """
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the first step of the program. The hand is not armed in this step."""
+        """Return the first step of the program. The hand is not armed in the first step."""
         return ProgramProgress.initial(len(model.digits), "start")
 
     def advance(
@@ -92,7 +92,7 @@ class LiveProgram:
 LONGEST_HOLD_S = 3600.0
 """Duration of a task's hold that waits for ``release`` [s].
 
-No task allows a longer hold.
+A task file does not allow a longer hold.
 """
 
 
@@ -106,14 +106,14 @@ def _carry_out_task(
 ) -> ProgressAndEvents:
     """Advance the task of a live session.
 
-    After the task has ended or failed, the session waits for requests again.
+    After the task has ended or failed, the live session waits for requests again.
     """
     progress, events = TaskProgram(task).advance(model, progress, estimate, measurements, t)
     return (end_task(progress) if progress.finished else progress), events
 
 
 def end_task(progress: ProgramProgress) -> ProgramProgress:
-    """Return the progress of a live session without its task. Digits keep their goals."""
+    """Return the progress of a live session without its task. The digits keep their goals."""
     return replace(
         progress, step=0, phase="live", finished=False, failure="", task=None, closing=(), grip=None,
         touching=(0,) * len(progress.touching),
@@ -127,7 +127,8 @@ def begin_task(
 
     The first hold phase of the task lasts until ``release_task`` is called, but at most one hour.
 
-    If the task does not suit the hand, or its first move is too fast, nothing changes.
+    The progress does not change if the task does not suit the hand, or if its first move is too
+    fast.
     """
     try:
         check_task_for_hand(task, model.hand, "task", model.digits)
@@ -155,9 +156,9 @@ def begin_task(
 def _refusal_of_fast_first_move(
     model: HandModel, first_move: MovePhase, estimate: HandEstimate
 ) -> TickEvent | None:
-    """Return an event if the first move of a task would be too fast from the present angles.
+    """Return a refusal event if the first move of a task would be too fast from the present angles.
 
-    Otherwise return None.
+    Return None if the first move is not too fast.
     """
     for d, name in enumerate(model.hand.digit_names):
         digit = model.digits[d]
@@ -175,7 +176,7 @@ def _refusal_of_fast_first_move(
 
 
 def release_task(progress: ProgramProgress) -> ProgressAndEvents:
-    """End the hold of a task, so that the phases after the hold follow."""
+    """End the hold phase of a task, so that the phases after the hold follow."""
     phase = progress.task.phase[progress.step - 1] if progress.task else None
     if not isinstance(phase, HoldPhase):
         return progress, (
@@ -191,14 +192,14 @@ class JogProgram:
 
     Attributes:
         request: request with the goal.
-        duration: time for which the goal is kept [s].
+        duration: time for which the program keeps the goal [s].
     """
 
     request: MoveDigitsRequest | HoldTensionRequest
     duration: float
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the first step of the program. The hand is not armed in this step."""
+        """Return the first step of the program. The hand is not armed in the first step."""
         return LiveProgram().initial_progress(model)
 
     def advance(
@@ -214,7 +215,7 @@ class JogProgram:
         if progress.phase == "live":
             goals = progress.goals
             progress, goal_events = apply_goal(model, progress, self.request, estimate, t)
-            # If the request is refused, the goals do not change.
+            # If the program refuses the request, the goals do not change.
             if progress.goals is goals:
                 return replace(
                     progress, finished=True, failure=goal_events[-1].text
@@ -235,18 +236,19 @@ def apply_goal(
 ) -> ProgressAndEvents:
     """Apply the goals that a request contains.
 
-    Nothing changes if the request names an unknown digit or joint, or if an angle, a speed or a
-    tension is out of range.
+    The goals do not change if the request names an unknown digit or joint, or if an angle, a speed
+    or a tension is out of range.
 
     Args:
         model: model of the hand.
         progress: progress with the present goals.
         request: request of an operator or a client.
-        estimate: estimate of this tick.
+        estimate: estimated state of the hand in the present tick.
         t: time of the program [s].
         reference: for each digit, (3, n) position, rate and acceleration of the present reference.
-            A move of a moving digit starts at its reference. Any other move starts at the estimated
-            angles. If it is None, all moves start at the estimate.
+            The move of a moving digit starts at its reference. The move of any other digit starts
+            at the estimated angles. If ``reference`` is None, all moves start at the estimated
+            angles.
     """
     names = model.hand.digit_names
     values = request.angle_deg if isinstance(request, MoveDigitsRequest) else request.tension_N
@@ -301,12 +303,12 @@ def _end_coordinates_of_move(
         model: model of the hand.
         d: index of the digit.
         angle_of_digit: target angles [deg], by the name of the digit or joint.
-        start: present coordinates [rad], or the estimate. Joints without an angle keep their
+        start: present coordinates [rad], or the estimate. Joints without a target angle keep their
             present angles.
 
     Returns:
-        The result is None for a digit without a target angle. It is a text if the digit cannot have
-        the target angles together.
+        The coordinates, or None for a digit without a target angle. The result is a text with the
+        reason if the digit cannot have the target angles at the same time.
     """
     digit, name = model.digits[d], model.hand.digit_names[d]
     count = digit.coupling.shape[1]
@@ -342,7 +344,7 @@ def _move_goal(
 ) -> DigitGoal:
     """Return a move of a digit from its present reference (3, n).
 
-    If there is no reference, the move begins at the estimate.
+    Without a reference, the move begins at the estimated coordinates.
     """
     if start_coordinates is None:
         return goal_to_move_to_angle(model.digits[d], estimate, end_coordinates, duration, t)
@@ -360,7 +362,7 @@ def _reach_problem(
 ) -> str:
     """Return the reason why a digit cannot move to given coordinates [deg] in a given time [s].
 
-    If the digit can move, return an empty text.
+    Return an empty text if the digit can move to the coordinates.
     """
     digit = model.digits[d]
     units = digit.coordinate_units

@@ -1,6 +1,6 @@
-"""Program that repeats a recorded run with the recorded timing.
+"""Program that repeats the motion of a recorded run with the recorded timing.
 
-The program repeats either the trajectories or the tensions.
+The program repeats either the recorded joint trajectories or the recorded tensions.
 """
 
 import base64
@@ -19,19 +19,19 @@ from handctl.programs.program import ProgramProgress, ProgressAndEvents, coordin
 APPROACH_DURATION_S = 2.0
 """Duration of the slow move to the first pose of the recording [s]."""
 APPROACH_RATE_N_PER_S = 20.0
-"""Rate of the tension during the approach to the first recorded tension [N/s]."""
+"""Rate at which the tension approaches the first recorded tension [N/s]."""
 FOLLOW_RATE_N_PER_S = 5000.0
-"""Rate of the tension while the recording is followed [N/s].
+"""Largest rate of the tension while the program follows the recording [N/s].
 
-The recorded setpoints already have a limited rate.
+The recorded tension setpoints already have a limited rate.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedGoals:
-    """Goals from a recorded run.
+    """Goals of all digits, from a recorded run.
 
-    There is one row for each tick of the controller that repeats the run.
+    The arrays have one row for each tick of the controller that repeats the run.
 
     Attributes:
         q: (ticks, J) joint goals [rad], with NaN where the digit held a tension instead.
@@ -48,7 +48,7 @@ class RecordedGoals:
     def to_text(self) -> str:
         """Return the recording as text.
 
-        The function ``from_text`` restores exactly the same numbers.
+        The function ``from_text`` reads exactly the same numbers from the text.
         """
         table = np.hstack([self.q, self.dq, self.ddq, self.tension])
         # The numbers are little-endian float64, so that the text is the same on every machine.
@@ -70,23 +70,23 @@ class RecordedGoals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaybackProgram:
-    """Program that repeats a recording.
+    """Program that repeats the motion in a recording.
 
-    First it takes up the slack, and moves slowly to the first pose. Then it follows the recording.
+    The program first takes up the slack of the tendons, then moves slowly to the first pose of the
+    recording, and then follows the recording.
 
     Attributes:
         recording: recording to follow.
-        raw: True to follow the recorded tensions. No controller then corrects the joint angles. The
-            speed of the recorded trajectories is used as a feedforward, but errors of the angles
-            are not corrected. A tension error of one newton moves a free finger by 12 degrees
-            against its springs.
+        raw: True to follow the recorded tensions. The speed of the recorded trajectories is used as
+            a feedforward, but no control loop corrects errors of the joint angles. A tension error
+            of one newton moves a free finger by 12 degrees against its springs.
     """
 
     recording: RecordedGoals
     raw: bool = False
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the first step of the program. The hand is not armed in this step."""
+        """Return the first step of the program. The hand is not armed in the first step."""
         return LiveProgram().initial_progress(model)
 
     def advance(
@@ -143,7 +143,7 @@ class PlaybackProgram:
         return progress, (TickEvent("info", "phase", "", "approach: slowly to the first pose"),)
 
     def _follow_recording(self, model: HandModel, progress: ProgramProgress) -> ProgramProgress:
-        """Set the goals of the present row of the recording."""
+        """Set the goals in the row of the recording that belongs to the present tick."""
         i = progress.step
         rows = self.recording
         goals = []

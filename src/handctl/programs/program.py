@@ -1,6 +1,6 @@
-"""Interface of all programs.
+"""Interface of all programs of the controller.
 
-A program sets the goals of all digits in every tick, and has a progress.
+A program sets the goals of all digits in every tick. The progress of a program contains its state.
 """
 
 from dataclasses import dataclass
@@ -21,24 +21,24 @@ from handctl.programs.task import Task
 
 @dataclass(frozen=True, slots=True)
 class ProgramProgress:
-    """State of a program. All programs use the same fields.
+    """State of a program during a run. All programs have a progress with the same fields.
 
-    The hash of the controller's state includes the state of the program.
+    The hash of the controller's state includes the progress of the program.
 
     Attributes:
-        step: index of the present step.
+        step: index of the present step of the program.
         since: time at which the present step began [s].
         goals: goal of each digit.
         contact: for each digit, True if it is in contact.
         touching: for each digit, number of consecutive ticks with evidence of contact. Before the
-            first close phase, programs use it as a counter.
+            first close phase, programs use ``touching`` as a counter for other purposes.
         phase: name of the present step, for events and logs.
         finished: True if the program has ended.
         failure: reason why the program has failed, or an empty text.
-        record: numbers for the result of the program.
-        tare: new tares of the load cells [N], empty if the tares of the calibration apply.
-        closing: for each digit, True if the digit closes until contact. In phases without closing,
-            it is empty.
+        record: numbers from which the result of the program is computed.
+        tare: new tares of the load cells [N], empty if the tares in the calibration are used.
+        closing: for each digit, True if the digit closes until contact. The tuple is empty in
+            phases without closing digits.
         grip: grip during a hold, or None in other phases.
         task: task that a live session executes, or None.
     """
@@ -76,7 +76,7 @@ class Program(Protocol):
     """
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the first step of the program. The hand is not armed in this step."""
+        """Return the first step of the program. The hand is not armed in the first step."""
         ...
 
     def advance(
@@ -91,13 +91,13 @@ class Program(Protocol):
 
         Args:
             model: model of the hand.
-            progress: progress of the last tick.
-            estimate: estimate of this tick.
-            measurements: measurements of this tick.
+            progress: progress of the program after the last tick.
+            estimate: estimated state of the hand in the present tick.
+            measurements: sensor values and drive values measured for the present tick.
             t: time [s].
 
         Returns:
-            The new progress, and the events of this tick.
+            The new progress of the program, and the events of the present tick.
         """
         ...
 
@@ -105,17 +105,17 @@ class Program(Protocol):
 TARE_PHASE = "tare"
 """Phase of commissioning that measures the tares.
 
-Before the end of this phase, the zeros of the load cells are unknown.
+Before the end of the phase `tare`, the zeros of the load cells are unknown.
 """
 TIGHTEN_MARGIN_N = 1.5
-"""Margin above the floor of the tension with which slack is taken up [N].
+"""Difference between the tension that takes up the slack and the tension floor [N].
 
-The margin is too small to move a finger against the springs.
+The difference is too small to move a finger against its springs.
 """
 TAUT_DURATION_S = 0.3
 """Time for which all tendons must be taut before the hand is ready [s]."""
 TIGHTEN_TIMEOUT_S = 4.0
-"""Longest time that taking up the slack may last [s]."""
+"""Longest allowed time for taking up the slack [s]."""
 
 
 def tightening_goals(model: HandModel) -> tuple[DigitGoal, ...]:
@@ -129,7 +129,7 @@ def tightening_goals(model: HandModel) -> tuple[DigitGoal, ...]:
 def _tightening_tension(model: HandModel, tendons: slice) -> Vector:
     """Return the tensions (n_t,) that take up the slack in the tendons of a digit [N].
 
-    If a digit has more tendons than necessary, these tensions balance each other and make no
+    If a digit has more tendons than coordinates, the tensions balance each other and make no
     torque.
     """
     balance = model.redundancy.balance_tension[tendons]
@@ -144,10 +144,10 @@ def pull_tensions(
 ) -> Vector:
     """Return the tensions (n_t,) for digit d under tension control [N].
 
-    If a single tension is given, the closing tendons get this tension. Their antagonists get the
-    tensions that balance the digit. If the digit consists of spool pairs, the given tension is the
-    largest net tension. The digit then presses with its tip. If a tension is given for each tendon,
-    these tensions are returned.
+    If a single tension is given, the closing tendons get the given tension, and their antagonists
+    get the tensions that balance the digit. For a digit of spool pairs, the given tension is the
+    largest net tension, and the digit presses with its tip. If a tension is given for each tendon,
+    the function returns the given tensions.
     """
     if isinstance(tension, tuple):
         return np.array(tension)
@@ -167,7 +167,7 @@ def tension_goal(
 ) -> DigitGoal:
     """Return the goal with which digit d approaches tensions (n_t,) [N] at a rate [N/s].
 
-    Spool pairs that move the digit sideways keep their position instead.
+    A spool pair that moves the digit sideways keeps its position.
     """
     if model.redundancy.closing_sign[model.digit_tendons[d]].all():
         return DigitGoal(GoalKind.TENSION, tension=tension, rate=rate)
@@ -183,8 +183,8 @@ def tension_goal(
 def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
     """Return the tensions (n_t,) of a released digit d [N].
 
-    If the digit has antagonists, the tensions balance each other. Otherwise each tension is the
-    given tension. The net tension of a released spool pair is zero.
+    In a digit with antagonists, the tensions balance each other. In a digit without antagonists,
+    each tension is the given tension. The net tension of a released spool pair is zero.
     """
     tendons = model.digit_tendons[d]
     balance = model.redundancy.balance_tension[tendons]
@@ -194,7 +194,7 @@ def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
 HOLD_STILL_DURATION_S = 1.0
 """Duration of the trajectory that keeps the sideways joints of a digit at their angles [s].
 
-Any duration is possible, because these joints do not move.
+Any duration is possible, because the sideways joints do not move.
 """
 
 
@@ -207,7 +207,7 @@ def slack_tendons(model: HandModel, estimate: HandEstimate) -> list[str]:
 def coordinates_from_excursion(digit: DigitModel, estimate: HandEstimate) -> Vector:
     """Return the coordinates (n_c,) of a digit, computed from the excursions of its tendons [rad].
 
-    During contact, the joints may turn further than the excursions show.
+    During contact, the joints possibly turn further than the excursions show.
     """
     return digit.coordinates_of_excursion(estimate.excursion[digit.tendons])
 

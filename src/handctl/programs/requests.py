@@ -1,11 +1,11 @@
 """Requests to a running controller.
 
-Each request is one JSON object in a datagram. This module checks the object.
+Each request is one JSON object in a datagram. This module checks the JSON object of a request.
 
-A request enters the tick as text. Therefore the same requests can be executed again from a log.
-Streamed targets are an exception. They are frequent, and must reach the drives quickly. A target
-arrives as a binary datagram. The datagram is decoded before the target enters the tick. In the log,
-the target is text.
+A request enters the tick as text, so that the same requests can be executed again from a log.
+Streamed targets are an exception, because they are frequent and must reach the drives quickly. A
+target arrives as a binary datagram, which is decoded before the target enters the tick. In the log,
+a target is text.
 """
 
 import json
@@ -21,7 +21,7 @@ from handctl.programs.task import SHORTEST_MOVE_S, AngleDeg, Task, TensionN
 MAX_VALUES_PER_TARGET = 64
 """Largest number of values of a streamed target."""
 SHORTEST_LEASE_S, LONGEST_LEASE_S = 0.2, 3600.0
-"""Limits of a lease, the silence after which a client counts as lost [s]."""
+"""Shortest and longest lease: the silence after which a client counts as lost [s]."""
 
 
 class RequestBase(Document):
@@ -194,7 +194,8 @@ REFUSAL_EVENT_PREFIX = "refused: "
 def describe_request(request: Request) -> str:
     """Return the event text of an accepted request.
 
-    All request events between this text and the next text of this form belong to the same request.
+    All request events between the event text of a request and the event text of the next request
+    belong to the first of the two requests.
     """
     return f"{_ACCEPTED_PREFIX}{request.do}" + (f" by {request.by}" if request.by else "")
 
@@ -204,7 +205,7 @@ def events_for_request(
 ) -> list[str] | None:
     """Return the event texts of a sender's request.
 
-    If this tick has no request of the sender, return None.
+    Return None if the tick has no request of the sender.
 
     Args:
         sender_name: sender of the request.
@@ -222,13 +223,13 @@ def events_for_request(
 
 
 _TARGET_REQUEST_PREFIX = '{"do": "target", '
-"""Start of the text of a target, for a quick test. Targets come hundreds of times a second."""
+"""Beginning of the request text of a target, for a quick test. Targets come hundreds of times a second."""
 
 
 def target_request_text(target: StreamTarget) -> str:
     """Return a streamed target as the text of a request.
 
-    The text contains the exact values.
+    The request text contains the exact values of the target.
     """
     stream, number, sent_ns, values = target
     values_text = json.dumps(list(values))
@@ -264,7 +265,7 @@ def requests_and_stream_targets(
 
 
 _KEEP_ALIVE_PREFIX = '{"do": "alive", '
-"""Start of the text of ``KeepAliveRequest``."""
+"""Beginning of the request text of a ``KeepAliveRequest``."""
 
 
 def keep_alive_text(client: str) -> str:
@@ -275,7 +276,7 @@ def keep_alive_text(client: str) -> str:
 def is_routine_request(request: TickRequest) -> bool:
     """Return True for a request that clients send many times during a run.
 
-    Such requests are streamed targets and signs of life.
+    Routine requests are streamed targets and signs of life.
     """
     if isinstance(request, StreamTarget):
         return True
@@ -283,7 +284,7 @@ def is_routine_request(request: TickRequest) -> bool:
 
 
 def parse_target(request: TickRequest) -> StreamTarget | None:
-    """Return the target in a request. Return None for a text of another form, or with an integer beyond 64 bits."""
+    """Return the target in a request. Return None for another request, or for an integer beyond 64 bits."""
     if isinstance(request, StreamTarget):
         return request
     try:
@@ -302,9 +303,10 @@ def _is_int64(value: object) -> bool:
 
 
 def parse_request(text: str) -> Request | str:
-    """Parse a request. If the request is invalid, return a line with the reason.
+    """Parse a request. If the request is invalid, return a line of text with the reason.
 
-    This line contains only printable characters, even if the datagram contains others.
+    The line with the reason contains only printable characters, even if the datagram contains other
+    characters.
     """
     try:
         return _REQUEST_ADAPTER.validate_json(text)

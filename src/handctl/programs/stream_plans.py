@@ -21,32 +21,32 @@ from handctl.programs.requests import OpenStreamRequest
 MOTION_MARGIN_TICKS = 2
 """Number of control periods by which a motion to a target is prolonged.
 
-If the next target is late by less than this time, the motion does not stop.
+If the next target is late by less than the prolongation, the motion does not stop.
 """
 STOP_DURATION_S = 0.15
 """Duration of the motion with which a streamed digit comes to rest [s]."""
 MIN_STREAM_PERIODS_BEFORE_HOLD = 2
-"""Smallest number of stream periods without a target after which the hand holds.
+"""Smallest number of stream periods without a target after which the hand holds its position.
 
-A single lost target therefore causes no hold.
+With two periods, the loss of a single target does not cause a hold.
 """
 MAX_TARGET_VALUES_BY_SPACE = {"joint": 720.0, "digit": 720.0, "tension": 5000.0, "tip_force": 500.0}
 """Largest value of a target [deg, N], for each meaning of targets (the ``space`` of the stream).
 
-A larger value is a mistake of the client, and is refused.
+A larger value is a mistake of the client, and the controller refuses the target.
 """
 TARGET_UNIT_BY_SPACE = {"joint": "deg", "digit": "deg", "tension": "N", "tip_force": "N"}
 """Unit of the values of a target, for each meaning of targets (the ``space`` of the stream)."""
 MIN_STIFFNESS_FRACTION = 0.05
-"""Smallest stiffness of a streamed digit, as a fraction of the stiffness that the gains give it.
+"""Smallest stiffness of a streamed digit, as a fraction of the digit's stiffness with the gains.
 
-With less stiffness, friction would determine a digit's position.
+With less stiffness, friction would determine the position of a digit.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class StreamPlan:
-    """Stream of targets.
+    """Stream of targets from a client, with its settings.
 
     Attributes:
         name: name of the stream, which every target of the stream repeats.
@@ -55,9 +55,10 @@ class StreamPlan:
         names: names of the joints, digits or tendons to which the values of a target belong.
         interpolation: motion from one target to the next: "linear" or "minimum_jerk".
         period: time from one target to the next [s].
-        horizon: time from the sending of a target until the hand should reach this target [s].
-        joint_stiffness: stiffness of the streamed digits [N m/rad]. If it is None, the gains determine the
-            stiffness.
+        horizon: time from the sending of a target until the time at which the hand should reach the
+            target [s].
+        joint_stiffness: stiffness of the streamed digits [N m/rad]. If ``joint_stiffness`` is None,
+            the gains determine the stiffness.
         damping_ratio: damping ratio of the streamed digits, divided by the damping ratio with the
             gains.
     """
@@ -79,17 +80,19 @@ class StreamPlan:
 
 
 class StreamStatus(NamedTuple):
-    """State of the stream of targets after a tick.
+    """State of a stream of targets after a tick.
 
     Attributes:
         number: number of the latest accepted target, or -1 before the first target.
         age_s: time since the latest accepted target was sent [s], or NaN before the first target.
         accepted: number of accepted targets of the stream.
         clipped: number of accepted targets that were clipped to the range of a joint.
-        late: ignored targets: repeated, overtaken or too old.
-        refused: refused targets: not numbers, or of a wrong shape.
-        limited: number of coordinates that the limits on speed and acceleration hold back in this
-            tick.
+        late: number of ignored targets, which were repeated, overtaken by a later target, or too
+            old.
+        refused: number of refused targets, with values that are not numbers, or a wrong number of
+            values.
+        limited: number of coordinates whose motion the limits of speed and acceleration reduce in
+            the tick.
     """
 
     number: int = -1
@@ -115,8 +118,9 @@ class TargetMapping(NamedTuple):
     """Linear map from the values of a streamed target to the coordinates of the digits.
 
     Attributes:
-        matrix: (C, V) coordinate [rad] per target value [deg], or [m] per value [mm].
-        is_streamed: (C,) True where the stream sets the coordinate.
+        matrix: (C, V) coordinate [rad] per target value [deg], or coordinate [m] per target value
+            [mm].
+        is_streamed: (C,) True for each coordinate that the stream sets.
         digits: indices of the digits with a coordinate that the stream sets.
         digits_not_fully_holdable: indices of the streamed digits whose tendons cannot hold every posture, see
             ``nearest_holdable_posture``.
@@ -147,8 +151,8 @@ def mapping_of_stream(
             else []
         )
         if driven_joints:
-            # Joints that springs couple turn together. So the result is the coordinates that are
-            # nearest to the given angles.
+            # Joints that are coupled by springs turn together, so that the mapping returns the
+            # coordinates that are nearest to the given angles.
             columns = [element_names.index(hand.joints[digit.joints][j]) for j in driven_joints]
             values[coordinate_slice, columns] = np.linalg.pinv(digit.coupling[driven_joints])
             digits.append(d)
@@ -159,7 +163,7 @@ def mapping_of_stream(
 
 
 def stream_refusal_reason(model: HandModel, request: OpenStreamRequest) -> str:
-    """Return the reason why a hand cannot follow a stream, or an empty text if it can."""
+    """Return the reason why a hand cannot follow a stream, or an empty text if the hand can follow it."""
     hand = model.hand
     expected = {"joint": hand.joints, "tension": hand.tendon_names}.get(
         request.space, hand.digit_names
@@ -181,7 +185,7 @@ def stream_refusal_reason(model: HandModel, request: OpenStreamRequest) -> str:
 
 
 def stream_plan_or_refusal(model: HandModel, request: OpenStreamRequest) -> StreamPlan | str:
-    """Return the stream that a request opens, or the reason why the request is refused."""
+    """Return the plan of the stream that a request opens, or the reason for refusing the request."""
     if reason := stream_refusal_reason(model, request):
         return reason
     min_rate_hz = MIN_STREAM_PERIODS_BEFORE_HOLD * 1e3 / model.hand.stream.hold_after_ms
@@ -196,19 +200,20 @@ def stream_plan_or_refusal(model: HandModel, request: OpenStreamRequest) -> Stre
 
 
 TENSION_FLOOR_MARGIN_N = 0.5
-"""Margin of the tensions above the floor in a posture that counts as holdable [N]."""
+"""Smallest difference between the tensions and the tension floor in a posture that counts as holdable [N]."""
 MAX_NEWTON_STEPS = 4
 """Largest number of Newton steps towards a holdable posture.
 
-Because of gravity, which the slope does not include, more than one step may be necessary.
+More than one Newton step can be necessary, because the slope does not include gravity.
 """
 
 
 def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vector) -> Vector:
     """Return the nearest coordinates at which taut tendons can balance springs and gravity [rad].
 
-    A tendon that flexes the outer joints also flexes the inner joints. If only the outer joints
-    were bent, an inner tendon would have to push. The safety monitor would find this tendon slack.
+    A tendon that flexes the outer joints also flexes the inner joints. To bend only the outer
+    joints, an inner tendon would have to push. The safety monitor would report the inner tendon as
+    slack.
 
     Args:
         digit: model of the digit.
@@ -233,7 +238,8 @@ def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vect
 def _is_held_by_each_tendon(digit: DigitModel) -> bool:
     """Return True for a digit that has several coordinates and the same number of tendons.
 
-    In such a digit, the posture determines the tension of every tendon.
+    In a digit with as many tendons as coordinates, the posture determines the tension of every
+    tendon.
     """
     tendons, count = digit.reduced_moment_arms.shape
     return bool(tendons == count and count > 1)
@@ -252,12 +258,12 @@ def streamed_digits(model: HandModel, stream: StreamPlan) -> tuple[int, ...]:
 
 
 def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector]:
-    """Return the fractions (N,) by which a stream reduces stiffness and damping of the motion loop.
+    """Return the fractions (N,) of the gains' stiffness and damping that a stream uses in the motion loop.
 
     The stiffness of a joint is the stiffness of the tendon's loop [N/m] times the square of the
     tendon's moment arm. If the damping is proportional to the square root of the stiffness, the
-    damping ratio stays the same. Stiffness and damping never exceed the values from the gains. With
-    these values, the loop is stable.
+    damping ratio stays the same. Stiffness and damping never exceed the values in the gains, with
+    which the motion loop is stable.
     """
     stiffness = np.ones(model.tendon_count)
     damping = np.ones(model.tendon_count)
@@ -265,8 +271,8 @@ def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector
         return stiffness, damping
     for d in streamed_digits(model, stream):
         digit = model.digits[d]
-        # The stiffness of a prismatic joint is converted as if it moved on a circle whose radius is
-        # the joint's scale.
+        # The conversion of the stiffness treats a prismatic joint like a motion on a circle whose
+        # radius is the joint's scale.
         arms = ((digit.reduced_moment_arms * digit.coordinate_units.scale) ** 2).sum(axis=1)
         mass = (model.tendon_constants.motor_mass + model.tendon_constants.load_mass)[digit.tendons]
         full_stiffness = arms * mass * model.motion_design.stiffness[digit.tendons]
@@ -282,14 +288,14 @@ def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector
 def target_tensions(
     model: HandModel, stream: StreamPlan, values: Vector, present_tensions: Vector, q: Vector
 ) -> Vector:
-    """Return the tensions (N,) for a target [N], before they are limited.
+    """Return the tensions (N,) for a target [N], before the limits are applied.
 
     Args:
         model: model of the hand.
         stream: stream whose targets are tensions or forces.
         values: (V,) values of the target [N].
-        present_tensions: (N,) present tension setpoints [N]. Tendons without a value keep their present
-            setpoints.
+        present_tensions: (N,) present tension setpoints [N]. Tendons without a value in the target
+            keep their present setpoints.
         q: (J,) joint angles [rad], for the levers of tip forces.
     """
     hand, tension = model.hand, present_tensions.copy()
@@ -299,8 +305,8 @@ def target_tensions(
     for name, force in zip(stream.names, values.tolist(), strict=True):
         digit = model.digits[hand.digit_names.index(name)]
         angles, tendons = q[digit.joints], digit.tendons
-        # In the coordinates of the digit, the torque is the sum of springs, gravity, and the tip
-        # force times its lever.
+        # In the coordinates of the digit, the torque is the sum of spring torque, gravity torque,
+        # and tip force times lever.
         torque = digit.coupling.T @ np.asarray(static_torque(digit, angles))
         torque += max(force, 0.0) * reduced_tip_lever(digit, angles)
         arms = digit.with_moment_arms_at(angles).reduced_moment_arms
@@ -319,7 +325,7 @@ def streamed_goals(
         progress: progress with the present goals.
         digits: indices of the digits that follow the stream.
         tension: for each digit of the hand, the present tension setpoints [N] in a stream of
-            tensions. None for a stream of angles.
+            tensions, or None for a stream of angles.
     """
     goals = list(progress.goals)
     contact = list(progress.contact)
@@ -337,7 +343,7 @@ def streamed_goals(
 STREAMED_GOAL_RATE = 0.0
 """Rate of the goal of a digit with streamed tensions [N/s].
 
-The rate has no effect, because the targets contain the setpoints.
+The rate has no effect, because streamed targets contain the tension setpoints.
 """
 
 
@@ -358,7 +364,7 @@ def stop_moving_digits(
         tension: for each digit, the present tension setpoints [N].
         t: time of the program [s].
         coordinate_bounds: lowest and highest coordinates of each digit [rad].
-        streamed_digits_only: True if only the digits that follow a stream shall come to rest.
+        streamed_digits_only: True to bring only the digits that follow a stream to rest.
     """
     goals = list(progress.goals)
     for d, goal in enumerate(goals):
@@ -378,7 +384,7 @@ def stop_moving_digits(
 
 
 SHORTEST_BLEND_S = 0.05
-"""Shortest time in which an earlier motion fades [s]."""
+"""Shortest time in which the speed of an earlier motion decreases to zero [s]."""
 _CHECKED_FRACTIONS = np.linspace(0.0, 1.0, 33)[1:]
 """Instants at which the positions of a move are checked, as fractions of its duration."""
 
@@ -389,9 +395,9 @@ def blended_move(
     """Return a move that begins with the position, rate and acceleration of a reference.
 
     The move ends at rest. If the speed of an earlier fast motion decreased during the whole of a
-    long move, the move would go far beyond its start and end. Therefore the speed of the earlier
-    motion decreases in a shorter time. This time is halved until the joints stay within their
-    range.
+    long move, the move would go far beyond its start and end. The speed of an earlier motion
+    decreases in a shorter time than the move, and this time is halved until the joints stay within
+    their range.
 
     Args:
         reference: (3, n) position, rate and acceleration at the start [rad, s].

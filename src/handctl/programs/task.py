@@ -17,8 +17,8 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import read_toml
 
-# Imported only for type checks, because this module imports numba, and reading a task does not need
-# numba.
+# The import is only for type checks, because the imported module imports numba, and reading a task
+# does not need numba.
 if TYPE_CHECKING:
     from handctl.hand.digit import DigitModel
 
@@ -26,27 +26,26 @@ AngleDeg = Annotated[float, Field(ge=-30, le=150)]
 TensionN = Annotated[float, Field(ge=0, le=1000)]
 ForceN = Annotated[float, Field(ge=0, le=200)]
 DigitAnglesDeg = AngleDeg | Annotated[tuple[AngleDeg, ...], Field(min_length=1)]
-"""Angles of a digit: one for all its joints, or one for each of its coordinates."""
+"""Angles of a digit: one angle for all its joints, or one angle for each of its coordinates."""
 DigitTensionsN = TensionN | Annotated[tuple[TensionN, ...], Field(min_length=1)]
-"""Tensions of a digit: one for all its tendons, or one for each tendon."""
+"""Tensions of a digit: one tension for all its tendons, or one tension for each tendon."""
 DurationS = Annotated[float, Field(gt=0, le=3600)]
 
 
 FOLLOW_SPEED_DEG_S = 700.0
 """Largest joint speed of a motion [deg/s].
 
-If a rotor stops at once, it adds tension in proportion to its speed.
+If a rotor stops at once, it adds tension in proportion to the speed of the rotor.
 """
 SHORTEST_MOVE_S = 0.05
 """Shortest duration of a move [s].
 
-A shorter move would be a step, and the square of its duration may underflow.
+A shorter move would be a step of the position, and the square of its duration can underflow.
 """
 RESERVED_NAMES = ("start", "tare")
-"""Phase names that a task must not use.
+"""Phase names that a task file must not contain.
 
-The controller itself uses these names, for the start of a program and for load cells without a
-tare.
+The controller uses the reserved names for the start of a program and for load cells without a tare.
 """
 
 
@@ -153,7 +152,7 @@ class FollowPhase(Document):
                     f"{len(self.time_s)} values of time_s"
                 )
             peak = math.degrees(_peak_speed(self.time_s, tuple(map(math.radians, angles))))
-            # The comparison is negated so that it also refuses NaN.
+            # The comparison is negated, so that the check also refuses NaN.
             if not peak <= FOLLOW_SPEED_DEG_S:
                 raise ValueError(
                     f"angle_deg.{digit} reaches {peak:.0f} deg/s; expected at most "
@@ -165,7 +164,7 @@ class FollowPhase(Document):
 def _peak_speed(times_s: tuple[float, ...], angles: tuple[float, ...]) -> float:
     """Return the largest speed of a curve [rad/s].
 
-    The result is inf or NaN if the times of the curve are too close together.
+    The speed is inf or NaN if the times of the curve are too close together.
     """
     with np.errstate(all="ignore"):
         try:
@@ -179,8 +178,8 @@ def _peak_speed(times_s: tuple[float, ...], angles: tuple[float, ...]) -> float:
 def interpolating_curve(times_s: tuple[float, ...], angles: tuple[float, ...]) -> CurveTrajectory:
     """Return the curve of one coordinate through given angles [rad] at given times [s].
 
-    The check of a task computes the curves of its digits. Each curve takes up to 1 ms. The phase
-    begins in a later tick, and gets the curves from the cache.
+    The check of a task computes the curves of its digits, which takes up to 1 ms per curve. A phase
+    that begins in a later tick gets the curves from the cache.
     """
     return CurveTrajectory.curve_through_points(times_s, angles, 1)
 
@@ -221,7 +220,8 @@ class TrajectoryFile(Document):
 def load_trajectory(path: Path) -> Task:
     """Read a trajectory file as a task.
 
-    The task first moves slowly to the first pose, and then follows the trajectory.
+    The task first moves the hand slowly to the first pose of the trajectory, and then follows the
+    trajectory.
 
     Raises:
         ConfigError: the file cannot be read, the times do not increase, or an angle or a speed is
@@ -233,7 +233,8 @@ def load_trajectory(path: Path) -> Task:
 def phase_key(index: int, phase: TaskPhase) -> str:
     """Return the location of a phase in error messages, for example ``phase[grasp]``.
 
-    A phase without a name in its file is counted from 0. Errors of the file format use the same form.
+    The location of a phase without a name contains its number, counted from 0. Messages about the
+    file format contain phase locations in the same form.
     """
     return f"phase[{phase.name if 'name' in phase.model_fields_set else index}]"
 
@@ -242,10 +243,12 @@ def task_from_trajectory_file(file_content: Mapping[str, Any], source_name: str)
     """Make a task from the content of a trajectory file.
 
     Raises:
-        ConfigError: The same errors as from `load_trajectory`. The message names the source.
+        ConfigError: The content is not a valid trajectory, see `load_trajectory`. The error message
+            contains the source name.
     """
     file = validate_content(file_content, TrajectoryFile, source_name)
-    # The phase is validated alone, so that an error names the key in the trajectory file.
+    # The phase is validated alone, so that an error message contains the key in the trajectory
+    # file.
     follow_content = {"kind": "follow", "time_s": file.time_s, "angle_deg": file.angle_deg}
     follow_phase = validate_content(follow_content, FollowPhase, source_name)
     first_angles: dict[str, DigitAnglesDeg] = {
@@ -265,12 +268,12 @@ def load_task(path: Path) -> Task:
 
 
 class DigitShape(NamedTuple):
-    """Numbers of values that a task may contain for a digit.
+    """Numbers of values that a task is allowed to contain for a digit.
 
     Attributes:
         coordinates: number of coordinates of the digit, each with an angle.
-        tendons: number of tendons of the digit, each with a tension. A finger of n joints may have
-            n + 1 tendons.
+        tendons: number of tendons of the digit, each with a tension. For example, a finger of n
+            joints can have n + 1 tendons.
         joints: names of the joints.
     """
 
@@ -302,7 +305,7 @@ def check_task(
     task_name: str,
     digit_shapes: Mapping[str, DigitShape] | None = None,
 ) -> None:
-    """Check that the names and numbers in a task suit a hand.
+    """Check that the names and values in a task suit a hand.
 
     Args:
         task: task to check.
@@ -381,7 +384,7 @@ Value = TypeVar("Value")
 def value_for_digit(value: float | dict[str, Value], digit: str) -> float | Value | None:
     """Return the value of a phase for a digit.
 
-    If the phase gives values only for other digits, return None.
+    Return None if the phase contains values only for other digits.
     """
     return value.get(digit) if isinstance(value, dict) else float(value)
 
@@ -398,13 +401,13 @@ def end_angles(
 ) -> DigitAnglesDeg | Vector | None:
     """Return the coordinates of a digit at the end of a phase [deg].
 
-    If the phase gives the digit no angle, return None.
+    Return None if the phase contains no angle for the digit.
 
     Args:
         value: angles in the phase [deg], by the name of the digit or joint.
         digit: model of the digit.
-        present_angles: (n_c,) coordinates at the beginning [deg]. Joints without an angle keep their present
-            angles.
+        present_angles: (n_c,) coordinates at the beginning of the phase [deg]. Joints without an
+            angle keep their present angles.
     """
     angles = joint_values(value, digit)
     if not angles:

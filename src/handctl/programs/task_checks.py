@@ -42,8 +42,8 @@ def check_task_for_hand(
         task: task to check.
         hand: hand that shall execute the task.
         task_name: name of the task file, for error messages.
-        digits: models of the hand's digits. If they are not given, they are built, which takes
-            milliseconds.
+        digits: models of the hand's digits. If the models are not given, the function builds the
+            models, which takes milliseconds.
 
     Raises:
         ConfigError: the task names an unknown digit, or gives a digit the wrong number of values.
@@ -67,7 +67,7 @@ def check_task_for_hand(
 def check_speed(task: Task, models: Sequence[DigitModel], task_name: str) -> None:
     """Check that no move of a task exceeds the largest joint speed.
 
-    The check includes all positions at which the earlier phases may end.
+    The check includes all positions at which the phases before a move can end.
 
     Args:
         task: task whose numbers of values fit the digits.
@@ -81,7 +81,7 @@ def check_speed(task: Task, models: Sequence[DigitModel], task_name: str) -> Non
     zero_coordinates = {name: np.zeros(model.coupling.shape[1]) for name, model in digits.items()}
     range_by_digit: dict[str, CoordinateRange] = {
         name: (zero, zero) for name, zero in zero_coordinates.items()
-    }  # when the hand is armed, its digits are open
+    }  # the digits of the hand are open when the hand is armed
     for i, phase in enumerate(task.phase):
         if isinstance(phase, FollowPhase):
             _check_curves(phase, models, f"{task_name}: {phase_key(i, phase)}.angle_deg")
@@ -95,7 +95,8 @@ def check_speed(task: Task, models: Sequence[DigitModel], task_name: str) -> Non
                 units = digits[digit].coordinate_units
                 distances = np.maximum(np.abs(end_from_low - low), np.abs(high - end_from_high))
                 worst_coordinate = int(np.argmax(distances / units.displayed_per_degree))
-                # The speed limit of a prismatic joint is that of a hinge with a usual moment arm.
+                # The speed limit of a prismatic joint corresponds to the speed limit of a hinge
+                # with a usual moment arm.
                 travel = float((distances / units.displayed_per_degree)[worst_coordinate])
                 min_duration = (
                     math.ceil(100.0 * minimum_jerk_duration(travel, FOLLOW_SPEED_DEG_S, 0.0))
@@ -111,7 +112,7 @@ def check_speed(task: Task, models: Sequence[DigitModel], task_name: str) -> Non
                         f"{task_name}: {phase_key(i, phase)}.duration_s",
                         expected,
                     )
-            is_close_phase = isinstance(phase, ClosePhase)  # a close phase may end at any angle
+            is_close_phase = isinstance(phase, ClosePhase)  # a close phase can end at any angle
             end_angles_text = (
                 (np.minimum(low, end_from_low), np.maximum(high, end_from_high))
                 if is_close_phase
@@ -123,8 +124,8 @@ def check_speed(task: Task, models: Sequence[DigitModel], task_name: str) -> Non
 def _check_curves(phase: FollowPhase, models: Sequence[DigitModel], task_name: str) -> None:
     """Check that no prismatic joint is too fast on the curve of a phase.
 
-    The check of the file assumes that all joints are hinges, because the file does not say which
-    joints slide.
+    The check of a task file assumes that all joints are hinges, because the task file does not
+    contain the joint types.
     """
     for model in models:
         for name in (model.name, *model.joint_names):
@@ -147,7 +148,7 @@ def _coordinates_after_phase(
 
     The phase begins at ``present_angles``.
 
-    If the phase does not move the digit, return None.
+    Return None if the phase does not move the digit.
     """
     if isinstance(phase, FollowPhase):
         last_angles = {name: angles[-1] for name, angles in phase.angle_deg.items()}
@@ -168,7 +169,7 @@ COUPLING_TOLERANCE_DEG = 0.5
 
 
 ROUNDING_DEG = 1e-6
-"""Largest rounding error that a sum of angles may have [deg]."""
+"""Largest possible rounding error of a sum of angles [deg]."""
 
 
 def check_joint_range(task: Task, hand: Hand, task_name: str, digits: Sequence[DigitModel]) -> None:
@@ -178,7 +179,7 @@ def check_joint_range(task: Task, hand: Hand, task_name: str, digits: Sequence[D
 
     Args:
         task: task that suits the hand in all other respects.
-        hand: hand with the joints.
+        hand: hand that shall execute the task.
         task_name: name of the task file, for error messages.
         digits: models of the hand's digits.
 
@@ -224,14 +225,14 @@ def _check_joints(
 ) -> None:
     """Check that joint angles are within their limits.
 
-    Also check that coupled joints can have these angles at the same time.
+    The function also checks that coupled joints can have the given angles at the same time.
     """
     angles = joint_values(phase.angle_deg, digit)
     if not angles:
         return
     low, high = digit.joint_units.to_display_units(digit.joint_limits)
     if digit.coupling.shape[1] == 1:
-        # All joints of a digit with one tendon turn together, until one of the joints reaches its
+        # All joints of a digit with one tendon turn together until one of the joints reaches its
         # limit.
         coordinate_range = np.sort(
             digit.coupling @ np.array(displayed_range(digit_description)).T, axis=1
@@ -263,13 +264,13 @@ def _check_joints(
 def check_tip_force(task: Task, hand: Hand, task_name: str) -> None:
     """Check that a task requires no tip force from digits with fewer tendons than joints.
 
-    The tensions of such a digit do not determine the force at the tip. They determine only
-    combinations of joint torques. When a task required 4 N, fingers of the hand `jamia` curled up
-    on a wall, and pressed with 23 to 56 N.
+    In a digit with fewer tendons than joints, the tensions determine only combinations of joint
+    torques, but not the force at the tip. When a task required a tip force of 4 N, fingers of the
+    hand `jamia` curled up on a wall, and pressed with 23 to 56 N.
 
     Args:
         task: task that suits the hand in all other respects.
-        hand: hand with the digits.
+        hand: hand that shall execute the task.
         task_name: name of the task file, for error messages.
 
     Raises:
@@ -296,11 +297,11 @@ def check_tip_force(task: Task, hand: Hand, task_name: str) -> None:
 def check_slip_limit(task: Task, hand: Hand, task_name: str) -> None:
     """Check that no slip limit is below the tension of the hold phase.
 
-    With such a limit, the tension could not rise after slip.
+    With a slip limit below the hold tension, the tension could not rise after slip.
 
     Args:
         task: task that suits the hand in all other respects.
-        hand: hand with the digits.
+        hand: hand that shall execute the task.
         task_name: name of the task file, for error messages.
 
     Raises:
@@ -330,7 +331,7 @@ def _required_angles(
 ) -> Iterable[float | tuple[float, ...]]:
     """Return the angles that a digit must reach in a phase.
 
-    There is one angle for all coordinates, or one angle for each coordinate.
+    The result is one angle for all coordinates, or one angle for each coordinate.
     """
     if isinstance(phase, FollowPhase):
         angles = phase.angle_deg.get(name)

@@ -45,21 +45,22 @@ from handctl.programs.task import (
 MAX_CURVE_START_DISTANCE_DEG = 4.0
 """Largest accepted distance of a digit from the start of a curve [deg]."""
 SETTLE_AFTER_CLOSE_S = 0.3
-"""Time in which a digit without contact comes to rest before the next phase [s]."""
+"""Time after a close phase in which a digit without contact comes to rest before the next phase [s]."""
 MAX_TENSION_ABOVE_RELEASE_N = 2.0
-"""Distance above the tension of a release within which a tendon counts as released [N]."""
+"""Largest difference between the tension of a released tendon and the tension of the release phase [N]."""
 RELEASE_TIMEOUT_S = 10.0
-"""Longest time that a release may take [s]."""
+"""Longest allowed duration of a release phase [s]."""
 REFERENCE_JOINT_COUNT = 2
-"""Number of joints of the digit to which the contact threshold refers.
+"""Number of joints of a digit to which the contact threshold applies without a correction.
 
 Each further joint adds its friction to the estimated tip force. On fingers of three joints that
-touch no object, the estimated force is 0.33 N. Such fingers still detect a contact long before 1 N.
+touch no object, the estimated force is 0.33 N. Fingers of three joints still detect a contact at a
+tip force far below 1 N.
 """
 ARRIVAL_DURATION_S = 0.15
-"""Time after the end of a trajectory at which a digit counts as arrived [s]."""
+"""Time after the end of a trajectory at which a digit counts as arrived at its target [s]."""
 CONTACT_THRESHOLD_FACTOR_AFTER_ARRIVAL = 2.0
-"""Factor on the contact threshold of a digit that has arrived.
+"""Factor that multiplies the contact threshold of a digit that has arrived at its target.
 
 A digit at rest touches no new object, and creeping friction can resemble a contact.
 """
@@ -67,7 +68,7 @@ A digit at rest touches no new object, and creeping friction can resemble a cont
 
 @dataclass(frozen=True, slots=True)
 class TaskProgram:
-    """Program that executes a task.
+    """Program that executes the phases of a task.
 
     Step 0 takes up the slack of the tendons. Step n is phase n - 1 of the task.
     """
@@ -75,7 +76,7 @@ class TaskProgram:
     task: Task
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the first step of the program. The hand is not armed in this step."""
+        """Return the first step of the program. The hand is not armed in the first step."""
         return ProgramProgress.initial(len(model.digits), "start")
 
     def advance(
@@ -123,8 +124,8 @@ class TaskProgram:
     ) -> ProgressAndEvents:
         """Wait until all tendons have been taut for some time.
 
-        A tick with a slack tendon reduces the count by one. Therefore noise delays the start of the
-        task, but does not restart the wait.
+        A tick with a slack tendon reduces the count of ticks by one. Noise of the tension thus
+        delays the start of the task, but does not restart the wait.
         """
         slack = slack_tendons(model, estimate)
         ticks = max(0, progress.touching[0] + (-1 if slack else 1))
@@ -143,14 +144,14 @@ class TaskProgram:
     def _enter_phase(
         self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
-        """Begin the next phase of the task. After the last phase, finish."""
+        """Begin the next phase of the task. After the last phase, the method ends the task."""
         step = progress.step + 1
         if step > len(self.task.phase):
             return replace(progress, finished=True, phase="end"), (
                 TickEvent("info", "phase", "", "task complete"),
             )
         phase = self.task.phase[step - 1]
-        # A phase that moves the hand begins without contact, and so does the phase after a release.
+        # A phase that moves the hand and a phase after a release begin without contact.
         is_free_motion = isinstance(phase, MovePhase | FollowPhase) or (
             step > 1 and isinstance(self.task.phase[step - 2], ReleasePhase)
         )
@@ -214,7 +215,7 @@ class TaskProgram:
             )
             if angle is None or progress.contact[d]:
                 return previous_goal
-            # A speed in deg/s for hinges is used in mm/s for prismatic joints.
+            # The same number is the speed of hinges in deg/s and of prismatic joints in mm/s.
             travel_to_goal = units.si(angle) - coordinates_from_excursion(digit, estimate)
             travel = float(np.abs(units.as_equivalent_angles(travel_to_goal)).max())
             duration = minimum_jerk_duration(
@@ -238,8 +239,8 @@ class TaskProgram:
     ) -> Vector | None:
         """Return the tension targets (n_t,) of a digit that holds [N].
 
-        The targets come from a tension or from a tip force. If the result is None, the digit keeps
-        its goal.
+        The phase contains a tension or a tip force, from which the targets are computed. Return
+        None if the digit keeps its goal.
         """
         digit = model.digits[d]
         tendons = model.digit_tendons[d]
@@ -251,8 +252,8 @@ class TaskProgram:
         if force is None:
             return None
         q = estimate.q[digit.joints]
-        # In the coordinates of the digit, the torque is the sum of springs, gravity, and the tip
-        # force times its lever.
+        # In the coordinates of the digit, the torque is the sum of spring torque, gravity torque,
+        # and tip force times lever.
         torque = digit.coupling.T @ model.link_tree.static_torque(estimate.q)[
             digit.joints
         ] + force * reduced_tip_lever(digit, q)
@@ -282,8 +283,8 @@ class TaskProgram:
     ) -> ProgressAndEvents:
         """Detect the contact of closing digits, and make these digits hold their tension.
 
-        If a digit carries others, such as a wrist, its estimated tip force has no meaning. Such a
-        digit keeps its motion.
+        The estimated tip force of a digit that carries other digits, such as a wrist, has no
+        meaning. A carrying digit continues its motion.
         """
         phase = self.task.phase[progress.step - 1]
         if not isinstance(phase, ClosePhase):
@@ -307,7 +308,8 @@ class TaskProgram:
             contact_ticks[d] = contact_ticks[d] + 1 if is_above_threshold else 0
             if contact_ticks[d] >= gains.ticks:
                 contact[d] = True
-                # If a digit already pulls harder than the contact tension, it keeps this tension.
+                # If the tension of a digit already exceeds the contact tension, the digit keeps its
+                # present tension.
                 start = pull_tensions(model, d, phase.contact_tension_N, estimate)
                 side = model.redundancy.closing_sign[tendons]
                 pulling_tension = np.maximum(side * estimate.tension[tendons], side * start)
@@ -380,7 +382,7 @@ def _closing_digits(
 ) -> tuple[bool, ...]:
     """Return True for each digit that closes until contact.
 
-    In a phase that is not a close phase, the result is empty.
+    The tuple is empty in a phase that is not a close phase.
     """
     if not isinstance(phase, ClosePhase):
         return ()
@@ -393,7 +395,7 @@ def _tensioned_digits(
 ) -> list[str]:
     """Return the names of digits whose tension is still above the tension of the release phase.
 
-    Only digits under tension control are checked.
+    The function checks only digits under tension control.
     """
     limit = (
         np.maximum(phase.tension_N, model.redundancy.balance_tension) + MAX_TENSION_ABOVE_RELEASE_N
@@ -414,7 +416,7 @@ def _grip_plan(
 ) -> GripPlan:
     """Return stiffness and slip limit of the grip for a hold phase.
 
-    The slip limit has a number for each tendon.
+    The returned slip limit has a number for each tendon.
 
     Args:
         model: model of the hand.
@@ -432,9 +434,9 @@ def _grip_plan(
 
 
 def _curve_start_problem(model: HandModel, phase: FollowPhase, estimate: HandEstimate) -> str:
-    """Return a message if a digit is too far from the start of its curve.
+    """Return a message if a digit is too far from the first point of its curve.
 
-    Otherwise return an empty text.
+    Return an empty text if all digits are near the first points of their curves.
     """
     for digit in model.digits:
         angle = digit.coordinate_units.to_display_units(coordinates_from_excursion(digit, estimate))
@@ -458,7 +460,8 @@ def _curve_of_digit(
 ) -> CurveTrajectory | None:
     """Return the curve that a digit follows in a phase.
 
-    If the phase gives the digit no angle, return None. Joints without angles keep their positions.
+    Return None if the phase contains no angles for the digit. Joints without angles keep their
+    positions.
     """
     count = digit.coupling.shape[1]
     if digit.name in phase.angle_deg:
@@ -488,14 +491,14 @@ def _curve_of_digit(
 def contact_margin_without_cells(model: HandModel, d: int) -> float:
     """Return the margin that digit d adds to its contact threshold for tendons without load cells [N].
 
-    If all tendons have load cells, the margin is 0.
+    The margin is 0 if all tendons have load cells.
     """
     digit = model.digits[d]
     margin = float(model.margin_without_cell[digit.tendons].mean())
     if margin == 0.0:
         return 0.0
-    # The response contains the tension of each tendon per tip force, for the open digit. The
-    # estimated tip force is the least-squares fit of this response to the estimated tensions.
+    # The array ``tension_per_tip_force`` refers to the open digit. The estimated tip force is the
+    # least-squares fit of ``tension_per_tip_force`` to the estimated tensions.
     tension_per_tip_force = digit.torque_to_tension @ joint_lever(digit, digit.joint_min)
     return margin / float(np.linalg.norm(tension_per_tip_force))
 

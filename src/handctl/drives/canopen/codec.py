@@ -1,7 +1,8 @@
 """CANopen frames that do not depend on the device profile, such as NMT and short SDO transfers.
 
-All fields are little-endian. Most identifiers are the sum of a base and the node number n. The
-service determines the base. A hyphen in the last column means that the frame has no payload.
+All fields of the frames are little-endian. Most identifiers are the sum of a base identifier and
+the node number n. The base identifier depends on the CANopen service, such as SDO. A hyphen in the
+last column of the table means that the frame has no payload.
 
     frame      identifier  to    bytes and fields
     NMT        0x000       node  0 command | 1 node number
@@ -17,8 +18,8 @@ Source: CiA 301 4.2.
 import struct
 from typing import NamedTuple
 
-# Identifiers. NMT and SYNC are complete identifiers. The node number is added to all other
-# identifiers.
+# Identifiers of frames. ``NMT`` and ``SYNC`` are complete identifiers. The sum of the node number
+# and any other constant is the identifier of a frame.
 NMT = 0x000
 SYNC = 0x080
 EMERGENCY = 0x080
@@ -42,7 +43,7 @@ ABORT_TEXTS = {
     0x06070010: "wrong length", 0x06090011: "no such sub-index", 0x06090030: "out of range",
     0x08000022: "not in this state",
 }  # fmt: skip
-"""SDO abort codes in words. Source: CiA 301."""
+"""Meaning of each SDO abort code in words. Source: CiA 301."""
 
 
 def abort_text(abort_code: int) -> str:
@@ -57,21 +58,24 @@ def upload_request(index: int, subindex: int) -> bytes:
 
 
 def upload_reply(index: int, subindex: int, value_bytes: bytes) -> bytes:
-    """Return the payload of an SDO reply that contains the one to four bytes of an object."""
-    # 0x43 is an expedited value. Bits 2..3 contain the number of unused bytes.
+    """Return the payload of an SDO reply with the value of an object, one to four bytes."""
+    # Specifier 0x43 marks an expedited value. Bits 2..3 of the specifier contain the number of
+    # unused bytes.
     return struct.pack("<BHB4s", 0x43 | (4 - len(value_bytes)) << 2, index, subindex, value_bytes)
 
 
 def download_request(index: int, subindex: int, value_bytes: bytes) -> bytes:
     """Return the payload of an SDO request that writes one to four bytes to an object."""
-    # 0x23 starts an expedited download. Bits 2..3 contain the number of unused bytes.
+    # Specifier 0x23 starts an expedited download. Bits 2..3 of the specifier contain the number of
+    # unused bytes.
     return struct.pack("<BHB4s", 0x23 | (4 - len(value_bytes)) << 2, index, subindex, value_bytes)
 
 
 class SdoReply(NamedTuple):
     """Content of an SDO reply: object, value, and abort code.
 
-    The value is empty after a write. The abort code is 0 without an abort.
+    The field ``value`` is empty in the reply to a write. The abort code is 0 if the node did not
+    abort the transfer.
     """
 
     number: int
@@ -81,13 +85,13 @@ class SdoReply(NamedTuple):
 
 
 def decode_sdo_reply(payload: bytes) -> SdoReply | None:
-    """Decode the 8 bytes of an SDO reply.
+    """Decode the 8 bytes in the payload of an SDO reply.
 
     Return None if the bytes are not a reply to a read or a write.
     """
     specifier, index, sub = struct.unpack_from("<BHB", payload)
-    # 0x80 is an abort, 0x60 confirms a write. 0x43 is a value, with the number of unused bytes in
-    # bits 2..3.
+    # Specifier 0x80 reports an abort, and 0x60 confirms a write. Specifier 0x43 marks a value. Bits
+    # 2..3 of the specifier contain the number of unused bytes.
     if specifier == 0x80:
         return SdoReply(index, sub, b"", int.from_bytes(payload[4:], "little"))
     if specifier == 0x60:

@@ -1,9 +1,9 @@
 """Discovery of CANopen drives by heartbeats, and by answers to an SDO read of the device type.
 
-A request that reads an object changes nothing in the drive, and moves no motor. A scan reads only
-the device type, serial numbers and numbers of channels. The ``canopen`` library reads all other
-data of a drive, while no controller runs (``runtime.diagnostics.canopen_identity``). Source: CiA
-301 4.2.
+An SDO request that reads an object changes nothing in the drive, and moves no motor. A scan reads
+only the device type, the serial number and the number of measuring channels of a node. While no
+controller runs, the ``canopen`` library reads all other data of a drive
+(``runtime.diagnostics.canopen_identity``). Source: CiA 301 4.2.
 """
 
 from handctl.drives.canopen import codec
@@ -19,29 +19,30 @@ from handctl.drives.frame import REMOTE_FLAG, Frame
 from handctl.hand.file.section_models import CIA404_PROTOCOL
 
 NODE_NUMBERS = range(1, HOST_NODE)
-"""Node numbers for a scan to try."""
-# Object that contains the device type, and the profile number of CiA 402 drives in the lower 16
-# bits of this object.
+"""Node numbers to which a scan sends requests."""
+# DEVICE_TYPE is the object with the device type. CIA402_PROFILE is the profile number of CiA 402
+# drives, in the lower 16 bits of the device type.
 DEVICE_TYPE = 0x1000
 CIA402_PROFILE = 402
 CIA404_PROFILE = 404
-"""Profile number of measuring amplifiers."""
+"""CANopen profile number of measuring amplifiers."""
 CHANNEL_COUNT_OBJECT = (0x6131, 0)
-"""Object with the number of channels of an amplifier.
+"""Object with the number of channels of a measuring amplifier.
 
-The number of channels is the length of the array of units. Source: CiA 404.
+The number of channels is the number of entries in the array of units. Source: CiA 404.
 """
 NMT_STATES = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
-"""NMT states in words."""
+"""Names of the NMT states of a node."""
 _RPDO_BASE_IDS = (0x200, 0x300, 0x400, 0x500)
-"""Identifiers of the four RPDOs, before the node number is added."""
+"""Base identifiers of the four RPDOs. The sum of base identifier and node number is the identifier of an RPDO."""
 
 
 def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the requests of a round of the scan.
+    """Return the SDO requests that the scan sends in a round.
 
-    Round 2 reads the device type of every node number. Round 3 reads the serial number of each
-    discovered node, and the number of channels of each measuring amplifier.
+    In round 2, the scan requests the device type from every node number. In round 3, the scan
+    requests the serial number of each discovered node, and the number of channels of each measuring
+    amplifier.
     """
     if scan_round == 2:
         return tuple(
@@ -62,7 +63,7 @@ def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Fram
 
 
 def discovered_nodes(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
-    """Return all nodes that have reported a device type, or have sent heartbeats."""
+    """Return all nodes that have reported their device type or have sent a heartbeat."""
     types: dict[int, int] = {}
     channels: dict[int, int] = {}
     states: dict[int, int] = {}
@@ -98,7 +99,7 @@ def _describe_node(
     is_number_used_twice: bool,
     channel_count: int,
 ) -> DiscoveredNode:
-    """Return a discovered node, with the data reported by the node."""
+    """Return the description of a discovered node, with the data that the node has reported."""
     state = NMT_STATES.get(nmt_state, f"NMT state {nmt_state:#x}") if nmt_state is not None else ""
     if device_type is None:
         return DiscoveredNode(
@@ -134,7 +135,7 @@ def _describe_node(
 def command_ids(node: DiscoveredNode) -> frozenset[int]:
     """Return the identifiers of frames that a node obeys.
 
-    These frames are NMT, SYNC, RPDOs, and SDO requests.
+    A node obeys NMT, SYNC, RPDOs, and SDO requests.
     """
     node_ids = {base + node.node_id for base in (codec.SDO_REQUEST, *_RPDO_BASE_IDS)}
     return frozenset(node_ids | {codec.NMT, codec.SYNC})
@@ -143,7 +144,7 @@ def command_ids(node: DiscoveredNode) -> frozenset[int]:
 def other_host_frames(received_frames: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the received frames that come from another host.
 
-    These frames are SYNC, NMT, and heartbeats of another handctl.
+    Only a host sends SYNC, NMT, and the heartbeat with the node number of a host.
     """
     identifiers = (codec.NMT, codec.SYNC, codec.HEARTBEAT + HOST_NODE)
     return tuple(frame for frame in received_frames if frame.can_id & ~REMOTE_FLAG in identifiers)

@@ -1,6 +1,6 @@
 """Set-up of a CANopen node by SDO.
 
-Objects are written and read until each object has its required value.
+The host writes and reads the objects of the node until each object has its required value.
 """
 
 import enum
@@ -11,37 +11,37 @@ from handctl.drives.canopen import codec
 from handctl.drives.readback import ReadbackCursor
 
 UNLIMITED_TRIES = 1 << 62
-"""Number of requests for an object without a limit: the object is requested until the drive answers."""
+"""Number of SDO requests for an object that is requested without a limit, until the drive answers."""
 PDO_DISABLED_BIT = 1 << 31
-"""Bit in the COB-ID of a PDO (its identifier with flags) that disables the PDO."""
+"""Bit that disables a PDO, in the COB-ID of the PDO (identifier with flags)."""
 HOST_NODE = 0x7F
-"""Node number of this host. The nodes supervise the heartbeat with this number."""
+"""Node number of this host. The nodes supervise the heartbeat that contains the node number of the host."""
 REPEAT_PERIOD_NS = 20_000_000
-"""Time after which an NMT command is repeated [ns]."""
+"""Time after which the host repeats an NMT command [ns]."""
 SERIAL_NUMBER = 0x1018, 4
 """Index and sub-index of the object with the serial number."""
 
 
 class ObjectCheck(enum.IntEnum):
-    """Rule for an object: when the object is written, and which values are accepted."""
+    """Rule for the check of an object: when the host writes the object, and which values the host accepts."""
 
     EQUAL = 0
-    """Read the object. The value must equal the required value."""
+    """Read the object. The value of the object must equal the required value."""
     BITS_SET = 1
-    """Read the object. The bits of the required value must be set."""
+    """Read the object. The bits that are set in the required value must also be set in the drive."""
     WRITE = 2
-    """Write the object, then read it. The value must equal the required value."""
+    """Write the object, then read it. The value of the object must equal the required value."""
     WRITE_IF_PRESENT = 3
-    """Write and read the object as in WRITE. A drive without the object is accepted."""
+    """Write and read the object as with the rule WRITE. Accept a drive without the object."""
     READ_IF_PRESENT = 4
-    """Read the object and accept any value. A drive without the object is accepted."""
+    """Read the object and accept any value. Accept a drive without the object."""
     EQUAL_IF_PRESENT = 5
     """Read the object.
 
-    The value must equal the required value. A drive without the object is accepted.
+    The value of the object must equal the required value. Accept a drive without the object.
     """
     LOW_WORD_EQUAL = 6
-    """Read the object. The low 16 bits of the value must equal the required value."""
+    """Read the object. The low 16 bits of the object's value must equal the required value."""
     WRITE_IF_DIFFERENT = 7
     """Read the object. If the value differs from the required value, write it and read it again."""
 
@@ -55,7 +55,7 @@ OPTIONAL_OBJECT_CHECKS = (
 
 
 class SetupStep(NamedTuple):
-    """One object of a node, with its required value and the rule for its check."""
+    """Object of a node, with the required value of the object and the rule for the check of the object."""
 
     check: ObjectCheck
     number: int
@@ -65,7 +65,7 @@ class SetupStep(NamedTuple):
 
     @property
     def raw(self) -> bytes:
-        """Return the required value as little-endian bytes."""
+        """Return the required value of the object as little-endian bytes."""
         return self.value.to_bytes(self.size, "little")
 
     @property
@@ -75,7 +75,7 @@ class SetupStep(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Return the name of the object, for messages to the operator."""
+        """Return the name of the object for messages to the operator."""
         return f"object {self.number:#06x}:{self.sub_index}"
 
 
@@ -86,9 +86,9 @@ def pdo_steps(
     transmission_type: int,
     mapped_objects: tuple[int, ...],
 ) -> tuple[SetupStep, ...]:
-    """Return the steps that set up one PDO.
+    """Return the set-up steps (object and required value) of one PDO.
 
-    The steps disable the PDO, map its objects, and enable the PDO again.
+    The set-up steps disable the PDO, map the objects of the PDO, and enable the PDO again.
     """
     write = ObjectCheck.WRITE
     return (
@@ -107,15 +107,16 @@ def pdo_steps(
 
 
 def is_next_request_write(cursor: ReadbackCursor, step: SetupStep) -> bool:
-    """Return True if the next request must write the object.
+    """Return True if the next SDO request must write the object of the set-up step.
 
-    A write is required by the rule of the object, or because the value of the object was wrong.
+    The host writes the object if the rule of the object requires a write, or if the object had a
+    wrong value.
     """
     return cursor.must_write or (step.is_written_before_read and not cursor.write_count)
 
 
 def _has_required_value(step: SetupStep, value: int) -> bool:
-    """Return True if the rule of a step accepts the value of the object."""
+    """Return True if the rule of a set-up step accepts the value of the object."""
     if step.check == ObjectCheck.BITS_SET:
         return value & step.value == step.value
     return (value & 0xFFFF if step.check == ObjectCheck.LOW_WORD_EQUAL else value) == step.value
@@ -126,11 +127,11 @@ def on_reply(
 ) -> tuple[ReadbackCursor, int, str]:
     """Return the position in the read-back after an SDO reply.
 
-    Replies to other requests have no effect.
+    An SDO reply that answers another request has no effect.
 
     Returns:
-        the new cursor, the value of an object with the rule READ_IF_PRESENT (0 for any other), and
-        the problem in words, empty without a problem.
+        the new cursor, the value of an object with the rule READ_IF_PRESENT (0 for any other rule),
+        and the problem in words (an empty text without a problem).
     """
     step = required_steps[cursor.step]
     if not cursor.is_waiting or reply[:2] != (step.number, step.sub_index):
@@ -163,9 +164,9 @@ def next_request(
 ) -> tuple[ReadbackCursor, bytes, str]:
     """Return the next SDO request of the read-back, with the new cursor and a problem in words.
 
-    The payload of the request is empty while the host waits for an answer of the drive. The text of
-    the problem is empty if no problem has occurred. The request for the first object is repeated
-    without a limit until the drive answers.
+    The payload of the request is empty while the host waits for an answer of the drive. The text is
+    empty if the read-back has no problem. The request for the first object is repeated without a
+    limit until the drive answers.
     """
     step = required_steps[cursor.step]
     cursor, send, problem = readback.request_setting(

@@ -1,7 +1,8 @@
 """CANopen frames of a CiA 402 drive: PDOs, power states, and errors.
 
-All fields are little-endian. The identifier of a frame is the sum of a base and the node number n.
-``canopen.codec`` has the other frames.
+All fields of the frames are little-endian. The identifier of a frame is the sum of a base
+identifier and the node number n. ``canopen.codec`` has the frames that do not depend on the device
+profile.
 
     frame      identifier  to     bytes and fields
     EMCY       0x080 + n   host   0..1 error code | 2 error register | 3..7 of the maker
@@ -21,7 +22,7 @@ import struct
 from handctl.drives.canopen.codec import RPDO, TPDO
 from handctl.drives.signals import CyclicMessage, Signal, SignalCoding, SignalQuantity
 
-# Values of the control word.
+# Values of the control word of a drive.
 SHUTDOWN = 0x06
 SWITCH_ON = 0x07
 ENABLE_OPERATION = 0x0F
@@ -32,7 +33,7 @@ MAX_TORQUE_COUNT = 0x7FFF
 MAX_TARGET_COUNT = 0x7FFFFFFF
 """Largest target position or velocity in RPDO1 [count]."""
 
-# Power states of a drive in words.
+# Names of the power states of a drive.
 SWITCH_ON_DISABLED = "switch on disabled"
 READY_TO_SWITCH_ON = "ready"
 SWITCHED_ON = "switched on"
@@ -60,7 +61,7 @@ NEXT_CONTROLWORD = {
 }
 """For each power state, the control word that leads one step towards the power state operation enabled.
 
-In other power states the host sends DISABLE_VOLTAGE.
+In a power state that is not a key of ``NEXT_CONTROLWORD``, the host sends DISABLE_VOLTAGE.
 """
 
 ERROR_TEXTS = {
@@ -71,15 +72,15 @@ ERROR_TEXTS = {
     0x8140: "recovered from bus-off", 0x8210: "PDO too short", 0x8250: "RPDO time-out",
     0x8611: "following error",
 }  # fmt: skip
-"""Error codes of an emergency in words. Source: CiA 301 and CiA 402-2, error code tables."""
+"""Meaning of each error code of an emergency frame, in words. Source: CiA 301 and CiA 402-2, error code tables."""
 
 
 ENABLED_STATUS = 0x07 << 2 | 0x01
-"""Status of the power state operation enabled: the signals state and stop of ``feedback_message``, joined."""
+"""Joined values of the signals state and stop of ``feedback_message`` in the power state operation enabled."""
 
 
 def power_state(status_word: int) -> str:
-    """Return the power state that a status word contains, or an empty string if the code is undefined."""
+    """Return the power state in a status word, or an empty string if the status word has no defined power state."""
     return next((state for mask, value, state in _POWER_STATES if status_word & mask == value), "")
 
 
@@ -103,8 +104,8 @@ def feedback_message(
     offset = -zero_angle / gear_ratio
     torque = rated_torque / 1000 * gear_ratio
     return CyclicMessage("tpdo1", TPDO + node_id, 8, (
-        # Bits 0..3 and 5..6 define the power state. Bit 4 (voltage) and the upper bits do not
-        # belong to the power state.
+        # Bits 0..3 and 5..6 of the status word define the power state. Bit 4 (voltage) and the
+        # upper bits of the status word do not belong to the power state.
         Signal("state", SignalQuantity.STATUS, 0, 4),
         Signal("voltage", SignalQuantity.UNUSED, 4, 1),
         Signal("stop", SignalQuantity.STATUS, 5, 2),
@@ -192,9 +193,9 @@ def velocity_message(node_id: int, unit: float, limit: float) -> CyclicMessage:
 
 
 def _motion_message(node_id: int, signal: Signal, limit: float, max_value: float) -> CyclicMessage:
-    """Return the signal table of RPDO1 with the control word and a target of four bytes.
+    """Return the signal table of RPDO1 with the control word and a target (position or velocity) of four bytes.
 
-    The target has values from ``-max_value`` to ``max_value``.
+    The target in the RPDO has values from ``-max_value`` to ``max_value``.
     """
     if not max_value / abs(signal.scale) < MAX_TARGET_COUNT:
         raise ValueError(

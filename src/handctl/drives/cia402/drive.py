@@ -1,12 +1,13 @@
 """State machine of a CiA 402 drive in cyclic synchronous torque mode.
 
-The state machine configures, enables and disables the drive. In each tick the host sends one RPDO
-(control word, target torque), and the drive sends one TPDO (status word, position, torque). The
-drive sends the TPDO at SYNC, a frame with the identifier 0x080. If the SYNC of a sensor node has
-the same identifier, this SYNC also requests the TPDO. On other buses, handctl sends SYNC after the
-command to a drive with the option ``sync``. If no drive has this option, handctl selects a drive
-(``controller.run_setup``). The watchdog of the drive supervises the heartbeat of this host. Only a
-status word proves that the drive is enabled or disabled.
+The state machine configures, enables and disables a CiA 402 drive. In each tick the host sends one
+RPDO (control word, target torque), and the drive sends one TPDO (status word, position, torque).
+The drive sends the TPDO at SYNC, a frame with the identifier 0x080. If the SYNC of a sensor node
+has the identifier 0x080, the SYNC of the sensor node also requests the TPDO of the drive. On a bus
+without a SYNC with the identifier 0x080 from a sensor node, handctl sends SYNC after the command to
+a drive with the option ``sync``. If no drive on the bus has the option ``sync``, handctl selects
+one drive (``controller.run_setup``). The watchdog of the drive supervises the heartbeat of this
+host. Only a status word proves that the drive is enabled or disabled.
 """
 
 import math
@@ -62,9 +63,9 @@ LISTEN, POLL, ENABLE, DISABLE = DriveTarget
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
 MAX_MISSED_HEARTBEATS = 3.5
-"""Number of heartbeat periods without a sign of life after which the drive counts as lost."""
+"""Number of heartbeat periods after which a drive without a sign of life counts as lost."""
 TORQUE_UNITS = {"uN_m": 1e6, "mN_m": 1e3}
-"""Number of counts of object 0x6076 per newton metre. EPOS4 uses uN m, and the standard mN m."""
+"""Number of counts of object 0x6076 per newton metre. An EPOS4 drive uses uN m. The standard CiA 402 uses mN m."""
 OPTIONS = {
     "rated_torque_N_m": MotorOption(
         "required, above 0, at most 1000", "Rated torque of the motor, object 0x6076 [N m]."
@@ -87,7 +88,7 @@ OPTIONS = {
         "True if handctl sends the SYNC frame of the bus after the command to this drive.",
     ),
 }
-"""Options of the protocol in the hand file."""
+"""Options of a CiA 402 drive in the hand file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,14 +105,14 @@ class Cia402Drive:
         zero: angle of the shaft when the spool angle is zero [rad].
         rated_torque: rated torque of the drive at the shaft [N m].
         counts: position counts per turn of the shaft.
-        steps: objects of the drive, with the values required before arming.
+        steps: objects of the drive, with the values that the objects must have before arming.
         sync: True if the host sends SYNC after the command of this drive.
         sends_heartbeat: True if the host sends its heartbeat after the command of this drive. All
-            drives on a bus receive the same heartbeat, so one sender is enough.
+            drives on a bus receive the same heartbeat, so the host sends it with one drive only.
         heartbeat_period_ns: period of this host's heartbeat [ns].
         life_sign_timeout_ns: time without a sign of life after which the drive counts as lost [ns].
-        command: signal table of RPDO1, built from the other fields.
-        feedback: signal table of TPDO1, built from the other fields.
+        command: signal table of RPDO1, built from the other attributes.
+        feedback: signal table of TPDO1, built from the other attributes.
     """
 
     name: str
@@ -131,7 +132,7 @@ class Cia402Drive:
     feedback: SignalTable = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Build the signal tables of the cyclic frames."""
+        """Build the signal tables of the drive's cyclic frames."""
         sent_message = codec.command_message(
             self.node_id, self.ratio, self.rated_torque, self.command_limit
         )
@@ -212,20 +213,20 @@ class Cia402Drive:
             ),
             sync=sync,
             sends_heartbeat=True,
-            # The host sends three heartbeats per timeout of the watchdog, so that two of them may
-            # be lost.
+            # The host sends three heartbeats per timeout of the drive's watchdog. The bus can thus
+            # lose two of the three heartbeats.
             heartbeat_period_ns=watchdog * 1_000_000 // 3,
             life_sign_timeout_ns=round(heartbeat * MAX_MISSED_HEARTBEATS * 1e6),
         )
 
     @property
     def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
-        """Return the frames of a tick: RPDO, TPDO, and also SYNC if the option ``sync`` is set."""
+        """Return the frames of the drive in a tick: RPDO, TPDO, and SYNC if the option ``sync`` is set."""
         return ((4, False), (8, False), *(((0, False),) if self.sync else ()))
 
     @property
     def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return the frames whose rate is not the control rate: heartbeats, SDO requests and SDO replies."""
+        """Return the drive's frames whose rate is not the control rate: heartbeats, SDO requests and SDO replies."""
         heartbeats = [(1, False, MAX_MISSED_HEARTBEATS * 1e9 / self.life_sign_timeout_ns)]
         if self.sends_heartbeat:
             heartbeats.append((1, False, 1e9 / self.heartbeat_period_ns))
@@ -233,12 +234,12 @@ class Cia402Drive:
 
     @property
     def has_extended_ids(self) -> bool:
-        """Return False, because all identifiers have 11 bits."""
+        """Return False, because all identifiers of the protocol have 11 bits."""
         return False
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the identifiers of the frames of the host: NMT, RPDO, SDO requests, and heartbeat."""
+        """Return the identifiers of the frames that the host sends: NMT, RPDO, SDO requests, and heartbeat."""
         return frozenset(
             (
                 canopen.NMT,
@@ -250,7 +251,7 @@ class Cia402Drive:
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Return the identifiers of the frames of the drive: TPDO, SDO replies, emergency, and heartbeat."""
+        """Return the identifiers of the frames that the drive sends: TPDO, SDO replies, emergency, and heartbeat."""
         base_ids = (canopen.TPDO, canopen.SDO_REPLY, canopen.EMERGENCY, canopen.HEARTBEAT)
         return frozenset(base + self.node_id for base in base_ids)
 
@@ -261,7 +262,7 @@ class Cia402Drive:
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return an empty mapping, because handctl can check every property."""
+        """Return an empty mapping, because handctl can check every property of the drive."""
         return {}
 
     @property
@@ -288,7 +289,7 @@ class Cia402Drive:
         )
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status word of a drive that this host has enabled, or NO_STEADY_STATUS."""
+        """Return the status word of an enabled drive, or NO_STEADY_STATUS if this host has not enabled the drive."""
         progress = get_progress(state)
         is_steady = (
             state.phase == ENABLED and progress.is_enable_sent and progress.disable_command_ns < 0
@@ -296,14 +297,14 @@ class Cia402Drive:
         return codec.ENABLED_STATUS if is_steady else NO_STEADY_STATUS
 
     def due_ns(self, state: DriveState) -> int:
-        """Return the time at which this host must send its heartbeat [ns]."""
+        """Return the time at which this host must send its next heartbeat [ns]."""
         if not self.sends_heartbeat:
             return MAX_TIME_NS
         return get_progress(state).heartbeat_sent_ns + self.heartbeat_period_ns
 
     @property
     def rechecked_settings(self) -> tuple[setup.SetupStep, ...]:
-        """Return the objects read again while the drive is enabled."""
+        """Return the objects that the host reads again while the drive is enabled."""
         return tuple(
             step
             for step in self.steps
@@ -346,8 +347,8 @@ class Cia402Drive:
             return on_heartbeat(state, frame)
         if function_code == canopen.SDO_REPLY:
             return self._on_sdo_reply(state, frame.data)
-        # After the tests above, the frame can only be an emergency. Code 0 of an emergency reports
-        # that all errors have ended.
+        # All other frames of the drive have been handled above, so the frame is an emergency. Error
+        # code 0 of an emergency reports that all errors have ended.
         code = int.from_bytes(frame.data[:2], "little")
         return (
             state._replace(protocol_state=get_progress(state)._replace(error_code=code))
@@ -356,7 +357,7 @@ class Cia402Drive:
         )
 
     def _on_sdo_reply(self, state: DriveState, payload: bytes) -> DriveState:
-        """Return the state after an SDO reply of the drive."""
+        """Return the drive state after an SDO reply of the drive."""
         progress = get_progress(state)
         reply = canopen.decode_sdo_reply(payload)
         if reply is not None and state.phase == ENABLED and state.recheck.is_waiting:
@@ -395,8 +396,9 @@ class Cia402Drive:
     def _on_feedback(self, state: DriveState, frame: Frame) -> DriveState:
         """Return the state of the drive after a TPDO.
 
-        The new state contains the received values and the effect of the power state. Until the
-        read-back is complete, the mapping of the TPDO is unknown, and its values are not used.
+        The returned state contains the received values and the effect of the received power state.
+        Until the read-back of all objects is complete, the mapping of the TPDO is unknown, and the
+        values of the TPDO are not used.
         """
         progress = get_progress(state)
         if progress.cursor.step < len(self.steps):
@@ -419,8 +421,8 @@ class Cia402Drive:
         """Return the next state of the drive and the frames to send, see ``contract.Drive``."""
         if target == LISTEN:
             return state, ()
-        # A status word also shows that the drive is alive. Compiled code may have received the
-        # latest status word.
+        # A status word also shows that the drive is alive. Possibly compiled code, and not
+        # ``receive``, has processed the latest status word.
         if (
             0
             <= max(get_progress(state).life_sign_ns, state.feedback_t_ns)
@@ -437,9 +439,9 @@ class Cia402Drive:
     def _advance_to_target(
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frames for the requested drive state.
+        """Return the next drive state and the frames for the requested drive state.
 
-        The frames do not include heartbeat and SYNC.
+        The frames that the method returns do not include heartbeat and SYNC.
         """
         progress = get_progress(state)
         if target == DISABLE or (
@@ -467,13 +469,13 @@ class Cia402Drive:
     def _disable(
         self, state: DriveState, progress: Cia402Progress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frames that disable the drive.
+        """Return the next drive state and the frames that disable the drive.
 
-        A drive that may be enabled counts as enabled until a status word reports the state
+        A drive that is possibly enabled counts as enabled until a status word reports the state
         disabled.
 
-        The drive sends status words only in the NMT state operational. While no feedback arrives,
-        the host therefore repeats the NMT start.
+        The drive sends status words only in the NMT state operational. The host repeats the NMT
+        start while no feedback arrives.
         """
         phase = ENABLED if progress.may_be_enabled else state.phase
         disabling_start_ns = (
@@ -492,9 +494,9 @@ class Cia402Drive:
     def _configure(
         self, state: DriveState, progress: Cia402Progress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the next SDO request.
+        """Return the next drive state and the next SDO request.
 
-        Before the first request, the host sets the node to the NMT state pre-operational.
+        Before the first SDO request, the host sets the node to the NMT state pre-operational.
         """
         cursor, data, problem = setup.next_request(progress.cursor, self.steps, t_ns)
         next_state = state._replace(protocol_state=progress._replace(cursor=cursor))
@@ -509,14 +511,14 @@ class Cia402Drive:
     def _start_node(
         self, state: DriveState, progress: Cia402Progress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state, and the frames that set the node to the NMT state operational.
+        """Return the next drive state, and the frames that set the node to the NMT state operational.
 
-        The host repeats these frames until a status word arrives. If the operator has cleared a
-        fault, these frames reset the fault.
+        The host repeats the NMT frames until a status word arrives. If the operator has cleared a
+        fault, the returned frame is an RPDO that resets the fault.
         """
         if progress.errors_to_ignore and progress.power_state == codec.FAULT:
-            # The control word alternates between two values, because a fault is reset only when bit
-            # 7 changes from 0 to 1.
+            # The control word alternates between two values, because the drive resets a fault only
+            # when bit 7 of the control word changes from 0 to 1.
             control_word = (
                 codec.FAULT_RESET if progress.errors_to_ignore % 2 else codec.DISABLE_VOLTAGE
             )
@@ -551,7 +553,7 @@ class Cia402Drive:
         return Frame(canopen.NMT, bytes((nmt_command, self.node_id)), 0, self.bus)
 
     def identity(self, state: DriveState) -> str:
-        """Return the serial number in object 0x1018:4, or the node number without this object."""
+        """Return the serial number in object 0x1018:4, or the node number if the drive has no object 0x1018:4."""
         return f"{serial:#x}" if (serial := get_progress(state).serial) else f"node {self.node_id}"
 
     def fault_cause(self, error_code: int) -> DriveFaultCause:
@@ -564,7 +566,7 @@ class Cia402Drive:
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
         """Return an RPDO with a target torque [N m at the spool] that does not enable the drive.
 
-        The control word keeps the power stage off.
+        The control word in the RPDO keeps the power stage off.
         """
         return (self._rpdo_frame(codec.DISABLE_VOLTAGE, torque),)
 
@@ -575,8 +577,8 @@ class Cia402Drive:
         fault.
 
         CiA 402-2 does not require that a drive loses its torque in the NMT state pre-operational.
-        DISABLE_VOLTAGE is therefore necessary. It must be sent first, because a node reads PDOs
-        only in the NMT state operational.
+        The control word DISABLE_VOLTAGE removes the torque of every drive. DISABLE_VOLTAGE must
+        precede the NMT command, because a node reads PDOs only in the NMT state operational.
         """
         return (
             self._rpdo_frame(codec.DISABLE_VOLTAGE, 0.0),
@@ -586,7 +588,7 @@ class Cia402Drive:
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return the SDO request after which the drive no longer supervises the host's heartbeat.
 
-        Without this request, the drive would latch a fault, because the host sends no heartbeat
+        Without the SDO request, the drive would latch a fault, because the host sends no heartbeat
         after a run.
         """
         if state.phase != READY:
@@ -595,9 +597,9 @@ class Cia402Drive:
         return (self._sdo_frame(data),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frames that reset the fault of the drive.
+        """Return the next drive state and the frames that reset the fault of the drive.
 
-        After the reset, the host reads back all objects again.
+        After the reset of the fault, the host reads back all objects again.
         """
         power = get_progress(state).power_state
         initial_progress = Cia402Progress(

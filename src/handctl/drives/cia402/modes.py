@@ -2,8 +2,8 @@
 
 RPDO1 carries the target position (0x607A) or the target velocity (0x60FF). The maximum speed
 (0x6080) is read back before arming, and again while the drive is enabled. The objects of torque
-mode are read back in the same way. In position mode the drive supervises the following error
-(0x6065, 0x6066). A drive with a blocked shaft therefore goes into fault.
+mode are read back in the same way as the maximum speed. In position mode the drive supervises the
+following error (0x6065, 0x6066), so that a drive with a blocked shaft goes into fault.
 
 The unit of object 0x60FF differs between manufacturers. The option ``velocity_unit`` has the value
 rev_min (the default, as on EPOS4) or count_s. The unit of object 0x6080 is 1/min. Source: CiA
@@ -27,15 +27,15 @@ _OPERATION_MODES = {
     DriveMode.POSITION: settings.POSITION_MODE,
     DriveMode.VELOCITY: settings.VELOCITY_MODE,
 }
-"""Value of the object with the mode of operation (0x6060), for each mode."""
+"""Value of object 0x6060 (mode of operation) for each drive mode."""
 VELOCITY_UNITS = ("rev_min", "count_s")
 """Values of the option ``velocity_unit`` in the hand file, the default first."""
 INTERPOLATION_PERIOD_MS = 5
-"""Interpolation period of the target position [ms]. The commands on a bench have this period."""
+"""Interpolation period of the target position [ms]. The commands on a test bench have the same period."""
 FOLLOWING_ERROR_RAD = 0.5
-"""Largest following error that the drive accepts for any time [rad at the spool]."""
+"""Largest following error that the drive tolerates for any length of time [rad at the spool]."""
 FOLLOWING_ERROR_MS = 200
-"""Time for which a larger following error may last before the drive reports a fault [ms]."""
+"""Time after which the drive reports a fault if the following error exceeds ``FOLLOWING_ERROR_RAD`` [ms]."""
 RAD_S_PER_RPM = math.tau / 60.0
 """Speed of one revolution per minute [rad/s]."""
 
@@ -44,7 +44,7 @@ RAD_S_PER_RPM = math.tau / 60.0
 class Cia402ModeDrive(Cia402Drive):
     """CiA 402 drive in position mode or velocity mode.
 
-    The command is a position [rad] or a velocity [rad/s] at the spool. The attribute
+    The command to the drive is a position [rad] or a velocity [rad/s] at the spool. The attribute
     ``command_limit`` has the same unit as the command.
 
     Attributes:
@@ -69,13 +69,14 @@ class Cia402ModeDrive(Cia402Drive):
 
     @property
     def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
-        """Return the frames of a tick: RPDO, TPDO, and also SYNC if the option ``sync`` is set."""
+        """Return the frames of the drive in a tick: RPDO, TPDO, and SYNC if the option ``sync`` is set."""
         return ((6, False), (8, False), *(((0, False),) if self.sync else ()))
 
     def _command_at_rest(self, state: DriveState) -> float:
-        """Return the command that causes no motion.
+        """Return the command to the drive that causes no motion.
 
-        The command is the present position, or a velocity of zero.
+        In position mode, the command at rest is the present position. In velocity mode, the command
+        at rest is zero.
         """
         return self.mode.command_at_rest(state.position)
 
@@ -87,7 +88,7 @@ class Cia402ModeDrive(Cia402Drive):
 def make_mode_drive(
     motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits
 ) -> Cia402ModeDrive:
-    """Return the drive object for a motor description, in the given mode.
+    """Return the object of a drive in the given mode, for a motor description.
 
     Raises:
         ConfigError: an option is unknown or wrong, the mode is not supported, or a limit does not
@@ -122,7 +123,7 @@ def make_mode_drive(
 
 
 def _motion_steps(mode: DriveMode, speed: int, window: int) -> tuple[setup.SetupStep, ...]:
-    """Return the objects that a mode requires in addition to the objects of torque mode.
+    """Return the set-up steps that a drive mode requires in addition to the set-up steps of torque mode.
 
     Args:
         mode: quantity that the drive controls.
@@ -137,8 +138,8 @@ def _motion_steps(mode: DriveMode, speed: int, window: int) -> tuple[setup.Setup
         maximum,
         setup.SetupStep(write, 0x6065, 0, window, 4),
         setup.SetupStep(write, 0x6066, 0, FOLLOWING_ERROR_MS, 2),
-        # The interpolation time is value x 10^index seconds, and 0xFD is the index -3, so the value
-        # is in milliseconds.
+        # The interpolation time is value x 10^index seconds. The index 0xFD means -3, so the
+        # interpolation time is in milliseconds.
         setup.SetupStep(write, 0x60C2, 1, INTERPOLATION_PERIOD_MS, 1),
         setup.SetupStep(write, 0x60C2, 2, 0xFD, 1),
     )

@@ -1,4 +1,4 @@
-"""State of the CiA 402 state machine, and the effects of status words and heartbeats on it."""
+"""State of the CiA 402 state machine, and the effects of status words and heartbeats on this state."""
 
 from typing import NamedTuple, cast
 
@@ -12,7 +12,8 @@ from handctl.drives.state_machine import enter_fault
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
-# Error codes added by handctl. These codes are larger than the 16-bit error codes of emergencies.
+# Error codes added by handctl. The added error codes are larger than the 16-bit error codes of
+# emergencies.
 DROPPED_OUT_ERROR = 0x1_0000
 SETTING_MISMATCH_ERROR = 0x1_0001
 DRIVE_LOST_ERROR = 0x1_0002
@@ -27,10 +28,10 @@ CAUSE_BY_ERROR = {
 }  # fmt: skip
 """Cause of error codes, from emergencies or added by handctl.
 
-Other documented codes have the cause OTHER.
+A documented error code that is not in this table has the cause OTHER.
 """
 IGNORED_FAULT_COUNT = 20
-"""Number of status words that may still show a fault after the clear command."""
+"""Largest number of status words with a fault that the host ignores after the clear command."""
 
 
 class Cia402Progress(NamedTuple):
@@ -41,14 +42,15 @@ class Cia402Progress(NamedTuple):
         power_state: power state in the latest status word, or an empty text before the first status word.
         error_code: error code in the latest emergency frame.
         life_sign_ns: time of the latest heartbeat or status word of the drive [ns], -1 before the
-            first.
+            first life sign.
         started_ns: time of the latest NMT start [ns].
         heartbeat_sent_ns: time of this host's latest heartbeat [ns].
         is_enable_sent: True from the enable command until the drive reports the state disabled.
-        disable_command_ns: time of the first disable command [ns], or -1 if none was sent.
-        errors_to_ignore: number of status words whose fault must still be ignored while the fault is being
-            cleared.
-        serial: serial number of the drive, 0 if unknown.
+        disable_command_ns: time of the first disable command [ns], or -1 if the host has sent no
+            disable command.
+        errors_to_ignore: number of further status words with a fault that the host ignores, because
+            the fault is being cleared.
+        serial: serial number of the drive, 0 if the serial number is unknown.
     """
 
     cursor: ReadbackCursor = ReadbackCursor()
@@ -64,7 +66,7 @@ class Cia402Progress(NamedTuple):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Return True if this host has sent an enable command, or if the reported power stage may be on."""
+        """Return True if the drive is possibly enabled, by its power state or by an enable command of this host."""
         return self.is_enable_sent or (
             self.power_state != "" and self.power_state not in codec.STATES_WITHOUT_TORQUE
         )
@@ -78,7 +80,7 @@ def get_progress(state: DriveState) -> Cia402Progress:
 def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState:
     """Return the state of a drive after a status word.
 
-    The argument ``progress`` already contains the power state of this status word.
+    The argument ``progress`` already contains the power state of the received status word.
     """
     power = progress.power_state
     next_state = state._replace(protocol_state=progress)
@@ -117,7 +119,7 @@ def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState
 
 
 def _state_when_fault(state: DriveState, progress: Cia402Progress) -> DriveState:
-    """Return the state after the drive has reported a fault, with the error code of the latest emergency."""
+    """Return the drive state after the drive has reported a fault, with the error code of the latest emergency."""
     if progress.errors_to_ignore:
         return state._replace(
             protocol_state=progress._replace(errors_to_ignore=progress.errors_to_ignore - 1)
@@ -134,10 +136,10 @@ def _state_when_fault(state: DriveState, progress: Cia402Progress) -> DriveState
 
 
 def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
-    """Return the state after a heartbeat of the drive.
+    """Return the drive state after a heartbeat of the drive.
 
-    If the drive has left the NMT state operational, it was stopped or has restarted. A drive that
-    has restarted has lost its settings.
+    If the drive has left the NMT state operational, the drive was stopped or has restarted. A drive
+    that has restarted has lost its settings.
     """
     progress = get_progress(state)._replace(life_sign_ns=frame.t_ns)
     if (
@@ -155,8 +157,8 @@ def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
 def state_after_timeout(state: DriveState) -> DriveState:
     """Return the state of a drive from which no frame has arrived for too long.
 
-    An enabled drive is then in fault. A disabled drive may have restarted, so its objects are read
-    back again.
+    An enabled drive goes into fault after the timeout. A disabled drive has possibly restarted
+    during the timeout, so the host reads back its objects again.
     """
     progress = get_progress(state)
     if state.phase == FAULT or progress.disable_command_ns >= 0:

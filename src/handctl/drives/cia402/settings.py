@@ -1,11 +1,12 @@
 """Objects of a CiA 402 drive that must have certain values before arming.
 
-The host writes the objects by SDO, and reads them back.
+The host writes the objects of the drive by SDO, and reads the objects back.
 
-RPDO1 has transmission type 255. With this type, the drive applies a torque when the RPDO arrives.
-The torque thus takes effect in the tick that has computed it, as in the other protocols. TPDO1 has
-transmission type 1. With this type, the drive measures and sends the values of TPDO1 at each SYNC.
-If the heartbeat of the host is missing, the drive goes into fault (objects 0x1016, 0x6007).
+RPDO1 has transmission type 255, so that the drive applies the target torque when the RPDO arrives.
+The target torque thus takes effect in the tick that has computed the torque, as in the other drive
+protocols. TPDO1 has transmission type 1, so that the drive measures and sends the values of TPDO1
+at each SYNC. If the heartbeat of the host is missing, the drive goes into fault (objects 0x1016,
+0x6007).
 """
 
 from handctl.drives.canopen.codec import RPDO, TPDO
@@ -26,7 +27,7 @@ VELOCITY_MODE = 9
 TORQUE_MODE = 10
 """Mode of operation for cyclic synchronous torque."""
 TARGET_OBJECTS = {POSITION_MODE: (0x607A, 4), VELOCITY_MODE: (0x60FF, 4), TORQUE_MODE: (0x6071, 2)}
-"""Object with the target, and size of the target in bytes, by mode of operation."""
+"""For each mode of operation, the object with the target value, and the size of the target value in bytes."""
 HEARTBEAT_SUPERVISION_OFF = 0x1016, 1, (HOST_NODE << 16).to_bytes(4, "little")
 """Object for the supervision of the host's heartbeat: index, sub-index, and the value 0 that ends the supervision."""
 
@@ -45,7 +46,7 @@ def required_steps(
     heartbeat_ms: int,
     mode: int = TORQUE_MODE,
 ) -> tuple[SetupStep, ...]:
-    """Return all objects that are written and read back before arming, in the order of the requests.
+    """Return the objects that the host writes and reads back before arming, in the order of the SDO requests.
 
     Args:
         node_id: node number of the drive.
@@ -59,8 +60,8 @@ def required_steps(
     target, size = TARGET_OBJECTS[mode]
     equal, bits_set, write, write_optional, read, *_ = ObjectCheck
     pdo_bases = ((0x1400, RPDO), (0x1800, TPDO))
-    # PDOs 2 to 4 are switched off. The parameter records of these PDOs have consecutive indices,
-    # and their default identifiers differ by 0x100.
+    # PDOs 2 to 4 are switched off. The parameter records of PDOs 2 to 4 have consecutive indices.
+    # The default identifiers of PDOs 2 to 4 differ by 0x100.
     disabling_steps = [
         SetupStep(write_optional, base + i, 1, PDO_DISABLED_BIT | cob + 0x100 * i + node_id, 4)
         for base, cob in pdo_bases
@@ -71,8 +72,8 @@ def required_steps(
         SetupStep(bits_set, 0x1000, 0, 0x0192, 4),
         SetupStep(read, *SERIAL_NUMBER, 0, 4),
         SetupStep(write, 0x6040, 0, DISABLE_VOLTAGE, 2),
-        # The object contains one bit for each mode that the drive may support. Bit 9 stands for
-        # mode 10, cyclic synchronous torque.
+        # Object 0x6502 contains one bit for each mode of operation that a drive can support. Bit 9
+        # stands for mode 10, cyclic synchronous torque.
         SetupStep(bits_set, 0x6502, 0, 1 << mode - 1, 4),
         SetupStep(equal, 0x6076, 0, rated_torque, 4),
         SetupStep(write, 0x6072, 0, max_torque, 2),

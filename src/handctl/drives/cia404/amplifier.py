@@ -1,10 +1,10 @@
 """State machine that sets up a CiA 404 measuring amplifier.
 
 After the set-up, the amplifier answers every SYNC. The host sets the amplifier to the NMT state
-pre-operational, reads and writes its objects, and then starts the amplifier. Received TPDOs of the
-amplifier are used only after this start. If an amplifier restarts, the host sets it up again before
-the next arming. The host never sets up an amplifier while motors may make torque. No frame of this
-module moves a motor.
+pre-operational, reads and writes its objects, and then starts the amplifier. The host uses received
+TPDOs of the amplifier only after the start of the amplifier. If an amplifier restarts, the host
+sets it up again before the next arming. The host never sets up an amplifier while a motor possibly
+makes torque. No frame of this module moves a motor.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ class AmplifierState(NamedTuple):
         phase: phase of the set-up: SILENT, CONFIGURING, READY or FAULT.
         cursor: position in the list of objects to read back.
         started_ns: time of the latest NMT start [ns].
-        error_text: problem in words, or an empty text without a problem.
+        error_text: problem of the amplifier in words, or an empty text without a problem.
     """
 
     node_id: int
@@ -50,7 +50,7 @@ class LoadCellAmplifier:
         bus: index of the bus of the amplifier.
         node_id: node number, from 1 to 0x7e.
         tpdo_ids: identifiers of the frames with tensions from the amplifier.
-        steps: objects of the amplifier, with the values required before arming.
+        steps: objects of the amplifier, with the values that the objects must have before arming.
     """
 
     bus: int
@@ -85,18 +85,18 @@ class LoadCellAmplifier:
         return state
 
     def _on_life_sign(self, state: AmplifierState) -> AmplifierState:
-        """Return the state after a frame that proves the NMT state operational.
+        """Return the amplifier state after a frame that proves the NMT state operational.
 
-        Such a frame has an effect only if the host has set up and started the amplifier.
+        A TPDO or a heartbeat has an effect only if the host has set up and started the amplifier.
         """
         if state.cursor.step < len(self.steps) or state.started_ns < 0:
             return state
         return state._replace(phase=READY, error_text="")
 
     def _on_heartbeat(self, state: AmplifierState, nmt_state: int) -> AmplifierState:
-        """Return the state after a heartbeat.
+        """Return the amplifier state after a heartbeat.
 
-        If an amplifier has restarted or was stopped, it must be set up again.
+        If an amplifier has restarted or was stopped, the host must set up the amplifier again.
         """
         if nmt_state == codec.OPERATIONAL:
             return self._on_life_sign(state)
@@ -105,7 +105,7 @@ class LoadCellAmplifier:
         return state
 
     def _on_sdo_reply(self, state: AmplifierState, data: bytes) -> AmplifierState:
-        """Return the state after an SDO reply of the amplifier."""
+        """Return the amplifier state after an SDO reply of the amplifier."""
         reply = codec.decode_sdo_reply(data)
         if reply is None or state.cursor.step >= len(self.steps):
             return state
@@ -140,7 +140,7 @@ class LoadCellAmplifier:
     ) -> tuple[AmplifierState, tuple[Frame, ...]]:
         """Return the next state of the amplifier and the next SDO request.
 
-        Before the first request, the host sends the NMT command pre-operational.
+        Before the first SDO request, the host sends the NMT command pre-operational.
         """
         cursor, data, problem = setup.next_request(state.cursor, self.steps, t_ns)
         next_state = state._replace(cursor=cursor)

@@ -1,17 +1,19 @@
 """Load cells on CiA 404 measuring amplifiers.
 
 The amplifiers and the host exchange the following frames in a tick. The identifier of a TPDO is the
-sum of a base and the node number n. The hyphen in the last column means that SYNC has no payload.
+sum of a base identifier and the node number n. The hyphen in the last column of the table means
+that SYNC has no payload.
 
     frame    identifier                 to          bytes and fields
     SYNC     0x080                      amplifiers  -
     TPDO1    0x180 + n                  host        0..3 channel 1 | 4..7 channel 2
     TPDO2-4  0x280, 0x380, 0x480 + n    host        two further channels each
 
-A channel is the process value in newton, little-endian. Its type is INTEGER32 (object 0x9130, with
-decimal digits) or REAL32 (object 0x6130). A frame has no counter, so only its arrival time shows
-which SYNC the frame answers. A frame is stale if it arrives too early to be an answer to the latest
-SYNC. All later frames count as fresh. Source: docs/facts/cia404.md.
+A channel of a TPDO contains the process value in newton, little-endian. The type of the process
+value is INTEGER32 (object 0x9130, with decimal digits) or REAL32 (object 0x6130). A TPDO has no
+counter, so only its arrival time shows which SYNC the TPDO answers. A TPDO is stale if it arrives
+too early to be an answer to the latest SYNC. A TPDO counts as fresh if it is not stale. Source:
+docs/facts/cia404.md.
 """
 
 from dataclasses import dataclass
@@ -35,13 +37,13 @@ MAX_TARE_N = 6.0
 TENSION_LOW_N = -4.0
 """Tared tension below which a load cell or its wire counts as broken [N].
 
-The sensor node of handctl has the same threshold.
+The sensor node of handctl uses the same threshold for a broken load cell.
 """
 MIN_ANSWER_DELAY_NS = 100_000
 """Shortest time from the start of a tick to the end of an answer to its SYNC [ns].
 
-SYNC (47 bits) and a TPDO of 4 bytes (79 bits) take 126 us at 1 Mbit/s. The difference from this
-value is a margin for errors of the time stamp.
+SYNC (47 bits) and a TPDO of 4 bytes (79 bits) take 126 us at 1 Mbit/s. The constant is shorter than
+126 us, as a margin for errors of the time stamp.
 """
 
 
@@ -50,12 +52,12 @@ class AmplifierDescription(Protocol):
 
     @property
     def sync_id(self) -> int:
-        """Return the identifier of the SYNC frame."""
+        """Return the identifier of the SYNC frame to the amplifiers."""
         ...
 
     @property
     def tendons(self) -> tuple[str, ...]:
-        """Return the names of the tendons with a load cell."""
+        """Return the names of the tendons that have a load cell."""
         ...
 
     @property
@@ -65,7 +67,7 @@ class AmplifierDescription(Protocol):
 
     @property
     def amplifier_channels(self) -> tuple[int, ...]:
-        """Return the number of channels with a load cell, for each amplifier."""
+        """Return the number of channels with a load cell on each amplifier."""
         ...
 
     @property
@@ -94,12 +96,12 @@ class Cia404LoadCells:
         amplifiers: measuring amplifiers for the host to set up.
         amplifier_frame_ranges: indices in ``ids`` of the frames from each amplifier.
         ids: identifier of each frame with tensions.
-        channels: indices of the tendons in each of these frames, as numbered in the hand.
+        channels: indices of the tendons in each frame with tensions, as numbered in the hand.
         tendon_frame_indices: index of the frame with the load cell of each tendon of the hand, -1 for a tendon
             without a load cell.
         range_n: rated load of the load cells [N].
-        scale: change of the tension per count [N], 1 for ``real32``.
-        coding: coding of each channel in a frame.
+        scale: change of the tension per count of the process value [N], 1 for ``real32``.
+        coding: number format (integer or float) of each channel in a frame.
     """
 
     bus: int
@@ -166,7 +168,7 @@ class Cia404LoadCells:
 
     @property
     def tension_frames(self) -> int:
-        """Return the number of all frames, because all frames contain tensions."""
+        """Return the number of all frames from the amplifiers, because all of them contain tensions."""
         return len(self.ids)
 
     @property
@@ -191,16 +193,16 @@ class Cia404LoadCells:
     def cell_range(self) -> tuple[float, float]:
         """Return the limits of the range: the negative and the positive rated load of the load cells [N].
 
-        If a load cell is overloaded, its amplifier sends NaN or -2^31 counts. Both values are
-        outside this range.
+        If a load cell is overloaded, its amplifier sends NaN or -2^31 counts. NaN and -2^31 counts
+        are outside the range of the load cells.
         """
         return -self.range_n, self.range_n
 
     @property
     def tension_rail(self) -> float:
-        """Return the tared tension above which a load cell may be saturated [N].
+        """Return the tared tension above which a load cell is possibly saturated [N].
 
-        The threshold is valid for any accepted tare.
+        The threshold is valid for any accepted tare of the load cell.
         """
         return self.range_n - MAX_TARE_N
 
@@ -211,7 +213,7 @@ class Cia404LoadCells:
 
     @property
     def frames_per_tick(self) -> tuple[tuple[int, float], ...]:
-        """Return the frames of a tick as (payload bytes, frames per tick): SYNC, then every TPDO."""
+        """Return the frames of a tick, SYNC and then every TPDO, as (payload bytes, frames per tick)."""
         return ((0, 1.0), *((length, 1.0) for length in self.lengths)) if self.ids else ()
 
     @property
@@ -221,9 +223,9 @@ class Cia404LoadCells:
 
     @property
     def messages(self) -> tuple[CyclicMessage, ...]:
-        """Return the signal tables of the frames.
+        """Return the signal tables of the frames with tensions.
 
-        In each signal, ``Signal.channel`` is the index of the tendon.
+        ``Signal.channel`` is the index of the tendon whose tension the signal contains.
         """
         messages = []
         for amplifier, groups in zip(self.amplifiers, self.amplifier_frame_ranges, strict=True):
@@ -243,7 +245,7 @@ class Cia404LoadCells:
     def sync_message(self) -> CyclicMessage:
         """Return the signal table of SYNC, which has no counter.
 
-        A node without object 0x1019 expects no counter.
+        An amplifier without object 0x1019 expects no counter in SYNC.
         """
         return CyclicMessage("sync", self.sync_id, 0)
 
@@ -253,7 +255,7 @@ class Cia404LoadCells:
         return False
 
     def counter(self, k: int) -> int:
-        """Return 0, because this SYNC has no counter."""
+        """Return 0, because the SYNC to an amplifier has no counter."""
         return 0
 
     def sync(self, k: int) -> Frame:
@@ -261,17 +263,17 @@ class Cia404LoadCells:
         return Frame(self.sync_id, b"", bus=self.bus)
 
     def earliest_answer_time_ns(self, sync_ns: int) -> int:
-        """Return the earliest arrival of an answer to a SYNC that was sent after ``sync_ns`` [ns]."""
+        """Return the earliest arrival time of an answer to a SYNC that was sent after ``sync_ns`` [ns]."""
         return sync_ns + MIN_ANSWER_DELAY_NS
 
     def answers(self, data: bytes, counter: int) -> bool:
-        """Return True, because a payload does not show which SYNC it answers."""
+        """Return True, because the payload of a TPDO does not show which SYNC the TPDO answers."""
         return True
 
     def lost_frame_count(self, sync_count: int, accepted_count: int, stale_count: int) -> int:
-        """Return the number of lost frames.
+        """Return the number of lost frames with tensions.
 
-        Missing answers to the last SYNC are not counted, because they may still arrive.
+        Missing answers to the last SYNC are not counted, because these answers can still arrive.
         """
         return max(0, (sync_count - 1) * len(self.ids) - accepted_count - stale_count)
 

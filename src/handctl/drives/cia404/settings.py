@@ -2,10 +2,10 @@
 
 The host checks and writes the objects by SDO transfers.
 
-Every TPDO with load cells has transmission type 1. With this type, the amplifier measures the load
-cells and sends the TPDO at each SYNC. The host reads the unit and the number of decimal digits
-first. The unit and the number of digits are written only if they differ from the required values.
-Source: docs/facts/cia404.md.
+Every TPDO with load cells has transmission type 1, so that the amplifier measures the load cells
+and sends the TPDO at each SYNC. The host first reads the unit and the number of decimal digits of
+the process value. The host writes the unit and the number of digits only if they differ from the
+required values. Source: docs/facts/cia404.md.
 """
 
 from handctl.drives.canopen import codec
@@ -21,7 +21,7 @@ Source: CiA 303-2, newton is 0x21.
 HEARTBEAT_MS = 100
 """Period of an amplifier's heartbeat [ms]."""
 TPDO_BASES = (0x180, 0x280, 0x380, 0x480)
-"""Identifiers of TPDOs 1 to 4, before the node number is added.
+"""Base identifiers of TPDOs 1 to 4. The sum of base identifier and node number is the identifier of a TPDO.
 
 Source: CiA 301, predefined connection set.
 """
@@ -30,13 +30,13 @@ CHANNELS_PER_TPDO = 2
 CHANNEL_BYTES = 4
 """Size of a process value [bytes]."""
 PROCESS_VALUES = {"int32": (0x9130, SignalCoding.SIGNED), "real32": (0x6130, SignalCoding.FLOAT)}
-"""Object with the process value, and coding of this value, by the value of ``process_value`` in the hand file."""
+"""Object with the process value and coding of the process value, for each ``process_value`` in the hand file."""
 
 
 def required_steps(
     node_id: int, channel_count: int, process_value: str, digits: int
 ) -> tuple[SetupStep, ...]:
-    """Return all objects that are checked or written before arming, in the order of the requests.
+    """Return the objects that the host checks or writes before arming, in the order of the SDO requests.
 
     Args:
         node_id: node number of the amplifier.
@@ -55,8 +55,8 @@ def required_steps(
         steps.append(SetupStep(write_if_different, 0x6131, channel, NEWTON_UNIT_CODE, 4))
         if process_value == "int32":
             steps.append(SetupStep(write_if_different, 0x6132, channel, digits, 1))
-        # Object 0x6150 is the status of the channel. Bit 0 means not valid, bits 1 and 2 positive
-        # and negative overload.
+        # Object 0x6150 is the status of the channel. Bit 0 of the status means that the value is
+        # not valid. Bits 1 and 2 report a positive and a negative overload.
         steps.append(SetupStep(ObjectCheck.EQUAL_IF_PRESENT, 0x6150, channel, 0, 1))
     for i, base in enumerate(TPDO_BASES):
         first_channel = CHANNELS_PER_TPDO * i
@@ -67,8 +67,8 @@ def required_steps(
             number << 16 | channel << 8 | 8 * CHANNEL_BYTES for channel in mapped_channels
         )
         if entries:
-            # An inhibit time of the PDO could delay answers. The inhibit time is set to 0 while the
-            # PDO is off.
+            # An inhibit time of the PDO could delay the answers to SYNC. The host sets the inhibit
+            # time to 0 while the PDO is off.
             inhibit_time_step = SetupStep(ObjectCheck.WRITE_IF_PRESENT, 0x1800 + i, 3, 0, 2)
             disable_step, *other_steps = pdo_steps(
                 0x1800 + i, 0x1A00 + i, base + node_id, 1, entries

@@ -10,7 +10,7 @@ Special command with identifier ESC_ID, 8 bytes. Seven bytes FF are followed by 
 disable, or FB to clear an error.
 
 Commands of the modes in which the motor controls its own position or velocity, little-endian. The
-motor obeys each of these commands only in the mode of the command:
+motor obeys each command only in the mode that the table gives for the command:
 
     identifier       mode                 bytes and fields
     0x100 + ESC_ID   position-velocity    0..3 position float32 [rad] | 4..7 speed limit float32 [rad/s]
@@ -30,9 +30,10 @@ little-endian:
     byte    0, 1     2                                                3          4..7
     field   ESC_ID   33 read, 55 write, AA save, CC refresh           register   uint32 or float32
 
-Register replies have the same identifier and length as feedback. This module distinguishes them by
-the first four bytes. If feedback had the first four bytes of a register reply, its position would
-be within 0.3 % of -PMAX. No hand can reach such a position.
+Register replies have the same identifier and length as feedback. This module distinguishes register
+replies from feedback by the first four bytes. If feedback had the first four bytes of a register
+reply, the position in the feedback would be within 0.3 % of -PMAX. No hand can reach a position so
+close to -PMAX.
 
 Source: Damiao DM-J4310-2EC manual. Details missing in the manual are from public client programs
 (LeRobot, i2rt, openarm_can).
@@ -47,9 +48,9 @@ from handctl.drives.signals import CyclicMessage, Signal, SignalCoding, SignalQu
 BROADCAST_ID = 0x7FF
 """Identifier of register requests to all motors.
 
-The payload contains the node number of the motor.
+The payload of a register request contains the node number of the motor.
 """
-# Last byte of each special command.
+# Last payload byte of each special command.
 ENABLE = 0xFC
 DISABLE = 0xFD
 CLEAR_ERROR = 0xFB
@@ -81,7 +82,7 @@ _REGISTER_STRUCTS = {
     CTRL_MODE: _INTEGER_STRUCT,
     SERIAL_NUMBER: _INTEGER_STRUCT,
 }
-"""Registers with an unsigned integer. All other registers contain a float32."""
+"""Registers with an unsigned integer. All registers that are not in this table contain a float32."""
 MIT_MODE = 1
 """Value of register CTRL_MODE for MIT mode."""
 POSITION_MODE = 2
@@ -91,11 +92,11 @@ VELOCITY_MODE = 3
 FORCE_MODE = 4
 """Value of register CTRL_MODE for force-position mode."""
 CODES_PER_RAD_S = 100.0
-"""Number of codes per rad/s, in the speed limit of force-position mode."""
+"""Number of counts per rad/s in the speed limit of a force-position command."""
 FULL_SCALE_COUNT = 10_000
-"""Largest code of the speed limit and of the current limit, in force-position mode."""
+"""Largest count of the speed limit and of the current limit in a force-position command."""
 TIMEOUT_UNITS_PER_MS = 20
-"""Number of counts per millisecond in register TIMEOUT, the watchdog. One count is 50 us."""
+"""Number of counts per millisecond in register TIMEOUT, the watchdog. One count of the register is 50 us."""
 
 # Values of the state nibble for a motor without an error.
 DISABLED = 0
@@ -111,11 +112,11 @@ ERROR_TEXTS = {
     0xD: "communication lost: the drive's watchdog fired",
     0xE: "overload",
 }
-"""Text of each error, by the state nibble. A motor with one of these errors makes no torque."""
+"""Text of each error, by the state nibble of the feedback. A motor with a listed error makes no torque."""
 
 _REPLY_STRUCT = struct.Struct("<HBB")
 """First bytes of a register reply: node number, operation, register."""
-# Largest numbers in the 16-bit field and in the 12-bit fields of a frame.
+# Largest counts in the 16-bit field and in the 12-bit fields of a frame.
 MAX_POSITION_COUNT = 2**16 - 1
 MAX_COUNT = 2**12 - 1
 KP_MAX = 500.0
@@ -125,14 +126,14 @@ KD_MAX = 5.0
 _ZERO_MOTION_BITS = MAX_POSITION_COUNT // 2 << 48 | MAX_COUNT // 2 << 36
 """Payload of a command in which position, velocity, and gains are 0.
 
-The motor uses position and velocity only together with the gains.
+The motor multiplies position and velocity errors by the gains, so that gains of 0 cancel both.
 """
 
 
 class MotorRanges(NamedTuple):
     """Full scale of a motor: position [rad], velocity [rad/s], torque [N m].
 
-    The values are those of the registers PMAX, VMAX and TMAX of the motor.
+    The three values are the contents of the registers PMAX, VMAX and TMAX of the motor.
     """
 
     position: float
@@ -154,8 +155,8 @@ def command_message(
 ) -> CyclicMessage:
     """Return the signal table of the torque command, which has kp = kd = 0.
 
-    The format has no code for zero torque. For 0 N m, the nearest code is sent, which is half a
-    step (TMAX / 4095) away.
+    No count of the torque field means exactly zero torque. For 0 N m, the host sends the nearest
+    count, which differs from zero torque by half a count (TMAX / 4095).
 
     Args:
         can_id: identifier of the motor, ESC_ID.
@@ -195,7 +196,7 @@ def impedance_message(
 ) -> CyclicMessage:
     """Return the signal table of the position command, see ``signals.POSITION_COMMAND``.
 
-    The command contains position, velocity, kp, kd and torque.
+    The position command contains position, velocity, kp, kd and torque.
 
     Args:
         can_id: identifier of the motor, ESC_ID.
@@ -354,8 +355,8 @@ def _signal_over_range(
     direction: int = 1,
 ) -> Signal:
     """Return the description of a signal with values from -largest to largest."""
-    # The highest code is +largest, so there are 2^n - 1 steps. A negative sign reverses scale and
-    # offset.
+    # The highest count means +largest, so the range consists of 2^n - 1 steps of one count. A
+    # negative sign of the direction reverses scale and offset.
     scale = direction * 2 * largest / ((1 << length) - 1)
     return Signal(
         name,
@@ -395,7 +396,7 @@ def register_request(
         node_id: node number of the motor, ESC_ID.
         operation_code: READ, WRITE or REFRESH.
         register: number of the register.
-        value: value to write. Operations other than WRITE ignore the value.
+        value: value to write. The value has no effect in operations other than WRITE.
     """
     raw_bytes = register_bytes(register, value) if operation_code == WRITE else bytes(4)
     return struct.pack("<HBB", node_id, operation_code, register) + raw_bytes
@@ -404,7 +405,7 @@ def register_request(
 def register_bytes(register: int, value: float) -> bytes:
     """Return the value of a register as four bytes.
 
-    For an integer register, the fraction is cut off.
+    The fraction of a value for an integer register is removed.
     """
     layout = _REGISTER_STRUCTS.get(register, _FLOAT_STRUCT)
     return layout.pack(int(value)) if layout is _INTEGER_STRUCT else layout.pack(value)
@@ -416,7 +417,7 @@ def register_reply(node_id: int, operation_code: int, register: int, value: floa
 
 
 class RegisterReply(NamedTuple):
-    """Reply to a register request: operation, register number, and the four bytes of the value."""
+    """Reply of a motor to a register request: operation, register number, and the four bytes of the register value."""
 
     operation: int
     register: int
@@ -424,15 +425,15 @@ class RegisterReply(NamedTuple):
 
     @property
     def value(self) -> float:
-        """Decode the four bytes of the value by the type of the register."""
+        """Decode the four bytes of the register value by the type of the register."""
         return float(_REGISTER_STRUCTS.get(self.register, _FLOAT_STRUCT).unpack(self.raw)[0])
 
 
 def decode_register_reply(data: bytes, node_id: int) -> RegisterReply | None:
     """Decode 8 bytes from a motor as a register reply, or return None if they are feedback."""
     # In nearly every feedback frame, the state nibble makes byte 0 differ from the node number. The
-    # test of byte 0 therefore comes first, because it is fast.
-    if data[0] != node_id & 0xFF:  # byte 0 of feedback has the state nibble above the node number
+    # fast test of byte 0 precedes the other tests.
+    if data[0] != node_id & 0xFF:  # in byte 0 of feedback, the high bits are the state nibble
         return None
     sender, operation, register = _REPLY_STRUCT.unpack_from(data)
     if sender != node_id or operation not in (READ, WRITE, SAVE):

@@ -10,12 +10,12 @@ Feedback has the identifier of the command and 8 bytes, big-endian. Older firmwa
     field   node 8   position 16   velocity 12   torque 12    temperature 8       error 8
     range            +-12.5 rad    by model      by model     1 degC from -40     see ERROR_TEXTS
 
-The motor has no registers and no watchdog. The feedback does not show if the motor is enabled. The
-motor therefore counts as enabled after several answers to the enable command. The motor counts as
-disabled after several answers to the disable command, if these answers report no torque. The host
-also uses the disable command to request feedback, because every other command may make torque.
-``unverified_protections`` lists the protections that handctl cannot verify. Source: CubeMars AK
-Series Actuator Driver Manual V1.0.8, section 5.3.
+A CubeMars motor has no registers and no watchdog. The feedback of a CubeMars motor does not show if
+the motor is enabled. A motor counts as enabled after several answers to the enable command. The
+motor counts as disabled after several answers to the disable command, if these answers report no
+torque. The host also uses the disable command to request feedback, because every other command can
+cause torque. ``unverified_protections`` lists the protections that handctl cannot verify. Source:
+CubeMars AK Series Actuator Driver Manual V1.0.8, section 5.3.
 """
 
 import math
@@ -67,7 +67,7 @@ ERROR_TEXTS = {
     5: "encoder error",
     6: "phase current imbalance",
 }
-"""Text of each error, by byte 7 of the feedback. This byte is 0 if there is no error."""
+"""Text of each error, by byte 7 of the feedback. Byte 7 is 0 if the motor has no error."""
 CAUSE_BY_ERROR = {
     1: DriveFaultCause.OVERHEATED,
     3: DriveFaultCause.VOLTAGE,
@@ -82,18 +82,18 @@ Older firmware sends 6 bytes, without temperature and error.
 REQUIRED_ANSWER_COUNT = 3
 """Number of answers after which an enable or disable command counts as obeyed.
 
-The first answer may have been sent before the command.
+The motor has possibly sent the first answer before it received the command.
 """
 ZERO_COUNT_TEMPERATURE_C = -40.0
 """Temperature at count 0 in byte 6 of the feedback [degC].
 
 Source: CubeMars AK Series Actuator Driver Manual, section 5.3, example of a reply. Programs that
-take the count as degC (TMotorCANControl) report 40 degC too much.
+use the count as a temperature in degC (TMotorCANControl) report 40 degC too much.
 """
 MAX_RESTING_TORQUE_FRACTION = 0.02
-"""Largest reported torque at which a motor counts as making none, as a fraction of full scale.
+"""Largest reported torque of a motor that counts as making no torque, as a fraction of the full scale.
 
-The sensor noise of a motor at rest is below this fraction.
+The sensor noise of a motor at rest is below 2 % of full scale.
 """
 SILENCE_TIMEOUT_NS = 250_000_000
 """Time without a frame after which a disabled motor returns to phase SILENT [ns]."""
@@ -120,7 +120,8 @@ class CubemarsProgress(NamedTuple):
     Attributes:
         last_special_command: latest special command to the motor, ENABLE or DISABLE.
         command_start_ns: time at which the latest special command was first sent [ns].
-        agreeing_answers: number of consecutive answers that agree with the latest special command.
+        agreeing_answers: number of consecutive answers of the motor that agree with the latest
+            special command.
         is_enable_sent: True from the enable command until the motor counts as disabled.
     """
 
@@ -143,7 +144,7 @@ OPTIONS = {
         "Temperature that the code 0 means. Set it to 0 if a cold motor reports a temperature below zero.",
     ),
 }
-"""Options of the protocol in the hand file."""
+"""Options of a CubeMars motor in the hand file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,8 +160,8 @@ class CubemarsDrive:
         direction: 1 if positive torque of the motor winds the tendon, else -1.
         zero: angle of the motor when the spool angle is zero [rad].
         temperature_offset: temperature at count 0 in byte 6 of the feedback [degC].
-        command: signal table of the torque command, built from the other fields.
-        feedback: signal table of the feedback, built from the other fields.
+        command: signal table of the torque command, built from the other attributes.
+        feedback: signal table of the feedback, built from the other attributes.
     """
 
     name: str
@@ -240,7 +241,7 @@ class CubemarsDrive:
 
     @property
     def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
-        """Return the frames of a tick: command and answer."""
+        """Return the frames of the motor in a tick: command and answer."""
         return ((8, False), (8, False))
 
     @property
@@ -250,12 +251,12 @@ class CubemarsDrive:
 
     @property
     def has_extended_ids(self) -> bool:
-        """Return False, because all identifiers have 11 bits."""
+        """Return False, because all identifiers of the MIT protocol have 11 bits."""
         return False
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the identifier of commands.
+        """Return the identifier of commands to the motor.
 
         Feedback and commands have the same identifier, so commands of another host cannot be
         detected.
@@ -264,7 +265,7 @@ class CubemarsDrive:
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Return the identifier of feedback. Commands have the same identifier."""
+        """Return the identifier of feedback, which is also the identifier of commands."""
         return frozenset((self.node_id,))
 
     @property
@@ -274,7 +275,7 @@ class CubemarsDrive:
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return the reason for each property that handctl cannot check."""
+        """Return the reason for each property of the drive that handctl cannot check."""
         return UNCHECKED_PROPERTIES
 
     @property
@@ -286,7 +287,7 @@ class CubemarsDrive:
     def position_step(self) -> float:
         """Return the change of the position per count [rad].
 
-        The 16 bits cover twice the full scale of the model.
+        The 16 bits of the position field cover twice the position full scale of the motor model.
         """
         return self.ranges.position_step
 
@@ -308,7 +309,7 @@ class CubemarsDrive:
         return CyclicMessages((self.feedback.message,), (self.command.message,), position=position)
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status in feedback of an enabled motor.
+        """Return the status that the feedback of an enabled motor without an error contains.
 
         The status consists of the byte with the node number, and the byte with error 0.
         """
@@ -360,13 +361,13 @@ class CubemarsDrive:
         return next_state if disabling else next_state._replace(phase=FAULT)
 
     def _on_answer(self, state: DriveState, progress: CubemarsProgress) -> DriveState:
-        """Return the state after an answer to the latest enable or disable command."""
-        # An answer that the motor sent before this command does not show the effect of the command.
+        """Return the drive state after an answer to the latest enable or disable command."""
+        # An answer that the motor sent before a command does not show the effect of the command.
         if state.feedback_t_ns < progress.command_start_ns:
             return state
         if progress.last_special_command == ENABLE:
             if progress.agreeing_answers >= REQUIRED_ANSWER_COUNT:
-                return state  # the command counts as obeyed, and further answers change nothing
+                return state  # the enable or disable command counts as obeyed, and further answers change nothing
             is_done = (
                 state.phase != FAULT and progress.agreeing_answers + 1 >= REQUIRED_ANSWER_COUNT
             )
@@ -415,9 +416,9 @@ class CubemarsDrive:
     def _state_after_command(
         self, state: DriveState, new_command: DriveTarget, t_ns: int
     ) -> DriveState:
-        """Return the state after an enable or disable command was sent.
+        """Return the drive state after an enable or disable command was sent.
 
-        If the command is new, the count of its answers starts at 0.
+        If the command differs from the latest command, the count of agreeing answers starts at 0.
         """
         progress: CubemarsProgress = state.protocol_state
         if progress.last_special_command == new_command and progress.command_start_ns >= 0:
@@ -451,10 +452,10 @@ class CubemarsDrive:
         return (self._frame_to_motor(codec.special_command(codec.DISABLE)),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state with the error removed, and the frame of the disable command.
+        """Return the drive state without the error, and the frame of the disable command.
 
-        The protocol has no frame that clears an error. If the error remains, the motor reports it
-        again.
+        The protocol has no frame that clears an error. If the cause of an error remains, the motor
+        reports the error again.
         """
         progress: CubemarsProgress = state.protocol_state
         fresh_state = state._replace(
@@ -466,7 +467,7 @@ class CubemarsDrive:
         return fresh_state, self.torque_cut_frames()
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return no frames, because the motor has no watchdog."""
+        """Return no frames, because a CubeMars motor has no watchdog."""
         return ()
 
     def identity(self, state: DriveState) -> str:

@@ -1,11 +1,10 @@
 """Discovery of Damiao motors.
 
-A scan reads register MST_ID from every node number, then the other registers of each motor.
-
-Reading registers makes no torque. Replies have the same identifiers as feedback. A scan therefore
-sends no request while another host controls the motors (``other_host_frames``). CubeMars motors
-have no registers. They cannot be discovered without a command. Source: Damiao DM-J4310-2EC manual,
-register table.
+A scan reads register MST_ID from every node number, then the other registers of each discovered
+motor. A request to read a register causes no torque. Because register replies have the same
+identifiers as feedback, a scan sends no request while another host controls the motors
+(``other_host_frames``). CubeMars motors have no registers, and a scan cannot discover them without
+a command. Source: Damiao DM-J4310-2EC manual, register table.
 """
 
 import struct
@@ -21,7 +20,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 
 MOTOR_NUMBERS = range(1, 0x80)
-"""Node numbers for a scan to try."""
+"""Node numbers to which a scan sends requests."""
 # Register numbers: identifier of the replies, hardware version, software version, serial number,
 # bit rate.
 MST_ID = 7
@@ -55,15 +54,15 @@ _RANGE_REGISTERS = (
     ("velocity_range_rad_s", codec.VMAX),
     ("torque_max_N_m", codec.TMAX),
 )
-"""Keys of a ``[[motor]]`` section whose values are in registers, with these registers."""
+"""Keys of a ``[[motor]]`` section whose values are in registers of the motor, each with its register number."""
 _STATE_TEXTS = {codec.DISABLED: "disabled", codec.ENABLED: "enabled"}
 
 
 def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the requests of a round of the scan.
+    """Return the register requests that the scan sends in a round.
 
-    Round 2 reads register MST_ID of every node number. Round 3 reads the other registers and the
-    state of the discovered motors.
+    In round 2, the scan requests register MST_ID from every node number. In round 3, the scan
+    requests the other registers and the state of the discovered motors.
     """
     if scan_round == 2:
         return tuple(_read_request(number, MST_ID) for number in MOTOR_NUMBERS)
@@ -79,7 +78,7 @@ def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Fram
 
 
 def discovered_motors(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
-    """Return the motors that have reported their MST_ID in a frame with this identifier."""
+    """Return the motors that have reported their MST_ID in a frame whose identifier is the MST_ID."""
     replies: dict[int, dict[int, list[bytes]]] = {}
     for frame in received_frames:
         if (
@@ -110,7 +109,7 @@ def _describe_motor(
     payloads_by_command: dict[int, list[bytes]],
     received_frames: ReceivedFrames,
 ) -> DiscoveredNode:
-    """Return a discovered motor, with the data in its registers."""
+    """Return the description of a discovered motor, with the data in its registers."""
     reply_id = reply_ids[node_number]
     payload_by_register = {
         register: payloads[-1] for register, payloads in payloads_by_command.items()
@@ -125,7 +124,7 @@ def _describe_motor(
         for key, register in _RANGE_REGISTERS
         if register in payload_by_register
     }
-    # A hand file without the option reply_id means MST_ID = ESC_ID + 0x10.
+    # If the hand file has no option reply_id, MST_ID is ESC_ID + 0x10.
     options: dict[str, bool | int | float | str] = (
         {} if reply_id == node_number + 0x10 else {"reply_id": reply_id}
     )
@@ -166,7 +165,7 @@ def _describe_motor(
 def _state_and_error(
     node_number: int, reply_id: int, received_frames: ReceivedFrames
 ) -> tuple[str, str]:
-    """Return the state and the error in the latest feedback of a motor, as texts.
+    """Return the drive state and the error in the latest feedback of a motor, as texts.
 
     The state and the error are empty texts if there is no feedback.
     """
@@ -189,15 +188,15 @@ def _state_and_error(
 
 def command_ids(motor: DiscoveredNode) -> frozenset[int]:
     """Return the identifiers of commands to the motor, in all its control modes."""
-    # The offsets belong to MIT mode, position-velocity mode, velocity mode, and force-position
-    # mode.
+    # The identifier offsets of the commands belong to MIT mode, position-velocity mode, velocity
+    # mode, and force-position mode.
     return frozenset(mode + motor.node_id for mode in (0x000, 0x100, 0x200, 0x300))
 
 
 def other_host_frames(received_frames: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the received frames that only a host sends.
 
-    These frames are register requests, MIT commands and special commands.
+    Only a host sends register requests, MIT commands and special commands.
     """
     return tuple(
         frame

@@ -1,9 +1,10 @@
 """State machine that configures, enables and disables a Damiao motor in MIT mode.
 
-A motor sends frames only as answers. The host therefore sends a request in each tick, and waits for
-one register reply at a time. Position, velocity, and torque are NaN until the full scale of the
-motor is known. The host does not unwrap angles beyond PMAX, because the travel of a hand is far
-smaller. A motor is proven to be disabled only by feedback with state 0 or with an error.
+A motor sends frames only as answers to requests and commands. The host sends a request in each
+tick, and waits for one register reply at a time. Position, velocity, and torque are NaN until the
+full scale of the motor is known. The host does not unwrap motor angles beyond PMAX, because the
+motors of a hand turn far less. A motor is proven to be disabled only by feedback with state 0 or
+with an error.
 """
 
 import math
@@ -53,7 +54,7 @@ LISTEN, POLL, ENABLE, DISABLE = DriveTarget
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 """Phases of a drive as names of the module, for speed.
 
-Looking a phase up in the enumeration takes longer than comparing two phases.
+Reading a phase from the enumeration takes longer than comparing two phases.
 """
 OPTIONS = {
     "reply_id": MotorOption(
@@ -64,7 +65,7 @@ OPTIONS = {
         "True if the drive uses CAN FD. The bus then needs the key `data_bitrate`.",
     ),
 }
-"""Options of the protocol in the hand file."""
+"""Options of a Damiao motor in the hand file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,8 +82,8 @@ class MitDrive:
         zero: angle of the motor when the spool angle is zero [rad].
         timeout: timeout of the motor's watchdog [50 us].
         flags: flags of frames to the motor, 0 for classical CAN.
-        command: signal table of the command, built from the other fields.
-        feedback: signal table of the feedback, built from the other fields.
+        command: signal table of the command, built from the other attributes.
+        feedback: signal table of the feedback, built from the other attributes.
     """
 
     name: str
@@ -146,7 +147,7 @@ class MitDrive:
 
     @property
     def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
-        """Return the frames of a tick: command and answer."""
+        """Return the frames of the motor in a tick: command and answer."""
         return ((8, bool(self.flags)), (8, bool(self.flags)))
 
     @property
@@ -156,7 +157,7 @@ class MitDrive:
 
     @property
     def has_extended_ids(self) -> bool:
-        """Return False, because all identifiers have 11 bits."""
+        """Return False, because all identifiers of the MIT protocol have 11 bits."""
         return False
 
     @property
@@ -178,7 +179,7 @@ class MitDrive:
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return an empty mapping, because handctl can check every property."""
+        """Return an empty mapping, because handctl can check every property of the drive."""
         return {}
 
     @property
@@ -188,7 +189,7 @@ class MitDrive:
 
     @property
     def position_step(self) -> float:
-        """Return the change of the position per count [rad]. The 16 bits cover twice PMAX."""
+        """Return the change of the position per count [rad]. The 16 bits of the position field cover twice PMAX."""
         return self.ranges.position_step
 
     @property
@@ -198,7 +199,7 @@ class MitDrive:
 
     @property
     def required(self) -> tuple[tuple[int, float], ...]:
-        """Return the registers that are verified before arming, as pairs (register, required value)."""
+        """Return the registers that the host verifies before arming, as pairs (register, required value)."""
         ranges = zip((codec.PMAX, codec.VMAX, codec.TMAX), self.ranges, strict=True)
         return (*self._mode_registers, *ranges, (codec.TIMEOUT, self.timeout))
 
@@ -211,7 +212,7 @@ class MitDrive:
     def rechecked_settings(self) -> tuple[tuple[int, float], ...]:
         """Return the registers with protective settings, as pairs (register, required value).
 
-        The host reads these registers again while the motor is enabled.
+        The host reads the registers with protective settings again while the motor is enabled.
         """
         return ((codec.TIMEOUT, self.timeout), (codec.TMAX, self.ranges.torque))
 
@@ -245,7 +246,7 @@ class MitDrive:
     def steady_status(self, state: DriveState) -> int:
         """Return byte 0 of feedback from an enabled motor without an error.
 
-        This byte contains the state and the node number.
+        Byte 0 of feedback contains the state and the node number.
         """
         if not is_steady(state):
             return NO_STEADY_STATUS
@@ -274,13 +275,14 @@ class MitDrive:
             ):
                 return self._on_recheck_reply(state, reply)
         # Byte 0 of feedback from an enabled motor is 0x10 | node nibble. If the node number is from
-        # 0x10 to 0x1f, byte 0 of a register reply is the same. The frame then counts as feedback.
+        # 0x10 to 0x1f, byte 0 of a register reply can have the same value. A frame whose byte 0 has
+        # the value of feedback counts as feedback.
         if state.phase != ENABLED or self.node_id >> 4 != codec.ENABLED:
             reply = codec.decode_register_reply(data, self.node_id)
             if reply is not None:
                 return self._on_register_reply(state, reply, t_ns)
-        # The low nibble of byte 0 is the node number. With another value, the frame is from another
-        # motor.
+        # The low nibble of byte 0 is the node number. If the nibble differs from the low nibble of
+        # this motor's node number, the frame is from another motor.
         if (data[0] ^ self.node_id) & 0xF:
             return state._replace(misread_frame_count=state.misread_frame_count + 1)
         return self._on_feedback(state, data, t_ns)
@@ -288,7 +290,7 @@ class MitDrive:
     def _on_register_reply(
         self, state: DriveState, reply: codec.RegisterReply, t_ns: int
     ) -> DriveState:
-        """Return the state after a register reply during configuration."""
+        """Return the drive state after a register reply during configuration."""
         if state.phase != CONFIGURING:
             return state
         progress = get_progress(state)
@@ -320,9 +322,10 @@ class MitDrive:
         )
 
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
-        """Return the state after a feedback frame.
+        """Return the drive state after a feedback frame.
 
-        The new state contains the values of the frame and the effect of the state nibble.
+        The returned state contains the values of the feedback frame and the effect of the state
+        nibble.
         """
         nibble, position, velocity, torque, hot = codec.decode_feedback(data, self.feedback)
         if not get_progress(state).is_configured:
@@ -357,8 +360,8 @@ class MitDrive:
             return state._replace(phase=SILENT, protocol_state=MitProgress()), (
                 self._refresh_frame(),
             )
-        # This motor has a watchdog that runs even while the motor is disabled. Commands restart the
-        # watchdog.
+        # Some motors have a watchdog that runs even while the motor is disabled. Commands to the
+        # motor restart the watchdog.
         does_watchdog_need_commands = state.error_text == WATCHDOG_FIRES_WHILE_DISABLED_TEXT
         clear = (
             (self._frame_to_motor(codec.special_command(codec.CLEAR_ERROR)),)
@@ -390,9 +393,9 @@ class MitDrive:
     def _configure(
         self, state: DriveState, progress: MitProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the next register request.
+        """Return the next drive state and the next register request.
 
-        An enabled motor is disabled first.
+        If the motor is enabled, the host first disables the motor.
         """
         if progress.enabled_by_other_host:
             next_state = state._replace(
@@ -425,7 +428,7 @@ class MitDrive:
         return next_state, (self._register_frame(data),) if data else ()
 
     def _command_payload(self, command: float) -> bytes:
-        """Return the payload of a command.
+        """Return the payload of a command to the motor.
 
         Args:
             command: command, in the unit of ``command_limit``.
@@ -441,7 +444,7 @@ class MitDrive:
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
         """Return the frame of a torque command [N m at the spool].
 
-        The frame does not enable the motor.
+        A torque command alone does not enable the motor.
         """
         return (self._command_frame(torque),)
 
@@ -454,7 +457,7 @@ class MitDrive:
         return (self._frame_to_motor(codec.special_command(codec.DISABLE)),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state, and the frame that clears the latched error of the drive.
+        """Return the next drive state, and the frame that clears the latched error of the drive.
 
         After the clear command, the host verifies the registers again.
         """
@@ -471,7 +474,7 @@ class MitDrive:
         return ()
 
     def identity(self, state: DriveState) -> str:
-        """Return the serial number from register 15, or the node number if it is unknown."""
+        """Return the serial number from register 15, or the node number if the serial number is unknown."""
         return f"{serial:#x}" if (serial := get_progress(state).serial) else f"node {self.node_id}"
 
     def fault_cause(self, error_code: int) -> DriveFaultCause:

@@ -2,10 +2,12 @@
 
 Register CTRL_MODE selects the mode. The registers of the ramps (ACC, DEC) and of the largest speed
 (MAX_SPD) are written and read back before arming. MAX_SPD is read again while the motor is enabled.
-The motor keeps these values until it loses power. Source: Damiao DM-J4310-2EC manual.
+The motor keeps the written ramps and the largest speed until it loses power. Source: Damiao
+DM-J4310-2EC manual.
 
-As in MIT mode, register TMAX must have its required value. The manual does not state if TMAX limits
-the torque in the other modes. In force-position mode each command contains a current limit.
+As in MIT mode, register TMAX must have its required value. The manual of the motor does not state
+if TMAX limits the torque in modes other than MIT mode. Each command in force-position mode contains
+a current limit.
 """
 
 from dataclasses import dataclass
@@ -50,7 +52,7 @@ class MitModeDrive(MitDrive):
         object.__setattr__(self, "command", SignalTable(self._mode_command_message()))
 
     def _mode_command_message(self) -> CyclicMessage:
-        """Return the signal table of the command in this mode."""
+        """Return the signal table of the command in the drive's mode."""
         if self.mode == DriveMode.VELOCITY:
             return codec.velocity_message(
                 self.node_id, self.limits.speed, self.direction, self.flags
@@ -83,7 +85,7 @@ class MitModeDrive(MitDrive):
     def rechecked_settings(self) -> tuple[tuple[int, float], ...]:
         """Return the registers with protective settings, as pairs (register, required value).
 
-        The host reads these registers again while the motor is enabled.
+        The host reads the registers with protective settings again while the motor is enabled.
         """
         return (
             (codec.TIMEOUT, self.timeout),
@@ -104,7 +106,7 @@ class MitModeDrive(MitDrive):
 def make_mode_drive(
     motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits
 ) -> MitModeDrive:
-    """Return the drive object for a motor description, in the given mode.
+    """Return the object of a motor in the given mode, for a motor description.
 
     Raises:
         ConfigError: an option is unknown or wrong, or a limit does not fit in the command.

@@ -9,10 +9,12 @@ from handctl.drives.state_machine import enter_fault, state_when_off, state_when
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
-# Error codes added by handctl. These codes are larger than the state nibbles of the motor.
+# Error codes added by handctl. The added error codes are larger than the state nibbles of the
+# motor.
 #
-# In this order, the motor has disabled itself without a command, has a wrong register value,
-# reports an unknown state, or was enabled by another host.
+# Meaning of the added error codes, in the order of the constants: the motor has disabled itself
+# without a command, has a wrong register value, reports an unknown state, or was enabled by another
+# host.
 DROPPED_OUT_ERROR = 0x100
 SETTING_MISMATCH_ERROR = 0x101
 UNKNOWN_STATUS_ERROR = 0x102
@@ -27,12 +29,13 @@ CAUSE_BY_ERROR = {
 WATCHDOG_FIRED = 0xD
 """State nibble of a motor whose watchdog has fired."""
 WATCHDOG_FIRES_WHILE_DISABLED_TEXT = "its watchdog also fires while it is disabled"
-"""Text for a disabled motor that has reported WATCHDOG_FIRED.
+"""Text shown for a disabled motor that has reported WATCHDOG_FIRED.
 
-The host treats this report as no fault, and sends clear commands.
+If a disabled motor reports WATCHDOG_FIRED, the host does not report a fault, and sends clear
+commands.
 """
 IGNORED_FAULT_COUNT = 6
-"""Number of feedback frames that may still show an error after the clear command.
+"""Largest number of feedback frames with an error that the host ignores after the clear command.
 
 While the error is being cleared, the motor sends two frames per tick.
 """
@@ -50,10 +53,10 @@ class MitProgress(NamedTuple):
         is_enable_sent: True from the enable command until the motor reports the state disabled.
         is_disabling: True while the motor is being disabled.
         disable_command_ns: time of the first disable command [ns].
-        errors_to_ignore: number of feedback frames whose error must still be ignored while the error is
-            being cleared.
-        ready_ns: time at which the last register was verified [ns].
-        serial: serial number of the motor, 0 if unknown.
+        errors_to_ignore: number of further feedback frames with an error that the host ignores,
+            because the error is being cleared.
+        ready_ns: time at which the host verified the last register [ns].
+        serial: serial number of the motor, 0 if the serial number is unknown.
     """
 
     cursor: ReadbackCursor = ReadbackCursor()
@@ -68,7 +71,7 @@ class MitProgress(NamedTuple):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Return True if this host has sent an enable command, or if the motor may make torque without it."""
+        """Return True if the motor is possibly enabled, with or without an enable command of this host."""
         return self.is_enable_sent or self.enabled_by_other_host
 
 
@@ -79,7 +82,7 @@ def get_progress(state: DriveState) -> MitProgress:
 
 
 def apply_status(state: DriveState, status_nibble: int) -> DriveState:
-    """Return the state after feedback with a state nibble.
+    """Return the drive state after feedback with a state nibble.
 
     The argument ``state`` already contains the values of the same feedback.
     """
@@ -93,10 +96,10 @@ def apply_status(state: DriveState, status_nibble: int) -> DriveState:
 
 
 def _state_after_error(state: DriveState, progress: MitProgress, status_nibble: int) -> DriveState:
-    """Return the state after the motor has reported an error.
+    """Return the drive state after the motor has reported an error.
 
-    A motor with a known error makes no torque. A motor with an unknown state nibble may still make
-    torque.
+    A motor with a known error makes no torque. A motor with an unknown state nibble possibly still
+    makes torque.
     """
     if status_nibble in codec.ERROR_TEXTS and progress.errors_to_ignore:
         return state._replace(
@@ -106,8 +109,8 @@ def _state_after_error(state: DriveState, progress: MitProgress, status_nibble: 
         progress.is_enable_sent or progress.enabled_by_other_host or progress.is_disabling
     )
     if status_nibble == WATCHDOG_FIRED and is_idle and state.phase in (CONFIGURING, READY):
-        # The watchdog has fired, because register requests do not restart it. The motor makes no
-        # torque, so no operator has to clear the error.
+        # The motor's watchdog has fired, because register requests do not restart the watchdog. The
+        # motor makes no torque, so no operator has to clear the error.
         return state._replace(
             error_text=WATCHDOG_FIRES_WHILE_DISABLED_TEXT,
             protocol_state=progress._replace(errors_to_ignore=IGNORED_FAULT_COUNT),

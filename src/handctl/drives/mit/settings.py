@@ -8,11 +8,11 @@ from handctl.drives.mit import codec
 from handctl.drives.readback import ReadbackCursor
 
 SERIAL_NUMBER_TRIES = 3
-"""Number of requests for the serial number. Some motors have no register with the serial number."""
+"""Largest number of requests for the serial number. Some motors have no register with the serial number."""
 WRITE_TRIES = 1
-"""Number of writes per register.
+"""Largest number of writes per register.
 
-If a register is still wrong after one write, the motor refuses the value.
+If a register still has a wrong value after one write, the motor has refused the value.
 """
 
 RequiredRegisters = tuple[tuple[int, float], ...]
@@ -24,7 +24,7 @@ def on_reply(
 ) -> tuple[ReadbackCursor, str]:
     """Return the position in the read-back after a register reply.
 
-    A reply to another request has no effect.
+    A register reply that answers another request has no effect.
 
     Args:
         cursor: position in the read-back, not beyond the last register.
@@ -81,8 +81,8 @@ def next_serial_request(
     """Return the request for the serial number, which is sent after the read-back of all registers.
 
     Returns:
-        the new cursor, the payload for a frame with BROADCAST_ID (empty while an answer is
-        awaited), and True if the motor does not answer.
+        the new cursor, the payload for a frame with BROADCAST_ID (empty while the host waits for an
+        answer), and True if the motor does not answer.
     """
     cursor, send, unanswered = readback.request_setting(
         cursor, "serial number", t_ns, SERIAL_NUMBER_TRIES
@@ -95,5 +95,5 @@ def next_serial_request(
 
 
 def register_name(register: int) -> str:
-    """Return the name of a register, for messages to the operator."""
+    """Return the name of a register for messages to the operator."""
     return f"register {register} {codec.REGISTER_NAMES[register]}"

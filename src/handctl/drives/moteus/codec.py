@@ -8,9 +8,9 @@ The identifier of a request always has 29 bits. The identifier of a reply has 11
     reply   prefix (0)     0                 source (node)   destination (host)
 
 A payload is a sequence of subframes. The rest of the payload is filled with bytes 50 (no
-operation). The type of values is 0 for int8, 1 for int16, 2 for int32, and 3 for float32. The
-lowest two bits of the first byte contain the number of values, if this number is 1 to 3. A larger
-count is a varuint after this byte:
+operation). The field type of a subframe is 0 for int8 values, 1 for int16, 2 for int32, and 3 for
+float32. The lowest two bits of the first byte of a subframe contain the number of values, if the
+number of values is 1 to 3. A larger number of values is a varuint after the first byte:
 
     00 | type << 2 | count    register (varuint), values          write
     10 | type << 2 | count    register (varuint)                  read
@@ -19,7 +19,7 @@ count is a varuint after this byte:
     40, 41                    channel, length, text               text to the drive, text from it
     42                        channel, longest length             request for text
 
-Command of a tick, 48 bytes:
+Torque command of a tick, 48 bytes:
 
     byte    0..2            3, 4    5..8      9..12                     13..16
     field   mode: 01 00 0A  0D 22   torque    02 20 80 00               02 23 00 00
@@ -56,28 +56,29 @@ from handctl.drives.frame_time import FD_SIZES
 from handctl.drives.signals import CyclicMessage, Signal, SignalCoding, SignalQuantity
 
 FD_FRAME_FLAGS = FDF | BRS
-"""Flags of all frames to the drive."""
+"""CAN FD flags of all frames to the drive."""
 REPLY_REQUESTED_BIT = 0x8000
-"""Bit in the identifier of a request that asks the drive for a reply."""
+"""Bit in the identifier of a request. If the bit is set, the drive sends a reply."""
 STANDARD_IDS = 0x800
-"""Number of identifiers with 11 bits. Larger identifiers have 29 bits."""
+"""Number of possible identifiers with 11 bits. Identifiers from this number on have 29 bits."""
 LAST_NODE = 0x7E
-"""Largest node number. 0x7F is the broadcast to all drives."""
+"""Largest node number of a drive. The number 0x7F addresses all drives."""
 BROADCAST = 0x7F
-"""Node number with which a request goes to all drives."""
+"""Node number that addresses a request to all drives."""
 SOURCE_NODES = range(0x80)
-"""Possible source numbers of hosts. handctl is source 0."""
+"""Possible source numbers of hosts. The source number of handctl is 0."""
 NOP = 0x50
-"""Padding byte."""
+"""Byte that fills the rest of a payload (no operation)."""
 FLOAT32_STEP = 2.0**-23
-"""Relative resolution of a float32."""
+"""Relative resolution of a number in the format float32."""
 MAX_TURNS = 256.0
 """Largest commanded position [turn].
 
-Up to this position a float32 has the resolution of the drive's position error, 1/65536 turn.
+Up to 256 turns, a float32 has the resolution of the drive's position error, 1/65536 turn.
 """
 
-# Registers: commands, then identity. Numbers beyond 0x7F take two bytes as a varuint.
+# Register numbers: registers of commands, then registers of the drive's identity. A register number
+# beyond 0x7F takes two bytes as a varuint.
 MODE = 0x000
 COMMANDED_POSITION = 0x020
 KP_SCALE = 0x023
@@ -90,15 +91,15 @@ INTEGRATOR_SCALE = 0x02B
 FIRMWARE_VERSION = 0x101
 SERIAL_NUMBER = 0x120
 
-# Modes in which the drive makes no torque: stopped, fault.
+# Numbers of the modes in which the drive makes no torque: stopped, fault.
 STOPPED = 0
 FAULT_MODE = 1
 PREPARING_MODES = (2, 3, 4)
 """Modes through which the drive goes from stopped to position mode."""
 POSITION = 10
-"""Position mode. A torque command selects this mode, with gains 0."""
+"""Position mode. A torque command selects position mode with gains 0."""
 TIMED_OUT = 11
-"""Mode after the watchdog has fired. The drive leaves this mode only after a stop command."""
+"""Mode of a drive whose watchdog has fired. The drive leaves the mode TIMED_OUT only after a stop command."""
 FAULT_TEXTS = {
     32: "calibration fault",
     33: "motor driver fault",
@@ -127,12 +128,12 @@ INT8, INT16, INT32, FLOAT = range(4)
 WRITE_REFUSED, READ_REFUSED = 0x30, 0x31
 """First bytes of subframes that report a refused write or read.
 
-Register and error number follow.
+In the subframe, register number and error number follow the first byte.
 """
 TEXT_IN, TEXT_OUT, TEXT_POLL = 0x40, 0x41, 0x42
 """First bytes of text subframes: text to the drive, text from the drive, request for text."""
 DIAGNOSTIC_CHANNEL = 1
-"""Channel of the diagnostic protocol."""
+"""Number of the text channel for the diagnostic protocol."""
 MAX_TEXT_BYTES = 48
 """Longest text in one reply of the drive [bytes]."""
 _VALUE_STRUCTS = tuple(struct.Struct(f"<{letter}") for letter in "bhif")
@@ -150,11 +151,11 @@ QUERY_SUBFRAMES = bytes(
         MOTOR_TEMPERATURE,
     )
 )
-"""Subframes that request feedback."""
+"""Payload bytes (subframes) that request feedback from the drive."""
 FEEDBACK_LENGTH = 24
 """Length of a feedback frame [bytes]."""
 STATUS_HEADERS = ((0, b"\x21"), (3, b"\x22"), (7, b"\x2f\x01"), (21, b"\x21\x0a"))
-"""Position and value of the bytes that are the same in every feedback of an enabled drive without a fault."""
+"""Byte offset and value of the bytes that are the same in every feedback of an enabled drive without a fault."""
 
 
 def request_id(node_id: int, source_node: int = 0) -> int:
@@ -180,7 +181,7 @@ def write_floats_subframe(first_register: int, *values: float) -> bytes:
 
 
 def write_bytes_subframe(first_register: int, *values: int) -> bytes:
-    """Return a subframe that writes up to three consecutive registers as int8. -128 means NaN."""
+    """Return a subframe that writes up to three consecutive registers as int8. The value -128 means NaN."""
     return struct.pack(f"<BB{len(values)}b", WRITE | len(values), first_register, *values)
 
 
@@ -210,9 +211,9 @@ STOP_PAYLOAD = padded_payload(write_bytes_subframe(MODE, STOPPED) + QUERY_SUBFRA
 def limits_request(torque: float, timeout_s: float) -> bytes:
     """Return the payload that writes torque limit and watchdog timeout into the command registers.
 
-    The written values have no effect until a command sets the mode. If a firmware has no register
-    for the integrator, it refuses this write. The problem is then known before the first torque
-    command.
+    The written limits have no effect until a command sets the mode of the drive. A firmware without
+    a register for the integrator refuses the request. The host thus knows of the missing register
+    before the first torque command.
     """
     return padded_payload(
         limits_subframes(torque, timeout_s)
@@ -235,7 +236,7 @@ def command_message(
 ) -> CyclicMessage:
     """Return the signal table of the torque command.
 
-    The command selects position mode with gains 0 and a feedforward torque.
+    The torque command selects position mode with gains 0 and a feedforward torque.
 
     Args:
         node_id: node number of the drive.
@@ -288,9 +289,9 @@ def position_message(
 ) -> CyclicMessage:
     """Return the signal table of the position command, see ``signals.POSITION_COMMAND``.
 
-    The command contains position, velocity, kp, kd, torque and torque limit. The frame contains kp
-    and kd as fractions of the drive's gains. Until the next command, the drive moves the commanded
-    position at the commanded velocity.
+    The position command contains position, velocity, kp, kd, torque and torque limit. The frame of
+    the command contains kp and kd as fractions of the drive's gains. Between two position commands,
+    the drive changes the commanded position at the commanded velocity.
 
     Args:
         torque: signal table of the torque command to the same drive.
@@ -312,7 +313,8 @@ def position_message(
     turns = direction * math.tau
     position = _float_signal("position", SignalQuantity.POSITION, 5, turns, "rad")
     velocity = _float_signal("velocity", SignalQuantity.VELOCITY, 9, turns, "rad/s")
-    # If a gain is 0, its fraction is 0, whatever the scale of the fraction.
+    # If a gain of the drive is 0, the commanded fraction of the gain is 0, whatever the scale of
+    # the fraction.
     kp = _float_signal("kp", SignalQuantity.STIFFNESS, 19, gains.kp / math.tau or 1.0, "N m/rad")
     kd = _float_signal("kd", SignalQuantity.DAMPING, 23, gains.kd / math.tau or 1.0, "N m s/rad")
     limit = _float_signal("limit", SignalQuantity.TORQUE_LIMIT, 27, 1.0, "N m")
@@ -351,8 +353,8 @@ def feedback_message(node_id: int, direction: int = 1, zero: float = 0.0) -> Cyc
         _float_signal("velocity", SignalQuantity.VELOCITY, 13, turns, "rad/s"),
         _float_signal("torque", SignalQuantity.TORQUE, 17, float(direction), "N m"),
         Signal("board", SignalQuantity.TEMPERATURE, 40, 8, coding=SignalCoding.SIGNED, unit="degC"),
-        # Without a thermistor in the motor the count is -128, so the temperature of the board is
-        # the highest.
+        # Without a thermistor in the motor, the count of the motor temperature is -128. The
+        # temperature of the board is then the highest temperature.
         Signal("motor", SignalQuantity.TEMPERATURE, 184, 8, coding=SignalCoding.SIGNED, unit="degC"),
     ), FD_FRAME_FLAGS)  # fmt: skip
 
@@ -369,7 +371,7 @@ def _float_signal(
 def join_mode_and_fault(mode: int, fault: int) -> int:
     """Return the status of feedback with a given mode and fault code.
 
-    Compiled code joins both signals to the same number.
+    Compiled code joins the signals mode and fault to the same number.
     """
     header_numbers = [int.from_bytes(content, "little") for _, content in STATUS_HEADERS]
     return (
@@ -387,11 +389,11 @@ def is_feedback(data: bytes) -> bool:
 
 
 class DriveReply(NamedTuple):
-    """Content of a reply from the drive.
+    """Decoded content of a reply from the drive.
 
     Attributes:
         values: value of each register in the reply, by register.
-        error_by_register: error numbers of refused reads and writes, by register.
+        error_by_register: error number of each refused read or write, by register.
         text: text from the diagnostic channel, None if the reply has no text subframe.
     """
 
@@ -431,24 +433,24 @@ def decode_reply(data: bytes) -> DriveReply | None:
 
 
 class _SubframeReader:
-    """Reader that decodes the payload of a reply step by step.
+    """Reader that decodes the payload of a reply one subframe element after another.
 
     At the end of the payload, the reader raises IndexError.
     """
 
     def __init__(self, payload: bytes) -> None:
-        """Start at the first byte of the payload."""
+        """Start reading at the first byte of the payload."""
         self.data = payload
         self.at = 0
 
     def read_byte(self) -> int:
-        """Return the next byte."""
+        """Return the next byte of the payload."""
         value = self.data[self.at]
         self.at += 1
         return value
 
     def read_bytes(self, byte_count: int) -> bytes:
-        """Return the given number of next bytes."""
+        """Return the given number of following bytes of the payload."""
         value = self.data[self.at : self.at + byte_count]
         if len(value) < byte_count:
             raise IndexError
@@ -456,7 +458,7 @@ class _SubframeReader:
         return value
 
     def read_varuint(self) -> int:
-        """Return the next varuint, which has at most five groups of seven bits."""
+        """Return the next varuint of the payload, which has at most five groups of seven bits."""
         number = 0
         for shift in range(0, 35, 7):
             group = self.read_byte()
@@ -466,7 +468,7 @@ class _SubframeReader:
         raise IndexError
 
     def read_registers(self, value_type: int) -> Iterator[tuple[int, Any]]:
-        """Yield the (register, value) pairs of a register subframe."""
+        """Yield the pairs (register, value) of a register subframe."""
         coding = _VALUE_STRUCTS[value_type >> 2 & 3]
         count = value_type & 3 or self.read_varuint()
         first_value = self.read_varuint()

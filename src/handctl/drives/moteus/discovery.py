@@ -1,11 +1,10 @@
 """Discovery of moteus controllers.
 
-A scan first reads the mode register from every node number. It then reads other registers of the
-discovered drives.
-
-Reads make no torque, and do not restart a drive's watchdog. All requests and replies are classical
-frames of at most eight bytes, because the bus may not support CAN FD. A drive answers a classical
-frame with a classical frame. Source: docs/facts/moteus.md.
+A scan first reads the mode register from every node number, and then other registers of the
+discovered drives. A request to read registers causes no torque, and does not restart a drive's
+watchdog. All requests and replies of a scan are classical frames of at most eight bytes, because
+some buses do not support CAN FD. A drive answers a classical frame with a classical frame. Source:
+docs/facts/moteus.md.
 """
 
 import math
@@ -22,9 +21,9 @@ from handctl.drives.moteus import codec
 from handctl.drives.moteus.progress import error_text
 
 DRIVE_NUMBERS = range(1, codec.LAST_NODE + 1)
-"""Node numbers for a scan to try."""
+"""Node numbers to which a scan sends requests."""
 MODE_REQUEST = codec.read_subframe(codec.INT8, codec.MODE)
-"""Payload to read the mode of a node, to discover the node. The reply begins with 21 00."""
+"""Payload of the scan request that reads the mode of a node. The reply of a moteus controller begins with 21 00."""
 MODE_REPLY = bytes((codec.REPLY | 1, codec.MODE))
 IDENTITY_REQUESTS = (
     codec.read_subframe(codec.INT8, codec.FAULT),
@@ -46,10 +45,10 @@ _MODE_TEXTS = {
 
 
 def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the requests of a round of the scan.
+    """Return the register requests that the scan sends in a round.
 
-    Round 2 reads the mode from every node number. Round 3 reads other registers of the discovered
-    drives.
+    In round 2, the scan requests the mode from every node number. In round 3, the scan requests
+    other registers of the discovered drives.
     """
     if scan_round == 2:
         return tuple(Frame(codec.request_id(number), MODE_REQUEST) for number in DRIVE_NUMBERS)
@@ -69,8 +68,8 @@ def discovered_drives(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, 
     for frame in received_frames:
         number = number_by_reply_id.get(frame.can_id)
         reply = codec.decode_reply(frame.data) if number is not None else None
-        # Each request of a scan reads one register. A reply with more registers answers another
-        # host.
+        # Each request of a scan reads one register. A reply with more than one register answers
+        # another host.
         if number is not None and reply is not None and len(reply.values) == 1:
             answers_by_node.setdefault(number, {}).setdefault(next(iter(reply.values)), []).append(
                 frame.data
@@ -85,7 +84,7 @@ def discovered_drives(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, 
 def _describe_drive(
     node_number: int, payloads_by_command: dict[int, list[bytes]]
 ) -> DiscoveredNode:
-    """Return a discovered drive with all data.
+    """Return the description of a discovered drive, with all data that the drive has reported.
 
     The argument ``payloads_by_command`` contains the payloads from the drive, by register.
     """
@@ -131,8 +130,7 @@ def command_ids(drive: DiscoveredNode) -> frozenset[int]:
 def other_host_frames(received_frames: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the received frames that are requests from another host to a drive.
 
-    The identifier of a request has 29 bits. In this identifier, the reply bit is set, and the
-    prefix is 0.
+    The identifier of a request has 29 bits, with the reply bit set and the prefix 0.
     """
     return tuple(
         frame

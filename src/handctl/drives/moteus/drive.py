@@ -1,11 +1,12 @@
 """State machine that configures, enables and stops a moteus controller.
 
-A drive answers requests and sends no other frame. A torque command selects position mode with gains
-0 and a feedforward torque. A position command also contains a position, a velocity, and fractions
-of the drive's gains. Both commands also contain the torque limit and the watchdog timeout of the
-drive, and a request for feedback. Every command enables the drive. If an enabled drive reports
-another mode, it is therefore in fault, and the host sends the stop command. The stop command also
-clears a fault of the drive. The host still regards the drive as faulty until the operator clears
+A moteus controller answers requests and sends no other frame. A torque command selects position
+mode with gains 0 and a feedforward torque. A position command also contains a position, a velocity,
+and fractions of the drive's gains. Torque commands and position commands also contain the torque
+limit and the watchdog timeout of the drive, and a request for feedback. Torque commands and
+position commands enable the drive. If an enabled drive reports a mode other than position mode, the
+drive is in fault, and the host sends the stop command. The stop command also clears a fault of the
+drive. After a stop command, the host still regards the drive as faulty until the operator clears
 the fault.
 """
 
@@ -53,12 +54,12 @@ LISTEN, POLL, ENABLE, DISABLE = DriveTarget
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 """Phases of a drive as names of the module, for speed.
 
-Looking a phase up in the enumeration takes longer than comparing two phases.
+Reading a phase from the enumeration takes longer than comparing two phases.
 """
 SERIAL_REQUEST = codec.padded_payload(
     bytes((codec.READ | codec.INT32 << 2 | 3,)) + codec.encode_varuint(codec.SERIAL_NUMBER)
 )
-"""Payload to read the three registers with the serial number."""
+"""Payload of the request that reads the three registers with the serial number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,12 +76,12 @@ class MoteusDrive:
         timeout_s: timeout of the watchdog [s].
         top_speed: largest velocity command [rad/s].
         gains: gains of the drive's position loop, None for torque commands only.
-        command: signal table of the command, built from the other fields.
-        feedback: signal table of the feedback, built from the other fields.
-        configuration: configuration items that are read again while the drive is enabled. The items
-            follow from the other fields.
-        required: settings with the values required before arming. The values follow from the other
-            fields.
+        command: signal table of the command, built from the other attributes.
+        feedback: signal table of the feedback, built from the other attributes.
+        configuration: configuration items that are read again while the drive is enabled. The
+            configuration items are computed from the other attributes.
+        required: settings with the values that the settings must have before arming. The required
+            values are computed from the other attributes.
     """
 
     name: str
@@ -122,8 +123,8 @@ class MoteusDrive:
         """Return the drive object for a motor description in the hand file.
 
         Raises:
-            ConfigError: an option is unknown or wrong, the node number exceeds 0x7e, or a position
-                loop has no gains.
+            ConfigError: an option is unknown or wrong, the node number exceeds 0x7e, or the gains
+                of the drive's position loop are missing.
         """
         if not 0 < motor.node_id <= codec.LAST_NODE:
             raise ConfigError(
@@ -144,7 +145,7 @@ class MoteusDrive:
 
     @property
     def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
-        """Return the frames of a tick: command and feedback."""
+        """Return the frames of the drive in a tick: command and feedback."""
         return ((self.command.message.length, True), (codec.FEEDBACK_LENGTH, True))
 
     @property
@@ -182,7 +183,7 @@ class MoteusDrive:
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return an empty mapping, because handctl can check every property."""
+        """Return an empty mapping, because handctl can check every property of the drive."""
         return {}
 
     @property
@@ -218,7 +219,7 @@ class MoteusDrive:
 
     @property
     def rechecks(self) -> tuple[SettingRecheck, ...]:
-        """Return an empty tuple, because the text channel needs several frames for each setting."""
+        """Return an empty tuple, because the read-back of a setting over the text channel needs several frames."""
         return ()
 
     def steady_status(self, state: DriveState) -> int:
@@ -263,10 +264,10 @@ class MoteusDrive:
         return self._on_setting_value(state, progress, setting, reply.values[setting.register], "")
 
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
-        """Return the state after feedback.
+        """Return the drive state after feedback.
 
-        The new state contains the values of the feedback, and the effect of the mode and the fault
-        code.
+        The returned state contains the values of the feedback, and the effect of the mode and the
+        fault code.
         """
         *status, position, velocity, torque, board, motor = self.feedback.unpack(data)
         if math.isnan(position + velocity + torque):
@@ -284,7 +285,7 @@ class MoteusDrive:
     def _requested_setting(
         self, state: DriveState, progress: MoteusProgress
     ) -> items.MoteusSetting | None:
-        """Return the setting whose value the host has requested, or None if no request is open."""
+        """Return the setting whose value the host has requested, or None if no request is without an answer."""
         if (
             state.phase == CONFIGURING
             and progress.cursor.is_waiting
@@ -298,13 +299,13 @@ class MoteusDrive:
     def _on_text_reply(
         self, state: DriveState, progress: MoteusProgress, text: bytes
     ) -> DriveState:
-        """Return the state after a part of an answer was received over the text channel."""
+        """Return the drive state after the host has received a part of an answer over the text channel."""
         is_channel_read = progress.channel.request_sent_ns < 0
         channel, line = progress.channel.take_line(text)
         progress = progress._replace(channel=channel)
         if is_channel_read:
-            # The frame answers a read that empties the channel. The host may send the next request
-            # at once.
+            # The received frame answers a read that empties the text channel. The host can send the
+            # next request at once.
             cursor = progress.cursor
             progress = progress._replace(
                 cursor=cursor._replace(sent_ns=-1, tries=max(0, cursor.tries - 1))
@@ -329,9 +330,9 @@ class MoteusDrive:
         value: float | None,
         text: str,
     ) -> DriveState:
-        """Return the state after the value of a setting was received.
+        """Return the drive state after the value of a setting was received.
 
-        A text that is not a number counts as a wrong value.
+        A received text that is not a number counts as a wrong value of the setting.
         """
         is_equal = value is not None and setting.is_required_value(value)
         shown_text = text if value is None else f"{value:g}"
@@ -362,9 +363,9 @@ class MoteusDrive:
     def _on_serial_number(
         self, state: DriveState, progress: MoteusProgress, values: dict[int, float], t_ns: int
     ) -> DriveState:
-        """Return the state after the serial number was received.
+        """Return the drive state after the serial number was received.
 
-        This is the last step of the configuration.
+        The host requests the serial number at the end of the configuration.
         """
         if state.phase != CONFIGURING or progress.cursor.step < len(self.required):
             return state
@@ -378,7 +379,8 @@ class MoteusDrive:
         progress: MoteusProgress = state.protocol_state
         if target == ENABLE and state.phase == ENABLED and not progress.is_disabling:
             sent_frame = self._frame_to_drive(self._torque_payload(command))
-            # In a running hand this is the usual case: one command, and no change of the state.
+            # In the usual tick of a running hand, the host sends one command, and the state does
+            # not change.
             if t_ns < state.recheck.due_ns and not state.recheck.is_waiting:
                 return state, (sent_frame,)
             state, requests = self._next_recheck(state, progress, t_ns)
@@ -411,9 +413,9 @@ class MoteusDrive:
     def _next_recheck(
         self, state: DriveState, progress: MoteusProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next read-back request to the enabled drive, if it is due.
+        """Return the next read-back request to the enabled drive, if a request is due.
 
-        The request reads a setting, or the next part of the answer.
+        The read-back request reads a setting, or the next part of the drive's answer.
         """
         setting = self.configuration[state.recheck.step]
         channel = progress.channel
@@ -422,8 +424,8 @@ class MoteusDrive:
         if channel.is_awaiting_answer(t_ns):
             channel, data = channel.poll()
         elif t_ns >= state.recheck.due_ns:
-            # If a request has no answer, its text may still arrive, so the channel is emptied
-            # first.
+            # If the drive has not answered a request, the answer can still arrive. The host first
+            # empties the text channel.
             channel = items.DiagnosticChannel() if state.recheck.is_waiting else channel
             check, problem = readback.cursor_after_recheck_request(
                 state.recheck, setting.name, self.node_id, t_ns
@@ -440,9 +442,9 @@ class MoteusDrive:
     def _configure(
         self, state: DriveState, progress: MoteusProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the next request of the configuration.
+        """Return the next drive state and the next request of the configuration.
 
-        An enabled drive is stopped first.
+        If the drive is enabled, the host first stops the drive.
         """
         if progress.enabled_by_other_host:
             text = f"in mode {progress.mode} without a command, and does not stop"
@@ -454,7 +456,7 @@ class MoteusDrive:
         setting = self.required[progress.cursor.step]
         if (
             setting.register and progress.cursor.must_write
-        ):  # the drive answers this write only with feedback
+        ):  # the drive answers the write request only with feedback
             limits = self._frame_to_drive(codec.limits_request(self.command_limit, self.timeout_s))
             return state._replace(
                 protocol_state=progress._replace(cursor=progress.cursor.cursor_after_write())
@@ -472,8 +474,8 @@ class MoteusDrive:
         channel = progress.channel
         data = b""
         if send:
-            # If a request has no answer, its text may still arrive, so the channel is emptied
-            # first.
+            # If the drive has not answered a request, the answer can still arrive. The host first
+            # empties the text channel.
             channel = items.DiagnosticChannel() if progress.cursor.is_waiting else channel
             channel, data = self._setting_request(channel, setting, cursor.must_write, t_ns)
         next_state = state._replace(
@@ -497,9 +499,9 @@ class MoteusDrive:
     def _request_serial(
         self, state: DriveState, progress: MoteusProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Request the serial number a few times.
+        """Request the serial number of the drive a few times.
 
-        If there is no answer, the configuration ends without a serial number.
+        If the drive does not answer, the configuration ends without a serial number.
         """
         cursor, send, unanswered = readback.request_setting(
             progress.cursor, "serial number", t_ns, SERIAL_NUMBER_TRIES
@@ -532,7 +534,7 @@ class MoteusDrive:
         return (self._frame_to_drive(codec.STOP_PAYLOAD),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state, and the stop command that clears the latched error.
+        """Return the next drive state, and the stop command that clears the latched error.
 
         After the clear command, the host reads back the settings again.
         """
@@ -549,7 +551,7 @@ class MoteusDrive:
         return ()
 
     def identity(self, state: DriveState) -> str:
-        """Return the serial number (96 bits), or the node number if it is unknown."""
+        """Return the serial number (96 bits), or the node number if the serial number is unknown."""
         return (
             f"{serial:024x}" if (serial := get_progress(state).serial) else f"node {self.node_id}"
         )
@@ -566,7 +568,7 @@ class MoteusDrive:
 def _position_gains(motor: MotorDescription) -> codec.PositionGains | None:
     """Return the gains that the host writes into the drive, or None without a position loop.
 
-    A command contains kp and kd as fractions of these gains.
+    A position command contains kp and kd as fractions of the gains in the drive.
 
     Raises:
         ConfigError: a gain is missing in the hand file.

@@ -1,4 +1,4 @@
-"""State of the moteus state machine, and the effect of mode and fault code in feedback."""
+"""State of the moteus state machine, and the effect of mode and fault code in feedback on this state."""
 
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from handctl.drives.state_machine import (
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
-# Error codes added by handctl. These codes are larger than the fault codes of the drive.
+# Error codes added by handctl. The added error codes are larger than the fault codes of the drive.
 DROPPED_OUT_ERROR = 0x100
 SETTING_MISMATCH_ERROR = 0x101
 ENABLED_BY_OTHER_HOST_ERROR = 0x102
@@ -27,9 +27,9 @@ CAUSE_BY_ERROR = {
 } | dict.fromkeys(codec.FAULT_TEXTS.keys() - {34, 38, 40}, DriveFaultCause.OTHER)  # fmt: skip
 """Cause of each error, by the fault code, the mode, or the error code added by handctl."""
 IGNORED_FAULT_COUNT = 3
-"""Number of feedback frames that may still show an error after the clear command."""
+"""Largest number of feedback frames with an error that the host ignores after the clear command."""
 SERIAL_NUMBER_TRIES = 3
-"""Number of requests for the serial number. Safety does not depend on the serial number."""
+"""Largest number of requests for the serial number. Safety does not depend on the serial number."""
 
 
 class MoteusProgress(NamedTuple):
@@ -40,14 +40,15 @@ class MoteusProgress(NamedTuple):
         channel: state of the exchange over the diagnostic text channel.
         is_configured: True if all settings have their required values.
         mode: mode of the drive in the latest feedback.
-        enabled_by_other_host: True if the drive may make torque without a command of this host.
+        enabled_by_other_host: True if the drive possibly makes torque without a command of this
+            host.
         is_enable_sent: True from the enable command until the drive reports the state stopped.
         is_disabling: True while the drive is being stopped.
         disable_command_ns: time of the first stop command [ns].
-        errors_to_ignore: number of feedback frames whose error must still be ignored while the error is
-            being cleared.
-        ready_ns: time at which the last setting was verified [ns].
-        serial: serial number of the drive, 0 if unknown.
+        errors_to_ignore: number of further feedback frames with an error that the host ignores,
+            because the error is being cleared.
+        ready_ns: time at which the host verified the last setting [ns].
+        serial: serial number of the drive, 0 if the serial number is unknown.
     """
 
     cursor: ReadbackCursor = ReadbackCursor()
@@ -64,7 +65,7 @@ class MoteusProgress(NamedTuple):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Return True if this host has sent an enable command, or if the drive may make torque without it."""
+        """Return True if the drive is possibly enabled, with or without an enable command of this host."""
         return self.is_enable_sent or self.enabled_by_other_host
 
 
@@ -75,7 +76,7 @@ def get_progress(state: DriveState) -> MoteusProgress:
 
 
 def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
-    """Return the state after feedback with a mode and a fault code.
+    """Return the drive state after feedback with a mode and a fault code.
 
     The argument ``state`` already contains the values of the same feedback.
     """
@@ -85,7 +86,8 @@ def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
         progress = progress._replace(mode=mode)
         state = state._replace(protocol_state=progress)
     if mode == codec.STOPPED:
-        # If this host had enabled the drive, or was enabling it, the drive has stopped by itself.
+        # If this host had enabled the drive, or was enabling the drive, the drive has stopped
+        # without a command.
         has_dropped_out = state.phase == ENABLED or (
             was_preparing_control and progress.is_enable_sent
         )
@@ -102,21 +104,21 @@ def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
 
 
 def _state_when_in_other_mode(state: DriveState, progress: MoteusProgress) -> DriveState:
-    """Return the state after feedback with a mode that this host does not use.
+    """Return the drive state after feedback with a mode that this host does not use.
 
-    The drive may make torque in this mode.
+    In a mode that this host does not use, the drive possibly makes torque.
     """
     if state.phase == ENABLED and progress.is_enable_sent and not progress.is_disabling:
         enabled = state._replace(protocol_state=progress._replace(enabled_by_other_host=True))
         return enter_fault(enabled, DROPPED_OUT_ERROR, f"went to mode {progress.mode} by itself")
-    # Another host or a restart has caused this mode.
+    # Another host or a restart of the drive has caused the reported mode.
     return state_enabled_by_other_host(
         state, ENABLED_BY_OTHER_HOST_ERROR, f"in mode {progress.mode}, but not by this host"
     )
 
 
 def _state_after_error(state: DriveState, progress: MoteusProgress, error_code: int) -> DriveState:
-    """Return the state after the drive has reported an error.
+    """Return the drive state after the drive has reported an error.
 
     A drive with an error makes no torque.
     """
@@ -131,7 +133,7 @@ def _state_after_error(state: DriveState, progress: MoteusProgress, error_code: 
 
 
 def error_text(error_code: int) -> str:
-    """Return the text for an error code of the drive."""
+    """Return the text that describes an error code of the drive."""
     if error_code == codec.TIMED_OUT:
         return "commands were missing: the drive's watchdog fired"
     if error_code == codec.FAULT_MODE:

@@ -1,16 +1,17 @@
 """Settings of a moteus controller.
 
-Before arming, the host reads each setting. If the value is wrong, the host writes the setting and
-reads it again.
+Before arming, the host reads each setting of the drive. If a setting has a wrong value, the host
+writes the setting and reads it again.
 
-Torque limit and watchdog are command registers. Every torque command sets both registers. Before
-the first torque command, a request that does not move the motor sets them. The other settings are
-configuration items, which the host reads and writes over the diagnostic text channel. ``conf set``
-changes only the working memory of the drive. handctl sends no request that writes the flash.
+Torque limit and watchdog timeout are command registers. Every torque command sets both registers.
+Before the first torque command, a request that does not move the motor sets both registers. All
+other settings are configuration items, which the host reads and writes over the diagnostic text
+channel. ``conf set`` changes only the working memory of the drive. handctl sends no request that
+writes the flash.
 
-A frame with text may be lost, and an answer may come late. Each exchange therefore starts with an
-empty channel. After a request without an answer, the host first reads the channel until no text is
-left.
+A frame with text can be lost, and an answer can come late. Each exchange of texts must start with
+an empty text channel. After a request without an answer, the host reads the text channel until no
+text is left.
 """
 
 import math
@@ -21,15 +22,15 @@ from handctl.drives.moteus import codec
 from handctl.drives.readback import REQUEST_TIMEOUT_NS
 
 WRITE_TRIES = 3
-"""Number of writes per setting. The drive does not confirm a write, and a write may be lost."""
+"""Largest number of writes per setting. The drive does not confirm a write, and the frame of a write can be lost."""
 MAX_UNANSWERED_POLLS = 3
-"""Number of reads without text that are necessary, at any control rate, before a request counts as unanswered."""
+"""Number of reads that return no text before a request counts as unanswered, at any control rate."""
 MAX_ANSWER_LINE_BYTES = 128
-"""Length above which a text without an end of line counts as an answer to another host [bytes]."""
+"""Length above which a received text without a line end counts as an answer to another host [bytes]."""
 
 
 class MoteusSetting(NamedTuple):
-    """Setting of a drive with the required value.
+    """Setting of a drive, with its required value.
 
     Attributes:
         name: name of the configuration item, or of the register.
@@ -48,31 +49,33 @@ class MoteusSetting(NamedTuple):
 
 
 REQUIRED_CONFIGURATION = (
-    # If the motor is beyond the positions in these two items, the drive reduces the torque. The
-    # default of both items is 0.01 turns.
+    # If the motor is beyond the positions ``position_min`` and ``position_max``, the drive reduces
+    # the torque. The default of ``position_min`` and ``position_max`` is 0.01 turns.
     MoteusSetting("servopos.position_min", math.nan),
-    # Torque limits have no effect in this mode.
+    # In the fixed voltage mode of the drive, torque limits have no effect.
     MoteusSetting("servo.fixed_voltage_mode", 0.0),
-    # With 0, the drive stops when its watchdog fires. By default, the drive damps the motor or
-    # holds its position when the watchdog fires.
+    # With the value 0 of the timeout mode, the drive stops when its watchdog fires. By default, the
+    # drive damps the motor or holds its position when the watchdog fires.
     MoteusSetting("servo.timeout_mode", 0.0),
     MoteusSetting("servopos.position_max", math.nan),
 )
-"""Configuration items also read while the drive is enabled.
+"""Configuration items that the host reads before arming and again while the drive is enabled.
 
 Torque limit and watchdog need no repeated read-back, because every command contains both. After a
-restart of the drive, the items have their defaults. Of two consecutive items, at least one has a
-default that is not the required value. At most two reads therefore detect a restart.
+restart of the drive, the configuration items have their default values. Of two consecutive items,
+at least one has a default value that differs from the required value. At most two reads of items
+are thus needed to detect a restart.
 """
 
 
 def position_configuration(gains: codec.PositionGains) -> tuple[MoteusSetting, ...]:
     """Return the configuration items of a drive that closes a position loop.
 
-    These items are read again while the drive is enabled. With a limit of velocity or acceleration,
-    the drive would plan its own trajectory to the commanded position. With a finite slip, the drive
-    would move the commanded position towards the motor. The items are ordered so that the default
-    of every second item differs from the required value, see ``REQUIRED_CONFIGURATION``.
+    The host reads the configuration items again while the drive is enabled. With a limit of
+    velocity or acceleration, the drive would plan its own trajectory to the commanded position.
+    With a finite slip, the drive would move the commanded position towards the motor. The items are
+    ordered so that the default of every second item differs from the required value, see
+    ``REQUIRED_CONFIGURATION``.
     """
     min_position_key, fixed_voltage, timeout_mode, max_position_key = REQUIRED_CONFIGURATION
     return (
@@ -91,7 +94,8 @@ def position_configuration(gains: codec.PositionGains) -> tuple[MoteusSetting, .
 def gain_per_turn(gain: float) -> float:
     """Convert a gain per radian to a gain per turn, rounded up to six digits and six decimals.
 
-    The texts to and from the drive contain all these digits. A float32 also keeps them.
+    The texts to and from the drive contain all digits of the rounded gain. A float32 also keeps all
+    digits.
     """
     turn = math.tau * gain
     step = 10.0 ** max(-6, math.floor(math.log10(turn)) - 5) if turn else 1.0
@@ -101,11 +105,11 @@ def gain_per_turn(gain: float) -> float:
 def required_settings(
     torque: float, timeout_s: float, configured_settings: tuple[MoteusSetting, ...]
 ) -> tuple[MoteusSetting, ...]:
-    """Return the settings required before arming.
+    """Return the settings of the drive, with the values required before arming.
 
     Args:
         torque: torque limit [N m].
-        timeout_s: watchdog [s].
+        timeout_s: timeout of the watchdog [s].
         configured_settings: required configuration items.
     """
     return (
@@ -144,9 +148,10 @@ class DiagnosticChannel(NamedTuple):
 
     Attributes:
         is_drained: True if no text of an earlier request can still arrive.
-        request_sent_ns: time at which the open request was sent [ns], -1 if no request is open.
-        poll_count: number of reads for the answer of the open request.
-        text: part of the answer that has been received so far.
+        request_sent_ns: time at which the host sent the unanswered request [ns], -1 if every
+            request has an answer.
+        poll_count: number of reads of the text channel since the unanswered request.
+        text: received part of the answer.
     """
 
     is_drained: bool = False
@@ -155,17 +160,17 @@ class DiagnosticChannel(NamedTuple):
     text: bytes = b""
 
     def next_request_payload(self, command: bytes, t_ns: int) -> tuple["DiagnosticChannel", bytes]:
-        """Return the next channel and the next payload.
+        """Return the next state of the text channel, and the payload to send.
 
-        The payload is the request. If old text may still arrive, it is a read that empties the
-        channel.
+        The payload is the request ``command``. If text of an earlier request can still arrive, the
+        payload is a read that empties the text channel.
         """
         if not self.is_drained:
             return DiagnosticChannel(), codec.TEXT_REQUEST
         return DiagnosticChannel(True, t_ns), codec.text_request(command)
 
     def is_awaiting_answer(self, t_ns: int) -> bool:
-        """Return True if the host must read the answer of the open request in this tick."""
+        """Return True if the host must read the answer to the unanswered request in the present tick."""
         is_late = (
             t_ns - self.request_sent_ns > REQUEST_TIMEOUT_NS
             and self.poll_count >= MAX_UNANSWERED_POLLS
@@ -173,13 +178,13 @@ class DiagnosticChannel(NamedTuple):
         return 0 <= self.request_sent_ns < t_ns and not is_late
 
     def poll(self) -> tuple["DiagnosticChannel", bytes]:
-        """Return the next channel, and the payload that reads the answer of the open request."""
+        """Return the next state of the text channel, and the payload that reads the answer to the request."""
         return self._replace(poll_count=self.poll_count + 1), codec.TEXT_REQUEST
 
     def take_line(self, text: bytes) -> tuple["DiagnosticChannel", bytes]:
-        """Return the next channel, and the first line of the answer.
+        """Return the next state of the text channel, and the first line of the answer.
 
-        The line is empty if the answer has no complete line yet.
+        The returned line is empty if the received text does not yet contain a complete line.
         """
         if self.request_sent_ns < 0:
             return self._replace(is_drained=not text), b""

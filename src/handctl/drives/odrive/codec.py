@@ -1,7 +1,8 @@
 """Conversion of the CANSimple frames of ODrive firmware 0.6.x between bytes and values, and errors in words.
 
 An identifier has 11 bits. Bits 10..5 contain the node number, and bits 4..0 contain the command
-number. Payloads are little-endian. A hyphen in a column means that the message has no such bytes.
+number. Payloads are little-endian. A hyphen in the column of some bytes means that the message does
+not contain these bytes.
 
     command   name                     to     bytes 0..3                   bytes 4..7
     0x00      Get_Version              host   protocol 8, hardware 3 x 8   firmware 3 x 8, unreleased 8
@@ -22,7 +23,7 @@ number. Payloads are little-endian. A hyphen in a column means that the message 
     0x1C      Get_Torques              host   target float32 [N m]         estimate float32 [N m]
 
 All values refer to the motor's shaft. A remote frame with the identifier of a Get message requests
-this message. Source: ODrive documentation, "CAN Protocol", and the vendor's DBC
+the Get message. Source: ODrive documentation, "CAN Protocol", and the vendor's DBC
 ``odrive-cansimple`` 0.6.10.
 """
 
@@ -64,18 +65,18 @@ HOST_COMMANDS = frozenset(
         CLEAR_ERRORS,
     )
 )
-"""Numbers of commands that only a host sends. 0x16 reboots the drive."""
+"""Numbers of commands that only a host sends. Command 0x16 reboots the drive."""
 REQUESTABLE_MESSAGES = frozenset((GET_VERSION, ADDRESS, ENCODER_ESTIMATES, TEMPERATURE, TORQUES))
-"""Numbers of messages requested with a remote frame."""
+"""Numbers of messages that the host requests with a remote frame."""
 DRIVE_MESSAGES = REQUESTABLE_MESSAGES | {HEARTBEAT, TX_SDO}
 """Numbers of messages sent by the drive."""
 LAST_NODE = 0x3E
-"""Largest node number. 0x3F is the broadcast to all nodes."""
+"""Largest node number of a drive. The number 0x3F addresses all nodes."""
 ENCODER_PERIOD_MS = 10
 """Period with which a drive with factory settings sends its position [ms]."""
 PROTOCOL_VERSION = 2
 """Version of CANSimple supported by handctl."""
-# Axis states of a drive.
+# Numbers of the axis states of an ODrive.
 IDLE = 1
 CLOSED_LOOP = 8
 # Control modes and the input mode in Set_Controller_Mode.
@@ -83,7 +84,7 @@ TORQUE_MODE = 1
 VELOCITY_MODE = 2
 POSITION_MODE = 3
 PASSTHROUGH_INPUT_MODE = 1
-# Results of the last procedure in a heartbeat.
+# Results of the drive's last procedure (such as a calibration), in a heartbeat.
 PROCEDURE_SUCCESS = 0
 PROCEDURE_BUSY = 1
 # Opcodes of RxSdo.
@@ -100,14 +101,14 @@ ERROR_TEXTS = {
     16: "position limit violation", 24: "watchdog expired", 25: "emergency stop requested", 26: "spin-out",
     27: "brake resistor disarmed", 28: "thermistor disconnected", 30: "calibration error",
 }  # fmt: skip
-"""Text of each error, by the bit in the errors of a heartbeat."""
+"""Text of each error, by the bit number in the error field of a heartbeat."""
 PROCEDURE_RESULT_TEXTS = {
     2: "cancelled", 3: "disarmed", 4: "no response", 5: "pole pairs or counts per turn do not match",
     6: "phase resistance out of range", 7: "phase inductance out of range", 8: "unbalanced phases",
     9: "invalid motor type", 10: "illegal hall state", 11: "timeout", 12: "homing without end stop",
     13: "invalid state", 14: "not calibrated", 15: "not converging",
 }  # fmt: skip
-"""Text of each result of a failed procedure."""
+"""Text of each result of a failed procedure of the drive."""
 
 
 class Heartbeat(NamedTuple):
@@ -124,9 +125,9 @@ def message_id(node_id: int, command: int) -> int:
 
 
 def error_text(error_flags: int) -> str:
-    """Return the texts of all set error bits.
+    """Return the texts of all error bits that are set.
 
-    If a bit is not documented, its number is used as the text.
+    The text of an undocumented error bit is the number of the bit.
     """
     return ", ".join(
         ERROR_TEXTS.get(bit, f"unknown error bit {bit}")
@@ -136,7 +137,7 @@ def error_text(error_flags: int) -> str:
 
 
 def result_text(result_code: int) -> str:
-    """Return the text for the result of a procedure."""
+    """Return the text that describes the result of a procedure of the drive."""
     return PROCEDURE_RESULT_TEXTS.get(result_code, f"unknown result {result_code}")
 
 
@@ -162,10 +163,10 @@ def encoder_message(node_id: int, ratio: float, zero: float, is_requested: bool)
         ratio: turns of the shaft per turn of the spool, negative if positive torque unwinds the
             tendon.
         zero: angle of the shaft when the spool angle is zero [rad].
-        is_requested: True if every tick requests the message. The drive also sends it by itself, by
-            default every 10 ms.
+        is_requested: True if every tick requests the message. The drive also sends the message
+            without a request, by default every 10 ms.
     """
-    # One turn of the shaft is an angle of tau / ratio at the spool. A negative ratio reverses the
+    # One turn of the shaft turns the spool by the angle tau / ratio. A negative ratio reverses the
     # sign.
     turn = math.tau / ratio
     return CyclicMessage("encoder_estimates", message_id(node_id, ENCODER_ESTIMATES), 8, (
@@ -277,7 +278,7 @@ def decode_heartbeat(data: bytes) -> Heartbeat:
 
 
 def decode_float_pair(data: bytes) -> tuple[float, float] | None:
-    """Decode two float32 values. Return None if one of the values is not finite."""
+    """Decode the two float32 values in a payload. Return None if one of the values is not finite."""
     first_value, second_value = struct.unpack("<ff", data)
     return (
         (first_value, second_value)
@@ -297,25 +298,25 @@ def decode_highest_temperature(data: bytes) -> float | None:
 
 
 def encode_floats(*values: float) -> bytes:
-    """Return a payload with the values as float32.
+    """Return a payload that contains the given values as float32.
 
     Raises:
         ValueError: a value is not finite, or too large for a float32.
     """
     for value in values:
-        # The comparison is negated, so that it refuses NaN.
+        # The comparison is negated, so that the check refuses NaN.
         if not abs(value) <= MAX_FLOAT32:
             raise ValueError(f"{value} cannot be sent, expected a finite number")
     return struct.pack(f"<{len(values)}f", *values)
 
 
 def encode_integers(*values: int) -> bytes:
-    """Return a payload with the values as uint32."""
+    """Return a payload that contains the given values as uint32."""
     return struct.pack(f"<{len(values)}I", *values)
 
 
 def sdo_request(operation: int, endpoint: int, value: bytes = b"") -> bytes:
-    """Return the payload of a message RxSdo, which reads or writes an endpoint."""
+    """Return the payload of a message RxSdo, which reads or writes an endpoint (a parameter of the drive)."""
     return struct.pack("<BHB", operation, endpoint, 0) + value
 
 
@@ -325,5 +326,5 @@ def sdo_reply(endpoint: int, value: bytes) -> bytes:
 
 
 def decode_sdo_reply(data: bytes) -> tuple[int, bytes]:
-    """Decode the payload of TxSdo. Return the endpoint and the bytes of its value."""
+    """Decode the payload of TxSdo. Return the endpoint number and the bytes of the endpoint's value."""
     return int.from_bytes(data[1:3], "little"), data[4:]

@@ -1,10 +1,11 @@
 """Discovery of ODrives by their heartbeats, and by the message Address.
 
-A remote frame requests Address from all drives.
+A remote frame requests the message Address from all drives.
 
 Remote frames have no payload, and no drive obeys them. Firmware 0.5.x sends heartbeats too, but
-with other error codes. A drive with this firmware reports neither its version nor its serial
-number. Source: ODrive documentation, "CAN Protocol", and the vendor's DBC 0.5.6 and 0.6.10.
+with error codes that differ from firmware 0.6.x. A drive with firmware 0.5.x reports neither its
+version nor its serial number. Source: ODrive documentation, "CAN Protocol", and the vendor's DBC
+0.5.6 and 0.6.10.
 """
 
 import dataclasses
@@ -21,13 +22,13 @@ from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, FDF, REMOTE_FLAG, Fr
 from handctl.drives.odrive import codec
 from handctl.drives.odrive import firmware_05 as odrive_05
 
-# Command number and node number of the request to all drives.
+# Command number and node number of the scan request to all drives.
 ADDRESS = 0x06
 BROADCAST = 0x3F
 MIN_HEARTBEATS = 3
-"""Number of frames with the layout of a heartbeat after which their sender counts as an ODrive.
+"""Number of frames with the layout of a heartbeat after which the sender of the frames counts as an ODrive.
 
-A single such frame may be the message of another device.
+A single frame with the layout of a heartbeat can be the message of another device.
 """
 IQ_CURRENT, BUS_VOLTAGE = 0x14, 0x17
 """Numbers of messages that firmware 0.5 with factory settings sends only on request."""
@@ -35,24 +36,24 @@ _REQUEST_ONLY_MESSAGES = (IQ_CURRENT, BUS_VOLTAGE)
 _MESSAGES_SENT_ONCE = (ADDRESS, codec.GET_VERSION, *_REQUEST_ONLY_MESSAGES)
 """Numbers of messages that a drive sends once for each request of a scan."""
 CONFLICT_FREE_NODE_NUMBERS = (range(0x01, 0x04), range(0x09, 0x0C), range(0x34, 0x38))
-"""Node numbers whose identifiers differ from those of the predefined connection set of CANopen and of the sensor node.
+"""Node numbers whose identifiers belong neither to the predefined connection set of CANopen nor to the sensor node.
 
 Source: CiA 301, predefined connection set.
 """
 OLD_FIRMWARE_NOTE = "does not report its version: treated as firmware 0.5.x, whose watchdog and limits are set over USB"
 """Warning for a drive that has not answered Get_Version."""
 _AXIS_STATE_TEXTS = {codec.IDLE: "idle", codec.CLOSED_LOOP: "closed loop control"}
-"""Axis states in words."""
+"""Names of the axis states of an ODrive."""
 _CYCLIC_MESSAGES = {0x00, 0x01, 0x03, 0x09, 0x14, 0x15, 0x17, 0x1C, 0x1D}
 """Numbers of messages that a drive can send without a request."""
 
 
 def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the requests of a round of the scan.
+    """Return the requests that the scan sends in a round.
 
-    Round 1 requests the message Address from all nodes. Round 2 requests the version of the
-    discovered drives. In round 3, this request is repeated for drives that have not reported a
-    version. Round 3 also requests two messages of firmware 0.5 from these drives.
+    In round 1, the scan requests the message Address from all nodes. In round 2, the scan requests
+    the version of the discovered drives. In round 3, the scan requests the version again from each
+    drive that has not reported a version, and two messages of firmware 0.5.
     """
     if scan_round == 1:
         return (Frame(codec.message_id(BROADCAST, ADDRESS) | REMOTE_FLAG, b""),)
@@ -79,9 +80,9 @@ def _remote_request(drive: DiscoveredNode, command: int) -> Frame:
 
 
 def discovered_drives(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
-    """Return the discovered drives.
+    """Return the descriptions of the discovered drives.
 
-    These are nodes that have sent heartbeats of an ODrive, or the message Address.
+    A node counts as a drive if it has sent heartbeats of an ODrive, or the message Address.
     """
     messages = {
         command: _payloads_by_node(received_frames, command)
@@ -107,7 +108,7 @@ def discovered_drives(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, 
 
 
 def _describe_drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNode:
-    """Return a discovered drive with all data.
+    """Return the description of a discovered drive, with all data that the drive has reported.
 
     The argument ``messages`` contains the payloads from the drive, by command number.
     """
@@ -188,7 +189,7 @@ def _firmware_06_warnings(serial: str, version: bytes) -> list[str]:
 
 
 def mark_firmware_unknown(drive: DiscoveredNode) -> DiscoveredNode:
-    """Return the drive with an unknown firmware.
+    """Return the description of a discovered drive, with the firmware set to unknown.
 
     A scan that sends no requests cannot determine the firmware.
     """
@@ -202,7 +203,7 @@ def mark_firmware_unknown(drive: DiscoveredNode) -> DiscoveredNode:
 
 
 def _payloads_by_node(received_frames: ReceivedFrames, command: int) -> dict[int, list[bytes]]:
-    """Return the payloads of one message, by node number.
+    """Return the received payloads of one message, by node number.
 
     Older firmware sends Address with 7 bytes.
     """
@@ -223,17 +224,17 @@ def _payloads_by_node(received_frames: ReceivedFrames, command: int) -> dict[int
 def _is_heartbeat(data: bytes) -> bool:
     """Return True if 8 bytes have the layout of a heartbeat.
 
-    State and result must have documented values. In byte 7, only the two flags of firmware 0.5 may
-    be set.
+    In a heartbeat, state and result have documented values. In byte 7 of a heartbeat, only the two
+    flags of firmware 0.5 are possibly set.
     """
     _, state, result = struct.unpack_from("<IBB", data)
     return 1 <= state <= 14 and result <= 15 and not data[7] & 0x7E
 
 
 def command_ids(drive: DiscoveredNode) -> frozenset[int]:
-    """Return all identifiers of the node, and all identifiers of broadcasts.
+    """Return all identifiers of the node, and all identifiers of messages to all nodes.
 
-    The result includes 0x7ff, which is Enter_DFU_Mode.
+    The returned set includes the identifier 0x7ff of Enter_DFU_Mode, a message to all nodes.
     """
     return frozenset(
         codec.message_id(node, command)
@@ -257,9 +258,9 @@ def other_host_frames(received_frames: ReceivedFrames) -> tuple[Frame, ...]:
 
 
 def ping_request(drive: DiscoveredNode) -> Frame:
-    """Return a remote frame to a drive.
+    """Return a remote frame that requests a message from a drive, to check that the drive answers.
 
-    The frame requests a message that the drive rarely sends without a request.
+    The requested message is one that the drive rarely sends without a request.
     """
     return _remote_request(drive, _ping_command(drive))
 
@@ -275,8 +276,8 @@ def is_ping_reply(drive: DiscoveredNode, frame: Frame) -> bool:
 def _ping_command(drive: DiscoveredNode) -> int:
     """Return the number of the message that ``ping_request`` requests from a drive.
 
-    Firmware 0.6 can report its version. Firmware 0.5 has no such message, so its bus voltage and
-    current are requested.
+    A drive with firmware 0.6 can report its version. Firmware 0.5 has no message with the version,
+    so the scan requests the bus voltage and current instead.
     """
     return BUS_VOLTAGE if drive.options.get("firmware") == "0.5" else codec.GET_VERSION
 

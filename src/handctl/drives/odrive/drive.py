@@ -1,10 +1,11 @@
 """State machine that configures, enables and disables an ODrive with CANSimple.
 
-A remote frame in every tick requests the position, so that position and command have the same age.
-With the option ``encoder_period_ms``, the host uses the position messages that the drive sends
-periodically instead. CANSimple has no message that reads back mode and limits. It also has no
-message that sets the watchdog. The host reads and writes the watchdog and the torque limit by SDO
-instead, at the endpoints of ``settings``. Only a heartbeat reports the state of the drive.
+In every tick, a remote frame requests the position of the motor, so that the position belongs to
+the same tick as the command. With the option ``encoder_period_ms``, the host instead uses the
+position messages that the drive sends periodically. CANSimple has no message that reads back mode
+and limits, and no message that sets the watchdog. The host reads and writes the watchdog and the
+torque limit by SDO, at the endpoints in ``settings``. Only a heartbeat reports the state of the
+drive.
 """
 
 import math
@@ -68,15 +69,15 @@ class OdriveDrive:
             motor unwinds the tendon.
         zero: angle of the shaft when the spool angle is zero [rad].
         limits: payload of the message Set_Limits, with velocity [turn/s] and current [A].
-        settings: settings verified by SDO.
+        settings: settings of the drive that the host verifies by SDO.
         encoder_period_s: period of the drive's unrequested position messages [s], 0 to request the position
             in every tick.
         torque_feedback: True to request the torque in every tick.
         heartbeat_timeout_ns: time without a heartbeat after which the drive counts as lost [ns].
         firmware_05: True for firmware 0.5, see the module ``firmware_05``.
-        command: signal table of the command, built from the other fields.
-        encoder: signal table of the position, built from the other fields.
-        torques: signal table of the torque feedback, built from the other fields.
+        command: signal table of the command, built from the other attributes.
+        encoder: signal table of the position, built from the other attributes.
+        torques: signal table of the torque feedback, built from the other attributes.
     """
 
     name: str
@@ -147,7 +148,7 @@ class OdriveDrive:
 
     @property
     def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
-        """Return the frames of a tick: torque command, remote frames, and the requested messages."""
+        """Return the frames of the drive in a tick: torque command, remote frames, and the requested messages."""
         return (
             (4, False),
             *(((0, False), (8, False)) * ((not self.encoder_period_s) + self.torque_feedback)),
@@ -157,9 +158,9 @@ class OdriveDrive:
     def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
         """Return the frames whose rate is not the control rate.
 
-        These frames are heartbeats, positions without a request, temperatures, and SDO. With
-        factory settings the drive sends its position periodically, even if the host does not use
-        these messages.
+        Frames with another rate are heartbeats, positions without a request, temperatures, and SDO.
+        With factory settings the drive sends its position periodically, even if the host does not
+        use the position messages.
         """
         temperature_rate = 0.0 if self.firmware_05 else 1e9 / TEMPERATURE_PERIOD_NS
         encoder_rate = 1.0 / (self.encoder_period_s or codec.ENCODER_PERIOD_MS * 1e-3)
@@ -175,7 +176,7 @@ class OdriveDrive:
 
     @property
     def has_extended_ids(self) -> bool:
-        """Return False, because all identifiers have 11 bits."""
+        """Return False, because all identifiers of CANSimple have 11 bits."""
         return False
 
     @property
@@ -203,7 +204,7 @@ class OdriveDrive:
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return the reason for each property that handctl cannot check with the present options."""
+        """Return the reason for each property that handctl cannot check with the present options of the motor."""
         return endpoints.unchecked_properties(self.settings, self.firmware_05)
 
     @property
@@ -220,7 +221,7 @@ class OdriveDrive:
     def feedback_period_s(self) -> float:
         """Return the period of position messages that the drive sends without a request [s].
 
-        The result is 0 if every tick requests the position.
+        The period is 0 if the host requests the position in every tick.
         """
         return self.encoder_period_s
 
@@ -236,7 +237,7 @@ class OdriveDrive:
         )
 
     def steady_status(self, state: DriveState) -> int:
-        """Return 0, because frames with values have no status.
+        """Return 0, because the frames with positions and torques contain no status.
 
         Only a heartbeat reports the state of the drive.
         """
@@ -288,8 +289,8 @@ class OdriveDrive:
             or command not in codec.DRIVE_MESSAGES
         ):
             return state
-        # A TxSdo that confirms a write contains no value (firmware 0.6.11 and later). The message
-        # Address has 7 bytes before firmware 0.6.11.
+        # From firmware 0.6.11 on, the TxSdo that confirms a write contains no value. Before
+        # firmware 0.6.11, the message Address has 7 bytes.
         min_payload_size = {codec.TX_SDO: 4, codec.ADDRESS: 7}.get(command, 8)
         if not min_payload_size <= len(frame.data) <= 8:
             return state._replace(misread_frame_count=state.misread_frame_count + 1)
@@ -304,7 +305,7 @@ class OdriveDrive:
         return self._on_value_message(state, command, frame)
 
     def _on_value_message(self, state: DriveState, command: int, frame: Frame) -> DriveState:
-        """Return the state after a frame with values: position and velocity, torque, or temperatures."""
+        """Return the drive state after a frame with values: position and velocity, torque, or temperatures."""
         if (
             command == codec.TEMPERATURE
             and (hottest := codec.decode_highest_temperature(frame.data)) is not None
@@ -324,7 +325,7 @@ class OdriveDrive:
         )
 
     def _on_version_message(self, state: DriveState, data: bytes) -> DriveState:
-        """Return the state after the message Get_Version, with the protocol version."""
+        """Return the drive state after the message Get_Version, with the protocol version."""
         if state.phase not in (SILENT, CONFIGURING):
             return state
         if data[0] != codec.PROTOCOL_VERSION:
@@ -341,7 +342,7 @@ class OdriveDrive:
         )
 
     def _on_address_message(self, state: DriveState, data: bytes) -> DriveState:
-        """Return the state after the message Address, with the node number and a serial number of 48 bits."""
+        """Return the drive state after the message Address, with the node number and a serial number of 48 bits."""
         if state.phase != CONFIGURING or data[0] != self.node_id:
             return state
         serial = int.from_bytes(data[1:7], "little")
@@ -352,7 +353,7 @@ class OdriveDrive:
         )
 
     def _on_setting_message(self, state: DriveState, data: bytes) -> DriveState:
-        """Return the state after a TxSdo with the value of a setting."""
+        """Return the drive state after a TxSdo with the value of a setting."""
         progress = get_progress(state)
         if state.phase == ENABLED and state.recheck.is_waiting:
             return self._on_recheck_reply(state, data)
@@ -415,12 +416,12 @@ class OdriveDrive:
     def _advance_configured_drive(
         self, state: DriveState, t_ns: int, target: DriveTarget
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frames for a configured drive.
+        """Return the next state of a configured drive, and the frames to send.
 
-        The frames request feedback. If enabling is requested, the frames also enable the drive. The
-        enable command is sent once. After this command, the host sends torque commands of 0 N m
-        until the drive reports the state enabled. A repeated enable command would also enable a
-        drive that has restarted.
+        The returned frames request feedback. If the requested drive state is ENABLE, the returned
+        frames also enable the drive. The host sends the enable command once, because a repeated
+        enable command would also enable a drive that has restarted. After the enable command, the
+        host sends torque commands of 0 N m until the drive reports the state enabled.
         """
         state, requests = self._feedback_requests(state, t_ns)
         progress = get_progress(state)
@@ -446,10 +447,10 @@ class OdriveDrive:
         )  # fmt: skip
 
     def _configure(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Do one step of the configuration.
+        """Do the next action in the configuration of the drive.
 
-        The steps in order: set the axis to idle, request the version, request the serial number,
-        verify the endpoints, and send mode and limits.
+        The configuration has five actions: set the axis to idle, request the version, request the
+        serial number, verify the endpoints, and send mode and limits.
         """
         progress = get_progress(state)
         if progress.axis > codec.IDLE:
@@ -471,11 +472,12 @@ class OdriveDrive:
     def _next_setting(
         self, state: DriveState, progress: OdriveProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state, and the request to read or write the next endpoint.
+        """Return the next drive state, and the request to read or write the next endpoint.
 
-        If the drive has already sent feedback, the host also requests the position. The reason is
-        that settings are verified again before an enable command, while other drives may be
-        enabled. Without the request, the silence of this drive would then be a fault.
+        If the drive has already sent feedback, the host requests the position in addition to the
+        endpoint. The host verifies the settings of a drive again before an enable command, when
+        other drives are possibly enabled. Without the request for the position, the missing
+        feedback of the drive would then count as a fault.
         """
         cursor, data, problem = endpoints.next_request(progress.cursor, self.settings, t_ns)
         next_state = state._replace(protocol_state=progress._replace(cursor=cursor))
@@ -505,9 +507,9 @@ class OdriveDrive:
     def _request_version(
         self, state: DriveState, progress: OdriveProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state, and a frame that requests the version or clears errors.
+        """Return the next drive state, and a frame that requests the version or clears errors.
 
-        The frame is sent at most once per ``REPEAT_PERIOD_NS``.
+        The host sends the frame at most once per ``REPEAT_PERIOD_NS``.
         """
         if t_ns - progress.sent_ns < REPEAT_PERIOD_NS:
             return state, ()
@@ -528,9 +530,9 @@ class OdriveDrive:
     def _request_serial(
         self, state: DriveState, progress: OdriveProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Request the serial number a few times.
+        """Request the serial number of the drive a few times.
 
-        Early versions of firmware 0.6 do not answer this request.
+        Early versions of firmware 0.6 do not answer the request for the serial number.
         """
         if t_ns - progress.sent_ns < REPEAT_PERIOD_NS:
             return state, ()
@@ -540,7 +542,7 @@ class OdriveDrive:
     def _feedback_requests(
         self, state: DriveState, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state, and the remote frames to request feedback in a tick."""
+        """Return the next drive state, and the remote frames to request feedback in a tick."""
         frames = [self._remote_frame(codec.ENCODER_ESTIMATES)] * (not self.encoder_period_s) + [
             self._remote_frame(codec.TORQUES)
         ] * self.torque_feedback
@@ -566,7 +568,7 @@ class OdriveDrive:
         return ()
 
     def identity(self, state: DriveState) -> str:
-        """Return the serial number, or the node number if it is unknown.
+        """Return the serial number, or the node number if the serial number is unknown.
 
         Firmware 0.5 and early versions of 0.6 do not report a serial number.
         """
@@ -581,21 +583,21 @@ class OdriveDrive:
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
         """Return the frame of a torque command [N m at the spool].
 
-        The frame does not enable the drive.
+        A torque command alone does not enable the drive.
         """
         return (self._command_frame(torque),)
 
     def torque_cut_frames(self) -> tuple[Frame, ...]:
         """Return the frame Estop, which disables the drive.
 
-        The drive latches an error.
+        After the frame Estop, the drive latches an error.
         """
         return (self._data_frame(codec.ESTOP, b""),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frames that clear the latched error of the drive.
+        """Return the next drive state and the frames that clear the latched error of the drive.
 
-        After the clear command, the configuration starts again.
+        After the clear command, the host configures the drive again.
         """
         initial_progress = OdriveProgress(
             version=self.firmware_05,
@@ -608,7 +610,7 @@ class OdriveDrive:
         return next_state, (self._data_frame(codec.CLEAR_ERRORS, b""),)
 
     def _axis_state_frame(self, state: int) -> Frame:
-        """Return the frame that sets the axis state."""
+        """Return the frame that sets the axis state of the drive."""
         return self._data_frame(codec.SET_AXIS_STATE, codec.encode_integers(state))
 
     def _data_frame(self, command: int, data: bytes) -> Frame:

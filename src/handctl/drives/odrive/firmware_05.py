@@ -1,20 +1,21 @@
-"""Differences of ODrive firmware 0.5.x (boards 3.x) from 0.6.x.
+"""Differences between ODrive firmware 0.5.x (boards 3.x) and firmware 0.6.x.
 
-The heartbeat and the error codes in the heartbeat differ. Heartbeat of 8 bytes, little-endian:
+Firmware 0.5.x has other error codes, and a heartbeat of 8 bytes, little-endian, with the following
+layout:
 
     byte    0..3                       4             5, bit 0      6, bit 0        7, bit 0           7, bit 7
     field   errors 32 (ERROR_TEXTS)    axis state 8  motor error   encoder error   controller error   done
 
-Over CAN, this firmware reports no version, no temperature and no torque. It also has no SDO.
-Watchdog and torque limit are set over USB. Watchdog and torque limit cannot be read over CAN.
-Source: ODrive firmware 0.5.6 (``communication/can``) and the vendor's DBC 0.5.6.
+Over CAN, firmware 0.5.x reports no version, no temperature and no torque, and has no SDO. The
+operator sets watchdog and torque limit over USB. The host cannot read watchdog and torque limit
+over CAN. Source: ODrive firmware 0.5.6 (``communication/can``) and the vendor's DBC 0.5.6.
 """
 
 from handctl.drives.odrive.codec import PROCEDURE_SUCCESS, Heartbeat
 
 FIRMWARE_VERSIONS = ("0.6", "0.5")
-"""Values of the option ``firmware`` in the hand file, the default first."""
-# Error bits that the error flags in bytes 5 to 7 of a heartbeat set.
+"""Accepted values of the option ``firmware`` in the hand file, the default value first."""
+# Error bits that stand for the error flags in bytes 5 to 7 of a heartbeat.
 MOTOR_ERROR = 1 << 6
 ENCODER_ERROR = 1 << 8
 CONTROLLER_ERROR = 1 << 9
@@ -23,7 +24,7 @@ ERROR_TEXTS = {
     9: "controller failed", 11: "watchdog expired", 12: "lower end stop pressed", 13: "upper end stop pressed",
     14: "emergency stop requested", 17: "homing without end stop", 18: "over-temperature", 19: "unknown position",
 }  # fmt: skip
-"""Text of each error, by the bit in the errors of a heartbeat."""
+"""Text of each error, by the bit number in the error field of a heartbeat."""
 
 
 def decode_heartbeat(data: bytes) -> Heartbeat:
@@ -40,7 +41,7 @@ def decode_heartbeat(data: bytes) -> Heartbeat:
 
 
 def error_text(error_flags: int) -> str:
-    """Return the texts of all set error bits. If a bit is not documented, its number is used as the text."""
+    """Return the texts of all error bits that are set. The text of an undocumented bit is the number of the bit."""
     return ", ".join(
         ERROR_TEXTS.get(bit, f"unknown error bit {bit}")
         for bit in range(32)

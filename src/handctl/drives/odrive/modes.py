@@ -1,8 +1,9 @@
 """ODrive in position control or velocity control, with the input mode passthrough.
 
-The host sends a ramp, so the drive needs no trajectory generator. The message Set_Limits contains
-the largest speed. The drive does not confirm mode and limits, so the host sends both before each
-enable command. As in torque control, the endpoints of watchdog and torque limit are read back.
+The host sends the commands of a ramp, so the drive needs no trajectory generator. The message
+Set_Limits contains the largest speed. The drive does not confirm mode and limits, so the host sends
+both before each enable command. As in torque control, the host reads back the endpoints of watchdog
+and torque limit.
 """
 
 import math
@@ -51,21 +52,22 @@ class OdriveModeDrive(OdriveDrive):
         return _CONTROL_MODES[self.mode]
 
     def _command_at_rest(self, state: DriveState) -> float:
-        """Return the command that causes no motion.
+        """Return the command to the drive that causes no motion.
 
-        The command is the present position, or a velocity of zero.
+        In position control, the command at rest is the present position. In velocity control, the
+        command at rest is zero.
         """
         return self.mode.command_at_rest(state.position)
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return no frames, because a torque is only a feedforward in this mode."""
+        """Return no frames, because in position and velocity control, a torque is only a feedforward value."""
         return ()
 
 
 def make_mode_drive(
     motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits
 ) -> OdriveModeDrive:
-    """Return the drive object for a motor description, in the given mode.
+    """Return the object of a drive in the given mode, for a motor description.
 
     Raises:
         ConfigError: an option is unknown or wrong, or an ODrive does not have the mode.

@@ -41,7 +41,7 @@ OPTIONS = {
         for key in endpoints.ENDPOINT_KEYS
     },
 }
-"""Options of the protocol in the hand file."""
+"""Options of an ODrive in the hand file."""
 
 
 class OdriveOptions(NamedTuple):
@@ -66,14 +66,14 @@ class OdriveOptions(NamedTuple):
 
 
 def pop_options(options: MutableMapping[str, Any], key_path: str) -> OdriveOptions:
-    """Return the values of the options, and remove the keys of these options. The keys of endpoints remain.
+    """Return the values of the options, and remove the keys of the returned options. Keep the keys of endpoints.
 
     Args:
         options: options of the motor, modified in place.
         key_path: key path of the options, for error messages.
 
     Raises:
-        ConfigError: a value is invalid, or the firmware does not have an option.
+        ConfigError: the value of an option is invalid, or the firmware does not have an option.
     """
     firmware = options.pop("firmware", FIRMWARE_VERSIONS[0])
     feedback = options.pop("torque_feedback", False)

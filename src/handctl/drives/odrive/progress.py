@@ -1,4 +1,4 @@
-"""State of the ODrive state machine, and the effect of heartbeats on it.
+"""State of the ODrive state machine, and the effect of heartbeats on this state.
 
 Only heartbeats report the state of the drive.
 """
@@ -20,7 +20,7 @@ SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
     ENABLED_BY_OTHER_HOST_ERROR,
     DRIVE_LOST_ERROR,
 ) = (1 << 32 | number for number in range(5))
-"""Error codes added by handctl. These codes are larger than the 32 error bits of the drive."""
+"""Error codes added by handctl. The added error codes are larger than the 32 error bits of the drive."""
 CAUSE_BY_ERROR = {
     DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT, SETTING_MISMATCH_ERROR: DriveFaultCause.SETTING_MISMATCH,
     ENABLE_REFUSED_ERROR: DriveFaultCause.OTHER,
@@ -31,21 +31,21 @@ CAUSE_BY_ERROR_BIT = {
     8: DriveFaultCause.VOLTAGE, 9: DriveFaultCause.VOLTAGE, 11: DriveFaultCause.VOLTAGE, 13: DriveFaultCause.OVERHEATED,
     14: DriveFaultCause.OVERHEATED, 24: DriveFaultCause.WATCHDOG,
 }  # fmt: skip
-"""Cause of error bits in a heartbeat. All other bits have the cause OTHER."""
-# Time after which a request is repeated, and time between two temperature requests [ns].
+"""Cause of error bits in a heartbeat. Error bits that are not in this table have the cause OTHER."""
+# Time after which the host repeats a request, and time between two temperature requests [ns].
 REPEAT_PERIOD_NS = 20_000_000
 TEMPERATURE_PERIOD_NS = 200_000_000
-# Number of requests for the version, number of heartbeats that may still show a cleared error, and
-# number of requests for the serial number.
+# Largest number of requests for the version, of heartbeats with an error that the host ignores
+# after the clear command, and of requests for the serial number.
 VERSION_TRIES = 10
 IGNORED_FAULT_COUNT = 3
 SERIAL_NUMBER_TRIES = 3
 ENABLE_COMMANDS = 5
 """Number of enable commands without effect after which the drive is in fault."""
 MAX_MISSED_HEARTBEATS = 3.5
-"""Number of heartbeat periods without a heartbeat after which the drive counts as lost."""
+"""Number of heartbeat periods after which a drive without a heartbeat counts as lost."""
 SETTLE_TIME_NS = 5_000_000
-"""Time after a command in which a received heartbeat may still be older than the command [ns]."""
+"""Time after a command in which a received heartbeat is possibly older than the command [ns]."""
 
 
 class OdriveProgress(NamedTuple):
@@ -53,22 +53,24 @@ class OdriveProgress(NamedTuple):
 
     Attributes:
         version: True if the drive has reported the protocol version supported by handctl.
-        serial: serial number of the drive, 0 if unknown.
-        serial_requests: number of requests for the serial number. ``SERIAL_NUMBER_TRIES`` means
-            that no more requests are sent, because the drive has answered or does not answer.
+        serial: serial number of the drive, 0 if the serial number is unknown.
+        serial_requests: number of requests for the serial number. With ``SERIAL_NUMBER_TRIES``, the
+            host sends no more requests, because the drive has answered or does not answer.
         cursor: position in the list of endpoints to read back.
-        is_configured: True if control mode and limits were sent.
+        is_configured: True if the host has sent control mode and limits.
         axis: axis state in the latest heartbeat.
-        heartbeat_ns: time of the latest heartbeat [ns], -1 before the first.
-        enable_command_ns: time of the latest enable command [ns], -1 if none was sent.
-        disable_command_ns: time of the first disable command [ns], or -1 if none was sent.
+        heartbeat_ns: time of the latest heartbeat [ns], -1 before the first heartbeat.
+        enable_command_ns: time of the latest enable command [ns], -1 if the host has sent no enable
+            command.
+        disable_command_ns: time of the first disable command [ns], or -1 if the host has sent no
+            disable command.
         sent_ns: time of the latest request for version or serial number [ns].
-        tries: number of requests for the version so far.
+        tries: number of requests for the version that the host has sent.
         temperature_request_ns: time of the latest temperature request [ns].
-        errors_to_ignore: number of heartbeats whose error must still be ignored while the error is being
-            cleared.
-        is_just_verified: True if all settings were verified in the last tick. Since the last tick, the
-            drive has had no time to restart.
+        errors_to_ignore: number of further heartbeats with an error that the host ignores, because
+            the error is being cleared.
+        is_just_verified: True if the host verified all settings in the last tick. A drive cannot
+            restart within one tick.
         enable_attempts: number of enable commands not obeyed by the drive.
     """
 
@@ -90,7 +92,7 @@ class OdriveProgress(NamedTuple):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Return True if this host has sent an enable command, or if the axis state is known and not idle."""
+        """Return True if this host has sent an enable command, or if the reported axis state is not idle."""
         return self.enable_command_ns >= 0 or self.axis > codec.IDLE
 
 
@@ -130,9 +132,10 @@ def on_heartbeat(state: DriveState, frame: Frame, firmware_05: bool) -> DriveSta
 def _state_after_error(
     state: DriveState, progress: OdriveProgress, heartbeat: codec.Heartbeat, firmware_05: bool
 ) -> DriveState:
-    """Return the state after a heartbeat that reports an error.
+    """Return the drive state after a heartbeat that reports an error.
 
-    An error disables the drive. While the axis state is not idle, the drive may still make torque.
+    An ODrive with an error disables itself. While the axis state is not idle, the drive possibly
+    still makes torque.
     """
     error_text = odrive_05.error_text if firmware_05 else codec.error_text
     fault_state = enter_fault(state, heartbeat.errors, error_text(heartbeat.errors))
@@ -146,7 +149,7 @@ def _state_after_error(
 
 
 def _state_when_enabled(state: DriveState, progress: OdriveProgress) -> DriveState:
-    """Return the state after a heartbeat that reports closed loop control."""
+    """Return the drive state after a heartbeat that reports closed loop control."""
     if progress.disable_command_ns >= 0 or (
         progress.enable_command_ns >= 0 and state.phase != FAULT
     ):
@@ -161,9 +164,10 @@ def _state_when_enabled(state: DriveState, progress: OdriveProgress) -> DriveSta
 
 
 def _state_when_in_other_axis_state(state: DriveState, progress: OdriveProgress) -> DriveState:
-    """Return the state after a heartbeat that reports another axis state, such as a calibration.
+    """Return the drive state after a heartbeat that reports another axis state, such as a calibration.
 
-    In another axis state, the drive may make torque that the host does not control.
+    In an axis state other than idle and closed loop control, the drive possibly makes torque that
+    the host does not control.
     """
     if state.phase == ENABLED and progress.disable_command_ns < 0:
         return enter_fault(
@@ -181,9 +185,9 @@ def _state_when_in_other_axis_state(state: DriveState, progress: OdriveProgress)
 def _state_when_disabled(
     state: DriveState, progress: OdriveProgress, heartbeat: codec.Heartbeat
 ) -> DriveState:
-    """Return the state after a heartbeat that reports the axis state idle.
+    """Return the drive state after a heartbeat that reports the axis state idle.
 
-    Shortly after a command, the heartbeat may be older than the command.
+    Shortly after a command, a received heartbeat is possibly older than the command.
     """
     state_when_off = state._replace(
         protocol_state=progress._replace(enable_command_ns=-1, disable_command_ns=-1)
@@ -206,11 +210,11 @@ def _state_when_disabled(
 def _state_when_enable_failed(
     state: DriveState, progress: OdriveProgress, heartbeat: codec.Heartbeat
 ) -> DriveState:
-    """Return the state after a heartbeat that reports idle although an enable command was sent.
+    """Return the drive state after a heartbeat that reports idle although an enable command was sent.
 
     The drive has refused the command, the command was lost, or the drive has restarted.
 
-    The host has no other sign of a restart. All settings are therefore verified and written again
+    Because the host has no other sign of a restart, it verifies and writes all settings again
     before the next enable command.
     """
     if heartbeat.result != codec.PROCEDURE_SUCCESS:
@@ -243,8 +247,8 @@ def _state_when_enable_failed(
 def state_after_timeout(state: DriveState, firmware_05: bool) -> DriveState:
     """Return the state of a drive whose heartbeats have been missing for too long.
 
-    An enabled drive is then in fault. A disabled drive may have lost power. In this case, it has
-    also lost its control mode.
+    An enabled drive goes into fault after the timeout. A disabled drive has possibly lost power,
+    and with the power its control mode.
     """
     progress = get_progress(state)
     if state.phase == ENABLED or progress.enable_command_ns >= 0:
@@ -260,7 +264,7 @@ def state_after_timeout(state: DriveState, firmware_05: bool) -> DriveState:
 def start_disabling(state: DriveState, progress: OdriveProgress, t_ns: int) -> DriveState:
     """Return the state of a drive that is being disabled.
 
-    A drive that may be enabled counts as enabled until a heartbeat reports idle.
+    A drive that is possibly enabled counts as enabled until a heartbeat reports idle.
     """
     phase = ENABLED if progress.may_be_enabled else state.phase
     disabling_start_ns = progress.disable_command_ns if progress.disable_command_ns >= 0 else t_ns
@@ -277,5 +281,5 @@ def cause_of_error(error_code: int) -> DriveFaultCause:
     if any(bit not in codec.ERROR_TEXTS for bit in bits):
         return DriveFaultCause.UNKNOWN
     causes = [CAUSE_BY_ERROR_BIT.get(bit, DriveFaultCause.OTHER) for bit in bits]
-    # If the watchdog has fired, the other errors are its consequences.
+    # If the watchdog has fired, the other errors are consequences of the missing commands.
     return next((cause for cause in causes if cause == DriveFaultCause.WATCHDOG), causes[0])

@@ -1,11 +1,12 @@
 """ODrive settings for which CANSimple has no message.
 
-The host reads these settings by SDO. It corrects wrong values, and reads the corrected settings
-again.
+The host reads the settings of the watchdog and of the torque limit by SDO. The host corrects wrong
+values, and reads the corrected settings again.
 
 The number of each endpoint differs between firmware versions and boards (``flat_endpoints.json``).
-The hand file therefore contains these numbers. Without these numbers, the operator must set the
-watchdog of the drive over USB. handctl then cannot verify the watchdog over CAN.
+The hand file contains the endpoint numbers of a drive. If the hand file contains no endpoint
+numbers, the operator must set the watchdog of the drive over USB, and handctl cannot verify the
+watchdog over CAN.
 """
 
 import struct
@@ -19,7 +20,7 @@ from handctl.drives.readback import ReadbackCursor
 from handctl.errors import ConfigError
 
 WRITE_TRIES = 3
-"""Number of writes per setting. The drive does not confirm a write, and a write may be lost."""
+"""Largest number of writes per setting. The drive does not confirm a write, and the frame of a write can be lost."""
 ENDPOINT_KEYS = (
     "endpoint_enable_watchdog",
     "endpoint_watchdog_timeout",
@@ -42,7 +43,7 @@ class OdriveSetting(NamedTuple):
 def pop_settings(
     options: MutableMapping[str, Any], key_path: str, watchdog_s: float, torque: float
 ) -> tuple[OdriveSetting, ...]:
-    """Return the settings whose endpoint numbers are in the options, and remove these options.
+    """Return the settings whose endpoint numbers are in the options, and remove the endpoint numbers from the options.
 
     Args:
         options: options of the motor, modified in place.
@@ -51,8 +52,8 @@ def pop_settings(
         torque: required torque limit at the motor's shaft [N m].
 
     Raises:
-        ConfigError: an endpoint number is invalid, or only one of the two watchdog endpoints is
-            given.
+        ConfigError: an endpoint number is invalid, or the options contain only one of the two
+            watchdog endpoints.
     """
     values = (
         b"\1",
@@ -106,10 +107,10 @@ def unverified_protections(
 def unchecked_properties(
     settings: tuple[OdriveSetting, ...], firmware_05: bool
 ) -> dict[DriveProperty, str]:
-    """Return the reason for each property that handctl cannot check.
+    """Return the reason for each property of the drive that handctl cannot check.
 
-    The reason names the missing options. The watchdog of firmware 0.5 can be checked, because the
-    operator sets this watchdog over USB before the check.
+    The reason names the missing options of the motor. The watchdog of firmware 0.5 can be checked,
+    because the operator sets this watchdog over USB before the check.
     """
     if firmware_05:
         return {DriveProperty.READBACK: "firmware 0.5 has no message that reads its settings"}
@@ -128,7 +129,7 @@ def unchecked_properties(
 def on_reply(
     cursor: ReadbackCursor, settings: tuple[OdriveSetting, ...], data: bytes
 ) -> tuple[ReadbackCursor, str]:
-    """Return the position in the read-back after a TxSdo. A reply to another request has no effect.
+    """Return the position in the read-back after a TxSdo. A TxSdo that answers another request has no effect.
 
     Returns:
         The new position in the read-back, and the problem in words (empty if there is no problem).
@@ -151,13 +152,13 @@ def on_reply(
 def next_request(
     cursor: ReadbackCursor, settings: tuple[OdriveSetting, ...], t_ns: int
 ) -> tuple[ReadbackCursor, bytes, str]:
-    """Return the next request of the read-back, as cursor, payload, and problem in words.
+    """Return the next request of the read-back as new cursor, payload, and problem in words.
 
     The payload is empty while the host waits for an answer of the drive. The text of the problem is
     empty if no problem has occurred.
     """
     setting = settings[cursor.step]
-    if cursor.must_write:  # the drive does not answer a write
+    if cursor.must_write:  # the drive does not answer a write request
         return (
             cursor.cursor_after_write(),
             codec.sdo_request(codec.SDO_WRITE, setting.endpoint, setting.raw),
@@ -172,7 +173,7 @@ def next_request(
 def value_as_text(value_bytes: bytes, setting: OdriveSetting) -> str:
     """Return the value of a setting as text.
 
-    A value of one byte is a flag. A value of four bytes is a float32.
+    A setting with one byte is a flag. A setting with four bytes is a float32.
     """
     if len(setting.raw) == 1:
         return str(value_bytes[0])

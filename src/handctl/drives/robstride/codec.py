@@ -1,7 +1,7 @@
 """Conversion of the frames of RobStride's private protocol between bytes and values at the output shaft.
 
-Identifiers always have 29 bits. In a frame to the motor, the lowest byte of the identifier is the
-number of the motor:
+Identifiers of the private protocol always have 29 bits. In a frame to a motor, the lowest byte of
+the identifier is the number of the motor:
 
     bits    28..24   23..16                     15..8            7..0
     type 1  1        torque, 16 bits: 23..8                      motor          control command
@@ -9,7 +9,7 @@ number of the motor:
     other   type     see below                  host             motor          request
     other   type     see below                  motor            host           reply
 
-Control command of 8 bytes, big-endian. Every field covers its range with 16 bits:
+Control command of 8 bytes, big-endian. The 16 bits of every field cover the range of the field:
 
     byte    0, 1           2, 3              4, 5      6, 7
     field   position       velocity          kp        kd
@@ -22,8 +22,9 @@ Feedback of 8 bytes, big-endian:
     range   +-4 pi rad     by model          by model        0.1 degC/count
 
 Requests that read (type 0x11) or write (type 0x12) a parameter are little-endian. Bytes 0 and 1
-contain the parameter number, and bytes 4 to 7 contain the value. If a read has failed, bits 23..16
-in the identifier of the reply have the value 1. The motor answers a write with feedback.
+contain the parameter number, and bytes 4 to 7 contain the value. If the read of a parameter has
+failed, bits 23..16 in the identifier of the reply have the value 1. The motor answers the write of
+a parameter with feedback.
 
 Source: docs/facts/robstride.md.
 """
@@ -71,11 +72,11 @@ REQUEST_TYPES = (
 )
 """Types of frames that have the number of the host in bits 15..8 of the identifier."""
 BROADCAST = 0xFE
-"""Number to which a motor sends the reply with its identity."""
+"""Host number to which a motor sends the reply with its identity."""
 LAST_NODE = 0x7F
 """Largest motor number."""
 HOST_ID = 0xFD
-"""Default number of a host."""
+"""Default host number of handctl."""
 
 # Modes of a motor, in the identifier of feedback.
 RESET_MODE = 0
@@ -88,8 +89,8 @@ FAULT_TEXTS = {
     3: "encoder fault",
     4: "overload: the shaft is blocked",
     5: "not calibrated",
-    # Faults in the fault report. Their bits in the error code are above those of the faults in
-    # feedback.
+    # Faults in the fault report. In the error code, the bits of the fault report are above the bits
+    # of the faults in feedback.
     8: "over-temperature",
     9: "driver chip fault",
     10: "under-voltage",
@@ -102,9 +103,10 @@ FAULT_TEXTS = {
     22: "overload: the shaft is blocked",
     24: "over-current in phase A",
 }
-"""Text of each fault, by the bit in the error code.
+"""Text of each fault, by the bit number in the error code.
 
-Bits 0 to 5 come from the identifier of feedback. Bits from 8 on come from the fault report.
+Bits 0 to 5 of the error code come from the identifier of feedback. Bits from 8 on come from the
+fault report.
 """
 FAULT_REPORT_SHIFT = 8
 """Bit number of the error code that stands for bit 0 of the fault report."""
@@ -116,16 +118,16 @@ CAN_TIMEOUT = 0x7028
 OPERATION_RUN_MODE = 0
 """Value of the parameter RUN_MODE with which the motor follows control commands."""
 TIMEOUT_UNITS_PER_MS = 20
-"""Number of counts per millisecond in CAN_TIMEOUT, the watchdog. 20000 counts are one second."""
+"""Number of counts per millisecond in the parameter CAN_TIMEOUT, the watchdog timeout. 20000 counts are one second."""
 POSITION_RANGE_RAD = 4.0 * math.pi
 """Full scale of the position in frames [rad]."""
 MAX_COUNT = 0xFFFF
-"""Largest code of a 16-bit field."""
+"""Largest count of a 16-bit field."""
 _MIDSCALE_COUNT = MAX_COUNT // 2
 ZERO_MOTION_PAYLOAD = struct.pack(">HHHH", _MIDSCALE_COUNT, _MIDSCALE_COUNT, 0, 0)
 """Payload of a torque command.
 
-The gains in the command are 0, so position and velocity have no effect.
+The gains in a torque command are 0, so that position and velocity have no effect.
 """
 CLEAR_FAULT_DATA = bytes((1,)) + bytes(7)
 """Payload of a stop command that also clears faults."""
@@ -151,7 +153,7 @@ MOTOR_MODEL_RANGES = {
     "rs04": ModelRanges(15.0, 120.0, 5000.0, 100.0),
     "rs05": ModelRanges(50.0, 5.5, 500.0, 5.0),
 }
-"""Full scale of each motor model. A motor does not report its model."""
+"""Full scale of the values in frames, for each motor model. A motor does not report its model."""
 
 
 def request_id(frame_type: int, node_id: int, host: int, data_field: int = 0) -> int:
@@ -167,7 +169,7 @@ def reply_id(frame_type: int, node_id: int, host: int, data_field: int = 0) -> i
 def motor_ids(node_id: int, host: int) -> frozenset[int]:
     """Return the identifiers of all frames from a motor to a host.
 
-    The frames are identity, feedback with every mode and fault, replies to reads, and the fault
+    A motor sends its identity, feedback with any mode and fault, replies to reads, and the fault
     report.
     """
     feedback = {reply_id(FEEDBACK, node_id, host, data) for data in range(0x100)}
@@ -177,17 +179,17 @@ def motor_ids(node_id: int, host: int) -> frozenset[int]:
 
 
 def join_mode_and_fault(mode: int, fault: int) -> int:
-    """Return the status with a mode and faults, as in bits 23..16 of the identifier of feedback."""
+    """Return the status that joins a mode and faults, as in bits 23..16 of the identifier of feedback."""
     return mode << 6 | fault
 
 
 def command_message(
     node_id: int, ranges: ModelRanges, limit: float, direction: int = 1
 ) -> CyclicMessage:
-    """Return the signal table of the torque command. The identifier contains the torque.
+    """Return the signal table of the torque command. The identifier of a torque command contains the torque.
 
-    The format has no code for exactly 0 N m. For 0 N m, the nearest code is sent, which is half a
-    step away.
+    No count of the torque field means exactly 0 N m. For 0 N m, the host sends the nearest count,
+    which differs by half a count.
 
     Args:
         node_id: number of the motor.
@@ -223,7 +225,7 @@ def impedance_message(
 ) -> CyclicMessage:
     """Return the signal table of the position command, see ``signals.POSITION_COMMAND``.
 
-    The command contains position, velocity, kp, kd and torque.
+    The position command contains position, velocity, kp, kd and torque.
 
     Args:
         node_id: number of the motor.
@@ -301,14 +303,14 @@ def _signal_over_range(
 
 
 def parameter_request(parameter_index: int, value_bytes: bytes = EMPTY_DATA[:4]) -> bytes:
-    """Return the payload of a request that reads a parameter, or writes its four bytes."""
+    """Return the payload of a request that reads a parameter, or writes the four bytes of a parameter."""
     return _PARAMETER_STRUCT.pack(parameter_index, 0, value_bytes)
 
 
 def decode_parameter_reply(data: bytes) -> tuple[int, bytes]:
     """Decode the 8 bytes of a parameter reply.
 
-    Return the parameter number and the four bytes of the value.
+    Return the parameter number and the four bytes of the parameter value.
     """
     number, _, raw_bytes = _PARAMETER_STRUCT.unpack(data)
     return number, raw_bytes

@@ -1,8 +1,8 @@
 """Discovery of RobStride motors by an identity request to each motor number.
 
-The identity request (type 0) makes no torque and changes no setting. Mode and faults are reported
-only in feedback, and only the stop command requests feedback. A scan therefore reads no mode and no
-faults. A scan reads no parameters either. Source: docs/facts/robstride.md.
+The identity request (type 0) causes no torque and changes no setting. A scan reads no mode and no
+faults, because only feedback contains them, and only the stop command requests feedback. A scan
+reads no parameters either. Source: docs/facts/robstride.md.
 """
 
 from handctl.drives.discovery import (
@@ -15,7 +15,7 @@ from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
 from handctl.drives.robstride import codec
 
 MOTOR_NUMBERS = range(1, codec.LAST_NODE + 1)
-"""Motor numbers for a scan to try."""
+"""Motor numbers to which a scan sends requests."""
 ALL_HOSTS = range(0x100)
 """Possible numbers of a host."""
 HOST_REQUEST_TYPES = frozenset(codec.REQUEST_TYPES) - {
@@ -23,14 +23,14 @@ HOST_REQUEST_TYPES = frozenset(codec.REQUEST_TYPES) - {
     codec.READ,
     codec.REPORTING,
 } | {codec.MOTION_CONTROL}
-"""Types of frames by which another host is detected."""
+"""Types of frames by which a scan detects another host."""
 
 
 def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the requests of a round of the scan.
+    """Return the identity requests that the scan sends in a round.
 
-    Round 2 requests the identity of every motor number. Round 3 repeats the request for the
-    discovered motors.
+    In round 2, the scan sends an identity request to every motor number. In round 3, the scan
+    repeats the request to the discovered motors.
     """
     if scan_round == 2:
         return tuple(_identity_request(number) for number in MOTOR_NUMBERS)
@@ -60,7 +60,7 @@ def discovered_motors(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, 
 
 
 def _describe_motor(node_number: int, serials: set[bytes]) -> DiscoveredNode:
-    """Return a discovered motor, with the serial numbers that were received under its number."""
+    """Return the description of a discovered motor, with the serial numbers received from its motor number."""
     is_number_used_twice = len(serials) > 1
     notes = (DUPLICATE_NODE_WARNING,) * is_number_used_twice + (
         "does not report its model: give motor_type in the hand file",

@@ -1,11 +1,11 @@
 """State machine that configures, enables and stops a RobStride motor.
 
-A motor answers requests. It also sends fault reports without a request. The identifier of feedback
-contains mode and faults. All feedback of a running motor without a fault therefore has the same
-identifier. The state machine of this module processes feedback with other identifiers. A stop
-command without data stops the motor, but does not clear faults. The host also sends this stop
-command to request feedback from a disabled motor. A disabled motor answers no other request with
-feedback.
+A motor answers requests, and sends fault reports without a request. The identifier of feedback
+contains mode and faults, so that all feedback of a running motor without a fault has the same
+identifier. The state machine processes feedback with another identifier. A stop command without
+data stops the motor, but does not clear faults. The host also sends the stop command without data
+to request feedback from a disabled motor. A disabled motor sends feedback only as the answer to a
+stop command.
 """
 
 import struct
@@ -61,13 +61,13 @@ LISTEN, POLL, ENABLE, DISABLE = DriveTarget
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 """Phases of a drive as names of the module, for speed.
 
-Looking a phase up in the enumeration takes longer than comparing two phases.
+Reading a phase from the enumeration takes longer than comparing two phases.
 """
 OPTIONS = {
     "motor_type": motor_type_option(codec.MOTOR_MODEL_RANGES),
     "host_id": MotorOption("128 to 253 (default)", "Identifier of the host in the frames."),
 }
-"""Options of the protocol in the hand file."""
+"""Options of a RobStride motor in the hand file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,10 +84,11 @@ class RobstrideDrive:
         direction: 1 if positive torque of the motor winds the tendon, else -1.
         zero: angle of the motor when the spool angle is zero [rad].
         watchdog_ms: timeout of the motor's watchdog [ms].
-        command: signal table of the torque command, built from the other fields.
-        feedback: signal table of the feedback, built from the other fields.
-        required: parameters with the values required before arming, built from the fields above.
-        node_ids: identifiers of the frames from the motor, built from the fields above.
+        command: signal table of the torque command, built from the other attributes.
+        feedback: signal table of the feedback, built from the other attributes.
+        required: parameters with the values required before arming, built from the attributes
+            above.
+        node_ids: identifiers of the frames from the motor, built from the attributes above.
     """
 
     name: str
@@ -158,7 +159,7 @@ class RobstrideDrive:
 
     @property
     def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
-        """Return the frames of a tick: command and feedback."""
+        """Return the frames of the motor in a tick: command and feedback."""
         return ((8, False), (8, False))
 
     @property
@@ -168,28 +169,28 @@ class RobstrideDrive:
 
     @property
     def has_extended_ids(self) -> bool:
-        """Return True, because all identifiers have 29 bits."""
+        """Return True, because all identifiers of the private protocol have 29 bits."""
         return True
 
     @property
     def host_ids(self) -> frozenset[int]:
         """Return the identifiers of requests from this host, and of commands with zero torque.
 
-        Commands have a different identifier for each torque, 65536 in all. The identifiers of other
-        torques are left out, because the requests of another host are sufficient to detect this
-        host.
+        Torque commands have a different identifier for each torque, 65536 identifiers in all. The
+        set omits the identifiers of torques other than zero, because the requests of another host
+        are sufficient to detect the other host.
         """
         requests = {codec.request_id(kind, self.node_id, self.host) for kind in codec.REQUEST_TYPES}
         return frozenset(requests | {self.command.message.can_id, self.command.pack_frame(0.0)[0]})
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return an empty tuple, because torque limit and watchdog are read back."""
+        """Return an empty tuple, because the host reads back torque limit and watchdog."""
         return ()
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return an empty mapping, because handctl can check every property."""
+        """Return an empty mapping, because handctl can check every property of the drive."""
         return {}
 
     @property
@@ -199,7 +200,7 @@ class RobstrideDrive:
 
     @property
     def position_step(self) -> float:
-        """Return the change of the position per count [rad]. The 16 bits cover 8 pi."""
+        """Return the change of the position per count [rad]. The 16 bits of the position field cover 8 pi."""
         return 2 * codec.POSITION_RANGE_RAD / codec.MAX_COUNT
 
     @property
@@ -237,7 +238,7 @@ class RobstrideDrive:
     def steady_status(self, state: DriveState) -> int:
         """Return 0 for an enabled motor.
 
-        The payload of feedback contains no status, because the status is in the identifier.
+        The status of the motor is in the identifier of feedback, not in the payload.
         """
         if not is_steady(state):
             return NO_STEADY_STATUS
@@ -275,9 +276,9 @@ class RobstrideDrive:
         return state._replace(phase=phase, protocol_state=progress)
 
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int, status: int) -> DriveState:
-        """Return the state after feedback.
+        """Return the drive state after feedback.
 
-        The new state contains the values of the feedback, and the effect of the status in the
+        The returned state contains the values of the feedback, and the effect of the status in the
         identifier.
         """
         position, velocity, torque, winding_temperature = self.feedback.unpack(data)
@@ -292,10 +293,10 @@ class RobstrideDrive:
         return apply_status(next_state, status >> 6, status & 0x3F)
 
     def _on_fault_report(self, state: DriveState, data: bytes) -> DriveState:
-        """Return the state after a fault report.
+        """Return the drive state after a fault report.
 
-        Bytes 0 to 3 contain faults. A motor with such a fault makes no torque. Bytes 4 to 7 contain
-        warnings.
+        Bytes 0 to 3 of a fault report contain faults, and bytes 4 to 7 contain warnings. A motor
+        with a fault makes no torque.
         """
         faults = int.from_bytes(data[:4], "little")
         if not faults:
@@ -303,9 +304,9 @@ class RobstrideDrive:
         return apply_fault(state, codec.RESET_MODE, faults << codec.FAULT_REPORT_SHIFT & 0xFFFFFFFF)
 
     def _on_parameter_reply(self, state: DriveState, data: bytes, has_failed: bool) -> DriveState:
-        """Return the state after a parameter reply.
+        """Return the drive state after a parameter reply.
 
-        The value in the reply is compared with the required value.
+        The method compares the value in the reply with the required value of the parameter.
         """
         progress = get_progress(state)
         number, raw_bytes = codec.decode_parameter_reply(data)
@@ -380,9 +381,10 @@ class RobstrideDrive:
         return state._replace(protocol_state=progress), (self._standby_request(state, progress),)
 
     def _standby_request(self, state: DriveState, progress: RobstrideProgress) -> Frame:
-        """Return the frame that is sent to a motor without torque.
+        """Return the frame that the host sends to a motor without torque.
 
-        The frame requests feedback, requests the identity, or clears faults.
+        The frame to a motor without torque requests feedback, requests the identity, or clears
+        faults.
         """
         if state.phase == READY:
             return self._request_frame(codec.STOP)
@@ -393,9 +395,9 @@ class RobstrideDrive:
     def _configure(
         self, state: DriveState, progress: RobstrideProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state, and the request to read or write the next parameter.
+        """Return the next drive state, and the request to read or write the next parameter.
 
-        An enabled motor is stopped first.
+        If the motor is enabled, the host first stops the motor.
         """
         if progress.enabled_by_other_host:
             next_state = state._replace(
@@ -456,7 +458,7 @@ class RobstrideDrive:
         return (self._request_frame(codec.STOP),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state, and the stop command that clears the latched faults.
+        """Return the next drive state, and the stop command that clears the latched faults.
 
         After the stop command, the host reads back the parameters again.
         """
@@ -473,7 +475,7 @@ class RobstrideDrive:
         return ()
 
     def identity(self, state: DriveState) -> str:
-        """Return the 64-bit identifier of the motor's processor, or the node number if it is unknown."""
+        """Return the 64-bit identifier of the motor's processor, or the node number if the identifier is unknown."""
         return (
             f"{serial:016x}" if (serial := get_progress(state).serial) else f"node {self.node_id}"
         )

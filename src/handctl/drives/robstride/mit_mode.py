@@ -1,9 +1,9 @@
 """RobStride motor in MIT mode.
 
-In this mode, the motor has 11-bit identifiers, the command frame of MIT motors, and no registers.
+In MIT mode, the motor has 11-bit identifiers, the command frame of MIT motors, and no registers.
 Commands and special commands have the motor's number as identifier, and the layout of
-``mit.codec``. A special command has a second code in byte 6. This code is FF in all commands that
-handctl uses, except in the read of faults:
+``mit.codec``. Byte 6 of a special command contains a second code. The second code is FF in all
+special commands that handctl uses, except in the request to read the faults:
 
     bytes 0..5          byte 6   byte 7   effect
     FF FF FF FF FF FF   FF       FC       enable
@@ -11,8 +11,8 @@ handctl uses, except in the read of faults:
     FF FF FF FF FF FF   FF       FB       clear the faults
     FF FF FF FF FF FF   00       FB       read the faults
 
-Feedback has 8 bytes, big-endian. Its identifier is the host's number. The answer to the read of
-faults has the same identifier, and the layout of the last row:
+Feedback has 8 bytes, big-endian. The identifier of feedback is the host's number. The answer to the
+request to read the faults has the same identifier, and the layout in the last row of the table:
 
     byte    0         1, 2            3, 4 high     4 low, 5      6, 7
     field   motor 8   position 16     velocity 12   torque 12     winding 16
@@ -21,8 +21,8 @@ faults has the same identifier, and the layout of the last row:
 
 As with CubeMars motors, the feedback does not show if the motor is enabled. Watchdog and torque
 limit can be set and read only in the private protocol. MIT motors of other makers would obey a
-request that reads faults as a motion command. The host therefore sends this request only to
-disabled motors. A scan never sends it.
+request that reads faults as a motion command. The host sends a request that reads faults only to
+disabled motors, and a scan never sends it.
 
 Source: docs/facts/robstride.md, section MIT mode.
 """
@@ -70,17 +70,17 @@ MOTOR_MODEL_RANGES = {
     )
     for name in ("rs00", "rs01", "rs05")
 }
-"""Full scale of the motor models whose ranges in MIT mode are the same in all sources."""
+"""Full scale of each motor model whose ranges in MIT mode are the same in all sources."""
 HOST_ID_OFFSET = 0x10
-"""Default of the host's number minus the motor's number, on a bus with several motors."""
+"""Difference between the default host number and the motor number, on a bus with several motors."""
 FACTORY_HOST_ID = 0
-"""Factory setting of the host's number."""
+"""Factory setting of the host number in a motor."""
 READ_FAULTS = b"\xff" * 6 + b"\x00\xfb"
 """Payload of the special command to read the faults."""
 FAULT_READ_INTERVAL_FRAMES = 8
 """Number of answers from a disabled motor between two reads of its faults."""
 CONTROL_MODES = range(3)
-"""Values of bits 10..8 in the identifier of commands in MIT, position, and velocity mode."""
+"""Values of bits 10..8 in the identifier of a command, for MIT, position, and velocity mode."""
 UNVERIFIED_PROTECTIONS = (
     "watchdog: canTimeout cannot be read in MIT mode; set and save it in the private protocol, its default is off",
     "torque limit: limit_torque cannot be read in MIT mode; torque_max_N_m is this host's alone",
@@ -102,7 +102,7 @@ OPTIONS = {
         "CAN identifier of the replies, another one for each motor on a bus. A new motor has 0.",
     ),
 }
-"""Options of the protocol in the hand file."""
+"""Options of a RobStride motor in MIT mode in the hand file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,7 @@ class RobstrideMitDrive(CubemarsDrive):
             0.1,
             unit="degC",
         )
-        # Byte 0 of this feedback is the whole number of the motor, without a state nibble.
+        # Byte 0 of feedback is the whole number of the motor, without a state nibble.
         signals = (state._replace(name="node"), position, velocity, torque, temperature_signal)
         object.__setattr__(self, "command", SignalTable(command._replace(limit=self.command_limit)))
         object.__setattr__(self, "feedback", SignalTable(feedback._replace(signals=signals)))
@@ -140,8 +140,8 @@ class RobstrideMitDrive(CubemarsDrive):
         """Return the drive object for a motor description in the hand file.
 
         Raises:
-            ConfigError: the model or an option is unknown, a number is wrong, or the torque limit
-                is too large.
+            ConfigError: the motor model or an option is unknown, the number of the motor or host is
+                wrong, or the torque limit is too large.
         """
         options = dict(motor.options)
         location = f"motor[{motor.name}]"
@@ -186,13 +186,13 @@ class RobstrideMitDrive(CubemarsDrive):
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return the reason for each property that handctl cannot check."""
+        """Return the reason for each property of the drive that handctl cannot check."""
         return UNCHECKED_PROPERTIES
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status in feedback of an enabled motor.
+        """Return the status that the feedback of an enabled motor contains.
 
-        The status consists only of the motor's number.
+        The status in feedback consists only of the motor's number.
         """
         status = CubemarsDrive.steady_status(self, state)
         return status if status < 0 else self.node_id
@@ -205,8 +205,8 @@ class RobstrideMitDrive(CubemarsDrive):
         if len(data) != 8 or data[0] != self.node_id:
             return state._replace(misread_frame_count=state.misread_frame_count + 1)
         next_state = state._replace(feedback_t_ns=t_ns, feedback_count=state.feedback_count + 1)
-        # Bytes 4 to 7 are 0 only in the answer to a read of faults. In feedback, they would mean a
-        # torque near the negative full scale.
+        # Bytes 4 to 7 are 0 only in the answer to a request to read the faults. In feedback, zeros
+        # in bytes 4 and 5 would mean a torque near the negative full scale.
         if not any(data[4:]) and state.phase != DrivePhase.ENABLED:
             return self._on_faults(next_state, int.from_bytes(data[1:4], "little"))
         _, position, velocity, torque, winding_temperature = self.feedback.unpack(data)
@@ -216,9 +216,9 @@ class RobstrideMitDrive(CubemarsDrive):
         return self._on_answer(next_state, state.protocol_state)
 
     def _on_faults(self, state: DriveState, fault_bits: int) -> DriveState:
-        """Return the state after an answer to the request that reads the faults.
+        """Return the drive state after an answer to the request that reads the faults.
 
-        The answer contains one bit for each fault.
+        The argument ``fault_bits`` contains one bit for each fault.
         """
         if not fault_bits:
             return state
@@ -247,9 +247,9 @@ class RobstrideMitDrive(CubemarsDrive):
         return next_state, frames
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state and the frames that clear the faults.
+        """Return the drive state and the frames that clear the faults.
 
-        The motor then starts again with stop commands.
+        After the faults are cleared, the host starts again with stop commands to the motor.
         """
         cleared_state, stop = CubemarsDrive.clear(self, state)
         return cleared_state, (self._frame_to_motor(mit.special_command(mit.CLEAR_ERROR)), *stop)

@@ -1,4 +1,4 @@
-"""State of the RobStride state machine, and the effect of mode and faults in feedback."""
+"""State of the RobStride state machine, and the effect of mode and faults in feedback on this state."""
 
 from typing import NamedTuple
 
@@ -14,8 +14,8 @@ from handctl.drives.state_machine import (
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
-# Error codes added by handctl. These codes use the two bits between the faults in feedback and
-# those in the fault report.
+# Error codes added by handctl. The added error codes use the two bits between the bits of the
+# faults in feedback and the bits of the fault report.
 DROPPED_OUT_ERROR = 1 << 6
 SETTING_MISMATCH_ERROR = 1 << 7
 ENABLED_BY_OTHER_HOST_ERROR = 3 << 6
@@ -32,9 +32,9 @@ CAUSE_BY_FAULT_BIT = {
     2: DriveFaultCause.OVERHEATED,
     8: DriveFaultCause.OVERHEATED,
 }
-"""Cause of fault bits of the motor. All other bits have the cause OTHER."""
+"""Cause of fault bits of the motor. Fault bits that are not in this table have the cause OTHER."""
 IGNORED_FAULT_COUNT = 3
-"""Number of feedback frames that may still show a fault after the clear command."""
+"""Largest number of feedback frames with a fault that the host ignores after the clear command."""
 WATCHDOG_TEXT = "disabled by itself: it restarted, or its watchdog fired"
 """Error text for a motor that has left the running mode without reporting a reason."""
 
@@ -45,14 +45,15 @@ class RobstrideProgress(NamedTuple):
     Attributes:
         cursor: position in the list of parameters to read back.
         is_configured: True if all parameters have their required values.
-        enabled_by_other_host: True if the motor may make torque without a command of this host.
+        enabled_by_other_host: True if the motor possibly makes torque without a command of this
+            host.
         is_enable_sent: True from the enable command until the motor reports reset mode.
         is_disabling: True while the motor is being stopped.
         disable_command_ns: time of the first stop command [ns].
-        errors_to_ignore: number of feedback frames with a fault still to be ignored, while the fault is
-            being cleared.
-        ready_ns: time at which the last parameter was verified [ns].
-        serial: identifier of the motor's processor, 0 if unknown.
+        errors_to_ignore: number of further feedback frames with a fault that the host ignores,
+            because the fault is being cleared.
+        ready_ns: time at which the host verified the last parameter [ns].
+        serial: identifier of the motor's processor, 0 if the identifier is unknown.
     """
 
     cursor: ReadbackCursor = ReadbackCursor()
@@ -67,7 +68,7 @@ class RobstrideProgress(NamedTuple):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Return True if this host has sent an enable command, or if the motor may make torque without it."""
+        """Return True if the motor is possibly enabled, with or without an enable command of this host."""
         return self.is_enable_sent or self.enabled_by_other_host
 
 
@@ -78,7 +79,7 @@ def get_progress(state: DriveState) -> RobstrideProgress:
 
 
 def apply_status(state: DriveState, mode: int, fault: int) -> DriveState:
-    """Return the state after feedback with a mode and faults.
+    """Return the drive state after feedback with a mode and faults.
 
     The argument ``state`` already contains the values of the same feedback.
     """
@@ -94,9 +95,10 @@ def apply_status(state: DriveState, mode: int, fault: int) -> DriveState:
 
 
 def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
-    """Return the state after a fault.
+    """Return the drive state after the motor has reported a fault.
 
-    A motor in reset mode makes no torque. In any other mode, the motor may still make torque.
+    A motor in reset mode makes no torque. In any mode other than reset mode, the motor possibly
+    still makes torque.
     """
     progress = get_progress(state)
     if progress.errors_to_ignore:

@@ -1,4 +1,4 @@
 """Sensor node of a hand on CAN.
 
-The node has load cells and joint encoders.
+A sensor node has load cells and joint encoders.
 """

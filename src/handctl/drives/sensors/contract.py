@@ -1,6 +1,7 @@
 """Interface of the sensors of a hand.
 
-Each protocol of load cells implements this interface. The controller, the log and the tools use it.
+Each protocol of load cells implements the interface. The controller, the log and the tools use the
+interface.
 """
 
 from typing import Protocol
@@ -17,9 +18,9 @@ class SensorInterface(Protocol):
         bus: index of the bus of the sensors.
         sync_id: identifier of the SYNC frame, at which the sensors measure.
         ids: identifier of each cyclic frame from the sensors. Frames with tensions come first.
-        channels: indices of the tendons or joints in each of these frames, as numbered in the hand.
-        lengths: payload length of each of these frames [bytes].
-        tension_frames: number of frames with tensions.
+        channels: indices of the tendons or joints in each cyclic frame, as numbered in the hand.
+        lengths: payload length of each cyclic frame [bytes].
+        tension_frames: number of cyclic frames with tensions.
         amplifiers: measuring amplifiers that the host sets up, in the order of ``amplifier_frame_ranges``.
             The tuple is empty if no amplifier needs a set-up.
     """
@@ -64,7 +65,7 @@ class SensorInterface(Protocol):
 
     @property
     def amplifier_frame_ranges(self) -> tuple[range, ...]:
-        """Return for each amplifier the indices of its frames in ``ids``."""
+        """Return the range of the frames in ``ids`` for each measuring amplifier."""
         ...
 
     @property
@@ -84,17 +85,17 @@ class SensorInterface(Protocol):
 
     @property
     def cell_range(self) -> tuple[float, float]:
-        """Return the readings at both ends of a load cell's range, without a tare [N].
+        """Return the lowest and the highest reading of a load cell, without a tare [N].
 
-        At these readings, the load cell is saturated.
+        A load cell with the lowest or the highest reading is saturated.
         """
         ...
 
     @property
     def tension_rail(self) -> float:
-        """Return the tared tension above which a load cell may be saturated [N].
+        """Return the tared tension above which a load cell is possibly saturated [N].
 
-        The threshold is valid for any accepted tare.
+        The threshold is valid for any accepted tare of the load cell.
         """
         ...
 
@@ -107,13 +108,13 @@ class SensorInterface(Protocol):
     def frames_per_tick(self) -> tuple[tuple[int, float], ...]:
         """Return the frames that a tick exchanges with the sensors.
 
-        Each frame is given as (payload bytes, frames per tick). SYNC comes first.
+        Each frame is given as (payload bytes, frames per tick). SYNC is the first frame.
         """
         ...
 
     @property
     def background_frames(self) -> tuple[tuple[int, float], ...]:
-        """Return the frames whose rate is not the control rate, as (payload bytes, frames per second)."""
+        """Return the sensor frames whose rate is not the control rate, as (payload bytes, frames per second)."""
         ...
 
     @property
@@ -128,7 +129,7 @@ class SensorInterface(Protocol):
 
     @property
     def has_counter(self) -> bool:
-        """Return True if the answer to a SYNC contains the counter of this SYNC."""
+        """Return True if the answer to a SYNC contains the counter of the SYNC."""
         ...
 
     def counter(self, k: int) -> int:
@@ -140,7 +141,7 @@ class SensorInterface(Protocol):
         ...
 
     def earliest_answer_time_ns(self, sync_ns: int) -> int:
-        """Return the earliest arrival of an answer to a SYNC that was sent after ``sync_ns`` [ns]."""
+        """Return the earliest arrival time of an answer to a SYNC that was sent after ``sync_ns`` [ns]."""
         ...
 
     def answers(self, data: bytes, counter: int) -> bool:

@@ -1,10 +1,10 @@
 """Discovery of the sensor node by its answers to SYNC.
 
-An answer contains the low four bits of the counter in the SYNC.
+An answer of the sensor node contains the low four bits of the counter in the SYNC.
 
-SYNC does not move a motor that handctl has set up. But other CANopen drives may obey stored PDOs at
-SYNC. A scan therefore sends no SYNC on a bus with a CANopen drive, or with an ODrive with node
-number 4. For these drives, the result of ``command_ids`` contains the identifier of SYNC. Source:
+SYNC does not move a motor that handctl has set up. Other CANopen drives possibly obey stored PDOs
+at SYNC. A scan sends no SYNC on a bus with a CANopen drive, or with an ODrive with node number 4,
+because the identifiers from ``command_ids`` of these drives include the identifier of SYNC. Source:
 ``sensor_node``.
 """
 
@@ -16,9 +16,10 @@ SYNC_ID = 0x080
 PROBE_SYNC_COUNTERS = (0x35, 0x3A)
 """Counters of the two SYNC frames that a scan sends.
 
-The counters differ, so that a frame that another device repeats does not count as two answers.
+The counters of the two SYNC frames differ, so that a frame that another device repeats does not
+count as two answers.
 """
-# Number of bits of the counter in an answer, and of each channel.
+# Number of bits of the counter in an answer, and number of bits of each channel.
 HEADER_BITS = 4
 CHANNEL_BITS = 12
 MAX_FRAME_BYTES = 8
@@ -26,9 +27,9 @@ MAX_FRAME_BYTES = 8
 
 
 def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the requests of a round of the scan.
+    """Return the SYNC frames that the scan sends in a round.
 
-    Round 3 has two SYNC frames. The other rounds have no requests.
+    In round 3, the scan sends two SYNC frames. In rounds 0 to 2, the scan sends no SYNC frame.
     """
     return (
         tuple(sync_with_counter(counter) for counter in PROBE_SYNC_COUNTERS)
@@ -40,8 +41,8 @@ def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Fram
 def discovered_sensor_nodes(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the discovered sensor nodes.
 
-    An identifier belongs to a sensor node if a frame with this identifier answered each of the two
-    SYNC frames. Consecutive identifiers belong to one node.
+    An identifier belongs to a sensor node if each of the two SYNC frames was answered by a frame
+    with the identifier. Consecutive identifiers belong to one sensor node.
     """
     ids = sorted(
         {
@@ -65,7 +66,7 @@ def _answers_both_sync_frames(received_frames: ReceivedFrames, can_id: int) -> b
 
 
 def _describe_node(can_id: int, received_frames: ReceivedFrames) -> DiscoveredNode:
-    """Return the discovered sensor node whose first identifier is ``can_id``."""
+    """Return the description of the sensor node whose first identifier is ``can_id``."""
     size = next(len(frame.data) for frame in received_frames if frame.can_id == can_id)
     channels = (8 * size - HEADER_BITS) // CHANNEL_BITS
     note = (
@@ -76,12 +77,12 @@ def _describe_node(can_id: int, received_frames: ReceivedFrames) -> DiscoveredNo
 
 
 def command_ids(node: DiscoveredNode) -> frozenset[int]:
-    """Return an empty set, because SYNC only makes the node take a sample and moves no motor."""
+    """Return an empty set, because SYNC moves no motor. SYNC only makes the sensor node take a sample."""
     return frozenset()
 
 
 def other_host_frames(received_frames: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return no frames.
+    """Return an empty tuple of frames.
 
     The discovery of CANopen drives already reports the SYNC of another host.
     """
@@ -94,7 +95,7 @@ def sync_with_counter(counter: int) -> Frame:
 
 
 def ping_request(node: DiscoveredNode) -> Frame:
-    """Return a SYNC frame as the request to a sensor node."""
+    """Return a SYNC frame, which a sensor node answers."""
     return sync_with_counter(PROBE_SYNC_COUNTERS[0])
 
 

@@ -1,8 +1,7 @@
 """Sensor node with load cells and joint encoders. handctl defines the frames of the node (``sensor_node.dbc``).
 
-The host sends SYNC frames. A SYNC frame has one byte, which is the counter. The node answers with
-frames of 2 to 8 bytes. The fields of these frames are little-endian, and packed from the lowest
-bit:
+The host sends a SYNC frame with one byte, which is the counter. The sensor node answers SYNC with
+frames of 2 to 8 bytes. The fields of an answer are little-endian, and packed from the lowest bit:
 
     bits    0..3       4..15       16..27      28..39      40..51      52..63
     field   counter    channel 0   channel 1   channel 2   channel 3   channel 4
@@ -12,12 +11,13 @@ bit:
     angle       1/4096 turn        -180 to 179.9 deg     base_id + 0x10, 0x11, ..
     position    50 um              -102.4 to 102.35 mm   base_id + 0x10, 0x11, ..
 
-The channel of a joint contains an angle. For a prismatic joint, it contains a position.
+The channel of a hinge joint contains an angle, and the channel of a prismatic joint contains a
+position.
 
-The node measures all channels at SYNC. Every frame of the answer contains the low four bits of the
-counter. The host can therefore distinguish an old frame from a fresh frame. The counters of
-successive SYNC frames do not count up, see ``sync_counters``. The node sends angle frames after
-each SYNC whose counter is a multiple of ``joint_decimation``.
+The sensor node measures all channels at SYNC. Every frame of an answer contains the low four bits
+of the counter in SYNC, so that the host can distinguish an old frame from a fresh frame. The
+counters of successive SYNC frames do not count up, see ``sync_counters``. The sensor node sends
+angle frames after each SYNC whose counter is a multiple of ``joint_decimation``.
 """
 
 import functools
@@ -31,11 +31,11 @@ from handctl.drives.frame import Frame
 from handctl.drives.signals import CyclicMessage, Signal, SignalQuantity
 
 CHANNELS_PER_FRAME = 5
-"""Number of channels in a frame."""
+"""Number of channels in a frame of the sensor node."""
 CHANNEL_BITS = 12
-"""Number of bits of a channel."""
+"""Number of bits of a channel in a frame."""
 COUNTER_BITS = 4
-"""Number of bits of the counter in an answer."""
+"""Number of bits of the SYNC counter in an answer."""
 CHANNEL_START_BITS = tuple(
     range(COUNTER_BITS, COUNTER_BITS + CHANNELS_PER_FRAME * CHANNEL_BITS, CHANNEL_BITS)
 )
@@ -47,26 +47,27 @@ TENSION_STEP_N = 0.0625
 TENSION_ZERO_N = -6.0
 """Tension at count 0 [N].
 
-The value is negative, so that the reading of a slack tendon with its noise and bias is in the
-range.
+The tension at count 0 is negative, so that the reading of a slack tendon with its noise and bias is
+in the range of the channel.
 """
 TENSION_MAX_N = TENSION_ZERO_N + MAX_CHANNEL_COUNT * TENSION_STEP_N
 """Tension at the largest count [N].
 
-At count 0 and at the largest count the load cell is saturated.
+A load cell whose channel has count 0 or the largest count is saturated.
 """
 BROKEN_CELL_MARGIN_N = 2.0
-"""Distance of the threshold for a broken load cell from the lower end of the range [N]."""
+"""Difference between the threshold for a broken load cell and the lower end of the measuring range [N]."""
 # Smallest and largest reading of a load cell without tension that is accepted as a tare [N].
 #
-# With a smaller reading, noise would reach the end of the range, and a broken wire would look like
-# a slack tendon. With a larger reading, the range above the tare would end before ``tension_rail``.
+# With a tare below TARE_MIN_N, noise would reach the lower end of the measuring range, and a broken
+# wire would look like a slack tendon. With a tare above TARE_MAX_N, the measuring range above the
+# tare would end before ``tension_rail``.
 TARE_MIN_N = TENSION_ZERO_N + BROKEN_CELL_MARGIN_N
 TARE_MAX_N = 6.0
 TENSION_RAIL_N = TENSION_MAX_N - TARE_MAX_N
-"""Tared tension above which a load cell may be saturated, for any accepted tare [N]."""
-# Number of ticks after which the SYNC counters repeat, and number of consecutive ticks with
-# distinct answers.
+"""Tared tension above which a load cell is possibly saturated, for any accepted tare [N]."""
+# Number of ticks after which the SYNC counters repeat, and number of consecutive ticks whose
+# answers have distinct counters.
 COUNTER_PERIOD = 4096
 DISTINCT_COUNTER_TICKS = 8
 JOINT_STEP_RAD = 2 * math.pi / 4096
@@ -74,14 +75,14 @@ JOINT_STEP_RAD = 2 * math.pi / 4096
 JOINT_STEP_M = 5e-5
 """Change of the position of a prismatic joint per count [m]."""
 JOINT_ZERO_COUNT = 2048
-"""Count at joint angle 0, and at position 0."""
+"""Count of a joint channel at joint angle 0, and at position 0."""
 NO_EARLIEST_ARRIVAL_NS = -(1 << 62)
-"""Earliest arrival of an answer [ns], for answers with a counter.
+"""Earliest arrival time of an answer [ns], for answers with a counter.
 
-The counter alone decides if they are fresh.
+The counter in an answer alone decides if the answer is fresh.
 """
 JOINT_FRAMES = 0x10
-"""Difference between the identifiers of the first angle frame and the first tension frame."""
+"""Identifier of the first angle frame minus the identifier of the first tension frame."""
 
 
 class SensorDescription(Protocol):
@@ -99,12 +100,12 @@ class SensorDescription(Protocol):
 
     @property
     def tendons(self) -> tuple[str, ...]:
-        """Return the names of the tendons with a load cell."""
+        """Return the names of the tendons that have a load cell."""
         ...
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Return the names of the joints with an encoder."""
+        """Return the names of the joints that have an encoder."""
         ...
 
     @property
@@ -115,21 +116,22 @@ class SensorDescription(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SensorNode:
-    """Sensor node as the host sees it. Objects are immutable.
+    """Sensor node of a hand, with the interface ``contract.SensorInterface``. Objects are immutable.
 
     Attributes:
         bus: index of the bus of the node.
         sync_id: identifier of the SYNC frame.
         ids: identifier of each frame of the node. Frames with tensions come first.
-        channels: indices of the tendons or joints in each of these frames, as numbered in the hand.
-        lengths: payload length of each of these frames [bytes].
+        channels: indices of the tendons or joints in each frame of the node, as numbered in the
+            hand.
+        lengths: payload length of each frame of the node [bytes].
         tension_frames: number of frames with tensions.
         tendon_frame_indices: index of the frame with the load cell of each tendon of the hand, -1 for a tendon
             without a load cell.
         decimation: number of SYNC frames for each answer with joint angles.
         prismatic: indices of the prismatic joints of the hand.
-        counters: counter byte of the SYNC in successive ticks. After the last, the first follows
-            again.
+        counters: counter bytes of the SYNC frames in successive ticks. The host repeats the
+            sequence of counter bytes after its end.
     """
 
     bus: int
@@ -209,15 +211,15 @@ class SensorNode:
 
     @property
     def cell_range(self) -> tuple[float, float]:
-        """Return the tensions of the lowest and the highest count [N].
+        """Return the tensions at the lowest and at the highest count of a channel [N].
 
-        At these counts, the load cell is saturated.
+        A load cell at the lowest or the highest count is saturated.
         """
         return TENSION_ZERO_N, TENSION_MAX_N
 
     @property
     def background_frames(self) -> tuple[tuple[int, float], ...]:
-        """Return an empty tuple, because the node sends only answers."""
+        """Return an empty tuple, because the node sends only answers to SYNC."""
         return ()
 
     @property
@@ -229,22 +231,22 @@ class SensorNode:
 
     @property
     def has_counter(self) -> bool:
-        """Return True, because every frame contains the counter of its SYNC."""
+        """Return True, because every answer contains the counter of the SYNC that it answers."""
         return True
 
     def earliest_answer_time_ns(self, sync_ns: int) -> int:
-        """Return ``NO_EARLIEST_ARRIVAL_NS``, because the counter of an answer identifies its SYNC."""
+        """Return ``NO_EARLIEST_ARRIVAL_NS``, because the counter in an answer shows which SYNC it answers."""
         return NO_EARLIEST_ARRIVAL_NS
 
     def answers(self, data: bytes, counter: int) -> bool:
-        """Return True if the low four bits of the first byte repeat the counter of the SYNC."""
+        """Return True if the low four bits of the payload's first byte equal those of the SYNC counter."""
         return bool(data) and data[0] & 0xF == counter & 0xF
 
     @property
     def tension_rail(self) -> float:
-        """Return the tared tension above which a load cell may be saturated [N].
+        """Return the tared tension above which a load cell is possibly saturated [N].
 
-        The threshold is valid for any accepted tare.
+        The threshold is valid for any accepted tare of the load cell.
         """
         return TENSION_RAIL_N
 
@@ -252,8 +254,8 @@ class SensorNode:
     def tension_low(self) -> float:
         """Return the tared tension below which a load cell or its wire counts as broken [N].
 
-        The threshold is near the lower end of the range of the load cell. Noise cannot reach the
-        threshold, because it is far enough below zero.
+        The threshold is near the lower end of the load cell's range, so far below zero that noise
+        cannot reach the threshold.
         """
         return TENSION_ZERO_N + BROKEN_CELL_MARGIN_N
 
@@ -261,9 +263,8 @@ class SensorNode:
     def frames_per_tick(self) -> tuple[tuple[int, float], ...]:
         """Return the frames that a tick exchanges with the node.
 
-        Each frame is given as (payload bytes, frames per tick). SYNC comes first. The node sends an
-        angle frame only in some ticks. The number of frames per tick is then the fraction of these
-        ticks.
+        Each frame is given as (payload bytes, frames per tick). SYNC is the first frame. The node
+        sends an angle frame only in some ticks, so that its number of frames per tick is below 1.
         """
         rates = [1.0] * self.tension_frames + [1.0 / self.decimation] * (
             len(self.ids) - self.tension_frames
@@ -274,7 +275,7 @@ class SensorNode:
     def messages(self) -> tuple[CyclicMessage, ...]:
         """Return the signal tables of the node's frames, in the order of ``ids``.
 
-        ``Signal.channel`` is the index of the tendon or joint.
+        ``Signal.channel`` is the index of the tendon or joint whose value the signal contains.
         """
         messages = []
         for g, (can_id, channels, length) in enumerate(
@@ -295,7 +296,7 @@ class SensorNode:
     def counter(self, k: int) -> int:
         """Return the counter byte of the SYNC in tick k.
 
-        Answers contain the low four bits of this byte.
+        Answers of the node contain the low four bits of the counter byte.
         """
         return self.counters[k % len(self.counters)]
 
@@ -306,7 +307,7 @@ class SensorNode:
     def lost_frame_count(self, sync_count: int, accepted_count: int, stale_count: int) -> int:
         """Return the number of tension frames that the host has not received.
 
-        Answers to the last SYNC are not counted, because they may still arrive.
+        Missing answers to the last SYNC are not counted, because these answers can still arrive.
 
         Args:
             sync_count: number of sent SYNC frames.
@@ -343,13 +344,15 @@ def _joint_signal(slot: int, index: int, is_prismatic: bool) -> Signal:
 def sync_counters(decimation: int) -> bytes:
     """Return the counter bytes of the SYNC frames for about ``COUNTER_PERIOD`` ticks.
 
-    If a counter of four bits counted up, it would have the same value again after 16 or 32 ticks. A
-    frame of this age would then seem fresh. The counters of handctl are pseudo-random instead. If
-    the distance of two ticks is less than ``DISTINCT_COUNTER_TICKS``, the low four bits of their
-    counters differ. At a larger distance, these bits are equal only by chance. The node sends angle
-    frames by the remainder of the counter modulo ``decimation``. This remainder therefore equals
-    the tick modulo ``decimation``. If ``decimation`` is a multiple of 8, the remainder leaves only
-    two values for the low four bits. These bits may then be equal at a small distance, too.
+    If a counter of four bits counted up, the counter would have the same value again after 16 or 32
+    ticks. A frame with an age of 16 ticks would then seem fresh. The counters of handctl are
+    pseudo-random, so that an old frame does not seem fresh. If the distance of two ticks is less
+    than ``DISTINCT_COUNTER_TICKS``, the low four bits of their counters differ. The low four bits
+    of the counters of two ticks at a larger distance are equal only by chance. The node decides by
+    the remainder of the counter modulo ``decimation`` if it sends angle frames, so the remainder
+    equals the tick modulo ``decimation``. If ``decimation`` is a multiple of 8, the remainder
+    leaves only two possible values for the low four bits. The low four bits of two ticks at a small
+    distance can then be equal, too.
     """
     rows = [range(remainder, 256, decimation) for remainder in range(decimation)]
     byte_by_nibble = [{byte & 0xF: byte for byte in row} for row in rows]
@@ -359,9 +362,9 @@ def sync_counters(decimation: int) -> bytes:
     for k in range(COUNTER_PERIOD - COUNTER_PERIOD % decimation):
         random_state = (
             random_state * 6364136223846793005 + 1442695040888963407 & 0xFFFF_FFFF_FFFF_FFFF
-        )  # Knuth's MMIX
+        )  # constants of Knuth's MMIX generator
         fit = sorted(byte_by_nibble[k % decimation])
-        # The counter of the latest tick is excluded first.
+        # The counter of the latest tick is the first excluded counter.
         for old_counter in reversed(recent_counters):
             if len(fit) > 2 and old_counter in fit:
                 fit.remove(old_counter)
@@ -373,7 +376,7 @@ def sync_counters(decimation: int) -> bytes:
 
 
 def _channel_groups(channels: list[int]) -> list[tuple[int, ...]]:
-    """Return the channels in groups. Each group contains the channels of one frame."""
+    """Return the channels in groups, one group for each frame."""
     return [
         tuple(channels[first_channel : first_channel + CHANNELS_PER_FRAME])
         for first_channel in range(0, len(channels), CHANNELS_PER_FRAME)

@@ -1,6 +1,7 @@
-"""Checks that involve several sections of a hand file.
+"""Checks of a hand file that involve several of its sections.
 
-The checks are about references, lengths of lists, tendon routing, limits and CAN identifiers.
+The checks of several sections are about references, lengths of lists, tendon routing, limits and
+CAN identifiers.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ LARGEST_MOMENT_ARM_M = 0.05
 MOMENT_ARM_SAMPLE_COUNT = 181
 """Number of joint angles at which a moment arm that depends on the joint angle is checked."""
 MAX_TABLE_RESIDUAL_FRACTION = 0.1
-"""Largest difference between a table of moment arms and its polynomial, as a fraction of the largest arm."""
+"""Largest difference between a table of moment arms and its polynomial, as a fraction of the largest moment arm."""
 ROUTING_POSTURE_COUNT = 11
 """Number of postures at which tendon routing is checked, in a digit whose moment arms depend on joint angles."""
 ROUNDING_DEG = 1e-6
@@ -69,7 +70,7 @@ OPTIONAL_KEYS_PER_LINK = (
 RELATIVE_ROUNDING_TOLERANCE = 1e-3
 """Tolerance for rounding errors.
 
-It applies to the length of a unit vector and to the triangle inequality of inertias.
+The tolerance applies to the length of a unit vector and to the triangle inequality of inertias.
 """
 BREAKING_FORCE_KEY = "rated_breaking_force_N"
 """Key of a tendon's breaking force."""
@@ -91,7 +92,8 @@ MIT_REGISTER_ID = 0x7FF
 CANOPEN_FRAME_IDS = (0x080, 0x180, 0x200, 0x580, 0x600, 0x700)
 """Identifiers of the CANopen frames emergency, TPDO1, RPDO1, SDO in both directions and heartbeat.
 
-The identifier of a device's frame is this number plus its node number.
+The identifier of a device's frame is a number of ``CANOPEN_FRAME_IDS`` plus the node number of the
+device.
 
 Source: CiA 301.
 """
@@ -107,7 +109,7 @@ IDS_SHARED_BY_MOTORS = (
 )
 """Identifiers that all motors of a protocol on the same bus share.
 
-Each entry has the protocol, the identifier, and the name of the frame.
+Each entry contains a protocol, an identifier, and the name of the frame with the identifier.
 """
 MIN_SINGULAR_VALUE_RATIO = 1e-6
 """Ratio of the smallest to the largest singular value above which a matrix counts as having full rank."""
@@ -119,8 +121,8 @@ MistakeIterator = Iterator[FileMistake]
 def check_hand(hand: Hand) -> MistakeIterator:
     """Yield the mistakes that concern several sections of a hand.
 
-    Some checks need valid references and shapes. These checks are left out if a mistake was found
-    in references or shapes.
+    If a reference or a list length is wrong, the function leaves out the checks that need valid
+    references and list lengths.
 
     Args:
         hand: hand whose single sections are already valid.
@@ -156,7 +158,7 @@ def check_names(hand: Hand) -> MistakeIterator:
 def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> MistakeIterator:
     """Yield the mistakes within single digits and single tendons.
 
-    These checks need no other sections of the file.
+    The checks of a single digit or tendon need no other section of the hand file.
     """
     for digit in digits:
         yield from _check_digit(digit)
@@ -168,7 +170,7 @@ def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> Mistak
 def _check_unique(names: Iterable[str], key_path: str) -> MistakeIterator:
     """Yield a mistake for each name that occurs more than once.
 
-    This name replaces the {} in the key path ``key_path``.
+    The repeated name replaces the {} in the text ``key_path``.
     """
     seen_names: set[str] = set()
     for name in names:
@@ -286,7 +288,8 @@ def _check_body(digit: Digit, i: int, key_path: str) -> MistakeIterator:
     """Check that centre of mass and inertia of link i are possible for the size of the link."""
     com = digit.link_com_m[i]
     length = digit.link_length_m[i]
-    # No part of a link can be farther from the centre of mass than the larger of length and width.
+    # No point of a link can be farther from the centre of mass than the larger of the link's length
+    # and width.
     size = max(length, 2 * digit.link_radius_m)
     if isinstance(com, float):
         if com > length:
@@ -383,8 +386,8 @@ def _check_motors(hand: Hand) -> MistakeIterator:
         tendon_by_motor[tendon.motor] = tendon.name
     yield from motor_mistakes
     for motor in hand.motor:
-        # If a tendon names a wrong motor, the right motor has no tendon as a consequence. In this
-        # case, only the wrong name is reported.
+        # If a tendon names a wrong motor, the right motor has no tendon. The check reports only the
+        # wrong motor name, and not the motor without a tendon.
         if motor.name not in tendon_by_motor and not motor_mistakes:
             yield FileMistake(
                 "drives no tendon", f"motor[{motor.name}].name", "to be the motor of one tendon"
@@ -392,7 +395,7 @@ def _check_motors(hand: Hand) -> MistakeIterator:
 
 
 def _check_name(key_path: str, name: str, valid_names: tuple[str, ...]) -> MistakeIterator:
-    """Yield a mistake if a name is not one of the valid names of the file."""
+    """Yield a mistake if a name is not one of the valid names."""
     if name not in valid_names:
         yield FileMistake(
             f'"{name}" is not in this file', key_path, "one of " + ", ".join(valid_names)
@@ -400,10 +403,10 @@ def _check_name(key_path: str, name: str, valid_names: tuple[str, ...]) -> Mista
 
 
 def _check_mounts(hand: Hand) -> MistakeIterator:
-    """Check that each carried digit comes after the digit that carries it in the file.
+    """Check that the hand file contains each carried digit after the digit that carries it.
 
-    Between both digits, the file may only contain digits that the carrying digit also carries,
-    directly or through other digits.
+    Between a carrying digit and a carried digit, the hand file is allowed to contain only digits
+    that the carrying digit also carries, directly or through other digits.
     """
     line: list[str] = []
     for digit in hand.digit:
@@ -418,15 +421,16 @@ def _check_mounts(hand: Hand) -> MistakeIterator:
                     location,
                     "each digit right after the one that carries it, or after others on it",
                 )
-        # The next digit may be carried by this digit, or by one of the digits that carry this
-        # digit.
+        # The digit before the next digit, or one of the digits that carry it, is allowed to carry
+        # the next digit.
         line = [*line[: line.index(carrier) + 1 if carrier in line else 0], digit.name]
 
 
 def _check_tendon_order(hand: Hand) -> MistakeIterator:
     """Check that each tendon moves a single digit, and that the tendons are in the order of the digits.
 
-    A tendon may cross only the joints of its digit, and the joints of digits that carry its digit.
+    A tendon is allowed to cross only the joints of its digit, and the joints of digits that carry
+    its digit.
     """
     last_digit_index = 0
     for tendon in hand.tendon:
@@ -466,7 +470,7 @@ def _check_tendon_order(hand: Hand) -> MistakeIterator:
 def _check_moment_arm_range(hand: Hand, tendon: Tendon, joint: str) -> MistakeIterator:
     """Check the size and the sign of a moment arm over the range of its joint.
 
-    A table of moment arms must cover the whole range and must be smooth.
+    A table of moment arms must cover the whole range of the joint and must be smooth.
     """
     arm = tendon.arms[joint]
     location = f"tendon[{tendon.name}].{tendon.moment_arm_key(joint)}.{joint}"
@@ -586,8 +590,8 @@ def _check_limits(tendon: Tendon) -> MistakeIterator:
     ):
         value = values[key]
         upper_limit_value = values[upper_limit]
-        # The limit before this one has been reported as too high. Therefore this limit is not also
-        # reported as too low.
+        # The check has reported the lower limit as too high, and does not also report the present
+        # limit as too low.
         is_too_low = lower_limit is not None and value <= values[lower_limit] and not is_too_high
         bounds = (
             [] if lower_limit is None else [f"more than {lower_limit} = {values[lower_limit]:g} N"]
@@ -610,7 +614,7 @@ def _check_limits(tendon: Tendon) -> MistakeIterator:
 def _check_pretension(tendon: Tendon) -> MistakeIterator:
     """Check the pretension of a spool pair, and check that the pair has no tension floor.
 
-    With this pretension, no tendon of the pair may exceed the limits for the net tension.
+    With the pretension, no tendon of the pair is allowed to exceed the limits for the net tension.
 
     For a net tension u and a pretension p, the pulling tendon has the tension max(p + u / 2, u).
     """
@@ -631,7 +635,7 @@ def _check_pretension(tendon: Tendon) -> MistakeIterator:
 def _check_spool_pairs(hand: Hand, digit: Digit) -> MistakeIterator:
     """Check that a digit with spool pairs has one pair per coordinate.
 
-    It must have no single tendons, no springs and no load cells.
+    A digit with spool pairs must have no single tendons, no springs and no load cells.
     """
     tendons = hand.tendon[hand.digit_tendons[digit.name]]
     pairs = [tendon for tendon in tendons if tendon.pretension_N is not None]
@@ -681,9 +685,9 @@ def _check_drive(tendon: Tendon, motor: Motor) -> MistakeIterator:
 
 
 def _check_control(hand: Hand, tendon: Tendon, motor: Motor) -> MistakeIterator:
-    """Check the keys for the position loop in a drive.
+    """Check the keys of a motor for the position loop in the drive.
 
-    Only a drive with ``control = "position"`` may have these keys.
+    Only a motor with ``control = "position"`` is allowed to have keys for the position loop.
     """
     location = f"motor[{motor.name}]"
     if not motor.closes_position_loop:
@@ -736,8 +740,7 @@ def _check_identifiers(hand: Hand) -> MistakeIterator:
 def _frame_identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
     """Yield (bus, identifier, key path) for all CAN frames of a hand.
 
-    If the protocol of a motor is unknown here, the pair of protocol and node number replaces the
-    identifier.
+    For a motor with another protocol, the pair of protocol and node number replaces the identifier.
     """
     for protocol, identifier, use_text in IDS_SHARED_BY_MOTORS:
         for bus in {motor.bus for motor in hand.motor if motor.protocol == protocol}:
@@ -768,15 +771,15 @@ def _motor_identifiers(motor: Motor) -> Iterator[tuple[object, str]]:
         for service_base_id in CANOPEN_FRAME_IDS:
             yield service_base_id + motor.node_id, location
     elif motor.protocol == "moteus":
-        # These are the identifiers of the requests. They contain the source 0 and the bit that asks
-        # for a reply. The identifiers of the replies follow. They have 11 bits if the number is
-        # small enough.
+        # The first identifier belongs to moteus requests, with the source number 0 and the bit that
+        # asks for a reply. The second identifier belongs to moteus replies, and has 11 bits if it
+        # is small enough.
         yield EXTENDED_ID_FLAG | 0x8000 | motor.node_id, location
         number = motor.node_id << 8
         yield number if number < STANDARD_IDS else number | EXTENDED_ID_FLAG, location
     elif motor.protocol == "robstride":
-        # These are the identifiers of the requests of type 0. The feedback of a running motor to
-        # the default host comes after them.
+        # The first identifier belongs to RobStride requests of type 0. The second identifier
+        # belongs to the feedback of a running RobStride motor to the default host.
         yield EXTENDED_ID_FLAG | 0xFD00 | motor.node_id, location
         yield EXTENDED_ID_FLAG | 0x0280_00FD | motor.node_id << 8, location
     else:

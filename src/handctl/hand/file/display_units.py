@@ -1,6 +1,6 @@
 """Units of joint positions for a user: deg for a hinge, and mm for a prismatic joint.
 
-Inside handctl, the units are rad and m.
+Inside handctl, the units of joint positions are rad and m.
 """
 
 from typing import NamedTuple
@@ -11,14 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 EQUIVALENT_M_PER_RAD = 0.01
-"""Motion of a prismatic joint that counts like 1 rad of a hinge in thresholds and tolerances [m/rad].
+"""Motion of a prismatic joint that counts as 1 rad of a hinge in thresholds and tolerances [m/rad].
 
-It is a usual moment arm: the same motion of a tendon turns a hinge by 1 rad.
+The value is the moment arm of a tendon at a usual hinge. A tendon motion of 0.01 m turns a hinge
+with a moment arm of 0.01 m by 1 rad.
 """
 DISPLAY_UNIT_NAMES = ("deg", "mm")
-"""Displayed units of a hinge and of a prismatic joint."""
+"""Displayed units of the positions of a hinge and of a prismatic joint."""
 SI_UNIT_NAMES = ("rad", "m")
-"""Units of a hinge and of a prismatic joint in logs and calculations."""
+"""Units of the positions of a hinge and of a prismatic joint, in logs and calculations."""
 
 
 class DisplayUnits(NamedTuple):
@@ -28,7 +29,8 @@ class DisplayUnits(NamedTuple):
         is_prismatic: (n,) True for the positions that are in m.
         factor: (n,) displayed value per SI value [deg/rad or mm/m].
         si_factor: (n,) SI value per displayed value.
-        scale: (n,) factor of thresholds in rad for each position: 1, or ``EQUIVALENT_M_PER_RAD``.
+        scale: (n,) factor that converts a threshold in rad to the unit of each position: 1, or
+            ``EQUIVALENT_M_PER_RAD``.
         displayed_per_degree: (n,) displayed change that counts as 1 deg in a speed limit: 1, or 0.17 mm.
     """
 
@@ -40,9 +42,9 @@ class DisplayUnits(NamedTuple):
 
     @classmethod
     def of(cls, is_prismatic: ArrayLike) -> "DisplayUnits":
-        """Return the units of positions, given which of them belong to prismatic joints (n,)."""
+        """Return the units of positions (n,). The argument is True for each position of a prismatic joint."""
         prismatic_mask = np.asarray(is_prismatic, dtype=np.bool_)
-        # The factors are those of math.degrees and math.radians.
+        # The factors of hinges are the same as in math.degrees and math.radians.
         return cls(
             prismatic_mask,
             np.where(prismatic_mask, 1000.0, 180.0 / np.pi),
@@ -62,7 +64,7 @@ class DisplayUnits(NamedTuple):
     def as_equivalent_angles(self, values: ArrayLike) -> Array:
         """Convert positions (.., n) [rad or m] to rad.
 
-        One displayed mm counts as one deg.
+        One displayed mm of a prismatic joint counts as one deg of a hinge.
         """
         return np.asarray(np.asarray(values, dtype=np.float64) / (self.si_factor / (np.pi / 180.0)))
 

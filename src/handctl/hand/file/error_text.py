@@ -1,6 +1,6 @@
-"""Messages about mistakes in a file.
+"""Messages about mistakes in a hand file or a gains file.
 
-Each message contains the key path, the invalid value, and a valid value.
+A message about a mistake contains the key path, the invalid value, and a valid value.
 """
 
 import re
@@ -29,9 +29,9 @@ class FileMistake(NamedTuple):
     right: str
 
     def error(self, source_name: str) -> ConfigError:
-        """Return the mistake as an exception.
+        """Return an exception that reports the mistake.
 
-        The message is a single line with the name of the file.
+        The error message is a single line that contains the name of the file.
         """
         return ConfigError(self.what, f"{source_name}: {self.where}", self.right)
 
@@ -39,7 +39,8 @@ class FileMistake(NamedTuple):
 SECTION_PATTERN = re.compile(r"(\w+)\[([^\]]*)\](.*)", re.DOTALL)
 """Pattern of a key path in a named section.
 
-The pattern matches the kind, the name, and the rest of the path.
+The pattern has groups for the kind of the section, the name of the section, and the rest of the key
+path.
 """
 EXPECTED_BY_ERROR_TYPE = {
     "tuple_type": "a list",
@@ -48,7 +49,7 @@ EXPECTED_BY_ERROR_TYPE = {
     "too_short": "at least {min_length} values",
     "too_long": "at most {max_length} values",
 }
-"""Valid values in the terms of TOML, by the type of a structural error of pydantic.
+"""Names of TOML types that are valid, by the type of a structural error of pydantic.
 
 An error of any other type contains a valid value in its entry ``right``.
 """
@@ -59,8 +60,8 @@ def validation_mistakes(
 ) -> list[FileMistake]:
     """Return one mistake for each validation error of pydantic.
 
-    Mistakes about unknown keys come first. A misspelt key is reported both as unknown and as
-    missing, and the unknown key is the cause of both.
+    The mistakes about unknown keys are first in the list. pydantic reports a misspelt key both as
+    unknown and as missing, and the unknown key is the cause of both reports.
 
     Args:
         error: error raised by pydantic.
@@ -73,7 +74,7 @@ def validation_mistakes(
         for error_detail in error_details
         for depth in range(1, len(error_detail["loc"]))
     }
-    # If pydantic refuses entries of a list, it also reports that the list has too few entries.
+    # If pydantic refuses an entry of a list, it also reports that the list has too few entries.
     error_details = [
         error_detail
         for error_detail in error_details
@@ -110,13 +111,13 @@ def validation_mistakes(
 
 
 SECTIONS_ALLOWED_IN_DIGITS = ("tendon", "motor")
-"""Kinds of section that may also stand as tables within a digit."""
+"""Kinds of section that are also allowed as tables within a digit."""
 
 
 def _meaning_of_missing_key(key_location: Sequence[str | int], model: type[BaseModel]) -> str:
     """Return a text about the value that the file should contain for a missing key.
 
-    The text contains the form of the section or value, and the first sentence of the key's
+    The text contains the form of the missing section or value, and the first sentence of the key's
     description.
     """
     field = _field_of_key(key_location, model)
@@ -144,7 +145,7 @@ class _ModelField(NamedTuple):
 def _field_meaning(field: _ModelField | None) -> str:
     """Return a colon and the first sentence of a key's description.
 
-    If there is no description, return an empty text.
+    Return an empty text if the key has no description.
     """
     text = first_sentence(key_description(*field)) if field else ""
     return f": {text}" if text else ""
@@ -158,9 +159,9 @@ def first_sentence(description: str) -> str:
 
 
 def _field_of_key(key_location: Sequence[str | int], model: type[BaseModel]) -> _ModelField | None:
-    """Return the field of a key.
+    """Return the field of a pydantic model that belongs to a key of the file.
 
-    If there is no field, for example for an entry of a list, return None.
+    Return None if the key has no field, for example for an entry of a list.
     """
     *tables, key = key_location
     for table_or_index in tables:
@@ -184,7 +185,7 @@ def _unknown_key_mistake(
 ) -> FileMistake:
     """Return the mistake for an unknown key.
 
-    The most similar valid key is given as the valid value.
+    The valid value in the mistake is the most similar valid key.
     """
     if key_location[0] == "motor" and key_location[-1] == "mode":
         return FileMistake(
@@ -201,15 +202,15 @@ def _unknown_key_mistake(
 def with_paths_in_hand_file(
     mistakes: Iterable[FileMistake], origin_of_path: Mapping[str, str]
 ) -> list[FileMistake]:
-    """Return the mistakes with key paths of the hand file.
+    """Return the mistakes with their key paths in the hand file.
 
-    These paths replace the key paths of the resolved content. Many sections may use the same value
-    of a default or a template. If several mistakes concern such a value, only the first mistake is
-    returned.
+    A key path in the hand file replaces the key path in the resolved content (the content without
+    defaults and templates). Many sections can use the same value of a default or a template. If
+    several mistakes concern the same value in the hand file, only the first mistake is returned.
 
     Args:
-        mistakes: mistakes whose key paths belong to the resolved content.
-        origin_of_path: key path in the file, for each key path in the resolved content.
+        mistakes: mistakes whose key paths belong to the resolved content of the hand file.
+        origin_of_path: key path in the hand file, for each key path in the resolved content.
     """
     located_mistakes: dict[FileMistake | str, FileMistake] = {}
     for mistake in mistakes:
@@ -223,11 +224,10 @@ def with_paths_in_hand_file(
 
 
 def group_mistakes(mistakes: Iterable[FileMistake]) -> list[FileMistake]:
-    """Join mistakes that differ only in the name of their section.
+    """Join mistakes that differ only in the name of the section with the mistake.
 
-    A joined mistake takes the place of the first of these mistakes.
-
-    Its key path names at most three sections: ``tendon[a, b and 4 more].knee_N``.
+    A joined mistake replaces the first of the mistakes that it joins. The key path of a joined
+    mistake names at most three sections: ``tendon[a, b and 4 more].knee_N``.
     """
     names: dict[FileMistake, list[str]] = {}
     for mistake in mistakes:
@@ -245,9 +245,10 @@ def group_mistakes(mistakes: Iterable[FileMistake]) -> list[FileMistake]:
 
 
 def shortened_list(section_names: Sequence[str]) -> str:
-    """Join names with commas.
+    """Join names to a text with commas.
 
-    If there are more than three names, write the first two, and the number of the others.
+    From a list of more than three names, write the first two names, and the number of the other
+    names.
     """
     return (
         ", ".join(section_names)
@@ -257,9 +258,9 @@ def shortened_list(section_names: Sequence[str]) -> str:
 
 
 def lines_by_text(name_text_pairs: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-    """Return one line for each different text, with all names that have this text.
+    """Return one line for each different text, with all names that have the text.
 
-    The lines are in the order of their first names.
+    The lines are in the order of the first name in each line.
 
     Args:
         name_text_pairs: pairs of a name and its text.
@@ -271,10 +272,10 @@ def lines_by_text(name_text_pairs: Iterable[tuple[str, str]]) -> tuple[str, ...]
 
 
 def _path_in_file(path: str, origin_of_path: Mapping[str, str]) -> str:
-    """Convert a key path of the resolved content to the key path in the file.
+    """Convert a key path of a hand file's resolved content to the key path in the hand file.
 
-    If parts of the path have entries in ``origin_of_path``, the longest of these parts is replaced.
-    The rest stays.
+    The longest beginning of the key path that has an entry in ``origin_of_path`` is replaced. The
+    rest of the key path is unchanged.
     """
     known_path = path
     while known_path:
@@ -305,7 +306,7 @@ def key_path(content: Any, key_location: Sequence[str | int]) -> str:
 
 
 def toml_spelling(value: Any) -> str:
-    """Return a value as it is spelled in TOML, shortened if the text is long."""
+    """Return a value as TOML text, shortened if the text is long."""
     text = (
         str(value).lower()
         if isinstance(value, bool)
@@ -317,7 +318,7 @@ def toml_spelling(value: Any) -> str:
 
 
 def _valid_keys_of_table(model: type[BaseModel], key_location: Sequence[str | int]) -> list[str]:
-    """Return the valid keys of the table at a location in the file."""
+    """Return the valid keys of the table at a location in a file."""
     for key_or_index in key_location:
         if isinstance(key_or_index, str):
             model = next(
@@ -340,6 +341,6 @@ def _models_in_annotation(type_annotation: Any) -> list[type[BaseModel]]:
 def most_similar_valid_key(key: str, valid_keys: list[str]) -> str:
     """Return the valid key that is most similar to a key.
 
-    If none is similar, return all valid keys.
+    If no valid key is similar, return all valid keys.
     """
     return similar_name(key, valid_keys) or "one of " + ", ".join(valid_keys)

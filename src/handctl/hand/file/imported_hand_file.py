@@ -1,6 +1,6 @@
 """Text of a new hand file for the digits of a robot description.
 
-Each missing value is written as ``"TODO"``.
+The file contains ``"TODO"`` for each value that the robot description does not contain.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -42,13 +42,13 @@ SMALLEST_MOMENT_ARM_M = 1e-4
 LARGEST_MOMENT_ARM_M = 0.05
 """Largest absolute moment arm of a tendon [m].
 
-If a coefficient of a fixed tendon in MJCF is not between these limits, the coefficient is not taken
-as a moment arm.
+A coefficient of a fixed tendon in MJCF is used as a moment arm only if it is between
+SMALLEST_MOMENT_ARM_M and LARGEST_MOMENT_ARM_M.
 """
 ROUNDING_TOLERANCE = 1e-9
 """Tolerance for rounding errors in an axis, a position or a rotation."""
 WRITTEN_DECIMALS = 12
-"""Number of decimals with which a length, a mass or an inertia in SI units is written."""
+"""Number of decimals of a length, a mass or an inertia in the new hand file, in SI units."""
 KEYS_CHOSEN_BY_USER = {
     "protocol",
     "tendons",
@@ -61,38 +61,38 @@ KEYS_CHOSEN_BY_USER = {
     "position_range_rad",
     "velocity_range_rad_s",
 }
-"""Keys whose values the user chooses. All other missing values must be measured."""
+"""Keys whose values the user chooses. The user must measure the missing values of all other keys."""
 MISSING_MOMENT_ARMS_COMMENT = (
     f"{UNMEASURED_PLACEHOLDER} measure: the moment arm at each "
     "joint that it passes, as in "
     f"{{ j1 = 0.010, j2 = 0.008 }}"
 )
-"""Comment in the new file behind a tendon without moment arms."""
+"""Comment after a tendon without moment arms in the new hand file."""
 PLACEHOLDER_TENDONS_COMMENT = (
     "# The tendons below only stand for those of the "
     "hand: one for each {}. Add, remove and rename them.\n"
 )
-"""Comment at the top of the new file if the description has no tendons."""
+"""Comment at the top of the new hand file if the robot description has no tendons."""
 
 
 @dataclass(frozen=True)
 class ImportAnswers:
-    """The user's answers about values that a robot description does not contain.
+    """Answers of the user about values that a robot description does not contain.
 
-    If an answer is missing, the new file contains ``"TODO"``.
+    If an answer of the user is missing, the new hand file contains ``"TODO"``.
 
     Attributes:
         name: name of the hand.
-        tendons: ``one`` for one tendon per digit, ``each`` for one tendon per joint. If the answer
-            is missing, the file has one tendon per joint.
+        tendons: ``one`` for one tendon per digit, ``each`` for one tendon per joint. Without an
+            answer, the hand file has one tendon per joint.
         pulley_mm: moment arm of the tendons at the joints [mm].
         spool_mm: radius of the spools [mm].
         tension_N: largest commanded tension [N].
         strength_N: rated breaking force of the tendons [N].
         protocol: protocol of the drives.
         motor_type: type of the motors, or None for the default type of the protocol.
-        first_node: node number of the first drive on each bus. The other drives get the following
-            numbers.
+        first_node: node number of the first drive on each bus. The other drives on the bus get the
+            following node numbers.
         cells: ``all`` if all tendons have a load cell, ``none`` if no tendon has one.
         encoders: ``all`` if all joints have an encoder, ``none`` if no joint has one.
         springs: ``all`` if springs open the digits, ``none`` if antagonistic tendons open them.
@@ -114,14 +114,14 @@ class ImportAnswers:
 
 @dataclass(frozen=True, eq=False)
 class ImportedHand:
-    """Hand that is described by a robot description (URDF or MJCF).
+    """Hand that was read from a robot description (URDF or MJCF).
 
     Attributes:
         source: name of the file with the robot description.
         name: name of the hand.
-        gravity: (3,) gravitational acceleration in the palm frame [m/s2], or None if the
-            description contains none.
-        palm: (3, 3) rotation from the palm frame to the root frame of the description.
+        gravity: (3,) gravitational acceleration in the palm frame [m/s2], or None if the robot
+            description does not contain it.
+        palm: (3, 3) rotation from the palm frame to the root frame of the robot description.
         digits: digits of the hand, where each digit comes after the digit that carries it.
         tendons: a table for each tendon, with ``name``, ``arms``, ``motor`` and ``tension_max``.
         palm_mesh: mesh of the palm in the palm frame, or None for a palm without a mesh.
@@ -138,7 +138,7 @@ class ImportedHand:
 
 @dataclass(frozen=True)
 class _SectionLine:
-    """Line of a section of the new file: a key, the text of its value, and a comment."""
+    """Line of a section of the new hand file: a key, the text of the value, and a comment."""
 
     key: str
     value: str
@@ -196,7 +196,7 @@ def usable_tendons(imported_hand: ImportedHand) -> tuple[list[dict[str, Any]], l
                 "tension_max": tendon["tension_max"],
             }
             usable_tendons_found.append(own_values)
-    # If the tendons together do not move every joint, they only model a mechanism, and other
+    # If the tendons together do not move every joint, the tendons only model a mechanism, and other
     # actuators move the hand.
     moved_joints = {
         (tendon["digit"], joint) for tendon in usable_tendons_found for joint in tendon["arms"]
@@ -213,13 +213,13 @@ def imported_hand_text(
     drive_options_text: str,
     can_fd: bool,
 ) -> str:
-    """Return the text of a hand file of schema 2.
+    """Return the text of a hand file (schema 2) for a robot description.
 
     Args:
         imported_hand: hand of a robot description.
         import_answers: the user's answers about values that the robot description does not contain.
         drive_options_text: line with the options of the drives, or an empty text for drives without options.
-        can_fd: True if the protocol needs a bus with CAN FD.
+        can_fd: True if the protocol of the drives needs a bus with CAN FD.
     """
     tendons, _ = usable_tendons(imported_hand)
     has_placeholder_tendons = not tendons
@@ -269,7 +269,7 @@ def imported_hand_text(
 def _placeholder_tendons(
     digit: ModelDigit, import_answers: ImportAnswers
 ) -> Iterable[dict[str, Any]]:
-    """Yield placeholder tendons for a digit, with moment arms if the user gave one."""
+    """Yield placeholder tendons for a digit, with moment arms if the user has answered the question about them."""
     joints = [f"j{i + 1}" for i in range(len(digit.joints))]
     prismatic_joints = _sliding_joints(digit)
     arm = None if import_answers.pulley_mm is None else 1e-3 * import_answers.pulley_mm
@@ -318,7 +318,7 @@ def _bus_name(bus: int) -> str:
 def _text_before_digits(
     imported_hand: ImportedHand, import_answers: ImportAnswers, buses: int, can_fd: bool
 ) -> str:
-    """Return the text of the tables before the first digit."""
+    """Return the text of the hand file before the first digit."""
     joints = sum(len(digit.joints) for digit in imported_hand.digits)
     palm_rotation_text = (
         ""
@@ -350,7 +350,7 @@ def _text_before_digits(
 def _sensor_node(import_answers: ImportAnswers) -> str:
     """Return the text of the section ``sensor_node``.
 
-    If the hand has no sensors, the text is empty.
+    The text of the section is empty if the hand has no sensors.
     """
     if import_answers.cells == import_answers.encoders == "none":
         return ""
@@ -381,9 +381,9 @@ def _sensor_node(import_answers: ImportAnswers) -> str:
 
 
 def _common_lines(imported_hand: ImportedHand, import_answers: ImportAnswers) -> list[_SectionLine]:
-    """Return lines for the values of digits that the robot description leaves out.
+    """Return lines for the values of digits that the robot description does not contain.
 
-    The new file contains these values only once, for all digits.
+    The new hand file contains a value missing in the robot description only once, for all digits.
     """
     all_links = [link for digit in imported_hand.digits for link in digit.links]
     is_known_by_key = {"link_radius_m": any(link.radius for link in all_links)}
@@ -404,7 +404,7 @@ def _common_lines(imported_hand: ImportedHand, import_answers: ImportAnswers) ->
 
 
 def _digit_lines(digit: ModelDigit, import_answers: ImportAnswers) -> list[_SectionLine]:
-    """Return lines for the values of a digit, as far as the description contains them."""
+    """Return lines for the values of a digit that the robot description contains."""
     links = digit.links
     lines = [_SectionLine("name", f'"{digit.name}"')]
     if digit.carrier is not None:
@@ -451,7 +451,7 @@ def _digit_lines(digit: ModelDigit, import_answers: ImportAnswers) -> list[_Sect
 
 
 def _palm_mesh_lines(mesh: ModelMesh | None) -> Iterable[_SectionLine]:
-    """Yield lines for the mesh of the palm. Keys with their default value are left out."""
+    """Yield lines for the mesh of the palm. The lines omit keys with their default value."""
     if mesh is None:
         return
     yield _SectionLine("palm_mesh", quoted_string(mesh.file))
@@ -464,7 +464,7 @@ def _palm_mesh_lines(mesh: ModelMesh | None) -> Iterable[_SectionLine]:
 
 
 def _mesh_lines(link_meshes: Sequence[ModelMesh | None]) -> Iterable[_SectionLine]:
-    """Yield lines for the meshes of a digit. Keys with their default value are left out."""
+    """Yield lines for the meshes of a digit. The lines omit keys with their default value."""
     if not any(link_meshes):
         return
     no_mesh = ModelMesh("", np.ones(3), np.zeros(3), np.eye(3))
@@ -490,7 +490,7 @@ def _mesh_lines(link_meshes: Sequence[ModelMesh | None]) -> Iterable[_SectionLin
 def _scale_text(scale: Array) -> str:
     """Return the scale of a mesh as text.
 
-    If the scale is the same along all axes, the text is a single number.
+    The text is a single number if the scale is the same along all axes.
     """
     return (
         _number_text(float(scale[0]))
@@ -502,7 +502,8 @@ def _scale_text(scale: Array) -> str:
 def _joint_lines(digit: ModelDigit, import_answers: ImportAnswers) -> Iterable[_SectionLine]:
     """Yield lines for the damping, the armature and the springs of a digit.
 
-    In a robot description, 0 means that the value is not known.
+    In a robot description, a damping, an armature or a stiffness of 0 means that the value is not
+    known.
     """
     for is_prismatic in (False, True):
         links = [link for link in digit.links if link.is_prismatic == is_prismatic]
@@ -521,7 +522,7 @@ def _joint_lines(digit: ModelDigit, import_answers: ImportAnswers) -> Iterable[_
 
 
 def _key_for_joint_type(key: str, is_prismatic: bool) -> str:
-    """Return a key for revolute joints, or the corresponding key for prismatic joints."""
+    """Return the key itself for a revolute joint, or the corresponding key for a prismatic joint."""
     return PRISMATIC_KEYS[REVOLUTE_KEYS.index(key)] if is_prismatic else key
 
 
@@ -567,7 +568,7 @@ def _drive_lines(
 
 
 def _tendon_lines(import_answers: ImportAnswers) -> Iterable[_SectionLine]:
-    """Yield lines for the values that are the same for all tendons."""
+    """Yield lines for the values of tendons that are the same for all tendons."""
     tension = import_answers.tension_N
     value_by_key: dict[str, float | None] = {
         "stiffness_N_per_m": None,
@@ -588,7 +589,7 @@ def _tendon_lines(import_answers: ImportAnswers) -> Iterable[_SectionLine]:
 
 
 def _motor_lines(import_answers: ImportAnswers) -> Iterable[_SectionLine]:
-    """Yield lines for the values that are the same for all motors."""
+    """Yield lines for the values of motors that are the same for all motors."""
     torque = None
     if import_answers.tension_N is not None and import_answers.spool_mm is not None:
         torque = DRIVE_LIMIT_RATIO * import_answers.tension_N * 1e-3 * import_answers.spool_mm
@@ -620,7 +621,7 @@ def _motor_lines(import_answers: ImportAnswers) -> Iterable[_SectionLine]:
 
 
 def _todo_line(section: type[Section], key: str) -> _SectionLine:
-    """Return the line for a key whose value is missing, with ``"TODO"`` in place of the value."""
+    """Return the line for a key whose value is missing, with ``"TODO"`` as the value."""
     todo_verb = "set" if key in KEYS_CHOSEN_BY_USER else "measure"
     return _SectionLine(
         key,
@@ -635,7 +636,7 @@ def _key_meaning(section: type[Section], key: str) -> str:
 
 
 def _section_text(name: str, section_lines: Iterable[_SectionLine]) -> str:
-    """Return the text of a section: its header and its lines."""
+    """Return the text of a section of the hand file: header and lines."""
     return "\n".join([f"[{name}]", *map(str, section_lines)])
 
 
@@ -648,7 +649,8 @@ def _short_name(name: str, digit: str) -> str:
 def _inertia_moments(inertia: Array) -> Array:
     """Return the three moments of an inertia (3, 3) [kg m2].
 
-    If the products of inertia are not zero, they follow after the moments.
+    If the products of inertia are not zero, the returned values also contain the products, after
+    the moments.
     """
     products_of_inertia = np.array([inertia[0, 1], inertia[0, 2], inertia[1, 2]])
     diagonal_moments = np.diag(inertia)
@@ -686,4 +688,4 @@ def _inline_table_text(table_values: Mapping[str, float]) -> str:
 
 
 IMPORT_ANSWER_NAMES = tuple(field.name for field in fields(ImportAnswers))
-"""Names of all answers of the user."""
+"""Names of all answers that the user can give about a robot description."""

@@ -20,20 +20,20 @@ from handctl.hand.file.templates import (
 )
 
 SCHEMA_DRAFT = "http://json-schema.org/draft-07/schema#"
-"""Identifier of the version of JSON Schema. TOML editors support this version."""
+"""Identifier of the JSON Schema version 7, which TOML editors support."""
 SECTION_DEFINITIONS = {"digit": "Digit", "tendon": "Tendon", "motor": "Motor"}
 """Name of the schema's definition for each kind of section."""
 VALUE_DEFINITIONS = {kind: f"{name}Values" for kind, name in SECTION_DEFINITIONS.items()}
-"""Name of the schema's definition for values of each kind in a default, a template, or a table within a digit."""
+"""Name of the schema's definition for values in a default, a template, or a table within a digit, by section kind."""
 
 
 def hand_schema() -> dict[str, Any]:
     """Return the JSON Schema of a hand file of schema 2.
 
-    Hand files of schema 1 also satisfy this JSON Schema.
+    Hand files of schema 1 also satisfy the JSON Schema.
 
-    In the schema, every key of a digit, tendon or motor is optional, because the value may be in a
-    default or template. ``handctl config check`` reports missing keys.
+    In the JSON Schema, every key of a digit, tendon or motor is optional, because a default or
+    template can contain the value. ``handctl config check`` reports missing keys.
     """
     schema = Hand.model_json_schema(by_alias=True, schema_generator=SchemaWithDescriptions)
     definitions = schema["definitions"] = schema.pop("$defs")
@@ -88,7 +88,7 @@ def hand_schema_text() -> str:
 def _add_short_forms_of_digit(digit_schema: dict[str, Any]) -> None:
     """Extend the definition of a digit by the forms of schema 2.
 
-    These forms are not valid in hand files of schema 1.
+    The short forms of schema 2 are not valid in hand files of schema 1.
     """
     properties = digit_schema["properties"]
     for kind in TABLE_KINDS_IN_DIGIT:
@@ -135,7 +135,7 @@ def _convert_to_draft_7(schema_node: Any) -> Any:
         schema_node = {**schema_node, "items": schema_node["prefixItems"]}
         del schema_node["prefixItems"]
     if isinstance(schema_node.get("$ref"), str):
-        # In draft 7, a reference makes all keywords beside it ineffective.
+        # In draft 7, a reference makes all other keywords of the same object ineffective.
         schema_node = {"$ref": schema_node["$ref"].replace("#/$defs/", "#/definitions/")}
     return {
         key: value.replace("``", "`")

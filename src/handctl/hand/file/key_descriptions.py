@@ -2,9 +2,9 @@
 
 The descriptions are the docstrings after the fields of the pydantic models.
 
-pydantic can store these docstrings in the fields of a model (``use_attribute_docstrings``). With
-this option, every process would parse the source code of every model. Therefore this module parses
-the source code itself, and only when a description is needed.
+pydantic can store the docstrings in the fields of a model (``use_attribute_docstrings``). With the
+option ``use_attribute_docstrings``, every process would parse the source code of every model.
+Instead of pydantic, this module parses the source code, and only when a description is needed.
 """
 
 import ast
@@ -25,7 +25,7 @@ def key_description(model: type[BaseModel], field_name: str) -> str:
 
     Args:
         model: model to which the field belongs.
-        field_name: name of the attribute, which may differ from the key in the file.
+        field_name: name of the attribute, which can differ from the key in the file.
     """
     return field_docstrings(model).get(field_name, "")
 
@@ -43,7 +43,7 @@ def field_docstrings(model: type[BaseModel]) -> Mapping[str, str]:
 def _docstrings_in(model: type[BaseModel]) -> dict[str, str]:
     """Return the docstrings of the attributes of a class.
 
-    If the source code of the class cannot be found, there are no docstrings.
+    Return an empty dictionary if the source code of the class cannot be found.
     """
     try:
         source = inspect.getsource(model)

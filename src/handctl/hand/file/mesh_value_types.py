@@ -1,4 +1,4 @@
-"""Types of the values that the keys for meshes in a hand file can have."""
+"""Value types of the keys for meshes in a hand file."""
 
 from pathlib import PurePath
 from typing import Annotated, Any
@@ -12,7 +12,7 @@ from handctl.hand.file.quantity_types import (
 )
 
 MESH_SUFFIXES = (".stl", ".obj")
-"""Endings of mesh files that the viewer and MuJoCo both read."""
+"""File name endings of the mesh formats that both the viewer and MuJoCo read."""
 LARGEST_MESH_SCALE = 1000.0
 """Largest factor from the unit of a mesh to metres."""
 SMALLEST_MESH_SCALE = 1e-6
@@ -20,7 +20,7 @@ SMALLEST_MESH_SCALE = 1e-6
 
 
 def _check_mesh_file(value: Any) -> str:
-    """Return the value if it is a valid path of a mesh file. An empty string means no mesh."""
+    """Return the value if it is a valid path of a mesh file. An empty string is also valid."""
     is_printable = isinstance(value, str) and value.isprintable()
     if not is_printable or (value and PurePath(value).suffix.lower() not in MESH_SUFFIXES):
         raise validation_error(f'a file of type {" or ".join(MESH_SUFFIXES)}, or "" for none')

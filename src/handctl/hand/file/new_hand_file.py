@@ -1,6 +1,6 @@
 """Text of a new hand file from a few answers of the user.
 
-In the file, a comment marks each assumed number.
+In the new hand file, a comment marks each assumed number.
 """
 
 import json
@@ -27,7 +27,7 @@ DRIVE_LIMIT_RATIO = 1.4
 OBJECT_DIAMETER_RATIO = 0.75
 """Smallest diameter of a graspable object divided by the length of the digits.
 
-Around a thinner object, the tips of opposed digits would touch each other.
+On an object with a smaller diameter, the tips of opposed digits would touch each other.
 """
 SMALLEST_OBJECT_MM = 35.0
 """Smallest diameter of an object for which the palm gets space [mm]."""
@@ -38,19 +38,19 @@ CLEARANCE_MM = 5.0
 DIGIT_LENGTH_RATIO = 14.0
 """Length of a digit divided by the moment arm at its joints.
 
-With this ratio of length to moment arm, digits of any length press equally hard.
+With a constant ratio of length to moment arm, digits of any length press equally hard.
 """
 DIGIT_SIDE_CLEARANCE_MM = 2.0
-"""Space on each side of a digit [mm]."""
+"""Free space beside a digit, on each of its sides [mm]."""
 MAX_DIGIT_ROW_WIDTH_MM = 80.0
 """Largest width of a row of digits, if the gaps are wide enough for the opposed digits [mm]."""
 MOTORS_PER_BUS = 8
-"""Largest number of motors on a bus. A classical bus of 1 Mbit/s carries 8 motors at 250 Hz."""
+"""Largest number of motors on a bus. A classical bus of 1 Mbit/s can serve 8 motors at a control rate of 250 Hz."""
 MOTORS_PER_FAST_BUS = 4
 """Largest number of motors on a bus of a hand with neither springs nor load cells.
 
-A bus carries them at 500 Hz. At 250 Hz, the motion loops of such a hand have a gain margin of 5 dB, and its tensions
-oscillate.
+A bus can serve 4 motors at a control rate of 500 Hz. At 250 Hz, the motion loops of a hand with
+neither springs nor load cells have a gain margin of 5 dB, and its tensions oscillate.
 """
 SENSOR_IDS = {"mit": ("0x080", "0x1A0"), "odrive": ("0x700", "0x720")}
 """CAN identifiers of SYNC and of the first sensor frame, by drive protocol.
@@ -62,17 +62,18 @@ FINGER_NAMES = ("index", "middle", "ring", "little")
 ENCODER_DECIMATION = 4
 """Number of ticks from one frame of the joint encoders to the next.
 
-With a frame in every tick, a hand of twelve motors and nine encoders would leave 200 Hz on two buses.
+With an encoder frame in every tick, a hand of twelve motors and nine encoders could not run at 200
+Hz on two buses.
 """
 EXTENSOR = "e"
-"""Short name of the tendon that opens a digit without springs, and of its motor."""
+"""Short name of the tendon that opens a digit without springs. The motor of the tendon has the same name."""
 MAX_DIGITS_PER_SIDE = 8
 """Largest number of digits on one side of the hand."""
 
 
 @dataclass(frozen=True)
 class NewHandAnswers:
-    """The user's answers about a new hand.
+    """Answers of the user about a new hand.
 
     Attributes:
         name: name of the hand.
@@ -81,18 +82,18 @@ class NewHandAnswers:
             fingers.
         links_mm: length of each link of a digit, from the palm to the tip [mm].
         width_mm: width of the links [mm].
-        palm_mm: distance between the two sides [mm]. If it is None, the distance follows from the
-            length of the digits.
+        palm_mm: distance between the two rows of digits [mm]. If ``palm_mm`` is None, the distance
+            is computed from the length of the digits.
         tendons: ``one`` for one tendon per digit, ``each`` for one tendon per joint.
-        pulley_mm: moment arm of the tendons at the joints [mm]. If it is None, the moment arm
-            follows from the length of the digits.
+        pulley_mm: moment arm of the tendons at the joints [mm]. If ``pulley_mm`` is None, the
+            moment arm is computed from the length of the digits.
         spool_mm: radius of the spools [mm].
         tension_N: largest commanded tension [N].
         strength_N: rated breaking force of the tendons [N].
         protocol: protocol of the drives.
         motor_type: type of the motors, or None for the default type of the protocol.
-        cells: ``all`` if each tendon has a load cell, otherwise ``none``.
-        encoders: ``all`` if each joint has an encoder, otherwise ``none``.
+        cells: ``all`` if each tendon has a load cell, or ``none``.
+        encoders: ``all`` if each joint has an encoder, or ``none``.
         springs: ``all`` if springs open the digits. ``none`` if a further tendon opens each digit,
             see ``check_springs``.
     """
@@ -123,7 +124,7 @@ class NewHandAnswers:
     def palm(self) -> float:
         """Return the distance between the two sides of digits [mm].
 
-        The default leaves space for a thick object.
+        The default distance leaves space for a thick object.
         """
         return self.palm_width_for_thick_object if self.palm_mm is None else self.palm_mm
 
@@ -148,9 +149,9 @@ class NewHandAnswers:
 
 
 def check_new_hand_answers(answers: NewHandAnswers) -> None:
-    """Check the user's answers before the hand file is written.
+    """Check the user's answers about a new hand before the hand file is written.
 
-    All other mistakes are found by the checks of the hand file.
+    The checks of the hand file find all other mistakes in the answers.
 
     Raises:
         ConfigError: the name, a number of digits, the distance between the sides of the palm, or
@@ -177,7 +178,7 @@ def check_new_hand_answers(answers: NewHandAnswers) -> None:
 def check_springs(tendons: str | None, spring_torques_text: str | None) -> None:
     """Check that each digit can be opened, either by springs or by a tendon.
 
-    If a digit has a single tendon, this tendon only closes the digit. Springs must then open the
+    If a digit has a single tendon, the tendon only closes the digit, and springs must open the
     digit.
 
     Args:
@@ -197,7 +198,7 @@ def check_name(name: str) -> None:
     """Check that the name of a hand is valid in a hand file.
 
     Raises:
-        ConfigError: the name is wrong.
+        ConfigError: the name of the hand is not valid.
     """
     if not NAME_PATTERN.fullmatch(name):
         raise ConfigError(repr(name), "--name", "letters, digits and _, first a letter")
@@ -220,7 +221,7 @@ def opposition_warnings(answers: NewHandAnswers) -> tuple[str, ...]:
 
 def palm_warnings(answers: NewHandAnswers) -> tuple[str, ...]:
     """Return one line for each warning that the palm is too narrow for digits that face each other."""
-    # If the digits have a single straight link, they touch thinner objects before their tips meet.
+    # Digits with a single straight link touch even thin objects before their tips meet.
     sufficient_palm_width = (
         answers.palm_width_for_thick_object
         if len(answers.links_mm) > 1
@@ -235,12 +236,12 @@ def palm_warnings(answers: NewHandAnswers) -> tuple[str, ...]:
 
 
 def new_hand_text(answers: NewHandAnswers, drive_options: Mapping[str, Any], can_fd: bool) -> str:
-    """Return the text of a hand file of schema 2.
+    """Return the text of a hand file (schema 2) for a new hand.
 
     Args:
         answers: the user's answers, already checked.
         drive_options: options of a drive of the protocol.
-        can_fd: True if the protocol needs a bus with CAN FD.
+        can_fd: True if the protocol of the drives needs a bus with CAN FD.
     """
     file_sections = [_tables_before_digits(answers, can_fd), _digit_values(answers)]
     file_sections += [_tendon_values(answers), _motor_values(answers, drive_options)]
@@ -268,7 +269,7 @@ def new_hand_text(answers: NewHandAnswers, drive_options: Mapping[str, Any], can
 
 
 def _digit_names(answers: NewHandAnswers) -> list[tuple[str, int]]:
-    """Return name and side of each digit. Fingers are on side 0. Opposed digits are on side 1."""
+    """Return name and side of each digit. Side 0 of the palm has the fingers, and side 1 has the opposed digits."""
     fingers = [
         FINGER_NAMES[i] if i < len(FINGER_NAMES) else f"finger_{i + 1}"
         for i in range(answers.fingers)
@@ -278,10 +279,11 @@ def _digit_names(answers: NewHandAnswers) -> list[tuple[str, int]]:
 
 
 def _mount_positions(answers: NewHandAnswers) -> list[float]:
-    """Return the position of each digit along the axes of the hinges [m]. The fingers come first.
+    """Return the position of each digit along the axes of the hinges [m], first for the fingers.
 
-    If the sides have different numbers of digits, each digit faces a gap between digits of the
-    other side. If two tips faced each other, they would meet before the digits press on an object.
+    If the two sides of the palm have different numbers of digits, each digit faces a gap between
+    two digits of the other side. If the tips of two digits faced each other, the tips would meet
+    before the digits press on an object.
     """
     counts = (answers.fingers, answers.opposed)
     spacing_of_passing_digits = answers.width_mm * 2 + DIGIT_SIDE_CLEARANCE_MM
@@ -289,8 +291,9 @@ def _mount_positions(answers: NewHandAnswers) -> list[float]:
         answers.width_mm + DIGIT_SIDE_CLEARANCE_MM,
         min(spacing_of_passing_digits, MAX_DIGIT_ROW_WIDTH_MM / max(1, max(counts) - 1)),
     )
-    # If the numbers of digits differ, but both are even or both are odd, one row is moved by half
-    # of the distance between its digits. Otherwise, digits of both rows would face each other.
+    # If the numbers of digits differ, but both are even or both are odd, one row of digits is moved
+    # by half of the distance between its digits. If the row were not moved, digits of both rows
+    # would face each other.
     row_offset_mm = digit_spacing / 2 if counts[0] != counts[1] and sum(counts) % 2 == 0 else 0.0
     places = []
     for count in counts:
@@ -326,7 +329,7 @@ def _motor_names(answers: NewHandAnswers) -> list[str]:
 
 
 def _tables_before_digits(answers: NewHandAnswers, can_fd: bool) -> str:
-    """Return the text of the tables before the first digit."""
+    """Return the text of the hand file before the first digit."""
     tendons = "one tendon per digit" if answers.tendons == "one" else "one tendon per joint"
     if answers.springs == "none":
         tendons += " and one that opens the digit"
@@ -377,7 +380,7 @@ joint_noise_rad = 0.001            # standard deviation of an encoder sample"""
 
 
 def _digit_values(answers: NewHandAnswers) -> str:
-    """Return the text of the values that are the same for all digits."""
+    """Return the text with the values of digits that are the same for all digits."""
     lengths = [1e-3 * length for length in answers.links_mm]
     width = 1e-3 * answers.width_mm
     masses = [DENSITY_KG_M3 * length * width**2 for length in lengths]
@@ -418,8 +421,8 @@ def _spring_lines(answers: NewHandAnswers) -> list[str]:
     """Return the lines about the return springs of a digit, or no lines for a digit without springs."""
     if answers.springs == "none":
         return []
-    # If all tensions are at the tension floor, all tendons that cross a joint close it. The spring
-    # of the joint must then open the joint against these tendons.
+    # All tendons that cross a joint close the joint. If all tensions are at the tension floor, the
+    # spring of a joint must open the joint against all tendons that cross it.
     stiffness = [
         OPENING_TORQUE_RATIO
         * tendons
@@ -444,10 +447,10 @@ def _closing_tendons(answers: NewHandAnswers) -> list[int]:
 def _moment_arms(answers: NewHandAnswers, tendon: int) -> list[float]:
     """Return the moment arm of a digit's tendon at each joint that the tendon crosses [m].
 
-    A tendon that closes the digit crosses all joints up to its own. If a digit has n joints, one
-    tendon opens the digit, and n tendons close it. If the tensions of these n tendons are equal,
-    the opening tendon balances them with n times their tension. Therefore its arm at a joint is in
-    proportion to the number of tendons that close this joint.
+    Closing tendon i crosses all joints up to joint i. If a digit has n joints, one tendon opens the
+    digit, and n tendons close it. If the tensions of the n closing tendons are equal, the opening
+    tendon balances them with n times the tension of one closing tendon. The moment arm of the
+    opening tendon at a joint is in proportion to the number of tendons that close the joint.
 
     Args:
         answers: the user's answers.
@@ -463,7 +466,7 @@ def _moment_arms(answers: NewHandAnswers, tendon: int) -> list[float]:
 
 
 def _tendon_values(answers: NewHandAnswers) -> str:
-    """Return the text of the values that are the same for all tendons."""
+    """Return the text with the values of tendons that are the same for all tendons."""
     trip_tension_text = _number_text(TENSION_TRIP_RATIO * answers.tension_N)
     return f"""[default.tendon]
 stiffness_N_per_m = 1.0e5          # ASSUMED: handctl identify measures it
@@ -481,7 +484,7 @@ drive_limit_N = {_number_text(DRIVE_LIMIT_RATIO * answers.tension_N)}           
 
 
 def _motor_values(answers: NewHandAnswers, drive_options: Mapping[str, Any]) -> str:
-    """Return the text of the values that are the same for all motors."""
+    """Return the text with the values of motors that are the same for all motors."""
     torque = DRIVE_LIMIT_RATIO * answers.tension_N * 1e-3 * answers.spool_mm
     return f"""[default.motor]                    # quantities at the spool, after the gear
 protocol = "{answers.protocol}"
@@ -503,7 +506,7 @@ watchdog_ms = 50{options_line(answers.protocol, drive_options, answers.cells == 
 def options_line(protocol: str, drive_options: Mapping[str, Any], has_cells: bool) -> str:
     """Return the line with the options of the drives.
 
-    If the protocol has no options, the line is empty.
+    The returned line is empty if the protocol has no options.
 
     Args:
         protocol: protocol of the drives.
@@ -529,7 +532,7 @@ def _number_text(value: float) -> str:
 
 
 def _list_text(values: list[float] | list[list[float]]) -> str:
-    """Return the text of a list. If all entries are equal, return the text of one number."""
+    """Return the TOML text of a list. If all entries are equal, return the text of one number."""
     texts = [
         _list_text(value) if isinstance(value, list) else _number_text(value) for value in values
     ]

@@ -1,7 +1,7 @@
-"""Types of the values in a hand file. Each type has the range that is plausible for a robot hand.
+"""Types of the values in a hand file. Each type has a range of values that are plausible for a robot hand.
 
-These ranges include all usual hands, but not values in wrong units. For example, the length of a
-link in millimetres would be wrong by a factor of 1000.
+The plausible ranges include the values of all usual hands, but not values in wrong units. For
+example, the length of a link is too large by a factor of 1000 if the user gives it in millimetres.
 """
 
 import re
@@ -23,21 +23,21 @@ NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 UNMEASURED_PLACEHOLDER = "TODO"
 """Placeholder for a value that is not yet measured or chosen.
 
-The checks refuse this text for every key.
+The checks of a hand file refuse the text ``TODO`` for every key.
 """
 
 
 def validation_error(valid_value: str) -> PydanticCustomError:
     """Return a validation error whose text contains a valid value.
 
-    The module ``error_text`` prints this value after the invalid one.
+    The module ``error_text`` prints the valid value after the invalid value.
     """
     return PydanticCustomError("hand", "expected {right}", {"right": valid_value})
 
 
 @dataclass(frozen=True, eq=False)
 class CheckedType:
-    """Validation of one type of value, in two forms.
+    """Validation of one type of value, as a function and as a JSON Schema.
 
     pydantic uses the function ``check``. Editors use the JSON Schema ``schema``.
 
@@ -64,12 +64,12 @@ class CheckedType:
 
 @dataclass(frozen=True)
 class NumberRange:
-    """Check of a finite real number within [low, high]. The result is a float.
+    """Check that a value is a finite real number within [low, high].
 
     Attributes:
         low: smallest plausible value.
         high: largest plausible value.
-        unit: unit of value and limits.
+        unit: unit of the value and of the limits.
         hint: question about the likely cause of a value that is too large, such as "in metres?".
     """
 
@@ -79,11 +79,11 @@ class NumberRange:
     hint: str = ""
 
     def __call__(self, value: Any) -> float:
-        """Return the value as a float."""
+        """Check the value, and return it as a float."""
         expected = f"a number from {self.low:g} to {self.high:g} {self.unit}".rstrip()
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise validation_error(expected)
-        # The comparison is negated so that it also refuses NaN.
+        # The comparison is negated, so that the check also refuses NaN.
         if not self.low <= value <= self.high:
             raise validation_error(
                 f"{expected} ({self.hint})" if self.hint and value > self.high else expected
@@ -92,18 +92,18 @@ class NumberRange:
 
     @property
     def schema(self) -> dict[str, Any]:
-        """Return the JSON Schema of the range."""
+        """Return the JSON Schema of the numbers in the range."""
         return {"type": "number", "minimum": self.low, "maximum": self.high}
 
 
 def number_in_range(minimum: float, maximum: float, unit: str = "", hint: str = "") -> CheckedType:
-    """Return the validation of a number within [low, high], see ``NumberRange``."""
+    """Return the validation of a number between two limits, see ``NumberRange``."""
     number = NumberRange(minimum, maximum, unit, hint)
     return CheckedType(number, number.schema)
 
 
 def integer_in_range(minimum: int, maximum: int) -> CheckedType:
-    """Return the validation of an integer within [low, high]."""
+    """Return the validation of an integer between two limits."""
 
     def check_value(value: Any) -> int:
         """Return the value if it is valid."""
@@ -155,7 +155,7 @@ def _check_options(value: Any) -> dict[str, bool | int | float | str]:
     """Check that a value is a table of finite numbers, strings and booleans, and return it."""
     if not isinstance(value, dict):
         raise validation_error("a table")
-    # The comparison is negated so that it also refuses NaN and infinity.
+    # The comparison is negated, so that the check also refuses NaN and infinity.
     for key, entry in value.items():
         if not isinstance(entry, bool | int | float | str) or (
             isinstance(entry, float) and not abs(entry) < 1e300
@@ -165,11 +165,11 @@ def _check_options(value: Any) -> dict[str, bool | int | float | str]:
 
 
 def zero_or_number_in_range(minimum: float, maximum: float, unit: str, hint: str) -> CheckedType:
-    """Return the validation of a number that must be 0 or within [low, high], see ``NumberRange``."""
+    """Return the validation of a number that must be 0 or between two limits, see ``NumberRange``."""
     number = NumberRange(minimum, maximum, unit, hint)
 
     def check_value(value: Any) -> float:
-        """Return the value as a float."""
+        """Check the value, and return it as a float."""
         is_zero = isinstance(value, int | float) and not isinstance(value, bool) and value == 0
         if is_zero:
             return 0.0
@@ -184,7 +184,7 @@ def zero_or_number_in_range(minimum: float, maximum: float, unit: str, hint: str
 def number_or_list(
     number_range: NumberRange, entry_range: NumberRange, *allowed_counts: int
 ) -> CheckedType:
-    """Return the validation of a value that may be a number or a list of numbers.
+    """Return the validation of a value that is a number or a list of numbers.
 
     Args:
         number_range: check of a single number.
@@ -215,7 +215,7 @@ MOMENT_ARM_RANGE = NumberRange(-0.05, 0.05, "m", "in metres?")
 
 
 MOMENT_ARM_FORMS = "{ polynomial_m = [r0, r1, ..] } of the joint angle in rad, or { angle_deg = [..], arm_m = [..] }"
-"""Valid forms of a moment arm that depends on the joint angle, for messages."""
+"""Text for messages about the valid forms of a moment arm that depends on the joint angle."""
 MAX_TABLE_ENTRIES = 1000
 """Largest number of entries in a table of moment arms."""
 
@@ -250,11 +250,11 @@ def _check_moment_arm(value: Any) -> float | dict[str, tuple[float, ...]]:
 def _checked_numbers(
     values: Any, key: str, min_length: int, max_length: int, max_magnitude: float
 ) -> tuple[float, ...]:
-    """Return the list at a key, after a check of its length and of the magnitude of its numbers."""
+    """Check the length of the list at a key and the magnitude of its numbers, and return the list."""
     expected = f"{min_length} to {max_length} numbers from {-max_magnitude:g} to {max_magnitude:g} in {key}"
     if not isinstance(values, list | tuple) or not min_length <= len(values) <= max_length:
         raise validation_error(expected)
-    # The comparison is negated so that it also refuses NaN.
+    # The comparison is negated, so that the check also refuses NaN.
     if any(
         isinstance(value, bool)
         or not isinstance(value, int | float)
@@ -272,7 +272,7 @@ def _list_schema(min_length: int, max_length: int, max_magnitude: float) -> dict
 
 
 def _table_schema(**list_schemas: dict[str, Any]) -> dict[str, Any]:
-    """Return the JSON Schema of a table with exactly the given lists."""
+    """Return the JSON Schema of a table that contains exactly the given lists."""
     return {
         "type": "object",
         "properties": list_schemas,
@@ -310,7 +310,7 @@ SensorProtocol = Annotated[str, text_choice("handctl", "cia404")]
 ProcessValue = Annotated[str, text_choice("int32", "real32")]
 
 Length = Annotated[float, zero_or_number_in_range(1e-3, 0.2, "m", "in metres?")]
-"""Length of a link. The length is 0 if the axes of two joints intersect."""
+"""Length of a link. The length of the link between two joints is 0 if their axes intersect."""
 CentreOfMass = Annotated[
     float | tuple[float, float, float],
     number_or_list(
@@ -338,7 +338,7 @@ MotorInertia = Annotated[float, number_in_range(1e-8, 1e-1, "kg m2", "in kg m2, 
 JointAngle = Annotated[float, number_in_range(-180.0, 180.0, "deg")]
 MountAngle = Annotated[float, number_in_range(-360.0, 360.0, "deg")]
 JointTravel = Annotated[float, number_in_range(-0.1, 0.1, "m", "in metres?")]
-"""Position of a prismatic joint. A joint encoder's frame can represent these positions."""
+"""Position of a prismatic joint. The frame of a joint encoder can represent every position in the range."""
 ExcursionRatio = Annotated[float, number_in_range(-5.0, 5.0, "", "in metres of tendon per metre?")]
 TravelPreload = Annotated[float, number_in_range(0.0, 0.2, "m", "in metres?")]
 TravelDamping = Annotated[float, number_in_range(0.0, 1000.0, "N s/m")]
@@ -349,7 +349,7 @@ SpringPreload = Annotated[float, number_in_range(0.0, 6.3, "rad", "in radians?")
 WrapAngle = Annotated[float, number_in_range(0.0, 20.0, "rad", "in radians?")]
 MotorZeroAngle = Annotated[float, number_in_range(-100.0, 100.0, "rad", "in radians?")]
 MAX_POSITION_RANGE_RAD = 1000.0
-"""Largest position range of a drive, and so the largest motor position on either side of 0 [rad]."""
+"""Largest position range of a drive, and largest absolute motor position [rad]."""
 PositionRange = Annotated[float, number_in_range(0.1, MAX_POSITION_RANGE_RAD, "rad", "in radians?")]
 MAX_SPEED_RANGE_RAD_S = 1000.0
 """Largest speed range of a drive [rad/s]."""
@@ -381,7 +381,7 @@ JointSpeed = Annotated[float, number_in_range(1.0, 3000.0, "deg/s", "in degrees?
 JointAcceleration = Annotated[float, number_in_range(10.0, 1e6, "deg/s2", "in degrees?")]
 TensionRate = Annotated[float, number_in_range(1.0, 1e5, "N/s")]
 StaleTime = Annotated[float, number_in_range(1.0, 60_000.0, "ms", "in milliseconds?")]
-# Smallest and largest bit rate that is accepted for classical CAN and for the data phase of CAN FD
+# Smallest and largest accepted bit rate, for classical CAN and for the data phase of CAN FD
 # [bit/s].
 MIN_BITRATE_BIT_S = 10_000
 MAX_BITRATE_BIT_S = 8_000_000

@@ -1,9 +1,10 @@
 """Conversion of a hand file of schema 1 to schema 2.
 
-A file of schema 2 contains repeated values only once. The comments of the file are kept.
+A hand file of schema 2 contains repeated values only once. The conversion keeps the comments of the
+file.
 
-Each value is written as before, for example as ``0x1A0`` or ``6.384e-3``. A comment stays beside
-its value.
+The conversion does not change the spelling of a value, for example ``0x1A0`` or ``6.384e-3``. A
+comment stays beside its value.
 """
 
 import re
@@ -34,7 +35,7 @@ NEVER_SHARED_KEYS = {
     "tendon": {"name"},
     "motor": {"name", "node_id"},
 }
-"""Keys that each section of a kind must have itself, and that no default or template may have."""
+"""Keys that each section of a kind must contain itself, and that no default or template is allowed to contain."""
 MIN_SECTIONS_TO_SHARE = 2
 """Smallest number of sections whose common values become a default or a template."""
 
@@ -47,9 +48,9 @@ class TomlEntry:
 
     Attributes:
         key: key of the line, empty for a blank line and for a line with only a comment.
-        text: text of the value. In a line without a key, the whole line.
+        text: text of the value, or the whole line if the line has no key.
         value: parsed value, or None in a line without a key.
-        comment: comment after the value, with its #, or an empty text.
+        comment: comment after the value, including the character #, or an empty text.
     """
 
     key: str
@@ -69,10 +70,10 @@ class TomlTable:
     """Table of a hand file, or the part of the file before the first table.
 
     Attributes:
-        entries: lines of the table, in order.
+        entries: lines of the table, in the order of the file.
         comments_before: comment lines before the header of the table.
         comment: comment after the header of the table.
-        subtables: tables of the tendons and motors within a digit, by kind and short name.
+        subtables: tables of the tendons and motors within a digit, by section kind and short name.
     """
 
     entries: list[TomlEntry]
@@ -131,9 +132,9 @@ def convert_to_schema_2(text: str, source_name: str) -> str:
 
 
 def _parse_blocks(document: tomlkit.TOMLDocument) -> tuple[TomlTable, list[tuple[str, TomlTable]]]:
-    """Return the root and the tables of a document in order.
+    """Return the root table of a TOML document and the other tables, in the order of the document.
 
-    Each table has the comments before its header.
+    The comments before the header of a table belong to the table.
     """
     root = TomlTable([])
     tables: list[tuple[str, TomlTable]] = []
@@ -152,7 +153,7 @@ def _parse_blocks(document: tomlkit.TOMLDocument) -> tuple[TomlTable, list[tuple
 
 
 def _parse_entry(key: str, item: Item) -> list[TomlEntry]:
-    """Return the lines for one TOML item. The item is a key, a comment, or blank lines."""
+    """Return the lines for one TOML item, which is a key, a comment, or blank lines."""
     if isinstance(item, Whitespace):
         return []
     if isinstance(item, Comment):
@@ -170,7 +171,7 @@ def _parse_entry(key: str, item: Item) -> list[TomlEntry]:
 def _trailing_comments(block: TomlTable) -> list[str]:
     """Remove the comment lines at the end of a table, and return them.
 
-    These comments belong to the next table.
+    The comment lines at the end of a table belong to the next table.
     """
     trailing: list[str] = []
     while len(block.entries) > 1 and not block.entries[-1].key:
@@ -181,7 +182,7 @@ def _trailing_comments(block: TomlTable) -> list[str]:
 def _remove_common_values(
     section_kind: str, section_tables: Sequence[TomlTable]
 ) -> list[TomlEntry]:
-    """Remove the values that all sections of a kind have in common, and return their lines."""
+    """Remove the values that all sections of a kind have in common, and return the lines of these values."""
     if section_kind == "digit":
         for block in section_tables:
             _shorten_lists_per_link(block)
@@ -194,7 +195,7 @@ def _remove_common_values(
 def _remove_shared_values(
     section_tables: Sequence[TomlTable], may_be_shared: Callable[[str, Any], bool]
 ) -> list[TomlEntry]:
-    """Remove the values that all tables have in common, and return their lines with the comments of all tables."""
+    """Remove the values that all tables have in common, and return the lines of these values with all comments."""
     first_values = section_tables[0].values()
     other_values = [block.values() for block in section_tables[1:]]
     keys = [
@@ -222,7 +223,7 @@ def _remove_shared_values(
 def _are_equal(value: Any, other_value: Any) -> bool:
     """Return True if two values are equal. A boolean never equals a number.
 
-    In TOML, true is not the same as 1.
+    In Python, True equals 1, but in TOML, true and 1 are different values.
     """
     return bool(value == other_value) and isinstance(value, bool) == isinstance(other_value, bool)
 
@@ -234,8 +235,8 @@ def _shorten_lists_per_link(block: TomlTable) -> None:
         if entry.key not in KEYS_ACCEPTING_ONE_VALUE or not isinstance(values, list) or not values:
             continue
         if isinstance(values[0], int | float) and all(value == values[0] for value in values):
-            # The text between the bracket and the first comma is the number as the file spells it.
-            # This text is copied.
+            # The text between the bracket and the first comma is the number in the spelling of the
+            # file, and is copied.
             entry.text = entry.text.strip("[] \n").split(",")[0].strip()
             entry.value = values[0]
 
@@ -264,8 +265,8 @@ def _move_sections_into_digits(
 ) -> None:
     """Move each tendon or motor into its digit.
 
-    The name of the digit must be the start of the name of the tendon or motor. If this is not true
-    for all of them, nothing is moved.
+    The name of each tendon or motor must begin with the name of its digit. If the name of one
+    tendon or motor does not, the function moves no section.
     """
     moved_tables: list[tuple[TomlTable, str, TomlTable]] = []
     digits = {block.values()["name"]: block for block in tables_of_kind["digit"]}
@@ -285,7 +286,7 @@ def _move_sections_into_digits(
         id(block)
         for *_, block in sorted(moved_tables, key=lambda row: list(digits.values()).index(row[0]))
     ] != [id(block) for block in tables_of_kind[section_kind]]:
-        return  # moving them would change the order of the tendons or motors
+        return  # moving the sections would change the order of the tendons or motors
     comments: list[str] = []
     if tables_of_kind[section_kind]:
         comments, tables_of_kind[section_kind][0].comments_before = (
@@ -324,9 +325,10 @@ def _remove_values_to_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTa
             _remove_shared_values(group, lambda key, value: key not in NEVER_SHARED_KEYS["digit"])
         )
         for kind in TABLE_KINDS_IN_DIGIT:
-            # In the resolved file, the tendons and motors of a template come before those of the
-            # digit itself. But the order of tendons and motors must not change. Therefore only
-            # those before the first difference between the digits are moved into the template.
+            # In the resolved content of a hand file, the tendons and motors of a template precede
+            # the tendons and motors of the digit itself. Because the order of tendons and motors
+            # must not change, only those before the first difference between the digits are moved
+            # into the template.
             for short_name in group[0].subtables[kind]:
                 if not all(short_name in block.subtables[kind] for block in group):
                     break
@@ -351,9 +353,9 @@ def _lines_of_section_kind(
     table_of_template: dict[str, TomlTable],
     section_tables: Sequence[TomlTable],
 ) -> list[str]:
-    """Return the lines of the new file for one kind of section.
+    """Return the lines of the converted hand file for one kind of section.
 
-    The lines contain the default, the templates and the sections.
+    The lines for a section kind contain its default, its templates and its sections.
     """
     lines = ["", *(section_tables[0].comments_before if section_tables else [])]
     if default_entries:
@@ -382,7 +384,7 @@ def _header_comment(block: TomlTable) -> str:
 
 
 def _table_lines(block: TomlTable, header: str) -> list[str]:
-    """Return the lines of a table, and of the tendons and motors in it."""
+    """Return the lines of a table, and of the tendons and motors in the table."""
     lines = [entry.line() for entry in block.entries]
     tables: list[str] = []
     for kind, subtables in block.subtables.items():

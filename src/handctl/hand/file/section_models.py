@@ -18,10 +18,10 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Return a copy with the given fields replaced.
+        """Return a copy of the section with the given fields replaced.
 
         pydantic also copies the cached properties, which were computed from the old fields. The
-        copy computes them again.
+        copied section computes its properties again.
         """
         section_copy = super().model_copy(update=update, deep=deep)
         for name in section_copy.__dict__.keys() - type(self).model_fields.keys():
@@ -77,11 +77,11 @@ CIA404_KEYS = ("node_ids", "channels_per_node", "range_N", "process_value", "dec
 TPDO_IDS = (0x180, 0x280, 0x380, 0x480)
 """Identifiers of TPDO 1 to 4.
 
-The identifier of a device's frame is this number plus its node number. Source: CiA 301, predefined
-connection set.
+The identifier of a device's TPDO is a number of ``TPDO_IDS`` plus the node number of the device.
+Source: CiA 301, predefined connection set.
 """
 CHANNELS_PER_TPDO = 2
-"""Number of channels in a TPDO: values of 32 bits in 8 bytes."""
+"""Number of channels in a TPDO: 8 bytes hold two values of 32 bits."""
 
 
 class SensorNode(Section):
@@ -191,7 +191,7 @@ CHANNELS_PER_FRAME = 5
 Source: sensor_node.dbc.
 """
 JOINT_FRAME_OFFSET = 0x10
-"""Identifier of the first joint frame minus that of the first tension frame.
+"""Identifier of the first joint frame minus the identifier of the first tension frame.
 
 Source: sensor_node.dbc.
 """
@@ -221,9 +221,9 @@ class StreamLimits(Section):
 MAX_LINKS = 8
 """Largest number of links of a digit."""
 SPRING_KEYS = ("spring_stiffness_N_m_per_rad", "spring_preload_rad")
-"""Keys of the return springs of a digit. A digit without springs has neither of them."""
+"""Keys of the return springs of a digit. A digit without springs has neither of the two keys."""
 PRISMATIC_SPRING_KEYS = ("spring_stiffness_N_per_m", "spring_preload_m")
-"""Keys of the return springs of prismatic joints. A digit without such springs has neither of them."""
+"""Keys of the return springs of prismatic joints. A digit without springs at these joints has neither key."""
 REVOLUTE_KEYS = (
     "joint_min_deg",
     "joint_max_deg",
@@ -241,13 +241,13 @@ PRISMATIC_KEYS = (
 )
 """Keys of a digit with a value per prismatic joint, in the order of the keys for revolute joints."""
 PRISMATIC = "prismatic"
-"""Type of a joint along whose axis its link slides."""
+"""Name of the joint type whose link slides along the axis of the joint."""
 DEFAULT_JOINT_NOISE_M = 1e-5
-"""Standard deviation of a prismatic joint's encoder sample, if the file gives none [m]."""
+"""Standard deviation of a prismatic joint's encoder sample, if the hand file does not contain it [m]."""
 Z_AXIS = (0.0, 0.0, 1.0)
-"""Axis of a revolute joint of a digit without ``joint_axis``."""
+"""Axis of a revolute joint in a digit without the key ``joint_axis``."""
 Y_AXIS = (0.0, 1.0, 0.0)
-"""Axis of a prismatic joint of a digit without ``joint_axis``: a positive position closes."""
+"""Axis of a prismatic joint in a digit without the key ``joint_axis``. A positive position closes the digit."""
 
 
 class Digit(Section):
@@ -377,8 +377,8 @@ class Digit(Section):
     def _add_default_springs(cls, section_content: Any) -> Any:
         """Add return springs with stiffness 0 to a digit without springs.
 
-        Antagonistic tendons open such a digit. A digit without revolute joints needs none of the
-        keys of such joints.
+        Antagonistic tendons open a digit without springs. A digit without revolute joints needs no
+        key of revolute joints.
         """
         if not isinstance(section_content, dict):
             return section_content
@@ -398,19 +398,19 @@ class Digit(Section):
 
     @property
     def is_prismatic(self) -> tuple[bool, ...]:
-        """Return True for each prismatic joint, in the order from the palm to the tip."""
+        """Return for each joint if it is prismatic, in the order from the palm to the tip."""
         if self.joint_type is None:
             return (False,) * len(self.link_length_m)
         return tuple(kind == PRISMATIC for kind in self.joint_type)
 
     @property
     def has_springs(self) -> bool:
-        """Return True if a spring opens a joint. Otherwise, tendons open the digit."""
+        """Return True if a spring opens a joint of the digit, and False if tendons open the digit."""
         return any(self.joint_values("spring_stiffness_N_m_per_rad"))
 
     @property
     def axes(self) -> tuple[tuple[float, float, float], ...]:
-        """Return the axis of each joint in the frame of its link, from the file or by default."""
+        """Return the axis of each joint in the frame of its link, from the hand file or by default."""
         if self.joint_axis is not None:
             return self.joint_axis
         return tuple(
@@ -421,8 +421,8 @@ class Digit(Section):
         """Return a value for each joint, from a key for revolute joints or from the corresponding key in metres.
 
         Args:
-            key: one of ``REVOLUTE_KEYS``. The values of prismatic joints are in SI units. Those of
-                revolute joints have the unit of the key.
+            key: one of ``REVOLUTE_KEYS``. The values of prismatic joints are in SI units. The
+                values of revolute joints have the unit of the key.
         """
         revolute_values = iter(getattr(self, key))
         prismatic_values = iter(getattr(self, PRISMATIC_KEYS[REVOLUTE_KEYS.index(key)]))
@@ -460,7 +460,7 @@ class Digit(Section):
     def rated_loads(self) -> tuple[float, ...] | None:
         """Return the largest torque or force that each joint withstands [N m or N].
 
-        If one of them is not known, return None.
+        Return None if the largest torque or force of a joint is not known.
         """
         rated_torques = self.joint_rated_torque_N_m
         rated_forces = self.joint_rated_force_N
@@ -540,9 +540,9 @@ class Tendon(Section):
     @model_validator(mode="before")
     @classmethod
     def _add_default_tendon_keys(cls, section_content: Any) -> Any:
-        """Add keys that a tendon may omit.
+        """Add the keys that a tendon in a hand file is allowed to omit.
 
-        A spool pair has a tension floor of 0, because its net tension may be positive or negative.
+        A spool pair has a tension floor of 0, because its net tension can be positive or negative.
         A tendon that moves only prismatic joints has no moment arms.
         """
         if not isinstance(section_content, dict):
@@ -558,7 +558,7 @@ class Tendon(Section):
 
     @property
     def arms(self) -> dict[str, Any]:
-        """Return the entries of R for this tendon by joint: moment arms [m], or ratios for prismatic joints."""
+        """Return the tendon's entries of R by joint: moment arms [m], or excursion ratios for prismatic joints."""
         return {**self.moment_arm_m, **self.excursion_ratio}
 
     def moment_arm_key(self, joint: str) -> str:

@@ -1,6 +1,7 @@
 """Checks of the section ``sensor_node`` in a hand file.
 
-The checks are about the keys of the protocol, the sensor channels and the measuring range.
+The checks of the sensor node are about the keys of its protocol, the sensor channels and the
+measuring range.
 """
 
 from __future__ import annotations
@@ -26,12 +27,13 @@ CANOPEN_SYNC = 0x080
 AMPLIFIER_FRAME_IDS = (0x080, 0x580, 0x600, 0x700)
 """Identifiers of the frames of an amplifier: emergency, SDO in both directions, and heartbeat.
 
-The identifier of a frame is this number plus the node number of the amplifier.
+The identifier of a frame is a number of ``AMPLIFIER_FRAME_IDS`` plus the node number of the
+amplifier.
 
 Source: CiA 301.
 """
 MAX_TARE_N = 6.0
-"""Largest accepted tare of a load cell [N]. The tare reduces the usable range."""
+"""Largest accepted tare of a load cell [N]. The tare reduces the usable range of the load cell."""
 MAX_COUNT = (1 << 31) - 1
 """Largest value of the CANopen type INTEGER32."""
 
@@ -64,9 +66,9 @@ def check_sensor_node(hand: Hand) -> Iterator[FileMistake]:
 
 
 def _check_amplifiers(node: SensorNode) -> Iterator[FileMistake]:
-    """Check the SYNC identifier and the node numbers.
+    """Check the SYNC identifier and the node numbers of the amplifiers.
 
-    Also check that the amplifiers have a channel for each load cell.
+    The function also checks that the amplifiers have a channel for each load cell.
     """
     if node.sync_id != CANOPEN_SYNC:
         yield FileMistake(
@@ -98,9 +100,9 @@ def _check_amplifiers(node: SensorNode) -> Iterator[FileMistake]:
 
 
 def _check_range(hand: Hand) -> Iterator[FileMistake]:
-    """Check that the measuring range includes the largest tension.
+    """Check that the measuring range of the load cells includes the largest tension.
 
-    Also check that the process value can represent this range.
+    The function also checks that the process value can represent the measuring range.
     """
     node, location = hand.sensor_node, "sensor_node.range_N"
     if node.range_N is None:

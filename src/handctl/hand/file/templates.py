@@ -1,17 +1,17 @@
 """Resolution of a hand file of schema 2.
 
-Defaults and templates are replaced by the values for which they stand.
+The resolution replaces defaults and templates by the values for which they stand.
 
-In a file of schema 2, a value that is repeated is written only once. The resolved content has the
-form of schema 1, where every section contains all of its values. These rules apply in order:
+A hand file of schema 2 contains a repeated value only once. The resolved content has the form of
+schema 1, where every section contains all of its values. The following rules apply in order:
 
-1. A digit, tendon or motor has the values of ``[default.KIND]``. Values of its template
-   ``[KIND_template.NAME]`` replace these, and values in the section itself replace both. Tables are
-   merged key by key.
-2. A digit may hold tables ``tendon.NAME`` and ``motor.NAME``. They become tendons and motors named
-   DIGIT_NAME. Within these tables, ``j1`` means joint DIGIT_j1, and a motor of the same digit may be
-   named without DIGIT.
-3. If a key needs a list with a value per link, one number stands for equal values.
+1. A digit, tendon or motor has the values of ``[default.KIND]``. Values of the section's template
+   ``[KIND_template.NAME]`` replace values of the default. Values in the section itself replace
+   values of the default and of the template. Tables are merged key by key.
+2. Tables ``tendon.NAME`` and ``motor.NAME`` within a digit become tendons and motors with the name
+   DIGIT_NAME. Within the tables of a digit, ``j1`` means joint DIGIT_j1, and a motor of the same
+   digit can be named without DIGIT.
+3. If a key needs a list with a value per link, one number stands for a list of equal values.
 4. ``"all"`` in the sensor node stands for all tendons, or all joints.
 """
 
@@ -31,14 +31,14 @@ SCHEMA_WITH_TEMPLATES = 2
 SECTION_KINDS = ("digit", "tendon", "motor")
 """Kinds of section that can have defaults and templates."""
 TABLE_KINDS_IN_DIGIT = ("tendon", "motor")
-"""Kinds of table that a digit may hold."""
+"""Kinds of table that a digit can contain."""
 TEMPLATE_KEYS = {kind: f"{kind}_template" for kind in SECTION_KINDS}
-"""Name of the table that holds the templates of each kind of section."""
+"""Name of the table that contains the templates of each kind of section."""
 KEYS_PER_JOINT_TYPE = {
     **dict.fromkeys((*REVOLUTE_KEYS, "joint_rated_torque_N_m"), False),
     **dict.fromkeys((*PRISMATIC_KEYS, "joint_rated_force_N"), True),
 }
-"""Keys of a digit with a value per joint of one type: True for those of prismatic joints."""
+"""Keys of a digit with a value per joint of one type: True for a key of prismatic joints."""
 KEYS_ACCEPTING_ONE_VALUE = (*KEYS_PER_LINK, *KEYS_PER_JOINT_TYPE, "link_mesh_scale")
 """Keys of a digit that accept one number in place of a list with a value per link or joint."""
 MOMENT_ARM_KEYS = ("moment_arm_m", "excursion_ratio")
@@ -46,9 +46,9 @@ MOMENT_ARM_KEYS = ("moment_arm_m", "excursion_ratio")
 ALL_NAMES_KEYWORD = "all"
 """Value of the sensor node that stands for all tendons or all joints."""
 MAX_MERGED_TABLE_DEPTH = 3
-"""Number of levels of nested tables that are merged key by key.
+"""Number of levels of nested tables that the resolution merges key by key.
 
-A deeper table is replaced as a whole.
+A table on a deeper level is replaced as a whole.
 """
 KEY_PATH_PATTERN = re.compile(r"(digit|tendon|motor)\[[^\]]*\]\.([A-Za-z_0-9]+)")
 """Pattern of the key path of a key in a digit, tendon or motor."""
@@ -56,11 +56,11 @@ SHORT_JOINT_PATTERN = re.compile(r"j[0-9]+")
 
 TableContent = Mapping[str, Any]
 KeyPathOrigins = dict[str, str]
-"""Key path in the file of each value, by the key path of the value in the resolved content."""
+"""Key path of each value in the hand file, by the key path of the value in the resolved content."""
 
 
 class ValueLayer(NamedTuple):
-    """Values for a section from a single place in the file, and the key path of this place.
+    """Values for a section from a single table of the hand file, and the key path of the table.
 
     Values of a later layer replace values of an earlier layer.
     """
@@ -73,8 +73,9 @@ class ResolvedContent(NamedTuple):
     """Result of replacing the defaults and templates in a hand file.
 
     Attributes:
-        content: content of the file in the form of schema 1.
-        origins: key path in the file, for each value that has a different key path in ``content``.
+        content: content of the hand file in the form of schema 1.
+        origins: key path in the hand file, for each value that has a different key path in
+            ``content``.
         mistakes: mistakes in the use of defaults and templates.
     """
 
@@ -86,10 +87,10 @@ class ResolvedContent(NamedTuple):
 def resolve_templates(content: TableContent) -> ResolvedContent:
     """Replace the defaults and templates of a hand file by the values for which they stand.
 
-    Content of schema 1 is not changed.
+    The function does not change content of schema 1.
 
-    If a section should be a table but is another value, this value is not changed either. The later
-    validation gives a better message about such a value.
+    If a section should be a table but is another value, the function does not change the value. The
+    later validation of the content reports the wrong value with a better message.
     """
     tables = [key for key in ("default", *TEMPLATE_KEYS.values()) if key in content]
     if content.get("schema") != SCHEMA_WITH_TEMPLATES and not tables:
@@ -119,7 +120,7 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
     for kind in TABLE_KINDS_IN_DIGIT:
         if isinstance(sections[kind], list):
             sections[kind] = resolver.of_digits[kind] + sections[kind]
-    # If a section is missing, it is not added, so that the validation reports it as missing.
+    # A missing section is not added, so that the validation reports the section as missing.
     resolved_content |= {
         kind: section for kind, section in sections.items() if section or kind in content
     }
@@ -130,10 +131,10 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
 
 
 class _TemplateResolver:
-    """Resolution of one hand file, with the content of the file and the results so far."""
+    """Resolution of one hand file, with the content of the hand file and the sections resolved so far."""
 
     def __init__(self, content: TableContent) -> None:
-        """Begin to resolve the content of a hand file."""
+        """Store the content of a hand file that is to be resolved."""
         self.content = content
         self.origins: KeyPathOrigins = {}
         self.mistakes: list[FileMistake] = []
@@ -144,8 +145,8 @@ class _TemplateResolver:
     def check_tables(self) -> None:
         """Find mistakes in the defaults and templates of the file.
 
-        Defaults and templates must be tables. They must not have the keys ``name`` and
-        ``template``, which belong to a section itself.
+        Defaults and templates must be tables without the keys ``name`` and ``template``, which
+        belong to a section itself.
         """
         default = self.content.get("default", {})
         if not isinstance(default, Mapping):
@@ -183,7 +184,8 @@ class _TemplateResolver:
 
         Args:
             section_kind: kind of section.
-            section_layers: layers of the section itself, without those of the default and the template.
+            section_layers: layers of the section itself, without the layers of the default and the
+                template.
             name: name of the section, or None if the layers contain the name.
         """
         layers = [*self.shared_layers(section_kind, section_layers), *section_layers]
@@ -205,8 +207,8 @@ class _TemplateResolver:
         default_section = self.content.get("default")
         default: TableContent = default_section if isinstance(default_section, Mapping) else {}
         for key, values in default.items():
-            # If a kind is misspelt, its default is used nevertheless. Otherwise all values of this
-            # default would also be reported as missing.
+            # A default whose kind is misspelt is used for the most similar kind. Without the
+            # misspelt default, the validation would also report all its values as missing.
             is_misspelt = (
                 key not in SECTION_KINDS
                 and section_kind not in default
@@ -230,8 +232,8 @@ class _TemplateResolver:
             self.mistakes.append(
                 FileMistake(toml_spelling(name), f"{template_layers[-1].path}.template", expected)
             )
-            # If a template does not exist, the template with the most similar name is used.
-            # Otherwise all values of the template would also be reported as missing.
+            # If a template does not exist, the template with the most similar name is used. Without
+            # a template, the validation would also report all values of the template as missing.
             name = expected if expected in valid_names else next(iter(valid_names), None)
         if isinstance(templates, Mapping) and isinstance(templates.get(name), Mapping):
             yield ValueLayer(_without_name_and_template(templates[name]), f"{key}.{name}")
@@ -247,7 +249,7 @@ class _TemplateResolver:
         for kind in TABLE_KINDS_IN_DIGIT:
             template_value = values.get(kind)
             if not isinstance(template_value, Mapping):
-                continue  # either there are none, or the later validation describes the mistake
+                continue  # either the digit has no tendons or motors, or the later validation describes the mistake
             del values[kind]
             for name, table in template_value.items():
                 location = self.origins[f"{path}.{kind}.{name}"]
@@ -344,9 +346,9 @@ def _expected_value_count(key: str, link_count: int, joint_types: Any) -> int:
 def join_missing_key_mistakes(
     mistakes: Iterable[FileMistake], content: TableContent
 ) -> list[FileMistake]:
-    """Join the mistakes about a key that is missing in all sections of a kind.
+    """Join the mistakes that report a key as missing in all sections of a kind.
 
-    The joined mistake reports the key as missing in the default of this kind.
+    The joined mistake reports the key as missing in the default of the section kind.
 
     Args:
         mistakes: mistakes whose key paths belong to the resolved content.
@@ -374,11 +376,11 @@ def _merge_layers(
 ) -> tuple[dict[str, Any], KeyPathOrigins]:
     """Merge several layers of values for a section.
 
-    Values of a later layer replace those of an earlier layer. Tables are merged key by key.
+    Values of a later layer replace values of an earlier layer. Tables are merged key by key.
 
     Returns:
-        The merged values. For each value, by its key path within the section, also the key path in
-        the file.
+        The merged values. The second result is the key path of each value in the hand file, by the
+        key path within the section.
     """
     values: dict[str, Any] = {}
     origins: KeyPathOrigins = {}
@@ -421,7 +423,7 @@ def _template_layers_by_name(
 
 
 def _expand_all_names(node: TableContent, sections: TableContent) -> dict[str, Any]:
-    """Return the sensor node with names in place of ``"all"``."""
+    """Return the sensor node with all tendon or joint names in place of ``"all"``."""
     names = {
         "tendons": [tendon.get("name") for tendon in _list_of_tables(sections["tendon"])],
         "joints": [
@@ -445,11 +447,11 @@ def _is_list_of_tables(value: Any) -> bool:
 
 
 def _list_of_tables(value: Any) -> list[TableContent]:
-    """Return a list of tables. For any other value, return an empty list."""
+    """Return the value if it is a list of tables. If the value is not a list of tables, return an empty list."""
     return list(value) if _is_list_of_tables(value) else []
 
 
 def _section_label(section: TableContent, position: int) -> str:
-    """Return the name of a section for key paths. Without a name, return the section's position."""
+    """Return the name of a section for key paths, or its position if it has no name."""
     name = section.get("name")
     return name if isinstance(name, str) and name else str(position)

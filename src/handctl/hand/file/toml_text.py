@@ -1,6 +1,6 @@
 """TOML text of the resolved content of a hand file, for the log.
 
-A hand that is read from this text equals the original hand.
+A hand that is read from the TOML text equals the original hand.
 """
 
 import json
@@ -13,7 +13,7 @@ from handctl.printing import escape_surrogates
 def toml_text(content: Mapping[str, Any]) -> str:
     """Write content as TOML text: first plain values, then tables and arrays of tables.
 
-    Values that are None, and empty inline tables, are left out.
+    The text omits values that are None and empty inline tables.
     """
     lines = _value_lines(content)
     for key, value in content.items():
@@ -26,10 +26,10 @@ def toml_text(content: Mapping[str, Any]) -> str:
 
 
 def _value_lines(table_content: Mapping[str, Any], inline_tables: bool = False) -> list[str]:
-    """Return the lines of a table that contain its values with one line each."""
+    """Return the lines with the values of a table, one line for each value."""
 
     def is_single_line_value(value: Any) -> bool:
-        """Return True for a value that needs only one line of the table."""
+        """Return True for a value whose text is a single line of the table."""
         return (
             bool(inline_tables and value)
             if isinstance(value, Mapping)
@@ -53,7 +53,7 @@ def _is_table_array(value: Any) -> bool:
 
 
 def _value_text(value: Any) -> str:
-    """Return the text of a value.
+    """Return the TOML text of a value.
 
     Python's repr of a float is the shortest exact text, and is valid TOML.
     """
@@ -75,14 +75,14 @@ def _value_text(value: Any) -> str:
 def quoted_string(text: str) -> str:
     """Return a text as a TOML basic string, with quotes.
 
-    Characters without a UTF-8 encoding become the text of an escape sequence, because TOML has no
-    escape for them.
+    TOML has no escape sequence for characters without a UTF-8 encoding. The function replaces each
+    character without a UTF-8 encoding by the visible text of an escape sequence.
     """
     return json.dumps(escape_surrogates(text), ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _key_text(key: str) -> str:
-    """Return the text of a key. If quotes are necessary, add them."""
+    """Return the TOML text of a key, with quotes if quotes are necessary."""
     return (
         key
         if key.isascii() and key.replace("_", "").replace("-", "").isalnum()

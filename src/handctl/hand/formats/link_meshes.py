@@ -1,6 +1,6 @@
 """Meshes of a hand's links and palm, for display only.
 
-These meshes have neither mass nor contacts in a simulation.
+The meshes of links and palm have neither mass nor contacts in a simulation.
 """
 
 import os
@@ -21,7 +21,7 @@ from handctl.hand.link_geometry import rotation_of_rpy
 PALM_LINK = "palm"
 """Link name of the palm."""
 LARGEST_EXTENT_M = 1.0
-"""Largest extent of a mesh, and largest distance of its points from the origin of its link [m]."""
+"""Largest extent of a mesh, and largest distance between a point of the mesh and the origin of the link [m]."""
 SMALLEST_EXTENT_M = 0.5e-3
 """Smallest extent of a mesh along its longest side [m]."""
 MILLIMETRE_SCALE = 1e-3
@@ -29,7 +29,7 @@ MILLIMETRE_SCALE = 1e-3
 MAX_FILE_BYTES = 16 << 20
 """Largest size of a mesh file [bytes].
 
-A binary STL with the largest number of triangles has 10 MB.
+A binary STL with the largest allowed number of triangles has 10 MB.
 """
 
 
@@ -88,7 +88,7 @@ def meshes_of_hand(hand: Hand) -> tuple[LinkMesh, ...]:
 def _link_mesh(
     link_name: str, key: str, file_path: str, scale: Any, position: Any, rpy_deg: Any
 ) -> LinkMesh:
-    """Return the mesh of a link. Arguments that are None get default values."""
+    """Return the mesh of a link. An argument that is None gets its default value."""
     scale = 1.0 if scale is None else scale
     axis_scales = (scale, scale, scale) if isinstance(scale, float) else scale
     return LinkMesh(
@@ -125,7 +125,7 @@ def read_triangles(path: Path) -> Array:
 
     Raises:
         ValueError: the file is missing, unreadable, too large, or not a mesh. The error message
-            says which kind of file is expected.
+            contains the expected kind of file.
     """
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise ValueError(
@@ -225,7 +225,7 @@ def relative_path(path: Path, folder: Path) -> str:
 def with_meshes_from(hand_content: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Return the resolved content of a hand with absolute mesh paths.
 
-    These paths do not depend on the place of the hand file.
+    Absolute mesh paths do not depend on the folder of the hand file.
 
     Args:
         hand_content: content of the hand, from ``Hand.content``.

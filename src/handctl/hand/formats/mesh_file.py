@@ -18,7 +18,7 @@ Source: the STL format.
 STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 """Record of a triangle in a binary STL."""
 MAX_TRIANGLES = 200_000
-"""Largest number of triangles of a mesh. Source: MuJoCo refuses an STL with more."""
+"""Largest number of triangles of a mesh. Source: MuJoCo refuses an STL with more triangles."""
 
 
 def mesh_triangles(file_content: bytes, file_suffix: str) -> Array:
@@ -29,8 +29,8 @@ def mesh_triangles(file_content: bytes, file_suffix: str) -> Array:
         file_suffix: suffix of the file's name, ``.stl`` or ``.obj``.
 
     Raises:
-        ValueError: the content is not a mesh of this format, is empty, or is too large. The error
-            message says which content is expected.
+        ValueError: the content of the file is not a mesh of the given format, is empty, or is too
+            large. The error message describes the expected content.
     """
     triangles = (
         _stl_triangles(file_content)
@@ -84,8 +84,8 @@ def _obj_triangles(file_content: bytes) -> Array:
                 if len(vertices[-1]) != 3:
                     raise ValueError
             elif words[:1] == ["f"]:
-                # In the file, each corner is written as v, v/vt, v//vn or v/vt/vn. A negative
-                # number counts backwards from the last vertex in the file.
+                # An OBJ file contains each corner in the form v, v/vt, v//vn or v/vt/vn. A negative
+                # vertex number counts backwards from the last vertex in the file.
                 vertex_numbers = [int(word.split("/")[0]) for word in words[1:]]
                 corners = [
                     corner - 1 if corner > 0 else len(vertices) + corner

@@ -1,8 +1,8 @@
 """Export of a hand as MJCF for MuJoCo: links, springs, stops and tendons with a controlled tension.
 
-The world frame is the palm frame. At joint angles of zero, the hand is open. Positive angles flex
-the digits. Each control input is the tension of one tendon at the joint pulleys [N]. The exported
-model contains no tendon elasticity, no friction and no rotors.
+The world frame of the exported model is the palm frame. At joint angles of zero, the hand is open.
+Positive angles flex the digits. Each control input is the tension of one tendon at the joint
+pulleys [N]. The exported model contains no tendon elasticity, no friction and no rotors.
 """
 
 from collections.abc import Mapping
@@ -21,14 +21,14 @@ from handctl.hand.link_geometry import centre_of_mass, joint_axes, link_inertia,
 STOP_SOLVER_PARAMETERS = ("0.002 1", "0.99 0.9999 0.001")
 """Values of ``solreflimit`` and ``solimplimit`` that make the joint stops stiff.
 
-With MuJoCo's defaults, return springs push the light links 16 degrees past their stops.
+With MuJoCo's default values, return springs push the light links 16 degrees past the joint stops.
 """
 
 
 VISUAL_GEOM_GROUP = "2"
 """Group of the geoms that show meshes. Viewers show the groups 0 to 2."""
 COLLISION_GEOM_GROUP = "3"
-"""Group of the collision shapes of links with a mesh. Viewers do not show this group."""
+"""Group of the collision shapes of links with a mesh. Viewers do not show the geoms of group 3."""
 
 
 def mjcf_text(hand: Hand, mesh_of_link: Mapping[str, LinkMesh] = NO_MESHES) -> str:
@@ -39,8 +39,8 @@ def mjcf_text(hand: Hand, mesh_of_link: Mapping[str, LinkMesh] = NO_MESHES) -> s
 
     Args:
         hand: description of the hand.
-        mesh_of_link: meshes by the name of the link, with paths relative to the MJCF file. They have
-            neither mass nor contacts.
+        mesh_of_link: meshes by the name of the link, with paths relative to the MJCF file. Meshes
+            have neither mass nor contacts.
     """
     root = ET.Element("mujoco", model=hand.name)
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
@@ -65,7 +65,7 @@ def mjcf_text(hand: Hand, mesh_of_link: Mapping[str, LinkMesh] = NO_MESHES) -> s
 def _add_palm(link_element: ET.Element, hand: Hand, carrier: str | None) -> None:
     """Add the digits that are mounted on a link, and a box behind these digits.
 
-    The digits do not collide with this box.
+    The digits do not collide with the box behind them.
     """
     centre, size = palm_box(hand, carrier)
     name = "palm" if carrier is None else f"{carrier}_palm"
@@ -121,8 +121,8 @@ def _add_joint(link_element: ET.Element, digit: Digit, i: int, joint: str) -> No
         damping=number_text(digit.joint_values("joint_damping_N_m_s_per_rad")[i]),
         armature=number_text(digit.joint_values("joint_armature_kg_m2")[i]),
         stiffness=number_text(digit.joint_values("spring_stiffness_N_m_per_rad")[i]),
-        # In MuJoCo, the torque of a spring is -k (q - springref). In a hand file, it is -k (q +
-        # preload).
+        # In MuJoCo, the torque of a spring is -k (q - springref). In a hand file, the torque of a
+        # spring is -k (q + preload).
         springref=number_text(-digit.joint_values("spring_preload_rad")[i]),
         solreflimit=STOP_SOLVER_PARAMETERS[0],
         solimplimit=STOP_SOLVER_PARAMETERS[1],
@@ -132,7 +132,7 @@ def _add_joint(link_element: ET.Element, digit: Digit, i: int, joint: str) -> No
 def _add_link_body(link_element: ET.Element, digit: Digit, i: int, length: float) -> None:
     """Add the inertia and the collision shape of link i.
 
-    The shape is a capsule, or a ball if the length [m] is 0.
+    The collision shape of a link is a capsule, or a ball if the length [m] is 0.
     """
     moments = link_inertia(digit, i)
     ET.SubElement(
@@ -166,8 +166,9 @@ def _add_meshes(model_root: ET.Element, mesh_of_link: Mapping[str, LinkMesh]) ->
     model_root.insert(list(model_root).index(model_root.find("worldbody")), assets)  # type: ignore[arg-type]
     bodies = {str(body.get("name")): body for body in model_root.iter("body")}
     for link, mesh in mesh_of_link.items():
-        # MuJoCo computes an inertia for each mesh. The inertia of a shell can be computed even if
-        # the surface has holes. But the inertia of a mesh has no effect in this model.
+        # MuJoCo computes an inertia for each mesh. MuJoCo can compute the inertia of a mesh as a
+        # shell even if the surface has holes. The inertia of a mesh has no effect in the exported
+        # model.
         ET.SubElement(
             assets,
             "mesh",
@@ -200,8 +201,8 @@ def _add_couplings(model_root: ET.Element, hand: Hand) -> None:
         return
     equality = ET.SubElement(model_root, "equality")
     for follower, leading_joint, ratio in rows:
-        # The constraint is follower = 0 + ratio * leader. Both angles are measured from their zero
-        # in the model.
+        # The constraint is follower = 0 + ratio * leader. Both joint angles are measured from the
+        # zero angle in the model.
         polynomial = numbers_text((0.0, ratio, 0.0, 0.0, 0.0))
         ET.SubElement(equality, "joint", joint1=follower, joint2=leading_joint, polycoef=polynomial)
 
@@ -209,8 +210,9 @@ def _add_couplings(model_root: ET.Element, hand: Hand) -> None:
 def _add_tendons(model_root: ET.Element, hand: Hand) -> None:
     """Add two elements for each tendon: a fixed tendon of MuJoCo with constant moment arms, and a motor.
 
-    The motor of a single tendon only pulls. The motor of a spool pair can pull in both directions.
-    If a moment arm depends on the joint angle, its mean is used.
+    The motor of a single tendon (not a spool pair) only pulls. The motor of a spool pair can pull
+    in both directions. If a moment arm depends on the joint angle, the fixed tendon has the mean of
+    the moment arm.
     """
     tendons = ET.SubElement(model_root, "tendon")
     actuators = ET.SubElement(model_root, "actuator")

@@ -1,10 +1,10 @@
 """Digits of a hand, built from the tree of links of a robot description.
 
-In the description, the frames of the links may have any orientation.
+In a robot description, the frames of the links can have any orientation.
 
 In a hand file, a digit is a chain of links. The x axis of each link's frame is along the link, and
-passes through the next joint. If a frame of the description does not have this form, this module
-turns the frame.
+passes through the next joint. If a link frame of the robot description has another orientation,
+this module turns the frame.
 """
 
 import re
@@ -23,33 +23,33 @@ from handctl.hand.file.section_models import MAX_LINKS
 MAX_ANGLE_TO_LINK_RAD = 1e-6
 """Largest angle between a link and the x axis of its frame [rad].
 
-If the angle is larger, the frame is turned.
+If the angle between a link and its x axis is larger, the frame of the link is turned.
 """
 INTERSECTION_TOLERANCE_M = 1e-7
 """Largest distance of two joints whose axes count as meeting in a point [m]."""
 MIN_FLEXION_COMPONENT = 0.7
-"""Smallest component along y of the tip's direction of motion.
+"""Smallest component along y of the direction in which the tip moves.
 
-If the component is smaller, the last frame of a digit is turned.
+If the tip moves with a smaller component along y, the frame of the digit's last link is turned.
 """
 NEGATIVE_FLEXION_RATIO = 0.1
-"""Ratio that shows the direction of flexion.
+"""Ratio of joint limits that shows the direction of flexion.
 
-If a joint's upper limit is at most this ratio times minus its lower limit, the joint flexes towards
-negative angles.
+A joint flexes towards negative angles if its upper limit is at most NEGATIVE_FLEXION_RATIO times
+the negative of its lower limit.
 """
 MIN_FORWARD_COMPONENT = 0.7
 """Smallest component along x of the mean direction of the digits.
 
-If the component is smaller, the palm frame is turned.
+If the digits point along x with a smaller component, the palm frame is turned.
 """
 MAX_MOUNT_OFFSET_M = 0.005
 """Largest distance of the foremost digit mount from the plane x = 0 [m].
 
-If the distance is larger, the palm frame is shifted.
+If the foremost mount is farther from the plane, the palm frame is shifted.
 """
 MAX_PARALLEL_SINE = 0.1
-"""Largest sine of the angle between a link and its joint axis at which the link counts as turning about itself."""
+"""Largest sine of the angle between a link and its joint axis at which the link counts as parallel to the axis."""
 TIP_NAME_PATTERN = re.compile(r"tip|end", re.IGNORECASE)
 """Pattern in the name of a frame that marks the end of a digit."""
 JOINT_SUFFIX = re.compile(r"[\W_]*(joint|link|j|l)?[\W_]*[0-9]*[\W_]*$", re.IGNORECASE)
@@ -74,7 +74,7 @@ class ModelMesh:
 
     @staticmethod
     def from_plain_values(values: Mapping[str, Any]) -> "ModelMesh":
-        """Build a mesh from plain values."""
+        """Build a mesh of the robot description from plain values."""
         return ModelMesh(
             file=values["file"],
             scale=np.array(values["scale"], dtype=float),
@@ -85,8 +85,8 @@ class ModelMesh:
     def seen_from_frame(self, frame_rotation: Array, frame_origin: Array) -> "ModelMesh":
         """Return the mesh as seen from another frame of the link.
 
-        The rotation (3, 3) and the origin (3,) [m] of the other frame are given in the present
-        frame.
+        The arguments are the rotation (3, 3) and the origin (3,) [m] of the other frame, in the
+        present frame.
         """
         return replace(
             self,
@@ -97,7 +97,7 @@ class ModelMesh:
 
 @dataclass(frozen=True, eq=False)
 class ModelLink:
-    """Link of a robot description, with the joint before it. The origin of the link's frame is in this joint.
+    """Link of a robot description, with the joint at its start. The origin of the link's frame is in this joint.
 
     Attributes:
         name: name of the link in the description.
@@ -106,10 +106,10 @@ class ModelLink:
         position: origin of the link in the frame of the parent (3,) [m].
         rotation: rotation from the frame of the link to that of the parent, at joint angle zero (3,
             3).
-        is_prismatic: True if the link slides along the axis of the joint. The values of the joint
-            are then in m, N and kg in place of rad, N m and kg m2.
+        is_prismatic: True if the link slides along the axis of the joint. The values of a prismatic
+            joint are in m, N and kg in place of rad, N m and kg m2.
         axis: axis of the joint in the frame of the link (3,).
-        range: smallest and largest angle of the joint [rad], None without limits.
+        range: smallest and largest angle of the joint [rad], None for a joint without limits.
         damping: damping of the joint [N m s/rad].
         armature: additional inertia of the joint [kg m2].
         stiffness: stiffness of the joint's spring [N m/rad].
@@ -119,8 +119,8 @@ class ModelLink:
         inertia: inertia about the centre of mass, in the frame of the link (3, 3) [kg m2].
         frames: origins of the named frames on the link, in the frame of the link, (3,) each [m].
         points: corners of boxes around the shapes of the link, (n, 3) [m].
-        radius: half width of the shapes of the link [m], None without shapes.
-        mesh: mesh that shows the link, None without a mesh.
+        radius: half width of the shapes of the link [m], None for a link without shapes.
+        mesh: mesh that shows the link, None for a link without a mesh.
     """
 
     name: str
@@ -145,9 +145,9 @@ class ModelLink:
 
     @staticmethod
     def from_plain_values(values: Mapping[str, Any], mesh: ModelMesh | None) -> "ModelLink":
-        """Build a link from plain values and its mesh.
+        """Build a link of the robot description from plain values and its mesh.
 
-        If the joint flexes towards negative angles, its axis is reversed.
+        The axis of a joint that flexes towards negative angles is reversed.
         """
         axis = np.array(values["axis"], dtype=float)
         rest_angle = float(values["rest"])
@@ -204,7 +204,7 @@ class ModelDigit:
             the link before it.
         lengths: length of each link (n,) [m].
         axes: axis of each joint in the frame of its link (n, 3).
-        links: the links of the description.
+        links: the links of the digit in the robot description.
         centres_of_mass: centre of mass of each link in its frame (n, 3) [m].
         inertias: inertia of each link about its centre of mass (n, 3, 3) [kg m2].
         meshes: mesh of each link, or None for a link without a mesh.
@@ -228,8 +228,8 @@ class ModelDigit:
 class _LinkChain:
     """Chain of links.
 
-    ``carrier`` is the index of the chain that carries this chain. ``link_indices`` are the indices of
-    the links.
+    ``carrier`` is the index of the chain that carries the chain. ``link_indices`` are the indices
+    of the links in the chain.
     """
 
     name: str
@@ -240,14 +240,14 @@ class _LinkChain:
 def digits_from_links(
     links: Sequence[ModelLink], source_name: str
 ) -> tuple[tuple[ModelDigit, ...], Array, Array]:
-    """Return the digits of a tree of links and the frame of the palm.
+    """Return the digits of a robot description's tree of links, and the frame of the palm.
 
     Each digit comes after the digit that carries it.
 
     The palm frame of the hand is the root frame of the description. If the digits do not point
     along the x axis of the root frame, the palm frame is turned by multiples of 90 degrees. If the
-    foremost mount is far from the plane x = 0, the palm frame is also shifted. After this shift,
-    the foremost mount lies in the plane.
+    foremost mount is far from the plane x = 0, the palm frame is also shifted, so that the foremost
+    mount lies in the plane.
 
     Args:
         links: all links, where the parent of a link comes before the link.
@@ -257,7 +257,7 @@ def digits_from_links(
         The digits, and the rotation (3, 3) and origin (3,) [m] of the palm frame in the root frame.
 
     Raises:
-        ConfigError: the description does not show where a digit ends.
+        ConfigError: the robot description does not show where a digit ends.
     """
     chains = list(_link_chains(links))
     frames = _link_frames(links, chains, source_name)
@@ -332,8 +332,8 @@ def _link_chains(links: Sequence[ModelLink]) -> Iterator[_LinkChain]:
 def _digit_name(links: Sequence[ModelLink], used_names: set[str], digit_count: int) -> str:
     """Return an unused name for a digit.
 
-    The name is the common beginning of the names of all joints or links in the digit. If there is
-    no usable common beginning, the digit gets a number.
+    The name is the common beginning of the names of all joints or links in the digit. If the names
+    have no usable common beginning, the name of the digit contains a number.
     """
     for names in ([link.joint for link in links], [link.name for link in links]):
         common_prefix = names[0]
@@ -364,7 +364,7 @@ def _link_frames(
 ) -> dict[int, tuple[Array, float]]:
     """Return the new frame (3, 3) and the length [m] of each link.
 
-    The new frame is given relative to the frame in the description.
+    The new frame of a link is given relative to the frame in the robot description.
     """
     frames = {}
     for chain in chains:
@@ -380,7 +380,7 @@ def _link_frames(
 
 
 def _link_frame(link: ModelLink, link_end: Array, is_last_link: bool) -> tuple[Array, float]:
-    """Return a frame for a link whose x axis points to the end of the link, and the length of the link [m]."""
+    """Return the length of a link [m], and a frame whose x axis points to the end of the link."""
     length = float(np.linalg.norm(link_end))
     if length < INTERSECTION_TOLERANCE_M:
         return np.eye(3), 0.0
@@ -397,7 +397,7 @@ def _link_frame(link: ModelLink, link_end: Array, is_last_link: bool) -> tuple[A
         return np.eye(3), length
     z = axis - (axis @ x) * x
     if np.linalg.norm(z) < MAX_PARALLEL_SINE:
-        # The axis of the joint is parallel to the link. Therefore the z axis may have any direction
+        # The axis of the joint is parallel to the link, so that the z axis can have any direction
         # perpendicular to the link.
         z = np.eye(3)[int(np.argmin(np.abs(x)))]
         z = z - (z @ x) * x
@@ -428,8 +428,8 @@ def _link_end(links: Sequence[ModelLink], i: int, location: str) -> Array:
         other_link.position for other_link in links if other_link.parent == i
     ]
     if carried_digit_positions:
-        # A link that carries digits has no fingertip of its own. So any end that differs from the
-        # joint can be used.
+        # A link that carries digits has no fingertip, so that any point that differs from the joint
+        # can be the end of the link.
         return (
             np.mean(carried_digit_positions, axis=0)
             if np.linalg.norm(np.mean(carried_digit_positions, axis=0)) > INTERSECTION_TOLERANCE_M
@@ -440,8 +440,8 @@ def _link_end(links: Sequence[ModelLink], i: int, location: str) -> Array:
     if not len(link.points):
         problem_text = f"neither a frame nor a shape tells where its last link {link.name} ends"
         raise ConfigError(problem_text, location, f"a fixed link or site {link.name}_tip")
-    # The end lies on the line from the joint to the middle of the link's shapes, at the distance of
-    # the farthest corner.
+    # The end of the link is on the line from the joint to the middle of the link's shapes, at the
+    # distance of the farthest corner of the shapes.
     centre_of_shapes = (link.points.min(axis=0) + link.points.max(axis=0)) / 2
     perpendicular_part = centre_of_shapes - (centre_of_shapes @ link.axis) * link.axis
     direction = (
@@ -460,8 +460,8 @@ def _palm_frame(
 ) -> tuple[Array, Array]:
     """Return the rotation (3, 3) and the origin (3,) [m] of the palm frame in the root frame.
 
-    The x axis points out of the palm, along the digits. The y axis points from the thumb to the
-    fingers. The first digit closes towards -y.
+    The x axis of the palm frame points out of the palm, along the digits. The y axis points from
+    the thumb to the fingers. The first digit closes in the negative direction of the y axis.
     """
     frames_of_digits: list[tuple[Array, Array]] = []
     for link in links:
@@ -495,14 +495,14 @@ def _palm_frame(
     depth = mounts @ palm[:, 0]
     origin = palm[:, 0] * depth.max() if abs(depth.max()) > MAX_MOUNT_OFFSET_M else np.zeros(3)
     if not np.array_equal(palm, np.eye(3)):
-        # The origin is in the middle of the mounts. This is the point of the palm that faces the
-        # object.
+        # The origin of the palm frame is in the middle of the mounts, at the point of the palm that
+        # faces the object.
         origin = origin + (np.eye(3) - np.outer(palm[:, 0], palm[:, 0])) @ mounts.mean(axis=0)
     return palm, origin
 
 
 def _right_angle_rotations() -> Iterator[Array]:
-    """Yield all 24 rotations (3, 3) that map the axes to axes."""
+    """Yield all 24 rotations (3, 3) that map each coordinate axis to a coordinate axis."""
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
             turn = np.zeros((3, 3))

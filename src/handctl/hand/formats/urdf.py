@@ -32,11 +32,11 @@ INDICES_BY_INERTIA_ATTRIBUTE = {
 }
 """Row and column in the inertia matrix of each attribute of URDF's ``inertia``."""
 NO_MESHES: Mapping[str, LinkMesh] = {}
-"""Meshes of a hand that is exported with primitive shapes only."""
+"""Empty dictionary of meshes, for a hand that is exported with simple shapes only."""
 PALM_THICKNESS_M = 0.010
-"""Depth of the box that represents the palm [m]. The front of the box is at x = 0."""
+"""Depth of the box that represents the palm [m]. The front of the palm box is at x = 0."""
 PALM_BOX_MARGIN_M = 0.010
-"""Extent of the box beyond the mounts of the outermost digits [m]."""
+"""Extent of the palm box beyond the mounts of the outermost digits [m]."""
 
 
 def urdf_text(hand: Hand, mesh_of_link: Mapping[str, LinkMesh] = NO_MESHES) -> str:
@@ -47,13 +47,13 @@ def urdf_text(hand: Hand, mesh_of_link: Mapping[str, LinkMesh] = NO_MESHES) -> s
 
     Args:
         hand: description of the hand.
-        mesh_of_link: meshes by the name of the link, with paths relative to the URDF file. They replace
-            the visual shapes of these links.
+        mesh_of_link: meshes by the name of the link, with paths relative to the URDF file. A mesh
+            replaces the visual shape of its link.
     """
     robot = ET.Element("robot", name=hand.name)
     if mesh_of_link:
-        # Without this option, MuJoCo would remove the folders from the paths of meshes, and leave
-        # the meshes out.
+        # Without the option ``strippath``, MuJoCo would remove the folders from the paths of
+        # meshes, and leave the meshes out.
         extension = ET.SubElement(robot, "mujoco")
         ET.SubElement(extension, "compiler", strippath="false", discardvisual="false")
     _add_palm(ET.SubElement(robot, "link", name="palm"), hand, None, mesh_of_link.get("palm"))
@@ -75,7 +75,7 @@ def urdf_text(hand: Hand, mesh_of_link: Mapping[str, LinkMesh] = NO_MESHES) -> s
 
 
 def palm_box(hand: Hand, carrier: str | None) -> tuple[Array, Array]:
-    """Return the centre (3,) and the side lengths (3,) of the box behind the digits that a link carries [m].
+    """Return centre (3,) and side lengths (3,) of the box behind all digits that are mounted on a link [m].
 
     Args:
         hand: description of the hand.
@@ -92,8 +92,8 @@ def palm_box(hand: Hand, carrier: str | None) -> tuple[Array, Array]:
 def shape_length(hand: Hand, digit: Digit, i: int) -> float:
     """Return the length of the simple shape for link i [m].
 
-    If the link carries digits, its shape is shorter by its radius. The round end of the shape then
-    ends where the link ends.
+    If the link carries digits, its shape is shorter by its radius. With the shorter length, the
+    round end of the shape ends where the link ends.
     """
     length = digit.link_length_m[i]
     is_last = i == len(digit.link_length_m) - 1
@@ -109,7 +109,7 @@ def _add_palm(
 ) -> None:
     """Add a box behind all digits that a link carries.
 
-    The box has no mass, because the palm does not move.
+    The box behind the digits has no mass, because the palm does not move.
     """
     centre, size = palm_box(hand, carrier)
     if mesh and carrier is None:
@@ -123,7 +123,7 @@ def _add_palm(
 def _add_joint(robot_element: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
     """Add the joint before link i.
 
-    Its torque and speed limits follow from the tendons and motors.
+    The torque and speed limits of the joint are computed from the tendons and motors.
     """
     name = digit.joints[i]
     kind = PRISMATIC if digit.is_prismatic[i] else "revolute"
@@ -133,7 +133,7 @@ def _add_joint(robot_element: ET.Element, hand: Hand, digit: Digit, i: int) -> N
     )
     ET.SubElement(joint, "child", link=f"{digit.name}_link{i + 1}")
     position, rotation = link_placement(digit, i)
-    # The addition of 0.0 turns -0.0 into 0.0.
+    # The addition of 0.0 converts -0.0 to 0.0.
     ET.SubElement(
         joint,
         "origin",
@@ -176,11 +176,11 @@ def _add_joint(robot_element: ET.Element, hand: Hand, digit: Digit, i: int) -> N
 
 
 def coupled_joints(hand: Hand, digit: Digit) -> dict[int, tuple[int, float]]:
-    """Return the joint that each coupled joint of a digit follows, and the ratio between both joints.
+    """Return the joint that each coupled joint of a digit follows, and the ratio of the two joint angles.
 
-    All joints are given by their index. The coupling of a digit with spool pairs is rigid. In other
-    digits, the coupling follows from the springs, and is only valid in free motion. The joints of
-    these digits therefore count as independent. If a joint depends on several coordinates, it
+    The result contains joints by their index. The coupling of a digit with spool pairs is rigid. In
+    a digit without spool pairs, the springs determine the coupling, which is valid only in free
+    motion, so that the joints count as independent. A joint that depends on several coordinates
     follows no single joint, and is left out.
     """
     if digit.coupling is None or not hand.is_pair[hand.digit_tendons[digit.name]].any():
@@ -202,7 +202,7 @@ def coupled_joints(hand: Hand, digit: Digit) -> dict[int, tuple[int, float]]:
 def _shape_elements(mesh: LinkMesh | None) -> tuple[str, ...]:
     """Return the names of the URDF elements that contain the simple shape of a link.
 
-    If the link has a mesh, the mesh is its visual shape.
+    The visual shape of a link with a mesh is the mesh.
     """
     return ("collision",) if mesh else ("visual", "collision")
 
@@ -229,7 +229,7 @@ def _add_link(
 ) -> None:
     """Add link i with its inertia.
 
-    The shape is a cylinder of the given length [m] with a ball at the far end.
+    The simple shape of a link is a cylinder of the given length [m] with a ball at the far end.
     """
     radius = digit.link_radius_m
     link = ET.SubElement(robot_element, "link", name=f"{digit.name}_link{i + 1}")
