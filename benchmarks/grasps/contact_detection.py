@@ -67,12 +67,12 @@ def find_contacts(job: tuple[str, int]) -> list[float]:
     return _detection_latencies(run, hand_model(hand)[0].hand.digit_names)
 
 
-def _detection_latencies(run: GraspRun, digits: tuple[str, ...]) -> list[float]:
+def _detection_latencies(run: GraspRun, digit_names: tuple[str, ...]) -> list[float]:
     contact_times = {
         event.where: float(run.t[k]) for k, event in run.events if event.name == "contact"
     }
     latencies = []
-    for d, name in enumerate(digits):
+    for d, name in enumerate(digit_names):
         contact_ticks = np.flatnonzero(run.force[:, d] > CONTACT_FORCE_N)
         if name in contact_times:
             at = float(run.t[contact_ticks[0]]) if len(contact_ticks) else np.inf

@@ -91,7 +91,7 @@ class FaultyDrive:
         """See ``nodes.Node.receive``."""
         self._feed_watchdog(t_ns)
         answer_frames = self.node.receive(
-            self._spec.corrupt_command(frame) if self._fault == "deaf" else frame, t_ns
+            self._spec.make_ineffective_disable(frame) if self._fault == "deaf" else frame, t_ns
         )
         if self._fault == "eager" and self._spec.force_command:
             self._spec.force_command(self.node, frame)

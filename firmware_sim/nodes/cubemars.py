@@ -248,7 +248,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
     return node_id, bytes(8)
 
 
-def _corrupt_command(frame: Frame) -> Frame:
+def _make_ineffective_disable(frame: Frame) -> Frame:
     """Replace the command *disable* by an MIT command with zero torque."""
     return (
         frame._replace(data=b"\x7f\xff\x7f\xf0\0\0\x07\xff")
@@ -275,7 +275,7 @@ CUBEMARS_SPEC = ProtocolSpec(
     range(1, 0x100),
     shaft_of_cubemars_motor(DEFAULT_MOTOR_TYPE),
     _host_frame,
-    _corrupt_command,
+    _make_ineffective_disable,
     force_command=_force_command,
 )
 """Specification of the MIT protocol with CubeMars motors."""

@@ -119,7 +119,7 @@ class ProtocolSpec(NamedTuple):
         shaft: shaft of the default motor on a test bench.
         host_frame: function from a node number to the identifier and the payload of a frame that
             only hosts send and that has no effect on the drive.
-        corrupt_command: function that makes the command *disable* ineffective, for a faulty drive.
+        make_ineffective_disable: function that makes the command *disable* ineffective, for a faulty drive.
         corrupt_reply: function that changes a value in the reply to a read request, for a faulty
             drive.
         force_command: function that makes a drive follow a torque command in any state, for a
@@ -133,7 +133,7 @@ class ProtocolSpec(NamedTuple):
     numbers: range
     shaft: ShaftSpec
     host_frame: Callable[[int], tuple[int, bytes]]
-    corrupt_command: Callable[[Frame], Frame]
+    make_ineffective_disable: Callable[[Frame], Frame]
     corrupt_reply: Callable[[Frame], Frame] = unchanged_frame
     row: Any = None
     node_kind: int = -1

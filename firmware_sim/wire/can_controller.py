@@ -166,12 +166,12 @@ class CanController:
         """
         if self.state < CanErrorState.PASSIVE:
             self.tx_errors += TX_ERROR_INCREMENT
-        self._count_error(CAN_ERR_ACK, t_ns)
+        self._report_transmit_error(CAN_ERR_ACK, t_ns)
 
     def count_destroyed_frame(self, t_ns: int) -> None:
         """Count a transmit error, because the first frame in the queue was destroyed on the wire."""
         self.tx_errors += TX_ERROR_INCREMENT
-        self._count_error(CAN_ERR_PROT | CAN_ERR_BUSERROR, t_ns)
+        self._report_transmit_error(CAN_ERR_PROT | CAN_ERR_BUSERROR, t_ns)
 
     def count_received_error(self, t_ns: int) -> None:
         """Count a receive error, because a frame of another controller was destroyed on the wire."""
@@ -185,7 +185,7 @@ class CanController:
         self._last_error = 0
         self._send_error_frame(CAN_ERR_RESTARTED, t_ns)
 
-    def _count_error(self, error_class: int, t_ns: int) -> None:
+    def _report_transmit_error(self, error_class: int, t_ns: int) -> None:
         """Update the error state after a transmit error.
 
         The controller reports repeated errors of the same kind only once, until it has sent a frame

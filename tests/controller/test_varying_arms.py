@@ -83,8 +83,10 @@ def test_the_structure_tables_are_those_at_the_present_angles(hand_name: str) ->
             state.block, state.layout.offsets, constants.block, constants.layout.offsets
         )
         view = {field: constants.layout.view(constants.block, field) for field in STRUCTURE_FIELDS}
-        free = view["excursion_to_joints"] @ state.view("excursion") + view["angle_offset"]
-        np.testing.assert_allclose(free, q, atol=1e-9)
+        angles_of_free_digits = (
+            view["excursion_to_joints"] @ state.view("excursion") + view["angle_offset"]
+        )
+        np.testing.assert_allclose(angles_of_free_digits, q, atol=1e-9)
         for digit in model.digits:
             digit_at_angles = digit.with_moment_arms_at(q[digit.joints])
             block = np.ix_(

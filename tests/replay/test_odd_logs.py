@@ -150,7 +150,7 @@ def with_frame(**frame_changes: int) -> Callable[[TickOut], TickOut]:
 
 
 @pytest.mark.parametrize(
-    "change_output",
+    "edit_output",
     [
         with_event(TickEvent("warn", "phase", "", "hold")),
         with_event(TickEvent("info", "mode", "", "hold")),
@@ -163,7 +163,7 @@ def with_frame(**frame_changes: int) -> Callable[[TickOut], TickOut]:
 def test_every_difference_is_named(
     grasp_ticks: tuple[RunHeader, TickList],
     tmp_path: Path,
-    change_output: Callable[[TickOut], TickOut],
+    edit_output: Callable[[TickOut], TickOut],
 ) -> None:
     header, ticks = grasp_ticks
     entry, out = next(tick for tick in ticks if tick[1].frames)
@@ -172,7 +172,7 @@ def test_every_difference_is_named(
     )
     with RunLog(write_ticks(tmp_path / "one.mcap", header, [(entry, base)])) as log:
         logged_tick, numbers = next(log.ticks()), next(log.packed_telemetry())
-    now = change_output(base)
+    now = edit_output(base)
     assert are_outputs_equal(logged_tick, numbers, base)
     assert not are_outputs_equal(logged_tick, numbers, now)
     (result,) = differing_fields(TelemetryColumns.from_header(header), logged_tick, numbers, now)

@@ -20,11 +20,11 @@ RequestTicks = tuple[tuple[int, ...], ...]
 class OpenRequests(SyntheticMonitor):
     """Record of the motors that have not yet replied to requests of earlier ticks."""
 
-    def __init__(self, open_request_ticks: RequestTicks) -> None:
-        super().__init__(synthetic_limits(len(open_request_ticks)))
+    def __init__(self, ticks_of_open_requests: RequestTicks) -> None:
+        super().__init__(synthetic_limits(len(ticks_of_open_requests)))
         self.set_state_values({
-            "open_questions": {n: len(ticks) for n, ticks in enumerate(open_request_ticks)},
-            "question": {(i, n): k for n, ticks in enumerate(open_request_ticks) for i, k in enumerate(ticks)},
+            "open_questions": {n: len(ticks) for n, ticks in enumerate(ticks_of_open_requests)},
+            "question": {(i, n): k for n, ticks in enumerate(ticks_of_open_requests) for i, k in enumerate(ticks)},
         })  # fmt: skip
 
     @property
@@ -66,7 +66,7 @@ class OpenRequests(SyntheticMonitor):
         return [n for n, count in enumerate(surplus.tolist()) if count]
 
 
-@pytest.mark.parametrize(("open_request_ticks", "replies_to_each_request", "outstanding_after_tick"), [
+@pytest.mark.parametrize(("ticks_of_open_requests", "replies_to_each_request", "outstanding_after_tick"), [
     (((), ()), (True, True), ((7,), (7,))),
     (((5, 6), ()), (True, True), ((5, 6, 7), (7,))),
     (((5, 6), (3, 4, 5)), (False, True), ((7,), (3, 4, 5, 7))),    # the first drive need only reply to the last request
@@ -78,9 +78,9 @@ class OpenRequests(SyntheticMonitor):
         ((7 - LOSS_WINDOW_TICKS, 7), (-LOSS_WINDOW_TICKS, 7))),    # the last request does not expire
 ])  # fmt: skip
 def test_a_request_increases_the_number_of_outstanding_replies(
-    open_request_ticks, replies_to_each_request, outstanding_after_tick
+    ticks_of_open_requests, replies_to_each_request, outstanding_after_tick
 ):
-    questions = OpenRequests(open_request_ticks)
+    questions = OpenRequests(ticks_of_open_requests)
     questions.send_requests(7, replies_to_each_request)
     assert questions.outstanding_request_ticks == outstanding_after_tick
 
@@ -96,7 +96,7 @@ def test_outstanding_requests_are_limited() -> None:
 
 
 @pytest.mark.parametrize((
-    "open_request_ticks", "reply_counts", "outstanding_after_tick", "motors_with_excess_replies",
+    "ticks_of_open_requests", "reply_counts", "outstanding_after_tick", "motors_with_excess_replies",
 ), [
     (((1,), (1,)), [1, 1], ((), ()), []),
     (((1,), (1,)), [1, 0], ((), (1,)), []),
@@ -112,14 +112,14 @@ def test_outstanding_requests_are_limited() -> None:
     (((1, 2), (1, 2)), [1, 2], ((1,), ()), []),
 ])  # fmt: skip
 def test_replies_match_requests_and_the_rest_is_excess(
-    open_request_ticks, reply_counts, outstanding_after_tick, motors_with_excess_replies
+    ticks_of_open_requests, reply_counts, outstanding_after_tick, motors_with_excess_replies
 ):
-    questions = OpenRequests(open_request_ticks)
+    questions = OpenRequests(ticks_of_open_requests)
     assert questions.receive_replies(reply_counts) == motors_with_excess_replies
     assert questions.outstanding_request_ticks == outstanding_after_tick
     expected = [
         1 + len(ticks) if n in motors_with_excess_replies else 0
-        for n, ticks in enumerate(open_request_ticks)
+        for n, ticks in enumerate(ticks_of_open_requests)
     ]
     assert questions.field_values("surplus") == expected
 

@@ -140,12 +140,12 @@ def test_the_load_model_balances_every_joint() -> None:
         for arm, k, pre, b in zip(load.arms, load.spring, load.preload, load.damping, strict=True):
             rate = sign * 0.01 / load.arms.sum()
             grid = np.linspace(0.0, 1.5, 150001)
-            balance = (
+            torque_imbalance = (
                 arm * tension * np.exp(-0.1 * sign * (angle + grid))
                 - 1.1 * k * (grid + 0.9 * pre)
                 - b * rate
             )
-            q = float(grid[np.abs(balance).argmin()])
+            q = float(grid[np.abs(torque_imbalance).argmin()])
             angle, excursion = angle + q, excursion + arm * q
         assert excursion + tension / 1e5 + 2e-4 == pytest.approx(4e-3, abs=2e-6)
 

@@ -316,13 +316,13 @@ def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand_n
 
 @pytest.mark.parametrize("hand_name", TESTED_HANDS)
 @pytest.mark.parametrize(
-    ("swing_N", "chatter_N", "is_accepted"),
+    ("tension_oscillation_N", "chatter_N", "is_accepted"),
     [(0.2, 0.0, True), (2.5, 0.0, False), (5.0, 4.0, True), (10.3, 4.0, False)],
 )
 def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
     monkeypatch: pytest.MonkeyPatch,
     hand_name: str,
-    swing_N: float,
+    tension_oscillation_N: float,
     chatter_N: float,
     is_accepted: bool,
 ) -> None:
@@ -338,7 +338,9 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
         hand_name: object, tried_model: HandModel, factors: dict[str, float], seed: int
     ) -> StepOscillation:
         is_least_friction = factors == {"friction": 0.5}
-        hold = chatter_N if tried_model.gains.tension.integral_per_s == 0.0 else swing_N
+        hold = (
+            chatter_N if tried_model.gains.tension.integral_per_s == 0.0 else tension_oscillation_N
+        )
         return StepOscillation(
             0.0, 0.0, (hold if is_least_friction else 0.0,) * tried_model.tendon_count
         )

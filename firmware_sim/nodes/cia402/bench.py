@@ -24,7 +24,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
     return 0x600 + node_id, b"\x40\x00\x10" + bytes(5)
 
 
-def _corrupt_command(frame: Frame) -> Frame:
+def _make_ineffective_disable(frame: Frame) -> Frame:
     """Replace a command that switches the torque off by a frame that no node receives."""
     # The replaced frames are RPDOs with a control word in which bit 1 (enable voltage) is 0.
     is_disable_command = (
@@ -55,7 +55,7 @@ def _force_command(node: Cia402Node, frame: Frame) -> None:
 
 
 CIA402_SPEC = ProtocolSpec(
-    Cia402Node, VALID_NODE_NUMBERS, TEST_BENCH_SHAFT, _host_frame, _corrupt_command, _corrupt_reply, Cia402NodeRow,
+    Cia402Node, VALID_NODE_NUMBERS, TEST_BENCH_SHAFT, _host_frame, _make_ineffective_disable, _corrupt_reply, Cia402NodeRow,
     CIA402_KIND,
     _force_command,
 )  # fmt: skip

@@ -140,7 +140,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
     return node_id, bytes(8)
 
 
-def _corrupt_command(frame: Frame) -> Frame:
+def _make_ineffective_disable(frame: Frame) -> Frame:
     """Replace the command *disable* by a request for feedback.
 
     The faulty motor answers the request for feedback, but stays enabled.
@@ -171,7 +171,7 @@ def _force_command(node: MitNode, frame: Frame) -> None:
 
 
 MIT_SPEC = ProtocolSpec(
-    MitNode, range(1, 0x7F0), shaft_of_mit_motor(DEFAULT_MOTOR_TYPE), _host_frame, _corrupt_command, _corrupt_reply,
+    MitNode, range(1, 0x7F0), shaft_of_mit_motor(DEFAULT_MOTOR_TYPE), _host_frame, _make_ineffective_disable, _corrupt_reply,
     MitNodeRow,
     MIT_KIND, _force_command,
 )  # fmt: skip

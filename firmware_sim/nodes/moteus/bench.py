@@ -21,7 +21,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
     return EXTENDED_FLAG | 0x8000 | node_id, b"\x11\x00"
 
 
-def _corrupt_command(frame: Frame) -> Frame:
+def _make_ineffective_disable(frame: Frame) -> Frame:
     """Replace the command of mode 0 by the command of mode 13 (*stay within*) without bounds.
 
     In mode 13 without bounds, the drive makes no torque, but keeps the power stage on.
@@ -51,7 +51,7 @@ MOTEUS_SPEC = ProtocolSpec(
     range(1, 0x7F),
     ShaftSpec(1.7, 5e-5, 0.045),
     _host_frame,
-    _corrupt_command,
+    _make_ineffective_disable,
     _corrupt_reply,
 )
 """Specification of the moteus protocol for simulated drives."""

@@ -38,7 +38,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
     return node_id << 5 | 0x18, b""
 
 
-def _corrupt_command(frame: Frame) -> Frame:
+def _make_ineffective_disable(frame: Frame) -> Frame:
     """Replace a command Estop or Set_Axis_State(IDLE) by a frame that no node receives."""
     command = frame.can_id & 0x1F
     is_release_command = command == 0x02 or (command == 0x07 and frame.data[:1] == b"\1")
@@ -60,7 +60,7 @@ def _force_command(node: OdriveNode, frame: Frame) -> None:
 
 
 ODRIVE_SPEC = ProtocolSpec(
-    OdriveNode, range(0x3F), shaft_of_odrive("0.6"), _host_frame, _corrupt_command, _corrupt_reply, OdriveNodeRow,
+    OdriveNode, range(0x3F), shaft_of_odrive("0.6"), _host_frame, _make_ineffective_disable, _corrupt_reply, OdriveNodeRow,
     ODRIVE_KIND,
     _force_command,
 )  # fmt: skip

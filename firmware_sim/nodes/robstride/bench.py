@@ -29,7 +29,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
     return EXTENDED_FLAG | 0x11 << 24 | 0xFD00 | node_id, b"\x19\x70" + bytes(6)
 
 
-def _corrupt_command(frame: Frame) -> Frame:
+def _make_ineffective_disable(frame: Frame) -> Frame:
     """Replace a stop command by a control command with zero torque, so that the motor stays enabled."""
     number = frame.can_id & ~EXTENDED_FLAG
     if number >> 24 != 4 or frame.data[:1] != b"\0":
@@ -52,7 +52,7 @@ def _force_command(node: RobstrideNode, frame: Frame) -> None:
 
 
 ROBSTRIDE_SPEC = ProtocolSpec(
-    RobstrideNode, range(1, 0x80), shaft_of_robstride_motor(DEFAULT_MOTOR_TYPE), _host_frame, _corrupt_command,
+    RobstrideNode, range(1, 0x80), shaft_of_robstride_motor(DEFAULT_MOTOR_TYPE), _host_frame, _make_ineffective_disable,
     _corrupt_reply,
     force_command=_force_command,
 )  # fmt: skip

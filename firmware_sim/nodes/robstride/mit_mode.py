@@ -202,7 +202,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
     return node_id, b"\xff" * 7 + b"\xfd"
 
 
-def _corrupt_command(frame: Frame) -> Frame:
+def _make_ineffective_disable(frame: Frame) -> Frame:
     """Replace a stop command by a command with zero torque, so that the motor stays enabled."""
     stop = frame.can_id < 0x80 and frame.data == b"\xff" * 7 + b"\xfd"
     return frame._replace(data=b"\x7f\xff\x7f\xf0\0\0\x07\xff") if stop else frame
@@ -222,6 +222,6 @@ _DEFAULT_SHAFT = bench.shaft_of_robstride_motor(DEFAULT_MOTOR_TYPE)
 ROBSTRIDE_MIT_SPEC = ProtocolSpec(
     RobstrideMitNode, range(1, 0x80),
     _DEFAULT_SHAFT._replace(position=POSITION_RANGE, options={**_DEFAULT_SHAFT.options, "host_id": FACTORY_HOST_ID}),
-    _host_frame, _corrupt_command, force_command=_force_command,
+    _host_frame, _make_ineffective_disable, force_command=_force_command,
 )  # fmt: skip
 """Specification of RobStride motors in MIT mode."""

@@ -343,8 +343,8 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
     def angles_deg(self, action: Vector | Float32Array) -> Vector:
         """Return the target angles of an action (V,) [deg]."""
-        action_of_angles = np.asarray(action[: len(self.names)], np.float64)
-        return self.low_deg + 0.5 * (action_of_angles + 1.0) * (self.high_deg - self.low_deg)
+        angle_action = np.asarray(action[: len(self.names)], np.float64)
+        return self.low_deg + 0.5 * (angle_action + 1.0) * (self.high_deg - self.low_deg)
 
     def action_for(self, angles_deg: Vector) -> Float32Array:
         """Return the action with the given target angles (V,) [deg].

@@ -473,13 +473,13 @@ def unpack_ticks(messages: list[bytes]) -> list[TickRecord]:
     Raises:
         ValueError: an element is not a Tick message.
     """
-    short_ticks = _unpack_short_ticks(messages)
+    short_ticks = _unpack_ticks_with_short_frames(messages)
     return (
         short_ticks if short_ticks is not None else [unpack_tick(message) for message in messages]
     )
 
 
-def _unpack_short_ticks(messages: list[bytes]) -> list[TickRecord] | None:
+def _unpack_ticks_with_short_frames(messages: list[bytes]) -> list[TickRecord] | None:
     """Decode Tick messages in which no payload is longer than eight bytes.
 
     Returns:

@@ -157,7 +157,7 @@ def resampled_field(log: RunLog, field: str, start: float, times: Array) -> Arra
 
 
 def compare_runs(
-    a: RunLog, first_start_s: float, b: RunLog, second_start_s: float, duration: float
+    a: RunLog, start_of_first_run_s: float, b: RunLog, start_of_second_run_s: float, duration: float
 ) -> dict[str, Any]:
     """Compare two runs over an interval: the angles of all joints [deg] and the tensions of all tendons [N].
 
@@ -165,9 +165,9 @@ def compare_runs(
 
     Args:
         a: first run.
-        first_start_s: start of the interval in the first run [s].
+        start_of_first_run_s: start of the interval in the first run [s].
         b: second run, of the same hand.
-        second_start_s: start of the interval in the second run [s].
+        start_of_second_run_s: start of the interval in the second run [s].
         duration: length of both intervals [s].
     """
     period = a.header.period_ns * 1e-9
@@ -176,7 +176,7 @@ def compare_runs(
     for field, (axis, factor, unit) in COMPARED_SIGNALS.items():
         signals_before, signals_after = (
             factor * resampled_field(*run, times)
-            for run in ((a, field, first_start_s), (b, field, second_start_s))
+            for run in ((a, field, start_of_first_run_s), (b, field, start_of_second_run_s))
         )
         rows = compare_signals(a.header.axis_names(axis), signals_before, signals_after, period)
         prismatic = prismatic_joints(a.header) if field == "q" else frozenset()

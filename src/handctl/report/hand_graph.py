@@ -133,8 +133,10 @@ def _moment_arm_text(hand: Hand, tendon: Tendon, joint: str, sign: str = "") -> 
     if not isinstance(arm, dict):
         return f"{1e3 * arm:{sign}g} mm"
     limits = hand.joint_limits[:, [hand.joints.index(joint)]]
-    arms_at_limits = moment_arms_at(moment_arm_polynomial(arm)[None, None], limits, limits).ravel()
-    return f"{1e3 * arms_at_limits[0]:{sign}.3g}..{1e3 * arms_at_limits[1]:.3g} mm"
+    moment_arms_at_joint_limits = moment_arms_at(
+        moment_arm_polynomial(arm)[None, None], limits, limits
+    ).ravel()
+    return f"{1e3 * moment_arms_at_joint_limits[0]:{sign}.3g}..{1e3 * moment_arms_at_joint_limits[1]:.3g} mm"
 
 
 def _digit_tendons(hand: Hand, digit: Digit) -> list[Tendon]:

@@ -182,9 +182,9 @@ class GainsStore:
         present_gains = self.present_gains()
         entries = self.history_entries()
         numbers = [0, *(entry.number for entry in entries)]
-        replaced_number = present_gains.provenance.number if present_gains else 0
-        if present_gains and (replaced_number not in numbers[1:]):
-            replaced_number = numbers[-1]
+        number_of_replaced_gains = present_gains.provenance.number if present_gains else 0
+        if present_gains and (number_of_replaced_gains not in numbers[1:]):
+            number_of_replaced_gains = numbers[-1]
         written_provenance = provenance.model_copy(
             update={
                 "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
@@ -192,7 +192,7 @@ class GainsStore:
                 "hand": self.hand,
                 "identity": provenance.identity or self.hand_identity,
                 "number": entries[-1].number + 1 if entries else 1,
-                "replaces": replaced_number,
+                "replaces": number_of_replaced_gains,
                 "restores": restored_number,
             }
         )

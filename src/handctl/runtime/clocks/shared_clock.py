@@ -131,7 +131,7 @@ class SharedClock(RealClock):
             paused_ns = self._numbers[PAUSED_INDEX]
             self._pause_at_gate()
             self._wait_for_simulator(deadline)
-            self._count_pause(self._numbers[PAUSED_INDEX] - paused_ns)
+            self._add_pause_to_statistics(self._numbers[PAUSED_INDEX] - paused_ns)
             lateness_ns = min(self._read_clock_ns(), self._numbers[GATE_INDEX]) - deadline
         self._move_gate(k + 1 + int(lateness_ns * self.time_scale) // self.period_ns)
         return int(lateness_ns * self.time_scale)
@@ -201,7 +201,7 @@ class SharedClock(RealClock):
             and numbers[REACHED_INDEX] >= deadline_ns - max_lag_ns
         )
 
-    def _count_pause(self, pause_ns: int) -> None:
+    def _add_pause_to_statistics(self, pause_ns: int) -> None:
         """Add the pause before this tick [ns of wall time] to the totals of the run."""
         if pause_ns:
             self._last_pause_ns = (time.monotonic_ns(), pause_ns)
