@@ -55,7 +55,8 @@ def _force_command(node: Cia402Node, frame: Frame) -> None:
 
 
 CIA402_SPEC = ProtocolSpec(
-    Cia402Node, VALID_NODE_NUMBERS, TEST_BENCH_SHAFT, _host_frame, _make_ineffective_disable, _corrupt_reply, Cia402NodeRow,
+    Cia402Node, VALID_NODE_NUMBERS, TEST_BENCH_SHAFT, _host_frame,
+    _make_ineffective_disable, _corrupt_reply, Cia402NodeRow,
     CIA402_KIND,
     _force_command,
 )  # fmt: skip

@@ -171,7 +171,8 @@ def _force_command(node: MitNode, frame: Frame) -> None:
 
 
 MIT_SPEC = ProtocolSpec(
-    MitNode, range(1, 0x7F0), shaft_of_mit_motor(DEFAULT_MOTOR_TYPE), _host_frame, _make_ineffective_disable, _corrupt_reply,
+    MitNode, range(1, 0x7F0), shaft_of_mit_motor(DEFAULT_MOTOR_TYPE), _host_frame,
+    _make_ineffective_disable, _corrupt_reply,
     MitNodeRow,
     MIT_KIND, _force_command,
 )  # fmt: skip

@@ -60,7 +60,8 @@ def _force_command(node: OdriveNode, frame: Frame) -> None:
 
 
 ODRIVE_SPEC = ProtocolSpec(
-    OdriveNode, range(0x3F), shaft_of_odrive("0.6"), _host_frame, _make_ineffective_disable, _corrupt_reply, OdriveNodeRow,
+    OdriveNode, range(0x3F), shaft_of_odrive("0.6"), _host_frame,
+    _make_ineffective_disable, _corrupt_reply, OdriveNodeRow,
     ODRIVE_KIND,
     _force_command,
 )  # fmt: skip
