@@ -96,7 +96,9 @@ def test_no_rehearsal_takes_a_large_share_of_the_period(
     clock.start()
     lateness = [clock.wait(k) for k in range(10_000)]
     assert max(lateness) < 1000
-    assert len(wall.tick_starts_ns) < 300, "sometimes the clock tries whether a rehearsal fits now"
+    assert len(wall.tick_starts_ns) < 1000, (
+        "in few ticks the clock tries whether a rehearsal fits now"
+    )
 
 
 def test_rehearsals_begin_again_after_an_interruption(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,11 +29,10 @@ MAX_GROWTH = 1.25
 
 An interruption by the operating system can make a single rehearsal very long.
 """
-DECAY_SHARE = 1 / 512
+DECAY_SHARE = 1 / 64
 """Share by which ``expected_ns`` falls in each tick.
 
-So the expected duration stays close to the longest duration of the last ticks, and hardly any rehearsal
-delays a tick.
+As a result, the expected duration is longer than most rehearsals of the last ticks.
 """
 
 
