@@ -1,8 +1,8 @@
 """Detect stalls of the machine.
 
 A host sometimes pauses a virtual machine for tens of milliseconds. If the machine stalls, a
-controller correctly ends its run. If a stall ends the run, a test that runs in real time fails
-although the code has no defect. A sleeping process on each core detects the stall, independently of
+controller rightly ends its run. A test in real time then fails because the machine has paused, and
+not because of a defect in the code. A sleeping process on each core detects the stall, independently of
 the tested processes.
 """
 

@@ -104,7 +104,7 @@ class TrialRecord:
         return self.t_ns / 1e9
 
     def truth(self, names: Iterable[str], delay_ns: int = 0) -> FloatArray:
-        """Return the true values with given names (ticks, names), at the time ``delay_ns`` [ns] before each tick."""
+        """Return true values, ``delay_ns`` [ns] before each tick, as an array (ticks, names)."""
         return self.truth_record.interpolated_columns(list(names), self.t_ns - delay_ns)
 
     def tension(self, delay_ns: int = 0) -> FloatArray:

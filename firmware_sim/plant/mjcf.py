@@ -262,9 +262,10 @@ def _group_attribute(has_mesh: bool) -> str:
 
 
 def find_links_at_palm(hand: Hand, digit: Digit) -> list[bool]:
-    """Return one boolean value for each link of a digit at rest.
+    """Find the links of a digit whose collision with the palm must be ignored.
 
-    The value of a link is True if the link overlaps the palm, or the link that carries the digit.
+    The result has one value per link. The value is True if, while the digit is at rest, the link
+    overlaps the palm or the link that carries the digit.
     The hinge of a link that overlaps the palm is close to the palm. In the model, overlapping links
     do not collide with the palm.
     """

@@ -73,7 +73,7 @@ objects of a CiA 402 drive, for CANopen tools: {EDS_PATH}
 class SimulatedDriveBench:
     """Simulated drives on one bus, without a hand.
 
-    The class ``bus_server.BusNodes`` describes the methods.
+    The docstrings of the methods are in the class ``bus_server.BusNodes``.
 
     Attributes:
         motors: rotors of the drives, in the order of the drive descriptions.

@@ -117,7 +117,7 @@ class SupportTable:
         return self.depth
 
     def _check_grasp(self, time: float, forces: Any) -> None:
-        """Start to sink the table when the digits have held the object long enough.
+        """Let the table sink when the digits have held the object long enough.
 
         The digits must hold the object for the time ``drop_hold`` without a break.
         """

@@ -1,4 +1,4 @@
-"""Run the motor clients of other projects with simulated drives on a local bus.
+"""Connect the motor clients of other projects to simulated drives on a local bus.
 
 The tests in tests/vcan/inside run the same clients on SocketCAN.
 """

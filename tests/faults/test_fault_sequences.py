@@ -85,9 +85,9 @@ def test_sequence_violates_no_rule():
 def test_a_sequence_that_breaks_a_rule_names_it(copy_of_arming_simulation, monkeypatch):
     """In the fault sequence of this test, a drive runs away.
 
-    The safety rule about high tensions usually accepts a runaway drive as the reason of a high
-    tension. This test changes the rule so that it does not accept a runaway drive. The fault
-    sequence must violate the changed rule.
+    The safety rule about high tensions usually allows a high tension that a runaway drive has
+    caused. In the test, the rule allows no such tension. The fault sequence must violate the
+    changed rule.
     """
     results = []
     sequence = FaultSequence(0, ARMING_STAGE, (FaultStep(20, "runaway node=index_motor"),))

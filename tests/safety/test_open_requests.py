@@ -130,7 +130,7 @@ def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(
 ) -> None:
     """After some ticks without a reply, all missing replies can arrive at once.
 
-    A further reply after the missing replies is a duplicate.
+    If one more reply arrives after all missing replies have arrived, this reply is a duplicate.
     """
     questions = OpenRequests(((),))
     for start in range(2 * LOSS_WINDOW_TICKS):

@@ -32,7 +32,7 @@ class RecordingEntity(NamedTuple):
 
 
 def read_entities(chunks: Iterable[Chunk]) -> dict[str, RecordingEntity]:
-    """Return all entities that some chunks of a recording contain.
+    """Return all entities in the given chunks of a recording.
 
     The rows of an entity are in the order of time.
     """

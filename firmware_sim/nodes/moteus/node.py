@@ -281,7 +281,7 @@ class MoteusNode:
         )
 
     def _integer_register(self, register: int) -> int:
-        """Return the value of a register that can be read only as int32."""
+        """Return the value of a register that a host can read only in the format int32."""
         if 0x120 <= register <= 0x122:
             return self._serial >> 32 * (register - 0x120) & 0xFFFFFFFF
         if reg.UUID <= register < reg.UUID + 4:

@@ -302,7 +302,7 @@ class ReactionStart:
         return self._varied_ns if self._varied_ns >= 0 else t_ns
 
     def _motor_force(self, simulation: SimulatedRun) -> float:
-        """Return the force of the motor that has the fault, converted to the tendon [N]."""
+        """Return the force with which the motor that has the fault pulls its tendon [N]."""
         torque = simulation.simulated_hand.truth()["torque"][self._tendon]
         return float(
             torque / simulation.controller.model.tendon_constants.spool_radius[self._tendon]

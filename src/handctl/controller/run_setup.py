@@ -290,8 +290,8 @@ def _with_host_frames(drives: tuple[Drive, ...], sensors: SensorInterface) -> tu
     drive on a bus is selected, so that the SYNC frame comes after all commands. The heartbeat has
     the shortest period that any drive on the bus needs.
 
-    A bus already has SYNC frames if the sensor node uses the identifier 0x080, or if the hand file
-    sets the option ``sync`` for a drive.
+    The host adds no SYNC frames to a bus on which the sensor node uses the identifier 0x080, or for
+    which the hand file sets the option ``sync`` of a drive.
     """
     completed_drives = list(drives)
     drives_by_bus = dict[int, dict[int, Cia402Drive]]()

@@ -85,7 +85,7 @@ _WORK_TABLE_COLUMN_COUNT = 27
 def write_link_poses(
     link_table: Array, first_row: int, parent: IndexArray, q: Array, pose: Array
 ) -> None:
-    """Write the poses of all links, without the carried masses and their first moments.
+    """Compute the poses of all links, but not the masses that they carry, and write them into ``pose``.
 
     Args:
         link_table: array that contains the table of links, see the docstring of the module.

@@ -1,4 +1,4 @@
-"""Grip with which the digits hold an object.
+"""Control of the grip on an object that the digits hold.
 
 The module applies the stiffness of the grip, detects slip, and raises the tension after slip.
 

@@ -2,9 +2,9 @@
 
 Each process executes a part of the log. A part of the log starts from a snapshot, and the hash of
 the snapshot is in the log. If the controller's state at the end of the previous part has the same
-hash as the snapshot, a serial execution would reach the same state. If the hashes are equal, the
-results of the two parts are therefore added. If the hashes differ, one process executes the rest of
-the log serially. The result is therefore always equal to the result of a serial execution.
+hash as the snapshot, a serial execution would reach the same state. In this case, the results of
+the two parts are combined. If the hashes differ, one process executes the rest of the log serially.
+The result of a parallel execution is always equal to the result of a serial execution.
 """
 
 import json

@@ -325,7 +325,7 @@ def _mark_positions(
 def _write_mark_name(
     axes_row: Sequence[Any], position: tuple[float, float], name: str, colour: str
 ) -> None:
-    """Write the name of a mark at the given time [s] and height into each plot of a row."""
+    """Write the name of a mark into each plot of a row, at the time [s] and the height of the mark."""
     for axes in axes_row:
         style = {
             "fontsize": 7,

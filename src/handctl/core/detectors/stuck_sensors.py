@@ -4,11 +4,11 @@ A reading is stuck if it stays constant although another measurement shows that 
 quantity changes.
 
 The other measurement is called the reference of the sensor. A constant reading is no fault while
-the reference of the sensor is constant. The encoder of a motor has two references: the goal of the
-tendon's excursion, and the tension of the tendon. The reference of a load cell is the range of the
-motor force since the last change of the reading. The range of the motor force is used because the
-tension loop can first raise the force and then lower it. The reference of a joint encoder is the
-joint angle that is computed from the positions of the spools.
+the reference of the sensor is constant. The reading of a motor encoder is compared with two
+references: the goal of the tendon's excursion, and the tension of the tendon. The reference of a
+load cell is the range of the motor force since the last change of the reading. The range of the
+motor force is used because the tension loop can first raise the force and then lower it. The
+reference of a joint encoder is the joint angle that is computed from the positions of the spools.
 """
 
 import math

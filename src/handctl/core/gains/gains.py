@@ -98,7 +98,7 @@ class MotionGains(Document):
 
 
 class TensionGains(Document):
-    """Weights of the tension loop by Bryson's rule, and the rate of change of the setpoint."""
+    """Weights of the tension loop, chosen by Bryson's rule, and the slope of the tension setpoint."""
 
     tension_error_N: float = Field(4.0, gt=0, le=100)
     """Error of the tension with the cost of ``speed_error_m_s`` or ``force_N`` [N]."""

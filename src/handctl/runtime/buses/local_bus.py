@@ -271,7 +271,7 @@ class LocalBus:
         return accepted
 
     def _pack_records(self, frames: Sequence[Frame]) -> bytes | memoryview:
-        """Return the frames packed into records of the hub."""
+        """Pack frames into the records of the hub, and return the records."""
         if not isinstance(frames, Frames):
             for frame in frames:
                 check_payload_size(frame)
