@@ -222,7 +222,7 @@ class ControlLoop(Generic[S]):
     _rehearsed_inputs: tuple[S, TickIn] | None = None
 
     def rehearse_tick(self) -> Iterator[None]:
-        """Execute the first two steps of the last tick again, and yield after each of them.
+        """Execute the first two steps of the last tick again, and yield between the steps.
 
         These two steps use most of the code and the data of a tick, see ``clocks.rehearsal``. Neither
         requests nor commands are part of a rehearsal, and its result is discarded.
@@ -231,7 +231,6 @@ class ControlLoop(Generic[S]):
             tick = self.begin_tick(*self._rehearsed_inputs)
             yield
             tick.decide(())
-            yield
 
     def run(self, state: S) -> S:
         """Run ticks until the run has ended and the hand is disarmed.

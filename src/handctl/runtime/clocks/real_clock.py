@@ -112,7 +112,10 @@ class RealClock:
         if waiting_ns > 0:
             time.sleep(waiting_ns / 1e9)
         if rehearsal:
-            rehearsal.rehearse(deadline_ns - self._read_clock_ns(), wall_period_ns)
+            remaining_ns = deadline_ns - self._read_clock_ns()
+            if waiting_ns > 0:
+                rehearsal.observe_wake_up(lead_ns - remaining_ns)
+            rehearsal.rehearse(remaining_ns, wall_period_ns)
         while (
             now := self._read_clock_ns()
         ) < deadline_ns:  # sleep can return too early, so the loop reads the clock again

@@ -11,28 +11,30 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-MARGIN_SHARE = 1 / 40
-"""Time between the expected end of a rehearsal and the deadline, as a share of the control period.
-
-A process that wakes up late uses this time between rehearsal and deadline.
-"""
 MAX_PERIOD_SHARE = 1 / 8
-"""Largest share of a control period that is reserved for a rehearsal and its margin.
+"""Largest share of a control period that is reserved for the wake-up of the process and a rehearsal.
 
-If a rehearsal takes longer than this share, as on a slow processor or at a high control rate, there
-are no rehearsals.
+On a slow processor or at a high rate, wake-up and rehearsal take longer than this share. In that case,
+there are no rehearsals.
 """
-INITIAL_DURATION_NS = 200_000
+MARGIN_NS = 5_000
+"""Time between the expected end of a rehearsal and the deadline [ns]."""
+INITIAL_DURATION_NS = 150_000
 """Assumed duration of the first rehearsal [ns]."""
+INITIAL_WAKE_UP_DELAY_NS = 30_000
+"""Assumed delay of the first wake-up [ns]."""
+RISE_SHARE = 1 / 4
+FALL_SHARE = 1 / 16
+"""Shares of the difference by which an expected time rises after a longer time, and falls after a shorter time."""
 MAX_GROWTH = 1.25
-"""Largest factor by which ``expected_ns`` grows after a rehearsal that took longer than expected.
+"""Largest factor by which an expected time grows at once.
 
-An interruption by the operating system can make a single rehearsal very long.
+An interruption by the operating system can make a single rehearsal or a single wake-up very long.
 """
-DECAY_SHARE = 1 / 64
-"""Share by which ``expected_ns`` falls in each tick.
+RETRY_SHARE = 1 / 1024
+"""Share by which ``expected_ns`` falls in each tick for which a rehearsal takes too long.
 
-As a result, the expected duration is longer than most rehearsals of the last ticks.
+As a result, the clock sometimes tries whether a rehearsal has become shorter.
 """
 
 
@@ -41,42 +43,55 @@ class Rehearsal:
     """Rehearsals of a run, with their expected duration.
 
     Attributes:
-        execute_steps: function that executes steps of the last tick again, and yields after each step.
+        execute_steps: function that executes two steps of the last tick again, and yields between
+            them.
         expected_ns: expected duration of the next rehearsal [ns].
+        expected_delay_ns: expected delay of the next wake-up of the process [ns].
     """
 
     execute_steps: Callable[[], Iterator[None]]
     expected_ns: float = INITIAL_DURATION_NS
+    expected_delay_ns: float = INITIAL_WAKE_UP_DELAY_NS
 
     def lead_time_ns(self, period_ns: int) -> int:
-        """Return the time before a deadline at which the rehearsal must begin [ns].
+        """Return the time before a deadline at which the process must wake up for a rehearsal [ns].
 
         If the lead time is too long for the control period ``period_ns``, return 0.
         """
-        lead_ns = int(self.expected_ns + MARGIN_SHARE * period_ns)
+        lead_ns = int(self.expected_delay_ns + self.expected_ns + MARGIN_NS)
         return lead_ns if lead_ns <= MAX_PERIOD_SHARE * period_ns else 0
 
-    def rehearse(self, remaining_ns: int, period_ns: int) -> None:
-        """Execute steps of the last tick again, if the time until the deadline is long enough.
+    def observe_wake_up(self, delay_ns: int) -> None:
+        """Store the delay of a wake-up, the difference between the planned and the actual time [ns]."""
+        self.expected_delay_ns = _follow_time(self.expected_delay_ns, delay_ns)
 
-        If another step of the same length does not fit, the remaining steps are left out.
+    def rehearse(self, remaining_ns: int, period_ns: int) -> None:
+        """Execute two steps of the last tick again, if the time until the deadline is long enough.
+
+        If a second step of the same length as the first does not fit, the second step is left out.
 
         Args:
             remaining_ns: time until the deadline [ns].
             period_ns: control period [ns].
         """
+        if not self.lead_time_ns(period_ns):
+            self.expected_ns -= RETRY_SHARE * self.expected_ns
+            return
+        if remaining_ns < self.expected_ns:
+            return
+        start_ns = time.monotonic_ns()
         duration_ns = 0
-        if remaining_ns >= self.expected_ns and self.lead_time_ns(period_ns):
-            start_ns = time.monotonic_ns()
-            for _ in self.execute_steps():
-                step_ns = time.monotonic_ns() - start_ns - duration_ns
-                duration_ns += step_ns
-                if remaining_ns - duration_ns < step_ns:
-                    duration_ns += (
-                        step_ns  # the steps that are left out belong to the next rehearsal
-                    )
-                    break
-        if duration_ns > self.expected_ns:
-            self.expected_ns = min(duration_ns, MAX_GROWTH * self.expected_ns)
-        else:
-            self.expected_ns -= DECAY_SHARE * self.expected_ns
+        for _ in self.execute_steps():
+            step_ns = time.monotonic_ns() - start_ns
+            if remaining_ns - step_ns < step_ns:
+                duration_ns = 2 * step_ns  # an upper estimate, because the second step is left out
+                break
+        duration_ns = duration_ns or time.monotonic_ns() - start_ns
+        self.expected_ns = _follow_time(self.expected_ns, duration_ns)
+
+
+def _follow_time(expected_ns: float, measured_ns: float) -> float:
+    """Return the time to expect after a measurement. The expected time rises faster than it falls."""
+    difference_ns = measured_ns - expected_ns
+    share = RISE_SHARE if difference_ns > 0 else FALL_SHARE
+    return min(expected_ns + share * difference_ns, MAX_GROWTH * expected_ns)
