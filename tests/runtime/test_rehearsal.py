@@ -55,7 +55,7 @@ def test_a_rehearsal_ends_shortly_before_the_deadline(monkeypatch: pytest.Monkey
     assert wall.executed_steps > 1500
     last_deadline_ns = clock.start_ns + 999 * PERIOD_NS
     time_before_deadline_ns = last_deadline_ns - wall.tick_starts_ns[-1]
-    assert time_before_deadline_ns == pytest.approx(TICK_NS + MARGIN_NS, abs=0.05 * TICK_NS)
+    assert TICK_NS < time_before_deadline_ns < 1.5 * TICK_NS + MARGIN_NS
 
 
 def test_a_single_late_wake_up_leaves_the_rehearsal_out(monkeypatch: pytest.MonkeyPatch) -> None:
