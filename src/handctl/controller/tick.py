@@ -42,10 +42,7 @@ from handctl.core import state_block as s
 from handctl.core import tick_stages
 from handctl.core.block_schema import BlockLayout, TableOffsets
 from handctl.core.control_law.goal_writer import sample_trajectories, write_goals
-from handctl.core.control_law.required_tensions import (
-    allocate_bounded_tensions,
-    write_tension_goals,
-)
+from handctl.core.control_law.required_tensions import write_goal_torques
 from handctl.core.detectors.bus_faults import EvidenceTable
 from handctl.core.detectors.fault_detection import empty_evidence
 from handctl.core.estimation.consistency_events import consistency_events
@@ -68,7 +65,6 @@ from handctl.drives.frame_records import (
     frames_as_records,
 )
 from handctl.drives.sensors.contract import SensorInterface
-from handctl.hand.dynamics import required_torque
 from handctl.programs.program import TARE_PHASE, Program, ProgramProgress
 from handctl.programs.requests import (
     REFUSAL_EVENT_PREFIX,
@@ -86,7 +82,7 @@ from handctl.safety.tick_verdict import (
 )
 
 NO_REQUESTS: tuple[hand_modes.OperatorRequests, tuple[TickEvent, ...]] = (
-    hand_modes.NO_OPERATOR_REQUESTS,
+    hand_modes.OperatorRequests(),
     (),
 )
 ACTIVE = HandMode.ACTIVE
@@ -662,36 +658,21 @@ class Controller:
         The motor torques are 0 unless the hand is active or relaxing.
         """
         mode = state.mode
+        derived_constants = self.derived_constants
+        layout = derived_constants.layout
+        if mode not in _MODES_WITH_GOALS:
+            tick_stages.compute_motor_torques(
+                state.block, layout.offsets, *derived_constants.kernel_constants, 0.0, 0, ticks
+            )
+            return
+        sample_trajectories(self.model, layout, state.block, state.progress.goals, state.goal_time)
         rate, opening_rate = (
             (present_relax_rate(state), is_open_loop(state)) if mode == RELAX else (0.0, False)
         )
-        derived_constants = self.derived_constants
-        layout = derived_constants.layout
-        kernel_args = (state.block, layout.offsets, *derived_constants.kernel_constants)
-        if mode in _MODES_WITH_GOALS:
-            sample_trajectories(
-                self.model, layout, state.block, state.progress.goals, state.goal_time
-            )
-            # An experiment can replace the function of the inverse dynamics.
-            if self.model.inverse_dynamics is required_torque:
-                unsolved_digits = tick_stages.evaluate_goals_and_torques(
-                    *kernel_args, int(action), rate, int(opening_rate), ticks
-                )
-                if not unsolved_digits:
-                    return
-                allocate_bounded_tensions(
-                    self.model,
-                    layout,
-                    derived_constants.constants,
-                    state.block,
-                    unsolved_digits,
-                    tick_stages.joint_motion(*kernel_args),
-                )
-            else:
-                write_tension_goals(
-                    self.model, layout, derived_constants.constants, state.block, int(action)
-                )
-        tick_stages.compute_motor_torques(*kernel_args, rate, int(opening_rate), ticks)
+        write_goal_torques(
+            self.model, layout, derived_constants.constants, state.block,
+            int(action), rate, int(opening_rate), ticks,
+        )  # fmt: skip
 
     def _design_pending_gains(
         self,

@@ -20,14 +20,17 @@ from handctl.hand.dynamics import DigitModel, required_torque
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
 
 
-def write_tension_goals(
+def write_goal_torques(
     model: HandModel,
     layout: BlockLayout,
     constants: HandConstants,
     block: BlockArray,
     action: int = 0,
+    relax_rate: float = 0.0,
+    open_loop: int = 0,
+    ticks: int = 1,
 ) -> None:
-    """Evaluate the goals of all digits, and write the required tensions of all moving tendons.
+    """Evaluate the goals of all digits, and write the required tensions and the motor torques.
 
     Args:
         model: model of the hand.
@@ -35,21 +38,37 @@ def write_tension_goals(
         constants: constants of the hand.
         block: state block, modified in place.
         action: reaction of the safety monitor, as a value of ``safety.safety_action.SafetyAction``.
+        relax_rate: see ``tick_stages.compute_motor_torques``.
+        open_loop: see ``tick_stages.compute_motor_torques``.
+        ticks: see ``tick_stages.compute_motor_torques``.
     """
-    kernel_constants = constants.block, constants.layout.offsets
-    unsolved_digits = tick_stages.evaluate_goals(block, layout.offsets, *kernel_constants, action)
-    required = layout.view(block, "joint_required")
-    # an experiment has replaced the function that computes the inverse dynamics
-    if model.inverse_dynamics is not required_torque:
-        trajectory = tick_stages.joint_motion(block, layout.offsets, *kernel_constants)
-        for digit in model.digits:
-            required[digit.joints] = model.inverse_dynamics(
-                digit, *(row[digit.joints].tolist() for row in trajectory)
-            )
-        unsolved_digits = tick_stages.write_loads(block, layout.offsets, *kernel_constants)
+    kernel_args = block, layout.offsets, constants.block, constants.layout.offsets
+    torque_args = relax_rate, open_loop, ticks
+    if model.inverse_dynamics is required_torque:
+        unsolved_digits = tick_stages.evaluate_goals_and_torques(*kernel_args, action, *torque_args)
+        if not unsolved_digits:
+            return
+    else:
+        unsolved_digits = _evaluate_goals_of_experiment(model, layout, constants, block, action)
     if unsolved_digits:
-        trajectory = tick_stages.joint_motion(block, layout.offsets, *kernel_constants)
+        trajectory = tick_stages.joint_motion(*kernel_args)
         allocate_bounded_tensions(model, layout, constants, block, unsolved_digits, trajectory)
+    tick_stages.compute_motor_torques(*kernel_args, *torque_args)
+
+
+def _evaluate_goals_of_experiment(
+    model: HandModel, layout: BlockLayout, constants: HandConstants, block: BlockArray, action: int
+) -> int:
+    """Evaluate the goals with the inverse dynamics of an experiment, as ``tick_stages.evaluate_goals`` does."""
+    kernel_args = block, layout.offsets, constants.block, constants.layout.offsets
+    tick_stages.evaluate_goals(*kernel_args, action)
+    required = layout.view(block, "joint_required")
+    trajectory = tick_stages.joint_motion(*kernel_args)
+    for digit in model.digits:
+        required[digit.joints] = model.inverse_dynamics(
+            digit, *(row[digit.joints].tolist() for row in trajectory)
+        )
+    return tick_stages.write_loads(*kernel_args)
 
 
 def allocate_bounded_tensions(

@@ -31,7 +31,7 @@ from handctl.core import tick_stages
 from handctl.core.block_schema import BlockArray, BlockLayout
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.control_law.goal_writer import sample_trajectories, write_goals
-from handctl.core.control_law.required_tensions import write_tension_goals
+from handctl.core.control_law.required_tensions import write_goal_torques
 from handctl.core.control_law.trajectory import SampledTrajectory
 from handctl.core.estimation.filter_prediction import predict_filter_states
 from handctl.core.estimation.filter_types import TendonRegime
@@ -363,10 +363,7 @@ class _LinearController:
     def run_control_law(self, block: BlockArray) -> None:
         """Compute the torque commands from the goals and the estimates."""
         self.layout.view(block, "mode")[...] = HandMode.ACTIVE
-        write_tension_goals(self.model, self.layout, self._constants, block)
-        tick_stages.compute_motor_torques(
-            block, self.layout.offsets, *self._constant_args, 0.0, 0, 1
-        )
+        write_goal_torques(self.model, self.layout, self._constants, block)
 
 
 def _operating_point(
