@@ -59,10 +59,6 @@ class OperatorRequests:
     is_cut_requested: bool = False
 
 
-NO_OPERATOR_REQUESTS = OperatorRequests()
-"""Requests of a tick without requests."""
-
-
 class ModeInputs(NamedTuple):
     """Inputs of the mode state machine, in addition to the state of the controller.
 
@@ -90,15 +86,6 @@ class ModeInputs(NamedTuple):
     def names(self) -> tuple[str, ...]:
         """Return the names of the motors."""
         return tuple(drive.name for drive in self.drives)
-
-    @property
-    def has_no_mode_override(self) -> bool:
-        """Return True if no safety reaction, operator request or other host determines the next mode."""
-        return self.action < RELAX and not (
-            self.other_host_signs
-            or self.operator_requests.is_stop_requested
-            or self.operator_requests.is_cut_requested
-        )
 
 
 RELAX = SafetyAction.RELAX
@@ -164,12 +151,13 @@ def next_mode(
         The event of a mode change, or no event if the mode does not change.
     """
     mode_before = state.mode
-    if (
-        mode_before == HandMode.ACTIVE
-        and action < RELAX
-        and operator_requests is NO_OPERATOR_REQUESTS
-        and not (other_host_signs or state.decisions.progress.finished)
-    ):
+    is_overridden = (
+        action >= RELAX
+        or bool(other_host_signs)
+        or operator_requests.is_stop_requested
+        or operator_requests.is_cut_requested
+    )
+    if mode_before == HandMode.ACTIVE and not (is_overridden or state.progress.finished):
         return ()  # most ticks of a run end here
     inputs = ModeInputs(
         model,
@@ -180,7 +168,7 @@ def next_mode(
         other_host_signs,
         calibrated_identities,
     )
-    overriding_mode = None if inputs.has_no_mode_override else _overriding_mode(state, inputs)
+    overriding_mode = _overriding_mode(state, inputs) if is_overridden else None
     mode, failure = overriding_mode or _NEXT_MODE_FUNCTIONS[mode_before](state, inputs)
     if mode == mode_before:
         if mode == HandMode.RELAX:
