@@ -14,10 +14,8 @@ from handctl.core.tick_types import Vector
 QuantityTable = NDArray[np.float64]
 
 
-class HandEstimate:
-    """Estimate of the hand's state at the present time.
-
-    A property has the shape (N,), unless its docstring states another shape.
+class _StateView:
+    """View of a state block, in the form that programs use.
 
     Attributes:
         layout: layout of the state block.
@@ -38,6 +36,15 @@ class HandEstimate:
         self.layout = layout
         self.block = block
         self.tendon = tendon
+
+
+class HandEstimate(_StateView):
+    """Estimate of the hand's state at the present time.
+
+    A property has the shape (N,), unless its docstring states another shape.
+    """
+
+    __slots__ = ()
 
     # Most ticks of a program need no other table than ``tendon``, so the views of the other tables
     # are created only when they are used.
@@ -167,25 +174,13 @@ class HandEstimate:
         return self.tendon[s.SLOW_GRIP_TRAVEL]
 
 
-class TickMeasurements:
+class TickMeasurements(_StateView):
     """Measurements of a tick. A missing measurement is NaN.
 
     A property has the shape (N,), unless its docstring states another shape.
     """
 
-    __slots__ = ("block", "layout", "tendon")
-
-    def __init__(self, layout: BlockLayout, block: BlockArray, tendon: QuantityTable) -> None:
-        """Store the state block, without a copy.
-
-        Args:
-            layout: layout of the state block.
-            block: state block.
-            tendon: table ``tendon`` of the state block.
-        """
-        self.layout = layout
-        self.block = block
-        self.tendon = tendon
+    __slots__ = ()
 
     @property
     def travel(self) -> Vector:

@@ -41,7 +41,7 @@ def sensing_warnings(hand: Hand) -> tuple[str, ...]:
         if without_torque := [
             name
             for name in tendons_without_cell
-            if PROTOCOL_TRAITS[hand.motor_of_tendon(name).protocol].torque_option
+            if PROTOCOL_TRAITS[hand.motor_of_tendon(name).protocol].has_separate_torque_frame
         ]:
             text = "no load cell, and its drive sends no torque after a cut"
             lines.append(
