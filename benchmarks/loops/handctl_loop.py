@@ -115,7 +115,7 @@ def run_loop(
         counter, tick_priority=keep_processors_awake,
     )  # fmt: skip
     if rate_hz and priority.is_realtime:
-        clock.rehearsal = Rehearsal(loop.rehearse_tick)
+        clock.rehearsal = Rehearsal(loop.rehearse_tick, plan.period_ns)
     state = loop.run(controller.initial_state())
     recorder.close("done")
     bus.close()

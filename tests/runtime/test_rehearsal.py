@@ -47,7 +47,7 @@ class WallClock:
 
 def test_a_rehearsal_ends_shortly_before_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
     wall = WallClock(monkeypatch)
-    clock = RealClock(PERIOD_NS, busy_wait=True, rehearsal=Rehearsal(wall.execute_tick))
+    clock = RealClock(PERIOD_NS, busy_wait=True, rehearsal=Rehearsal(wall.execute_tick, PERIOD_NS))
     clock.start()
     lateness = [clock.wait(k) for k in range(1000)]
     assert max(lateness) < 1000
@@ -60,7 +60,7 @@ def test_a_rehearsal_ends_shortly_before_the_deadline(monkeypatch: pytest.Monkey
 
 def test_a_single_late_wake_up_leaves_the_rehearsal_out(monkeypatch: pytest.MonkeyPatch) -> None:
     wall = WallClock(monkeypatch)
-    clock = RealClock(PERIOD_NS, busy_wait=True, rehearsal=Rehearsal(wall.execute_tick))
+    clock = RealClock(PERIOD_NS, busy_wait=True, rehearsal=Rehearsal(wall.execute_tick, PERIOD_NS))
     clock.start()
     for k in range(1000):
         clock.wait(k)
@@ -74,7 +74,7 @@ def test_a_process_that_always_wakes_up_late_sleeps_for_a_shorter_time(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     wall = WallClock(monkeypatch, wake_up_delay_ns=80_000)
-    clock = RealClock(PERIOD_NS, busy_wait=True, rehearsal=Rehearsal(wall.execute_tick))
+    clock = RealClock(PERIOD_NS, busy_wait=True, rehearsal=Rehearsal(wall.execute_tick, PERIOD_NS))
     clock.start()
     lateness = [clock.wait(k) for k in range(1000)]
     assert max(lateness[300:]) < 1000
@@ -86,7 +86,7 @@ def test_a_process_that_wakes_up_too_late_does_not_lose_time(
 ) -> None:
     period_ns = 1_000_000
     wall = WallClock(monkeypatch, wake_up_delay_ns=57_000)
-    rehearsal = Rehearsal(wall.execute_tick)
+    rehearsal = Rehearsal(wall.execute_tick, period_ns)
     clock = RealClock(period_ns, busy_wait=True, rehearsal=rehearsal)
     clock.start()
     for k in range(2000):
@@ -94,7 +94,7 @@ def test_a_process_that_wakes_up_too_late_does_not_lose_time(
     assert TICK_NS + wall.wake_up_delay_ns > MAX_PERIOD_SHARE * period_ns
     lead_times_ns = []
     for k in range(2000, 4000):
-        lead_times_ns.append(rehearsal.lead_time_ns(period_ns))
+        lead_times_ns.append(rehearsal.lead_time_ns)
         clock.wait(k)
     assert sum(lead_ns > 0 for lead_ns in lead_times_ns) < 200, (
         "the process rarely wakes up earlier"
@@ -103,7 +103,7 @@ def test_a_process_that_wakes_up_too_late_does_not_lose_time(
 
 def test_a_long_first_step_leaves_the_second_step_out(monkeypatch: pytest.MonkeyPatch) -> None:
     wall = WallClock(monkeypatch, wake_up_delay_ns=40_000)
-    clock = RealClock(PERIOD_NS, busy_wait=True, rehearsal=Rehearsal(wall.execute_tick))
+    clock = RealClock(PERIOD_NS, busy_wait=True, rehearsal=Rehearsal(wall.execute_tick, PERIOD_NS))
     clock.start()
     for k in range(1000):
         clock.wait(k)
@@ -120,7 +120,7 @@ def test_no_rehearsal_takes_a_large_share_of_the_period(
 ) -> None:
     wall = WallClock(monkeypatch)
     wall.tick_ns = int(MAX_PERIOD_SHARE * period_ns)
-    rehearsal = Rehearsal(wall.execute_tick)
+    rehearsal = Rehearsal(wall.execute_tick, period_ns)
     clock = RealClock(period_ns, busy_wait=True, rehearsal=rehearsal)
     clock.start()
     lateness = [clock.wait(k) for k in range(10_000)]
@@ -132,7 +132,7 @@ def test_no_rehearsal_takes_a_large_share_of_the_period(
 
 def test_rehearsals_begin_again_after_an_interruption(monkeypatch: pytest.MonkeyPatch) -> None:
     wall = WallClock(monkeypatch)
-    clock = RealClock(PERIOD_NS, busy_wait=True, rehearsal=Rehearsal(wall.execute_tick))
+    clock = RealClock(PERIOD_NS, busy_wait=True, rehearsal=Rehearsal(wall.execute_tick, PERIOD_NS))
     clock.start()
     for k in range(100):
         clock.wait(k)

@@ -203,7 +203,9 @@ def run_live(
             request_source = _merge_requests(observer, _request_source(plan, signals, mailbox))
             loop = _build_loop(plan, controller, clock, buses, recorder, request_source, show_tick)
             if priority.is_realtime:
-                clock.rehearsal = Rehearsal(loop.rehearse_tick)
+                clock.rehearsal = Rehearsal(
+                    loop.rehearse_tick, int(plan.period_ns / plan.time_scale)
+                )
             loop.take_targets = targets.read_targets
             loop.publish_tick = partial(_publish_tick, observations, published_state)
             cleanup_stack.pop_all()

@@ -105,9 +105,8 @@ class RealClock:
         """Wait until the clock reads the deadline, and return the time since the deadline [ns of wall time]."""
         lead_ns = BUSY_WAIT_NS if self.busy_wait else 0
         rehearsal = self.rehearsal
-        wall_period_ns = int(self.period_ns / self.time_scale)
         if rehearsal:
-            lead_ns = max(lead_ns, rehearsal.lead_time_ns(wall_period_ns))
+            lead_ns = max(lead_ns, rehearsal.lead_time_ns)
         waiting_ns = deadline_ns - self._read_clock_ns() - lead_ns
         if waiting_ns > 0:
             time.sleep(waiting_ns / 1e9)
@@ -115,7 +114,7 @@ class RealClock:
             remaining_ns = deadline_ns - self._read_clock_ns()
             if waiting_ns > 0:
                 rehearsal.observe_wake_up(lead_ns - remaining_ns)
-            rehearsal.rehearse(remaining_ns, wall_period_ns)
+            rehearsal.rehearse(remaining_ns)
         while (
             now := self._read_clock_ns()
         ) < deadline_ns:  # sleep can return too early, so the loop reads the clock again

@@ -45,48 +45,50 @@ class Rehearsal:
     Attributes:
         execute_steps: function that executes two steps of the last tick again, and yields between
             them.
+        period_ns: control period [ns of wall time].
         expected_ns: expected duration of the next rehearsal [ns].
         expected_delay_ns: expected delay of the next wake-up of the process [ns].
     """
 
     execute_steps: Callable[[], Iterator[None]]
+    period_ns: int
     expected_ns: float = INITIAL_DURATION_NS
     expected_delay_ns: float = INITIAL_WAKE_UP_DELAY_NS
 
-    def lead_time_ns(self, period_ns: int) -> int:
+    @property
+    def lead_time_ns(self) -> int:
         """Return the time before a deadline at which the process must wake up for a rehearsal [ns].
 
-        If the lead time is too long for the control period ``period_ns``, return 0.
+        If the lead time is too long for the control period, return 0.
         """
         lead_ns = int(self.expected_delay_ns + self.expected_ns + MARGIN_NS)
-        return lead_ns if lead_ns <= MAX_PERIOD_SHARE * period_ns else 0
+        return lead_ns if lead_ns <= MAX_PERIOD_SHARE * self.period_ns else 0
 
     def observe_wake_up(self, delay_ns: int) -> None:
         """Store the delay of a wake-up, the difference between the planned and the actual time [ns]."""
         self.expected_delay_ns = _follow_time(self.expected_delay_ns, delay_ns)
 
-    def rehearse(self, remaining_ns: int, period_ns: int) -> None:
+    def rehearse(self, remaining_ns: int) -> None:
         """Execute two steps of the last tick again, if the time until the deadline is long enough.
 
         If a second step of the same length as the first does not fit, the second step is left out.
 
         Args:
             remaining_ns: time until the deadline [ns].
-            period_ns: control period [ns].
         """
-        if not self.lead_time_ns(period_ns):
+        if not self.lead_time_ns:
             self.expected_ns -= RETRY_SHARE * self.expected_ns
             return
         if remaining_ns < self.expected_ns:
             return
         start_ns = time.monotonic_ns()
-        duration_ns = 0
         for _ in self.execute_steps():
             step_ns = time.monotonic_ns() - start_ns
             if remaining_ns - step_ns < step_ns:
                 duration_ns = 2 * step_ns  # an upper estimate, because the second step is left out
                 break
-        duration_ns = duration_ns or time.monotonic_ns() - start_ns
+        else:
+            duration_ns = time.monotonic_ns() - start_ns
         self.expected_ns = _follow_time(self.expected_ns, duration_ns)
 
 
