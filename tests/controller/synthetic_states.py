@@ -76,6 +76,11 @@ class SyntheticEstimate(NamedTuple):
     grip_opening: np.ndarray
     grip_travel: np.ndarray
 
+    def largest_grip_opening(self, closing_sign: np.ndarray, held_tension: np.ndarray) -> float:
+        """Return the largest opening of the digits that hold an object, computed with numpy."""
+        openings = (closing_sign * self.grip_opening)[~np.isnan(held_tension)]
+        return float(openings.max(initial=0.0))
+
 
 STATE_FIELD_BY_ATTRIBUTE = {
     "tension_sigma": "sigma",

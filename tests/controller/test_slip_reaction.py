@@ -199,3 +199,19 @@ def test_a_growing_load_removes_the_object_only_without_slip_reaction(
     assert motion[""] > 20.0, "the positive control: it is pulled out"
     assert motion["limit"] < 8.0
     assert tension["limit"] > 25.0
+
+
+def test_the_compiled_grip_opening_equals_numpy(model: HandModel) -> None:
+    resting_estimate = estimate_under_tension(model, HOLD_TENSION_N, 0.5)
+    closing_sign = model.redundancy.closing_sign
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        state = active_state(model)
+        state.tendon[[s.FAST_GRIP_TRAVEL, s.SLOW_GRIP_TRAVEL]] = random.normal(
+            0.0, SLIP_EXCURSION_M, (2, model.tendon_count)
+        )
+        held_tension = np.where(random.random(model.tendon_count) < 0.5, np.nan, HOLD_TENSION_N)
+        expected = resting_estimate._replace(grip_opening=state.estimate.grip_opening)
+        assert state.estimate.largest_grip_opening(
+            closing_sign, held_tension
+        ) == expected.largest_grip_opening(closing_sign, held_tension)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from handctl.core import state_block as s
 from handctl.core.block_schema import BlockArray, BlockLayout
+from handctl.core.estimation.contact_force import largest_grip_opening
 from handctl.core.estimation.filter_types import SLACK_REGIME
 from handctl.core.tick_types import Vector
 
@@ -167,6 +168,10 @@ class HandEstimate(_StateView):
     def grip_opening(self) -> Vector:
         """Return the recent opening of digits that hold an object, as a length along each tendon [m]."""
         return np.asarray(self.tendon[s.SLOW_GRIP_TRAVEL] - self.tendon[s.FAST_GRIP_TRAVEL])
+
+    def largest_grip_opening(self, closing_sign: Vector, held_tension: Vector) -> float:
+        """Return the largest opening of the digits that hold an object, see ``contact_force``."""
+        return largest_grip_opening(self.block, self.layout.offsets, closing_sign, held_tension)
 
     @property
     def grip_travel(self) -> Vector:

@@ -129,13 +129,14 @@ def advance_grip(
     if is_slip_judged and not is_settled:
         # In the first tick after the grip has settled, the position of a stiff grip is stored.
         grip = grip._replace(reference_excursion=estimate.grip_travel.copy())
-    if is_slip_judged:
+    closing_sign = model.redundancy.closing_sign
+    if (
+        is_slip_judged
+        and estimate.largest_grip_opening(closing_sign, grip.tension) > SLIP_EXCURSION_M
+    ):
         # A tendon that opens a digit is pulled out while the digit closes.
-        opening_travel = np.where(
-            np.isnan(grip.tension), 0.0, model.redundancy.closing_sign * estimate.grip_opening
-        )
-        if opening_travel.max() > SLIP_EXCURSION_M:
-            grip, events = _raise_tension_after_slip(model, grip, plan, opening_travel, t)
+        opening_travel = np.where(np.isnan(grip.tension), 0.0, closing_sign * estimate.grip_opening)
+        grip, events = _raise_tension_after_slip(model, grip, plan, opening_travel, t)
     if not (is_slip_judged or is_settled) or not (events or plan.stiffness):
         return grip, goals, events
     return (

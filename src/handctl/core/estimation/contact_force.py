@@ -24,13 +24,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import kernel_helper
+from handctl.compiled import kernel, kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
+from handctl.core.block_schema import BlockArray, TableOffsets
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.kalman import write_free_angles
 from handctl.core.estimation.statics import link_poses_of_hand, write_tip_levers
-from handctl.core.state_block import StateTables
+from handctl.core.state_block import StateTables, state_tables
 
 Vector = NDArray[np.float64]
 
@@ -145,3 +146,29 @@ def update_grip_travel(x: StateTables, c: ConstantTables) -> None:
         x.tendon[s.SLOW_GRIP_TRAVEL, n] = (
             slow_travel if is_slip_judged and x.run_int[s.PROGRAM_HOLDS_OBJECT] else fast_travel
         )
+
+
+@kernel("block", "layout", "vector", "vector")
+def largest_grip_opening(
+    block: BlockArray, at: TableOffsets, closing_sign: Vector, held_tension: Vector
+) -> float:
+    """Return the largest recent opening of the digits that hold an object, as a length along a tendon [m].
+
+    The result is 0 if no digit that holds the object has opened.
+
+    Args:
+        block: state block.
+        at: ``BlockLayout.offsets`` of the state block.
+        closing_sign: (N,) direction of each tendon while its digit closes, see
+            ``control_law.tendon_redundancy.TendonRedundancy``.
+        held_tension: (N,) tension targets of the grip [N], NaN for the tendons of other digits.
+    """
+    x = state_tables(block, at)
+    largest = 0.0
+    for n in range(x.tendon.shape[1]):
+        opening = closing_sign[n] * (
+            x.tendon[s.SLOW_GRIP_TRAVEL, n] - x.tendon[s.FAST_GRIP_TRAVEL, n]
+        )
+        if not math.isnan(held_tension[n]) and opening > largest:
+            largest = opening
+    return largest
