@@ -76,10 +76,13 @@ class SyntheticEstimate(NamedTuple):
     grip_opening: np.ndarray
     grip_travel: np.ndarray
 
-    def largest_grip_opening(self, closing_sign: np.ndarray, held_tension: np.ndarray) -> float:
-        """Return the largest opening of the digits that hold an object, computed with numpy."""
-        openings = (closing_sign * self.grip_opening)[~np.isnan(held_tension)]
-        return float(openings.max(initial=0.0))
+    def largest_grip_opening(
+        self, closing_sign: np.ndarray, held_tension: np.ndarray
+    ) -> tuple[int, float]:
+        """Return the tendon of the largest opening and the opening, computed with numpy."""
+        openings = np.where(np.isnan(held_tension), 0.0, closing_sign * self.grip_opening).clip(0.0)
+        worst_tendon = int(openings.argmax())
+        return worst_tendon, float(openings[worst_tendon])
 
 
 STATE_FIELD_BY_ATTRIBUTE = {

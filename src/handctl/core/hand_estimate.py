@@ -169,8 +169,8 @@ class HandEstimate(_StateView):
         """Return the recent opening of digits that hold an object, as a length along each tendon [m]."""
         return np.asarray(self.tendon[s.SLOW_GRIP_TRAVEL] - self.tendon[s.FAST_GRIP_TRAVEL])
 
-    def largest_grip_opening(self, closing_sign: Vector, held_tension: Vector) -> float:
-        """Return the largest opening of the digits that hold an object, see ``contact_force``."""
+    def largest_grip_opening(self, closing_sign: Vector, held_tension: Vector) -> tuple[int, float]:
+        """Return the tendon of the largest opening, and the opening [m], see ``contact_force``."""
         return largest_grip_opening(self.block, self.layout.offsets, closing_sign, held_tension)
 
     @property

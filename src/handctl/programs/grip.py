@@ -129,14 +129,10 @@ def advance_grip(
     if is_slip_judged and not is_settled:
         # In the first tick after the grip has settled, the position of a stiff grip is stored.
         grip = grip._replace(reference_excursion=estimate.grip_travel.copy())
-    closing_sign = model.redundancy.closing_sign
-    if (
-        is_slip_judged
-        and estimate.largest_grip_opening(closing_sign, grip.tension) > SLIP_EXCURSION_M
-    ):
-        # A tendon that opens a digit is pulled out while the digit closes.
-        opening_travel = np.where(np.isnan(grip.tension), 0.0, closing_sign * estimate.grip_opening)
-        grip, events = _raise_tension_after_slip(model, grip, plan, opening_travel, t)
+    if is_slip_judged:
+        tendon, opening = estimate.largest_grip_opening(model.redundancy.closing_sign, grip.tension)
+        if opening > SLIP_EXCURSION_M:
+            grip, events = _raise_tension_after_slip(model, grip, plan, tendon, opening, t)
     if not (is_slip_judged or is_settled) or not (events or plan.stiffness):
         return grip, goals, events
     return (
@@ -147,17 +143,25 @@ def advance_grip(
 
 
 def _raise_tension_after_slip(
-    model: HandModel, grip: GripState, plan: GripPlan, opening_distances: Vector, t: float
+    model: HandModel, grip: GripState, plan: GripPlan, tendon: int, opening: float, t: float
 ) -> tuple[GripState, tuple[TickEvent, ...]]:
-    """Raise the tensions of a grip after slip, within the limits of the task."""
-    worst_digit = int(np.argmax(opening_distances))
+    """Raise the tensions of a grip after slip, within the limits of the task.
+
+    Args:
+        model: model of the hand.
+        grip: grip before the rise.
+        plan: grip that the task requires.
+        tendon: index of the tendon with the largest opening.
+        opening: distance by which the object has pulled out this tendon [m].
+        t: time [s].
+    """
     digit = next(
         name
         for name, tendons in zip(model.hand.digit_names, model.digit_tendons, strict=True)
-        if tendons.start <= worst_digit < tendons.stop
+        if tendons.start <= tendon < tendons.stop
     )
     grip = grip._replace(ready=t + TENSION_RAISE_PAUSE_S)
-    slip_text = f"{digit} is pushed open, {1e6 * opening_distances[worst_digit]:.0f} um of tendon"
+    slip_text = f"{digit} is pushed open, {1e6 * opening:.0f} um of tendon"
     # All tensions of the grip are multiplied by the same factor. The tendon that is farthest below
     # its limit determines the largest possible factor.
     is_closing_side = model.redundancy.closing_sign > 0.0

@@ -151,10 +151,11 @@ def update_grip_travel(x: StateTables, c: ConstantTables) -> None:
 @kernel("block", "layout", "vector", "vector")
 def largest_grip_opening(
     block: BlockArray, at: TableOffsets, closing_sign: Vector, held_tension: Vector
-) -> float:
-    """Return the largest recent opening of the digits that hold an object, as a length along a tendon [m].
+) -> tuple[int, float]:
+    """Return the tendon with the largest recent opening of a digit that holds an object, and the opening [m].
 
-    The result is 0 if no digit that holds the object has opened.
+    The opening is a length along the tendon. If no digit that holds an object has opened, the
+    result is (0, 0.0).
 
     Args:
         block: state block.
@@ -164,11 +165,13 @@ def largest_grip_opening(
         held_tension: (N,) tension targets of the grip [N], NaN for the tendons of other digits.
     """
     x = state_tables(block, at)
-    largest = 0.0
+    worst_tendon = 0
+    largest_opening = 0.0
     for n in range(x.tendon.shape[1]):
+        # A tendon that opens a digit is pulled out while the digit closes.
         opening = closing_sign[n] * (
             x.tendon[s.SLOW_GRIP_TRAVEL, n] - x.tendon[s.FAST_GRIP_TRAVEL, n]
         )
-        if not math.isnan(held_tension[n]) and opening > largest:
-            largest = opening
-    return largest
+        if not math.isnan(held_tension[n]) and opening > largest_opening:
+            worst_tendon, largest_opening = n, opening
+    return worst_tendon, largest_opening
