@@ -432,7 +432,7 @@ class SimulatedWorld:
             "scene": self.plant.scene.name,
             "homed": self.homed,
             "encoder_offset_rad": self.encoder_offset,
-            "shapes": scene_shapes(self.plant.scene),
+            "shapes": scene_shapes(self.plant.scene, self.plant.hand.gravity),
         }
 
 

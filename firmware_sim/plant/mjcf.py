@@ -40,6 +40,11 @@ PALM_MARGIN = 0.01
 """Distance by which the palm extends beyond the outermost digit mounts [m]."""
 SAMPLES_PER_LINK = 9
 """Number of points along a link for the check of overlap with the palm."""
+MIN_PLATE_GRAVITY_FRACTION = 0.1
+"""Fraction of gravity along an axis above which a plate of the table supports the object along this axis.
+
+An object on a plane that is tilted by 6 deg neither slides nor tips over.
+"""
 TABLE_HALF_EXTENTS = (0.12, 0.12, 0.005)
 """Half extents of the table along x, y, z [m]."""
 VISUAL_GEOM_GROUP = 2
@@ -100,7 +105,9 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
     )
     opposed = dict(zip((digit.name for digit in hand.digits), opposed_digits(hand), strict=True))
     scene_bodies = (_object_element(scene.grasp_object) if scene.grasp_object else "") + (
-        _table_element(scene.grasp_object, scene.support) if scene.grasp_object else ""
+        _table_element(scene.grasp_object, scene.support, hand.gravity)
+        if scene.grasp_object
+        else ""
     )
     tendons = "".join(_tendon_element(tendon) for tendon in hand.all_tendons)
     loopback_by_name = {
@@ -481,20 +488,41 @@ def _object_element(grasp_object: GraspObject) -> str:
     )
 
 
-def _table_element(grasp_object: GraspObject, support: SinkingTable | None) -> str:
-    """Build the table under the object. If the scene has no support, the returned text is empty."""
+def _table_element(
+    grasp_object: GraspObject, support: SinkingTable | None, gravity: Sequence[float]
+) -> str:
+    """Build the table under the object. If the scene has no support, the returned text is empty.
+
+    The first plate of the table is perpendicular to the axis of the palm frame along which gravity
+    is largest. If gravity is not parallel to an axis, further plates keep the object from sliding
+    and from tipping over.
+    """
     if support is None:
         return ""
-    x, y, z = table_position(grasp_object)
-    size = _numbers_text(TABLE_HALF_EXTENTS)
-    return (
-        f'<body name="table" mocap="true" pos="{x} {y} {z}"><geom name="table" type="box" size="{size}"'
-        f' contype="{TABLE_COLLISION_BIT}" conaffinity="{OBJECT_COLLISION_BIT}"/></body>\n'
-    )
+    position = table_position(grasp_object, gravity)
+    plates = ""
+    for i, (normal, sign) in enumerate(_support_directions(gravity)):
+        offset = np.subtract(_plate_position(grasp_object, normal, sign), position)
+        place = "" if i == 0 else f' pos="{_numbers_text(offset.tolist())}"'
+        size = _numbers_text(_plate_half_extents(normal))
+        plates += (
+            f'<geom name="{"table" if i == 0 else f"table{i + 1}"}" type="box"{place} size="{size}"'
+            f' contype="{TABLE_COLLISION_BIT}" conaffinity="{OBJECT_COLLISION_BIT}"/>'
+        )
+    x, y, z = position
+    return f'<body name="table" mocap="true" pos="{x} {y} {z}">{plates}</body>\n'
 
 
-def scene_shapes(scene: Scene) -> dict[str, dict[str, object]]:
-    """Return the shapes and lengths [m] of object and table, and the position of the table [m], for drawing."""
+def scene_shapes(scene: Scene, gravity: Sequence[float]) -> dict[str, dict[str, object]]:
+    """Return the shapes and lengths [m] of object and table, for drawing.
+
+    For the table, the result also contains the position of its first plate [m], and the direction
+    in which the table sinks.
+
+    Args:
+        scene: object and support, as the scene file describes them.
+        gravity: acceleration of gravity in the palm frame (3,) [m/s2].
+    """
     if scene.grasp_object is None:
         return {}
     grasp_object: dict[str, object] = {
@@ -503,15 +531,77 @@ def scene_shapes(scene: Scene) -> dict[str, dict[str, object]]:
     }
     if scene.support is None:
         return {"object": grasp_object}
-    size = tuple(2.0 * half_sizes for half_sizes in TABLE_HALF_EXTENTS)
-    position = table_position(scene.grasp_object)
+    normal, _ = _support_directions(gravity)[0]
+    size = tuple(2.0 * half_size for half_size in _plate_half_extents(normal))
+    position = table_position(scene.grasp_object, gravity)
     return {
         "object": grasp_object,
-        "table": {"shape": "box", "size_m": size, "position_m": position},
+        "table": {
+            "shape": "box",
+            "size_m": size,
+            "position_m": position,
+            "sink_direction": sink_direction(gravity),
+        },
     }
 
 
-def table_position(grasp_object: GraspObject) -> tuple[float, float, float]:
-    """Return the centre of the table at the start, when the object lies on the table [m]."""
-    x, y, z = grasp_object.position
-    return (x, y, z - grasp_object.size[2] / 2.0 - TABLE_HALF_EXTENTS[2])
+def table_position(
+    grasp_object: GraspObject, gravity: Sequence[float]
+) -> tuple[float, float, float]:
+    """Return the centre of the table at the start, when the object lies on the table [m].
+
+    Args:
+        grasp_object: object of the scene.
+        gravity: acceleration of gravity in the palm frame (3,) [m/s2].
+    """
+    return _plate_position(grasp_object, *_support_directions(gravity)[0])
+
+
+def sink_direction(gravity: Sequence[float]) -> tuple[float, float, float]:
+    """Return the direction in which the table sinks: that of gravity, or -z without gravity.
+
+    Args:
+        gravity: acceleration of gravity in the palm frame (3,) [m/s2].
+    """
+    norm = math.hypot(*gravity)
+    if norm == 0.0:
+        return (0.0, 0.0, -1.0)
+    x, y, z = (value / norm for value in gravity)
+    return (x, y, z)
+
+
+def _support_directions(gravity: Sequence[float]) -> list[tuple[int, float]]:
+    """Return the axes of the palm frame along which a plate supports the object, with the sign of gravity.
+
+    The first axis is the axis along which gravity is largest.
+    """
+    direction = sink_direction(gravity)
+    axes = sorted(range(3), key=lambda i: -abs(direction[i]))
+    return [
+        (i, math.copysign(1.0, direction[i]))
+        for i in axes
+        if i == axes[0] or abs(direction[i]) > MIN_PLATE_GRAVITY_FRACTION
+    ]
+
+
+def _plate_position(
+    grasp_object: GraspObject, normal: int, sign: float
+) -> tuple[float, float, float]:
+    """Return the centre of a plate that touches the object on the side of an axis [m].
+
+    Args:
+        grasp_object: object of the scene.
+        normal: index of the axis that is perpendicular to the plate.
+        sign: 1 for the side of the positive axis, and -1 for the other side.
+    """
+    position = list(grasp_object.position)
+    position[normal] += sign * (grasp_object.size[normal] / 2.0 + TABLE_HALF_EXTENTS[2])
+    x, y, z = position
+    return (x, y, z)
+
+
+def _plate_half_extents(normal: int) -> tuple[float, float, float]:
+    """Return half of the lengths of a plate that is perpendicular to an axis of the palm frame [m]."""
+    width, _, thickness = TABLE_HALF_EXTENTS
+    x, y, z = (thickness if i == normal else width for i in range(3))
+    return (x, y, z)

@@ -12,7 +12,7 @@ import numpy as np
 from firmware_sim.compiled import array_addresses, compile_module_kernels
 from firmware_sim.hand_description import Hand, SimulatorError
 from firmware_sim.plant import drivetrain
-from firmware_sim.plant.mjcf import STEP_S, model_text, opposed_digits
+from firmware_sim.plant.mjcf import STEP_S, model_text, opposed_digits, sink_direction
 from firmware_sim.plant.motor import Motor, motor_rows, time_step_factors
 from firmware_sim.plant.rigid_body_engine import RigidBodyEngine
 from firmware_sim.plant.tendon import TendonRouting
@@ -113,6 +113,7 @@ class Plant:
         )
         self._tensions = np.zeros(len(self.tendons))
         self.sampled = (*self._drivetrain, engine.q, engine.dq, self._tensions)
+        self._sink_direction = sink_direction(hand.gravity)
         self.table = self._build_table(scene.support, is_compiled) if scene.support else None
         self.contact_forces = self.engine.make_force_reader(
             "contact", [digit.name for digit in hand.digits]
@@ -369,7 +370,7 @@ class Plant:
         )
         depth = table.update(self.steps * STEP_S, forces)
         if depth != depth_before:
-            self.engine.lower_table(depth - depth_before)
+            self.engine.lower_table(depth - depth_before, self._sink_direction)
         if self.stages and table.dropped_at is not None:
             scene_state = self.stages.state_at(self.steps * STEP_S - table.dropped_at)
             self.stage = scene_state.stage

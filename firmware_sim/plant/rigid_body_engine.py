@@ -163,9 +163,10 @@ class RigidBodyEngine:
                 depths[name] = max(depths.get(name, 0.0), -float(contact.dist))
         return depths
 
-    def lower_table(self, distance: float) -> None:
-        """Move the table of the scene down by a distance [m]."""
-        self._table[0, 2] -= distance
+    def lower_table(self, distance: float, direction: tuple[float, float, float]) -> None:
+        """Move the table of the scene by a distance [m] in the direction of a unit vector."""
+        for axis, component in enumerate(direction):
+            self._table[0, axis] += component * distance
 
     def set_joints(self, q: list[float], dq: list[float]) -> None:
         """Set the joint angles and joint velocities of the hand.

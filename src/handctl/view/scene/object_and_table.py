@@ -91,9 +91,11 @@ def _object_pose(
 def _table_pose(truth: TruthRecord, table_shape: Mapping[str, Any], times: Any) -> tuple[Any, Any]:
     """Return the position [m] and the quaternion of the table, with one row for each time.
 
-    The simulated table only moves down, and does not turn.
+    The simulated table moves only in the direction in which it sinks, and does not turn. In truth
+    files of earlier versions, the table sinks along -z.
     """
     position = np.tile(np.array(table_shape["position_m"], np.float64), (len(times), 1))
     if truth.has_column("support"):
-        position[:, 2] -= truth.interpolated_column("support", times)
+        direction = np.array(table_shape.get("sink_direction", (0.0, 0.0, -1.0)), np.float64)
+        position += np.outer(truth.interpolated_column("support", times), direction)
     return position, np.tile((0.0, 0.0, 0.0, 1.0), (len(times), 1))
