@@ -43,7 +43,11 @@ from handctl.session.gains import gain_assignments
 from handctl.session.lockstep_simulation import SimulatorSettings
 from handctl.session.run import RunFunction, RunOutcome, make_controller, run_live, run_lockstep
 from handctl.session.run_plan import RunPlan, commissioning_log_path, default_log_path
-from handctl.tune.identify.excitation import excitation_steps
+from handctl.tune.identify.excitation import (
+    excitation_steps,
+    identifiable_digits,
+    unidentifiable_reason,
+)
 from handctl.tune.identify.identification_figure import draw_identification
 from handctl.tune.identify.identify import (
     LOW_COHERENCE_TEXT,
@@ -81,9 +85,7 @@ def run(args: argparse.Namespace) -> int:
     if args.logs:
         return _identify_from_logs(args)
     plan = make_plan(args, lockstep=args.lockstep)
-    program = ExciteProgram(
-        excitation_steps(plan.hand, tuple(args.digits or plan.hand.digit_names))
-    )
+    program = ExciteProgram(excitation_steps(plan.hand, _digits_to_excite(args, plan.hand)))
     path, calibration, reason = find_calibration(args, plan.hand, plan.buses)
     # the results of a simulation must not be written to the file of a real hand
     if args.lockstep and not args.calibration:
@@ -111,6 +113,26 @@ def run(args: argparse.Namespace) -> int:
     with RunLog(log) as record:
         results = identify_tendons(record, plan.hand, print_note)
     return _report_results(args, plan.hand, {log: results}, path, calibration)
+
+
+def _digits_to_excite(args: argparse.Namespace, hand: Hand) -> tuple[str, ...]:
+    """Return the digits that the operator has named, or all digits whose parameters can be identified.
+
+    Each digit that is left out is reported. If no parameter of the hand can be identified, all
+    digits are returned.
+    """
+    if args.digits:
+        return tuple(args.digits)
+    digits = identifiable_digits(hand)
+    if not digits:
+        return hand.digit_names
+    for name in hand.digit_names:
+        if name not in digits:
+            print_notice(
+                f"handctl: {name} is left out: {unidentifiable_reason(hand, name)}; "
+                "its values stay those of the hand file"
+            )
+    return digits
 
 
 def _identify_in_lockstep(

@@ -92,30 +92,48 @@ def excitation_steps(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, .
     )
 
 
+def identifiable_digits(hand: Hand) -> tuple[str, ...]:
+    """Return the names of the digits whose parameters can be identified."""
+    return tuple(name for name in hand.digit_names if not unidentifiable_reason(hand, name))
+
+
+def unidentifiable_reason(hand: Hand, digit: str) -> str:
+    """Return the reason why the parameters of a digit cannot be identified.
+
+    If the parameters can be identified, the text is empty. All tendons of the digit must have load
+    cells. Spool pairs need none.
+    """
+    if any(hand.digit_named(digit).is_prismatic):
+        return "a prismatic joint, which is not identified yet"
+    tendons = hand.digit_tendons[digit]
+    has_known_force = hand.has_cell[tendons] | hand.is_pair[tendons]
+    names_without_cell = [
+        tendon.name
+        for tendon, is_known in zip(hand.tendon[tendons], has_known_force, strict=True)
+        if not is_known
+    ]
+    return f"no load cell on {', '.join(names_without_cell)}" if names_without_cell else ""
+
+
 def check_identifiable(hand: Hand, digits: tuple[str, ...]) -> None:
-    """Check that all tendons of the named digits have load cells. Spool pairs need none.
+    """Check that the named digits exist, and that their parameters can be identified.
 
     Raises:
-        ConfigError: a digit does not exist, or has no load cells.
+        ConfigError: a digit does not exist, lacks a load cell, or has a prismatic joint.
     """
     for name in digits:
         if name not in hand.digit_names:
             raise ConfigError(repr(name), "--digits", "some of " + ", ".join(hand.digit_names))
-        if any(hand.digit_named(name).is_prismatic):
-            expected = "digits with hinges only: prismatic joints are not identified yet"
-            raise ConfigError(f"{name} has a prismatic joint", "--digits", expected)
-        tendons = hand.digit_tendons[name]
-        identifiable_tendons = zip(
-            hand.tendon[tendons], hand.has_cell[tendons] | hand.is_pair[tendons], strict=True
+        reason = unidentifiable_reason(hand, name)
+        if not reason:
+            continue
+        possible_digits = identifiable_digits(hand)
+        expected = (
+            f"only digits that can be identified: --digits {' '.join(possible_digits)}"
+            if possible_digits
+            else "load cells on all tendons of a digit, or spool pairs, and only hinges"
         )
-        names_without_cell = [
-            tendon.name for tendon, is_known in identifiable_tendons if not is_known
-        ]
-        if names_without_cell:
-            expected = "a load cell on every tendon that is not a spool pair"
-            raise ConfigError(
-                f"no load cell on {', '.join(names_without_cell)}", f"digit {name}", expected
-            )
+        raise ConfigError(reason, f"digit {name}", expected)
 
 
 def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:

@@ -80,11 +80,14 @@ SPOOL_PAIR_MODEL_ERROR = {
 From the data, friction of the motor and friction of the tendons are hard to separate. The values
 were chosen in simulations of five hands.
 """
-LOAD_INERTIA_SIGMA = 0.05
-"""Standard deviation of the error of the model's link inertia, as a fraction of the inertia of the rotor.
+ROTOR_INERTIA_SIGMA = 0.05
+"""First part of the standard deviation of the model's inertia, as a fraction of the inertia of the rotor."""
+LINK_INERTIA_SIGMA = 0.2
+"""Second part of the standard deviation of the model's inertia, as a fraction of the inertia of the links.
 
 Rotor and links accelerate together. Therefore only the model of the links can separate the inertia
-of the rotor from the inertia of the links.
+of the rotor from the inertia of the links. If the links are heavier than the rotor, a small error of
+the links is a large error of the rotor.
 """
 INITIAL_NOISE_N = 0.3
 """Assumed standard deviation of the motor equation's residuals in the first fit [N].
@@ -117,6 +120,8 @@ class SpoolPairWindows:
         excursion: mean excursion at the times of the joint readings, computed with the moment arms
             of the hand file [m]. If there are too few readings, the excursion is NaN.
         reading_count: effective number of joint-encoder readings in each window.
+        link_inertia_kg: inertia of the links as a mass that moves with the tendon, at the rest
+            angles [kg].
     """
 
     motor: MotorWindows
@@ -128,6 +133,7 @@ class SpoolPairWindows:
     travel: Array
     excursion: Array
     reading_count: Array
+    link_inertia_kg: float
 
     @staticmethod
     def from_data(
@@ -167,9 +173,7 @@ class SpoolPairWindows:
         windows, rows = select_windows(windows, is_usable), rows[is_usable]
         if len(windows.t) < 20:
             raise LogError(f"{own_data.tendon} hardly moves", "the log", "a run in which it moves")
-        q, dq, ddq = _joint_motion(
-            digit, mean_derivatives[:, :, is_usable], data_of_tendons, rest_angles[digit.joints]
-        )
+        q, dq, ddq = _joint_motion(digit, mean_derivatives[:, :, is_usable], data_of_tendons)
         tree = LinkTree.from_hand(hand)
         rigid_body_torque = np.array(
             [
@@ -178,7 +182,7 @@ class SpoolPairWindows:
             ]
         )
         torque_to_tension = digit.torque_to_tension[tendon]
-        passes_joint = (digit.moment_arms[tendon] != 0.0) & ~digit.is_prismatic
+        mass_matrix = tree.mass_matrix(rest_angles)[digit.joints, digit.joints]
         quick_speed = speed_from_difference(own_data.travel, own_data.period)[rows]
         travel, excursion, readings = _stretch_readings(digit, tendon, own_data, rows, weights)
         return SpoolPairWindows(
@@ -186,12 +190,28 @@ class SpoolPairWindows:
             is_free=~own_data.stop[rows].any(axis=1),
             inertial_tension=rigid_body_torque @ torque_to_tension,
             damping_tension=(dq * np.array(digit.joint_damping)) @ torque_to_tension,
-            wrap_angle=digit.wrap[tendon] + q[:, passes_joint].sum(axis=1),
+            wrap_angle=_mean_wrap_angles(digit, tendon, q),
             friction_fraction=np.tanh(quick_speed / CAPSTAN_FRICTION_SPEED_M_S) @ weights.mean,
             travel=travel,
             excursion=excursion,
             reading_count=readings,
+            link_inertia_kg=float(torque_to_tension @ mass_matrix @ torque_to_tension),
         )
+
+
+def _mean_wrap_angles(digit: DigitModel, tendon: int, q: Array) -> Array:
+    """Return the mean wrap angle (m,) of a pair over its pulleys, at the joint angles q (m, joints) [rad].
+
+    The wrap angle at a pulley is the wrap angle before the digit, plus the angles of all joints that
+    the pair passes up to the pulley. In the mean, the weight of a pulley is the fraction of the net
+    tension that acts through this pulley.
+    """
+    passes_joint = digit.moment_arms[tendon] != 0.0
+    wrap_angles = digit.wrap[tendon] + np.cumsum(
+        np.where(passes_joint & ~digit.is_prismatic, q, 0.0), axis=1
+    )
+    weights = digit.moment_arms[tendon] * digit.torque_to_tension[tendon]
+    return np.asarray(wrap_angles @ weights / weights.sum())
 
 
 def select_windows(windows: MotorWindows, selection_mask: NDArray[np.bool_]) -> MotorWindows:
@@ -206,12 +226,12 @@ def _joint_motion(
     digit: DigitModel,
     mean_derivatives: Array,
     data_of_tendons: Sequence[TendonData],
-    rest_angles: Array,
 ) -> tuple[Array, Array, Array]:
     """Return angles, rates and accelerations (m, joints) of a digit, computed from the motion of its pairs (n_t, 3, m).
 
     The joint motion is computed without the stretch of the tendons. The joint angles are shifted so
-    that their mean equals the mean of the joint readings.
+    that their mean equals the mean of the joint readings. Without joint readings, the calibrated
+    motor zeros determine the joint angles.
     """
     travel, speed, acceleration = (mean_derivatives[:, i].T for i in range(3))
     joints_from_excursions = digit.excursion_to_joints.T
@@ -219,7 +239,7 @@ def _joint_motion(
     offset = (
         np.nanmean(data_of_tendons[0].joints - angles, axis=0)
         if np.isfinite(data_of_tendons[0].joints).any()
-        else rest_angles - angles[0]
+        else 0.0
     )
     return (
         travel @ joints_from_excursions + offset,
@@ -351,6 +371,15 @@ class SpoolPairProblem:
             - coulomb / r
         )
 
+    def inertia_sigma_kg(self) -> float:
+        """Return the standard deviation of the model's inertia as a mass that moves with the tendon [kg]."""
+        rotor = (
+            self.parameter_scales[PARAMETER_NAMES.index("motor_inertia")] / self.spool_radius_m**2
+        )
+        return float(
+            np.hypot(ROTOR_INERTIA_SIGMA * rotor, LINK_INERTIA_SIGMA * self.windows.link_inertia_kg)
+        )
+
     def tension_in_free_motion(self, z: Array) -> Array:
         """Return the net tension (m,) that links and tendon friction require in free motion [N]."""
         w = self.windows
@@ -358,10 +387,7 @@ class SpoolPairProblem:
             self.parameter_value(z, "link_mass") * w.inertial_tension
             + self.parameter_value(z, "joint_damping") * w.damping_tension
         )
-        rotor = (
-            self.parameter_scales[PARAMETER_NAMES.index("motor_inertia")] / self.spool_radius_m**2
-        )
-        load = load + z[-2] * LOAD_INERTIA_SIGMA * rotor * w.motor.acceleration
+        load = load + z[-2] * self.inertia_sigma_kg() * w.motor.acceleration
         transmitted_ratio = np.exp(
             np.clip(
                 -self.parameter_value(z, "capstan") * w.friction_fraction * w.wrap_angle, -3.0, 3.0

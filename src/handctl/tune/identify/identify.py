@@ -421,8 +421,11 @@ def result_table(result_of_tendon: dict[str, TendonResult], is_verbose: bool = F
         f"below {MIN_COHERENCE:g}, values of inertia, viscous friction and delay are not worth using"
     ]
     for name, result in result_of_tendon.items():
+        has_cell = bool(np.isfinite(result.data.tension).any())
+        noise_source = "load cell" if has_cell else "motor force"
         lines.append(
-            f"{name}: coherence {result.coherence:.2f}, load cell {result.fit.problem.cell_noise_N:.2f} N rms"
+            f"{name}: coherence {result.coherence:.2f}, "
+            f"noise of the {noise_source} {result.fit.problem.cell_noise_N:.2f} N rms"
         )
         lines.append(
             _table_row("parameter", "value", "95 % interval", "unit", "hand file", "why not")
