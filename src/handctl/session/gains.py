@@ -4,7 +4,7 @@ If there is a gains file, its gains replace the packaged gains of the hand. The 
 overrides single values of the gains file or of the packaged gains.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +22,10 @@ from handctl.session.notices import NoticeCallback, ignore_notice
 
 PACKAGED_GAINS_SOURCE = "packaged"
 COMMAND_LINE_SOURCE = "command line"
+MARGIN_SOURCE = "computed for the gain margin"
+"""Source of a gain that the default gains of a hand contain instead of the packaged value."""
+DefaultGainsFunction = Callable[[Hand], Gains]
+"""Function that returns the gains of a hand without a gains file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +36,8 @@ class GainsWithSources:
         gains: gains that the run uses.
         file: path of the gains file, or None if the packaged gains are used.
         provenance: record of how the gains were found, as the gains file contains it.
-        origins: source of each gain, by the key of the gain: "packaged", the file, or "command
-            line".
+        origins: source of each gain, by the key of the gain: "packaged", "computed for the gain
+            margin", the file, or "command line".
     """
 
     gains: Gains
@@ -47,6 +51,7 @@ def gains_with_sources(
     gains_file: Path | None,
     assignment_words: Sequence[str],
     show_notice: NoticeCallback = ignore_notice,
+    default_gains: DefaultGainsFunction | None = None,
 ) -> GainsWithSources:
     """Return the gains that a run uses, and the source of each gain.
 
@@ -57,6 +62,8 @@ def gains_with_sources(
         assignment_words: words KEY=VALUE from the command line. The values from the command line
             override the values of every file.
         show_notice: function that shows a notice to the operator.
+        default_gains: function that returns the gains if there is no gains file. The default is
+            ``packaged_gains``.
 
     Raises:
         ConfigError: a file or a value cannot be used, or the gains are for another hand.
@@ -64,11 +71,18 @@ def gains_with_sources(
     default = Path(f"{hand.name}.gains.toml")
     gains_file = gains_file or (default if default.exists() else None)
     loaded_gains = read_gains_for_hand(hand, gains_file, show_notice) if gains_file else None
-    base = loaded_gains.gains if loaded_gains else packaged_gains(hand.name)
+    packaged = packaged_gains(hand.name)
+    base = loaded_gains.gains if loaded_gains else packaged
+    if loaded_gains is None and default_gains is not None:
+        base = default_gains(hand)
     values = gain_assignments(assignment_words, "--gain")
     gains = gains_with_values(base, values, "--gain") if values else base
+    packaged_values = values_by_key(packaged)
     origins = {
-        key: _source_of_gain(base, key, gains_file) for key in values_by_key(base)
+        key: MARGIN_SOURCE
+        if gains_file is None and value != packaged_values[key]
+        else _source_of_gain(base, key, gains_file)
+        for key, value in values_by_key(base).items()
     } | dict.fromkeys(values, COMMAND_LINE_SOURCE)
     return GainsWithSources(
         gains, gains_file, loaded_gains.provenance if loaded_gains else GainsProvenance(), origins

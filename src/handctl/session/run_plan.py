@@ -19,13 +19,14 @@ from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.error_text import lines_by_text
+from handctl.hand.file.section_models import Motor
 from handctl.hand.hand_loading import hand_path, load_hand
 from handctl.hand.readiness_checks import reasons_not_ready
 from handctl.log.attached_meshes import mesh_attachments
 from handctl.runtime.buses.bus_opening import check_bus_spec, real_buses
 from handctl.runtime.simulator_requests import simulated_time_scale
 from handctl.session.buses import refuse_default_hand
-from handctl.session.gains import gains_with_sources
+from handctl.session.gains import DefaultGainsFunction, gains_with_sources
 from handctl.session.notices import NoticeCallback, ProgressFunction, ignore_notice, ignore_progress
 
 MIN_TICKS_PER_WATCHDOG_TIME = 2
@@ -107,6 +108,8 @@ class RunOptions:
             uses the time scale of the simulator that is connected to the bus.
         log_path: log file to write, or None if the command chooses the file later.
         clear_faults: True to clear the latched errors of the drives before the run.
+        default_gains: function that returns the gains of a hand without a gains file, or None for
+            the packaged gains.
     """
 
     hand: str | Path
@@ -118,6 +121,7 @@ class RunOptions:
     time_scale: float | None = None
     log_path: Path | None = None
     clear_faults: bool = False
+    default_gains: DefaultGainsFunction | None = None
 
 
 def make_plan(
@@ -137,7 +141,9 @@ def make_plan(
     """
     hand = load_hand(options.hand)
     check_hand_ready(hand, str(options.hand))
-    layers = gains_with_sources(hand, options.gains_file, options.gain_arguments, show_notice)
+    layers = gains_with_sources(
+        hand, options.gains_file, options.gain_arguments, show_notice, options.default_gains
+    )
     buses = () if options.bus_arguments is None else bus_specs(hand, options.bus_arguments)
     if not options.is_hand_named:
         refuse_default_hand(buses, "--hand")
@@ -235,11 +241,13 @@ def control_rate(requested_hz: float | None, hand: Hand, load_of_bus: Sequence[B
     """
     highest_rate_hz = highest_control_rate(load_of_bus)
     rate = highest_rate_hz if requested_hz is None else requested_hz
-    min_rate_hz = MIN_TICKS_PER_WATCHDOG_TIME * 1e3 / min(motor.watchdog_ms for motor in hand.motor)
+    impatient_motor = min(hand.motor, key=lambda motor: motor.watchdog_ms)
+    min_rate_hz = MIN_TICKS_PER_WATCHDOG_TIME * 1e3 / impatient_motor.watchdog_ms
+    if requested_hz is None and rate < min_rate_hz:
+        raise _too_slow_buses_error(impatient_motor, hand, load_of_bus)
     if not min_rate_hz <= rate < math.inf:
-        problem_text = f"{rate:g}" if requested_hz is not None else f"the buses carry {rate:g}"
         raise ConfigError(
-            problem_text, "--rate", f"at least {min_rate_hz:g}, for the drives' watchdogs"
+            f"{rate:g}", "--rate", f"at least {min_rate_hz:g}, for the drives' watchdogs"
         )
     for name, load in zip(hand.bus_names, load_of_bus, strict=True):
         if load.load_at_rate(rate) > MAX_BUS_LOAD:
@@ -250,6 +258,22 @@ def control_rate(requested_hz: float | None, hand: Hand, load_of_bus: Sequence[B
     return rate
 
 
+def _too_slow_buses_error(motor: Motor, hand: Hand, load_of_bus: Sequence[BusLoad]) -> ConfigError:
+    """Return the error that the slowest bus of a hand allows too low a control rate for the watchdog of a motor."""
+    bus, load = min(
+        zip(hand.bus, load_of_bus, strict=True),
+        key=lambda bus_and_load: bus_and_load[1].highest_rate_hz(MAX_BUS_LOAD),
+    )
+    rate = highest_control_rate(load_of_bus)
+    min_watchdog_ms = MIN_TICKS_PER_WATCHDOG_TIME * 1e3 / rate if rate > 0.0 else math.inf
+    return ConfigError(
+        f"{motor.watchdog_ms} ms, and bus {bus.name} with {bus.bitrate} bit/s and {load.motors} motors "
+        f"allows a control rate of only {rate:g} Hz",
+        f"motor[{motor.name}].watchdog_ms",
+        f"at least {min_watchdog_ms:g} ms, or a faster bus",
+    )
+
+
 def _check_log(log: Path | None) -> None:
     """Raise an error if the log file of a run exists, has a wrong suffix, or is in a missing folder."""
     if log is None:
@@ -257,7 +281,9 @@ def _check_log(log: Path | None) -> None:
     if log.suffix != ".mcap":
         raise ConfigError(f"{log} has another ending", "--log", "a new file ending in .mcap")
     if not log.parent.is_dir():
-        raise ConfigError(f"{log.parent} is no folder", "--log", "a file in a folder that exists")
+        raise ConfigError(
+            f"the folder {log.parent} does not exist", "--log", "a file in a folder that exists"
+        )
     if os.path.lexists(log):
         raise ConfigError(f"{log} exists already", "--log", "a new file ending in .mcap")
 

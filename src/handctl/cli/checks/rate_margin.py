@@ -3,9 +3,9 @@
 import math
 
 from handctl.controller.bus_load import split_motors_over_buses
-from handctl.core.gains.gains import Gains
-from handctl.core.hand_model import HandModel
+from handctl.core.gains.gains import Gains, packaged_gains
 from handctl.hand.description import Hand
+from handctl.hand.hand_loading import packaged_hands
 
 MIN_UNCHECKED_RATE_HZ = 250.0
 """Control rate at and above which the motion loops of a hand are not checked [Hz].
@@ -19,10 +19,6 @@ Tendons without springs hold each other, and the filter without load cells has a
 In simulation at 250 Hz, the tensions of tendons without springs and load cells oscillated, and the
 safety monitor took freely closing digits for torn tendons (fault T01).
 """
-FORCE_REDUCTION_FACTOR = 0.95
-"""Factor between two values of ``motion.force_N`` that are tried until the gain margin is large enough."""
-MIN_TRIED_FORCE_FRACTION = 0.05
-"""Smallest fraction of ``motion.force_N`` that is tried."""
 
 
 def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
@@ -42,9 +38,10 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
         return []
     # The compiled core computes the control loops, and is imported only here. The other checks of a
     # hand do not need the compiled core.
+    from handctl.tune.loops.default_gains import smallest_gain_margin
     from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB
 
-    name, margin_db = _smallest_gain_margin(hand, gains, rate_hz)
+    name, margin_db = smallest_gain_margin(hand, gains, rate_hz)
     if margin_db >= MIN_GAIN_MARGIN_DB:
         return []
     buses = split_motors_over_buses(hand, min_unchecked_rate)
@@ -55,90 +52,53 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     )
     faults = "N14b or T03" if min_unchecked_rate == MIN_UNCHECKED_RATE_HZ else "T01"
     return [
-        f"{name}: at {rate_hz:g} Hz, which the buses allow, its motion loop has a gain margin of "
-        f"{margin_db:.1f} dB instead of {MIN_GAIN_MARGIN_DB:g} dB, and a run may oscillate and "
-        f"end with {faults}; {remedy}"
+        f"{name}: at {rate_hz:g} Hz, which the buses allow, its motion loop with motion.force_N = "
+        f"{gains.force_weights_of_tendon(name)[0]:g} N has a gain margin of {_margin_text(margin_db)} "
+        f"instead of {MIN_GAIN_MARGIN_DB:g} dB, and a run may oscillate and end with {faults}; {remedy}"
     ]
 
 
 def force_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
-    """Return a warning if the gain margin of a tendon with a spring and without a load cell is too small.
+    """Return a warning if the chosen gains leave the motion loop of a tendon a gain margin that is too small.
 
-    The filter of a tendon without a load cell has a larger phase lag than the filter of a tendon
-    with a load cell. With the default gains, the gain margin of the motion loop of a tendon without
-    a load cell can be only 3 dB, even at 500 Hz.
+    The default gains of a hand leave a sufficient gain margin where this is possible, see
+    ``default_gains``. Gains from a file or from the command line can be too large.
 
     Args:
         hand: description of the hand.
         gains: gains of a run.
         rate_hz: control rate of a run [Hz].
     """
+    is_packaged = hand.name in packaged_hands() and gains == packaged_gains(hand.name)
     # At a lower control rate, ``rate_warnings`` checks the motion loops of all tendons.
-    if rate_hz < _min_unchecked_rate(hand) or not _has_springs_without_cells(hand):
+    if rate_hz < _min_unchecked_rate(hand) or is_packaged:
         return []
+    from handctl.tune.loops.default_gains import largest_force_with_margin, smallest_gain_margin
     from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB
 
-    name, margin_db = _smallest_gain_margin(hand, gains, rate_hz)
+    name, margin_db = smallest_gain_margin(hand, gains, rate_hz)
     if margin_db >= MIN_GAIN_MARGIN_DB:
         return []
     force = gains.force_weights_of_tendon(name)[0]
     is_tendon_force = force != gains.motion.force_N
     key = f"tendon.{name}.motion_force_N" if is_tendon_force else "motion.force_N"
-    largest_force = None if is_tendon_force else _largest_force_with_margin(hand, gains, rate_hz)
+    largest_force = None if is_tendon_force else largest_force_with_margin(hand, gains, rate_hz)
     expected = "gains from tune design" if largest_force is None else f"at most {largest_force:g} N"
     return [
-        f"{key}: {force:g} N leave the motion loop of {name}, which has no load cell, a gain margin of "
-        f"{margin_db:.1f} dB instead of {MIN_GAIN_MARGIN_DB:g} dB at {rate_hz:g} Hz; expected {expected}"
+        f"{key}: {force:g} N leave the motion loop of {name} a gain margin of {_margin_text(margin_db)} "
+        f"instead of {MIN_GAIN_MARGIN_DB:g} dB at {rate_hz:g} Hz; expected {expected}"
     ]
 
 
-def _largest_force_with_margin(hand: Hand, gains: Gains, rate_hz: float) -> float | None:
-    """Try smaller values of ``motion.force_N``, and return the first value with a sufficient gain margin [N].
-
-    If no tried value has a sufficient margin, return None. The tried values of the force are
-    rounded down to two digits.
-    """
-    from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB
-
-    force = gains.motion.force_N
-    while force > MIN_TRIED_FORCE_FRACTION * gains.motion.force_N:
-        unit = 10.0 ** (math.floor(math.log10(force)) - 1)
-        rounded_force = float(f"{math.floor(force / unit) * unit:.2g}")
-        motion = gains.motion.model_copy(update={"force_N": rounded_force})
-        tried_gains = gains.model_copy(update={"motion": motion})
-        if _smallest_gain_margin(hand, tried_gains, rate_hz)[1] >= MIN_GAIN_MARGIN_DB:
-            return rounded_force
-        force *= FORCE_REDUCTION_FACTOR
-    return None
-
-
-def _smallest_gain_margin(hand: Hand, gains: Gains, rate_hz: float) -> tuple[str, float]:
-    """Return the tendon whose motion loop has the smallest gain margin, and this margin [dB]."""
-    from handctl.tune.loops.linear_models import LoopKind, open_loop
-    from handctl.tune.loops.margins import margins_of_loop
-
-    model = HandModel.from_hand(hand, gains, rate_hz)
-    margin_by_digit = {
-        name: margins_of_loop(open_loop(model, i, LoopKind.MOTION)).gain_db
-        for i, name in enumerate(hand.tendon_names)
-    }
-    return min(margin_by_digit.items(), key=lambda digit_and_margin: digit_and_margin[1])
+def _margin_text(margin_db: float) -> str:
+    """Return a gain margin as text. The margin is rounded down, so that 5.97 dB is not shown as 6 dB."""
+    return f"{math.floor(10.0 * margin_db) / 10.0:.1f} dB"
 
 
 def _has_tendon_without_cell(hand: Hand, digit: str) -> bool:
     """Return True if a digit has a tendon without a load cell. Spool pairs do not count."""
     has_no_cell = ~hand.has_cell & ~hand.is_pair
     return bool(has_no_cell[hand.digit_tendons[digit]].any())
-
-
-def _has_springs_without_cells(hand: Hand) -> bool:
-    """Return True if a digit with springs has a tendon without a load cell.
-
-    Spool pairs do not count.
-    """
-    return any(
-        digit.has_springs and _has_tendon_without_cell(hand, digit.name) for digit in hand.digit
-    )
 
 
 def _min_unchecked_rate(hand: Hand) -> float:

@@ -3,6 +3,9 @@
 import argparse
 import json
 import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -142,12 +145,7 @@ def add_run_options(parser: argparse.ArgumentParser, is_bus_required: bool = Tru
     add_dry_run_option(parser)
     add_clear_option(parser)
     add_gains_options(parser)
-    parser.add_argument(
-        "--rate",
-        type=float,
-        metavar="HZ",
-        help="control rate (default: computed from the bus load)",
-    )
+    add_rate_option(parser)
     text = "calibration file (default: HAND.calibration.toml)"
     parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
     parser.add_argument(
@@ -155,6 +153,16 @@ def add_run_options(parser: argparse.ArgumentParser, is_bus_required: bool = Tru
     )
     add_yes_option(parser)
     add_time_scale_option(parser)
+
+
+def add_rate_option(parser: argparse.ArgumentParser) -> None:
+    """Declare --rate, the control rate of a run."""
+    parser.add_argument(
+        "--rate",
+        type=float,
+        metavar="HZ",
+        help="control rate (default: computed from the bus load)",
+    )
 
 
 def add_clear_option(parser: argparse.ArgumentParser) -> None:
@@ -268,8 +276,13 @@ def wire_arguments(args: argparse.Namespace) -> list[str]:
     return [] if args.wire is None else ["--wire", *args.wire]
 
 
+_has_printed_json: ContextVar[bool] = ContextVar("has_printed_json", default=False)
+"""True if the running command has printed JSON."""
+
+
 def print_json(result: dict[str, Any]) -> None:
     """Print the result of a command as JSON. A NaN in the result becomes null."""
+    _has_printed_json.set(True)
     text = json.dumps(_json_value(result), indent=2, allow_nan=False)
     sys.stdout.write(
         text.replace("\x7f", "\\u007f") + "\n"
@@ -281,9 +294,34 @@ def print_json_line(result: dict[str, Any]) -> None:
 
     Commands that report results during their work use this function. A NaN becomes null.
     """
+    _has_printed_json.set(True)
     text = json.dumps(_json_value(result), allow_nan=False)
     sys.stdout.write(text.replace("\x7f", "\\u007f") + "\n")
     sys.stdout.flush()
+
+
+@contextmanager
+def json_errors(command_words: Sequence[str]) -> Iterator[Callable[[str, int], None]]:
+    """Provide a function that prints an error as JSON, with its exit code.
+
+    The function prints nothing if the command line has no ``--json``, or if the command has already
+    printed JSON, because standard output contains a single JSON value for each command.
+
+    Args:
+        command_words: words of the command line.
+    """
+    token = _has_printed_json.set(False)
+
+    def print_error(error_text: str, exit_code: int) -> None:
+        """Print an error as JSON."""
+        if "--json" in command_words and not _has_printed_json.get():
+            print_json({"error": error_text, "exit_code": exit_code})
+            sys.stdout.flush()
+
+    try:
+        yield print_error
+    finally:
+        _has_printed_json.reset(token)
 
 
 def _json_value(value: Any) -> Any:

@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from handctl.cli.console.options import print_escaped
@@ -14,9 +15,12 @@ from handctl.cli.console.verbosity import (
     print_detail,
     print_note,
 )
+from handctl.controller.bus_load import bus_loads
 from handctl.core.calibration import Calibration
+from handctl.core.gains.gains import Gains, packaged_gains
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
+from handctl.hand.hand_loading import packaged_hands
 from handctl.output_files import check_output_path
 from handctl.session import calibration, gains, run_plan
 from handctl.session.lockstep_simulation import SimulatorSettings
@@ -38,6 +42,7 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> run_plan.RunP
         time_scale=args.time_scale,
         log_path=args.log,
         clear_faults=args.clear,
+        default_gains=partial(_default_gains, requested_rate_hz=args.rate, show_force=True),
     )
     display = None if args.json or is_quiet() else _display_starter
     plan = replace(run_plan.make_plan(options, display, print_notice), show_progress=progress_bar)
@@ -97,9 +102,37 @@ def gains_with_sources(args: argparse.Namespace, hand: Hand) -> gains.GainsWithS
     Raises:
         ConfigError: a file or a value cannot be used, or the gains are for another hand.
     """
+    default_gains = partial(_default_gains, requested_rate_hz=getattr(args, "rate", None))
     return gains.gains_with_sources(
-        hand, args.gains, getattr(args, "gain", None) or (), print_notice
+        hand, args.gains, getattr(args, "gain", None) or (), print_notice, default_gains
     )
+
+
+def _default_gains(hand: Hand, requested_rate_hz: float | None, show_force: bool = False) -> Gains:
+    """Return the gains of a hand without a gains file.
+
+    Args:
+        hand: description of the hand.
+        requested_rate_hz: control rate that the operator has chosen [Hz], or None for the default
+            rate of the hand.
+        show_force: True to inform the operator if the motor force differs from the packaged force.
+    """
+    if hand.name in packaged_hands():
+        return packaged_gains(hand.name)
+    # Only a hand that is not packaged needs the margins, whose import takes 0.3 s.
+    from handctl.tune.loops.default_gains import default_gains
+    from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB
+
+    rate = run_plan.control_rate(requested_rate_hz, hand, bus_loads(hand))
+    hand_gains = default_gains(hand, rate)
+    force = hand_gains.motion.force_N
+    packaged_force = packaged_gains(hand.name).motion.force_N
+    if show_force and force != packaged_force:
+        print_notice(
+            f"gain motion.force_N: {force:g} N instead of the packaged {packaged_force:g} N, "
+            f"for a gain margin of {MIN_GAIN_MARGIN_DB:g} dB at {rate:g} Hz"
+        )
+    return hand_gains
 
 
 def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:

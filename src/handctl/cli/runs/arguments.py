@@ -11,10 +11,12 @@ from handctl.cli.console.options import (
     add_bitrate_options,
     add_bus_option,
     add_dry_run_option,
+    add_gains_options,
     add_hand_option,
     add_json_option,
     add_perturb_option,
     add_protocol_option,
+    add_rate_option,
     add_run_options,
     add_time_scale_option,
     add_wire_option,
@@ -54,6 +56,8 @@ def demo(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scene", metavar="NAME|FILE", help=text)
     parser.add_argument("--seed", type=int, default=0, help="random seed of the simulator's noise")
     add_wire_option(parser)
+    add_gains_options(parser)
+    add_rate_option(parser)
     text = "simulate in virtual time: faster than real time, with the same result each time"
     parser.add_argument("--lockstep", action="store_true", help=text)
     parser.add_argument(
@@ -65,7 +69,7 @@ def demo(parser: argparse.ArgumentParser) -> None:
     add_perturb_option(parser)
     text = "use the identified values of this file; the simulated hand is commissioned nevertheless"
     parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
-    parser.set_defaults(gains=None, rate=None, clear=False)
+    parser.set_defaults(clear=False)
 
 
 def run(parser: argparse.ArgumentParser) -> None:

@@ -17,6 +17,7 @@ from handctl.cli.console.options import (
     add_json_option,
     add_output_option,
     add_perturb_option,
+    add_rate_option,
     add_run_options,
     add_time_scale_option,
     add_yes_option,
@@ -65,7 +66,7 @@ COMMAND_EXAMPLES = {
 def identify(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``identify``."""
     add_run_options(parser, is_bus_required=False)
-    text = "digits to identify (default: all, one after the other)"
+    text = "digits to identify (default: all whose tendons have load cells or are spool pairs)"
     parser.add_argument("--digits", nargs="+", action="extend", metavar="DIGIT", help=text)
     parser.add_argument(
         "--from-log",
@@ -157,12 +158,7 @@ def _add_tune_verb(
     add_hand_option(parser)
     add_json_option(parser)
     add_gains_options(parser)
-    parser.add_argument(
-        "--rate",
-        type=float,
-        metavar="HZ",
-        help="control rate (default: computed from the bus load)",
-    )
+    add_rate_option(parser)
     text = "random seed of plants, noise and search (default: 0)"
     parser.add_argument("--seed", type=int, default=0, metavar="N", help=text)
     return parser

@@ -1,0 +1,105 @@
+"""Default gains of a hand: the packaged gains, with a motor force that leaves the motion loops a gain margin.
+
+The packaged ``motion.force_N`` was chosen for the packaged hands. A hand with light motors, short
+pulleys or tendons without load cells can oscillate with it. For such a hand, the default is the
+largest force with which every motion loop has the gain margin ``MIN_GAIN_MARGIN_DB``.
+"""
+
+import math
+
+from handctl.core.gains.gains import Gains, packaged_gains
+from handctl.core.hand_model import HandModel
+from handctl.hand.description import Hand
+from handctl.hand.hand_loading import packaged_hands
+from handctl.tune.loops.linear_models import LoopKind, open_loop
+from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB, margins_of_loop
+
+FORCE_REDUCTION_FACTOR = 0.95
+"""Factor between two values of ``motion.force_N`` that are candidates for the default."""
+MIN_FORCE_FRACTION = 0.04
+"""Smallest candidate, as a fraction of the packaged ``motion.force_N``."""
+
+
+def default_gains(hand: Hand, rate_hz: float) -> Gains:
+    """Return the gains of a hand for which no gains file exists.
+
+    The gains of a packaged hand are its packaged gains. If no force gives another hand the gain
+    margin, its gains are the packaged gains, too, and ``handctl config check`` warns.
+
+    Args:
+        hand: description of the hand.
+        rate_hz: control rate of the run [Hz].
+    """
+    gains = packaged_gains(hand.name)
+    if hand.name in packaged_hands():
+        return gains
+    force = largest_force_with_margin(hand, gains, rate_hz)
+    if force is None or force == gains.motion.force_N:
+        return gains
+    return _gains_with_force(gains, force)
+
+
+def largest_force_with_margin(hand: Hand, gains: Gains, rate_hz: float) -> float | None:
+    """Return the largest ``motion.force_N`` with which every motion loop has the gain margin [N].
+
+    The result is at most the force of the given gains. If no candidate gives the margin, the result
+    is None. Candidates below the force of the given gains are rounded down to two digits.
+
+    Args:
+        hand: description of the hand.
+        gains: gains whose ``motion.force_N`` is replaced.
+        rate_hz: control rate of the run [Hz].
+    """
+    first_force = gains.motion.force_N
+    step_count = math.ceil(math.log(MIN_FORCE_FRACTION) / math.log(FORCE_REDUCTION_FACTOR))
+    candidates = [
+        first_force,
+        *(
+            _rounded_down(first_force * FORCE_REDUCTION_FACTOR**step)
+            for step in range(1, step_count + 1)
+        ),
+    ]
+
+    def has_margin(index: int) -> bool:
+        """Return True if every motion loop has the gain margin with a candidate."""
+        tried_gains = _gains_with_force(gains, candidates[index])
+        return smallest_gain_margin(hand, tried_gains, rate_hz)[1] >= MIN_GAIN_MARGIN_DB
+
+    if has_margin(0):
+        return first_force
+    # The margin increases while the force decreases, so that a bisection finds the first candidate
+    # with a sufficient margin.
+    low, high = 0, len(candidates) - 1
+    if not has_margin(high):
+        return None
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if has_margin(middle) else (middle, high)
+    return candidates[high]
+
+
+def smallest_gain_margin(hand: Hand, gains: Gains, rate_hz: float) -> tuple[str, float]:
+    """Return the tendon whose motion loop has the smallest gain margin, and this margin [dB].
+
+    Args:
+        hand: description of the hand.
+        gains: gains of the run.
+        rate_hz: control rate of the run [Hz].
+    """
+    model = HandModel.from_hand(hand, gains, rate_hz)
+    margin_of_tendon = {
+        name: margins_of_loop(open_loop(model, i, LoopKind.MOTION)).gain_db
+        for i, name in enumerate(hand.tendon_names)
+    }
+    return min(margin_of_tendon.items(), key=lambda name_and_margin: name_and_margin[1])
+
+
+def _rounded_down(force: float) -> float:
+    """Return a force, rounded down to two digits [N]."""
+    unit = 10.0 ** (math.floor(math.log10(force)) - 1)
+    return float(f"{math.floor(force / unit) * unit:.2g}")
+
+
+def _gains_with_force(gains: Gains, force: float) -> Gains:
+    """Return gains with another ``motion.force_N`` [N]."""
+    return gains.model_copy(update={"motion": gains.motion.model_copy(update={"force_N": force})})
