@@ -1,5 +1,7 @@
 """Run commands with wrong input, and return the error lines that they print."""
 
+import json
+
 from handctl.cli.main import main
 
 
@@ -13,11 +15,15 @@ def refusal_line(capsys, *command_words):
 def refusal_lines(capsys, *command_words):
     """Return the error lines that a command prints when it refuses its input.
 
-    The command prints one error line for each mistake in its input.
+    The command prints one error line for each mistake in its input. With ``--json``, standard output
+    contains the error as JSON.
     """
     assert main(command_words) == 2
     out, err = capsys.readouterr()
-    assert out == ""
+    if "--json" in command_words:
+        assert f"handctl: {json.loads(out)['error']}\n" in err
+    else:
+        assert out == ""
     lines = err.splitlines(keepends=True)
     assert lines
     assert all(line.startswith("handctl: ") and line.endswith("\n") for line in lines), err

@@ -38,12 +38,19 @@ def test_hands_without_return_springs_are_not_refused(
     assert f"would move {len(load_hand(hand).digit)} digits" in capsys.readouterr().out
 
 
-def test_a_hand_without_load_cells_is_refused(
+def test_a_digit_without_load_cell_is_left_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["identify", "--hand", jamia_without_load_cell(tmp_path), "--lockstep"]) == 2
+    """Reproduce a defect: one tendon without load cell made `identify` refuse the whole hand."""
+    words = ["identify", "--hand", jamia_without_load_cell(tmp_path), "--lockstep", "--dry-run"]
+    assert main(words) == 0
+    out, err = capsys.readouterr()
+    assert "would move 3 digits" in out
+    assert "handctl: index is left out: no load cell on index_tendon" in err
+    assert main([*words, "--digits", "index"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "no load cell on index_tendon" in line
+    assert "digit index: no load cell on index_tendon" in line
+    assert line.endswith("--digits middle ring thumb")
     assert (
         main(
             [

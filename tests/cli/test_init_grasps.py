@@ -12,11 +12,14 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import main
+from handctl.core.gains.gains import Gains, MotionGains, packaged_gains
 from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
-from handctl.hand.hand_loading import load_hand
+from handctl.hand.hand_loading import load_hand, packaged_hands
 from handctl.programs.default_task import default_scene
 from handctl.report.truth_record import read_truth
 from handctl.session.run_plan import default_control_rate
+from handctl.tune.loops.default_gains import default_gains, smallest_gain_margin
+from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB
 from tests.cli.command_refusals import refusal_line
 from tests.cli.test_config_init import SENSOR_CASES, sensor_options
 from tests.conftest import NIGHTLY
@@ -220,22 +223,51 @@ def test_gains_that_leave_no_margin_without_load_cells_are_a_warning(
     work_folder: Path, capsys: pytest.CaptureFixture[str], link_lengths_mm: str, margin_db: float
 ) -> None:
     """Reproduce a defect: at 400 Hz, `config check` did not check a hand that has springs but no load cells."""
-    words = ["--fingers", "1", "--links", link_lengths_mm, "--tendons", "each", "--cells"]
-    write_initial_hand(*words, "none")
-    assert main(["config", "check", "--hand", "mine.toml"]) == 0
+    write_initial_hand(
+        "--fingers", "1", "--links", link_lengths_mm, "--tendons", "each", "--cells", "none"
+    )
+    Path("gains.toml").write_text("schema = 1\n\n[motion]\nforce_N = 13.0\n")
+    assert main(["config", "check", "--hand", "mine.toml", "--gains", "gains.toml"]) == 0
     warning_lines = [line for line in capsys.readouterr().out.splitlines() if "gain margin" in line]
     [line] = {line.partition("warning: ")[2] for line in warning_lines}
-    assert line.startswith("motion.force_N: 13 N leave the motion loop of index_t1, which has no")
+    assert line.startswith("motion.force_N: 13 N leave the motion loop of index_t1 a gain margin")
     assert f"a gain margin of {margin_db} dB instead of 6 dB at 400 Hz; expected" in line
     force = float(re.search(r"expected at most ([0-9.]+) N$", line)[1])
     assert 0.4 * 13.0 < force < 13.0
-    Path("gains.toml").write_text(f"schema = 1\n\n[motion]\nforce_N = {force:g}\n")
-    assert main(["config", "check", "--hand", "mine.toml", "--gains", "gains.toml"]) == 0
-    assert "gain margin" not in capsys.readouterr().out
-    Path("mine.toml").unlink()
-    write_initial_hand(*words, "all")
     assert main(["config", "check", "--hand", "mine.toml"]) == 0
-    assert "gain margin" not in capsys.readouterr().out
+    assert "warning: motion.force_N" not in (out := capsys.readouterr().out)
+    assert f"motion.force_N = {force:g} computed for the gain margin" in out
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--links", "55,40,25", "--tendons", "each", "--cells", "none"],
+        ["--links", "40,30", "--cells", "none"],
+        ["--fingers", "3", "--links", "50,30,20", "--tendons", "each"],
+        ["--links", "40,30"],
+    ],
+)
+def test_the_default_force_leaves_the_gain_margin(work_folder: Path, words: list[str]) -> None:
+    """The default is the largest candidate: the next larger force leaves a smaller margin."""
+    write_initial_hand(*words)
+    hand = load_hand("mine.toml")
+    for rate in (500.0, 200.0, 100.0):
+        force = default_gains(hand, rate).motion.force_N
+        assert smallest_gain_margin(hand, gains_with_force(force), rate)[1] >= MIN_GAIN_MARGIN_DB
+        if force < Gains().motion.force_N:
+            larger_gains = gains_with_force(1.12 * force)
+            assert smallest_gain_margin(hand, larger_gains, rate)[1] < MIN_GAIN_MARGIN_DB
+
+
+def gains_with_force(force_N: float) -> Gains:
+    """Return the packaged gains with another ``motion.force_N`` [N]."""
+    return Gains(motion=MotionGains(force_N=force_N))
+
+
+@pytest.mark.parametrize("hand_name", packaged_hands())
+def test_the_default_gains_of_a_packaged_hand_are_packaged(hand_name: str) -> None:
+    assert default_gains(load_hand(hand_name), 100.0) == packaged_gains(hand_name)
 
 
 def test_antagonists_without_load_cells_need_a_higher_rate(

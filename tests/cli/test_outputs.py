@@ -3,6 +3,7 @@
 An output file of a command never replaces a log, a folder or a device.
 """
 
+import json
 import os
 import stat
 from pathlib import Path
@@ -77,11 +78,18 @@ UNWRITABLE_CASES.remove(("save", "other.mcap"))  # the function ``save`` writes 
 
 @pytest.mark.parametrize(("command_kind", "output_name"), UNWRITABLE_CASES)
 def test_unwritable_output_path_is_refused(capsys, command_kind, output_name):
-    assert (
-        main([word.replace("@", output_name) for word in OUTPUT_COMMAND_BY_KIND[command_kind]]) == 2
-    )
+    command_words = [
+        word.replace("@", output_name) for word in OUTPUT_COMMAND_BY_KIND[command_kind]
+    ]
+    assert main(command_words) == 2
     out, err = capsys.readouterr()
-    assert out == ""
+    if "--json" in command_words:
+        assert json.loads(out) == {
+            "error": err.removeprefix("handctl: ").rstrip("\n"),
+            "exit_code": 2,
+        }
+    else:
+        assert out == ""
     assert err.startswith("handctl: ")
     assert err.count("\n") == 1, err
     assert output_name in err
@@ -140,7 +148,9 @@ def test_an_export_that_fails_leaves_nothing(work_folder, monkeypatch, capsys, e
         main(["log", "export", f"--{export_format}", GOLDEN_LOG_TEXT, "--output", "new", "--json"])
         == 1
     )
-    assert capsys.readouterr() == ("", "handctl: new: No space left on device\n")
+    out, err = capsys.readouterr()
+    assert json.loads(out) == {"error": "new: No space left on device", "exit_code": 1}
+    assert err == "handctl: new: No space left on device\n"
 
 
 @pytest.mark.parametrize("interruption", [KeyboardInterrupt, ValueError])
@@ -214,4 +224,6 @@ def test_a_recording_is_not_begun_without_room_for_it(monkeypatch, capsys):
         ("view", GOLDEN_LOG_TEXT, "--save", "new.rrd"),
     ):
         assert main(words) == 1
-        assert capsys.readouterr() == ("", "handctl: new.rrd: No space left on device\n")
+        out, err = capsys.readouterr()
+        assert ("No space left on device" in out) is ("--json" in words)
+        assert err == "handctl: new.rrd: No space left on device\n"

@@ -260,7 +260,7 @@ def test_identification_refuses_prismatic_joints(
     line = refusal_line(
         capsys, "identify", "--hand", PARALLEL_GRIPPER_FILE, "--lockstep", "--dry-run"
     )
-    assert "left has a prismatic joint; expected digits with hinges only" in line
+    assert "digit left: a prismatic joint, which is not identified yet; expected load cells" in line
 
 
 def test_the_schema_2_file_and_its_content_are_the_same_hand(gripper_hand_files: Path) -> None:

@@ -145,7 +145,7 @@ def test_a_run_in_lockstep_that_is_interrupted_keeps_its_log(work_folder, monkey
 
     monkeypatch.setattr("handctl.session.run._ignore_tick", interrupt_at_tick_100)
     assert main(["demo", "--lockstep", "--scene", "none", "--log", "run.mcap", "--json"]) == 130
-    assert capsys.readouterr().out == ""
+    assert json.loads(capsys.readouterr().out) == {"error": "interrupted", "exit_code": 130}
     assert main(["log", "info", "run.commission.mcap", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["ticks"] >= 100
@@ -159,10 +159,10 @@ def test_an_interrupted_search_names_the_study_to_continue(monkeypatch, capsys):
     monkeypatch.setattr("handctl.tune.search.gain_search.run_search", send_termination)
     monkeypatch.setattr("handctl.cli.tuning.tune_search._designed_gains", lambda *words: ())
     assert main(["tune", "search", "--plants", "1", "--json"]) == 143
-    assert capsys.readouterr() == (
-        "",
-        "handctl: interrupted; the same command continues with jamia.study\n",
-    )
+    out, err = capsys.readouterr()
+    text = "interrupted; the same command continues with jamia.study"
+    assert json.loads(out) == {"error": text, "exit_code": 143}
+    assert err == f"handctl: {text}\n"
 
 
 @pytest.mark.parametrize(

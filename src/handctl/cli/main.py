@@ -22,6 +22,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from typing import Any, NamedTuple
 
 from handctl.blas_kernels import use_portable_kernels
+from handctl.cli.console.options import json_errors
 from handctl.cli.console.process_termination import (
     TerminationRequested,
     install_excepthook,
@@ -43,6 +44,20 @@ from handctl.errors import (
 from handctl.extras import missing_extra, require_extra
 from handctl.printing import escaped_streams, one_line_message, printable_text
 from handctl.session.exit_codes import ExitCode
+
+ERROR_EXIT_CODES: tuple[tuple[type[BaseException], ExitCode, str], ...] = (
+    (IncomparableError, ExitCode.NOT_COMPARABLE, ""),
+    (ConfigError, ExitCode.BAD_INPUT, ""),
+    (LogError, ExitCode.BAD_INPUT, ""),
+    (PowerError, ExitCode.REMOVE_POWER, ""),
+    (HandctlError, ExitCode.FAILED, ""),
+    (TerminationRequested, ExitCode.TERMINATED, "ended by a signal"),
+    (KeyboardInterrupt, ExitCode.INTERRUPTED, "interrupted"),
+)
+"""Exit code of each kind of error, and the text of an error without a message.
+
+The first kind that matches an error counts, so that a base class comes after its subclasses.
+"""
 
 
 class VerbGroup(NamedTuple):
@@ -151,39 +166,49 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run_and_report_errors(command_words: list[str]) -> int:
-    """Run a command line. If there is an error, print the error. Return the exit code."""
-    try:
-        with terminate_on_signals():
-            check_command_line(command_words)
-            code = _run_command_line(command_words)
-            flush_stdout()
-            return code
-    except IncomparableError as error:
-        return _report_error(error, ExitCode.NOT_COMPARABLE)
-    except (ConfigError, LogError) as error:
-        return _report_error(error, ExitCode.BAD_INPUT)
-    except PowerError as error:
-        if error.__cause__:  # the error is caused by a bug in handctl
-            traceback.print_exception(error.__cause__)
-        return _report_error(error, ExitCode.REMOVE_POWER)
-    except HandctlError as error:
-        return _report_error(error, ExitCode.FAILED)
-    except BrokenPipeError:
-        discard_output()
-        return ExitCode.DONE
-    except OSError as error:
+    """Run a command line. If there is an error, print the error. Return the exit code.
+
+    With ``--json``, an error is also printed as JSON.
+    """
+    with json_errors(command_words) as print_json_error:
+        try:
+            with terminate_on_signals():
+                check_command_line(command_words)
+                code = _run_command_line(command_words)
+                flush_stdout()
+                return code
+        except BrokenPipeError:
+            discard_output()
+            return ExitCode.DONE
+        except (HandctlError, OSError, TerminationRequested, KeyboardInterrupt) as error:
+            if isinstance(error, PowerError) and error.__cause__:
+                # the error is caused by a bug in handctl
+                traceback.print_exception(error.__cause__)
+            text, exit_code = _error_text_and_exit_code(error)
+            # even if a stream cannot be written, the exit code reports the error
+            with suppress(OSError):
+                print(f"handctl: {one_line_message(text)}", file=sys.stderr)
+            with suppress(OSError):
+                print_json_error(text, exit_code)
+            return exit_code
+
+
+def _error_text_and_exit_code(error: BaseException) -> tuple[str, ExitCode]:
+    """Return the message of an error, and the exit code of a command that ends with the error."""
+    if isinstance(error, OSError):
         has_no_file_name = (
             "the working folder: " if error.errno == errno.ENOENT else ""
         )  # the current folder was deleted
         location = f"{error.filename}: " if error.filename else has_no_file_name
-        text = f"{location}{error.strerror or error}"
-        return _report_error(
-            text, ExitCode.BAD_INPUT if error.errno in FILE_NAME_ERRNOS else ExitCode.FAILED
+        is_bad_name = error.errno in FILE_NAME_ERRNOS
+        return (
+            f"{location}{error.strerror or error}",
+            ExitCode.BAD_INPUT if is_bad_name else ExitCode.FAILED,
         )
-    except TerminationRequested as error:
-        return _report_error(str(error) or "ended by a signal", ExitCode.TERMINATED)
-    except KeyboardInterrupt as error:
-        return _report_error(str(error) or "interrupted", ExitCode.INTERRUPTED)
+    exit_code, default_text = next(
+        (code, text) for kind, code, text in ERROR_EXIT_CODES if isinstance(error, kind)
+    )
+    return str(error) or default_text, exit_code
 
 
 def _run_command_line(command_words: list[str]) -> int:
@@ -341,11 +366,3 @@ def _pause_garbage_collection() -> Iterator[None]:
         gc.freeze()
         if enabled:
             gc.enable()
-
-
-def _report_error(error: HandctlError | str, code: ExitCode) -> int:
-    with suppress(
-        OSError
-    ):  # even if standard error cannot be written, the exit code reports the error
-        print(f"handctl: {one_line_message(str(error))}", file=sys.stderr)
-    return code

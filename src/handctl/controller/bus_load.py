@@ -11,6 +11,15 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.section_models import Bus
 
+USUAL_BITRATES_BIT_S = (
+    *(10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000),
+    *(2_000_000, 4_000_000, 5_000_000, 8_000_000),
+)
+"""Bit rates of CAN buses [bit/s].
+
+Sources: CiA 301 for the bit rates up to 1 Mbit/s, CiA 601-1 for the data bit rates of CAN FD.
+"""
+
 
 @dataclass(frozen=True, slots=True)
 class BusLoadRow:
@@ -86,6 +95,26 @@ def bus_loads(hand: Hand) -> tuple[BusLoad, ...]:
     """
     drives = make_drives(hand)
     return tuple(_load_of_bus(hand, index, bus, drives) for index, bus in enumerate(hand.bus))
+
+
+def bus_warnings(hand: Hand) -> tuple[str, ...]:
+    """Return one line for each bus whose section in the hand file is probably wrong.
+
+    Raises:
+        ConfigError: a motor is set to CAN FD, although its bus has no data bit rate.
+    """
+    lines = []
+    for bus, load in zip(hand.bus, bus_loads(hand), strict=True):
+        location = f"bus[{bus.name}]"
+        if not load.rows:
+            lines.append(f"{location}: no motor and no sensor uses this bus")
+        if bus.data_bitrate is not None and not any(row.fd for row in load.rows):
+            lines.append(f"{location}.data_bitrate: no motor on this bus sends CAN FD frames")
+        for key, value in (("bitrate", bus.bitrate), ("data_bitrate", bus.data_bitrate)):
+            if value is not None and value not in USUAL_BITRATES_BIT_S:
+                usual_text = ", ".join(str(bitrate) for bitrate in USUAL_BITRATES_BIT_S)
+                lines.append(f"{location}.{key}: {value} is not usual; usual are {usual_text}")
+    return tuple(lines)
 
 
 def drive_rows(drive: Drive, bus: Bus) -> tuple[BusLoadRow, ...]:

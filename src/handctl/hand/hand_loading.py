@@ -3,6 +3,7 @@
 The validation of each section of a hand file precedes the checks of all sections together.
 """
 
+import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -22,6 +23,7 @@ from handctl.hand.file.error_text import (
     with_paths_in_hand_file,
 )
 from handctl.hand.file.section_models import Digit, Section, Tendon
+from handctl.hand.file.sensor_checks import missing_node_keys
 from handctl.hand.file.templates import (
     SCHEMA_WITH_TEMPLATES,
     SCHEMA_WITHOUT_TEMPLATES,
@@ -35,6 +37,8 @@ READABLE_SCHEMAS = (SCHEMA_WITHOUT_TEMPLATES, SCHEMA_WITH_TEMPLATES)
 """Schema numbers of the hand files that this version of handctl reads."""
 PACKAGED_HANDS_FOLDER = Path(__file__).parent / "hands"
 """Folder of the packaged hand files."""
+SINGLE_BRACKET_PATTERN = re.compile(r"\s*\[(digit|tendon|motor|bus)\]\s*(#.*)?$")
+"""Line that begins a table, where a hand file needs an entry of a list of tables."""
 ValidatedSection = TypeVar("ValidatedSection", bound=Section)
 
 
@@ -111,9 +115,23 @@ def parse_toml(text: str, source_name: str) -> dict[str, Any]:
     try:
         content = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        raise ConfigError(f"not TOML: {error}", source_name, "valid TOML") from None
+        raise _single_bracket_error(text, source_name) or ConfigError(
+            f"not TOML: {error}", source_name, "valid TOML"
+        ) from None
     _check_whole_numbers(content, source_name)
     return content
+
+
+def _single_bracket_error(text: str, source_name: str) -> ConfigError | None:
+    """Return an error about the first line such as ``[digit]``, where a hand file has ``[[digit]]``.
+
+    With both spellings in a file, the error of the TOML parser names another line.
+    """
+    for number, line in enumerate(text.splitlines(), 1):
+        section = SINGLE_BRACKET_PATTERN.match(line)
+        if section:
+            return ConfigError(f"line {number}: [{section[1]}]", source_name, f"[[{section[1]}]]")
+    return None
 
 
 def _check_whole_numbers(content: dict[str, Any], source_name: str) -> None:
@@ -198,6 +216,7 @@ def validate_content(content: Mapping[str, Any]) -> tuple[Hand | None, list[File
         hand_mistakes += check_sections(
             digits, _valid_sections(resolved_content.content, "tendon", Tendon)
         )
+        hand_mistakes += missing_node_keys(resolved_content.content.get("sensor_node"))
     else:
         # The whole hand is checked only if the templates have no mistakes, because a mistake in a
         # template would cause further mistakes wherever the template is used.

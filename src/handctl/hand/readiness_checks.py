@@ -1,8 +1,15 @@
 """Checks that a hand must pass before a run, in addition to the checks of every hand file.
 
-Tools and logs can use any hand file that is valid. For a run, a hand must fulfil three more
-conditions. CAN controllers must support the bit rates, springs or antagonistic tendons must be able
-to open the digits, and positive coordinates must flex the digits.
+Tools and logs can use any hand file that is valid. For a run, a hand must fulfil more conditions:
+
+- CAN controllers must support the bit rates.
+- Springs or antagonistic tendons must be able to open the digits, and tendons must be able to close
+  the digits.
+- Positive coordinates must flex the digits.
+- The frames of the drives must be able to represent the travel of the spools.
+- Each digit must have a place of its own at the palm.
+
+``doubtful_values`` returns warnings about values that are possible, but hardly intended.
 """
 
 from collections.abc import Iterator
@@ -12,8 +19,8 @@ from numpy.typing import NDArray
 
 from handctl.hand.description import Hand
 from handctl.hand.digit import coordinate_range
-from handctl.hand.file.error_text import FileMistake
-from handctl.hand.file.section_models import PRISMATIC_KEYS, REVOLUTE_KEYS, Bus, Digit
+from handctl.hand.file.error_text import FileMistake, lines_by_text
+from handctl.hand.file.section_models import PRISMATIC_KEYS, REVOLUTE_KEYS, Bus, Digit, Tendon
 from handctl.hand.moment_arms import moment_arm_table, moment_arm_table_residual, moment_arms_at
 
 Vector = NDArray[np.float64]
@@ -29,6 +36,21 @@ CHECKED_POSTURE_COUNT = 11
 SPRING_STIFFNESS = REVOLUTE_KEYS.index("spring_stiffness_N_m_per_rad")
 SPRING_PRELOAD = REVOLUTE_KEYS.index("spring_preload_rad")
 """Index of each key of return springs in ``REVOLUTE_KEYS``."""
+MIN_MOUNT_DISTANCE_M = 1e-3
+"""Smallest distance between the mount positions of two digits [m]."""
+STANDARD_GRAVITY_M_S2 = 9.81
+"""Gravity on earth [m/s2]."""
+GRAVITY_TOLERANCE_M_S2 = 0.1
+"""Difference from the gravity on earth above which a warning is printed [m/s2]."""
+LONGEST_WATCHDOG_MS = 200
+"""Watchdog time above which a warning is printed [ms].
+
+Until its watchdog expires, a drive pulls with its last torque although the computer has stopped.
+"""
+SMALLEST_USUAL_RANGE_DEG = 5.0
+"""Range of a hinge below which a warning is printed [deg]."""
+LARGEST_AXIS_COMPONENT_ALONG_LINK = 0.99
+"""Component of a joint axis along its link above which a warning is printed."""
 SMALLEST_RANGE_DEG = 1.0
 """Smallest range of a coordinate that counts as a motion [deg]."""
 
@@ -40,6 +62,10 @@ def reasons_not_ready(hand: Hand) -> Iterator[FileMistake]:
     for digit in hand.digit:
         yield from _check_direction(digit)
         yield from _check_opening(hand, digit)
+        yield from _check_closing(hand, digit)
+    for tendon in hand.tendon:
+        yield from _check_position_range(hand, tendon)
+    yield from _check_mount_positions(hand)
 
 
 def _check_rates(bus: Bus) -> Iterator[FileMistake]:
@@ -139,6 +165,103 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
         f"more than the {closing_torque[worst_joint]:.3g} {unit} with which tension_floor_N closes"
     )
     yield FileMistake(problem_text, f"digit[{digit.name}].{key}", expected)
+
+
+def _check_closing(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
+    """Check that a tendon can close each coordinate of a digit with springs, which only open the digit."""
+    if not digit.has_springs:
+        return
+    coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
+    arms = hand.moment_arms[hand.digit_tendons[digit.name], hand.digit_joints[digit.name]]
+    for i, largest_arm in enumerate((arms @ coupling).max(axis=0).tolist()):
+        if largest_arm < 0.0:
+            joint = f"j{i + 1}" if digit.coupling is None else "the joints"
+            yield FileMistake(
+                f"no tendon closes {joint}, which the springs open",
+                f"digit[{digit.name}].tendon",
+                "a tendon with positive moment arms: a positive angle flexes the digit",
+            )
+
+
+def _check_position_range(hand: Hand, tendon: Tendon) -> Iterator[FileMistake]:
+    """Check that the frames of a drive can represent the travel of its spool between the joint limits.
+
+    The travel includes the stretch of the tendon at ``drive_limit_N``.
+    """
+    index = hand.tendon_names.index(tendon.name)
+    motor = hand.motor_of_tendon(tendon.name)
+    excursions = hand.moment_arms[index] * hand.joint_limits
+    stretch = tendon.drive_limit_N / tendon.stiffness_N_per_m
+    farthest_m = max(excursions.max(axis=0).sum() + stretch, -excursions.min(axis=0).sum())
+    farthest_rad = farthest_m / motor.spool_radius_m + abs(motor.zero_rad)
+    if farthest_rad > motor.position_range_rad:
+        yield FileMistake(
+            f"{motor.position_range_rad:g}",
+            f"motor[{motor.name}].position_range_rad",
+            f"at least {farthest_rad:.3g} rad, the spool angle of {tendon.name} at the joint limits",
+        )
+
+
+def _check_mount_positions(hand: Hand) -> Iterator[FileMistake]:
+    """Check that no two digits on the same carrier begin at the same position."""
+    for i, digit in enumerate(hand.digit):
+        for other_digit in hand.digit[:i]:
+            distance = float(
+                np.linalg.norm(np.subtract(digit.mount_position_m, other_digit.mount_position_m))
+            )
+            if digit.mount_on == other_digit.mount_on and distance < MIN_MOUNT_DISTANCE_M:
+                yield FileMistake(
+                    f"the position of {other_digit.name}",
+                    f"digit[{digit.name}].mount_position_m",
+                    f"another position, at least {1e3 * MIN_MOUNT_DISTANCE_M:g} mm away",
+                )
+
+
+def doubtful_values(hand: Hand) -> tuple[str, ...]:
+    """Return one line for each value that is possible, but is probably a mistake."""
+    lines = []
+    gravity = float(np.linalg.norm(hand.mount.gravity_m_s2))
+    if abs(gravity - STANDARD_GRAVITY_M_S2) > GRAVITY_TOLERANCE_M_S2:
+        lines.append(
+            f"mount.gravity_m_s2: a gravity of {gravity:.3g} m/s2; "
+            f"on earth {STANDARD_GRAVITY_M_S2:g} m/s2 in the direction of gravity"
+        )
+    doubtful_joints: list[tuple[str, str]] = []
+    lines += lines_by_text(
+        (
+            motor.name,
+            f"watchdog_ms: the drive keeps its torque for {motor.watchdog_ms} ms after the last command; "
+            f"at most {LONGEST_WATCHDOG_MS} ms is usual",
+        )
+        for motor in hand.motor
+        if motor.watchdog_ms > LONGEST_WATCHDOG_MS
+    )
+    for digit in hand.digit:
+        hinges = [
+            joint
+            for joint, is_prismatic in zip(digit.joints, digit.is_prismatic, strict=True)
+            if not is_prismatic
+        ]
+        ranges = np.subtract(digit.joint_max_deg, digit.joint_min_deg).tolist()
+        doubtful_joints += [
+            (
+                joint,
+                f"joint_max_deg: the joint can turn by only {width:.3g} deg; angles in hand files are in degrees",
+            )
+            for joint, width in zip(hinges, ranges, strict=True)
+            if width < SMALLEST_USUAL_RANGE_DEG
+        ]
+        doubtful_joints += [
+            (
+                joint,
+                "joint_axis: the joint turns its link about the link's own x axis; "
+                "flexion is about z, and abduction about y",
+            )
+            for joint, axis in zip(digit.joints, digit.joint_axis or (), strict=False)
+            if joint in hinges and abs(axis[0]) > LARGEST_AXIS_COMPONENT_ALONG_LINK
+        ]
+    lines += lines_by_text(doubtful_joints)
+    return tuple(lines)
 
 
 def moment_arm_fit_lines(hand: Hand) -> tuple[str, ...]:

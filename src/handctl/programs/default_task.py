@@ -65,6 +65,8 @@ PALM_GAP_M = 0.002
 
 Source: ``firmware_sim/scenes/cylinder.toml``.
 """
+MIN_DISTANCE_AWAY_M = 0.01
+"""Distance in the direction of flexion above which another digit is in front of or behind a digit [m]."""
 OBJECT_HALF_LENGTH_M = 0.0465
 """Half length of the scene's object along the hinges [m].
 
@@ -262,6 +264,12 @@ def grasp_warnings(hand: Hand) -> tuple[str, ...]:
             f"{shortened_list(list(opposed))}: no digit closes against another: the default task lifts no object; "
             "add a digit that is turned by 180 degrees about x in mount_rpy_deg"
         )
+    else:
+        warnings += [
+            f"{name}: flexes away from the other digits; "
+            "turn it by 180 degrees about x in mount_rpy_deg, in degrees"
+            for name in _digits_flexing_away(hand)
+        ]
     for name in opposed:
         tendons = hand.tendon[hand.digit_tendons[name]]
         max_hold_tension = MAX_HOLD_TENSION_FRACTION * min(
@@ -273,6 +281,28 @@ def grasp_warnings(hand: Hand) -> tuple[str, ...]:
                 f"and a hold allows {max_hold_tension:.0f} N; raise tension_max_N or moment_arm_m, or lower the springs"
             )
     return tuple(warnings)
+
+
+def _digits_flexing_away(hand: Hand) -> list[str]:
+    """Return the closing digits that flex away from the mount positions of all other closing digits."""
+    directions = _flexion_directions(hand)
+    points = LinkTree.from_hand(hand).points(np.zeros(len(hand.joints)))
+    first_point = dict(
+        zip(hand.digit_names, (digit_points[0] for digit_points in points), strict=True)
+    )
+    mount_positions = {name: first_point[name] for name in directions}
+    names = []
+    for name, direction in directions.items():
+        distances = [
+            (position - mount_positions[name]) @ direction
+            for other_name, position in mount_positions.items()
+            if other_name != name
+        ]
+        # Digits beside the digit, such as other fingers, are at a distance of almost 0.
+        is_away = max(distances, default=0.0) < MIN_DISTANCE_AWAY_M
+        if is_away and min(distances, default=0.0) < -MIN_DISTANCE_AWAY_M:
+            names.append(name)
+    return names
 
 
 def default_scene(hand: Hand) -> str:

@@ -10,7 +10,7 @@ from handctl.cli.checks.rate_margin import force_warnings, rate_warnings
 from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.plan import find_calibration, gains_with_sources
 from handctl.cli.console.verbosity import is_verbose
-from handctl.controller.bus_load import bus_loads
+from handctl.controller.bus_load import bus_loads, bus_warnings
 from handctl.controller.run_setup import (
     caution_lines,
     make_drives,
@@ -18,6 +18,7 @@ from handctl.controller.run_setup import (
     unverified_protections,
 )
 from handctl.core.gains.gain_bounds import values_by_key
+from handctl.core.gains.gains import packaged_gains
 from handctl.core.identified_parameters import PARAMETER_UNITS
 from handctl.drives.dbc_export import export_bus_dbc
 from handctl.drives.protocol_registry import make_drive
@@ -43,7 +44,7 @@ from handctl.hand.hand_loading import (
     parse_toml,
     read_toml,
 )
-from handctl.hand.readiness_checks import moment_arm_fit_lines
+from handctl.hand.readiness_checks import doubtful_values, moment_arm_fit_lines
 from handctl.hand.tendon_strength import strength_warnings
 from handctl.output_files import (
     FIGURE_SUFFIXES,
@@ -56,7 +57,7 @@ from handctl.programs.default_task import grasp_warnings
 from handctl.programs.task import load_task
 from handctl.safety.missing_sensors import sensing_warnings
 from handctl.session.exit_codes import ExitCode
-from handctl.session.gains import GainsWithSources
+from handctl.session.gains import PACKAGED_GAINS_SOURCE, GainsWithSources
 from handctl.session.run_plan import (
     check_gain_margins,
     control_rate,
@@ -157,7 +158,6 @@ def _file_checks(args: argparse.Namespace, hand: Hand) -> list[Callable[[], obje
     return [
         *drives,
         lambda: make_drives(hand),
-        lambda: gains_with_sources(args, hand),
         check_design,
         check_task,
         check_calibration,
@@ -212,7 +212,10 @@ def _show_or_check_hand(args: argparse.Namespace, hand: Hand) -> int:
     source = str(hand_path(args.hand).name)
     warnings = _hand_warnings(hand)
     if args.what == "check":
-        warnings += rate_warnings(hand, layers.gains, rate)
+        # The default gains are already small enough for the control rate. At a low rate, a run may
+        # fail with them, too, so that the warning is about the packaged gains.
+        rate_gains = layers.gains if layers.file else packaged_gains(hand.name)
+        warnings += rate_warnings(hand, rate_gains, rate)
         warnings += force_warnings(hand, layers.gains, rate)
     if args.json:
         print_json(
@@ -249,14 +252,29 @@ def _show_or_check_hand(args: argparse.Namespace, hand: Hand) -> int:
         f"bus {name} {100 * fraction:.0f} %" for name, fraction in load.items()
     )
     print(
-        f"# default rate {rate:g} Hz: {bus_loads_text}; gains: {layers.file or 'packaged'}; all files are valid"
+        f"# default rate {rate:g} Hz: {bus_loads_text}; gains: {_gains_text(layers)}; all files are valid"
     )
     return 0
+
+
+def _gains_text(layers: GainsWithSources) -> str:
+    """Return the file of the gains, or the values that are not those of the packaged gains."""
+    if layers.file:
+        return str(layers.file)
+    values = values_by_key(layers.gains)
+    changed_gains = [
+        f", {key} = {values[key]:g} {origin}"
+        for key, origin in layers.origins.items()
+        if origin != PACKAGED_GAINS_SOURCE
+    ]
+    return PACKAGED_GAINS_SOURCE + "".join(changed_gains)
 
 
 def _hand_warnings(hand: Hand) -> list[str]:
     """Return one line for each warning about a hand."""
     return [
+        *doubtful_values(hand),
+        *bus_warnings(hand),
         *strength_warnings(hand),
         *idle_torque_warnings(hand, make_drives(hand)),
         *sensing_warnings(hand),

@@ -5,13 +5,14 @@ A message about a mistake contains the key path, the invalid value, and a valid 
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
+from pydantic_core import PydanticCustomError
 
 from handctl.errors import ConfigError
 from handctl.hand.file.key_descriptions import key_description
-from handctl.hand.file.quantity_types import UNMEASURED_PLACEHOLDER
+from handctl.hand.file.quantity_types import UNMEASURED_PLACEHOLDER, CheckedType
 from handctl.printing import similar_name
 
 
@@ -123,8 +124,8 @@ def _meaning_of_missing_key(key_location: Sequence[str | int], model: type[BaseM
     field = _field_of_key(key_location, model)
     if field is None:
         return "a value"
-    expected_form = "a value"
     annotation = field.model.model_fields[field.name].annotation
+    expected_form = valid_value_text(annotation, field.model.model_fields[field.name].metadata)
     if len(key_location) == 1 and _models_in_annotation(annotation):
         name = key_location[0]
         is_section_list = not isinstance(annotation, type)
@@ -133,6 +134,31 @@ def _meaning_of_missing_key(key_location: Sequence[str | int], model: type[BaseM
             f", or {name}.NAME in each digit" if name in SECTIONS_ALLOWED_IN_DIGITS else ""
         )
     return expected_form + _field_meaning(field)
+
+
+def valid_value_text(annotation: Any, metadata: Sequence[Any]) -> str:
+    """Return the description of the valid values of a key, such as "a number from 0 to 1 m".
+
+    Args:
+        annotation: type annotation of the key.
+        metadata: metadata of an annotated type. The metadata of a number or a text contains its
+            check.
+    """
+    for validation in metadata:
+        if isinstance(validation, CheckedType):
+            try:
+                validation.check(None)
+            except PydanticCustomError as error:
+                return str((error.context or {}).get("right", "a value"))
+    if get_origin(annotation) is tuple:
+        entry_types = [
+            entry_type for entry_type in get_args(annotation) if entry_type is not Ellipsis
+        ]
+        entry_text = valid_value_text(entry_types[0], getattr(entry_types[0], "__metadata__", ()))
+        is_fixed = Ellipsis not in get_args(annotation)
+        count_text = f"a list of {len(entry_types)} entries" if is_fixed else "a list"
+        return f"{count_text}, each {entry_text}"
+    return "a value"
 
 
 class _ModelField(NamedTuple):

@@ -113,12 +113,12 @@ class SensorNode(Section):
     In schema 2, ``"all"`` stands for all tendons.
     """
     joints: tuple[qty.Name, ...] = ()
-    """Joint of each encoder, required, in the order of the channels.
+    """Joint of each encoder, in the order of the channels. If absent, there are no encoders.
 
     In schema 2, ``"all"`` stands for all joints. CiA 404: the key is absent.
     """
     joint_decimation: qty.JointDecimation = 1
-    """Number of ticks from one frame of the joint encoders to the next, required.
+    """Number of ticks from one frame of the joint encoders to the next, required with ``joints``.
 
     CiA 404: the key is absent.
     """
@@ -130,7 +130,10 @@ class SensorNode(Section):
     The drift is modelled as a random walk.
     """
     joint_noise_rad: qty.JointNoise = 1e-3
-    """Standard deviation of a joint-encoder sample, required. CiA 404: the key is absent."""
+    """Standard deviation of a joint-encoder sample, required with ``joints``.
+
+    CiA 404: the key is absent.
+    """
     joint_noise_m: qty.TravelNoise | None = None
     """Standard deviation of a joint-encoder sample of a prismatic joint, 1e-5 m if absent."""
     node_ids: tuple[qty.AmplifierId, ...] = ()

@@ -6,10 +6,10 @@ measuring range.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
-from handctl.hand.file.error_text import FileMistake, first_sentence
+from handctl.hand.file.error_text import FileMistake, first_sentence, valid_value_text
 from handctl.hand.file.key_descriptions import key_description
 from handctl.hand.file.section_models import (
     CIA404_KEYS,
@@ -59,10 +59,28 @@ def check_sensor_node(hand: Hand) -> Iterator[FileMistake]:
         yield from _check_amplifiers(node)
         yield from _check_range(hand)
         return
-    for key in ("sync_id", *HANDCTL_NODE_KEYS):
-        if key not in node.model_fields_set:
+    yield from missing_node_keys(node.model_dump(include=node.model_fields_set))
+
+
+def missing_node_keys(content: object) -> Iterator[FileMistake]:
+    """Yield a mistake for each required key that the section of a handctl sensor node lacks.
+
+    The keys of the joint encoders are required only if the node has joint encoders.
+
+    Args:
+        content: content of the section. Other values than a table have no missing keys.
+    """
+    if not isinstance(content, Mapping) or content.get("protocol") == CIA404_PROTOCOL:
+        return
+    required_keys = ["sync_id", "base_id"]
+    if content.get("joints"):
+        required_keys += ["joint_decimation", "joint_noise_rad"]
+    for key in required_keys:
+        if key not in content:
+            field = SensorNode.model_fields[key]
+            value_text = valid_value_text(field.annotation, field.metadata)
             meaning = first_sentence(key_description(SensorNode, key))
-            yield FileMistake("missing", f"sensor_node.{key}", f"a value: {meaning}")
+            yield FileMistake("missing", f"sensor_node.{key}", f"{value_text}: {meaning}")
 
 
 def _check_amplifiers(node: SensorNode) -> Iterator[FileMistake]:

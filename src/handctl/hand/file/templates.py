@@ -97,9 +97,11 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
         return ResolvedContent(dict(content), {}, [])
     resolver = _TemplateResolver(content)
     if content.get("schema") != SCHEMA_WITH_TEMPLATES:
-        resolver.mistakes.append(
-            FileMistake(f"the file has [{tables[0]}]", "schema", str(SCHEMA_WITH_TEMPLATES))
+        given_text = toml_spelling(content["schema"]) if "schema" in content else "missing"
+        expected = (
+            f"schema = {SCHEMA_WITH_TEMPLATES} in the first line, as the file has [{tables[0]}]"
         )
+        resolver.mistakes.append(FileMistake(given_text, "schema", expected))
     names = ("default", *TEMPLATE_KEYS.values())
     resolved_content = {key: value for key, value in content.items() if key not in names} | {
         "schema": SCHEMA_WITHOUT_TEMPLATES
@@ -363,9 +365,8 @@ def join_missing_key_mistakes(
     joined: dict[FileMistake, None] = {}
     for mistake, match in zip(mistake_list, missing_values, strict=True):
         if match and counts[match.groups()] == len(_list_of_tables(content.get(match[1]))) > 1:
-            expected = f"a value, there or in each {match[1]}" + mistake.right.removeprefix(
-                "a value"
-            )
+            value_text, colon, meaning = mistake.right.partition(": ")
+            expected = f"{value_text}, there or in each {match[1]}{colon}{meaning}"
             mistake = FileMistake("missing", f"default.{match[1]}.{match[2]}", expected)
         joined[mistake] = None
     return list(joined)
