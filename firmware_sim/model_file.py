@@ -24,6 +24,8 @@ from firmware_sim.printing import one_line_message
 
 ROOT_TAGS = {"urdf": "robot", "mjcf": "mujoco"}
 """Tag of the first XML element of each format."""
+POLYNOMIAL_LENGTH = 5
+"""Number of coefficients of a polynomial that couples two joints in MuJoCo."""
 MODEL_SUFFIXES = (".urdf", ".xml")
 """Suffixes of model files that MuJoCo reads."""
 URDF_JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
@@ -63,7 +65,9 @@ def read_model_file(path: str, file_format: str) -> dict[str, Any]:
         - ``palm``: (3,) origin of each named frame fixed to the root, by name [m].
         - ``palm_meshes``: meshes fixed to the root, in the same form as the ``meshes`` of
           a link.
-        - ``links``: one table for each link, see ``_link_values``. Parents come first. The
+        - ``links``: one table for each link, see ``_link_values``. Parents come first. ``follows``
+          is the name of the joint that the joint of the link follows, and the ratio of the two
+          angles, or None. The
           ``meshes`` of a link are tables with ``file``, ``scale`` (3,), ``position`` (3,) [m] and
           ``rotation`` (3, 3) in the frame of the link.
         - ``tendons``: for each tendon, its name, moment arms by joint [m], motor or None, and
@@ -91,6 +95,9 @@ def read_model_file(path: str, file_format: str) -> dict[str, Any]:
     )
     meshes = list(visual_meshes)
     links = [_link_values(model, data, roots, body, path) for body in roots]
+    coupled_joints = _coupled_joints(model, root)
+    for link in links:
+        link["follows"] = coupled_joints.get(link["joint"])
     for body, link in zip(roots, links, strict=True):
         axes = data.xmat[body].reshape(3, 3)
         origin = data.xanchor[model.body_jntadr[body]]
@@ -144,10 +151,12 @@ def _check_joint_types(xml_root: ET.Element, path: str) -> None:
         if kind is not None and kind not in URDF_JOINT_TYPES:
             problem_text = f"joint {joint.get('name')} is {kind}"
             raise SimulatorError(f"{path}: {problem_text}; expected {', '.join(URDF_JOINT_TYPES)}")
-        if joint.find("mimic") is not None:
-            problem_text = f"joint {joint.get('name')} mimics another"
-            expected = "independent joints; the hand file couples them by the key coupling"
-            raise SimulatorError(f"{path}: {problem_text}; expected {expected}")
+        mimic = joint.find("mimic")
+        if mimic is not None and float(mimic.get("offset", 0.0)) != 0.0:
+            raise SimulatorError(
+                f"{path}: joint {joint.get('name')} follows {mimic.get('joint')} with an offset; "
+                "expected an angle that is proportional to the angle of the other joint"
+            )
 
 
 def _compiled_model(
@@ -253,13 +262,42 @@ def _check_structure(model: Any, path: str) -> None:
             raise SimulatorError(
                 f"{path}: {problem_text}; expected one joint for each body, with a body of some mass between"
             )
-    if model.neq:
-        problem_text = (
-            f"the equality {model.equality(0).name or '0'} closes a loop or couples joints"
-        )
+    for equality in range(model.neq):
+        if _is_proportional_coupling(model, equality):
+            continue
+        name = model.equality(equality).name or str(equality)
         raise SimulatorError(
-            f"{path}: {problem_text}; expected a tree; the hand file couples joints by the key coupling"
+            f"{path}: the equality {name} closes a loop, or does not make an angle proportional to another angle; "
+            "expected a tree, and joints that follow other joints with a constant ratio"
         )
+
+
+def _is_proportional_coupling(model: Any, equality: int) -> bool:
+    """Return True if an equality constraint makes the angle of a joint proportional to that of another joint."""
+    if model.eq_type[equality] != mujoco.mjtEq.mjEQ_JOINT or model.eq_obj2id[equality] < 0:
+        return False
+    offset, ratio, *other_coefficients = model.eq_data[equality, :POLYNOMIAL_LENGTH].tolist()
+    return bool(offset == 0.0 and ratio != 0.0 and not any(other_coefficients))
+
+
+def _coupled_joints(model: Any, xml_root: ET.Element) -> dict[str, tuple[str, float]]:
+    """Return the joint that each coupled joint follows, and the ratio of the two angles, by joint.
+
+    The couplings come from equality constraints of an MJCF file, and from mimic joints of a URDF.
+    """
+    coupled_joints = {
+        _joint_name(model, int(model.eq_obj1id[equality])): (
+            _joint_name(model, int(model.eq_obj2id[equality])),
+            float(model.eq_data[equality, 1]),
+        )
+        for equality in range(model.neq)
+    }
+    for joint in xml_root.iter("joint"):
+        mimic = joint.find("mimic")
+        if mimic is not None:
+            leader = str(mimic.get("joint"))
+            coupled_joints[str(joint.get("name"))] = leader, float(mimic.get("multiplier", 1.0))
+    return coupled_joints
 
 
 def _joint_name(model: Any, joint: int) -> str:

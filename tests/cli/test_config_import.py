@@ -316,7 +316,7 @@ HINGE_MJCF = (
     '<joint name="j" range="0 90"/><inertial pos="0 0 0" mass="0.01" diaginertia="1e-6 1e-6 1e-6"/>'
 )
 SECOND_JOINT = (
-    '<joint name="k" type="revolute"><parent link="a"/><child link="b"/><mimic joint="j"/></joint>'
+    '<joint name="k" type="revolute"><parent link="a"/><child link="b"/><mimic joint="j" offset="0.1"/></joint>'
     f'<link name="b">{INERTIAL_URDF}</link>'
 )
 BAD_DESCRIPTIONS = [
@@ -329,7 +329,7 @@ BAD_DESCRIPTIONS = [
     ("--urdf", urdf_of('type="planar"'), "joint j is planar; expected revolute, continuous, prismatic"),
     ("--urdf", urdf_of('type="revolute"', ""), "expected a mass and an inertia for each link that moves"),
     ("--urdf", urdf_of('type="revolute"', INERTIAL_URDF, SECOND_JOINT),
-     "joint k mimics another; expected independent joints"),
+     "joint k follows j with an offset; expected an angle that is proportional"),
     ("--urdf", urdf_of('type="revolute"'), "neither a frame nor a shape tells where its last link a ends"),
     ("--mjcf", mjcf_of('<freejoint/><geom size="0.01"/>'), "is a floating joint; expected hinges or"),
     ("--mjcf", mjcf_of('<joint type="ball"/><geom size="0.01"/>'), "joint_1 is a ball joint; expected hinges"),
@@ -338,6 +338,45 @@ BAD_DESCRIPTIONS = [
     ("--mjcf", mjcf_of(f'<joint name="k"/>{HINGE_MJCF}'), "body a has 2 joints; expected one joint for each body"),
 ]  # fmt: skip
 """For each text that describes no hand: the option of ``config init``, the text, and a part of the error message."""
+
+
+COUPLED_JOINTS_URDF = (
+    '<joint name="k" type="revolute"><parent link="a"/><child link="b"/><origin xyz="0.03 0 0"/>'
+    '<axis xyz="0 0 -1"/><limit lower="-1" upper="0" effort="1" velocity="1"/>'
+    '<mimic joint="j" multiplier="-0.5"/></joint>'
+    f'<link name="b">{INERTIAL_URDF}</link>'
+    '<joint name="m" type="revolute"><parent link="b"/><child link="c"/><origin xyz="0.03 0 0"/>'
+    '<axis xyz="0 0 1"/><limit lower="0" upper="1" effort="1" velocity="1"/>'
+    '<mimic joint="k" multiplier="-2"/></joint>'
+    f'<link name="c">{INERTIAL_URDF}</link><link name="c_tip"/>'
+    '<joint name="t" type="fixed"><parent link="c"/><child link="c_tip"/><origin xyz="0.02 0 0"/></joint>'
+)
+"""Two joints of a URDF: k turns against j with half its angle, and m turns against k with twice the angle of k.
+
+The joint k flexes towards negative angles, so that its axis is reversed in the hand file.
+"""
+
+
+def test_a_joint_that_follows_another_becomes_a_coupling(work_folder: Path) -> None:
+    Path("hand.urdf").write_text(urdf_of('type="revolute"', INERTIAL_URDF, COUPLED_JOINTS_URDF))
+    import_description("--urdf", "hand.urdf", "--pulley", "8", "--tendons", "each")
+    (digit,) = hand_content("mine.toml")["digit"]
+    assert digit["coupling"] == [[1.0], [0.5], [1.0]]
+    assert len(hand_content("mine.toml")["tendon"]) == 1
+
+
+@pytest.mark.parametrize("format_option", FILE_BY_OPTION)
+def test_an_exported_coupling_is_imported(work_folder: Path, format_option: str) -> None:
+    """Reproduce a defect: `config init` refused the export of a hand with coupled spool pairs."""
+    hand_file = str(Path(__file__).parents[1] / "hand" / "pairs_and_springs.toml")
+    exported_file = FILE_BY_OPTION[format_option]
+    words = ["config", "export", format_option, "--hand", hand_file, "--output", exported_file]
+    assert main(words) == 0
+    import_description(format_option, exported_file, "--tendons", "each")
+    coupling = {
+        digit["name"]: digit.get("coupling") for digit in hand_content("mine.toml")["digit"]
+    }
+    assert coupling["opposer"] == [[1.0, 0.0], [0.0, 1.0], [0.0, 0.8]]
 
 
 @pytest.mark.parametrize(

@@ -43,11 +43,6 @@ HAND_FILE_MISTAKES = {
         "mount_position_m = [0.0, 0.035, 0.022]",
         "digit[short].mount_position_m: the position of long; expected another position",
     ),
-    "a position loop with spool pairs": (
-        'protocol = "mit"',
-        'protocol = "mit"\ncontrol = "position"',
-        'default.motor.control: "position"; expected "torque"',
-    ),
     "a watchdog of one tick": (
         "watchdog_ms = 20",
         "watchdog_ms = 1",

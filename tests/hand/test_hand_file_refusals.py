@@ -141,8 +141,13 @@ def test_no_number_may_be_absurdly_large(refusal, content, key_path, wrong_numbe
 def test_a_missing_key_is_refused(refusal, hand_name):
     for path, table in content_tables(CONTENT_BY_HAND_NAME[hand_name]):
         for key in table:
-            if key in ("schema", "sensor_node") or "mesh" in key:  # these keys are optional
+            if (
+                key in ("schema", "sensor_node", "joints") or "mesh" in key
+            ):  # these keys are optional
                 continue
+            has_encoders = bool(table.get("joints"))
+            if key in ("joint_decimation", "joint_noise_rad") and not has_encoders:
+                continue  # without joint encoders, their keys are optional
             content = content_with_value(CONTENT_BY_HAND_NAME[hand_name], (*path, key), None)
             node = content
             for key_or_index in path:

@@ -705,9 +705,6 @@ def _check_control(hand: Hand, tendon: Tendon, motor: Motor) -> MistakeIterator:
                 '"torque": position loops of antagonistic tendons would pull against each other'
             )
             yield FileMistake('"position"', f"{location}.control", expected)
-    if tendon.pretension_N is not None:
-        expected = '"torque": nobody has tried a position loop of the drive with a spool pair'
-        yield FileMistake('"position"', f"{location}.control", expected)
     max_stiffness = tendon.stiffness_N_per_m * motor.spool_radius_m**2
     if (motor.kp_N_m_per_rad or 0.0) > max_stiffness:
         expected = f"at most stiffness_N_per_m x spool_radius_m^2 = {max_stiffness:.3g} N m/rad"

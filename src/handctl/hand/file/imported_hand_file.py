@@ -257,8 +257,11 @@ def imported_hand_text(
             *_digit_lines(digit, import_answers),
             *_drive_lines(digit_tendons, buses[digit.name], nodes),
         ]
-        if len(digit_tendons) < len(digit.joints):
+        coupling = digit.coupling
+        if len(digit_tendons) < coupling.shape[1]:
             lines.append(_todo_line(Digit, "coupling"))
+        elif coupling.shape[1] < len(digit.joints):
+            lines.append(_SectionLine("coupling", _number_rows_text(coupling)))
         file_sections.append(
             f"# joints in {imported_hand.source}: {', '.join(digit.joints)}\n"
             + _section_text("[digit]", lines)
@@ -276,7 +279,7 @@ def _placeholder_tendons(
     crossed_joints = (
         [joints]
         if import_answers.tendons == "one"
-        else [joints[: i + 1] for i in range(len(joints))]
+        else [joints[: np.flatnonzero(column)[-1] + 1] for column in digit.coupling.T]
     )
     for i, names in enumerate(crossed_joints):
         yield {

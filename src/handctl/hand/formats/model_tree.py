@@ -109,6 +109,10 @@ class ModelLink:
         is_prismatic: True if the link slides along the axis of the joint. The values of a prismatic
             joint are in m, N and kg in place of rad, N m and kg m2.
         axis: axis of the joint in the frame of the link (3,).
+        is_reversed: True if the axis was reversed, because the joint flexes towards negative angles
+            of the description.
+        leader: name of the joint that this joint follows, None for an independent joint.
+        leader_ratio: angle of this joint divided by that of the leader, in the description.
         range: smallest and largest angle of the joint [rad], None for a joint without limits.
         damping: damping of the joint [N m s/rad].
         armature: additional inertia of the joint [kg m2].
@@ -130,6 +134,9 @@ class ModelLink:
     rotation: Array
     is_prismatic: bool
     axis: Array
+    is_reversed: bool
+    leader: str | None
+    leader_ratio: float
     range: tuple[float, float] | None
     damping: float
     armature: float
@@ -156,11 +163,13 @@ class ModelLink:
             if values["range"] is None
             else (float(values["range"][0]), float(values["range"][1]))
         )
-        if (
+        is_reversed = (
             limits is not None
             and limits[0] < 0.0
             and limits[1] <= NEGATIVE_FLEXION_RATIO * -limits[0]
-        ):
+        )
+        leader, leader_ratio = values["follows"] or (None, 1.0)
+        if is_reversed and limits is not None:
             limits = (-limits[1], -limits[0])
             axis = -axis
             rest_angle = -rest_angle
@@ -172,6 +181,9 @@ class ModelLink:
             rotation=np.array(values["rotation"], dtype=float),
             is_prismatic=bool(values["prismatic"]),
             axis=axis,
+            is_reversed=is_reversed,
+            leader=leader,
+            leader_ratio=float(leader_ratio),
             range=limits,
             damping=float(values["damping"]),
             armature=float(values["armature"]),
@@ -222,6 +234,33 @@ class ModelDigit:
     centres_of_mass: Array
     inertias: Array
     meshes: tuple[ModelMesh | None, ...]
+
+    @property
+    def coupling(self) -> Array:
+        """Return the matrix (n, n_c) of joint angles per unit of each independent joint.
+
+        A joint that follows a joint of another digit counts as independent.
+        """
+        leaders = [
+            self.joints.index(link.leader) if link.leader in self.joints else None
+            for link in self.links
+        ]
+        columns = [i for i, leader in enumerate(leaders) if leader is None]
+        matrix = np.zeros((len(self.links), len(columns)))
+        for i in range(len(self.links)):
+            ratio, joint, leader = 1.0, i, leaders[i]
+            # A leader can follow another joint itself. The range of the loop ends a circle of joints.
+            for _ in leaders:
+                if leader is None:
+                    break
+                signs = (
+                    -1.0 if self.links[joint].is_reversed != self.links[leader].is_reversed else 1.0
+                )
+                ratio *= signs * self.links[joint].leader_ratio
+                joint, leader = leader, leaders[leader]
+            if joint in columns:
+                matrix[i, columns.index(joint)] = ratio
+        return matrix
 
 
 @dataclass(frozen=True)
