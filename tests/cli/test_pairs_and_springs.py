@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import main
+from handctl.core.gains.gains import load_gains_file
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.tune.identify.identify import identify_tendons
@@ -244,3 +245,13 @@ def test_identified_spool_pairs_are_those_of_the_plant(
             error = result.fit.parameter_values[parameter] - true_values[parameter]
             assert abs(error) < 1.5 * result.fit.half_widths[parameter], (name, parameter)
     assert "noise of the motor force" in capsys.readouterr().out
+
+
+def test_a_rollback_to_the_default_gains_keeps_the_gain_margin(work_folder: Path) -> None:
+    """With the packaged force, this hand would oscillate."""
+    write_hand()
+    Path("gains.toml").write_text("schema = 1\n\n[motion]\nforce_N = 0.5\n")
+    assert main(["gains", "apply", "gains.toml", "--hand", "mine.toml"]) == 0
+    assert load_gains_file(Path("tri.gains.toml")).gains.motion.force_N == 0.5
+    assert main(["gains", "rollback", "--to", "0", "--hand", "mine.toml"]) == 0
+    assert load_gains_file(Path("tri.gains.toml")).gains.motion.force_N == 0.95

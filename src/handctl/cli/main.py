@@ -22,13 +22,17 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from typing import Any, NamedTuple
 
 from handctl.blas_kernels import use_portable_kernels
-from handctl.cli.console.options import json_errors
 from handctl.cli.console.process_termination import (
     TerminationRequested,
     install_excepthook,
     terminate_on_signals,
 )
-from handctl.cli.console.standard_streams import discard_output, flush_stdout, open_standard_streams
+from handctl.cli.console.standard_streams import (
+    discard_output,
+    flush_stdout,
+    has_printed_json,
+    open_standard_streams,
+)
 from handctl.cli.console.verbosity import apply_verbosity, is_verbose, print_detail
 from handctl.cli.parsing.completion import is_shell_completion, print_completions
 from handctl.cli.parsing.optional_packages import optional_packages
@@ -170,27 +174,44 @@ def _run_and_report_errors(command_words: list[str]) -> int:
 
     With ``--json``, an error is also printed as JSON.
     """
-    with json_errors(command_words) as print_json_error:
-        try:
-            with terminate_on_signals():
-                check_command_line(command_words)
-                code = _run_command_line(command_words)
-                flush_stdout()
-                return code
-        except BrokenPipeError:
-            discard_output()
-            return ExitCode.DONE
-        except (HandctlError, OSError, TerminationRequested, KeyboardInterrupt) as error:
-            if isinstance(error, PowerError) and error.__cause__:
-                # the error is caused by a bug in handctl
-                traceback.print_exception(error.__cause__)
-            text, exit_code = _error_text_and_exit_code(error)
-            # even if a stream cannot be written, the exit code reports the error
-            with suppress(OSError):
-                print(f"handctl: {one_line_message(text)}", file=sys.stderr)
-            with suppress(OSError):
-                print_json_error(text, exit_code)
-            return exit_code
+    token = has_printed_json.set(False)
+    try:
+        with terminate_on_signals():
+            check_command_line(command_words)
+            code = _run_command_line(command_words)
+            flush_stdout()
+            return code
+    except BrokenPipeError:
+        discard_output()
+        return ExitCode.DONE
+    except (HandctlError, OSError, TerminationRequested, KeyboardInterrupt) as error:
+        if isinstance(error, PowerError) and error.__cause__:
+            # the error is caused by a bug in handctl
+            traceback.print_exception(error.__cause__)
+        text, exit_code = _error_text_and_exit_code(error)
+        # even if a stream cannot be written, the exit code reports the error
+        with suppress(OSError):
+            print(f"handctl: {one_line_message(text)}", file=sys.stderr)
+        with suppress(OSError):
+            _print_json_error(command_words, text, exit_code)
+        return exit_code
+    finally:
+        has_printed_json.reset(token)
+
+
+def _print_json_error(command_words: Sequence[str], text: str, exit_code: ExitCode) -> None:
+    """Print an error as JSON, if the command line contains ``--json``.
+
+    If the command has already printed JSON, nothing is printed, because standard output contains a
+    single JSON value for each command.
+    """
+    if "--json" not in command_words or has_printed_json.get():
+        return
+    # This import loads pydantic, which a help text does not need.
+    from handctl.cli.console.options import print_json
+
+    print_json({"error": text, "exit_code": exit_code})
+    sys.stdout.flush()
 
 
 def _error_text_and_exit_code(error: BaseException) -> tuple[str, ExitCode]:

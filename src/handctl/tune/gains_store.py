@@ -54,14 +54,23 @@ class GainsStore:
         history_folder: folder with the files of the history.
     """
 
-    def __init__(self, hand: str, hand_identity: str = "", folder: Path = Path()) -> None:
+    def __init__(
+        self,
+        hand: str,
+        hand_identity: str = "",
+        folder: Path = Path(),
+        default_gains: Gains | None = None,
+    ) -> None:
         """Set the paths of the files with the gains of a hand.
 
         Args:
             hand: name of the hand.
             hand_identity: hash of the description of the hand.
             folder: folder for the files.
+            default_gains: gains that a rollback to number 0 restores. If None, it restores the
+                packaged gains.
         """
+        self.default_gains = default_gains or packaged_gains(hand)
         self.hand = hand
         self.hand_identity = hand_identity
         self.path = folder / f"{hand}.gains.toml"
@@ -151,8 +160,8 @@ class GainsStore:
             raise ConfigError(
                 f"no gains number {number}", str(self.history_folder), f"one of {numbers}"
             )
-        note = f"rollback to {number}" if number else "rollback to the packaged gains"
-        old_gains = entries[number].file.gains if number else packaged_gains(self.hand)
+        note = f"rollback to {number}" if number else "rollback to the default gains"
+        old_gains = entries[number].file.gains if number else self.default_gains
         provenance = entries[number].file.provenance if number else GainsProvenance()
         return self._write_gains(
             old_gains, provenance.model_copy(update={"note": note}), restored_number=number

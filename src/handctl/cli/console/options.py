@@ -3,12 +3,10 @@
 import argparse
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
+from handctl.cli.console.standard_streams import has_printed_json
 from handctl.cli.parsing.completion import hand_names
 from handctl.drives.motor_description import PROTOCOL_TRAITS, motor_types_text
 from handctl.errors import ConfigError
@@ -237,7 +235,7 @@ def add_gains_options(parser: argparse.ArgumentParser) -> None:
         "--gains",
         type=Path,
         metavar="FILE",
-        help="gains file (default: HAND.gains.toml, else the packaged gains)",
+        help="gains file (default: HAND.gains.toml, else the default gains of the hand)",
     )
     parser.add_argument(
         "--gain",
@@ -276,13 +274,9 @@ def wire_arguments(args: argparse.Namespace) -> list[str]:
     return [] if args.wire is None else ["--wire", *args.wire]
 
 
-_has_printed_json: ContextVar[bool] = ContextVar("has_printed_json", default=False)
-"""True if the running command has printed JSON."""
-
-
 def print_json(result: dict[str, Any]) -> None:
     """Print the result of a command as JSON. A NaN in the result becomes null."""
-    _has_printed_json.set(True)
+    has_printed_json.set(True)
     text = json.dumps(_json_value(result), indent=2, allow_nan=False)
     sys.stdout.write(
         text.replace("\x7f", "\\u007f") + "\n"
@@ -294,34 +288,10 @@ def print_json_line(result: dict[str, Any]) -> None:
 
     Commands that report results during their work use this function. A NaN becomes null.
     """
-    _has_printed_json.set(True)
+    has_printed_json.set(True)
     text = json.dumps(_json_value(result), allow_nan=False)
     sys.stdout.write(text.replace("\x7f", "\\u007f") + "\n")
     sys.stdout.flush()
-
-
-@contextmanager
-def json_errors(command_words: Sequence[str]) -> Iterator[Callable[[str, int], None]]:
-    """Provide a function that prints an error as JSON, with its exit code.
-
-    The function prints nothing if the command line has no ``--json``, or if the command has already
-    printed JSON, because standard output contains a single JSON value for each command.
-
-    Args:
-        command_words: words of the command line.
-    """
-    token = _has_printed_json.set(False)
-
-    def print_error(error_text: str, exit_code: int) -> None:
-        """Print an error as JSON."""
-        if "--json" in command_words and not _has_printed_json.get():
-            print_json({"error": error_text, "exit_code": exit_code})
-            sys.stdout.flush()
-
-    try:
-        yield print_error
-    finally:
-        _has_printed_json.reset(token)
 
 
 def _json_value(value: Any) -> Any:

@@ -42,7 +42,7 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> run_plan.RunP
         time_scale=args.time_scale,
         log_path=args.log,
         clear_faults=args.clear,
-        default_gains=partial(_default_gains, requested_rate_hz=args.rate, show_force=True),
+        default_gains=partial(default_gains, requested_rate_hz=args.rate, show_force=True),
     )
     display = None if args.json or is_quiet() else _display_starter
     plan = replace(run_plan.make_plan(options, display, print_notice), show_progress=progress_bar)
@@ -102,13 +102,15 @@ def gains_with_sources(args: argparse.Namespace, hand: Hand) -> gains.GainsWithS
     Raises:
         ConfigError: a file or a value cannot be used, or the gains are for another hand.
     """
-    default_gains = partial(_default_gains, requested_rate_hz=getattr(args, "rate", None))
+    hand_defaults = partial(default_gains, requested_rate_hz=getattr(args, "rate", None))
     return gains.gains_with_sources(
-        hand, args.gains, getattr(args, "gain", None) or (), print_notice, default_gains
+        hand, args.gains, getattr(args, "gain", None) or (), print_notice, hand_defaults
     )
 
 
-def _default_gains(hand: Hand, requested_rate_hz: float | None, show_force: bool = False) -> Gains:
+def default_gains(
+    hand: Hand, requested_rate_hz: float | None = None, show_force: bool = False
+) -> Gains:
     """Return the gains of a hand without a gains file.
 
     Args:
@@ -120,11 +122,11 @@ def _default_gains(hand: Hand, requested_rate_hz: float | None, show_force: bool
     if hand.name in packaged_hands():
         return packaged_gains(hand.name)
     # Only a hand that is not packaged needs the margins, whose import takes 0.3 s.
-    from handctl.tune.loops.default_gains import default_gains
+    from handctl.tune.loops import default_gains as margin_gains
     from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB
 
     rate = run_plan.control_rate(requested_rate_hz, hand, bus_loads(hand))
-    hand_gains = default_gains(hand, rate)
+    hand_gains = margin_gains.default_gains(hand, rate)
     force = hand_gains.motion.force_N
     packaged_force = packaged_gains(hand.name).motion.force_N
     if show_force and force != packaged_force:

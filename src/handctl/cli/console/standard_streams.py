@@ -2,7 +2,11 @@
 
 import os
 import sys
+from contextvars import ContextVar
 from io import TextIOWrapper
+
+has_printed_json: ContextVar[bool] = ContextVar("has_printed_json", default=False)
+"""True if the running command has printed JSON."""
 
 
 def open_standard_streams() -> None:

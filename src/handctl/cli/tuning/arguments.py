@@ -120,7 +120,10 @@ def gains(parser: VerbParser) -> None:
     )
     rollback_parser = add_gains_verb("rollback", "use earlier gains again")
     rollback_parser.add_argument(
-        "--to", type=int, metavar="N", help="number in the history, 0 for the packaged gains"
+        "--to",
+        type=int,
+        metavar="N",
+        help="number in the history, 0 for the default gains of the hand",
     )
     add_gains_verb("log", "list all gains that were applied")
     set_parser = add_gains_verb(

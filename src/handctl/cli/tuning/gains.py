@@ -7,7 +7,7 @@ from typing import Any
 
 from handctl.cli.console.buses import controller_bus
 from handctl.cli.console.options import print_escaped, print_json
-from handctl.cli.console.plan import gains_with_sources, print_notice
+from handctl.cli.console.plan import default_gains, gains_with_sources, print_notice
 from handctl.cli.console.verbosity import is_quiet
 from handctl.core.gains.gain_bounds import (
     GainBounds,
@@ -134,7 +134,7 @@ def _gains_to_compare(gains_name: str, hand: Hand) -> Gains:
         return packaged_gains(hand.name)
     if gains_name == "present":
         present = store.present_gains()
-        return present.gains if present else packaged_gains(hand.name)
+        return present.gains if present else default_gains(hand)
     if gains_name.isdecimal():
         entries = {str(entry.number): entry.file.gains for entry in store.history_entries()}
         if gains_name.lstrip("0") not in entries:
@@ -177,7 +177,7 @@ def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
     If the command line gives no number and the file of the present gains cannot be used, restore
     the newest entry of the history.
     """
-    store = GainsStore(hand.name, hand.identity)
+    store = GainsStore(hand.name, hand.identity, default_gains=default_gains(hand))
     entries = store.history_entries()
     newest = entries[-1].number if entries else 0
     to = newest if _rename_unusable_gains(store) and args.to is None else args.to
