@@ -81,6 +81,9 @@ def test_a_grasp_that_lifts_nothing_is_a_failure(work_folder, capsys):
     result = json.loads(shown_output.out)
     assert "never lifted" in result["failure"]
     assert result["table_sunk_mm"] == 0.0
+    assert list(result["digit_forces_N"]) == ["index", "middle"]
+    forces = result["digit_forces_N"]
+    assert f"on each digit: index {forces['index']:.1f} N, middle" in result["failure"]
     assert result["object_motion_mm"] is None
     assert shown_output.err.splitlines()[-1].startswith(
         "handctl: two fingers on cylinder: the object was never lifted"

@@ -7,6 +7,7 @@ from collections.abc import Collection
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from handctl.log.read.reader import RunLog
 from handctl.report.truth_record import TruthRecord
@@ -21,6 +22,8 @@ MAX_SLIP_MM = 10.0
 
 Objects that the hand holds in the demo move by 3 mm at most.
 """
+FALL_MM = 500.0
+"""Motion of an object in the hand above which the object counts as fallen [mm]."""
 
 
 def judge_lift(
@@ -40,8 +43,11 @@ def judge_lift(
         `table_sunk_mm`: distance by which the table has sunk at the end of the last hold.
         `object_slid_mm`: distance that the object moved from the start of the sinking to the end of
         the last hold. Both distances are NaN if the table never sank or if there was no hold.
+        `digit_forces_N`: largest contact force on each digit during the hold, by the name of the
+        digit.
     """
-    nan_result = dict.fromkeys(("table_sunk_mm", "object_slid_mm"), float("nan"))
+    nan_result: dict[str, Any] = dict.fromkeys(("table_sunk_mm", "object_slid_mm"), float("nan"))
+    nan_result["digit_forces_N"] = {}
     t_ns = _hold_times(log, hold_phases) + offset_ns
     if (
         truth is None
@@ -58,7 +64,26 @@ def judge_lift(
     slip_distance = float("nan")
     if len(positions):
         slip_distance = float(np.linalg.norm(positions - positions[0], axis=1).max() * 1e3)
-    return {"table_sunk_mm": float(table_depths[-1] * 1e3), "object_slid_mm": slip_distance}
+    return {
+        "table_sunk_mm": float(table_depths[-1] * 1e3),
+        "object_slid_mm": slip_distance,
+        "digit_forces_N": _digit_forces(truth, is_inside),
+    }
+
+
+def _digit_forces(truth: TruthRecord, is_inside: NDArray[np.bool_]) -> dict[str, float]:
+    """Return the largest contact force on each digit in the selected rows of a truth file [N]."""
+    names = [
+        column.split("/")[1]
+        for column in truth.columns
+        if column.startswith("contact_force/") and column.endswith("/x")
+    ]
+    forces = {}
+    for name in names:
+        columns = [truth.columns.index(f"contact_force/{name}/{axis}") for axis in "xyz"]
+        components = truth.values[np.ix_(is_inside, columns)]
+        forces[name] = float(np.linalg.norm(components, axis=1).max(initial=0.0))
+    return forces
 
 
 def _hold_times(log: RunLog, hold_phases: Collection[str]) -> Any:
@@ -85,7 +110,15 @@ def lift_failure(lift_result: dict[str, Any]) -> str:
     table_sunk_mm = lift_result["table_sunk_mm"]
     object_slid_mm = lift_result["object_slid_mm"]
     if table_sunk_mm == 0.0:
-        return "the object was never lifted: too few digits pressed on it for the table to sink"
+        forces_text = ", ".join(
+            f"{name} {force:.1f} N" for name, force in lift_result["digit_forces_N"].items()
+        )
+        return (
+            "the object was never lifted: the table sinks only if enough digits press on the object from opposite sides; "
+            f"largest contact force on each digit: {forces_text}"
+        )
+    if object_slid_mm > FALL_MM:
+        return f"the object fell out of the hand while the table sank {table_sunk_mm:.0f} mm"
     if object_slid_mm > MAX_SLIP_MM:
         return f"the object was not held: it moved {object_slid_mm:.0f} mm while the table sank {table_sunk_mm:.0f} mm"
     return ""
