@@ -31,7 +31,7 @@ HAND_FILE_MISTAKES = {
     ),
     "a key that no section has": (
         "wrap_angle_rad = 1.5708", "# wrap_angle_rad = 1.5708",
-        "default.tendon.wrap_angle_rad: missing; expected a value, there or in each tendon",
+        "default.tendon.wrap_angle_rad: missing; expected a number from 0 to 20 rad, there or in each tendon",
     ),
     "a template that is not there": (
         'template = "finger"\nmount_position_m = [0.0, 0.025, 0.020]',
@@ -46,7 +46,7 @@ HAND_FILE_MISTAKES = {
         "default.tendon.name: unknown key; expected name in the section itself",
     ),
     "the schema before templates": (
-        "schema = 2", "schema = 1", "schema: the file has [default]; expected 2",
+        "schema = 2", "schema = 1", "schema: 1; expected schema = 2 in the first line, as the file has [default]",
     ),
     "a schema of tomorrow": (
         "schema = 2", "schema = 3", "schema: 3; expected 1 or 2, versions that this handctl reads",
@@ -196,7 +196,7 @@ def test_a_mistake_common_to_several_sections_is_one_line(
     )
     line = error_lines(capsys)[0]
     assert line.startswith(
-        "digit[thumb].link_length_m: missing; expected a value: Distance from the joint of a link"
+        "digit[thumb].link_length_m: missing; expected a list, each 0 or a number from 0.001 to 0.2 m: Distance from the joint"
     )
 
 
@@ -220,7 +220,9 @@ def test_a_missing_section_is_named_with_its_forms(
     )
     assert line_by_key["mount"].startswith("mount: missing; expected a section [mount]: ")
     assert "sensor_node" not in line_by_key, "a sensor node is optional"
-    expected = "expected a value: Radius of the links, whose shapes are capsules"
+    expected = (
+        "expected a number from 0.0005 to 0.05 m: Radius of the links, whose shapes are capsules"
+    )
     assert line_by_key["digit[left].link_radius_m"].endswith(expected)
 
 

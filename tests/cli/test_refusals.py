@@ -351,7 +351,10 @@ def test_an_unconfirmed_request_is_reported_as_failed(capsys, command_words, con
     [
         ("old.mcap", "old.mcap exists already; expected a new file ending in .mcap"),
         ("new.log", "new.log has another ending; expected a new file ending in .mcap"),
-        ("none/new.mcap", "none is no folder; expected a file in a folder that exists"),
+        (
+            "none/new.mcap",
+            "the folder none does not exist; expected a file in a folder that exists",
+        ),
     ],
 )
 def test_the_message_about_a_log_names_the_condition(

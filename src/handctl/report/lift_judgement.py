@@ -114,7 +114,7 @@ def lift_failure(lift_result: dict[str, Any]) -> str:
             f"{name} {force:.1f} N" for name, force in lift_result["digit_forces_N"].items()
         )
         return (
-            "the object was never lifted: the table sinks only if enough digits press on the object from opposite sides; "
+            "the object was never lifted: the table sinks only if digits press on the object from opposite sides; "
             f"largest contact force on each digit: {forces_text}"
         )
     if object_slid_mm > FALL_MM:
