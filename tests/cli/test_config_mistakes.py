@@ -196,7 +196,7 @@ def test_a_mistake_common_to_several_sections_is_one_line(
     )
     line = error_lines(capsys)[0]
     assert line.startswith(
-        "digit[thumb].link_length_m: missing; expected a list, each 0 or a number from 0.001 to 0.2 m: Distance from the joint"
+        "digit[thumb].link_length_m: missing; expected a list, each 0 or a number from 0.001 to 0.2 m: Distance"
     )
 
 

@@ -60,9 +60,11 @@ def reasons_not_ready(hand: Hand) -> Iterator[FileMistake]:
     for bus in hand.bus:
         yield from _check_rates(bus)
     for digit in hand.digit:
-        yield from _check_direction(digit)
+        direction_mistakes = list(_check_direction(digit))
+        yield from direction_mistakes
         yield from _check_opening(hand, digit)
-        yield from _check_closing(hand, digit)
+        # A coupling of the wrong sign also makes closing tendons open the digit.
+        yield from () if direction_mistakes else _check_closing(hand, digit)
     for tendon in hand.tendon:
         yield from _check_position_range(hand, tendon)
     yield from _check_mount_positions(hand)
