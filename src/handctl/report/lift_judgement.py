@@ -81,7 +81,7 @@ def _digit_forces(truth: TruthRecord, is_inside: NDArray[np.bool_]) -> dict[str,
     forces = {}
     for name in names:
         columns = [truth.columns.index(f"contact_force/{name}/{axis}") for axis in "xyz"]
-        components = truth.values[np.ix_(is_inside, columns)]
+        components = truth.values[is_inside][:, columns]
         forces[name] = float(np.linalg.norm(components, axis=1).max(initial=0.0))
     return forces
 
