@@ -22,10 +22,10 @@ from handctl.cli.runs import demo
 
 
 class AdapterRunOutcome(NamedTuple):
-    """Outcome of a run of the demo at one control rate.
+    """Outcome of one run of the demo at one control rate.
 
-    The fields are: whether the control rate is possible, the tracking error [deg], the tension
-    error [N], and the cause of the end of the run.
+    ``is_rate_held`` is True if the control rate is possible. The other fields are the tracking
+    error [deg], the tension error in the hold [N], and the reason for which the run ended.
     """
 
     is_rate_held: bool
@@ -38,15 +38,15 @@ def run_demo_with_adapter(
     hand_name: str, adapter_class: str, rate_hz: float, seed: int
 ) -> AdapterRunOutcome:
     """Run the demo of a hand through a simulated adapter at a control rate [Hz]."""
-    run = demo.run
+    original_run = demo.run
 
     def run_at_rate(args: argparse.Namespace) -> int:
         args.rate = rate_hz  # `handctl demo` has no option that selects an adapter.
-        return run(args)
+        return original_run(args)
 
     output, errors = io.StringIO(), io.StringIO()
     with tempfile.TemporaryDirectory() as folder:
-        words = [
+        demo_arguments = [
             "demo",
             "--lockstep",
             "--hand",
@@ -55,13 +55,13 @@ def run_demo_with_adapter(
             "--log",
             str(Path(folder) / "run.mcap"),
         ]
-        words += ["--wire", f"adapter={adapter_class}", f"seed={seed}"]
+        demo_arguments += ["--wire", f"adapter={adapter_class}", f"seed={seed}"]
         demo.run = run_at_rate
         try:
             with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
-                main(words)
+                main(demo_arguments)
         finally:
-            demo.run = run
+            demo.run = original_run
     if not output.getvalue():
         return AdapterRunOutcome(
             False, float("nan"), float("nan"), errors.getvalue().strip().splitlines()[-1]

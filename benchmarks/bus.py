@@ -47,8 +47,8 @@ def main() -> None:
     )
     args = parser.parse_args()
     if args.one:
-        medium, floor, ticks = args.one
-        print(json.dumps(measure_bus(medium, floor, int(ticks))))
+        medium, c_program, ticks = args.one
+        print(json.dumps(measure_bus(medium, c_program, int(ticks))))
         return
     result = measure_both_buses(1000 if args.quick else 5000)
     print(json.dumps(result, indent=2)) if args.json else print_results(result)
@@ -57,9 +57,9 @@ def main() -> None:
 def use_one_core() -> str:
     """Bind this process to one core, with real-time priority if the operating system allows real-time priority.
 
-    Return a text that describes core and priority. The kernel of user-mode Linux and the programs
-    inside user-mode Linux are processes of the host. The processes of user-mode Linux would wait
-    for each other if they ran on two cores.
+    Return a text that names the core and the priority of the process. The kernel of user-mode Linux
+    and the programs inside user-mode Linux are processes of the host. The processes of user-mode
+    Linux would wait for each other if they ran on two cores.
     """
     if sys.platform != "linux":
         return "any core, ordinary priority"
@@ -79,11 +79,11 @@ def measure_both_buses(tick_count: int) -> dict:
     """
     with tempfile.TemporaryDirectory(prefix="h-") as short_folder:
         os.environ["HANDCTL_RUN_DIR"] = short_folder
-        floor = compile_reference(Path(short_folder))
+        c_program = compile_reference(Path(short_folder))
         core_text = use_one_core()
         return {
-            "local": measure_bus("local", floor, tick_count),
-            "vcan": measure_vcan(floor, tick_count),
+            "local": measure_bus("local", c_program, tick_count),
+            "vcan": measure_vcan(c_program, tick_count),
             "on": core_text,
         }
 
@@ -93,12 +93,12 @@ def compile_reference(build_folder: Path) -> str:
     compiler = shutil.which("cc")
     if compiler is None:
         return ""
-    target = build_folder / "floor"
+    program_path = build_folder / "floor"
     subprocess.run(
-        [compiler, "-O2", "-o", str(target), str(BENCHMARKS_FOLDER / "exchange" / "floor.c")],
+        [compiler, "-O2", "-o", str(program_path), str(BENCHMARKS_FOLDER / "exchange" / "floor.c")],
         check=True,
     )
-    return str(target)
+    return str(program_path)
 
 
 def measure_vcan(c_program: str, tick_count: int) -> dict:
@@ -240,8 +240,8 @@ def measure_client(client, simulated_motors, motor_count: int, tick_count: int) 
 def add_ratios(row_by_name: dict) -> dict:
     """Add ratios to each row.
 
-    One ratio is the wall time divided by the wall time of each C program. The other ratio is the
-    speed-up of the alternative over python-can.
+    One ratio is the wall time of the alternative divided by the wall time of each C program. The
+    other ratio is the wall time of python-can divided by the wall time of the alternative.
     """
     reference = row_by_name[REFERENCE_LABEL]
     for row in row_by_name.values():

@@ -1,4 +1,4 @@
-"""Measure the tracking error and the reaction to a force step, with more and more parts of the control law.
+"""Measure how the parts of the control law change the tracking error and the reaction to a force step.
 
 Each case of the benchmark uses one more part of the control law than the case before it.
 

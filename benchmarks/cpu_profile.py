@@ -60,11 +60,10 @@ def cpu_time_fractions(profiled_work: Callable[[], None]) -> dict[str, float]:
 def _parts_of_function(
     profile_stats: dict, function: ProfiledFunction, depth: int
 ) -> Iterator[tuple[str, float]]:
-    """Yield each part of the program to which a function belongs.
+    """Yield the parts of the program to which the time of a function belongs, each with its fraction.
 
-    Each part of the program is yielded together with its fraction of the time of the function. The
-    time of a function that matches no part is divided among the parts of the callers, in proportion
-    to the times of the callers.
+    If no part contains the function, the time of the function is divided among the parts that
+    contain the callers. Each caller counts in proportion to its time.
     """
     name = f"{function[0]}/{function[2]}"
     code_part = next(

@@ -3,11 +3,11 @@
 The other estimators are the raw load cell, simpler filters, and a reference filter.
 
 ``python benchmarks/estimation.py [--quick] [--json] [--seeds N] [--keep FOLDER] [--page]``. Two
-simulated hands move freely, grasp a cylinder and slacken their tendons. Simulated hands and
-controller run in lockstep over a simulated bus. The hand `jamia_bench` also pulls above the knee,
-the tension at which the stiffness of its tendons changes. The simulation includes capstan and motor
-friction, tendon damping, the current loop, encoder and load-cell resolution, noise, drift, and one
-period of bus delay. The factors in this module change parameters of the simulated hand. The
+simulated hands move freely, grasp a cylinder and slacken their tendons. The controller and the
+simulated hands run in lockstep over a simulated bus. The hand `jamia_bench` also pulls above the
+knee, the tension at which the stiffness of its tendons changes. The simulation includes capstan and
+motor friction, tendon damping, the current loop, encoder and load-cell resolution, noise, drift,
+and one period of bus delay. The factors in this module change parameters of the simulated hand. The
 controller does not know the factors that change the simulated hand. A load-cell reading is one
 control period old when the filter receives it. The outputs of the filter and of the raw load cell
 are compared with the true tension at two times: the time of the reading, and the present. The
@@ -88,7 +88,7 @@ RATIO_COLUMNS = (
 
 
 def trials_of_seed(hand_name: str, plant_name: str, seed: int) -> list[LockstepTrial]:
-    """Return the trials of one hand, with one set of simulated parameters and one seed."""
+    """Return the trials of one hand with one seed and with one set of simulated parameters."""
     if hand_name == "jamia_bench":
         return [
             LockstepTrial(
@@ -137,7 +137,7 @@ def squared_error_sums(job: tuple[str, str, int]) -> dict[str, dict[str, list[fl
 
 
 def _sum_and_count(values: np.ndarray, is_selected: np.ndarray) -> list[float]:
-    """Return the sum of the values that ``is_selected`` selects, and how many they are.
+    """Return the sum and the number of the values that ``is_selected`` selects.
 
     NaN values are neither summed nor counted.
     """
@@ -147,23 +147,26 @@ def _sum_and_count(values: np.ndarray, is_selected: np.ndarray) -> list[float]:
 
 
 def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarray]:
-    """Return the squared quantities of a tendon regime. The shape of each quantity is (ticks, N).
+    """Return the squared errors and further quantities of a tendon regime, each of shape (ticks, N).
 
-    The squared quantities are the squared error of each estimator, the variance of the reference
-    filter [N^2], the NIS, and the innovations.
+    The quantities are the squared error of each estimator, the variance of the reference filter
+    [N^2], the NIS, and the innovations.
     """
-    numbers = record.telemetry
+    telemetry = record.telemetry
     period_ns = int(record.t_ns[1] - record.t_ns[0])
     true_tension = record.tension()
     tension_before = record.tension(period_ns)
-    raw_tension = numbers["tension_raw"]
+    raw_tension = telemetry["tension_raw"]
     period = period_ns * 1e-9
     model = record.controller.model
     result = {
         "filtered": record.filtered_tension - tension_before,
         "raw": raw_tension - tension_before,
     }
-    result |= {"estimate": numbers["tension"] - true_tension, "raw now": raw_tension - true_tension}
+    result |= {
+        "estimate": telemetry["tension"] - true_tension,
+        "raw now": raw_tension - true_tension,
+    }
     result |= {
         f"average {w:g}": exponential_average(raw_tension, float(w)) - true_tension
         for w in AVERAGE_WEIGHTS
@@ -182,11 +185,13 @@ def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarra
         "limit": drift + np.square(sigma_with_settled_bias),
         "limit now": drift + np.square(sigma_now),
     }
-    squared_errors["sigma"] = numbers["tension_sigma"] ** 2
-    squared_errors["nis"] = numbers["nis"] / 2.0
-    scaled = numbers["innovation"]
-    squared_errors["innovation"] = scaled**2
-    squared_errors["innovation lag 1"] = np.vstack((scaled[:1] * np.nan, scaled[1:] * scaled[:-1]))
+    squared_errors["sigma"] = telemetry["tension_sigma"] ** 2
+    squared_errors["nis"] = telemetry["nis"] / 2.0
+    scaled_innovation = telemetry["innovation"]
+    squared_errors["innovation"] = scaled_innovation**2
+    squared_errors["innovation lag 1"] = np.vstack(
+        (scaled_innovation[:1] * np.nan, scaled_innovation[1:] * scaled_innovation[:-1])
+    )
     return squared_errors
 
 
@@ -194,8 +199,8 @@ def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarra
 def _reference_sigmas(hand_name: str, is_digit_held: bool) -> np.ndarray:
     """Return two standard deviations of the reference filter for each tendon (N, 2) [N].
 
-    The first standard deviation is that of the tension at the last load-cell reading. The second is
-    that of the present tension.
+    The first standard deviation is that of the tension at the last load-cell reading. The second
+    standard deviation is that of the present tension.
     """
     name = hand_name.removesuffix(SPACED_HAND_SUFFIX)
     model = HandModel.from_hand(hand_by_name(name), Gains(), RATES_HZ[name])

@@ -93,13 +93,15 @@ def measure_grasps(args: argparse.Namespace, plan: JobPlan) -> dict[str, Any]:
             collect_results(grasp_success.measure_grasp, grasp_jobs, plan).values()
         )
     if "payload" in part_names and not args.quick:
-        loads = [
+        payload_jobs = [
             (hand, load_direction, seed)
             for seed in seeds
             for hand in hands
             for load_direction in payload.LOAD_DIRECTIONS
         ]
-        result["payload"] = list(collect_results(payload.measure_payload, loads, plan).values())
+        result["payload"] = list(
+            collect_results(payload.measure_payload, payload_jobs, plan).values()
+        )
     if "slip" in part_names and not args.quick:
         slip_rows = [
             (hand, has_slip_reaction, seed)
@@ -158,15 +160,15 @@ def _summarise_contacts(
     hand_name: str, contact_delays: list[list[float]], false_contact_rows: list[dict[str, float]]
 ) -> dict[str, Any]:
     """Compute the results of one hand from the delays of contact events and the counts of false contacts."""
-    latency = np.array([value for values in contact_delays for value in values])
-    if not len(latency) or not false_contact_rows:
+    delays_s = np.array([value for values in contact_delays for value in values])
+    if not len(delays_s) or not false_contact_rows:
         return {"hand": hand_name, "contacts": 0}
     return {
-        "hand": hand_name, "contacts": len(latency),
-        "within_20_ms": round(float((latency <= contact_detection.DETECTION_LIMIT_S + 1e-9).mean()), 3),
-        "before_1_N": round(float((latency < 0.0).mean()), 3),
-        "p95_ms": round(1e3 * float(np.sort(latency)[int(np.ceil(0.95 * len(latency))) - 1]), 1),
-        "worst_ms": round(1e3 * float(latency.max()), 1),
+        "hand": hand_name, "contacts": len(delays_s),
+        "within_20_ms": round(float((delays_s <= contact_detection.DETECTION_LIMIT_S + 1e-9).mean()), 3),
+        "before_1_N": round(float((delays_s < 0.0).mean()), 3),
+        "p95_ms": round(1e3 * float(np.sort(delays_s)[int(np.ceil(0.95 * len(delays_s))) - 1]), 1),
+        "worst_ms": round(1e3 * float(delays_s.max()), 1),
         "free_minutes": round(sum(row["minutes"] for row in false_contact_rows), 2),
         "false_alarms": sum(row["alarms"] for row in false_contact_rows),
     }  # fmt: skip

@@ -1,6 +1,6 @@
 """Measure the benefit of gravity compensation for a hand that lies on its side.
 
-If the hand lies on its side, gravity acts on the joints.
+Gravity causes joint torques only in a hand that lies on its side.
 
 ``python benchmarks/gravity.py [--json] [--seeds N] [--page]``. The packaged hands stand upright, so
 gravity is parallel to the joint axes and causes no joint torque. In this benchmark, the hands lie
@@ -66,7 +66,7 @@ def run_gravity_trial(job: tuple) -> dict[str, dict[str, float]]:
 def measure_gravity_compensation(seed_count: int, plan: JobPlan) -> dict:
     """Measure the tracking errors with and without gravity compensation, for each hand, control law and speed.
 
-    Return the mean and the range of the tracking errors over the seeds.
+    Return the mean of the tracking errors over the seeds, and their range.
     """
     jobs = [
         (hand, law, k)
@@ -137,9 +137,9 @@ therefore shows the benefit of the springs only. In this section the hands lie o
 {FINGERTIP_LOAD:g} times as heavy (21 g on a finger). Gravity pulls the fingers closed and the thumb open.
 
 Each pair of rows compares two control laws that differ in gravity compensation only. The feedback weights are those of
-the tracking table that keep their margins, and there is no force loop. The error is the difference of the mean joint
-angle of a digit from its setpoint, measured in the plant. The columns *steady* have the digit with the largest error.
-All numbers are means over the seeds, with their spread.
+the table "weights that keep their margins" in the section on tracking, and the control laws have no force loop. The
+error is the difference of the mean joint angle of a digit from its setpoint, measured in the plant. The columns
+*steady* contain the largest steady error of all digits. All numbers are means over the seeds, with their spread.
 
 {control_page.markdown_table(column_titles, rows)}
 

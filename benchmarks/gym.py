@@ -90,18 +90,18 @@ def measure_environment(hand_name: str, environment_name: str, step_count: int) 
         "hand": hand_name,
         **({"diameter_mm": (33.0, 33.0)} if environment_name == "Grasp" else {"span": (0.0, 0.05)}),
     }
-    kind = f"handctl/{environment_name}-v0"
-    env = gymnasium.make(kind, **options)
+    environment_id = f"handctl/{environment_name}-v0"
+    env = gymnasium.make(environment_id, **options)
     mujoco_environment = PlainMujocoEnvironment(
         hand_name, SCENE_BY_ENVIRONMENT[environment_name], env.unwrapped.step_s
     )
     environment_s = step_cpu_s(env, step_count)
     plain_mujoco_s = step_cpu_s(mujoco_environment, step_count)
     step_s = env.unwrapped.step_s
-    vector = AsyncVectorEnv([lambda: gymnasium.make(kind, **options)] * PROCESS_COUNT)
+    vector = AsyncVectorEnv([lambda: gymnasium.make(environment_id, **options)] * PROCESS_COUNT)
     return {
         "hand": hand_name,
-        "environment": kind,
+        "environment": environment_id,
         "control_rate_hz": 1.0 / env.unwrapped.model.period,
         "steps_per_s": 1.0 / environment_s,
         "times_real_time": step_s / environment_s,

@@ -1,7 +1,7 @@
 """Inject faults that are hard to detect.
 
-The benchmark determines whether the controller reports each fault, and measures the delay of the
-reaction and the largest true tension.
+For each fault, the benchmark records whether the controller reports the fault, the delay of the
+reaction, and the largest true tension.
 
 Each fault is injected into the first finger of a hand in lockstep. When the fault begins, the hand
 moves freely, holds an object at 24 N, raises the tension, or holds an object at 90 N. If the
@@ -67,27 +67,27 @@ def rising_hold_task() -> dict[str, Any]:
     In the additional phase, the tension rises to 90 N and stays at 90 N.
     """
     other_task = copy.deepcopy(CAMPAIGN_TASK)
-    hold = other_task["phase"][-1]
-    hold["duration_s"] = 1.5
-    rise = {
+    hold_phase = other_task["phase"][-1]
+    hold_phase["duration_s"] = 1.5
+    rising_phase = {
         "kind": "hold",
         "name": "rise",
         "tension_N": HIGH_HOLD_TENSION_N,
         "rate_N_per_s": FAST_TENSION_RATE_N_PER_S,
         "duration_s": 60.0,
     }
-    other_task["phase"].append(rise)
+    other_task["phase"].append(rising_phase)
     return other_task
 
 
-def is_at_stage(stage_name: str, tick_output: Any, first_tick: int) -> bool:
+def is_at_stage(stage_name: str, tick_output: Any, free_motion_ticks: int) -> bool:
     """Return True if a run has reached a stage.
 
-    ``first_tick`` is the number of ticks in which the hand has moved freely so far.
+    ``free_motion_ticks`` is the number of ticks in which the hand has moved freely so far.
     """
     tension = float(tick_output.telemetry.tension.max())
     if stage_name == FREE_MOTION_STAGE:
-        return bool(tick_output.phase == "free" and first_tick > 100)
+        return bool(tick_output.phase == "free" and free_motion_ticks > 100)
     if stage_name == LOW_HOLD_STAGE:
         return bool(tick_output.phase == "hold" and tension > 20.0)
     return bool(
@@ -160,11 +160,11 @@ def fault_rows(
     }
     with homed_run(hand, rate, seed, task=rising_hold_task()) as simulation:
         for stage in FAULT_STAGES:
-            first_tick = 0
+            free_motion_ticks = 0
             for _ in range(round(15.0 * rate)):
                 tick_output = simulation.run_tick()
-                first_tick += tick_output.phase == "free"
-                if is_at_stage(stage, tick_output, first_tick):
+                free_motion_ticks += tick_output.phase == "free"
+                if is_at_stage(stage, tick_output, free_motion_ticks):
                     break
             else:
                 raise SystemExit(
@@ -193,9 +193,9 @@ def fault_rows(
 def results_table(results: list[dict[str, Any]]) -> str:
     """Make a table with a row for each fault and stage.
 
-    The column after the stage is the number of runs in which the controller relaxed the hand or
-    disabled the motors. The other columns are the reported faults, the longest delay of a reaction,
-    and the largest true tensions.
+    The column after the stage contains the number of runs in which the controller relaxed the hand
+    or disabled the motors. The other columns are the reported faults, the longest delay of a
+    reaction, and the largest true tensions.
     """
     lines = ["| fault | stage | relaxed or cut | by (runs) | at the latest, ms | true tension, N | after a stop, N |",
              "|---|---|---|---|---|---|---|"]  # fmt: skip

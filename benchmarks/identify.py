@@ -71,27 +71,28 @@ def draw_plant(seed: int, with_springs: bool = True) -> dict[str, float]:
 
     For digits without springs, also draw a factor that multiplies the moment arms.
     """
-    chance = random.Random(f"plant {seed}")
+    random_source = random.Random(f"plant {seed}")
     factors = {
-        key: chance.uniform(1.0 - MAX_PARAMETER_ERROR, 1.0 + MAX_PARAMETER_ERROR)
+        key: random_source.uniform(1.0 - MAX_PARAMETER_ERROR, 1.0 + MAX_PARAMETER_ERROR)
         for key in RANDOM_PARAMETERS
     }
     return (
         factors
         if with_springs
-        else factors | {"moment_arm": chance.uniform(1.0 - MAX_ARM_ERROR, 1.0 + MAX_ARM_ERROR)}
+        else factors
+        | {"moment_arm": random_source.uniform(1.0 - MAX_ARM_ERROR, 1.0 + MAX_ARM_ERROR)}
     )
 
 
 def draw_gains(packaged_gains: Gains, seed: int) -> Gains:
     """Draw random gains, which differ from the packaged gains by up to a factor of 3."""
-    chance = random.Random(f"gains {seed}")
+    random_source = random.Random(f"gains {seed}")
     values = {}
     for key in DETUNED_GAIN_KEYS:
         section, _, name = key.partition(".")
         values[key] = getattr(
             getattr(packaged_gains, section), name
-        ) * MAX_GAIN_FACTOR ** chance.uniform(-1.0, 1.0)
+        ) * MAX_GAIN_FACTOR ** random_source.uniform(-1.0, 1.0)
     return gains_with_values(packaged_gains, values, "detuned")
 
 
@@ -132,7 +133,7 @@ def excite_and_fit(
 ) -> tuple[dict[str, TendonResult], FitResultRow]:
     """Move one digit of a simulated hand and fit the parameters of this digit.
 
-    Return the fit, and a row of results with the CPU time or the reason of a failure.
+    Return the fit and a row of results. The row contains the CPU time, or the reason of a failure.
 
     Args:
         hand_name: name of a packaged hand or path of a hand file. Controller and simulator use the

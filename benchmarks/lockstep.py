@@ -25,7 +25,7 @@ RUNS_PER_CASE = 4
 
 
 class BodyRollout(NamedTuple):
-    """Record of the forces on the rigid bodies in each simulation step of a run, and of the final joint angles.
+    """Record of a run: forces on the rigid bodies in each simulation step, and final joint angles.
 
     Attributes:
         torque: (steps, joints) torque that tendons apply to each joint [N m].
@@ -100,9 +100,9 @@ def measure_lockstep_speed(
 
 
 def sum_of_shortest(times_by_run: Iterable[list[float]]) -> float:
-    """Find the shortest time of each tick or simulation step among several bit-identical runs.
+    """Return the sum of the shortest times of all ticks or simulation steps [s].
 
-    Return the sum of the shortest times [s].
+    The shortest time of a step is the minimum over several bit-identical runs.
     """
     return sum(map(min, zip(*times_by_run, strict=True)))
 

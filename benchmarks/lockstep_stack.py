@@ -1,6 +1,6 @@
 """Controller and simulated hand in lockstep, without a recorder.
 
-The script ``lockstep.py`` measures the speed of both.
+The script ``lockstep.py`` measures the speed of the controller and of the simulated hand.
 """
 
 import time

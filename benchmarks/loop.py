@@ -1,4 +1,4 @@
-"""Compare the control loop with a hand-written loop: lateness of ticks, and highest rate.
+"""Compare the control loop with a hand-written loop by the lateness of ticks and the highest rate.
 
 ``python benchmarks/loop.py [--quick] [--json]``. Both control loops run with 4 and with 11 motors
 on the same bus. A separate process simulates the drives for both control loops, but no tendons and
@@ -174,7 +174,7 @@ def percentiles_us(times_ns: list[int]) -> dict:
 
 
 def measure_bare_spin(duration_s: float, rate_hz: float) -> tuple[float, float, list[int]]:
-    """Measure how late the waits of the controller's clock end.
+    """Measure how late the controller's clock returns from its waits for deadlines.
 
     The measured ticks do no work. The clock sleeps until shortly before a deadline. With real-time
     priority, the clock polls from the end of the sleep until the deadline.
@@ -208,7 +208,7 @@ def both_cores_loaded():
 
 
 def measure_bare_sleep(duration_s: float, rate_hz: float) -> tuple[float, float, list[int]]:
-    """Measure how late ``time.sleep`` ends, with the priority of the control loop.
+    """Measure how late ``time.sleep`` returns in a process with the priority of the control loop.
 
     The measured ticks do no work.
     """

@@ -2,9 +2,9 @@
 
 ``python benchmarks/random_streams.py [--hands HAND ...] [--seeds N] [--seconds S] [--json]``. An
 untrained policy sends a random target for every digit 50 times a second. The target angles are
-anywhere in the range of the joints. The digits collide with each other and with the palm. There are
-three kinds of targets: *noise* sends a new random angle each time, *steps* keeps a random angle for
-0.1 to 0.6 s, and *walk* adds a random step to the last angle.
+anywhere in the range of the joints. The digits collide with each other and with the palm. Targets
+of the kind *noise* are independent random angles. *steps* keeps a random angle for 0.1 to 0.6 s,
+and *walk* adds a random step to the last angle.
 """
 
 import argparse

@@ -1,7 +1,7 @@
 """Measure and profile the re-execution of a log.
 
-The results are three times per tick: for reading the tick from the log, for computing it, and for
-comparing its outputs.
+For each tick, the benchmark measures the time of three steps: read the tick from the log, compute
+the tick, and compare the outputs.
 
 ``python benchmarks/reexecute.py [LOG ...] [--quick] [--json]``, by default the logs in
 ``logs/golden``. Each log is executed several times. The benchmark uses the shortest time of each
@@ -73,9 +73,9 @@ def measure_log(log_path: Path, pass_count: int) -> dict:
 def execute_once(log: RunLog, controller: Controller) -> dict:
     """Re-execute all ticks of a log once.
 
-    The returned dictionary contains three CPU times [s]: for reading the log, for each tick, and
-    for comparing the outputs. The dictionary also contains the number of ticks whose outputs equal
-    those in the log.
+    The returned dictionary contains three kinds of CPU times [s]: the time for reading the log, a
+    list with the time of each tick, and the time for comparing the outputs. The dictionary also
+    contains the number of ticks whose outputs equal those in the log.
     """
     cpu = time.process_time
     start_cpu_s = cpu()

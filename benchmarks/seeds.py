@@ -69,7 +69,7 @@ def error_limits(hand_name: str, duration_s: float) -> dict[str, float]:
     """Return the limits of the errors in a run.
 
     No sensor of the hand can reveal the drift of a load cell. The limit of the tension error is at
-    least `DRIFT_SIGMAS` standard deviations of the drift of a load cell in the time of the run.
+    least `DRIFT_SIGMAS` standard deviations of the drift that a load cell has during the run.
     """
     drift = (
         DRIFT_SIGMAS

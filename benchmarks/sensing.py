@@ -5,8 +5,8 @@ detected faults.
 
 ``python benchmarks/sensing.py [--json] [--seeds N] [--page]``. In each run, the simulated hand
 grasps a cylinder in lockstep. The phases of the task are: move, close until contact, hold while the
-table sinks, release, open. The hand file of the controller lacks some sensors, but the simulated
-hand is the same in all runs. ``--page`` writes docs/evidence/control-sensing.md.
+table sinks, release, open. The hand file of the controller lacks load cells or joint encoders, but
+the simulated hand is the same in all runs. ``--page`` writes docs/evidence/control-sensing.md.
 """
 
 import argparse
@@ -279,13 +279,13 @@ hand file is an additional error of the tension.
 - *held*: fraction of the runs in which the hand held the object without any fault.
 
 The table in [Ten minutes to a grasp](../start/ten-minutes.md#what-the-numbers-measure) has a larger tension error and a
-smaller angle error for jamia. In that run, the bias of the load cells has drifted since their tare. The angle there is
-the mean of a digit, compared with its setpoint.""".splitlines()
+smaller angle error for jamia. In the run of that table, the bias of the load cells has drifted since the tare. The
+angle error of that table compares the mean joint angle of a digit with the setpoint of the digit.""".splitlines()
 FAULT_TEXT = """\
 The next table has the faults that the controller reported when a fault was injected into the index finger of jamia
-(seed 0). The faults T03b, T04, T05, T06, T09, N02, N14b and N16 need a load cell, and are not detected on a hand
-without load cells. The other detectors use the estimated tension. Without load cells, the limits of T03 are lower by
-two times sigma.""".splitlines()
+(seed 0). The faults T03b, T04, T05, T06, T09, N02 and N14b need a load cell, and are not detected on a hand without
+load cells. The other detectors use the estimated tension, and N16 uses the torque that the drive reports. Without load
+cells, the tension limits of T03 are lower by two standard deviations (sigma) of the estimated tension.""".splitlines()
 
 
 def page_text(result: dict[str, Any]) -> str:

@@ -128,7 +128,7 @@ class MisbehavingClient:
             self.send(sine_angle_deg(self.t_s + self.stream.horizon_s))
 
     def periods(self, duration_s: float) -> Iterator[int]:
-        """Yield the number of each period of the stream, and sleep until the next period."""
+        """Yield the index of each period of the stream, and sleep until the next period begins."""
         for i in range(round(duration_s * STREAM_RATE_HZ)):
             yield i
             self.stream.sleep()
@@ -392,8 +392,8 @@ def _run_clients(
 ) -> tuple[dict[str, Any], int]:
     """Run several clients, one after another, on one simulated hand.
 
-    Return the ticks of each misbehaviour, the numbers of accepted and refused targets, and the
-    start of the run on the clock of the hand [ns].
+    Return the ticks of each misbehaviour, how many targets were accepted and refused, and the start
+    of the run on the clock of the hand [ns].
     """
     if client_names == ["killed-owner"]:
         window, start_ns = _run_one_client(hand_process_run, client_names[0], None)
@@ -563,7 +563,7 @@ def _sine_task() -> str:
 
 
 def _tracking_error(truth: TruthRecord, motion_start_ns: int) -> float:
-    """Return the RMS of the true minus the intended angle, without the first second of the motion [deg]."""
+    """Return the RMS difference between true and intended angle [deg]. The first second of the motion is left out."""
     t = (truth.t_ns - motion_start_ns) / 1e9
     evaluation_mask = (t > 1.0) & (t < TRACKED_DURATION_S - 0.05)
     joints = [i for i, name in enumerate(truth.columns) if name.startswith(f"q/{STREAMED_DIGIT}")]

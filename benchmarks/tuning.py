@@ -4,8 +4,8 @@ A simulated hand, the true plant, replaces the real hand. The parameters of the 
 the hand file by up to 30 %. The initial gains are wrong by a factor of 3. One search tries gains on an
 ensemble of hands near the hand file, and another search tries gains on the true plant. With ``--fit``,
 an additional search tries gains on a hand with the identified parameters. The best gains of each
-search are finally tried on the true plant. The ratio of the costs of these gains shows how much is
-lost if the true parameters are unknown.
+search are finally tried on the true plant. The ratio of the costs of these gains shows the
+disadvantage of a search that does not know the true parameters.
 
     python benchmarks/tuning.py [--quick] [--json] [--trials N] [--plants N] [--workers N]
     python benchmarks/tuning.py --trials 96 --into studies    # continues an interrupted run, or adds trials

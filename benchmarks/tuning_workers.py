@@ -1,4 +1,4 @@
-"""Measure how much faster two workers search for gains than one worker, with the same trials.
+"""Compare the time that one worker and two workers need for the same trials of a search for gains.
 
 The wall time depends on other load on the computer. The CPU time of the busiest worker is the wall
 time that the trials would take on cores without other load. Wall time and CPU time both include the

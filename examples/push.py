@@ -38,17 +38,22 @@ PUSH_START_S, PUSH_RATE_N_PER_S, LARGEST_PUSH_N, SHOWN_MOTION_MM = 3.5, 8.0, 8.0
 def push_task(stiffness_N_per_mm):
     """Return a task in which the hand closes on an object and holds it.
 
-    In the hold phase, the tension of a tendon rises when the object pulls it out.
+    In the hold phase, the tension of a tendon rises when the object pulls this tendon out.
     """
-    hold = {
+    hold_phase = {
         "kind": "hold",
         "tension_N": 12.0,
         "stiffness_N_per_mm": stiffness_N_per_mm,
         "duration_s": 8.0,
     }
-    close = {"kind": "close", "angle_deg": 85.0, "speed_deg_s": 100.0, "contact_tension_N": 12.0}
+    close_phase = {
+        "kind": "close",
+        "angle_deg": 85.0,
+        "speed_deg_s": 100.0,
+        "contact_tension_N": 12.0,
+    }
     return Task.model_validate(
-        {"schema": 1, "name": "push", "description": "push", "phase": (close, hold)}
+        {"schema": 1, "name": "push", "description": "push", "phase": (close_phase, hold_phase)}
     )
 
 
@@ -63,15 +68,17 @@ for stiffness in (0.0, 30.0):
         for entry, _ in run.run_ticks(PUSH_START_S + LARGEST_PUSH_N / PUSH_RATE_N_PER_S):
             force.append(max(0.0, PUSH_RATE_N_PER_S * (entry.t_ns / 1e9 - PUSH_START_S)))
             object_position.append(run.simulated_hand.world.plant.engine.object_pose()[0])
-    pushed = np.array(force) > 0.0
-    force_now = np.array(force)[pushed]  # [N]
-    moved_mm = 1e3 * (np.array(object_position)[pushed] - object_position[int(np.argmax(pushed))])
-    given_way = int(np.argmax(moved_mm > SHOWN_MOTION_MM))
+    is_pushed = np.array(force) > 0.0
+    force_now = np.array(force)[is_pushed]  # [N]
+    moved_mm = 1e3 * (
+        np.array(object_position)[is_pushed] - object_position[int(np.argmax(is_pushed))]
+    )
+    end_index = int(np.argmax(moved_mm > SHOWN_MOTION_MM))
     axes.plot(
-        moved_mm[:given_way], force_now[:given_way], label=f"{stiffness:g} N/mm at each tendon"
+        moved_mm[:end_index], force_now[:end_index], label=f"{stiffness:g} N/mm at each tendon"
     )
     print(
-        f"stiffness {stiffness:g} N/mm: {force_now[given_way]:.1f} N move the object by {SHOWN_MOTION_MM:g} mm"
+        f"stiffness {stiffness:g} N/mm: {force_now[end_index]:.1f} N move the object by {SHOWN_MOTION_MM:g} mm"
     )
 axes.set(xlabel="displacement of the object [mm]", ylabel="force out of the palm [N]")
 axes.set_title("A push on a held cylinder")

@@ -54,11 +54,11 @@ with bus_lock(BUS_SPEC):  # only one host is allowed to use the bus
                     f"{tick * PERIOD_NS / 1e9:4.2f} s: {goal - rig.state.position:+.3f} rad to go"
                 )
     finally:
-        off = rig.confirm_disabled(WATCHDOG_MS / 1e3)
+        is_disabled = rig.confirm_disabled(WATCHDOG_MS / 1e3)
         bus.close()
 print(
     "the drive has confirmed that it is off"
-    if off
+    if is_disabled
     else "REMOVE THE POWER: the drive has not confirmed it is off"
 )
-raise SystemExit(0 if off else 71)
+raise SystemExit(0 if is_disabled else 71)

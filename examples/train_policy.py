@@ -3,8 +3,8 @@
 The training takes one minute on an idle core.
 
 All digits of the hand use the same policy. The action for a digit is a weighted sum of four values:
-the reference at the time at which the hand reaches the target, the present reference, the angle of
-the digit, and 1. The references and the angle have the same scale as an action.
+the future reference (when the hand reaches the target), the present reference, the angle of the
+digit, and 1. The references and the angle have the same scale as an action.
 
 pip install '.[gym]' in a copy of the repository
 python train_policy.py [iterations] writes policy.npy and training.png.

@@ -39,7 +39,7 @@ MAX_PAYLOAD_BYTES = 64
 def frames_of_input(
     data: bytes, selectable_ids: Sequence[int], t_ns: int
 ) -> Iterator[tuple[Frame, int]]:
-    """Yield each frame of an input, together with the third byte of its frame header.
+    """Yield each frame of an input, together with the control byte of the frame header.
 
     Most of the frames have an identifier of the fuzzed node.
     """
@@ -139,7 +139,10 @@ def selectable_identifiers(motor: Drive, recorded_states: Sequence[RecordedState
 
 
 def _payload_header(payload: bytes) -> tuple[int, int]:
-    """Return the two bytes that precede a payload in an input: shape and third byte."""
+    """Return the last two bytes of the frame header of a payload: shape byte and control byte.
+
+    With a shape byte of 0, the control byte is the length of the payload.
+    """
     return (1, int(DriveTarget.POLL)) if len(payload) == 8 else (0, len(payload))
 
 

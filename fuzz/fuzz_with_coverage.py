@@ -42,10 +42,10 @@ def main() -> None:
     for i, seed in enumerate(seed_inputs(name, folder)):
         (Path(corpus) / f"seed-{i}").write_bytes(seed)
     target = TARGET_FACTORIES[name](folder)
-    verdicts = Counter[bool]()
+    count_by_acceptance = Counter[bool]()
 
     def run_target(data: bytes) -> None:
-        verdicts[target(data)] += 1
+        count_by_acceptance[target(data)] += 1
 
     atheris.Setup([sys.argv[0], *options, corpus], run_target)
     atheris.Fuzz()

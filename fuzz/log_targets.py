@@ -51,7 +51,7 @@ UNUSUAL_BYTES = (
 
 
 def read_whole_log(log_path: Path) -> None:
-    """Read every part of a log that some command of handctl reads."""
+    """Read every part of a log that any command of handctl reads."""
     with RunLog(log_path) as log:
         log.field(TELEMETRY_FIELDS[0]), log.field(TELEMETRY_FIELDS[-1])
         len(log), list(log.ticks()), log.events, log.phases, log.gaps, log.clock_pairs
@@ -152,7 +152,7 @@ def _split_records(data: bytes) -> Iterator[bytes]:
 
 
 def _belongs_to_channels(record: bytes, kept_channels: dict[int, int]) -> bool:
-    """Return True if a record belongs to one of the channels in ``kept_channels`` or to its schema."""
+    """Return True if a record belongs to a channel in ``kept_channels``, or is the schema of such a channel."""
     (number,) = struct.unpack_from("<H", record, 9)
     return number in (kept_channels.values() if record[0] == Opcode.SCHEMA else kept_channels)
 

@@ -36,7 +36,7 @@ full.
 
 
 class MemorySampler:
-    """An observer of a run that samples the memory of this process and of its child processes."""
+    """Observer that samples the memory of this process and of its child processes during a run."""
 
     def __init__(self, end_time_s: float) -> None:
         """Create a sampler without memory samples. The run must end at ``end_time_s`` [s]."""

@@ -21,8 +21,8 @@ function, and that mutmut did not run the mutant.
 def main() -> int:
     """Print a table of the scores, and the surviving mutants for which the document gives no reason.
 
-    Return 1 if the document gives no reason for a surviving mutant, or if the tests of no mutant
-    have ended.
+    Return 1 if the document gives no reason for a surviving mutant, or if the mutation test has not
+    finished any mutant.
     """
     reasons = EXPLANATIONS_FILE.read_text() if EXPLANATIONS_FILE.exists() else ""
     unexplained_mutants = list[str]()

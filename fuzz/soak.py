@@ -79,8 +79,9 @@ def memory_sample(pid: int, time_s: float) -> MemorySample:
 def memory_slope(samples: list[MemorySample], warm_up_s: float = WARM_UP_S) -> float | None:
     """Return the growth of the memory after the warm-up [MiB/h], or None if the samples cover too short a time.
 
-    The growth is the slope of a line through the largest value in each window of ``PEAK_WINDOW_S``,
-    so that memory that a process frees and allocates again does not count as growth.
+    The growth is the slope of a line through the largest value in each window of ``PEAK_WINDOW_S``.
+    With the largest values, memory that a process frees and allocates again does not count as
+    growth.
     """
     warm_samples = [sample for sample in samples if sample.time_s - samples[0].time_s >= warm_up_s]
     if not warm_samples or warm_samples[-1].time_s - warm_samples[0].time_s < MIN_SLOPE_TIME_S:
@@ -105,7 +106,7 @@ def memory_slope(samples: list[MemorySample], warm_up_s: float = WARM_UP_S) -> f
 
 
 class SoakTest:
-    """The processes of simulator and controller, with memory samples, numbers of events, and errors."""
+    """The processes of simulator and controller, with memory samples, counts of events, and errors."""
 
     def __init__(self, seed: int, time_scale: float) -> None:
         """Create a test without processes.
@@ -242,7 +243,7 @@ class SoakTest:
                 self.samples_by_process[name][-1].append(memory_sample(process.pid, time_s))
 
     def soak_result(self) -> dict[str, object]:
-        """Return the result of the test: numbers of events, growth of memory, open file descriptors, and all errors."""
+        """Return the result of the test: counts of events, growth of memory, open file descriptors, and all errors."""
         memory_slopes = {
             name: [memory_slope(life) for life in lives if life]
             for name, lives in self.samples_by_process.items()

@@ -20,9 +20,9 @@ def request_fuzz_target(folder: Path) -> FuzzTarget:
     """Return the fuzzing target that parses requests to a controller in the same way as a running controller does."""
 
     def target(data: bytes) -> bool:
-        answer = parse_request(data.decode("utf-8", "replace"))
-        if isinstance(answer, str):
-            assert answer.isprintable(), answer
+        parsed_request = parse_request(data.decode("utf-8", "replace"))
+        if isinstance(parsed_request, str):
+            assert parsed_request.isprintable(), parsed_request
             return False
         return True
 

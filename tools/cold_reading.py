@@ -102,8 +102,8 @@ def our_files(with_documents: bool) -> dict[str, list[Path]]:
     groups: dict[str, list[Path]] = {}
     for folder in OUR_FOLDERS:
         for path in sorted((REPOSITORY / folder).rglob("*.py")):
-            below = path.relative_to(REPOSITORY / folder).parts
-            group = f"{folder}/{below[0]}" if len(below) > 1 else folder
+            path_in_folder = path.relative_to(REPOSITORY / folder).parts
+            group = f"{folder}/{path_in_folder[0]}" if len(path_in_folder) > 1 else folder
             groups.setdefault(group, []).append(path)
     if with_documents:
         for path in sorted((REPOSITORY / "docs").rglob("*.md")):

@@ -252,7 +252,7 @@ def count_all_folders(repository_folder: Path) -> dict[str, FolderTally]:
 def count_ratios(tally: FolderTally) -> dict[str, float]:
     """Return the ratio of each count, rounded up to a multiple of one half.
 
-    Leave out a count if the folder contains nothing of the quantity by which the count is divided.
+    Leave out a count if its quantity in ``QUANTITY_PER_COUNT`` is zero in the folder.
     """
     measured = [
         count

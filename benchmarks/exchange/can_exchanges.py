@@ -1,4 +1,4 @@
-"""Implementations of the exchange of frames that the benchmark ``bus.py`` compares.
+"""Define the ways to exchange frames that the benchmark ``bus.py`` compares.
 
 ``send(torques)`` sends a torque to each MIT motor, and ``receive()`` reads the reply frames of the
 motors. Clients from PyPI are in the module ``pypi_clients``.

@@ -1,4 +1,4 @@
-"""Implementations of the exchange of frames that use client libraries from PyPI instead of handctl.
+"""Exchange frames with client libraries from PyPI instead of handctl.
 
 Each client library is used with motors and payloads that the library supports.
 
@@ -177,7 +177,7 @@ class MoteusClient:
         self.loop.run_until_complete(self._close_transport())
 
     async def _close_transport(self):
-        """Run the asyncio task until the task has sent all frames and waits for the reply frames of the motors."""
+        """Run the asyncio task until it has sent all frames. The task then waits for the reply frames of the motors."""
         for _ in range(4):
             await asyncio.sleep(0)
 

@@ -47,11 +47,11 @@ def find_contacts(job: tuple[str, int]) -> list[float]:
     the force reaches 1 N, the delay is negative. If no contact event comes, the delay is inf.
     """
     hand, seed = job
-    chance = random.Random(f"wall {seed}")
+    random_source = random.Random(f"wall {seed}")
     wall_text = WALL_SCENE.format(
-        x=0.045 + chance.uniform(-3e-3, 3e-3), y=chance.uniform(-4e-3, 2e-3)
+        x=0.045 + random_source.uniform(-3e-3, 3e-3), y=random_source.uniform(-4e-3, 2e-3)
     )
-    speed = chance.uniform(*CLOSING_SPEEDS_DEG_S)
+    speed = random_source.uniform(*CLOSING_SPEEDS_DEG_S)
     phases = [
         {
             "kind": "move",
@@ -93,28 +93,31 @@ def measure_false_contacts(job: tuple[str, float, int]) -> dict[str, float]:
     [min].
     """
     hand, seconds, seed = job
-    chance = random.Random(f"free {seed}")
+    random_source = random.Random(f"free {seed}")
     phases: list[dict[str, Any]] = []
     planned_duration_s = 0.0
     while planned_duration_s < seconds:
-        speed = chance.uniform(*CLOSING_SPEEDS_DEG_S)
+        speed = random_source.uniform(*CLOSING_SPEEDS_DEG_S)
         limits = {"index": 15, "middle": 8, "ring": 15, "thumb": 3}
-        home = {name: chance.uniform(0, limit) for name, limit in limits.items()}
-        goal = {"index": chance.uniform(25, 50)}
+        start_angles = {name: random_source.uniform(0, limit) for name, limit in limits.items()}
+        closed_angles = {"index": random_source.uniform(25, 50)}
         # Middle finger and thumb move in different phases, so that they do not touch each other.
-        if chance.random() < 0.6:
-            goal |= {"middle": chance.uniform(12, 25), "ring": chance.uniform(25, 50)}
+        if random_source.random() < 0.6:
+            closed_angles |= {
+                "middle": random_source.uniform(12, 25),
+                "ring": random_source.uniform(25, 50),
+            }
         else:
-            goal |= {"thumb": chance.uniform(15, 50)}
+            closed_angles |= {"thumb": random_source.uniform(15, 50)}
         phases += [
-            {"kind": "move", "angle_deg": home, "duration_s": 0.5},
-            {"kind": "close", "angle_deg": goal, "speed_deg_s": speed},
+            {"kind": "move", "angle_deg": start_angles, "duration_s": 0.5},
+            {"kind": "close", "angle_deg": closed_angles, "speed_deg_s": speed},
         ]
         planned_duration_s += 0.8 + 35.0 / speed * 1.875
     run = simulate_grasp(
         hand, program_of_phases(phases), None, seed=seed, last_phase="end", timeout_s=seconds
     )
     assert run.force.max() < TRUE_CONTACT_FORCE_N, "the digits touched each other"
-    alarms = sum(event.name == "contact" for _, event in run.events)
-    moving = np.isin(run.phase, ("move", "close")).sum() * (run.t[1] - run.t[0])
-    return {"minutes": float(moving) / 60.0, "alarms": alarms}
+    false_contact_count = sum(event.name == "contact" for _, event in run.events)
+    motion_time_s = np.isin(run.phase, ("move", "close")).sum() * (run.t[1] - run.t[0])
+    return {"minutes": float(motion_time_s) / 60.0, "alarms": false_contact_count}

@@ -166,7 +166,7 @@ def _slip_table(rows: list[dict[str, Any]]) -> str:
 def _range_text(values: list[float], decimals: int) -> str:
     """Format the range of values.
 
-    If the smallest and the largest value look the same after rounding, return only one of them.
+    If the smallest and the largest value are equal after rounding, return this value once.
     """
     limit_texts = [f"{end:.{decimals}f}" for end in (min(values), max(values))] if values else []
     return " to ".join(dict.fromkeys(limit_texts))
@@ -183,7 +183,9 @@ TABLE_FUNCTION_BY_KEY = {
 
 
 def write_page(result: dict[str, Any]) -> None:
-    """Write the tables of the result into the page. Two marks in the page enclose each table.
+    """Write the tables of the result into the page.
+
+    In the page, each table is between two comments that name the table.
 
     If the result contains grasps, also draw the picture.
     """

@@ -38,7 +38,7 @@ def hand_model(hand_name: str, gains: Gains = DEFAULT_GAINS) -> tuple[HandModel,
 
 @dataclass
 class GraspRun:
-    """Record of a run with a task. The arrays have one row per tick.
+    """Record of one run of a task on a simulated hand. The arrays have one row per tick.
 
     Attributes:
         t: (ticks,) time of each tick [s].

@@ -27,7 +27,7 @@ def measure_slip(job: tuple[str, bool, int]) -> dict[str, Any]:
     """Measure the motion of the cylinder while the load on the cylinder grows [mm].
 
     Also measure the load at which the hand loses the cylinder [N]. The argument ``job`` consists of
-    the hand, a flag, and the seed. The flag in ``job`` is True if the hand reacts to slip.
+    the hand, whether the hand reacts to slip, and the seed.
     """
     hand, has_slip_reaction, seed = job
     scene = (

@@ -1,10 +1,10 @@
 """Measure the force at a fingertip: the commanded force, the estimate of the controller, and the true force.
 
-In a hold phase with ``tip_force_N``, the digits press with their last links on a wall. The wall
-touches no other links. For `jamia11`, which has joint encoders, the controller computes the
-tensions from the Jacobian. For `jamia`, whose digits have one tendon each, the controller uses an
-approximation. handctl refuses a task file that commands a tip force for `jamia`. The reason for the
-refusal is the error of the tip force that this benchmark measures for `jamia`.
+In a hold phase with ``tip_force_N``, the digits press with their last links on a wall. No other
+link touches the wall. For `jamia11`, which has joint encoders, the controller computes the tensions
+from the Jacobian. For `jamia`, whose digits have one tendon each, the controller uses an
+approximation. handctl refuses a task file that commands a tip force for `jamia`, because the error
+that this benchmark measures for `jamia` is too large.
 """
 
 import random

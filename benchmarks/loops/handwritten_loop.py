@@ -78,11 +78,11 @@ class BaselineLoop:
             )
             self.bus.send(can.Message(arbitration_id=node, data=data, is_extended_id=False))
         row = {"k": self.k, "t": time.time(), "tension": [], "position": []}
-        expected = (
+        expected_replies = (
             self.reply_count
             + (self.k % self.hand.sensor_node.joint_decimation == 0) * self.joint_frames()
         )
-        for _ in range(expected):
+        for _ in range(expected_replies):
             message = self.bus.recv(0.002)
             if message is None:
                 break
@@ -96,10 +96,10 @@ class BaselineLoop:
     def add_reply(self, message: can.Message, log_row: dict) -> None:
         """Decode one reply frame of a motor, and add the decoded values to ``log_row``."""
         if self.sensor_base_id <= message.arbitration_id < self.sensor_base_id + 0x10:
-            bits = int.from_bytes(message.data, "little")
+            payload_bits = int.from_bytes(message.data, "little")
             first_cell = 5 * (message.arbitration_id - self.sensor_base_id)
             for i in range(first_cell, min(first_cell + 5, len(self.filters))):
-                tension = (bits >> (4 + 12 * (i - first_cell)) & 0xFFF) * 0.0625 - 6.0
+                tension = (payload_bits >> (4 + 12 * (i - first_cell)) & 0xFFF) * 0.0625 - 6.0
                 self.filters[i].predict()
                 self.filters[i].update(tension)
                 log_row["tension"].append(float(self.filters[i].x[0, 0]))

@@ -1,7 +1,7 @@
 """Simulate drives and load cells at rest.
 
-The replies of the nodes are stored, and each drive reports the torque of the command before. Tendons and
-digits do not move. The drives are Damiao motors in MIT mode.
+The replies of the nodes are stored, and each drive reports the torque of the preceding command.
+Tendons and digits do not move. The drives are Damiao motors in MIT mode.
 
 ``python benchmarks/loops/simulated_drives.py HAND NAME`` serves ``local:NAME`` and prints a line
 when it is ready.
@@ -24,8 +24,8 @@ SYNC_COUNTER_VALUES = 16
 SENSOR_TURNS = 5
 """Number of turns of the SYNC counter after which the stored replies of the sensor node repeat.
 
-The controller compares each reading with the last 64 readings. If these repeat, it reports old readings
-(fault T05b).
+The controller compares each reading with the last 64 readings. If a sequence of 64 readings
+repeats, the controller reports old readings (fault T05b).
 """
 HOLD_TENSION_N = 5.0
 """Tension of each tendon after its drive was enabled [N]."""
@@ -36,8 +36,9 @@ FIRST_TORQUE_BYTE = RECORD_SIZE - CANFD_PAYLOAD_BYTES + 4
 class CachedReplies:
     """Cache of the replies of the simulated nodes.
 
-    A reply that was computed once is not computed again. Only the torque in the reply of a drive follows
-    the commands. Otherwise the controller would see that the drive does not obey (fault N14).
+    A reply that was computed once is not computed again. Only the torque in the reply of a drive
+    follows the commands. With a constant torque, the controller would report that the drive does
+    not obey (fault N14).
     """
 
     def __init__(self, hand_name: str) -> None:
@@ -79,7 +80,8 @@ class CachedReplies:
     def pull_tendon(self, node_id: int) -> None:
         """Turn a motor until the tension of its tendon is ``HOLD_TENSION_N``.
 
-        With slack tendons, the controller would take up the slack, and see that no tension follows.
+        With slack tendons, the controller would take up the slack, and detect that the tension does
+        not rise.
         """
         plant = self.rig.world.plant
         index = next(i for i, motor in enumerate(plant.hand.motors) if motor.node_id == node_id)
@@ -94,8 +96,8 @@ class CachedReplies:
 def with_torque_of_command(reply: bytes, command: bytes) -> bytes:
     """Return the stored reply of a drive with the torque of a command.
 
-    The torque is the lowest 12 bits of the command, and 4 bits of byte 4 and byte 5 of the reply. Both
-    have the same scale.
+    The lowest 12 bits of the command contain the torque. In the reply, 4 bits of byte 4 and all
+    bits of byte 5 contain the torque. Both have the same scale.
     """
     record = bytearray(reply)
     record[FIRST_TORQUE_BYTE] = reply[FIRST_TORQUE_BYTE] & 0xF0 | command[6] & 0x0F
@@ -105,13 +107,13 @@ def with_torque_of_command(reply: bytes, command: bytes) -> bytes:
 
 def main(hand_name: str, bus_name: str) -> None:
     """Reply to frames on the bus until the process is killed."""
-    echo = CachedReplies(hand_name)
+    cached_replies = CachedReplies(hand_name)
     port = HubPort(bus_name, 0)
     request_realtime_priority()
     print("ready", flush=True)
     while True:
         ready_sockets, _, _ = select.select(port.read_sockets(), port.write_sockets(), [])
-        records = b"".join(map(echo.replies_to, port.receive(ready_sockets)))
+        records = b"".join(map(cached_replies.replies_to, port.receive(ready_sockets)))
         if records:
             port._hub.send(records)
 

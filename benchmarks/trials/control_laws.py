@@ -103,9 +103,10 @@ weights.
 
 
 def force_scale(rate_hz: float) -> float:
-    """Return the factor that restores the full weight of the motor force in the LQR cost.
+    """Return the factor that restores the full weight of the motor force at a low control rate.
 
-    At a low control rate, the controller reduces the weight of the motor force.
+    Without this factor, the controller reduces the weight of the motor force in the LQR cost at a
+    low control rate.
     """
     return 1.0 / force_weight_at_period(1.0, 1.0 / rate_hz)
 

@@ -54,9 +54,8 @@ def page_section(result: dict) -> str:
         "- *at present*: errors at the instant at which the control loop needs the tension. The filter predicts the "
         "tension at this instant. The reading of the load cell, which is one period old, is used as it is.",
         "- *average*: the best exponential average of the load cell, at present. *cell alone*: the best filter that "
-        "uses only the load cell, at present. The average and the filter were "
-        "chosen afterwards, for each regime, as those with the "
-        "smallest error.",
+        "uses only the load cell, at present. For each regime, the average and the "
+        "filter with the smallest error were chosen after the measurement.",
         "- *reference*: the error of a filter that is optimal for a fixed noise model (motor 10 mN m, joint 5 mN m, "
         "unknown offset, drift of the load cell). The reference is no lower bound. Where a digit moves freely the "
         "simulated hand has less noise than this model, and the filter of the controller also knows the "
@@ -139,7 +138,7 @@ def _conclusion_text(result: dict) -> str:
     text += (
         "\n\nA stricter comparison divides the error of the prediction for the present by the reference at the "
         "sample, "
-        f"although the two belong to different instants. The ratios are: {', '.join(stricter_ratios)}. "
+        f"although the two errors belong to different instants. The ratios are: {', '.join(stricter_ratios)}. "
     )
     raw_text = "\n".join(
         f"- {_regimes_worse_than_raw(result, ratio)}" for ratio in INSTANT_TEXT_BY_RATIO
@@ -164,10 +163,9 @@ EXPLANATION_TEXTS = (
     "least from the filter in this regime.",
     "While a tendon is taut, no measurement distinguishes an error of the load cell from tension. A bias of the load "
     "cell is therefore an error of the estimate as well, and can be detected only while the tendon is slack. "
-    "The columns "
-    "*average* and *cell alone* are chosen afterwards for each regime, so that one of them has a smaller error "
-    "than the "
-    "filter in some regimes.",
+    "The parameters "
+    "of the columns *average* and *cell alone* were chosen for each regime after the measurement. In a few regimes, "
+    "one of these two columns therefore has a smaller error than the filter.",
 )
 INSTANT_TEXT_BY_RATIO = {
     "filtered / raw": "At the sample",
@@ -204,7 +202,7 @@ def _regimes_worse_than_raw(result: dict, ratio_name: str) -> str:
 
 
 def _plant_mismatch_text(result: dict) -> str:
-    """List the regimes in which the raw load cell is better, for hands with wrong parameters except stiffness."""
+    """List the regimes in which the raw load cell is better, for hands with a wrong parameter other than stiffness."""
     rows = [
         (row["estimate / raw now"], row["nis"], f"{hand} {regime}, {plant}")
         for hand, plants in result["hands"].items()

@@ -1,4 +1,4 @@
-"""Section on the force step in ``docs/evidence/control.md``."""
+"""Write the section on the force step of ``docs/evidence/control.md``."""
 
 from typing import Any
 

@@ -73,7 +73,7 @@ def collect_results(run_job: JobFunction, jobs: list[Any], plan: JobPlan) -> dic
 
 
 def _run_jobs(run_job: JobFunction, jobs: list[Any], worker_count: int, end_time_s: float) -> Any:
-    """Yield each job with its result, in order of completion. No job starts after ``end_time_s``."""
+    """Yield each job with its result, in the order in which the jobs end. No job starts after ``end_time_s``."""
     if worker_count == 1 or len(jobs) < 2:
         for job in jobs:
             if time.monotonic() < end_time_s:

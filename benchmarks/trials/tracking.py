@@ -13,9 +13,8 @@ Each control law, including PD, has two LQR weights. For each control law, the b
 pair of ``WEIGHT_CANDIDATES`` with the smallest error in a fast motion of the nominal hand. The
 results are measured with other seeds than the selection of the LQR weights. ``--tune`` repeats the
 selection of the LQR weights. With the selected LQR weights, the control loops have hardly any
-stability margin. A second comparison of the control laws uses the best LQR weights with which the
-control loops have the required stability margins. handctl requires stability margins of 6 dB and 45
-degrees, on random hands near the hand file.
+stability margin. A second comparison uses the best LQR weights with sufficient stability margins.
+handctl requires stability margins of 6 dB and 45 degrees, on random hands near the hand file.
 """
 
 import argparse
@@ -228,8 +227,8 @@ def has_required_margins(hand_name: str, law_name: str, lqr_weights: tuple[float
 def tuned_weights(hand_name: str, law_name: str, with_margins: bool = False) -> tuple[float, float]:
     """Return the best LQR weights of a control law.
 
-    If ``with_margins`` is True, only weights that keep the stability margins are considered. If a
-    hand completes its motions with none of the considered weights, return the smallest weights.
+    If ``with_margins`` is True, only weights that keep the stability margins are considered. If the
+    hand completes its motions with none of these weights, return the smallest weights.
     """
     table = json.loads(TUNED_WEIGHTS_FILE.read_text("utf-8"))
     errors = table["rmse_deg"][hand_name][law_name]

@@ -35,23 +35,22 @@ def page_section(result: dict, compared_laws: tuple[str, str, str, str]) -> str:
         "The columns *slow*, *medium* and *fast* have the root mean square error (RMSE) during the motion, "
         "with its spread over the seeds. The columns *peak*, *steady* and *settled* belong to the fast "
         "motion. A motion has settled when the error stays below one degree, and the time counts from the end"
-        " of the motion. *ended* counts the runs that a fault or the controller ended early. The numbers are "
-        "those of the remaining runs.",
+        " of the motion. *ended* counts the runs that a fault or the controller ended early. All other "
+        "columns contain only the remaining runs.",
         "",
-        "Every control law, PD included, has two feedback weights. The weights were chosen for each law from the "
-        "same sixteen pairs, as the pair with the smallest error of the fast motion on the nominal"
-        " plant, with another seed (`--tune`, results in `benchmarks/trials/tuned.json`).",
+        "Every control law, PD included, has two feedback weights. For each law, the weights are the "
+        "pair with the smallest error of the fast motion among the same sixteen pairs. The pairs were compared on the "
+        "nominal plant with another seed (`--tune`, results in `benchmarks/trials/tuned.json`).",
         "",
-        "The best weights "
-        "are the stiffest ones that do not oscillate. On jamia, a position error of 0.02 mm has the same "
-        "weight as a force of 20 N, which leaves margins of 2 dB and 15 degrees. The simulated plant "
-        "tolerates such small margins and a real hand does not. With such stiff weights, feedback alone "
-        "removes most of the error.",
+        "The best weights give the stiffest control loop that does not oscillate. On jamia, the weight of a position "
+        "error of 0.02 mm then equals the weight of a force of 20 N. The control loop has a gain margin of only 2 dB "
+        "and a phase margin of 15 degrees. The simulated plant tolerates such small margins and a real hand does "
+        "not. With such stiff weights, feedback alone removes most of the error.",
         "",
-        "Therefore a second table for each hand compares the control laws with other weights. The other "
-        "weights are the best of the sixteen pairs that keep margins of 6 dB and 45 degrees on random plants "
-        "around the hand "
-        "file, as the packaged gains must. The plants with wrong parameters in the third table are run with "
+        "Therefore a second table for each hand compares the control laws with other weights. With the "
+        "other weights, the control loop keeps a gain margin of 6 dB and a phase margin of 45 degrees on random plants "
+        "around the hand file. The packaged gains must keep the same margins. Among the sixteen pairs, the table uses "
+        "the best pair that keeps these margins. The plants with wrong parameters in the third table are run with "
         "these weights, too.",
     ]
     for hand, plants in result["hands"].items():

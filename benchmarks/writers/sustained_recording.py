@@ -114,12 +114,12 @@ def packed_tick(tick_in: TickIn, tick_output: TickOut) -> TickInputAndOutput:
 
     The control loop converts its ticks in the same way.
     """
-    telemetry_places = TelemetrySlices()
+    telemetry_slices = TelemetrySlices()
     at = 0
     for name, values in zip(TELEMETRY_FIELDS, tick_output.telemetry, strict=True):
-        telemetry_places[name] = slice(at, at + len(values))
+        telemetry_slices[name] = slice(at, at + len(values))
         at += len(values)
-    telemetry = PackedTelemetry(np.concatenate(tuple(tick_output.telemetry)), telemetry_places)
+    telemetry = PackedTelemetry(np.concatenate(tuple(tick_output.telemetry)), telemetry_slices)
     return tick_in._replace(frames=frames_as_records(tick_in.frames)), tick_output._replace(
         frames=frames_as_records(tick_output.frames), telemetry=telemetry
     )
@@ -141,7 +141,7 @@ def _on_separate_cores(recorder_pid: int) -> Iterator[bool]:
 
 
 class _SyntheticBus:
-    """A bus that delivers the frames of a run that was computed before."""
+    """A bus that delivers the frames of a run that was computed before the measurement."""
 
     def __init__(self, ticks: list[TickInputAndOutput]) -> None:
         self._ticks = ticks

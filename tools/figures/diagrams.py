@@ -237,7 +237,7 @@ def tendon_diagram() -> Any:
 
 
 def modes_diagram() -> Any:
-    """Draw the modes of the hand and the transitions between the modes."""
+    """Draw the modes of the hand, and the transitions from mode to mode."""
     figure, axes = new_plane(8.8, 4.0, (17.6, 8.0))
     row = {"SILENT": 0.3, "INVENTORY": 3.5, "READY": 6.9, "ARMING": 10.1, "ACTIVE": 13.3}
     texts = ("listen,\nsend nothing", "query, configure,\nread back", "all have\nanswered", "enable the\ndrives",

@@ -127,7 +127,7 @@ def labelled_picture(picture: Any, log: Any, t_ns: int, force: dict[str, Any], i
     phase = [change.name for change in log.phases if change.t_ns <= t_ns][-1]
     draw.text((12, 10), f"{t_ns * 1e-9:4.1f} s   {phase}", fill="#22303c", font=font)
     for row, (name, colour) in enumerate(DIGIT_COLOURS.items()):
-        newtons = float(np.linalg.norm(force[name][i]))
+        force_N = float(np.linalg.norm(force[name][i]))
         draw.rectangle((12, 36 + 20 * row, 22, 46 + 20 * row), fill=colour)
-        draw.text((30, 32 + 20 * row), f"{name} {newtons:4.1f} N", fill="#22303c", font=font)
+        draw.text((30, 32 + 20 * row), f"{name} {force_N:4.1f} N", fill="#22303c", font=font)
     return np.asarray(image)

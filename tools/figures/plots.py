@@ -48,7 +48,7 @@ def estimate_plot(folder: Path) -> Any:
     """
     log, truth, _ = runs.grasp_run(folder)
     offset = int(log.header.metadata.get("truth_offset_ns", "0"))
-    true = truth.interpolated_column("tension/index_tendon", log.t_ns + offset)
+    true_tension = truth.interpolated_column("tension/index_tendon", log.t_ns + offset)
     raw, mean, sigma = (
         log.field(name)[:, 0] for name in ("tension_raw", "tension", "tension_sigma")
     )
@@ -65,7 +65,9 @@ def estimate_plot(folder: Path) -> Any:
                           color=ESTIMATE_COLOUR, alpha=0.2, linewidth=0,
                           label="estimate, two sigma")  # fmt: skip
         axes.plot(t, mean[is_shown], color=ESTIMATE_COLOUR, label="estimate")
-        axes.plot(t, true[is_shown], color=TRUTH_COLOUR, linewidth=0.9, label="truth of the plant")
+        axes.plot(
+            t, true_tension[is_shown], color=TRUTH_COLOUR, linewidth=0.9, label="truth of the plant"
+        )
         axes.set(title=f"index tendon, {title}", xlabel="time [s]")
         axes.margins(x=0)
     left_axes.set_ylabel("tension [N]")
@@ -202,23 +204,25 @@ def replay_plot(folder: Path) -> Any:
     In the replay, the simulated hand has other sensor noise.
     """
     log, _, _ = runs.grasp_run(folder)
-    again = runs.replay_run(folder)
+    replay = runs.replay_run(folder)
     start, end = runs.recording_interval(log)
-    playback_start = again.t[again.phase.index("playback")]
+    playback_start = replay.t[replay.phase.index("playback")]
     figure = new_figure(8.6, 4.4)
     top, bottom = figure.subplots(2, 1, sharex=True)
     is_in_playback = (log.times >= start) & (log.times <= end)
-    is_compared_time = (again.t >= playback_start) & (again.t <= playback_start + end - start)
+    is_compared_time = (replay.t >= playback_start) & (replay.t <= playback_start + end - start)
     joints = {"index": slice(0, 3), "thumb": slice(9, 11)}
     for n, name in ((0, "index"), (3, "thumb")):
         recorded_angles = np.degrees(log.field("q")[is_in_playback, joints[name]].mean(axis=1))
-        repeated_angles = np.degrees(again.values["q"][is_compared_time, joints[name]].mean(axis=1))
+        repeated_angles = np.degrees(
+            replay.values["q"][is_compared_time, joints[name]].mean(axis=1)
+        )
         for axes, recorded_values, repeated_values in (
             (top, recorded_angles, repeated_angles),
             (
                 bottom,
                 log.field("tension")[is_in_playback, n],
-                again.values["tension"][is_compared_time, n],
+                replay.values["tension"][is_compared_time, n],
             ),
         ):
             axes.plot(
@@ -229,7 +233,7 @@ def replay_plot(folder: Path) -> Any:
                 label=f"{name}, recorded",
             )
             axes.plot(
-                *thinned_curves(again.t[is_compared_time] - playback_start, repeated_values),
+                *thinned_curves(replay.t[is_compared_time] - playback_start, repeated_values),
                 color=DIGIT_COLOURS[name],
                 linewidth=1.0,
                 label=f"{name}, replayed",
@@ -261,18 +265,18 @@ def bus_tick(folder: Path) -> Any:
         ("host", "SYNC", "SYNC", INK_COLOUR),
         *(("host", f"{name}_motor", name, DIGIT_COLOURS[name]) for name in DIGIT_COLOURS),
     ]
-    answers = [
+    reply_bars = [
         *(("drives", f"{name}_motor", name, DIGIT_COLOURS[name]) for name in DIGIT_COLOURS),
         ("sensor node", "tensions", "tensions", INK_COLOUR),
     ]
     at = 0.0
-    for lane, message_name, label, colour in [*commands, *answers]:
+    for lane, message_name, label, colour in [*commands, *reply_bars]:
         us = 1e6 * next(row.frame_s for row in rows if row.sender == message_name)
         axes.barh(lanes[lane], us - 6.0, left=at, color=colour, height=0.55)
         # Write the label of a short frame vertically.
-        turned = 90.0 if us < 100.0 else 0.0
+        label_rotation_deg = 90.0 if us < 100.0 else 0.0
         axes.text(at + us / 2.0 - 3.0, lanes[lane], label, ha="center", va="center", color="white", fontsize=7,
-                  rotation=turned)  # fmt: skip
+                  rotation=label_rotation_deg)  # fmt: skip
         at += us
     axes.axvline(2000.0, color=FAULT_COLOUR, linewidth=1.0)
     axes.text(1990.0, 2.4, "next tick", ha="right", color=FAULT_COLOUR, fontsize=8)

@@ -99,17 +99,17 @@ def record_run(run: SimulatedRun, seconds: float, end_phase: str = "") -> RunRec
         contact = np.linalg.norm(
             np.reshape(run.simulated_hand.world.plant.contact_forces(), (-1, 3)), axis=1
         )
-        out = run.run_tick()
+        tick_output = run.run_tick()
         times.append(t)
         for name in RECORDED_FIELDS:
-            rows[name].append(np.array(getattr(out.telemetry, name)))
+            rows[name].append(np.array(getattr(tick_output.telemetry, name)))
         rows["true_tension"].append(np.array(truth["tension"]))
         rows["true_torque"].append(np.array(truth["torque"]))
         rows["true_contact"].append(contact)
-        recording.phase.append(out.phase)
-        recording.mode.append(out.mode)
-        recording.events += [(t, event.text) for event in out.events]
-        if out.mode == HandMode.DONE or (end_phase and out.phase == end_phase):
+        recording.phase.append(tick_output.phase)
+        recording.mode.append(tick_output.mode)
+        recording.events += [(t, event.text) for event in tick_output.events]
+        if tick_output.mode == HandMode.DONE or (end_phase and tick_output.phase == end_phase):
             break
     recording.t = np.array(times)
     recording.values = {name: np.array(values) for name, values in rows.items()}
@@ -125,12 +125,12 @@ def grasp_run(folder: Path) -> tuple[RunLog, TruthRecord, dict[str, Any]]:
     log = folder / "grasp.mcap"
     printed = folder / "grasp.json"
     if not printed.exists():
-        out = io.StringIO()
-        with contextlib.redirect_stdout(out):
+        printed_text = io.StringIO()
+        with contextlib.redirect_stdout(printed_text):
             code = main([*DEMO_COMMAND, "--log", str(log)])
         if code:
             raise RuntimeError(f"handctl {' '.join(DEMO_COMMAND)} returned {code}")
-        printed.write_text(out.getvalue(), encoding="utf-8")
+        printed.write_text(printed_text.getvalue(), encoding="utf-8")
     return (
         RunLog(log),
         read_truth(log.with_suffix(".truth")),

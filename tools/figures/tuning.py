@@ -58,7 +58,7 @@ def call_handctl(folder: Path, *words: str, codes: tuple[int, ...] = (0,)) -> No
 
 @contextlib.contextmanager
 def empty_folder(folder: Path, name: str) -> Iterator[Path]:
-    """Yield an emptied folder for a run.
+    """Yield the folder of a run without the files of earlier runs.
 
     The folder contains only two gains files, and no files of earlier runs.
     """

@@ -172,13 +172,13 @@ def gains_sections() -> str:
     for section in GAIN_SECTIONS:
         model = Gains.model_fields[section].annotation
         keys = [bound for key, bound in gain_bounds().items() if key.startswith(f"{section}.")]
-        live = "during a run" if keys[0].is_changeable_live else "before a run only"
+        change_time = "during a run" if keys[0].is_changeable_live else "before a run only"
         rows = (
             (quoted_code(b.key), f"{b.default:g}", str(b), prose_markdown(b.meaning)) for b in keys
         )
         sections += [
             f"## `[{section}]`",
-            f"{prose_markdown(getattr(model, '__doc__', ''))}\n\nChanges: {live}.",
+            f"{prose_markdown(getattr(model, '__doc__', ''))}\n\nChanges: {change_time}.",
         ]
         sections.append(markdown_table(("gain", "default", "bounds", "meaning"), rows))
     sections += [

@@ -72,14 +72,14 @@ def _signature_block(function: object) -> str:
     shown_parameters = [p for p in signature.parameters.values() if p.name != "self"]
     name, result = function.__name__, inspect.formatannotation(signature.return_annotation)
     result = result.strip("'")
-    flat = str(
+    signature_text = str(
         signature.replace(parameters=shown_parameters, return_annotation=inspect.Signature.empty)
     )
-    flat = flat.replace("collections.abc.", "").replace("typing.", "")
-    flat = ARRAY_PATTERN.sub("NDArray", flat)
-    line = f"{name}{flat} -> {result}"
+    signature_text = signature_text.replace("collections.abc.", "").replace("typing.", "")
+    signature_text = ARRAY_PATTERN.sub("NDArray", signature_text)
+    line = f"{name}{signature_text} -> {result}"
     if len(line) > 90:
-        inner_definition = flat[1:-1].replace(", ", ",\n    ")
+        inner_definition = signature_text[1:-1].replace(", ", ",\n    ")
         # A comma inside the brackets of a type does not separate arguments.
         line = f"{name}(\n    {_rejoin_brackets(inner_definition)},\n) -> {result}"
     return f"```python\n{line}\n```"
