@@ -1,7 +1,7 @@
 """Interface of every motor drive protocol.
 
-The interface covers the codec and the state machine of a protocol. A function of the interface that
-needs the time gets it as an argument.
+The interface covers the codec and the state machine of a protocol. Functions of the interface that
+need the time get the time as an argument.
 
 Each drive protocol is one class. Each object of the class is the immutable description of one motor
 on one bus. All values of a drive that change during a run are in an immutable ``DriveState``. In
@@ -78,7 +78,7 @@ class DriveFaultCause(enum.IntEnum):
     """Cause of a drive fault. Each drive protocol converts its own error codes to one of eight causes."""
 
     OTHER = 0
-    """The documents of the drive describe the error, but no other member of ``DriveFaultCause`` fits."""
+    """The manual of the drive describes the error, but no other member of ``DriveFaultCause`` describes its cause."""
     DROPPED_OUT = 1
     """The drive disabled itself or restarted."""
     WATCHDOG = 2
@@ -99,7 +99,7 @@ class DriveFaultCause(enum.IntEnum):
 
 
 class DriveProperty(enum.Enum):
-    """Property of a drive that handctl can check only with some protocols and options."""
+    """Property of a drive that handctl cannot check with every protocol and every option."""
 
     READBACK = "read-back of settings"
     WATCHDOG = "watchdog"
@@ -149,7 +149,7 @@ class DriveState(NamedTuple):
         feedback_count: int = 0,
         recheck: RecheckCursor = INITIAL_RECHECK_CURSOR,
     ) -> "DriveState":
-        """Return the drive state with other values of the fields that the state block contains.
+        """Return a copy of the drive state with new feedback and a new position in the read-back.
 
         The default values of the arguments are the values before the first feedback.
         """
@@ -166,8 +166,8 @@ def is_confirmed_off(state: DriveState) -> bool:
 
     The phases SILENT and CONFIGURING do not confirm that the drive makes no torque, because a drive
     reaches these phases without a report. The phase FAULT is a confirmation only after a call of
-    ``advance`` with the target DISABLE. If a drive in fault possibly still makes torque, the call
-    of ``advance`` changes its phase to ENABLED.
+    ``advance`` with the target DISABLE. If a drive in the phase FAULT may still make torque, the
+    call of ``advance`` changes the phase to ENABLED.
     """
     return state.phase in (DrivePhase.READY, DrivePhase.FAULT)
 
@@ -225,9 +225,9 @@ class Drive(Protocol):
 
     @property
     def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
-        """Return the largest set of frames in one tick, as (payload bytes, CAN FD?).
+        """Return payload bytes and CAN FD flag of each frame, for the tick with the most frames.
 
-        The set contains the frames from the host to the drive and from the drive to the host.
+        The result contains the frames from the host to the drive and from the drive to the host.
         """
         ...
 
@@ -293,11 +293,11 @@ class Drive(Protocol):
         ...
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status that the feedback has while the state machine has nothing to do.
+        """Return the status in the feedback with which the state machine has nothing to do.
 
         Return NO_STEADY_STATUS if the state machine of the drive must process every frame. As long
-        as the feedback has the steady status, only the measured values change, and the host is
-        allowed to continue its torque commands.
+        as the feedback contains the steady status, only the measured values change. The host may
+        then continue its torque commands without a call of the state machine.
         """
         ...
 
@@ -338,10 +338,10 @@ class Drive(Protocol):
         ...
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return the frames of a torque command [N m at the spool] that do not enable the drive.
+        """Return the frames that command a torque [N m at the spool] and do not enable the drive.
 
-        The conformance test of a drive sends the frames to check that a disabled drive ignores
-        torque commands.
+        The conformance test sends these frames to a disabled drive, and checks that the drive
+        ignores the torque command.
 
         The tuple of frames is empty if every torque command of the protocol also enables the drive.
         """
@@ -367,7 +367,7 @@ class Drive(Protocol):
 
         After the release frames, the drive needs no further frames from the host.
 
-        The tuple of release frames is empty if the drive possibly still makes torque.
+        The tuple of release frames is empty if the drive may still make torque.
         """
         ...
 

@@ -15,8 +15,8 @@ from typing import NamedTuple
 from handctl.drives.frame import REMOTE_FLAG, Frame
 
 PROBE_ROUNDS = range(4)
-# Times of a scan [s]: the time for which round 0 listens (long enough for several heartbeats), and
-# the time for which a round with requests waits for answers.
+# Durations of the rounds of a scan [s]. Round 0 listens long enough for several heartbeats. A round
+# with requests waits for answers.
 SCAN_LISTEN_S = 0.7
 PROBE_ANSWER_TIMEOUT_S = 0.25
 
@@ -64,10 +64,10 @@ DUPLICATE_NODE_WARNING = (
 def is_number_used_by_two_drives(
     payloads_by_command: Mapping[int, Sequence[bytes]], serial: int
 ) -> bool:
-    """Return True if two drives with the same number have answered the requests.
+    """Return True if the answers come from two drives with the same node number.
 
-    A bus sometimes delivers a single frame twice by mistake. No bus delivers the answers to two
-    different requests twice by mistake.
+    A bus can deliver one frame twice by mistake. Two answers to each of two different requests are
+    no such mistake, and prove that two drives have answered.
 
     Args:
         payloads_by_command: received answers to each request of the scan, by request, for example by register

@@ -65,5 +65,5 @@ def check_limits(limits: MotionLimits) -> None:
 
 
 def constructor_arguments(drive: Any) -> dict[str, Any]:
-    """Return the constructor arguments of a drive, for the construction of the drive in another mode."""
+    """Return the constructor arguments of a drive, to construct the same drive in another mode."""
     return {field.name: getattr(drive, field.name) for field in fields(drive) if field.init}

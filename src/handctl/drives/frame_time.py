@@ -84,10 +84,11 @@ def _fd_frame_time_s(
     stuff_bits = (FD_HEADER_BITS + extra_identifier_bits + body_bits - 1) // 4 - header_stuff_bits
     # The check field has a stuff count (3 bits and parity) and a CRC. The CRC has 17 bits for up to
     # 16 data bytes, and 21 bits for more data bytes.
-    check = 4 + (17 if payload_size <= 16 else 21)
-    nominal = FD_HEADER_BITS + extra_identifier_bits + header_stuff_bits + FD_END_BITS
+    check_bits = 4 + (17 if payload_size <= 16 else 21)
+    nominal_rate_bits = FD_HEADER_BITS + extra_identifier_bits + header_stuff_bits + FD_END_BITS
     return (
-        nominal / bitrate + (body_bits + stuff_bits + check + math.ceil(check / 4)) / data_bitrate
+        nominal_rate_bits / bitrate
+        + (body_bits + stuff_bits + check_bits + math.ceil(check_bits / 4)) / data_bitrate
     )
 
 
@@ -110,7 +111,7 @@ def bus_time_s(
 def highest_rate(
     tick_times_s: Iterable[float], periodic_loads: Iterable[float] | None = None
 ) -> float:
-    """Return the highest common control rate at which no bus load exceeds ``MAX_BUS_LOAD`` [Hz].
+    """Return the highest rate in ``COMMON_CONTROL_RATES_HZ`` with no bus load above ``MAX_BUS_LOAD`` [Hz].
 
     Args:
         tick_times_s: time for which the frames of one tick occupy each bus [s].

@@ -11,7 +11,7 @@ from handctl.errors import ConfigError
 
 
 class IdentifierOwner(Protocol):
-    """Node on a bus that has its own identifiers: a drive, or the sensor node."""
+    """Node with its own identifiers on a bus: a drive, or the sensor node."""
 
     @property
     def bus(self) -> int:
@@ -42,8 +42,8 @@ def check_identifiers(identifier_owners: Iterable[tuple[str, IdentifierOwner]]) 
     for location, owner in identifier_owners:
         for other_where, other_owner in checked_owners:
             if owner.bus == other_owner.bus:
-                # Two nodes are allowed to receive the same frame of the host (NMT, SYNC). The
-                # identifier of a frame from a node must be unique on its bus.
+                # Two nodes may receive the same frame of the host (NMT, SYNC). The identifier of a
+                # frame from a node must be unique on its bus.
                 shared_identifiers = (
                     owner.node_ids & (other_owner.node_ids | other_owner.host_ids)
                     | owner.host_ids & other_owner.node_ids

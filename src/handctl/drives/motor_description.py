@@ -1,8 +1,8 @@
 """List of drive protocols, and the keys of a ``[[motor]]`` section (in the hand file) that the drives read.
 
 ``PROTOCOL_TRAITS`` is the list of drive protocols. The module ``protocol_registry`` adds the code
-of each protocol. A help text needs only ``PROTOCOL_TRAITS``, because the import of
-``protocol_registry`` takes too long.
+of each protocol. Help texts use only ``PROTOCOL_TRAITS``, because the import of
+``protocol_registry`` would delay the output of a help text.
 """
 
 from collections.abc import Mapping

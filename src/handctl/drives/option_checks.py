@@ -8,7 +8,7 @@ from handctl.errors import ConfigError
 
 
 class FullScale(Protocol):
-    """Ranges of the values in frames, which depend on the motor model."""
+    """Ranges of the values in the frames of a motor. Each motor model has its own ranges."""
 
     @property
     def torque(self) -> float:
@@ -104,7 +104,7 @@ def checked_boolean(value: object, key_path: str) -> bool:
 def pop_motor_model(
     options: dict[str, Any], key_path: str, models: Mapping[str, ModelRangesType]
 ) -> ModelRangesType:
-    """Remove the option ``motor_type``, and return the ranges of the motor model in this option.
+    """Remove the option ``motor_type``, and return the ranges of the motor model that it names.
 
     Args:
         options: options of the motor, modified in place.

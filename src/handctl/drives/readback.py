@@ -9,8 +9,8 @@ The torque limit and the watchdog in the drive protect the hand even if the host
 restart within a few milliseconds, and can then be enabled again. After a restart, the drive has its
 saved settings, and has lost the settings that the host wrote before arming. The feedback of a drive
 does not show a restart. To detect a restart, the host reads one setting of each enabled drive every
-half second, one setting after the other. Each drive has its own time offset, so that no tick
-contains read-back requests to several drives.
+half second, one setting after the other. Each node number has its own time offset, so that the
+requests to the drives are spread over the half second.
 
 If a setting needs only one frame for the request and one frame for the answer, the protocol
 describes both frames as a ``SettingRecheck``. While the drive is steady, compiled code in
@@ -71,7 +71,7 @@ class ReadbackCursor(NamedTuple):
         return self.sent_ns >= 0
 
     def next_setting(self) -> "ReadbackCursor":
-        """Return the cursor at the next setting, after the present setting has been verified."""
+        """Return the cursor at the next setting. The host has verified the present setting."""
         return ReadbackCursor(self.step + 1)
 
     def cursor_after_write(self) -> "ReadbackCursor":
@@ -95,7 +95,7 @@ def cursor_after_request(cursor: ReadbackCursor, t_ns: int) -> ReadbackCursor:
 def request_setting(
     cursor: ReadbackCursor, name: str, t_ns: int, max_attempts: int = REQUEST_TRIES
 ) -> tuple[ReadbackCursor, bool, str]:
-    """Decide if the host must send a request to read or write the present setting in the present tick.
+    """Decide if the host must send a request about the present setting in the present tick.
 
     Args:
         cursor: position in the settings, not beyond the last setting.
@@ -117,7 +117,7 @@ def request_setting(
 def cursor_after_wrong_value(
     cursor: ReadbackCursor, name: str, value_text: str, expected_text: str, max_write_count: int
 ) -> tuple[ReadbackCursor, str]:
-    """Return the position in the read-back after a wrong value.
+    """Return the read-back cursor after the drive has reported a wrong value.
 
     The request that follows the read of a wrong value writes the setting. The host writes a setting
     at most ``max_write_count`` times.
@@ -179,19 +179,16 @@ class SettingRecheck(NamedTuple):
 
 
 def first_recheck(node_id: int, t_ns: int) -> RecheckCursor:
-    """Return the position at the start of the repeated read-back of a drive.
-
-    The drive is enabled at ``t_ns`` [ns].
-    """
+    """Return the first cursor of the repeated read-back of a drive that is enabled at ``t_ns`` [ns]."""
     return RecheckCursor(due_ns=_next_request_time_ns(node_id, t_ns))
 
 
 def cursor_after_recheck_request(
     check: RecheckCursor, name: str, node_id: int, t_ns: int
 ) -> tuple[RecheckCursor, str]:
-    """Return the position in the read-back after a request to an enabled drive, and the problem in words.
+    """Return the cursor after a request to an enabled drive, and the text of a problem.
 
-    The text of the problem is empty if no problem has occurred.
+    The text is empty if no problem has occurred.
 
     Args:
         check: position in the repeated read-back.
@@ -206,9 +203,9 @@ def cursor_after_recheck_request(
 def cursor_after_recheck_reply(
     check: RecheckCursor, setting_count: int, is_equal: bool, name: str, answer: str, expected: str
 ) -> tuple[RecheckCursor, str]:
-    """Compare a setting that was read again from an enabled drive with its required value.
+    """Return the cursor after the answer of an enabled drive, and the text of a problem.
 
-    If a setting of an enabled drive is wrong, the drive has possibly lost all its settings.
+    If a setting of an enabled drive is wrong, the drive may have lost all settings.
 
     Args:
         check: position in the repeated read-back.
@@ -230,7 +227,8 @@ def cursor_after_recheck_reply(
 def _next_request_time_ns(node_id: int, t_ns: int) -> int:
     """Return the time of the next read-back request to a drive [ns].
 
-    Each drive has its own times for read-back requests.
+    The times depend on the node number, so that the requests to different drives are at different
+    times.
     """
     offset = node_id * RECHECK_STAGGER_NS % RECHECK_PERIOD_NS
     return ((t_ns - offset) // RECHECK_PERIOD_NS + 1) * RECHECK_PERIOD_NS + offset

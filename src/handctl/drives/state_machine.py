@@ -16,7 +16,7 @@ from handctl.drives.readback import ReadbackCursor, SettingRecheck
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
 SILENCE_TIMEOUT_NS = 250_000_000
-"""Time without a frame after which a disabled drive has possibly lost power, and with it its settings [ns]."""
+"""Time without a frame after which a disabled drive may have lost power and settings [ns]."""
 
 
 class EnablingProgress(Protocol):
@@ -25,8 +25,7 @@ class EnablingProgress(Protocol):
     Attributes:
         cursor: position in the list of settings to read back.
         is_configured: True if all settings have their required values.
-        enabled_by_other_host: True if the drive possibly makes torque without a command of this
-            host.
+        enabled_by_other_host: True if the drive may make torque without a command of this host.
         is_enable_sent: True from the enable command until the drive reports that it is off.
         is_disabling: True while the drive is being disabled.
         disable_command_ns: time of the first disable command [ns].
@@ -47,7 +46,7 @@ class EnablingProgress(Protocol):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Return True if the drive possibly makes torque."""
+        """Return True if the drive may make torque."""
         ...
 
     def _replace(self, **changes: Any) -> Self: ...
@@ -132,7 +131,7 @@ def is_steady(state: DriveState) -> bool:
 
 
 def may_have_lost_power(state: DriveState, t_ns: int) -> bool:
-    """Return True if a disabled drive has sent no frame for SILENCE_TIMEOUT_NS.
+    """Return True if a drive in the phase READY has sent no frame for SILENCE_TIMEOUT_NS.
 
     The function uses the fields ``is_enable_sent`` and ``ready_ns``.
     """
@@ -171,8 +170,8 @@ def start_enabling(state: DriveState, node_id: int, t_ns: int) -> DriveState:
 def start_disabling(state: DriveState, t_ns: int) -> DriveState:
     """Return the state of a drive to which the host sends a disable command.
 
-    A drive that is possibly enabled counts as enabled until its feedback reports that the drive is
-    off. The function uses the fields ``may_be_enabled``, ``is_disabling`` and
+    If the drive may be enabled, the drive counts as enabled until its feedback reports that the
+    drive is off. The function uses the fields ``may_be_enabled``, ``is_disabling`` and
     ``disable_command_ns``.
     """
     progress: EnablingProgress = state.protocol_state
@@ -237,15 +236,21 @@ def state_when_on(state: DriveState, error_code: int, error_text: str) -> DriveS
 
 
 def state_enabled_by_other_host(state: DriveState, error_code: int, error_text: str) -> DriveState:
-    """Return the state of a drive that possibly makes torque without a command of this host.
+    """Return the state of a drive that may make torque without a command of this host.
 
     The function uses the fields ``enabled_by_other_host`` and ``is_disabling``. The arguments have the same
     meaning as in ``state_when_on``.
     """
     progress: EnablingProgress = state.protocol_state
-    on = state._replace(protocol_state=progress._replace(enabled_by_other_host=True))
+    enabled_by_other_state = state._replace(
+        protocol_state=progress._replace(enabled_by_other_host=True)
+    )
     if progress.is_disabling:
-        return on._replace(phase=ENABLED)
+        return enabled_by_other_state._replace(phase=ENABLED)
     if state.phase in (READY, ENABLED):
-        return enter_fault(on, error_code, error_text)
-    return on._replace(phase=CONFIGURING) if state.phase == SILENT else on
+        return enter_fault(enabled_by_other_state, error_code, error_text)
+    return (
+        enabled_by_other_state._replace(phase=CONFIGURING)
+        if state.phase == SILENT
+        else enabled_by_other_state
+    )

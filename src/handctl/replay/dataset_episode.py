@@ -64,7 +64,7 @@ def find_episode(
 
     Raises:
         ConfigError: the dataset or the episode does not exist, the episode contains no angles for
-            some joint of the hand, or an angle or a speed is out of range.
+            a joint of the hand, or an angle or a speed is out of range.
     """
     dataset_info = _read_info(dataset_folder)
     rate = dataset_info.get("fps")
@@ -131,8 +131,8 @@ def _read_actions(
     rows = _read_episodes(dataset_folder)
     numbers = rows["episode_index"].to_pylist()
     if episode_index not in numbers:
-        present = f"{min(numbers)} to {max(numbers)}" if numbers else "a recorded episode"
-        raise ConfigError(f"no episode {episode_index}", str(dataset_folder), present)
+        expected_text = f"{min(numbers)} to {max(numbers)}" if numbers else "a recorded episode"
+        raise ConfigError(f"no episode {episode_index}", str(dataset_folder), expected_text)
     at = numbers.index(episode_index)
     numbers = {name: rows[f"data/{name}"][at].as_py() for name in ("chunk_index", "file_index")}
     try:
@@ -220,10 +220,10 @@ def _joint_angles(
 
 
 def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Array:
-    """Return the angles (frames, J).
+    """Return the angles (frames, J), limited to the ranges of the joints.
 
-    If an angle is slightly outside of the range of its joint, the angle is set to the nearer limit
-    of the range.
+    An angle up to ``MAX_CLIP_DISTANCE_DEG`` outside the range of its joint is set to the nearer
+    limit of the range.
 
     Raises:
         ConfigError: an angle is not finite or lies far outside the range of the joint.

@@ -99,22 +99,24 @@ def load_limits(path: Path, controller: Controller) -> SafetyLimits:
     new_limits = load_document(path, LimitsFile)
     old_limits = controller.derived_constants.limits
     period = controller.model.period
-    trip_limits = new_limits.tension_trip_N if isinstance(new_limits.tension_trip_N, dict) else {}
-    for name in trip_limits.keys() - set(old_limits.tendons):
+    trip_by_tendon = (
+        new_limits.tension_trip_N if isinstance(new_limits.tension_trip_N, dict) else {}
+    )
+    for name in trip_by_tendon.keys() - set(old_limits.tendons):
         raise ConfigError(
             repr(name), f"{path}: tension_trip_N", "one of " + ", ".join(old_limits.tendons)
         )
     rows = zip(old_limits.tendons, old_limits.tension_trip, strict=True)
-    trip = tuple(trip_limits.get(name, old_trip) for name, old_trip in rows)
+    tension_trip = tuple(trip_by_tendon.get(name, old_trip) for name, old_trip in rows)
     if isinstance(new_limits.tension_trip_N, float):
-        trip = (new_limits.tension_trip_N,) * len(trip)
+        tension_trip = (new_limits.tension_trip_N,) * len(tension_trip)
     max_silence_ms = new_limits.silent_ms
     max_stall_ms = new_limits.stalled_ms
     soft_temperature = new_limits.temperature_soft_degC
     hard_temperature = new_limits.temperature_hard_degC
     return replace(
         old_limits,
-        tension_trip=trip,
+        tension_trip=tension_trip,
         silent_ticks=tick_count_for_time(max_silence_ms / 1e3, period, MIN_SILENT_TICKS)
         if max_silence_ms
         else old_limits.silent_ticks,

@@ -68,15 +68,15 @@ def _check_frame_time_stamps(log: RunLog) -> Iterator[str]:
     controller.
     """
     late_stamp_count = 0
-    last_time_ns = -1
+    first_tick = -1
     for tick in log.ticks():
         tick_end_ns = tick.tick_in.t_ns + tick.tick_in.late_ns + log.header.period_ns
         late_stamps_in_tick = sum(frame.t_ns > tick_end_ns for frame in tick.tick_in.frames)
         if late_stamps_in_tick and not late_stamp_count:
-            last_time_ns = tick.tick_in.k
+            first_tick = tick.tick_in.k
         late_stamp_count += late_stamps_in_tick
     if late_stamp_count:
-        yield f"{late_stamp_count} frames are stamped later than the tick that read them, first in tick {last_time_ns}"
+        yield f"{late_stamp_count} frames are stamped later than the tick that read them, first in tick {first_tick}"
 
 
 def _check_hashes(log: RunLog) -> Iterator[str]:

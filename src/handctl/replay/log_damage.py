@@ -37,9 +37,9 @@ def describe_damaged_log(path: Path) -> str:
 
     If the log has no damage, the returned text is empty.
 
-    The hash chain shows a changed tick even if somebody has adjusted the checksums of the file. If
-    all hashes of the chain are right, the damage is in topics that are computed from the ticks. If
-    the damage is in computed topics, the result names the ticks of the damaged chunk.
+    The hash chain shows a changed tick even if the checksums of the file were adjusted to the
+    change. If all hashes of the chain are right, the damage is in topics that are computed from the
+    ticks. If the damage is in computed topics, the result names the ticks of the damaged chunk.
 
     Raises:
         LogError: the file is not a log of handctl.

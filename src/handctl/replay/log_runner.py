@@ -36,13 +36,13 @@ ProgressCallback = Callable[[int], None]
 
 
 def relative_error(difference: TickDifference) -> float:
-    """Return the size of the difference between a logged value and a computed value.
+    """Return the error of a computed value compared with the logged value.
 
-    For logged numbers below 1, the size is the absolute difference. For larger numbers, the size is
-    the relative difference.
+    If the magnitude of the logged number is below 1, the error is the absolute difference. For
+    larger numbers, the error is the relative difference.
 
     Returns:
-        the size: 0 for texts, and infinity if a number is NaN.
+        the error: 0 for texts, and infinity if a number is NaN.
     """
     logged_value = difference.logged
     computed = difference.computed
@@ -94,7 +94,7 @@ class DifferenceTally:
                 self._update_largest_difference(difference)
 
     def _update_largest_difference(self, new_difference: TickDifference | None) -> None:
-        """Store another difference if it is larger than the largest difference so far."""
+        """Store the new difference if it is larger than the largest difference so far."""
         if new_difference and (
             self.largest_difference is None
             or relative_error(new_difference) > relative_error(self.largest_difference)

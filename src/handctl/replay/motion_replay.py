@@ -1,6 +1,7 @@
 """Repetition of a recorded motion.
 
-The recorded targets become a program. The recorded run and its repetition can be compared.
+The functions convert the recorded targets to a program, and compare the recorded run with its
+repetition.
 """
 
 from typing import Any
@@ -34,21 +35,21 @@ def active_interval(log: RunLog) -> tuple[float, float]:
     """
     check_tick_times(log.t_ns, log.header.period_ns)
     is_preparing = np.zeros(len(log), bool)
-    changes = log.phases
-    for i, change in enumerate(changes):
-        end = changes[i + 1].k if i + 1 < len(changes) else int(log.k[-1]) + 1
-        if change.name in PREPARATION_PHASES:
-            is_preparing |= (log.k >= change.k) & (log.k < end)
-    active = (log.mode == int(HandMode.ACTIVE)) & ~is_preparing
-    at = np.flatnonzero(active & ~np.isnan(log.field("tension_goal")).any(axis=1))
-    if len(at) < 2:
+    phases = log.phases
+    for i, phase in enumerate(phases):
+        end = phases[i + 1].k if i + 1 < len(phases) else int(log.k[-1]) + 1
+        if phase.name in PREPARATION_PHASES:
+            is_preparing |= (log.k >= phase.k) & (log.k < end)
+    is_active = (log.mode == int(HandMode.ACTIVE)) & ~is_preparing
+    usable_ticks = np.flatnonzero(is_active & ~np.isnan(log.field("tension_goal")).any(axis=1))
+    if len(usable_ticks) < 2:
         reason = (
             "not all tendons had targets at the same time"
-            if active.any()
+            if is_active.any()
             else "the hand was never active"
         )
         raise LogError(f"{reason} in it", "the log", "a run in which the whole hand moved")
-    return float(log.times[at[0]]), float(log.times[at[-1]])
+    return float(log.times[usable_ticks[0]]), float(log.times[usable_ticks[-1]])
 
 
 def count_missing_ticks(log: RunLog) -> int:
@@ -95,8 +96,8 @@ def recorded_targets(log: RunLog, period: float) -> RecordedGoals:
         _interpolate_field(log, name, times) for name in ("q_goal", "dq_goal", "tension_goal")
     )
     ddq = np.gradient(log.field("dq_goal"), log.times, axis=0)
-    rate = _interpolate_columns(log, ddq, times)
-    return RecordedGoals(q, dq, np.where(np.isnan(q), np.nan, np.nan_to_num(rate)), tension)
+    acceleration = _interpolate_columns(log, ddq, times)
+    return RecordedGoals(q, dq, np.where(np.isnan(q), np.nan, np.nan_to_num(acceleration)), tension)
 
 
 def _interpolate_field(log: RunLog, name: str, sample_times: Array) -> Array:
@@ -153,8 +154,12 @@ def followed_duration_s(original_log: RunLog, replayed_log: RunLog) -> float:
     replay_start = _playback_start(replayed_log)
     if replay_start is None:
         return 0.0
-    active = replayed_log.times[replayed_log.mode == int(HandMode.ACTIVE)]
-    return min(end - start, max(0.0, float(active[-1]) - replay_start)) if len(active) else 0.0
+    active_times = replayed_log.times[replayed_log.mode == int(HandMode.ACTIVE)]
+    return (
+        min(end - start, max(0.0, float(active_times[-1]) - replay_start))
+        if len(active_times)
+        else 0.0
+    )
 
 
 def _playback_start(replayed_log: RunLog) -> float | None:

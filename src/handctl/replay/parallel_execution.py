@@ -2,9 +2,10 @@
 
 Each process executes a part of the log. A part of the log starts from a snapshot, and the hash of
 the snapshot is in the log. If the controller's state at the end of the previous part has the same
-hash as the snapshot, a serial execution would reach the same state. In this case, the results of
-the two parts are combined. If the hashes differ, one process executes the rest of the log serially.
-The result of a parallel execution is always equal to the result of a serial execution.
+hash as the snapshot, a serial execution would reach the same state. If the hashes are equal, the
+results of the two parts are combined. If the hashes differ, one process executes the rest of the
+log serially. The result of a parallel execution is always equal to the result of a serial
+execution.
 """
 
 import json
@@ -59,7 +60,7 @@ class ProgressCounts:
     """Number of ticks that each process has executed, in shared memory."""
 
     def __init__(self, processes: int, progress: Callable[[int], None]) -> None:
-        """Allocate the shared memory for the numbers.
+        """Allocate shared memory for one tick count per process.
 
         Args:
             processes: number of processes.
@@ -207,7 +208,7 @@ def _result_json(
 def _wait_for_result(
     runner: LogRunner, worker: WorkerProcess, counts: ProgressCounts
 ) -> tuple[ControllerState, DifferenceTally] | None:
-    """Wait for a worker process. Return the state and the tally at the end of its part.
+    """Wait for a worker process. Return the state and the tally at the end of the worker's part.
 
     Returns:
         the state and the tally. None if the process did not finish its part.

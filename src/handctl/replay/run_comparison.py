@@ -76,9 +76,9 @@ def compare_signals(
         delay_s, by which `signal_after` lags behind `signal_before` [s]. The delay of a constant signal is NaN.
     """
     rows = min(len(signal_before), len(signal_after))
-    change = signal_after[:rows] - signal_before[:rows]
+    differences = signal_after[:rows] - signal_before[:rows]
     return {
-        name: rms_and_peak_difference(change[:, i])
+        name: rms_and_peak_difference(differences[:, i])
         | {"delay_s": signal_delay(signal_before[:rows, i], signal_after[:rows, i], period)}
         for i, name in enumerate(names)
     }
@@ -101,7 +101,7 @@ def rms_and_peak_difference(signal_difference: Array) -> dict[str, float]:
 def signal_delay(signal_before: Array, signal_after: Array, period: float) -> float:
     """Return the delay of the signal `signal_after` behind the signal `signal_before` [s].
 
-    The delay is the time shift of a signal for which the variance of the remaining difference is
+    The delay is the time shift between both signals for which the variance of their difference is
     smallest. The best time shift is refined by a parabola through three neighbouring shifts.
 
     Returns:

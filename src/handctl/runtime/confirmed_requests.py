@@ -1,9 +1,8 @@
 """Requests to a running controller. The controller confirms each request.
 
-It is possible that no program receives a sent datagram, because the controller is paused, because
-its mailbox is full, or because the socket belongs to a killed process. Every request contains a
-unique name. The controller confirms a request by a status line that contains the name of the
-request.
+The controller may not receive a datagram, because the controller is paused, because its mailbox is
+full, or because the socket belongs to a killed process. Every request contains a unique name. The
+controller confirms a request by a status line that contains the name of the request.
 """
 
 import itertools
@@ -42,7 +41,7 @@ StatusLine = dict[str, Any]
 
 
 def open_watcher(bus: str, command_word: str) -> StatusWatcher:
-    """Return an open watcher of the controller on a bus, for a single request.
+    """Open a watcher of the controller on a bus, for a single request.
 
     Raises:
         UnconfirmedError: the folder of the sockets cannot be trusted.
@@ -55,11 +54,11 @@ def open_watcher(bus: str, command_word: str) -> StatusWatcher:
 
 @contextmanager
 def report_absent_controller(bus: str) -> Iterator[None]:
-    """Raise another error in place of an UnconfirmedError if no controller of a local bus has a mailbox.
+    """Replace an UnconfirmedError by a BusError if the bus is local and has no mailbox.
 
     An UnconfirmedError tells the operator to switch off the power. The power of a simulated hand
     need not be switched off. If a controller was killed, its mailbox still exists. For a real bus,
-    the UnconfirmedError remains, because the controller possibly runs as another user.
+    the UnconfirmedError remains, because the controller may run as another user.
 
     Args:
         bus: bus to which the block sends a request.

@@ -3,7 +3,7 @@
 The limit applies to runs that no operator watches. While a fault holds the hand, the time of the
 motion program does not advance. If the gains make a hand oscillate, the fault of a noisy encoder
 (N07) occurs. The fault N07 holds the hand during the whole oscillation. Without a limit, a run with
-an oscillation possibly never ends.
+an oscillation might never end.
 """
 
 from dataclasses import dataclass, field

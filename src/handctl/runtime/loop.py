@@ -68,7 +68,7 @@ The heartbeat of a drive can come as rarely as every 100 ms.
 LATENESS_RING_TICKS = 1 << 18
 """Number of ticks whose lateness stays in memory.
 
-The number of stored ticks is limited, because their 2 MiB of memory are possibly locked.
+The number of stored ticks is limited, because their 2 MiB of memory may be locked.
 """
 
 
@@ -131,7 +131,7 @@ class StopSignals:
         self.converted_count = 0
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        """Count a signal. This method is the signal handler."""
+        """Count a received signal, as the signal handler of the process."""
         self.received_count += 1
 
     def take_request(self) -> tuple[str, ...]:
@@ -162,7 +162,7 @@ def _skip_snapshot(entry: TickIn, state: object) -> None:
 def _skip_publication(entry: TickIn, tick_output: TickOut, state: object, sent_ns: int) -> None:
     """Do nothing.
 
-    If no program observes the run, this function is used in place of the publication.
+    A run that no program observes uses this function in place of the publication.
     """
 
 
@@ -304,7 +304,7 @@ class ControlLoop(Generic[S]):
     def _send_torque_cut(self) -> None:
         """Send, on every bus, the frames that remove the torque of the motors.
 
-        If the queue of a bus is full and refuses some of these frames, the frames are sent again.
+        If the full queue of a bus refuses frames, the loop sends the refused frames again.
         """
         is_single_bus = len(self.buses) == 1
         unsent_frames = [
@@ -335,7 +335,7 @@ class ControlLoop(Generic[S]):
         """Execute a tick before the run, and discard the result.
 
         The discarded tick imports and creates everything that a tick needs for the first time.
-        Without it, the first tick of the run would be late.
+        Without the discarded tick, the first tick of the run would be late.
         """
         tick = self.begin_tick(state, TickIn(0, 0))
         tick.decide(())
@@ -366,9 +366,9 @@ class ControlLoop(Generic[S]):
             if requests or targets:
                 entry = entry._replace(requests=requests + targets)
             frames = tick.command(targets)
-            # After an error, every drive that has possibly received an enable command must report
-            # that it is disabled. Therefore the loop stores the state before it sends the commands
-            # that belong to this state.
+            # After an error, every drive that may have received an enable command must report that
+            # it is disabled. Therefore the loop stores the state before it sends the commands that
+            # belong to this state.
             last_state[0] = tick.state
             self._send(frames)
             sent_ns = time.monotonic_ns()

@@ -119,7 +119,7 @@ class ObservationWriter:
 
         Args:
             bus: bus of the controller. The controller must have locked this bus.
-            axes: numbers of joints, tendons, motors and digits, see ``observation_dtype``.
+            axes: counts of joints, tendons, motors and digits, see ``observation_dtype``.
             description: names and constants of the hand, for the readers of the file.
 
         Raises:
@@ -259,12 +259,12 @@ class ObservationReader:
             written_count = self.written_count
             # The reader does not use the oldest record in the ring, because the controller can
             # overwrite this record at any time.
-            at = max(self.last_read_number, written_count - self._records + 2)
-            if at >= written_count:
+            record_index = max(self.last_read_number, written_count - self._records + 2)
+            if record_index >= written_count:
                 return None
-            record = self.read_record(at)
+            record = self.read_record(record_index)
             if record is not None:
-                self.last_read_number = at + 1
+                self.last_read_number = record_index + 1
                 return record
         return None
 

@@ -165,7 +165,7 @@ def _user_name(user_id: int) -> str:
 
 
 def _file_name(spec: str) -> str:
-    """Return the beginning of the names of all files for a bus specification."""
+    """Convert a bus specification to the text with which the names of its files begin."""
     return spec.replace(":", "_").replace("/", "_")
 
 
@@ -216,7 +216,7 @@ def clock_path(spec: str) -> Path:
 
 
 def is_socket_served(path: Path) -> bool:
-    """Return True if some process receives datagrams at the path of a socket.
+    """Return True if a running process receives datagrams at the path of a socket.
 
     A socket that a killed process has left behind does not count.
     """

@@ -6,9 +6,10 @@ The controller reads the socket without blocking. Requests arrive at a different
 targets, so that a client that sends targets too fast cannot delay a stop request from another
 client.
 
-A datagram with a target is little-endian. The datagram contains, in this order: magic 4 bytes,
-process number of the client u32, number of the stream u32, number of values u32, number of the
-target i64, sending time of the target on CLOCK_MONOTONIC i64 [ns], values float64.
+A datagram with a target is little-endian, and contains the following fields.
+
+    magic 4 bytes | process number of the client u32 | number of the stream u32 | number of values u32
+    | number of the target i64 | sending time on CLOCK_MONOTONIC i64 [ns] | values float64
 """
 
 import socket
@@ -84,7 +85,7 @@ class TargetReceiver:
         self.socket.setblocking(False)
 
     def read_targets(self) -> tuple[StreamTarget, ...]:
-        """Return the newest targets in the socket, sorted from old to new.
+        """Return the latest received targets, at most ``MAX_TARGETS_PER_TICK``, in the order of arrival.
 
         A datagram with a wrong form is dropped.
         """

@@ -35,7 +35,7 @@ def parse_bus_arguments(bus_arguments: Sequence[str]) -> dict[str, str]:
 
 
 def refuse_default_hand(bus_specs: Sequence[str], location: str) -> None:
-    """Raise an error if a bus possibly has real motors and the operator has named no hand.
+    """Raise an error if a bus may have real motors, for an operator who has named no hand.
 
     On a bus with real motors, the operator must name the hand, because the limits of the default
     hand belong to other motors and tendons.
@@ -45,7 +45,7 @@ def refuse_default_hand(bus_specs: Sequence[str], location: str) -> None:
         location: name of the argument that is missing, for the error message.
 
     Raises:
-        ConfigError: a bus possibly has real motors.
+        ConfigError: a bus may have real motors.
     """
     if hardware_buses := real_buses(bus_specs):
         expected = f"the file of the connected hand; the default {DEFAULT_HAND!r} is only for simulated buses"

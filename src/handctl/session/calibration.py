@@ -47,10 +47,10 @@ def load_calibration(path: Path, hand: Hand) -> Calibration:
 def find_calibration(
     path: Path, hand: Hand, is_file_given: bool, buses: Sequence[str] = ()
 ) -> tuple[Calibration | None, str]:
-    """Return the calibration from a file if its use for arming the hand is allowed.
+    """Return the calibration in a file if the hand may be armed with this calibration.
 
     Args:
-        path: path of the calibration file, which possibly does not exist yet.
+        path: path of the calibration file, which need not exist yet.
         hand: description of the hand that will be armed.
         is_file_given: True if the operator has named the file. An invalid file that the operator
             has named is an error.
@@ -62,7 +62,7 @@ def find_calibration(
 
     Raises:
         ConfigError: the named file exists but cannot be used, or the file comes from a simulated
-            hand although a bus possibly has real motors.
+            hand although a bus may have real motors.
     """
     if not path.exists():
         return None, f"there is no {path}"
@@ -189,10 +189,7 @@ def identified_parameters_in_file(path: Path | None, hand: Hand) -> IdentifiedPa
 
 
 def homed_calibration(hand: Hand, identified: IdentifiedParametersByTendon) -> Calibration:
-    """Return the calibration of a simulated hand.
-
-    The hand starts with taut tendons and encoder readings of zero.
-    """
+    """Return the calibration of a simulated hand with taut tendons and encoder readings of zero."""
     zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=0.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, zero)
     date_text = LOCKSTEP_CALIBRATION_DATE.isoformat(timespec="seconds")

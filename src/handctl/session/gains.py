@@ -94,8 +94,7 @@ def read_gains_for_hand(
 ) -> GainsFile:
     """Read a gains file, and check that the gains belong to the given hand.
 
-    Gains for an earlier version of the hand file are accepted, and a notice informs the operator
-    about such gains.
+    Gains for an earlier version of the hand file are accepted with a notice to the operator.
 
     Raises:
         ConfigError: the file cannot be used, or is for another hand.
@@ -124,7 +123,7 @@ def _source_of_gain(gains: Gains, key: str, gains_file: Path | None) -> str:
 
 
 def gain_assignments(assignment_words: Sequence[str], location: str) -> dict[str, float]:
-    """Return the numbers that the words KEY=VALUE assign, by key.
+    """Parse words of the form KEY=VALUE, and return the numbers by key.
 
     Raises:
         ConfigError: a word does not assign a number, or a key is assigned twice.

@@ -1,6 +1,6 @@
 """Simulation of a controller and a simulated hand in lockstep.
 
-This module begins all runs in lockstep.
+All programs that need a run in lockstep begin the run with this module.
 
 ``simulate_controller`` executes a whole run. ``SimulatedRun`` executes single ticks.
 ``SimulatorSettings.lockstep_clock`` provides the clock of runs with a log.
@@ -38,7 +38,7 @@ CHECKED_CONTROL_PERIOD_NS = 2_000_000
 
 
 class SimulatedHand(LockstepSimulator, Protocol):
-    """Simulated hand at the other end of the bus, opposite to the controller.
+    """Simulated hand to which the controller is connected by the simulated buses.
 
     Tests can inject faults into this hand.
 
@@ -54,7 +54,7 @@ class SimulatedHand(LockstepSimulator, Protocol):
         ...
 
     def fault_states(self) -> list[dict[str, Any]]:
-        """Return every injected fault, with the number of effects that the fault has had."""
+        """Return every injected fault, with its state and the number of its effects."""
         ...
 
     def truth(self) -> dict[str, list[float]]:
@@ -120,7 +120,7 @@ class SimulatorSettings:
             peer.close()
 
     def check_hand_constructible(self) -> None:
-        """Check that the simulated hand can be constructed. See ``simulated_hand``."""
+        """Raise an error if the simulated hand cannot be constructed. See ``simulated_hand``."""
         with self.simulated_hand(CHECKED_CONTROL_PERIOD_NS):
             pass
 
@@ -135,7 +135,7 @@ class SimulatorSettings:
 
     @contextmanager
     def begin_run(self, controller: Controller) -> Iterator["SimulatedRun"]:
-        """Begin a run in which a controller controls the simulated hand.
+        """Construct the simulated hand, and begin a run in which a controller controls this hand.
 
         See ``simulated_hand``.
         """

@@ -128,7 +128,7 @@ def make_controller(
 
 
 class RunObserver(Protocol):
-    """Object that receives each tick of a run in the process of the controller.
+    """Observer that runs in the process of the controller and receives each tick of the run.
 
     An observer can send the same requests as an operator can.
     """
@@ -157,7 +157,7 @@ def run_live(
         log: log file to write.
         live_view: True to show the log in Rerun during the run. With ``live_view``, a separate
             process sends the log to the viewer.
-        observer: observer of the run, which is allowed to send requests. The value is None for a
+        observer: observer of the run, which may send requests. The value is None for a
             run without an observer.
 
     Raises:
@@ -229,8 +229,8 @@ def run_lockstep(
 ) -> RunOutcome:
     """Execute a run in virtual time.
 
-    The lockstep clock advances the simulated hand of the run. Several runs are allowed to use the
-    same clock, one after the other. In virtual time, no operator is present to clear a fault.
+    The lockstep clock advances the simulated hand of the run. Several runs can use the same clock,
+    one after the other. In virtual time, no operator is present to clear a fault.
 
     Raises:
         DriveError: a fault made the hand hold its position for longer than allowed.
@@ -331,9 +331,9 @@ def _start_view(log: Path) -> Callable[[], None]:
 
 
 def snapshot_recorder(recorder: Recorder) -> Callable[[TickIn, ControllerState], None]:
-    """Return a function that the caller must call after each tick.
+    """Return a function that records a snapshot of the controller's state once per second.
 
-    The returned function records a snapshot of the controller's state once per second.
+    The caller must call the returned function after each tick.
     """
     due_ns = SNAPSHOT_PERIOD_NS
 
@@ -378,7 +378,7 @@ def _build_loop(
 
 
 def _axis_lengths(hand: Hand) -> dict[str, int]:
-    """Return the numbers of joints, tendons, motors and digits of a hand, by name."""
+    """Return how many joints, tendons, motors and digits a hand has, by name."""
     return {
         "joint": len(hand.joints),
         "tendon": len(hand.tendon),
@@ -388,9 +388,9 @@ def _axis_lengths(hand: Hand) -> dict[str, int]:
 
 
 def _describe_run(plan: RunPlan) -> dict[str, object]:
-    """Return the constants of a run by name.
+    """Return the hand file, the control rate and the time scale of a run, by name.
 
-    Programs that receive the observations of the run need the constants of the run.
+    Programs that receive the observations of the run need these constants.
     """
     return {
         "hand_toml": plan.hand.to_toml(),
@@ -443,7 +443,7 @@ STATUS_RATE_HZ = 50.0
 
 @dataclass(slots=True)
 class PublishedState:
-    """Part of the controller's latest state, as shown in status lines.
+    """Values from the latest state of the controller that status lines show.
 
     Attributes:
         commander: client that commands the hand, or None if every client is allowed to start to
@@ -472,10 +472,10 @@ def _status_callback(
     rate_hz: float,
     published_state: PublishedState,
 ) -> TickCallback:
-    """Return a function that must be called after each tick.
+    """Return a function that updates the display and sends status lines.
 
-    The returned function updates the display, and sends status lines to the programs that observe
-    the run.
+    The control loop must call the returned function after each tick. The programs that observe the
+    run receive the status lines.
     """
     ticks_per_status = max(1, round(rate_hz / STATUS_RATE_HZ))
 

@@ -141,27 +141,27 @@ def make_plan(
     """
     hand = load_hand(options.hand)
     check_hand_ready(hand, str(options.hand))
-    layers = gains_with_sources(
+    sourced_gains = gains_with_sources(
         hand, options.gains_file, options.gain_arguments, show_notice, options.default_gains
     )
     buses = () if options.bus_arguments is None else bus_specs(hand, options.bus_arguments)
     if not options.is_hand_named:
         refuse_default_hand(buses, "--hand")
-    loads = bus_loads(hand)
-    rate = control_rate(options.rate_hz, hand, loads)
-    load = tuple(bus_load.load_at_rate(rate) for bus_load in loads)
+    load_of_bus = bus_loads(hand)
+    rate = control_rate(options.rate_hz, hand, load_of_bus)
+    loads_at_rate = tuple(bus_load.load_at_rate(rate) for bus_load in load_of_bus)
     time_scale = chosen_time_scale(options.time_scale, buses)
     _check_log(options.log_path)
-    attachments = {"gains.toml": layers.file.read_bytes()} if layers.file else {}
+    attachments = {"gains.toml": sourced_gains.file.read_bytes()} if sourced_gains.file else {}
     meshes, omitted_meshes = mesh_attachments(hand, hand_path(options.hand).parent)
     for line in omitted_meshes:
         show_notice(f"handctl: caution: {line}")
     attachments |= meshes
     return RunPlan(
         hand,
-        layers.gains,
+        sourced_gains.gains,
         rate,
-        load,
+        loads_at_rate,
         buses,
         attachments,
         time_scale,
@@ -217,7 +217,7 @@ def chosen_time_scale(requested_scale: float | None, buses: Sequence[str]) -> fl
 
 
 def check_hand_ready(hand: Hand, location: str) -> None:
-    """Raise an error if a hand with a valid file must not run, see ``reasons_not_ready``.
+    """Raise an error if a hand must not run although its file is valid, see ``reasons_not_ready``.
 
     Args:
         hand: description of the hand to run.
@@ -259,7 +259,7 @@ def control_rate(requested_hz: float | None, hand: Hand, load_of_bus: Sequence[B
 
 
 def _too_slow_buses_error(motor: Motor, hand: Hand, load_of_bus: Sequence[BusLoad]) -> ConfigError:
-    """Return the error that the slowest bus of a hand allows too low a control rate for the watchdog of a motor."""
+    """Return the error for a hand whose slowest bus is too slow for the watchdog of a motor."""
     bus, load = min(
         zip(hand.bus, load_of_bus, strict=True),
         key=lambda bus_and_load: bus_and_load[1].highest_rate_hz(MAX_BUS_LOAD),

@@ -20,12 +20,12 @@ PACKAGED_TASKS_FOLDER = Path(__file__).parents[1] / "tasks"
 PACKAGED_GRASP_FILE = Path("grasp.toml")
 """Name of the packaged grasp.
 
-The packaged grasp suits hands that have all digits which the packaged grasp moves.
+A hand can execute the packaged grasp if it has all digits that the grasp moves.
 """
 
 
 def load_task_for_hand(name: Path | None, hand: Hand) -> tuple[Task, bytes]:
-    """Load a task by its path or its packaged name, and check that the task suits the hand.
+    """Load a task by its path or its packaged name, and check that the hand can execute the task.
 
     If no name is given, the packaged grasp is loaded. For a hand without the digits of the packaged
     grasp, a default task is generated.
@@ -48,8 +48,8 @@ def load_task_for_hand(name: Path | None, hand: Hand) -> tuple[Task, bytes]:
 def scene_for_hand(name: str | None, hand: Hand) -> str:
     """Return the scene of a simulated hand.
 
-    If no name is given, the result is the scene of the packaged task `grasp`, or a cylinder whose
-    size suits the hand.
+    If no name is given, the result is the scene of the packaged task `grasp`, or the scene of the
+    default task.
     """
     if name is not None:
         return name
@@ -79,7 +79,7 @@ def task_path(name: Path) -> Path:
 
 
 def load_trajectory_for_hand(path: Path, hand: Hand) -> Task:
-    """Load a trajectory file as a task, and check that the task suits the hand.
+    """Load a trajectory file as a task, and check that the hand can execute the task.
 
     Raises:
         ConfigError: the file does not exist, or its content is wrong.

@@ -103,7 +103,7 @@ def timeline_end(state: "ViewerState", timeline_name: str) -> int:
 
 
 def wait_until_loaded(client: "ViewerClient", timeline_name: str, until_ns: int = 0) -> None:
-    """Wait until a viewer shows its views, and until it has loaded a recording up to a given time.
+    """Wait until a viewer shows its views and has loaded a recording up to ``until_ns``.
 
     A viewer gets a recording and the layout before it gets the first data. Before the first data
     arrive, the viewer already reports that the loading has ended. The viewer's report about the end

@@ -3,8 +3,8 @@
 Command: `python -m handctl.view.live_view LOG [ARGUMENT OF THE VIEWER ...]`.
 
 The process of the live view only reads the log, and does not depend on the controller. The process
-of the live view ends when the log ends, when the viewer is closed, or on SIGTERM. After the end of
-the log or SIGTERM, the viewer remains open.
+of the live view ends when the log ends, when the viewer is closed, or on SIGTERM. If the process
+ends because of the end of the log or SIGTERM, the viewer remains open.
 """
 
 import os
@@ -28,7 +28,7 @@ def start_live_view(log_path: Path, *viewer_arguments: str) -> "subprocess.Popen
     controller's process imports this module, the module imports only packages that load fast.
 
     Args:
-        log_path: path of the log. The log file is allowed to be created later.
+        log_path: path of the log. The log file may be created later.
         viewer_arguments: further command-line arguments of the viewer, such as --headless.
     """
     command = [sys.executable, "-m", "handctl.view.live_view", str(log_path), *viewer_arguments]

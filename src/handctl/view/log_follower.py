@@ -91,7 +91,7 @@ def follow_log(
     """Open a viewer, and show a growing log until the log ends.
 
     Args:
-        log: path of the log. The log file is allowed to be created later.
+        log: path of the log. The log file may be created later.
         viewer_arguments: further command-line arguments of the viewer.
         stop: flag that is set to end the display early.
 

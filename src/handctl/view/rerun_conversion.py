@@ -96,10 +96,10 @@ def ensure_complete_log(path: Path, folder: Path, scan: RecordScan) -> tuple[Pat
     """
     if not scan.problem:
         return path, scan
-    copy = folder / path.name
-    if recover_log(path, copy).status == RecoveryStatus.NOTHING:
+    repaired_path = folder / path.name
+    if recover_log(path, repaired_path).status == RecoveryStatus.NOTHING:
         raise LogError("no complete chunk in it", str(path), "a log with at least its header")
-    return copy, scan_path(copy)
+    return repaired_path, scan_path(repaired_path)
 
 
 def chunks_of_log(

@@ -69,16 +69,18 @@ def software_vulkan() -> dict[str, str]:
     if not sys.platform.startswith("linux"):
         return {}
     driver_files = _driver_files(SOFTWARE_DRIVER_FILES) or _driver_files("*.json")
-    configured = any(os.environ.get(name) for name in ("VK_ICD_FILENAMES", "VK_DRIVER_FILES"))
-    if not _has_vulkan_loader() or not (driver_files or configured):
+    has_chosen_driver = any(
+        os.environ.get(name) for name in ("VK_ICD_FILENAMES", "VK_DRIVER_FILES")
+    )
+    if not _has_vulkan_loader() or not (driver_files or has_chosen_driver):
         raise ConfigError(
             "no Vulkan driver to draw with", "", f"the Debian packages {VULKAN_PACKAGES}"
         )
-    return {} if configured else {"VK_ICD_FILENAMES": str(driver_files[0])}
+    return {} if has_chosen_driver else {"VK_ICD_FILENAMES": str(driver_files[0])}
 
 
 def _driver_files(file_pattern: str) -> list[Path]:
-    """Return the description files of installed Vulkan drivers whose names fit a pattern."""
+    """Return the files in the Vulkan driver folders whose file names match a pattern."""
     return [
         path for folder in VULKAN_DRIVER_FOLDERS for path in sorted(Path(folder).glob(file_pattern))
     ]

@@ -1,4 +1,4 @@
-"""CANopen frames that do not depend on the device profile, such as NMT and short SDO transfers.
+"""CANopen frames that are equal in all device profiles, for example NMT and short SDO transfers.
 
 All fields of the frames are little-endian. Most identifiers are the sum of a base identifier and
 the node number n. The base identifier depends on the CANopen service, such as SDO. A hyphen in the
@@ -74,7 +74,7 @@ def download_request(index: int, subindex: int, value_bytes: bytes) -> bytes:
 class SdoReply(NamedTuple):
     """Content of an SDO reply: object, value, and abort code.
 
-    The field ``value`` is empty in the reply to a write. The abort code is 0 if the node did not
+    The field ``raw`` is empty in the reply to a write. The abort code is 0 if the node did not
     abort the transfer.
     """
 

@@ -125,7 +125,7 @@ def _has_required_value(step: SetupStep, value: int) -> bool:
 def on_reply(
     cursor: ReadbackCursor, required_steps: tuple[SetupStep, ...], reply: codec.SdoReply
 ) -> tuple[ReadbackCursor, int, str]:
-    """Return the position in the read-back after an SDO reply.
+    """Advance the read-back of a node's objects by an SDO reply.
 
     An SDO reply that answers another request has no effect.
 
@@ -162,17 +162,17 @@ def on_reply(
 def next_request(
     cursor: ReadbackCursor, required_steps: tuple[SetupStep, ...], t_ns: int
 ) -> tuple[ReadbackCursor, bytes, str]:
-    """Return the next SDO request of the read-back, with the new cursor and a problem in words.
+    """Return the new read-back cursor, the payload of the next SDO request, and the text of a problem.
 
-    The payload of the request is empty while the host waits for an answer of the drive. The text is
-    empty if the read-back has no problem. The request for the first object is repeated without a
-    limit until the drive answers.
+    The payload is empty while the host waits for an answer of the drive. The text is empty if the
+    read-back has no problem. The request for the first object is repeated without a limit until the
+    drive answers.
     """
     step = required_steps[cursor.step]
-    cursor, send, problem = readback.request_setting(
+    cursor, must_send, problem = readback.request_setting(
         cursor, step.name, t_ns, readback.REQUEST_TRIES if cursor.step else UNLIMITED_TRIES
     )
-    if not send:
+    if not must_send:
         return cursor, b"", problem
     download_payload = codec.download_request(step.number, step.sub_index, step.raw)
     return (

@@ -374,7 +374,7 @@ class Cia402Drive:
         return enter_fault(next_state, SETTING_MISMATCH_ERROR, problem) if problem else next_state
 
     def _on_recheck_reply(self, state: DriveState, reply: canopen.SdoReply) -> DriveState:
-        """Compare an object that was read again from the enabled drive with its required value."""
+        """Check an object of the enabled drive after the host has read the object again."""
         step = self.rechecked_settings[state.recheck.step]
         if reply[:2] != (step.number, step.sub_index) or not (reply.raw or reply.abort):
             return state
@@ -410,9 +410,10 @@ class Cia402Drive:
             feedback_t_ns=frame.t_ns,
             feedback_count=state.feedback_count + 1,
         )
-        power = codec.power_state(int.from_bytes(frame.data[:2], "little"))
+        power_state = codec.power_state(int.from_bytes(frame.data[:2], "little"))
         return apply_power_state(
-            next_state, progress._replace(power_state=power or "unknown", life_sign_ns=frame.t_ns)
+            next_state,
+            progress._replace(power_state=power_state or "unknown", life_sign_ns=frame.t_ns),
         )
 
     def advance(
@@ -421,8 +422,8 @@ class Cia402Drive:
         """Return the next state of the drive and the frames to send, see ``contract.Drive``."""
         if target == LISTEN:
             return state, ()
-        # A status word also shows that the drive is alive. Possibly compiled code, and not
-        # ``receive``, has processed the latest status word.
+        # A status word also shows that the drive is alive. Compiled code, and not ``receive``, may
+        # have processed the latest status word.
         if (
             0
             <= max(get_progress(state).life_sign_ns, state.feedback_t_ns)
@@ -441,7 +442,7 @@ class Cia402Drive:
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next drive state and the frames for the requested drive state.
 
-        The frames that the method returns do not include heartbeat and SYNC.
+        The caller adds the frames heartbeat and SYNC.
         """
         progress = get_progress(state)
         if target == DISABLE or (
@@ -471,8 +472,8 @@ class Cia402Drive:
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next drive state and the frames that disable the drive.
 
-        A drive that is possibly enabled counts as enabled until a status word reports the state
-        disabled.
+        If the drive may be enabled (``Cia402Progress.may_be_enabled``), the drive counts as enabled
+        until a status word reports that the drive is disabled.
 
         The drive sends status words only in the NMT state operational. The host repeats the NMT
         start while no feedback arrives.
@@ -482,12 +483,12 @@ class Cia402Drive:
             progress.disable_command_ns if progress.disable_command_ns >= 0 else t_ns
         )
         progress = progress._replace(disable_command_ns=disabling_start_ns)
-        start: tuple[Frame, ...] = ()
+        start_frames: tuple[Frame, ...] = ()
         if t_ns - max(state.feedback_t_ns, progress.started_ns) > REPEAT_PERIOD_NS:
             progress = progress._replace(started_ns=t_ns)
-            start = (self._nmt_frame(canopen.START_NODE),)
+            start_frames = (self._nmt_frame(canopen.START_NODE),)
         return state._replace(phase=phase, protocol_state=progress), (
-            *start,
+            *start_frames,
             self._rpdo_frame(codec.DISABLE_VOLTAGE, 0.0),
         )
 
@@ -541,7 +542,7 @@ class Cia402Drive:
         return Frame(canopen.RPDO + self.node_id, data, 0, self.bus)
 
     def _command_at_rest(self, state: DriveState) -> float:
-        """Return a command of zero torque, for a drive that is being enabled."""
+        """Return the command while the host enables the drive: a torque of 0 N m."""
         return 0.0
 
     def _sdo_frame(self, payload: bytes) -> Frame:
@@ -564,7 +565,7 @@ class Cia402Drive:
         )
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return an RPDO with a target torque [N m at the spool] that does not enable the drive.
+        """Return an RPDO with a target torque [N m at the spool]. The RPDO does not enable the drive.
 
         The control word in the RPDO keeps the power stage off.
         """
@@ -588,8 +589,8 @@ class Cia402Drive:
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return the SDO request after which the drive no longer supervises the host's heartbeat.
 
-        Without the SDO request, the drive would latch a fault, because the host sends no heartbeat
-        after a run.
+        After a run, the host sends no heartbeat. Without the SDO request, a drive that supervises
+        the heartbeat would latch a fault.
         """
         if state.phase != READY:
             return ()

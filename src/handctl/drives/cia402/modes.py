@@ -1,9 +1,10 @@
 """CiA 402 drive in cyclic synchronous position mode or velocity mode.
 
 RPDO1 carries the target position (0x607A) or the target velocity (0x60FF). The maximum speed
-(0x6080) is read back before arming, and again while the drive is enabled. The objects of torque
-mode are read back in the same way as the maximum speed. In position mode the drive supervises the
-following error (0x6065, 0x6066), so that a drive with a blocked shaft goes into fault.
+(0x6080) is read back before arming, and again while the drive is enabled. The host also reads back
+the objects of torque mode before arming. In position mode the
+drive supervises the following error (0x6065, 0x6066), so that a drive with a blocked shaft goes
+into fault.
 
 The unit of object 0x60FF differs between manufacturers. The option ``velocity_unit`` has the value
 rev_min (the default, as on EPOS4) or count_s. The unit of object 0x6080 is 1/min. Source: CiA

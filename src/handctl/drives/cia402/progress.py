@@ -66,7 +66,11 @@ class Cia402Progress(NamedTuple):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Return True if the drive is possibly enabled, by its power state or by an enable command of this host."""
+        """Return True if the drive may be enabled.
+
+        The drive may be enabled after an enable command of this host, or in a power state with
+        torque.
+        """
         return self.is_enable_sent or (
             self.power_state != "" and self.power_state not in codec.STATES_WITHOUT_TORQUE
         )
@@ -157,8 +161,8 @@ def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
 def state_after_timeout(state: DriveState) -> DriveState:
     """Return the state of a drive from which no frame has arrived for too long.
 
-    An enabled drive goes into fault after the timeout. A disabled drive has possibly restarted
-    during the timeout, so the host reads back its objects again.
+    An enabled drive goes into fault after the timeout. A disabled drive may have restarted during
+    the timeout, so the host reads back the objects of the drive again.
     """
     progress = get_progress(state)
     if state.phase == FAULT or progress.disable_command_ns >= 0:

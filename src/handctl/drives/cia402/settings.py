@@ -1,4 +1,4 @@
-"""Objects of a CiA 402 drive that must have certain values before arming.
+"""Objects of a CiA 402 drive with the values that handctl requires before arming.
 
 The host writes the objects of the drive by SDO, and reads the objects back.
 

@@ -3,8 +3,8 @@
 After the set-up, the amplifier answers every SYNC. The host sets the amplifier to the NMT state
 pre-operational, reads and writes its objects, and then starts the amplifier. The host uses received
 TPDOs of the amplifier only after the start of the amplifier. If an amplifier restarts, the host
-sets it up again before the next arming. The host never sets up an amplifier while a motor possibly
-makes torque. No frame of this module moves a motor.
+sets up the amplifier again before the next arming. The host never sets up an amplifier while a
+motor may make torque. No frame of this module moves a motor.
 """
 
 from dataclasses import dataclass

@@ -168,7 +168,7 @@ class Cia404LoadCells:
 
     @property
     def tension_frames(self) -> int:
-        """Return the number of all frames from the amplifiers, because all of them contain tensions."""
+        """Return the number of all frames from the amplifiers, because every frame contains tensions."""
         return len(self.ids)
 
     @property
@@ -193,16 +193,16 @@ class Cia404LoadCells:
     def cell_range(self) -> tuple[float, float]:
         """Return the limits of the range: the negative and the positive rated load of the load cells [N].
 
-        If a load cell is overloaded, its amplifier sends NaN or -2^31 counts. NaN and -2^31 counts
-        are outside the range of the load cells.
+        If a load cell is overloaded, the amplifier of the load cell sends NaN or -2^31 counts. NaN
+        and -2^31 counts are outside the range of the load cells.
         """
         return -self.range_n, self.range_n
 
     @property
     def tension_rail(self) -> float:
-        """Return the tared tension above which a load cell is possibly saturated [N].
+        """Return the tared tension above which a load cell may be saturated [N].
 
-        The threshold is valid for any accepted tare of the load cell.
+        The threshold is the rated load minus the largest accepted tare.
         """
         return self.range_n - MAX_TARE_N
 

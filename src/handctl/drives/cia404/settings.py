@@ -1,4 +1,4 @@
-"""Objects of a CiA 404 amplifier that must have a certain value before arming.
+"""Objects of a CiA 404 amplifier with the values that handctl requires before arming.
 
 The host checks and writes the objects by SDO transfers.
 

@@ -155,8 +155,8 @@ def command_message(
 ) -> CyclicMessage:
     """Return the signal table of the torque command, which has kp = kd = 0.
 
-    No count of the torque field means exactly zero torque. For 0 N m, the host sends the nearest
-    count, which differs from zero torque by half a count (TMAX / 4095).
+    The torque field cannot represent exactly zero torque. For 0 N m, the host sends the nearest
+    count, which is half a count (TMAX / 4095) away from zero torque.
 
     Args:
         can_id: identifier of the motor, ESC_ID.
@@ -405,7 +405,7 @@ def register_request(
 def register_bytes(register: int, value: float) -> bytes:
     """Return the value of a register as four bytes.
 
-    The fraction of a value for an integer register is removed.
+    The value for an integer register is truncated to a whole number.
     """
     layout = _REGISTER_STRUCTS.get(register, _FLOAT_STRUCT)
     return layout.pack(int(value)) if layout is _INTEGER_STRUCT else layout.pack(value)

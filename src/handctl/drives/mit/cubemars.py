@@ -82,7 +82,7 @@ Older firmware sends 6 bytes, without temperature and error.
 REQUIRED_ANSWER_COUNT = 3
 """Number of answers after which an enable or disable command counts as obeyed.
 
-The motor has possibly sent the first answer before it received the command.
+The motor may have sent the first answer before the motor received the command.
 """
 ZERO_COUNT_TEMPERATURE_C = -40.0
 """Temperature at count 0 in byte 6 of the feedback [degC].
@@ -314,12 +314,12 @@ class CubemarsDrive:
         The status consists of the byte with the node number, and the byte with error 0.
         """
         progress: CubemarsProgress = state.protocol_state
-        enabled = (
+        is_steady = (
             state.phase == ENABLED
             and progress.last_special_command == ENABLE
             and progress.agreeing_answers >= REQUIRED_ANSWER_COUNT
         )
-        return (self.node_id & 0xFF) << 8 if enabled else NO_STEADY_STATUS
+        return (self.node_id & 0xFF) << 8 if is_steady else NO_STEADY_STATUS
 
     def due_ns(self, state: DriveState) -> int:
         """Return MAX_TIME_NS, because the motor has no settings to read back."""
@@ -341,7 +341,7 @@ class CubemarsDrive:
             temperature = math.nan
             error_code = 0.0
         error = int(error_code)
-        feedback = state._replace(
+        state_with_feedback = state._replace(
             position=position,
             velocity=velocity,
             torque=torque,
@@ -349,16 +349,16 @@ class CubemarsDrive:
             feedback_t_ns=t_ns,
             feedback_count=state.feedback_count + 1,
         )
-        next_state = self._on_answer(feedback, state.protocol_state)
+        next_state = self._on_answer(state_with_feedback, state.protocol_state)
         if not error:
             return next_state
-        disabling = (
+        is_disabling = (
             next_state.phase == ENABLED and get_progress(next_state).last_special_command == DISABLE
         )
         next_state = next_state._replace(
             error=error, error_text=ERROR_TEXTS.get(error, f"unknown error {error}")
         )
-        return next_state if disabling else next_state._replace(phase=FAULT)
+        return next_state if is_disabling else next_state._replace(phase=FAULT)
 
     def _on_answer(self, state: DriveState, progress: CubemarsProgress) -> DriveState:
         """Return the drive state after an answer to the latest enable or disable command."""
@@ -380,8 +380,8 @@ class CubemarsDrive:
             agreeing_answers=progress.agreeing_answers + 1 if is_torque_free else 0
         )
         if progress.agreeing_answers < REQUIRED_ANSWER_COUNT:
-            feedback = CONFIGURING if state.phase == SILENT else state.phase
-            return state._replace(phase=feedback, protocol_state=progress)
+            phase_in_setup = CONFIGURING if state.phase == SILENT else state.phase
+            return state._replace(phase=phase_in_setup, protocol_state=progress)
         phase = FAULT if state.error else READY
         return state._replace(phase=phase, protocol_state=progress._replace(is_enable_sent=False))
 

@@ -3,8 +3,8 @@
 A motor sends frames only as answers to requests and commands. The host sends a request in each
 tick, and waits for one register reply at a time. Position, velocity, and torque are NaN until the
 full scale of the motor is known. The host does not unwrap motor angles beyond PMAX, because the
-motors of a hand turn far less. A motor is proven to be disabled only by feedback with state 0 or
-with an error.
+motors of a hand turn far less. Only feedback with state 0 or with an error proves that a motor is
+disabled.
 """
 
 import math
@@ -307,7 +307,7 @@ class MitDrive:
         return state._replace(protocol_state=progress._replace(cursor=cursor))
 
     def _on_recheck_reply(self, state: DriveState, reply: codec.RegisterReply) -> DriveState:
-        """Compare a register that was read again from the enabled motor with its required value."""
+        """Check a register of the enabled motor after the host has read the register again."""
         register, value = self.rechecked_settings[state.recheck.step]
         is_equal = reply.raw == codec.register_bytes(register, value)
         answer = f"reads {reply.value:g}"
@@ -363,7 +363,7 @@ class MitDrive:
         # Some motors have a watchdog that runs even while the motor is disabled. Commands to the
         # motor restart the watchdog.
         does_watchdog_need_commands = state.error_text == WATCHDOG_FIRES_WHILE_DISABLED_TEXT
-        clear = (
+        clear_frames = (
             (self._frame_to_motor(codec.special_command(codec.CLEAR_ERROR)),)
             if progress.errors_to_ignore
             else ()
@@ -373,7 +373,7 @@ class MitDrive:
                 state._replace(phase=CONFIGURING), progress, t_ns
             )
             return next_state, (
-                *(clear or self.torque_cut_frames()),
+                *(clear_frames or self.torque_cut_frames()),
                 *requests,
             ) if does_watchdog_need_commands else requests
         if (
@@ -385,10 +385,10 @@ class MitDrive:
                 state._replace(protocol_state=progress), self.node_id, t_ns
             )
             return enabling_state, (self._frame_to_motor(codec.special_command(codec.ENABLE)),)
-        if does_watchdog_need_commands and not clear:
+        if does_watchdog_need_commands and not clear_frames:
             return state._replace(protocol_state=progress), self.torque_cut_frames()
         # The manual does not say if the clear command has an answer, so feedback is requested too.
-        return state._replace(protocol_state=progress), (*clear, self._refresh_frame())
+        return state._replace(protocol_state=progress), (*clear_frames, self._refresh_frame())
 
     def _configure(
         self, state: DriveState, progress: MitProgress, t_ns: int

@@ -71,7 +71,7 @@ class MitProgress(NamedTuple):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Return True if the motor is possibly enabled, with or without an enable command of this host."""
+        """Return True if this host or another host may have enabled the motor."""
         return self.is_enable_sent or self.enabled_by_other_host
 
 
@@ -98,8 +98,8 @@ def apply_status(state: DriveState, status_nibble: int) -> DriveState:
 def _state_after_error(state: DriveState, progress: MitProgress, status_nibble: int) -> DriveState:
     """Return the drive state after the motor has reported an error.
 
-    A motor with a known error makes no torque. A motor with an unknown state nibble possibly still
-    makes torque.
+    A motor with a known error makes no torque. A motor with an unknown state nibble may still make
+    torque.
     """
     if status_nibble in codec.ERROR_TEXTS and progress.errors_to_ignore:
         return state._replace(

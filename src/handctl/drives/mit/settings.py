@@ -22,7 +22,7 @@ RequiredRegisters = tuple[tuple[int, float], ...]
 def on_reply(
     cursor: ReadbackCursor, required: RequiredRegisters, reply: codec.RegisterReply
 ) -> tuple[ReadbackCursor, str]:
-    """Return the position in the read-back after a register reply.
+    """Advance the read-back of a motor's registers by a register reply.
 
     A register reply that answers another request has no effect.
 
@@ -66,11 +66,11 @@ def next_request(
         empty if no problem has occurred.
     """
     register, value = required[cursor.step]
-    cursor, send, problem = readback.request_setting(cursor, register_name(register), t_ns)
+    cursor, must_send, problem = readback.request_setting(cursor, register_name(register), t_ns)
     operation = codec.WRITE if cursor.must_write else codec.READ
     return (
         cursor,
-        codec.register_request(node_id, operation, register, value) if send else b"",
+        codec.register_request(node_id, operation, register, value) if must_send else b"",
         problem,
     )
 
@@ -84,12 +84,12 @@ def next_serial_request(
         the new cursor, the payload for a frame with BROADCAST_ID (empty while the host waits for an
         answer), and True if the motor does not answer.
     """
-    cursor, send, unanswered = readback.request_setting(
+    cursor, must_send, unanswered = readback.request_setting(
         cursor, "serial number", t_ns, SERIAL_NUMBER_TRIES
     )
     return (
         cursor,
-        codec.register_request(node_id, codec.READ, codec.SERIAL_NUMBER) if send else b"",
+        codec.register_request(node_id, codec.READ, codec.SERIAL_NUMBER) if must_send else b"",
         bool(unanswered),
     )
 

@@ -211,9 +211,9 @@ STOP_PAYLOAD = padded_payload(write_bytes_subframe(MODE, STOPPED) + QUERY_SUBFRA
 def limits_request(torque: float, timeout_s: float) -> bytes:
     """Return the payload that writes torque limit and watchdog timeout into the command registers.
 
-    The written limits have no effect until a command sets the mode of the drive. A firmware without
-    a register for the integrator refuses the request. The host thus knows of the missing register
-    before the first torque command.
+    The written limits have no effect until a command sets the mode of the drive. If the firmware
+    has no register for the integrator, the drive refuses the request. The host thus detects such a
+    firmware before the first torque command.
     """
     return padded_payload(
         limits_subframes(torque, timeout_s)
@@ -371,7 +371,7 @@ def _float_signal(
 def join_mode_and_fault(mode: int, fault: int) -> int:
     """Return the status of feedback with a given mode and fault code.
 
-    Compiled code joins the signals mode and fault to the same number.
+    Compiled code computes the same number from the signals mode and fault of a feedback frame.
     """
     header_numbers = [int.from_bytes(content, "little") for _, content in STATUS_HEADERS]
     return (

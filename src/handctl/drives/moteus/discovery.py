@@ -2,8 +2,8 @@
 
 A scan first reads the mode register from every node number, and then other registers of the
 discovered drives. A request to read registers causes no torque, and does not restart a drive's
-watchdog. All requests and replies of a scan are classical frames of at most eight bytes, because
-some buses do not support CAN FD. A drive answers a classical frame with a classical frame. Source:
+watchdog. All requests and replies of a scan are classical frames of at most eight bytes, because a
+bus need not support CAN FD. A drive answers a classical frame with a classical frame. Source:
 docs/facts/moteus.md.
 """
 

@@ -285,7 +285,7 @@ class MoteusDrive:
     def _requested_setting(
         self, state: DriveState, progress: MoteusProgress
     ) -> items.MoteusSetting | None:
-        """Return the setting whose value the host has requested, or None if no request is without an answer."""
+        """Return the setting in the unanswered request, or None if every request has an answer."""
         if (
             state.phase == CONFIGURING
             and progress.cursor.is_waiting
@@ -466,14 +466,14 @@ class MoteusDrive:
             return state._replace(protocol_state=progress._replace(channel=channel)), (
                 self._frame_to_drive(data),
             )
-        cursor, send, problem = readback.request_setting(progress.cursor, setting.name, t_ns)
+        cursor, must_send, problem = readback.request_setting(progress.cursor, setting.name, t_ns)
         if problem:
             return enter_fault(
                 state._replace(protocol_state=progress), SETTING_MISMATCH_ERROR, problem
             ), ()
         channel = progress.channel
         data = b""
-        if send:
+        if must_send:
             # If the drive has not answered a request, the answer can still arrive. The host first
             # empties the text channel.
             channel = items.DiagnosticChannel() if progress.cursor.is_waiting else channel
@@ -499,17 +499,18 @@ class MoteusDrive:
     def _request_serial(
         self, state: DriveState, progress: MoteusProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Request the serial number of the drive a few times.
+        """Request the serial number of the drive.
 
-        If the drive does not answer, the configuration ends without a serial number.
+        If the drive does not answer ``SERIAL_NUMBER_TRIES`` requests, the configuration ends
+        without a serial number.
         """
-        cursor, send, unanswered = readback.request_setting(
+        cursor, must_send, unanswered = readback.request_setting(
             progress.cursor, "serial number", t_ns, SERIAL_NUMBER_TRIES
         )
         next_state = state._replace(protocol_state=progress._replace(cursor=cursor))
         if unanswered:
             return state_after_configuration(next_state, t_ns, 0), ()
-        return next_state, (self._frame_to_drive(SERIAL_REQUEST),) if send else ()
+        return next_state, (self._frame_to_drive(SERIAL_REQUEST),) if must_send else ()
 
     def _torque_payload(self, torque: float) -> bytes:
         """Return the payload of a torque command.

@@ -40,8 +40,7 @@ class MoteusProgress(NamedTuple):
         channel: state of the exchange over the diagnostic text channel.
         is_configured: True if all settings have their required values.
         mode: mode of the drive in the latest feedback.
-        enabled_by_other_host: True if the drive possibly makes torque without a command of this
-            host.
+        enabled_by_other_host: True if the drive may make torque without a command of this host.
         is_enable_sent: True from the enable command until the drive reports the state stopped.
         is_disabling: True while the drive is being stopped.
         disable_command_ns: time of the first stop command [ns].
@@ -65,7 +64,7 @@ class MoteusProgress(NamedTuple):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Return True if the drive is possibly enabled, with or without an enable command of this host."""
+        """Return True if this host or another host may have enabled the drive."""
         return self.is_enable_sent or self.enabled_by_other_host
 
 
@@ -106,11 +105,15 @@ def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
 def _state_when_in_other_mode(state: DriveState, progress: MoteusProgress) -> DriveState:
     """Return the drive state after feedback with a mode that this host does not use.
 
-    In a mode that this host does not use, the drive possibly makes torque.
+    In a mode that this host does not use, the drive may make torque.
     """
     if state.phase == ENABLED and progress.is_enable_sent and not progress.is_disabling:
-        enabled = state._replace(protocol_state=progress._replace(enabled_by_other_host=True))
-        return enter_fault(enabled, DROPPED_OUT_ERROR, f"went to mode {progress.mode} by itself")
+        enabled_by_other_state = state._replace(
+            protocol_state=progress._replace(enabled_by_other_host=True)
+        )
+        return enter_fault(
+            enabled_by_other_state, DROPPED_OUT_ERROR, f"went to mode {progress.mode} by itself"
+        )
     # Another host or a restart of the drive has caused the reported mode.
     return state_enabled_by_other_host(
         state, ENABLED_BY_OTHER_HOST_ERROR, f"in mode {progress.mode}, but not by this host"

@@ -73,9 +73,9 @@ def position_configuration(gains: codec.PositionGains) -> tuple[MoteusSetting, .
 
     The host reads the configuration items again while the drive is enabled. With a limit of
     velocity or acceleration, the drive would plan its own trajectory to the commanded position.
-    With a finite slip, the drive would move the commanded position towards the motor. The items are
-    ordered so that the default of every second item differs from the required value, see
-    ``REQUIRED_CONFIGURATION``.
+    With a finite limit of the position slip, the drive would move the commanded position towards
+    the position of a motor that lags behind. The items are ordered so that the default of every
+    second item differs from the required value, see ``REQUIRED_CONFIGURATION``.
     """
     min_position_key, fixed_voltage, timeout_mode, max_position_key = REQUIRED_CONFIGURATION
     return (
@@ -94,12 +94,11 @@ def position_configuration(gains: codec.PositionGains) -> tuple[MoteusSetting, .
 def gain_per_turn(gain: float) -> float:
     """Convert a gain per radian to a gain per turn, rounded up to six digits and six decimals.
 
-    The texts to and from the drive contain all digits of the rounded gain. A float32 also keeps all
-    digits.
+    Both the texts to and from the drive and a float32 keep all digits of the rounded gain.
     """
-    turn = math.tau * gain
-    step = 10.0 ** max(-6, math.floor(math.log10(turn)) - 5) if turn else 1.0
-    return float(f"{math.ceil(turn / step) * step:.6g}")
+    exact_gain = math.tau * gain
+    step = 10.0 ** max(-6, math.floor(math.log10(exact_gain)) - 5) if exact_gain else 1.0
+    return float(f"{math.ceil(exact_gain / step) * step:.6g}")
 
 
 def required_settings(
@@ -170,7 +169,7 @@ class DiagnosticChannel(NamedTuple):
         return DiagnosticChannel(True, t_ns), codec.text_request(command)
 
     def is_awaiting_answer(self, t_ns: int) -> bool:
-        """Return True if the host must read the answer to the unanswered request in the present tick."""
+        """Return True if the host must read the text channel now, because a request has no answer yet."""
         is_late = (
             t_ns - self.request_sent_ns > REQUEST_TIMEOUT_NS
             and self.poll_count >= MAX_UNANSWERED_POLLS

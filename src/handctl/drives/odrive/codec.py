@@ -1,8 +1,8 @@
 """Conversion of the CANSimple frames of ODrive firmware 0.6.x between bytes and values, and errors in words.
 
 An identifier has 11 bits. Bits 10..5 contain the node number, and bits 4..0 contain the command
-number. Payloads are little-endian. A hyphen in the column of some bytes means that the message does
-not contain these bytes.
+number. Payloads are little-endian. A hyphen in a column means that the message does not contain the
+bytes of the column.
 
     command   name                     to     bytes 0..3                   bytes 4..7
     0x00      Get_Version              host   protocol 8, hardware 3 x 8   firmware 3 x 8, unreleased 8

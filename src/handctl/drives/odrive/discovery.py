@@ -224,8 +224,8 @@ def _payloads_by_node(received_frames: ReceivedFrames, command: int) -> dict[int
 def _is_heartbeat(data: bytes) -> bool:
     """Return True if 8 bytes have the layout of a heartbeat.
 
-    In a heartbeat, state and result have documented values. In byte 7 of a heartbeat, only the two
-    flags of firmware 0.5 are possibly set.
+    In a heartbeat, state and result have documented values. In byte 7 of a heartbeat, all bits are
+    0 except the two flags of firmware 0.5.
     """
     _, state, result = struct.unpack_from("<IBB", data)
     return 1 <= state <= 14 and result <= 15 and not data[7] & 0x7E
@@ -260,7 +260,7 @@ def other_host_frames(received_frames: ReceivedFrames) -> tuple[Frame, ...]:
 def ping_request(drive: DiscoveredNode) -> Frame:
     """Return a remote frame that requests a message from a drive, to check that the drive answers.
 
-    The requested message is one that the drive rarely sends without a request.
+    The drive rarely sends the requested message without a request.
     """
     return _remote_request(drive, _ping_command(drive))
 

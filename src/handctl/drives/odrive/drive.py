@@ -158,20 +158,20 @@ class OdriveDrive:
     def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
         """Return the frames whose rate is not the control rate.
 
-        Frames with another rate are heartbeats, positions without a request, temperatures, and SDO.
-        With factory settings the drive sends its position periodically, even if the host does not
-        use the position messages.
+        The returned frames are heartbeats, periodic positions, temperatures, and SDO messages. With
+        factory settings the drive sends its position periodically, even if the host does not use
+        the position messages.
         """
         temperature_rate = 0.0 if self.firmware_05 else 1e9 / TEMPERATURE_PERIOD_NS
         encoder_rate = 1.0 / (self.encoder_period_s or codec.ENCODER_PERIOD_MS * 1e-3)
-        recheck = readback.RECHECKS_PER_SECOND if self.settings else 0.0
+        recheck_rate = readback.RECHECKS_PER_SECOND if self.settings else 0.0
         frame_rate = MAX_MISSED_HEARTBEATS * 1e9 / self.heartbeat_timeout_ns + encoder_rate
         return (
             (8, False, frame_rate),
             (0, False, temperature_rate),
             (8, False, temperature_rate),
-            (4, False, recheck),
-            (8, False, recheck),
+            (4, False, recheck_rate),
+            (8, False, recheck_rate),
         )
 
     @property
@@ -364,7 +364,7 @@ class OdriveDrive:
         return enter_fault(next_state, SETTING_MISMATCH_ERROR, problem) if problem else next_state
 
     def _on_recheck_reply(self, state: DriveState, data: bytes) -> DriveState:
-        """Compare a setting that was read again from the enabled drive with its required value."""
+        """Check a setting of the enabled drive after the host has read the setting again."""
         setting = self.settings[state.recheck.step]
         endpoint, raw_bytes = codec.decode_sdo_reply(data)
         if endpoint != setting.endpoint or len(raw_bytes) < len(setting.raw):
@@ -432,11 +432,11 @@ class OdriveDrive:
         if progress.enable_command_ns >= 0:
             return state, (self._command_frame(self._command_at_rest(state)), *requests)
         if not progress.is_just_verified:
-            recheck = progress._replace(cursor=ReadbackCursor(), is_configured=False)
-            return state._replace(phase=CONFIGURING, protocol_state=recheck), requests
-        check = readback.first_recheck(self.node_id, t_ns)
+            unverified_progress = progress._replace(cursor=ReadbackCursor(), is_configured=False)
+            return state._replace(phase=CONFIGURING, protocol_state=unverified_progress), requests
+        first_cursor = readback.first_recheck(self.node_id, t_ns)
         next_state = state._replace(
-            recheck=check,
+            recheck=first_cursor,
             protocol_state=progress._replace(
                 enable_command_ns=t_ns, enable_attempts=progress.enable_attempts + 1
             ),
@@ -475,9 +475,9 @@ class OdriveDrive:
         """Return the next drive state, and the request to read or write the next endpoint.
 
         If the drive has already sent feedback, the host requests the position in addition to the
-        endpoint. The host verifies the settings of a drive again before an enable command, when
-        other drives are possibly enabled. Without the request for the position, the missing
-        feedback of the drive would then count as a fault.
+        endpoint. Before each enable command, the host verifies the settings of the drive again.
+        Other drives may be enabled during this verification, so missing feedback of the drive would
+        count as a fault.
         """
         cursor, data, problem = endpoints.next_request(progress.cursor, self.settings, t_ns)
         next_state = state._replace(protocol_state=progress._replace(cursor=cursor))

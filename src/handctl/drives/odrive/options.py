@@ -66,7 +66,7 @@ class OdriveOptions(NamedTuple):
 
 
 def pop_options(options: MutableMapping[str, Any], key_path: str) -> OdriveOptions:
-    """Return the values of the options, and remove the keys of the returned options. Keep the keys of endpoints.
+    """Remove the known options except the endpoint numbers from ``options``, and return their values.
 
     Args:
         options: options of the motor, modified in place.

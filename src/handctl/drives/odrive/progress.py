@@ -45,7 +45,7 @@ ENABLE_COMMANDS = 5
 MAX_MISSED_HEARTBEATS = 3.5
 """Number of heartbeat periods after which a drive without a heartbeat counts as lost."""
 SETTLE_TIME_NS = 5_000_000
-"""Time after a command in which a received heartbeat is possibly older than the command [ns]."""
+"""Time after a command in which a received heartbeat may be older than the command [ns]."""
 
 
 class OdriveProgress(NamedTuple):
@@ -134,8 +134,8 @@ def _state_after_error(
 ) -> DriveState:
     """Return the drive state after a heartbeat that reports an error.
 
-    An ODrive with an error disables itself. While the axis state is not idle, the drive possibly
-    still makes torque.
+    An ODrive with an error disables itself. Until the axis state is idle, the drive may still make
+    torque.
     """
     error_text = odrive_05.error_text if firmware_05 else codec.error_text
     fault_state = enter_fault(state, heartbeat.errors, error_text(heartbeat.errors))
@@ -164,10 +164,10 @@ def _state_when_enabled(state: DriveState, progress: OdriveProgress) -> DriveSta
 
 
 def _state_when_in_other_axis_state(state: DriveState, progress: OdriveProgress) -> DriveState:
-    """Return the drive state after a heartbeat that reports another axis state, such as a calibration.
+    """Return the drive state after a heartbeat with any other axis state, such as a calibration.
 
-    In an axis state other than idle and closed loop control, the drive possibly makes torque that
-    the host does not control.
+    In an axis state other than idle and closed loop control, the drive may make torque that the
+    host does not control.
     """
     if state.phase == ENABLED and progress.disable_command_ns < 0:
         return enter_fault(
@@ -187,7 +187,8 @@ def _state_when_disabled(
 ) -> DriveState:
     """Return the drive state after a heartbeat that reports the axis state idle.
 
-    Shortly after a command, a received heartbeat is possibly older than the command.
+    Shortly after a command, the host may receive a heartbeat that the drive has sent before the
+    command.
     """
     state_when_off = state._replace(
         protocol_state=progress._replace(enable_command_ns=-1, disable_command_ns=-1)
@@ -247,8 +248,8 @@ def _state_when_enable_failed(
 def state_after_timeout(state: DriveState, firmware_05: bool) -> DriveState:
     """Return the state of a drive whose heartbeats have been missing for too long.
 
-    An enabled drive goes into fault after the timeout. A disabled drive has possibly lost power,
-    and with the power its control mode.
+    An enabled drive goes into fault after the timeout. A disabled drive may have lost its power and
+    thus its control mode.
     """
     progress = get_progress(state)
     if state.phase == ENABLED or progress.enable_command_ns >= 0:
@@ -264,7 +265,8 @@ def state_after_timeout(state: DriveState, firmware_05: bool) -> DriveState:
 def start_disabling(state: DriveState, progress: OdriveProgress, t_ns: int) -> DriveState:
     """Return the state of a drive that is being disabled.
 
-    A drive that is possibly enabled counts as enabled until a heartbeat reports idle.
+    If the drive may be enabled (``OdriveProgress.may_be_enabled``), the drive counts as enabled
+    until a heartbeat reports idle.
     """
     phase = ENABLED if progress.may_be_enabled else state.phase
     disabling_start_ns = progress.disable_command_ns if progress.disable_command_ns >= 0 else t_ns

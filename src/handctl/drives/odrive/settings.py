@@ -5,8 +5,8 @@ values, and reads the corrected settings again.
 
 The number of each endpoint differs between firmware versions and boards (``flat_endpoints.json``).
 The hand file contains the endpoint numbers of a drive. If the hand file contains no endpoint
-numbers, the operator must set the watchdog of the drive over USB, and handctl cannot verify the
-watchdog over CAN.
+numbers, handctl cannot verify the watchdog of the drive over CAN. The operator must then set the
+watchdog over USB.
 """
 
 import struct
@@ -152,10 +152,10 @@ def on_reply(
 def next_request(
     cursor: ReadbackCursor, settings: tuple[OdriveSetting, ...], t_ns: int
 ) -> tuple[ReadbackCursor, bytes, str]:
-    """Return the next request of the read-back as new cursor, payload, and problem in words.
+    """Return the new read-back cursor, the payload of the next request, and the text of a problem.
 
-    The payload is empty while the host waits for an answer of the drive. The text of the problem is
-    empty if no problem has occurred.
+    The payload is empty while the host waits for an answer of the drive. The text is empty if no
+    problem has occurred.
     """
     setting = settings[cursor.step]
     if cursor.must_write:  # the drive does not answer a write request
@@ -164,10 +164,14 @@ def next_request(
             codec.sdo_request(codec.SDO_WRITE, setting.endpoint, setting.raw),
             "",
         )
-    cursor, send, problem = readback.request_setting(
+    cursor, must_send, problem = readback.request_setting(
         cursor, f"endpoint {setting.endpoint} ({setting.name})", t_ns
     )
-    return cursor, codec.sdo_request(codec.SDO_READ, setting.endpoint) if send else b"", problem
+    return (
+        cursor,
+        codec.sdo_request(codec.SDO_READ, setting.endpoint) if must_send else b"",
+        problem,
+    )
 
 
 def value_as_text(value_bytes: bytes, setting: OdriveSetting) -> str:

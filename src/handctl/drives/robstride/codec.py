@@ -188,8 +188,8 @@ def command_message(
 ) -> CyclicMessage:
     """Return the signal table of the torque command. The identifier of a torque command contains the torque.
 
-    No count of the torque field means exactly 0 N m. For 0 N m, the host sends the nearest count,
-    which differs by half a count.
+    The torque field cannot represent exactly 0 N m. For 0 N m, the host sends the nearest count,
+    which is half a count away from 0 N m.
 
     Args:
         node_id: number of the motor.

@@ -1,8 +1,8 @@
 """Discovery of RobStride motors by an identity request to each motor number.
 
 The identity request (type 0) causes no torque and changes no setting. A scan reads no mode and no
-faults, because only feedback contains them, and only the stop command requests feedback. A scan
-reads no parameters either. Source: docs/facts/robstride.md.
+faults. Only feedback contains mode and faults, and a scan would have to send the stop command to
+request feedback. A scan reads no parameters either. Source: docs/facts/robstride.md.
 """
 
 from handctl.drives.discovery import (

@@ -177,8 +177,8 @@ class RobstrideDrive:
         """Return the identifiers of requests from this host, and of commands with zero torque.
 
         Torque commands have a different identifier for each torque, 65536 identifiers in all. The
-        set omits the identifiers of torques other than zero, because the requests of another host
-        are sufficient to detect the other host.
+        set omits the identifiers of all torques except zero. The requests of another host are
+        sufficient to detect the other host.
         """
         requests = {codec.request_id(kind, self.node_id, self.host) for kind in codec.REQUEST_TYPES}
         return frozenset(requests | {self.command.message.can_id, self.command.pack_frame(0.0)[0]})
@@ -381,10 +381,9 @@ class RobstrideDrive:
         return state._replace(protocol_state=progress), (self._standby_request(state, progress),)
 
     def _standby_request(self, state: DriveState, progress: RobstrideProgress) -> Frame:
-        """Return the frame that the host sends to a motor without torque.
+        """Return the frame that the host sends while the motor makes no torque.
 
-        The frame to a motor without torque requests feedback, requests the identity, or clears
-        faults.
+        The frame requests feedback, requests the identity, or clears faults.
         """
         if state.phase == READY:
             return self._request_frame(codec.STOP)
@@ -421,7 +420,7 @@ class RobstrideDrive:
                     codec.parameter_request(required_parameter.number, required_parameter.raw),
                 ),
             )
-        cursor, send, problem = readback.request_setting(cursor, required_parameter.name, t_ns)
+        cursor, must_send, problem = readback.request_setting(cursor, required_parameter.name, t_ns)
         if problem:
             return enter_fault(
                 state._replace(protocol_state=progress), SETTING_MISMATCH_ERROR, problem
@@ -429,7 +428,7 @@ class RobstrideDrive:
         next_state = state._replace(error_text="", protocol_state=progress._replace(cursor=cursor))
         return next_state, (
             self._request_frame(codec.READ, codec.parameter_request(required_parameter.number)),
-        ) if send else ()
+        ) if must_send else ()
 
     def _torque_frame(self, torque: float) -> Frame:
         """Return the frame of a torque command.

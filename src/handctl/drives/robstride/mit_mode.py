@@ -20,9 +20,9 @@ request to read the faults has the same identifier, and the layout in the last r
     faults  motor 8   bits 0..7, 8..15, 16..23 in bytes 1..3      0 in bytes 4..7
 
 As with CubeMars motors, the feedback does not show if the motor is enabled. Watchdog and torque
-limit can be set and read only in the private protocol. MIT motors of other makers would obey a
-request that reads faults as a motion command. The host sends a request that reads faults only to
-disabled motors, and a scan never sends it.
+limit can be set and read only in the private protocol. An MIT motor of another maker would take the
+request for the faults as a motion command. The host therefore sends this request only to disabled
+motors, and a scan never sends it.
 
 Source: docs/facts/robstride.md, section MIT mode.
 """

@@ -45,8 +45,7 @@ class RobstrideProgress(NamedTuple):
     Attributes:
         cursor: position in the list of parameters to read back.
         is_configured: True if all parameters have their required values.
-        enabled_by_other_host: True if the motor possibly makes torque without a command of this
-            host.
+        enabled_by_other_host: True if the motor may make torque without a command of this host.
         is_enable_sent: True from the enable command until the motor reports reset mode.
         is_disabling: True while the motor is being stopped.
         disable_command_ns: time of the first stop command [ns].
@@ -68,7 +67,7 @@ class RobstrideProgress(NamedTuple):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Return True if the motor is possibly enabled, with or without an enable command of this host."""
+        """Return True if this host or another host may have enabled the motor."""
         return self.is_enable_sent or self.enabled_by_other_host
 
 
@@ -97,8 +96,8 @@ def apply_status(state: DriveState, mode: int, fault: int) -> DriveState:
 def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
     """Return the drive state after the motor has reported a fault.
 
-    A motor in reset mode makes no torque. In any mode other than reset mode, the motor possibly
-    still makes torque.
+    A motor in reset mode makes no torque. In any other mode, a motor with a fault may still make
+    torque.
     """
     progress = get_progress(state)
     if progress.errors_to_ignore:

@@ -65,7 +65,7 @@ class SensorInterface(Protocol):
 
     @property
     def amplifier_frame_ranges(self) -> tuple[range, ...]:
-        """Return the range of the frames in ``ids`` for each measuring amplifier."""
+        """Return, for each measuring amplifier, the range of the indices of its frames in ``ids``."""
         ...
 
     @property
@@ -93,7 +93,7 @@ class SensorInterface(Protocol):
 
     @property
     def tension_rail(self) -> float:
-        """Return the tared tension above which a load cell is possibly saturated [N].
+        """Return the tared tension above which a load cell may be saturated [N].
 
         The threshold is valid for any accepted tare of the load cell.
         """

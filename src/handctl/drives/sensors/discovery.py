@@ -2,9 +2,9 @@
 
 An answer of the sensor node contains the low four bits of the counter in the SYNC.
 
-SYNC does not move a motor that handctl has set up. Other CANopen drives possibly obey stored PDOs
-at SYNC. A scan sends no SYNC on a bus with a CANopen drive, or with an ODrive with node number 4,
-because the identifiers from ``command_ids`` of these drives include the identifier of SYNC. Source:
+SYNC does not move a motor that handctl has set up. A CANopen drive that handctl has not set up may
+obey stored PDOs at SYNC. A scan sends no SYNC on a bus with a CANopen drive or an ODrive with node
+number 4. The function ``command_ids`` of these drives returns the identifier of SYNC. Source:
 ``sensor_node``.
 """
 

@@ -65,9 +65,9 @@ BROKEN_CELL_MARGIN_N = 2.0
 TARE_MIN_N = TENSION_ZERO_N + BROKEN_CELL_MARGIN_N
 TARE_MAX_N = 6.0
 TENSION_RAIL_N = TENSION_MAX_N - TARE_MAX_N
-"""Tared tension above which a load cell is possibly saturated, for any accepted tare [N]."""
-# Number of ticks after which the SYNC counters repeat, and number of consecutive ticks whose
-# answers have distinct counters.
+"""Tared tension above which a load cell may be saturated, for any accepted tare [N]."""
+# COUNTER_PERIOD is the number of ticks after which the SYNC counters repeat. In
+# DISTINCT_COUNTER_TICKS consecutive ticks, all counters differ.
 COUNTER_PERIOD = 4096
 DISTINCT_COUNTER_TICKS = 8
 JOINT_STEP_RAD = 2 * math.pi / 4096
@@ -244,7 +244,7 @@ class SensorNode:
 
     @property
     def tension_rail(self) -> float:
-        """Return the tared tension above which a load cell is possibly saturated [N].
+        """Return the tared tension above which a load cell may be saturated [N].
 
         The threshold is valid for any accepted tare of the load cell.
         """
@@ -264,7 +264,8 @@ class SensorNode:
         """Return the frames that a tick exchanges with the node.
 
         Each frame is given as (payload bytes, frames per tick). SYNC is the first frame. The node
-        sends an angle frame only in some ticks, so that its number of frames per tick is below 1.
+        sends an angle frame once in ``decimation`` ticks, so that the number of angle frames per
+        tick can be below 1.
         """
         rates = [1.0] * self.tension_frames + [1.0 / self.decimation] * (
             len(self.ids) - self.tension_frames
@@ -344,18 +345,20 @@ def _joint_signal(slot: int, index: int, is_prismatic: bool) -> Signal:
 def sync_counters(decimation: int) -> bytes:
     """Return the counter bytes of the SYNC frames for about ``COUNTER_PERIOD`` ticks.
 
-    If a counter of four bits counted up, the counter would have the same value again after 16 or 32
-    ticks. A frame with an age of 16 ticks would then seem fresh. The counters of handctl are
-    pseudo-random, so that an old frame does not seem fresh. If the distance of two ticks is less
-    than ``DISTINCT_COUNTER_TICKS``, the low four bits of their counters differ. The low four bits
-    of the counters of two ticks at a larger distance are equal only by chance. The node decides by
-    the remainder of the counter modulo ``decimation`` if it sends angle frames, so the remainder
-    equals the tick modulo ``decimation``. If ``decimation`` is a multiple of 8, the remainder
-    leaves only two possible values for the low four bits. The low four bits of two ticks at a small
-    distance can then be equal, too.
+    A counter that counts up would repeat its low four bits after 16 ticks. An answer with an age of
+    16 ticks would then seem fresh. The counters of handctl are therefore pseudo-random.
+
+    The low four bits of two counters differ if the two ticks are less than
+    ``DISTINCT_COUNTER_TICKS`` apart. At a larger distance, the low four bits are equal only by
+    chance.
+
+    The node sends angle frames if the counter is a multiple of ``decimation``. Therefore counter
+    and tick have the same remainder modulo ``decimation``. If ``decimation`` is a multiple of 8,
+    the remainder leaves at most two values for the low four bits. Ticks at a small distance can
+    then have the same low four bits.
     """
-    rows = [range(remainder, 256, decimation) for remainder in range(decimation)]
-    byte_by_nibble = [{byte & 0xF: byte for byte in row} for row in rows]
+    counters_by_remainder = [range(remainder, 256, decimation) for remainder in range(decimation)]
+    byte_by_nibble = [{byte & 0xF: byte for byte in row} for row in counters_by_remainder]
     random_state = 1
     recent_counters = list[int]()
     result = bytearray()
@@ -363,13 +366,13 @@ def sync_counters(decimation: int) -> bytes:
         random_state = (
             random_state * 6364136223846793005 + 1442695040888963407 & 0xFFFF_FFFF_FFFF_FFFF
         )  # constants of Knuth's MMIX generator
-        fit = sorted(byte_by_nibble[k % decimation])
+        allowed_nibbles = sorted(byte_by_nibble[k % decimation])
         # The counter of the latest tick is the first excluded counter.
         for old_counter in reversed(recent_counters):
-            if len(fit) > 2 and old_counter in fit:
-                fit.remove(old_counter)
+            if len(allowed_nibbles) > 2 and old_counter in allowed_nibbles:
+                allowed_nibbles.remove(old_counter)
         # Only the high bits of a linear congruential generator are random.
-        nibble = fit[(random_state >> 33) % len(fit)]
+        nibble = allowed_nibbles[(random_state >> 33) % len(allowed_nibbles)]
         result.append(byte_by_nibble[k % decimation][nibble])
         recent_counters = [*recent_counters[2 - DISTINCT_COUNTER_TICKS :], nibble]
     return bytes(result)

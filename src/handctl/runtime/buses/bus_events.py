@@ -1,4 +1,4 @@
-"""Events of a CAN bus as tuples (kind, where, number), collected until the next tick takes them.
+"""Events of a CAN bus as tuples (kind, where, number), collected until the next tick takes the events.
 
 Kinds:
 
@@ -19,7 +19,7 @@ ticks in which a lasting state is present.
 import errno
 
 BusEvent = tuple[str, str, int]
-"""Event of a bus: kind, name of the bus (possibly with a detail), and number of occurrences."""
+"""Event of a bus: kind, name of the bus (followed by a detail, if there is one), and number of occurrences."""
 
 EVENT_KIND_BY_ERRNO = {
     errno.ENOBUFS: "enobufs",
@@ -83,7 +83,7 @@ class BusEvents:
     """
 
     def __init__(self, bus_name: str) -> None:
-        """Start without events. Each event will contain ``bus_name`` as the name of the bus."""
+        """Start without events. Each event contains ``bus_name`` as the name of the bus."""
         self.where = bus_name
         self._counts: dict[tuple[str, str], int] = {}
         self._lasting: set[str] = set()

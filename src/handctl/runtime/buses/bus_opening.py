@@ -23,14 +23,15 @@ operator.
 
 
 def real_buses(specs: Sequence[str]) -> list[str]:
-    """Return the specifications of buses that possibly have real motors."""
+    """Return the specifications of buses that may have real motors."""
     return [spec for spec in specs if not spec.startswith(SIMULATED_PREFIXES)]
 
 
 def _identity_conversion(t_ns: int) -> int:
     """Return an unchanged CLOCK_MONOTONIC time.
 
-    Programs that execute no run use this function, because they have no time of a run.
+    A program without a run opens its buses with this function, because only a run has a time of its
+    own.
     """
     return t_ns
 

@@ -153,7 +153,7 @@ class FrameStructs:
     """
 
     def __init__(self, struct_memory: Any) -> None:
-        """Use ``struct_memory``, a writable buffer whose size is a whole number of structs."""
+        """Use the writable buffer ``struct_memory``, which contains a whole number of structs."""
         self._rows = np.frombuffer(struct_memory, np.uint64).reshape(-1, CANFD_FRAME_BYTES // 8)
         self.count = len(self._rows)
         self._sizes = np.zeros((self.count, 1), np.uint64)

@@ -4,11 +4,11 @@ The offset converts the reception times of CAN frames.
 
 The Linux kernel stamps received frames with the time of the wall clock. A run uses CLOCK_MONOTONIC.
 
-The wall clock and CLOCK_MONOTONIC run at the same rate. The offset between them changes only when
-the wall clock is set. A bus requests a new measurement of the offset when a frame has an impossible
-time stamp. In user-mode Linux, each clock reading is a system call. In user-mode Linux, two clock
-readings in each tick would take as much time as the exchange of frames, so each measured offset is
-used many times.
+The wall clock and CLOCK_MONOTONIC run at the same rate. The offset between these clocks changes
+only when the wall clock is set. A bus requests a new measurement of the offset when a frame has an
+impossible time stamp. In user-mode Linux, each clock reading is a system call. In user-mode Linux,
+two clock readings in each tick would take as much time as the exchange of frames, so each measured
+offset is used many times.
 Source: man 2 clock_gettime, man 7 vdso.
 """
 
@@ -45,8 +45,8 @@ class ClockOffset:
     def _measure_offset(self) -> None:
         """Measure the offset between the clocks.
 
-        The result comes from the fastest of several readings, because the operating system possibly
-        interrupts the other readings.
+        The result comes from the fastest of several readings. The operating system may have
+        interrupted a slower reading.
         """
         readings = [
             (time.monotonic_ns(), time.time_ns(), time.monotonic_ns())

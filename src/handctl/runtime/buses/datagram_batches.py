@@ -164,9 +164,9 @@ class DatagramSlots:
 
         If each datagram must be read separately, return 0. The datagrams have a common size if all
         of them have the same length and a time stamp, and if no loss counter has a new value. After
-        the first lost datagram, the kernel adds the loss counter to every datagram. The result for
-        the last bytes of the headers is kept in a cache, because the kernel usually writes the same
-        bytes into the headers in every tick.
+        the first lost datagram, the kernel adds the loss counter to every datagram. The method
+        stores the result for the latest header bytes, because the kernel usually writes the same
+        header bytes in every tick.
 
         Args:
             count: number of received datagrams.
@@ -226,9 +226,9 @@ class DatagramSlots:
         return times
 
     def set_datagram_lengths(self, lengths: NDArray[np.uint64]) -> None:
-        """Set how many bytes of each slot are sent.
+        """Set the number of bytes to send from each slot.
 
-        ``lengths`` contains one number for each of the first slots.
+        ``lengths`` contains the numbers for the first ``len(lengths)`` slots.
         """
         self._sizes[: len(lengths)] = lengths
 

@@ -97,7 +97,7 @@ def parse_link(json_text: str) -> CanLinkState | None:
 
 
 def _dropped_frame_count(link_statistics: dict[str, Any]) -> dict[str, int]:
-    """Return the numbers of dropped frames, by kind of event.
+    """Return how many frames were dropped, by kind of event.
 
     Received frames and sent frames are counted separately.
     """

@@ -160,7 +160,7 @@ class LocalBus:
         return size
 
     def _report_lost_hub(self) -> None:
-        """Begin the lasting state in which every call of ``take_events`` reports that the hub has ended."""
+        """Begin the lasting state ``enodev``. Every later call of ``take_events`` reports that the hub has ended."""
         self._closed = True
         self._events.set_persistent_event("enodev", True)
 
@@ -233,7 +233,7 @@ class LocalBus:
         All other frames of the batch count as refused.
         """
         if len(frames) > self._free_queue_places():
-            # The hub has possibly reported a change of the transmit queue since the last read.
+            # The hub may have reported a change of the transmit queue since the last read.
             self.early_frames = self.drain()
         free_queue_places = self._free_queue_places()
         if len(frames) > free_queue_places:
@@ -289,7 +289,7 @@ class LocalBus:
     def _keep_partial_record(
         self, unsent_bytes: bytes | memoryview, sent_size: int, frames: int
     ) -> int:
-        """Store the rest of a partly sent record for the next call.
+        """Store the unsent rest of a partly sent record, so that the next call sends the rest.
 
         All records after the partly sent record are dropped.
 

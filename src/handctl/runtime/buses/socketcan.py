@@ -243,7 +243,7 @@ def _set_socket_options(can_socket: socket.socket) -> None:
     can_socket.setsockopt(socket.SOL_SOCKET, datagram_batches.SO_TIMESTAMPNS, 1)
     can_socket.setsockopt(socket.SOL_SOCKET, datagram_batches.SO_RXQ_OVFL, 1)
     can_socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
-    try:  # only root is allowed to request a buffer that is larger than net.core.rmem_max
+    try:  # only root can request a buffer that is larger than net.core.rmem_max
         can_socket.setsockopt(
             socket.SOL_SOCKET, datagram_batches.SO_RCVBUFFORCE, RECEIVE_BUFFER_BYTES
         )

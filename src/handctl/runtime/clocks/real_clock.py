@@ -36,7 +36,7 @@ class TickClock(Protocol):
         ...
 
     def clock_statistics(self) -> dict[str, str]:
-        """Return facts about the clock, each with its name.
+        """Return facts about the clock as texts, by the name of the fact.
 
         The recorder writes these facts at the end of the log.
         """

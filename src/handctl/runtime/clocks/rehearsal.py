@@ -59,7 +59,7 @@ class Rehearsal:
     def lead_time_ns(self) -> int:
         """Return the time before a deadline at which the process must wake up for a rehearsal [ns].
 
-        If the lead time is too long for the control period, return 0.
+        If the lead time exceeds the permitted fraction of the control period, return 0.
         """
         lead_ns = int(self.expected_delay_ns + self.expected_ns + MARGIN_NS)
         return lead_ns if lead_ns <= MAX_PERIOD_SHARE * self.period_ns else 0
@@ -71,7 +71,8 @@ class Rehearsal:
     def rehearse(self, remaining_ns: int) -> None:
         """Execute two steps of the last tick again, if the time until the deadline is long enough.
 
-        If a second step of the same length as the first does not fit, the second step is left out.
+        If the time that remains after the first step is shorter than the first step, the second
+        step is left out.
 
         Args:
             remaining_ns: time until the deadline [ns].
@@ -93,7 +94,7 @@ class Rehearsal:
 
 
 def _follow_time(expected_ns: float, measured_ns: float) -> float:
-    """Return the time to expect after a measurement. The expected time rises faster than it falls."""
+    """Return the expected time after an update by a measured time. The expected time rises faster than it falls."""
     difference_ns = measured_ns - expected_ns
     share = RISE_SHARE if difference_ns > 0 else FALL_SHARE
     return min(expected_ns + share * difference_ns, MAX_GROWTH * expected_ns)

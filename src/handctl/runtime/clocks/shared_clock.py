@@ -3,10 +3,10 @@
 The clock pauses when the machine is too slow.
 
 A simulated hand and its controller are two processes on one machine. The operating system can
-interrupt either process for many milliseconds. With real hardware, it can interrupt only the
-controller, and a late tick is a fault. In a simulation, a late tick after an interruption tells
-nothing about the hand or the controller. To prevent faults because of interruptions, the shared
-clock pauses in two cases:
+interrupt either process for many milliseconds. With real hardware, the operating system can
+interrupt only the controller, and a late tick is a fault. In a simulation, a late tick after an
+interruption tells nothing about the hand or the controller. To prevent faults because of
+interruptions, the shared clock pauses in two cases:
 
 - The controller wakes up too late. The clock continues from a time shortly after the deadline of
   the tick.
@@ -146,7 +146,7 @@ class SharedClock(RealClock):
     def convert_to_run_time(self, monotonic_ns: int) -> int:
         """Convert a CLOCK_MONOTONIC time stamp to the time of the run [ns].
 
-        The result is right only for time stamps after the pause before the latest pause.
+        The result is right only for time stamps after the second latest pause.
         """
         end_ns, pause_ns = self._last_pause_ns
         paused_before_ns = self._numbers[PAUSED_INDEX] - min(
@@ -168,7 +168,7 @@ class SharedClock(RealClock):
         )
 
     def _pause_at_gate(self) -> None:
-        """Add a pause if the clock has passed its gate, so that the clock reads the time of the gate.
+        """Set the clock back to its gate by a pause, if the clock has passed the gate.
 
         No jump back in time occurs in the simulator, because the simulator has never seen a time
         after the gate.
@@ -178,8 +178,8 @@ class SharedClock(RealClock):
     def _wait_for_simulator(self, deadline_ns: int) -> None:
         """Stop the clock at its gate until the simulator has answered the frames of the previous tick.
 
-        After ``MAX_SIMULATOR_WAIT_NS`` without an answer, the clock continues. In later ticks, the
-        clock does not wait until the simulator has answered again.
+        After ``MAX_SIMULATOR_WAIT_NS`` without an answer, the clock continues. The clock waits for
+        the simulator again only after the simulator has answered further frames.
         """
         numbers = self._numbers
         if numbers[ANSWERED_INDEX] == self._answer_count_at_timeout:

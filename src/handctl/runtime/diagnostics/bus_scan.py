@@ -25,7 +25,7 @@ MAX_BURST_FRAMES = 4
 The transmit queue of an interface can be as short as 10 frames.
 """
 BURST_PAUSE_S = 0.003
-"""Time in which the scan is allowed to send MAX_BURST_FRAMES frames [s].
+"""Time in which the scan sends at most MAX_BURST_FRAMES frames [s].
 
 The pause after a refused frame is equally long.
 """
@@ -36,7 +36,7 @@ MAX_SEND_TRIES = 50
 MAX_IGNORED_FRAMES = 1
 """Largest number of frames from another host that are ignored.
 
-Ignored frames possibly come from a host that has just ended.
+Ignored frames may come from a host that has just ended.
 """
 ListenFunction = Callable[[Bus, float, list[Frame]], None]
 """Function that collects the frames received on a bus during a time [s]."""
@@ -63,7 +63,7 @@ class BusScan(NamedTuple):
 
 
 def collect_frames(bus: Bus, duration_s: float, seen_frames: list[Frame]) -> None:
-    """Append the frames received on a bus during a time [s] to ``seen_frames``."""
+    """Append the frames that a bus receives within ``duration_s`` to ``seen_frames``."""
     end = time.monotonic() + duration_s
     while True:
         seen_frames += bus.drain()
@@ -125,14 +125,14 @@ def _requests_of_round(
     for name, discovery in DISCOVERY_BY_PROTOCOL.items():
         allowed_frames, dropped_probes = split_safe_requests(
             discovery.probe_frames(round_index, seen_frames),
-            _commands_of_other_hosts(name, seen_frames),
+            _command_ids_of_other_protocols(name, seen_frames),
         )
         requests += allowed_frames
         omitted_frames += dropped_probes
     return requests
 
 
-def _commands_of_other_hosts(name: str, seen_frames: list[Frame]) -> list[frozenset[int]]:
+def _command_ids_of_other_protocols(name: str, seen_frames: list[Frame]) -> list[frozenset[int]]:
     """Return the command identifiers of each discovered drive that uses another protocol than ``name``."""
     other_discoveries = (
         discovery for protocol, discovery in DISCOVERY_BY_PROTOCOL.items() if protocol != name
@@ -152,7 +152,7 @@ def _foreign_frames(seen_frames: list[Frame]) -> tuple[Frame, ...]:
     """
     foreign_frames: list[Frame] = []
     for name, discovery in DISCOVERY_BY_PROTOCOL.items():
-        known_command_ids = frozenset().union(*_commands_of_other_hosts(name, seen_frames))
+        known_command_ids = frozenset().union(*_command_ids_of_other_protocols(name, seen_frames))
         foreign_frames += [
             frame
             for frame in discovery.other_host_frames(seen_frames)

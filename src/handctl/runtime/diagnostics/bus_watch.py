@@ -124,14 +124,14 @@ class BusWatch:
         for bus in self.buses:
             for frame in bus.drain():
                 self._receive(frame)
-        now = self.clock.now_ns()
+        now_ns = self.clock.now_ns()
         sync_frames = [self.sensors.sync(self.k)] if self.sensors.ids else []
         for n, drive in enumerate(self.drives):
-            self.states[n], frames = drive.advance(self.states[n], now, DriveTarget.POLL, 0.0)
+            self.states[n], frames = drive.advance(self.states[n], now_ns, DriveTarget.POLL, 0.0)
             sync_frames += frames
         for i, amplifier in enumerate(self.sensors.amplifiers):
             self.amplifiers[i], frames = amplifier.advance(
-                self.amplifiers[i], now, DriveTarget.POLL
+                self.amplifiers[i], now_ns, DriveTarget.POLL
             )
             sync_frames += frames
         self._send(sync_frames)
@@ -163,9 +163,10 @@ class BusWatch:
         return [(now_ns - t_ns) * 1e-9 if t_ns >= 0 else math.inf for t_ns in times]
 
     def _receive(self, frame: Frame) -> None:
-        """Pass a received frame to the load-cell amplifiers.
+        """Process a received frame.
 
-        After the amplifiers, the sensor readings or the drives get the frame.
+        Every load-cell amplifier gets the frame first. A frame with sensor readings then updates
+        the readings, and all drives get any other frame.
         """
         group = self._group.get(frame.can_id, -1) if frame.bus == self.sensors.bus else -1
         for i, amplifier in enumerate(self.sensors.amplifiers):
@@ -184,8 +185,8 @@ class BusWatch:
         table = self._tables[group]
         kinds = [signal.quantity for signal in table.message.signals]
         kinds_and_values = zip(kinds, table.unpack(frame.data), strict=True)
-        # If the load is too large, an amplifier possibly sends NaN. A reading of NaN is set to the
-        # low end of the range of the load cell, so that it counts as saturated.
+        # If the load is too large, an amplifier may send NaN. A reading of NaN is set to the low
+        # end of the range of the load cell, so that it counts as saturated.
         low = self.sensors.cell_range[0]
         values = [
             low if math.isnan(value) else value

@@ -2,7 +2,7 @@
 
 The library ``canopen`` reads the objects of the drive one by one.
 
-This module is not used while a controller runs. The library ``canopen`` opens the bus with
+No program uses this module while a controller runs. The library ``canopen`` opens the bus with
 python-can, and starts threads. After ``identify_nodes`` has returned, the bus is closed and the
 threads have ended.
 """

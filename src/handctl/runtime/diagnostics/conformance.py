@@ -246,8 +246,8 @@ def _check_torque_ignored_when_disabled(device: DeviceUnderTest) -> str:
             raise CheckFailed(
                 f"follows torque commands while disabled: {torque:+.3f} N m turned it by {position_change:+.3f} rad"
             )
-    # The last command is a torque of zero, because a drive possibly stores the last command and
-    # follows it when it is enabled later.
+    # The last command is a torque of zero, because a drive may store the last command and follow
+    # this command as soon as the drive is enabled.
     rig.run_tick(DriveTarget.POLL, extra_frames=rig.drive.torque_frames(0.0))
     mean = sum(reported_torques[len(reported_torques) // 2 :]) / (
         len(reported_torques) - len(reported_torques) // 2
@@ -270,16 +270,16 @@ def _check_feedback(device: DeviceUnderTest) -> str:
     _enable_drive(rig)
     start = rig.state.feedback_count
     ticks = 100
-    ages = []
+    ages_ns = []
     for _ in range(ticks):
         state = rig.run_tick(DriveTarget.ENABLE)
         # After a tick, the time of the rig is already the time of the next tick.
-        ages.append(rig.t_ns - PERIOD_NS - state.feedback_t_ns)
-    ages.sort()
+        ages_ns.append(rig.t_ns - PERIOD_NS - state.feedback_t_ns)
+    ages_ns.sort()
     count = rig.state.feedback_count - start
-    high_age_ns = ages[-MAX_LATE_TICKS_PER_100]
+    high_age_ns = ages_ns[-MAX_LATE_TICKS_PER_100]
     result_text = (
-        f"{count} feedback frames in {ticks} ticks, at most {max(ages[-1], 0) / 1e6:.0f} ms old"
+        f"{count} feedback frames in {ticks} ticks, at most {max(ages_ns[-1], 0) / 1e6:.0f} ms old"
     )
     if count < 0.8 * ticks or high_age_ns > MAX_FEEDBACK_AGE_NS:
         raise CheckFailed(result_text)
@@ -320,9 +320,9 @@ def _rotation_check(motion_sign: int) -> RequirementCheck:
 
 
 def _no_motion_error(device: DeviceUnderTest, motion_sign: int, torque: float) -> Exception:
-    """Explain why a shaft did not turn at the torque limit.
+    """Return the exception for a shaft that did not turn at the torque limit.
 
-    The explanation depends on the torque that the drive has reported [N m].
+    The exception depends on ``torque``, the torque that the drive has reported [N m].
     """
     reported_torque = motion_sign * torque
     limit = f"{motion_sign * device.torque_limit_N_m:+.3f} N m"
@@ -422,8 +422,8 @@ def release_drive(rig: DriveRig, watchdog_s: float, original_drive: Drive | None
 
     Return True if the drive reports that it is disabled.
 
-    After the frames that end a run, the next program can use the drive. With these frames, the
-    drive knows that its host has ended, and does not report the loss of its host.
+    After the frames that end a run, the next program can use the drive. The frames tell the drive
+    that its host has ended, so that the drive does not report the loss of its host.
 
     Args:
         rig: test rig with a drive in any state.

@@ -1,8 +1,9 @@
 """Jog of one drive on a bench, in torque, position or velocity mode.
 
 The host and the drive both limit the motion. The host changes the command along a ramp. The host
-stops the drive if the shaft turns too fast or leaves the permitted travel. Too much torque and
-missing feedback also stop the drive. After a stop by the host, the drive is not enabled again.
+stops the drive if the shaft turns too fast or leaves the permitted travel. The host also stops the
+drive if the torque is too large or feedback is missing. After a stop by the host, the drive is not
+enabled again.
 """
 
 import math
@@ -81,7 +82,7 @@ class JogResult(NamedTuple):
 
 
 def distance_at(t_s: float, distance: float, speed: float, acceleration: float) -> float:
-    """Return the position in a motion from rest to rest.
+    """Return the position at a time in a motion that starts and ends at rest [rad].
 
     The velocity of the motion is a trapezoid over time.
 
@@ -150,7 +151,7 @@ class _JogExecution:
         if not rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
             return rig.reason_not_ready()
         # The start position is read only after the drive is ready. Before the drive has got its
-        # settings, the positions that it sends possibly have another scale.
+        # settings, the positions that the drive sends may have another scale.
         rig.run_for(DriveTarget.POLL, HOLD_DURATION_S)
         self._start = rig.state.position
         if not math.isfinite(self._start):
@@ -214,7 +215,7 @@ class _JogExecution:
     def _ramped_command(self, target_value: float) -> float:
         """Return the next command of a ramp to a target velocity or torque.
 
-        The step from the last command is proportional to the time since the last command, which
+        The step from the last command is proportional to the time since the last command. This time
         includes missed ticks.
         """
         goal = self._goal

@@ -75,7 +75,7 @@ class DriveRig:
         clock.start()
 
     def replace_drive(self, drive: Drive) -> None:
-        """Use another description of the same drive from now on.
+        """Replace the description of the drive by another description of the same drive.
 
         With the other description, the drive starts again in its initial state.
         """
@@ -134,9 +134,9 @@ class DriveRig:
     ) -> bool:
         """Run ticks with the idle command until ``is_condition_met`` returns True for the state of the drive.
 
-        Returns False if ``is_condition_met`` does not return True within the time ``timeout_s``
-        [s]. Only executed ticks count as time, because the drive of a late host would otherwise
-        have too few ticks for its answers.
+        Return False if ``is_condition_met`` does not return True within ``timeout_s`` [s]. The
+        timeout counts only executed ticks. If missed ticks counted too, a late host would give the
+        drive too few ticks for its answers.
         """
         return any(
             is_condition_met(self.run_tick(target))
@@ -159,8 +159,10 @@ class DriveRig:
         # In an identifier of SocketCAN, the bits 29 to 31 are flags.
         ids = sorted(self.drive.node_ids)
         ids_text = ", ".join(f"0x{number & 0x1FFFFFFF:03X}" for number in ids[:MAX_LISTED_IDS])
-        others_text = f" or {len(ids) - MAX_LISTED_IDS} others" if len(ids) > MAX_LISTED_IDS else ""
-        return f"no reply; expected frames with the identifier {ids_text}{others_text}"
+        omitted_count_text = (
+            f" or {len(ids) - MAX_LISTED_IDS} others" if len(ids) > MAX_LISTED_IDS else ""
+        )
+        return f"no reply; expected frames with the identifier {ids_text}{omitted_count_text}"
 
     def clear_faults(self) -> None:
         """Clear the latched faults of the drive."""
@@ -190,8 +192,8 @@ class DriveRig:
     def confirm_disabled(self, watchdog_s: float) -> bool:
         """Disable the drive, and return True if the drive reports that it is disabled.
 
-        If no frame of the drive was ever received, the drive does not count as disabled. A drive
-        without received frames was possibly enabled by another host. If the drive does not obey the
+        If no frame of the drive was ever received, the drive does not count as disabled. Another
+        host may have enabled a drive of which no frame was received. If the drive does not obey the
         disable command, the host sends no frames until the watchdog of the drive has expired. After
         the watchdog has expired, the host disables the drive again.
         """

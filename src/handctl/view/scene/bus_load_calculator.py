@@ -22,7 +22,8 @@ the next tick.
 class BusLoadCalculator:
     """Calculator for the load of each bus.
 
-    The load is the fraction of the last `BUS_LOAD_WINDOW_NS` that the frames take in the worst case.
+    The load is the longest possible duration of all frames in the last `BUS_LOAD_WINDOW_NS`, as a
+    fraction of `BUS_LOAD_WINDOW_NS`.
 
     The caller must pass the ticks in the order of time.
     """
@@ -78,14 +79,16 @@ class BusLoadCalculator:
     def _bus_occupancy_ns(self, frames: pa.ListArray) -> NDArray[np.int64]:
         """Return for how long the frames of each tick occupy each bus (n, buses) [ns].
 
-        The times are integers. As integers, the times have a sum that does not depend on the order
-        of the additions.
+        The times are integers, because the sum of integers does not depend on the order of the
+        additions.
         """
         counts: NDArray[np.int64] = np.diff(np.asarray(frames.offsets))
         tick = np.repeat(np.arange(len(frames)), counts)
-        flat = frames.flatten()
+        all_frames = frames.flatten()
         names = ("bus", "flags", "length", "can_id")
-        bus, flags, size, can_id = (np.asarray(flat.field(name)).astype(np.intp) for name in names)
+        bus, flags, size, can_id = (
+            np.asarray(all_frames.field(name)).astype(np.intp) for name in names
+        )
         is_valid_frame = (bus < len(self._times)) & (size <= MAX_PAYLOAD_BYTES)
         tick = tick[is_valid_frame]
         bus = bus[is_valid_frame]

@@ -76,9 +76,9 @@ ACTION_COLOURS = {
 
 
 def digit_colour(digit_index: int) -> Colour:
-    """Return the colour with a given number.
+    """Return the colour of a digit by its colour number.
 
-    ``colour_numbers`` gives the number for each digit of a hand.
+    The function ``colour_numbers`` returns the colour number of each digit of a hand.
     """
     return DIGIT_PALETTE[digit_index % len(DIGIT_PALETTE)]
 

@@ -100,5 +100,5 @@ class RunInfo:
 
 
 def _missing_fields(field_slices: dict[str, slice]) -> list[tuple[str, str]]:
-    """Return the name and the axis of each telemetry field that a log lacks."""
+    """Return each telemetry field that a log lacks, as (name, axis). The axis is for example ``joint``."""
     return [(name, axis) for name, axis in TELEMETRY_AXES.items() if name not in field_slices]

@@ -109,8 +109,8 @@ class TopicConverters:
             factor = self._run.hand.display_units.factor[joints]
             angle = factor * values_of_field["q"][:, joints]
             # Without an encoder, the standard deviation of a joint angle is about 20 deg. A band of
-            # 20 deg would cover the plot, so the plot of the angles shows no band. The plot of the
-            # signal q_sigma shows the standard deviation of each joint angle.
+            # 20 deg would cover the plot. Therefore the plot of the angles shows no band. The plot
+            # of the signal q_sigma shows the standard deviation of each joint angle.
             yield temporal_chunk(f"/angle/{digit}/estimate", times, plot_lines(angle))
             yield temporal_chunk(
                 f"/angle/{digit}/command",
@@ -158,11 +158,10 @@ class TopicConverters:
 
 
 def limits_near_tensions(joint_limits: list[float], tension: FloatArray) -> FloatArray:
-    """Return the tension limits (n,) [N].
+    """Return the tension limits (n,) [N], with NaN in place of each limit far above all tensions.
 
-    A limit that is far above all tensions is replaced by NaN. A plot chooses its range so that all
-    its lines are visible. With a very high limit, the lines of the tensions would be too close
-    together.
+    A plot chooses its range so that all its lines are visible. A line at a very high limit would
+    leave little room for the lines of the tensions.
     """
     largest = float(np.fmax.reduce(tension, axis=None, initial=0.0))
     return np.array([x if largest >= LIMIT_DISPLAY_FRACTION * x else np.nan for x in joint_limits])
