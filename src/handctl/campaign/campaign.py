@@ -1,4 +1,4 @@
-"""Fault campaign for one hand and some drive protocols.
+"""Fault campaign for one hand and one or more drive protocols.
 
 The campaign runs all scenarios of the fault matrix. The campaign also simulates runs without
 faults.
@@ -97,8 +97,8 @@ def campaign_scenarios(
 
     A full campaign runs all scenarios. If `row_ids` is not empty, the campaign runs only the
     scenarios of the named rows of the fault matrix. A quick campaign runs every seventh scenario.
-    The seed determines the first scenario of a quick campaign. Another seed selects another sample
-    of the scenarios.
+    The seed determines with which scenario a quick campaign begins, so that each seed gives a
+    different sample.
     """
     period_ms = 1e3 / rate_hz
     selected_scenarios = scenarios_of_hand(hand, protocol, period_ms)
@@ -188,9 +188,9 @@ def simulate_without_faults(
 ) -> list[str]:
     """Simulate a hand without faults, and return the false alarms.
 
-    In the simulation, the sensor noise is larger than normal, and some frames are lost. During the
-    run, the hand moves and grasps repeatedly. A run that does not reach a grasp counts as a false
-    alarm, because such a run tests too little.
+    In the simulation, the sensor noise is larger than normal, and a fraction of the frames is lost.
+    During the run, the hand moves and grasps repeatedly. A run that does not reach a grasp counts
+    as a false alarm, because such a run tests too little.
     """
     alarms: list[str] = []
     remaining_s = duration_s

@@ -124,7 +124,7 @@ class FaultMatrixRow(NamedTuple):
         )
 
     def missing_sensor_ticks(self, hand: Hand, fault: str, period_ms: float) -> int:
-        """Return the additional ticks that are allowed for the reaction to a fault on a hand without some sensors.
+        """Return the additional ticks that a hand with missing sensors is allowed for the reaction to a fault.
 
         Args:
             hand: description of the simulated hand.
@@ -189,7 +189,7 @@ _EXCHANGED_DRIVE_FAULTS = ("N14", "N05", "N06", "T04", "T02", "N04", "T03")
 _TORN_TENDON_FAULTS = ("T08", "N06")
 """Faults that show that joint and spool do not move together.
 
-After a tendon has torn, the controller possibly reports these faults in place of T01 and T02.
+After a tendon has torn, the controller can report these faults in place of T01 and T02.
 """
 
 FAULT_MATRIX: tuple[FaultMatrixRow, ...] = (
@@ -384,9 +384,9 @@ TEST_PLACE_BY_UNTESTED_FAULT = {
 def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenario]:
     """Return the scenarios of every row of the matrix.
 
-    Each row of the fault matrix is tested in all its stages. If the hand has several parts that the
-    fault can affect, there is one test with the first part and one test with the last part, for
-    example with the first and with the last motor.
+    Each row of the fault matrix is tested in all its stages. If the fault can affect several parts
+    of the hand, such as motors, two tests are made: one with the first part, and one with the last
+    part.
 
     Args:
         hand: description of the simulated hand.
@@ -420,23 +420,24 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenar
     """Return the scenarios with two faults: one for every pair of the faults in `FAULT_IDS_TESTED_IN_PAIRS`.
 
     All scenarios with two faults happen during a grasp. The fault with the more severe reaction
-    comes first. The other fault of the pair starts a few ticks later, on another part of the hand,
-    such as another motor. If a hand lacks the part that a fault affects, such as a load cell, there
-    are no pairs with this fault. `period_ms` is the control period [ms].
+    comes first. The second fault starts a few ticks later. The first fault affects the first
+    possible part of the hand, such as the first motor, and the second fault the last possible part.
+    If a hand has no part that a fault can affect, such as a load cell, there are no pairs with this
+    fault. `period_ms` is the control period [ms].
     """
     rows = [
         next(row for row in FAULT_MATRIX if row.id == id_ and protocol in row.protocols)
         for id_ in FAULT_IDS_TESTED_IN_PAIRS
     ]
     scenarios = []
-    for i, first_scenario in enumerate(rows):
-        for second_scenario in rows[i + 1 :]:
+    for i, first_row in enumerate(rows):
+        for second_row in rows[i + 1 :]:
             # If two faults are present, the controller must react as if only the more severe fault
             # were present.
             main_row, other_row = (
-                (first_scenario, second_scenario)
-                if first_scenario.action >= second_scenario.action
-                else (second_scenario, first_scenario)
+                (first_row, second_row)
+                if first_row.action >= second_row.action
+                else (second_row, first_row)
             )
             texts = fault_texts_for_hand(hand, main_row.fault, period_ms)
             second_fault_texts = fault_texts_for_hand(hand, other_row.fault, period_ms)
@@ -455,7 +456,7 @@ def fault_texts_for_hand(hand: Hand, fault: str, period_ms: float) -> list[str]:
 
     If the hand has no part that the fault can affect, the list is empty.
     """
-    sizes = {
+    value_by_placeholder = {
         # The number of missed ticks is one more than in the shortest stall of the host that counts
         # as a fault.
         "stall": tick_count_for_time(MAX_STALL_S, period_ms * 1e-3, MIN_STALLED_TICKS) + 1,
@@ -463,14 +464,17 @@ def fault_texts_for_hand(hand: Hand, fault: str, period_ms: float) -> list[str]:
         "jump": POSITION_JUMP_RAD * max(1.0, period_ms / POSITION_JUMP_MS),
         "rough": POSITION_NOISE_RAD * max(1.0, (period_ms / POSITION_NOISE_MS) ** 2),
     }
-    words = {name: f"{size:g}" for name, size in sizes.items()}
-    return [fault.format(**words, **instance) for instance in _placeholder_values(hand, fault)]
+    text_by_placeholder = {name: f"{size:g}" for name, size in value_by_placeholder.items()}
+    return [
+        fault.format(**text_by_placeholder, **part_texts)
+        for part_texts in _placeholder_values(hand, fault)
+    ]
 
 
 def _placeholder_values(hand: Hand, fault: str) -> list[dict[str, str]]:
-    """Return the values of the place holders for each part of the hand that a fault can affect.
+    """Return a list of placeholder values: one dict for each part of the hand that a fault can affect.
 
-    A fault text without a place holder for a part gives a single entry.
+    If the fault text has no placeholder for a part, the list has one element.
     """
     if "{tendon}" in fault:
         has_limit = "{trip}" in fault or "{limit}" in fault

@@ -80,9 +80,8 @@ def hand_with_drives(
 
     The buses use CAN FD if the protocol needs CAN FD.
 
-    The frames of the new drives possibly allow only a control rate below ``MIN_CONTROL_RATE_HZ``.
-    If the control rate is too low and the hand has only one bus, the motors are distributed over
-    more buses.
+    If the frames of the new drives reduce the control rate of a single bus below
+    ``MIN_CONTROL_RATE_HZ``, the motors are distributed over more buses.
 
     Args:
         hand: description of the hand.
@@ -181,10 +180,7 @@ def advance_to_stage(simulation: SimulatedRun, stage: str) -> None:
 
 
 class StagedRun(Protocol):
-    """Experiment that starts from a given stage of a run.
-
-    A staged experiment is a scenario of the fault matrix or a sequence of random faults.
-    """
+    """Experiment that starts at a given stage of a run: a fault scenario, or a sequence of random faults."""
 
     @property
     def name(self) -> str:
@@ -244,8 +240,8 @@ def run_in_forked_processes(
 ) -> None:
     """Run experiments, each in a forked copy of this process.
 
-    Each forked copy begins with the present state of the simulation. So the run up to the stage is
-    simulated only once for all experiments.
+    Each copy begins with the present state of the simulation. Therefore the part of the run before
+    the stage is simulated only once for all experiments.
 
     Args:
         simulation: simulation at the stage of the experiments. The simulation stays unchanged.

@@ -187,8 +187,8 @@ def tension_bound(
 ) -> float:
     """Return the largest tension that the drives and the momentum of the rotors can cause in a scenario [N].
 
-    Only the fault `runaway` makes a drive pull harder than commanded. With all faults other than
-    `runaway`, the tension must not exceed the trip tension. A single reading above the trip tension
+    Only the fault `runaway` makes a drive pull harder than commanded. For every other fault, the
+    result is the largest trip tension or start tension. A single reading above the trip tension
     makes the hand relax.
 
     Args:
@@ -219,7 +219,8 @@ def runaway_tension(
     A runaway drive pulls with its largest force F, and accelerates its rotor. The rotor acts like a
     mass m at the tendon. The tendon has the stiffness k, and resists. If the tension is T at the
     start of the fault, the tension rises up to F + sqrt((F - T)^2 + k m v^2). The speed v is the
-    speed of the rotor at the start, plus the speed that F adds while the finger moves freely.
+    initial speed of the rotor plus the speed that the rotor gains from F while the finger moves
+    freely.
 
     Args:
         model: model of the hand.
@@ -257,10 +258,10 @@ def _first_effect_ns(simulation: SimulatedRun, host: "HostFault | None", start_n
 class ReactionStart:
     """Instant from which the reaction time of a scenario counts.
 
-    Normally, the reaction time counts from the first effect of the fault. A stuck load cell is not
-    visible until the motor force has varied, see ``FaultMatrixRow.force_change_N``. For a stuck
-    load cell, the reaction time therefore counts from the instant at which the low-passed motor
-    force has varied enough.
+    For most faults, the reaction time counts from the first effect of the fault. A stuck load cell
+    is not visible until the motor force has varied, see ``FaultMatrixRow.force_change_N``. For a
+    stuck load cell, the reaction time therefore counts from the instant at which the low-passed
+    motor force has varied enough.
     """
 
     def __init__(self, simulation: SimulatedRun, scenario: FaultScenario) -> None:
@@ -302,7 +303,7 @@ class ReactionStart:
         return self._varied_ns if self._varied_ns >= 0 else t_ns
 
     def _motor_force(self, simulation: SimulatedRun) -> float:
-        """Return the force with which the motor that has the fault pulls its tendon [N]."""
+        """Return the force with which the faulty motor pulls its tendon [N]."""
         torque = simulation.simulated_hand.truth()["torque"][self._tendon]
         return float(
             torque / simulation.controller.model.tendon_constants.spool_radius[self._tendon]

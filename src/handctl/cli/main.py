@@ -353,8 +353,7 @@ def _run_verb(name: str, command_words: list[str]) -> int:
 def _start_recorder_early() -> AbstractContextManager[None]:
     """Start the recorder process early.
 
-    After the early start, the recorder process and this process import their modules at the same
-    time.
+    While the recorder process imports its modules, this process imports the modules of the command.
     """
     from handctl.log.write.recorder_start import (
         prestarted_recorder_process,

@@ -126,7 +126,7 @@ class AsyncHandClient:
         await asyncio.to_thread(self.client.release, wait, timeout_s)
 
     async def take_over(self) -> None:
-        """Take over from another client the right to move the hand."""
+        """Take the right to move the hand from the client that has this right, see ``HandClient.take_over``."""
         await asyncio.to_thread(self.client.take_over)
 
     async def stop(self) -> None:
@@ -218,7 +218,7 @@ class AsyncTargetStream:
 
     @property
     def status(self) -> StreamStatus:
-        """Return the numbers of targets that the controller has accepted, clipped, refused, and received too late."""
+        """Return how many targets the controller has accepted, clipped, refused, and received too late."""
         return self.stream.status
 
     async def close(self) -> None:

@@ -101,8 +101,8 @@ def connect(
     started the controller, a lease protects the hand.
 
     If the program that commands the hand is killed or suspended, it no longer renews the lease.
-    When the lease of a client has expired, moving digits come to rest. When twice the time of the
-    lease has passed without a renewal, the hand relaxes.
+    When the lease of a client has expired, moving digits come to rest. If the lease is not renewed
+    for twice the time ``lease_s``, the hand relaxes.
 
     Args:
         hand: name of a packaged hand, or path of a hand file, for a new controller. On a real bus,
@@ -152,7 +152,7 @@ def connect(
 
 
 def _check_lease(lease_s: float | None, watchdog_s: float | None) -> None:
-    """Check the two times after which a client counts as lost: the lease and the watchdog time.
+    """Check the lease and the watchdog time, after which the controller treats a client as lost.
 
     Raises:
         ConfigError: a time is not a number within its limits, or there is a watchdog but no lease.
@@ -174,8 +174,8 @@ class HandClient:
     Use the client as a context manager. Several threads of a program can share a client.
 
     At any time, only one client is allowed to move the hand. Any number of clients can observe the
-    hand. The first client that moves the hand keeps the right to move the hand. A client loses the
-    right to move the hand when it closes, or when another client calls ``take_over``.
+    hand. The first client that moves the hand gets the right to move the hand. The client has this
+    right until the client closes, or until a second client calls ``take_over``.
 
     If the client has started the controller, the hand is relaxed and disarmed when the client
     closes. If another process has started the controller, the hand stays armed. If the client was
@@ -418,8 +418,8 @@ class HandClient:
     ) -> Observation:
         """Execute a task up to the first hold phase, and return the observation at the start of this phase.
 
-        The hold phase lasts until ``release`` is called, or until another goal is set, such as by
-        ``move``. Another goal also ends the task.
+        The method ``release`` ends the hold phase and continues the task. A method that sets a
+        goal, such as ``move``, ends both the hold phase and the task.
 
         Args:
             task: packaged task, e.g. ``"grasp"``, or a task file.
@@ -472,9 +472,9 @@ class HandClient:
         self._set_goal({"do": "stream_end", "stream": name})
 
     def take_over(self) -> None:
-        """Take over from another client the right to move the hand.
+        """Take the right to move the hand from the client that has this right.
 
-        All digits come to rest. If the other client has an open stream, this stream ends.
+        All digits come to rest. An open stream of the client that loses the right ends.
 
         Raises:
             DriveError, BusError: see ``move``.
@@ -495,7 +495,7 @@ class HandClient:
         return self._description
 
     def observe(self, wait: bool = False, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> Observation:
-        """Return the observation of the latest tick, read from shared memory.
+        """Read the observation of the latest tick from shared memory, and return the observation.
 
         Args:
             wait: True to wait for a tick that this client has not observed yet.
@@ -744,7 +744,7 @@ class HandClient:
             if self._lease_s is None or self._heartbeat is not None or self._closed:
                 return
             time_scale = 1.0
-            with suppress(BusError, DriveError):  # the run has possibly ended already
+            with suppress(BusError, DriveError):  # the run can have ended already
                 time_scale = self._open_reader().description["time_scale"]
             self._heartbeat = Heartbeat(
                 self.bus,
@@ -759,10 +759,7 @@ class HandClient:
             self._heartbeat.record_call_time()
 
     def _wait_until_following(self, timeout_s: float) -> dict[str, Any]:
-        """Return the state of the hand while the hand follows goals.
-
-        If the hand no longer follows goals, raise an error.
-        """
+        """Return the state of the hand if the hand follows goals, and raise an error otherwise."""
         line = self.state(timeout_s)
         if line["mode"] in SHUTDOWN_MODE_NAMES:
             self._collect_result()
@@ -840,7 +837,7 @@ class HandClient:
     def _collect_result(self) -> None:
         """End the controller by closing its standard input, and read the result of the run.
 
-        If another thread already ends the controller, wait until this thread has read the result.
+        If a second thread already does the same, wait until the second thread has read the result.
         """
         with self._output_lock:
             if self.child is None or self.child.stdout is None or self.child.stdout.closed:
@@ -896,8 +893,8 @@ def _values_by_digit(do: str, goals: object, keyword_goals: Mapping[str, Any]) -
 def _convert_to_floats(values: Mapping[str, Any]) -> dict[str, Any]:
     """Convert all numbers among the given values to float, and return all values.
 
-    The given numbers can have any numeric type. Other values stay unchanged, so that the error
-    message of a later check can show them.
+    The numbers can have any numeric type. Values that are not numbers stay unchanged, so that a
+    later check can show the wrong value in the error message.
     """
     converted_values = dict(values)
     for key, value in values.items():

@@ -57,9 +57,9 @@ class TargetStream:
     """Open stream of targets to a hand. Use the stream as a context manager.
 
     The hand reaches a target ``horizon_s`` after the target was sent, and then continues to the
-    next target. A program with a known trajectory should send at each moment the target that the
-    hand must reach ``horizon_s`` later. If each target is sent ``horizon_s`` in advance, the hand
-    follows the trajectory without delay.
+    next target. A program that knows the trajectory in advance should send each target
+    ``horizon_s`` before the hand must reach the target. The hand then follows the trajectory
+    without delay.
 
     If no more targets arrive, the hand stays at the last target that has arrived. After the time
     ``hold_after_ms`` without a target, the hand holds its position. After the time
@@ -159,7 +159,7 @@ class TargetStream:
 
     @property
     def status(self) -> StreamStatus:
-        """Return the numbers of targets that the controller has accepted, clipped, refused, and received too late."""
+        """Return how many targets the controller has accepted, clipped, refused, and received too late."""
         return self._hand.observe().stream
 
     def close(self) -> None:
@@ -231,7 +231,7 @@ class TargetStream:
 def _number_array(values: object) -> NDArray[np.float64]:
     """Return a copy of the values that a program gives to the stream.
 
-    The copy is necessary because the program possibly changes its own array later.
+    The copy is necessary because the program can change its own array later.
 
     Raises:
         ConfigError: the values are not numbers.

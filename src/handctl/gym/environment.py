@@ -1,9 +1,10 @@
 """Base class of the Gymnasium environments.
 
-In each environment, a simulated hand, which is already homed, runs in lockstep and follows a stream
-of targets. An action reaches the controller as text in ``TickIn``, in the same way as the targets
-of a client. The controller therefore checks, clips and limits an action, and the safety monitor
-reacts as on a real hand. The subclasses ``TrackEnv`` and ``GraspEnv`` define the rewards.
+In each environment, a simulated hand runs in lockstep and follows a stream of targets. At the start
+of each episode, the hand is homed. An action reaches the controller as text in ``TickIn``, in the
+same way as the targets of a client. The controller therefore checks, clips and limits an action,
+and the safety monitor reacts as on a real hand. The subclasses ``TrackEnv`` and ``GraspEnv`` define
+the rewards.
 """
 
 import json
@@ -176,7 +177,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
     @abstractmethod
     def values_outside_telemetry(self, name: str) -> Any:
-        """Return the values of an observation part whose values are not in the telemetry."""
+        """Return the values of an observation part that the telemetry does not contain, by name of the part."""
 
     @abstractmethod
     def begin_episode(self) -> None:
@@ -184,9 +185,9 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
     @abstractmethod
     def evaluate_step(self) -> tuple[float, bool, dict[str, Any]]:
-        """Return three results of a step: the reward, the success or failure, and further information.
+        """Return the reward of a step, True if the step ends the episode, and entries for ``info``.
 
-        The second result is True if the hand has reached the goal of the episode or has failed.
+        A step ends the episode if the hand has reached the goal of the episode or has failed.
         """
 
     def choose_scene(self) -> str | None:
@@ -234,7 +235,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
     @property
     def simulated_world(self) -> Any:
-        """Return the simulated world. The rewards depend on the true values in this world, and not on measurements."""
+        """Return the simulated world, whose true values determine the rewards in place of measurements."""
         return self.simulated_run.simulated_hand.world
 
     def reset(
@@ -349,7 +350,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def action_for(self, angles_deg: Vector) -> Float32Array:
         """Return the action with the given target angles (V,) [deg].
 
-        The returned action does not make any digit hold a tension.
+        In the returned action, every digit follows its target angles, and no digit holds a tension.
         """
         scaled = (
             2.0 * (np.asarray(angles_deg) - self.low_deg) / (self.high_deg - self.low_deg) - 1.0
@@ -370,8 +371,8 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def _step_requests(self, action_vector: Vector) -> list[TickRequest]:
         """Return all requests of a step.
 
-        If this step sends targets for other joints or digits than the last step, the first request
-        opens a new stream.
+        If the joints or digits with targets have changed since the last step, a request opens a new
+        stream.
         """
         requests: list[TickRequest] = list(self.requests_of_action(action_vector))
         names = self.names_of_targets(action_vector)
@@ -387,8 +388,8 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def _next_target(self, action_vector: Vector) -> StreamTarget:
         """Return the next target of the stream.
 
-        The next target is closer to the target of the action than the last target, and obeys the
-        largest rate of change.
+        The target moves from the last target towards the target of the action, at most by the
+        largest allowed change per step.
         """
         change = self.angles_deg(action_vector) - self._target_deg
         self._target_deg = self._target_deg + np.clip(

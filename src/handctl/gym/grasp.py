@@ -40,15 +40,13 @@ class GraspEnv(HandEnv):
     """Environment for a grasp.
 
     The digits shall close on a cylinder of random diameter, and hold the cylinder while the table
-    below it sinks.
-
-    When at least three digits, with the thumb among them, have pressed on the cylinder with 1 N for
-    1.5 s, the table sinks. An action consists of targets, followed by one value t for each digit.
-    If t is positive, the digit holds a tension of t times the largest allowed tension. Digits whose
-    value t is not positive follow their targets. The reward of a step is the change, during the
-    step, of the mean of min(force / 1 N, 1) over all digits. A success adds 10 to the reward, and a
-    drop of the object or a fault adds -1. The reward uses the true forces and the true height of
-    the object.
+    below the cylinder sinks. The table sinks when three digits or more, including the thumb, have
+    pressed on the cylinder with 1 N for 1.5 s. An action consists of targets, followed by one value
+    t for each digit. If t is positive, the digit holds a tension of t times the largest allowed
+    tension. Digits whose value t is not positive follow their targets. The grip is the mean of
+    min(force / 1 N, 1) over all digits. The reward of a step is the change of the grip during the
+    step. A success adds 10 to the reward, and a drop of the object or a fault subtracts 1. The
+    reward uses the true forces and the true height of the object.
     """
 
     has_tensions = True
@@ -105,7 +103,7 @@ class GraspEnv(HandEnv):
         ]
 
     def values_outside_telemetry(self, name: str) -> Any:
-        """Raise an error, because the telemetry contains all values of an observation."""
+        """Raise KeyError, because the telemetry contains every observation part of the environment."""
         raise KeyError(name)
 
     def begin_episode(self) -> None:
@@ -171,9 +169,10 @@ class GraspEnv(HandEnv):
         return tensions
 
     def evaluate_step(self) -> tuple[float, bool, dict[str, Any]]:
-        """Return three results of a step: the reward, the end of the episode, and further information.
+        """Return the reward of a step, True if the step ends the episode, and entries for ``info``.
 
-        The second result is True if the object has been held long enough or has been dropped.
+        A step ends the episode if the hand has held the object long enough or has dropped the
+        object.
         """
         forces = np.linalg.norm(np.reshape(self._forces(), (-1, 3)), axis=1)
         mean_force_reward = float(np.minimum(forces / FULL_REWARD_FORCE_N, 1.0).mean())

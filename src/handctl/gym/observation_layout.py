@@ -75,7 +75,7 @@ class ObservationLayout:
 
 
 def telemetry_observation(hand: Hand, name: str, low: float, high: float) -> ObservationPart:
-    """Return the part of an observation for one name of the telemetry, such as ``q_rad``."""
+    """Return the observation part for a telemetry field, given by name and unit, such as ``q_rad``."""
     axis: Mapping[str, tuple[str, ...]] = {
         "joint": hand.joints,
         "tendon": hand.tendon_names,

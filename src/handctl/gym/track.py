@@ -111,10 +111,10 @@ class TrackEnv(HandEnv):
         return self.units.si(self.reference_deg(self.t_s + time_ahead_s))
 
     def evaluate_step(self) -> tuple[float, bool, dict[str, Any]]:
-        """Return three results of a step: the reward, False, and the tracking error.
+        """Return the reward of a step, False, and the tracking error.
 
-        The reward depends on the true tracking error. The second result is always False, because no
-        step ends an episode.
+        The reward depends on the true tracking error. The second result is False, because the
+        environment has neither a success nor a failure.
         """
         error = self.units.to_display_units(
             self.coordinates_of_joints(self.true_q)

@@ -37,7 +37,7 @@ class CdrWriter:
         self._start = start_offset
 
     def align(self, size: int) -> None:
-        """Append zeros until the length of the message is a multiple of `size` bytes."""
+        """Append zeros until the length after the encapsulation is a multiple of `size` bytes."""
         # In Python, -n % size is the distance from n to the next multiple of size.
         self.data += bytes(-(self._start + len(self.data)) % size)
 
@@ -58,8 +58,8 @@ class CdrWriter:
     def put_string(self, value: str) -> None:
         """Append a string.
 
-        Lone surrogates in the string are replaced by escape sequences, because other CDR readers
-        cannot decode them.
+        Escape sequences replace lone surrogates in the string, because the CDR readers of other
+        programs cannot decode a lone surrogate.
         """
         raw_bytes = value.encode("utf-8", "backslashreplace")
         self.put_length(len(raw_bytes) + 1)

@@ -97,6 +97,6 @@ class ChunkTable:
             )
 
     def _chunk_rows(self) -> Iterator[tuple[int, ...]]:
-        """Yield the numbers that the table stores for each chunk."""
+        """Yield one tuple of stored numbers for each chunk, in the order of the file."""
         for block in (*map(zlib.decompress, self._packed), bytes(self._latest)):
             yield from _CHUNK_ROW_STRUCT.iter_unpack(block)

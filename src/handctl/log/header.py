@@ -185,7 +185,7 @@ class RunHeader:
 
 
 def _checked_integer(key: str, value: Any, minimum: int, maximum: int) -> int:
-    """Return an integer from the header of a log, after a check of its type and range.
+    """Check the type and the range of an integer from the header of a log, and return the integer.
 
     Raises:
         ValueError: the value is not a whole number from `minimum` to `maximum`.
@@ -199,7 +199,7 @@ def _checked_integer(key: str, value: Any, minimum: int, maximum: int) -> int:
 
 
 def _checked_names(key: str, value: Any) -> tuple[str, ...]:
-    """Return a list of names from a log's header, after a check that each name is valid.
+    """Check that a value from the header of a log is a list of valid names, and return the names.
 
     Raises:
         ValueError: the value is not a list of valid names.

@@ -1,9 +1,10 @@
 """Writer of files in the container format MCAP.
 
 The writer receives messages in blocks, because one Python call for each message would take too
-long. The package mcap encodes only the rare kinds of records. This module itself encodes chunks and
-message indexes, because the package mcap would need most of the writing time for these records.
-Chunks and message indexes have these layouts:
+long. The package mcap encodes only the rare kinds of records. Chunks and message indexes are
+frequent. If the package mcap encoded the frequent records, the encoding would take most of the
+writing time. Therefore this module encodes chunks and message indexes itself. Chunks and message
+indexes have these layouts:
 
 Chunk: opcode u8, length u64, first time u64 [ns], last time u64 [ns], uncompressed size u64, CRC-32
 u32, compression as a text (u32 length), compressed size u64, compressed records. MessageIndex:

@@ -169,7 +169,7 @@ class TickBatcher:
         Args:
             header: header of the run, with the number of telemetry columns.
         """
-        self._sizes = tuple(
+        self._axis_lengths = tuple(
             len(header.axis_names(name)) for name in ("joint", "tendon", "motor", "digit")
         )
         self._width = sum(len(header.axis_names(axis)) for axis in TELEMETRY_AXES.values())
@@ -193,19 +193,19 @@ class TickBatcher:
     def add_tick(self, body: bytes) -> int:
         """Add one tick, and return the time of the tick since the start of the run [ns].
 
-        If the telemetry has a wrong shape, the tick gets NaN in place of the telemetry, and is
-        counted in `misshapen_ticks`.
+        If the telemetry has a wrong shape, all values of the telemetry become NaN, and
+        `misshapen_ticks` counts the tick.
 
         Args:
             body: body of the record of a tick, see `handctl.log.tick_record`.
         """
-        size, *sizes = TICK_SIZES_STRUCT.unpack_from(body)
-        message = body[TICK_SIZES_STRUCT.size : TICK_SIZES_STRUCT.size + size]
-        numbers = body[TICK_SIZES_STRUCT.size + size :]
-        if tuple(sizes) != self._sizes or len(numbers) != 8 * self._width:
+        message_size, *axis_lengths = TICK_SIZES_STRUCT.unpack_from(body)
+        message = body[TICK_SIZES_STRUCT.size : TICK_SIZES_STRUCT.size + message_size]
+        telemetry_bytes = body[TICK_SIZES_STRUCT.size + message_size :]
+        if tuple(axis_lengths) != self._axis_lengths or len(telemetry_bytes) != 8 * self._width:
             self.misshapen_ticks += 1
-            numbers = np.full(self._width, np.nan).tobytes()
-        self._numbers.append(numbers)
+            telemetry_bytes = np.full(self._width, np.nan).tobytes()
+        self._numbers.append(telemetry_bytes)
         self._add_frames(message)
         self._messages.append(message)
         self.size += len(body)

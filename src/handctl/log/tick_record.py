@@ -147,9 +147,10 @@ def record_bytes(kind: int, body: bytes) -> bytes:
 
 
 def _long_data_mask(records: RecordArray) -> NDArray[np.bool_]:
-    """Return a mask (n, 56) for the payload bytes after the eighth byte of n frames.
+    """Return a mask (n, 56) for the data bytes after the eighth byte of n frames.
 
-    The mask is True for the bytes that belong to the payload of their frame.
+    The mask is True where the payload of a frame has a byte, and False after the end of the
+    payload.
     """
     return np.asarray(records["length"][:, np.newaxis] > _LONG_DATA_INDEXES)
 
@@ -163,8 +164,8 @@ def _long_data(records: RecordArray) -> bytes:
 def _eventless_message_tail(phase: str) -> bytes:
     """Return the end of a Tick message without events: the phase and three empty sequences.
 
-    If the offset of the end in the message is divisible by four, the bytes of the end depend only
-    on the phase. An end that depends only on the phase can be cached.
+    If the end begins at a multiple of four bytes in the message, the bytes of the end depend only
+    on the phase. Therefore the function can cache the end of each phase.
     """
     writer = CdrWriter()
     writer.put_string(phase)
@@ -176,7 +177,7 @@ def _eventless_message_tail(phase: str) -> bytes:
 def _message_end(
     start_offset: int, phase: str, tick_in: TickIn, events: tuple[TickEvent, ...]
 ) -> bytes:
-    """Return the end of a Tick message, which contains phase, io events, requests and events.
+    """Return the end of a Tick message: phase, io events, requests and events.
 
     Args:
         start_offset: offset at which the end begins in the body of the message [bytes]. The
@@ -259,7 +260,7 @@ def pack_tick(tick_in: TickIn, tick_output: TickOut) -> bytes:
 
 
 def pack_tick_record(tick_in: TickIn, tick_output: TickOut) -> bytes:
-    """Encode a tick as a record for the pipe.
+    """Encode a tick as a record for the pipe, with the telemetry after the Tick message.
 
     This function raises the same errors as `pack_tick`.
     """
@@ -283,11 +284,11 @@ def pack_snapshot(tick_in: TickIn, data: bytes) -> bytes:
     )
 
 
-def _axis_lengths(numbers: Telemetry | PackedTelemetry) -> tuple[int, ...]:
-    """Return the numbers of joints, tendons, motors and digits in the telemetry."""
-    if isinstance(numbers, PackedTelemetry):
-        return numbers.slices.axis_lengths
-    return tuple(len(getattr(numbers, name)) for name in FIELD_BY_AXIS)
+def _axis_lengths(telemetry: Telemetry | PackedTelemetry) -> tuple[int, ...]:
+    """Return the number of joints, of tendons, of motors and of digits in the telemetry."""
+    if isinstance(telemetry, PackedTelemetry):
+        return telemetry.slices.axis_lengths
+    return tuple(len(getattr(telemetry, name)) for name in FIELD_BY_AXIS)
 
 
 class MessageLayout(NamedTuple):
@@ -343,7 +344,7 @@ def _decode_frames(frame_starts: bytes, long_data: bytes) -> tuple[Frames, bytes
             frames.
 
     Raises:
-        ValueError: a payload is too long, or some of its bytes are missing.
+        ValueError: a payload is too long, or bytes of a payload are missing.
     """
     lengths = frame_starts[_LENGTH_OFFSET::FRAME_RECORD_BYTES]
     count = len(frame_starts) // FRAME_RECORD_BYTES
@@ -468,7 +469,9 @@ def _tick_without_events(
 
 
 def unpack_ticks(messages: list[bytes]) -> list[TickRecord]:
-    """Decode all Tick messages of a chunk. The CAN frames of all these ticks are in one array.
+    """Decode all Tick messages of a chunk.
+
+    If all payloads are short, the CAN frames of all ticks are decoded at once, which is faster.
 
     Raises:
         ValueError: an element is not a Tick message.
@@ -486,7 +489,7 @@ def _unpack_ticks_with_short_frames(messages: list[bytes]) -> list[TickRecord] |
         the ticks. None if a message has a payload of more than eight bytes or ends early. If the
         result is None, the caller decodes each message with `unpack_tick`.
     """
-    frame_and_length_bytes = list[bytes]()
+    frame_parts = list[bytes]()
     end_indices = [0]
     tick_heads = list[_TickHead]()
     tail_offsets = list[int]()
@@ -505,8 +508,8 @@ def _unpack_ticks_with_short_frames(messages: list[bytes]) -> list[TickRecord] |
         if message[long_size_offset : long_size_offset + 4] != _NO_LONG_DATA:
             return None
         # The frames of all messages are joined and decoded in one call. After the decoding, the
-        # frames are divided among the messages again at `ends`.
-        frame_and_length_bytes += (
+        # frames are divided among the messages again at `end_indices`.
+        frame_parts += (
             message[_FRAMES_OFFSET:sent_count_offset],
             message[start:long_size_offset],
         )
@@ -514,10 +517,10 @@ def _unpack_ticks_with_short_frames(messages: list[bytes]) -> list[TickRecord] |
         end = end_indices[-1]
         tick_heads.append(tick_head)
         tail_offsets.append(long_size_offset + 4)
-    frame_starts = b"".join(frame_and_length_bytes)
-    if max(frame_starts[_LENGTH_OFFSET::FRAME_RECORD_BYTES], default=0) > _SHORT_DATA_BYTES:
+    joined_frames = b"".join(frame_parts)
+    if max(joined_frames[_LENGTH_OFFSET::FRAME_RECORD_BYTES], default=0) > _SHORT_DATA_BYTES:
         return None
-    records = _decode_frames(frame_starts, b"")[0].records
+    records = _decode_frames(joined_frames, b"")[0].records
     frames = [
         Frames(records[first_frame:end_frame]) for first_frame, end_frame in pairwise(end_indices)
     ]
@@ -533,12 +536,12 @@ def unpack_tick_record(record: bytes) -> tuple[TickIn, TickOut]:
     length, kind = RECORD_FRAMING_STRUCT.unpack_from(record)
     if kind != TICK_RECORD_KIND or length != len(record) - RECORD_FRAMING_STRUCT.size:
         raise ValueError("not the record of a tick")
-    size, *axes = TICK_SIZES_STRUCT.unpack_from(record, RECORD_FRAMING_STRUCT.size)
+    message_size, *axis_lengths = TICK_SIZES_STRUCT.unpack_from(record, RECORD_FRAMING_STRUCT.size)
     start = RECORD_FRAMING_STRUCT.size + TICK_SIZES_STRUCT.size
-    tick = unpack_tick(record[start : start + size])
-    lengths = dict(zip(("joint", "tendon", "motor", "digit"), axes, strict=True))
+    tick = unpack_tick(record[start : start + message_size])
+    lengths = dict(zip(("joint", "tendon", "motor", "digit"), axis_lengths, strict=True))
     end_indices = np.cumsum([lengths[TELEMETRY_AXES[name]] for name in TELEMETRY_FIELDS])
-    field_values = np.split(np.frombuffer(record[start + size :], "<f8"), end_indices[:-1])
+    field_values = np.split(np.frombuffer(record[start + message_size :], "<f8"), end_indices[:-1])
     telemetry = Telemetry(*field_values)
     tick_output = TickOut(
         tick.frames, tick.mode, tick.phase, tick.action, telemetry, tick.events, tick.state_hash

@@ -1,6 +1,6 @@
-"""The hand of the paper, and some numbers of the paper as exact fractions.
+"""The hand of the paper, and the input numbers of the paper as exact fractions.
 
-All other numbers of the paper follow from the numbers in this module.
+The remaining numbers of the paper can be calculated from the input numbers.
 """
 
 import math

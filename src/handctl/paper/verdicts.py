@@ -60,10 +60,9 @@ def verdict_of_statement(is_true: bool) -> ErrataVerdict:
 def verdict_of_lower_bound(printed_number: str, value: float) -> ErrataVerdict:
     """Return the verdict on a lower bound that the paper states.
 
-    The argument `value` was reached in practice. The lower bound is first judged like any printed
-    number. If the result is not ``wrong``, the result is the verdict on the bound. If the result is
-    ``wrong``, the verdict is ``bound`` for a value above the printed bound, and ``wrong`` for a
-    value below the printed bound.
+    The argument `value` was reached in practice. The lower bound is judged like any printed number,
+    with one exception. If the verdict would be ``wrong`` and the value is above the printed bound,
+    the verdict is ``bound``.
     """
     verdict = verdict_of_number(printed_number, value)
     return (
@@ -76,7 +75,7 @@ def verdict_of_lower_bound(printed_number: str, value: float) -> ErrataVerdict:
 def verdict_of_ambiguous_statement(are_readings_true: Sequence[bool]) -> ErrataVerdict:
     """Return the verdict on a statement that can be read in several ways.
 
-    If some readings are true and others are false, the verdict is undecidable.
+    If one reading is true and a second reading is false, the verdict is undecidable.
     """
     return (
         verdict_of_statement(all(are_readings_true))

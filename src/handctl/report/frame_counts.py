@@ -8,7 +8,7 @@ from handctl.log.read.reader import RunLog
 
 
 class FrameCounts(NamedTuple):
-    """Numbers of late frames, lost frames, and ticks without replies during a run.
+    """Count of late frames, count of lost frames, and count of ticks without replies during a run.
 
     Ticks without replies can be the reason for late frames.
 
@@ -27,7 +27,7 @@ class FrameCounts(NamedTuple):
 
 
 def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
-    """Return the numbers of late frames, lost frames and ticks without replies during a run.
+    """Count the late frames, the lost frames and the ticks without replies during a run.
 
     Each frame with load-cell readings is compared with the last SYNC before the frame.
     """

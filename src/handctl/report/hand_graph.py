@@ -145,9 +145,10 @@ def _digit_tendons(hand: Hand, digit: Digit) -> list[Tendon]:
 
 
 def _tendon_label(tendon: Tendon) -> str:
-    """Return the label of a tendon: the name.
+    """Return the label of a tendon.
 
-    The labels of the two tendons of a spool pair also contain the pretension.
+    The label of a tendon in a spool pair is the name and the pretension. Every other label is the
+    name.
     """
     if tendon.pretension_N is None:
         return tendon.name

@@ -78,7 +78,7 @@ def summarise_run(
 
 
 def _percentile(values: NDArray[Any], percent: float) -> float:
-    """Return a percentile of some values. If there are no values, the result is NaN."""
+    """Return a percentile of the given values, or NaN if there are no values."""
     return float(np.percentile(values, percent)) if len(values) else float("nan")
 
 
@@ -96,14 +96,14 @@ def hold_windows(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
 
     A mask is True where the hold is settled.
 
-    A hold is settled if a digit touches an object, and if the tension targets of the
-    tension-controlled tendons have been constant for SETTLING_TIME_S. A tendon that holds an angle
-    does not count, because the target tension of this tendon changes with the load.
+    A hold is settled if a digit touches an object, and if the target tensions have been constant
+    for SETTLING_TIME_S. Only tendons that follow a tension target count. If a tendon holds an
+    angle, the target tension of this tendon changes with the load.
     """
     goal = np.where(_holding_mask(log, hand), np.nan_to_num(log.field("tension_goal")), 0.0)
     in_contact = log.field("contact").any(axis=1)
     moving = np.abs(np.diff(goal, axis=0, prepend=goal[:1])).max(axis=1) >= 1e-9
-    windows = []
+    hold_masks = []
     changes = log.phases
     kinds = _kind_by_phase_name(log)
     for i, change in enumerate(changes):
@@ -113,18 +113,18 @@ def hold_windows(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
             continue
         end = changes[i + 1].k if i + 1 < len(changes) else log.k[-1] + 1
         is_inside = (log.k >= change.k) & (log.k < end)
-        window = is_inside & in_contact & _settled_mask(is_inside & moving, is_inside, log)
-        if not window.any() and is_inside.any():
+        hold_mask = is_inside & in_contact & _settled_mask(is_inside & moving, is_inside, log)
+        if not hold_mask.any() and is_inside.any():
             is_far_from_target = (
                 np.abs(goal - goal[is_inside][-1]).max(axis=1) > MAX_TARGET_CHANGE_N
             )
-            window = (
+            hold_mask = (
                 is_inside
                 & in_contact
                 & _settled_mask(is_inside & is_far_from_target, is_inside, log)
             )
-        windows.append(window)
-    return windows
+        hold_masks.append(hold_mask)
+    return hold_masks
 
 
 def _kind_by_phase_name(log: RunLog) -> dict[str, str]:
@@ -253,7 +253,7 @@ def judge_tension(
     active_mask: NDArray[np.bool_],
     hold_masks: list[NDArray[np.bool_]],
 ) -> dict[str, Any]:
-    """Return the errors of the estimated and the measured tensions, and in holds also of the true tensions.
+    """Return the errors of the estimated, the measured and, during holds, the true tensions.
 
     The errors of estimates and load-cell readings are their differences from the true tensions. The
     errors of the true tensions are their differences from the commanded tensions.
@@ -287,7 +287,7 @@ def judge_tension(
 
 
 def _holding_mask(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
-    """Return a mask (ticks, N) that is True where a tendon follows a tension target because the digit is in contact.
+    """Return a mask (ticks, N), True where a tendon follows a tension target because of a contact of the digit.
 
     A spool pair for sideways motion is excluded, because it holds a position instead of a tension.
     A digit on which other digits are mounted, such as a wrist, is also excluded.
@@ -296,12 +296,12 @@ def _holding_mask(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
     digit_of_tendon = np.repeat(
         np.arange(len(slices)), [tendons.stop - tendons.start for tendons in slices]
     )
-    side = [
+    directions_by_digit = [
         tendon_directions(DigitModel.from_hand(hand, name), hand.is_pair[hand.digit_tendons[name]])
         for name in hand.digit_names
     ]
     is_carrier = np.array([name in hand.carrier_digits for name in hand.digit_names])
-    can_hold_tension = (np.concatenate(side) != 0.0) & ~is_carrier[digit_of_tendon]
+    can_hold_tension = (np.concatenate(directions_by_digit) != 0.0) & ~is_carrier[digit_of_tendon]
     return np.asarray((log.field("contact") > 0.0)[:, digit_of_tendon] & can_hold_tension)
 
 
@@ -373,7 +373,7 @@ def judge_angles(
 ) -> dict[str, dict[str, Any]]:
     """Return the errors of the estimated joint angles of each digit in the settled ticks of holds.
 
-    If a run has no settled ticks, the errors of all ticks in which the hand is active are used.
+    If a run has no settled ticks, the errors come from all ticks in which the hand is active.
 
     Args:
         log: log of the run.
@@ -454,8 +454,8 @@ def angle_rows(angle_summaries: dict[str, dict[str, Any]]) -> list[tuple[str, st
 def tracking_text(run_summary: Mapping[str, Any]) -> tuple[float, str]:
     """Return the factor and the unit with which ``tracking_rmse_rad`` is shown to a user.
 
-    The unit is mm if all digits have only prismatic joints. If a digit has a hinge, the text counts
-    10 mm of a prismatic joint as 1 rad.
+    The unit is mm if all digits have only prismatic joints. If at least one digit has a hinge, the
+    unit is deg, and 10 mm of a prismatic joint count as 1 rad.
     """
     units = {angle.get("unit", "deg") for angle in run_summary["joint_angles"].values()}
     if units == {"mm"}:
@@ -466,7 +466,7 @@ def tracking_text(run_summary: Mapping[str, Any]) -> tuple[float, str]:
 def measured_bus_load(
     log: RunLog, bitrate: int, data_bitrate: int | None, sent_lengths: Sequence[tuple[int, bool]]
 ) -> float:
-    """Return the largest fraction of a run for which the given frames can have occupied a bus.
+    """Return an upper bound of the bus load in a run: the fraction of the run in which frames occupy the bus.
 
     Args:
         log: log of the run, which gives the duration.

@@ -70,9 +70,9 @@ class TruthRecord:
     def interpolated_columns(
         self, column_names: list[str], t_ns: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """Return several columns of the record (times, names).
+        """Return the named columns of the record (times, names), interpolated at the given times.
 
-        The columns are interpolated at times on the simulator's clock [ns].
+        The times are on the clock of the simulator [ns].
         """
         return np.column_stack([self.interpolated_column(name, t_ns) for name in column_names])
 

@@ -47,7 +47,7 @@ class StoredGains:
 
 
 class GainsStore:
-    """Files with the present and the former gains of a hand.
+    """Files with the present gains of a hand, and with all gains that were applied earlier.
 
     Attributes:
         path: path of the file with the present gains.
@@ -184,9 +184,8 @@ class GainsStore:
     ) -> GainsFile:
         """Write gains to the history with the next number, and then make them the present gains.
 
-        If a user has replaced the file of the present gains by a copy, the history possibly does
-        not contain the present gains. If the history lacks the present gains, the new gains are
-        recorded as the successor of the newest entry.
+        A user can replace the file of the present gains by a file whose gains the history lacks.
+        The new gains are then recorded as the successor of the newest entry.
         """
         present_gains = self.present_gains()
         entries = self.history_entries()

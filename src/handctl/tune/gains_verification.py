@@ -47,7 +47,7 @@ The window contains two periods of the oscillation of a drive on a blocked tendo
 BLOCKED_LAG_RAD = 0.1
 """Difference between command and estimated angle at which a digit in contact counts as blocked [rad].
 
-A digit that only touches something still follows its command. With gains that keep the margins, a
+A digit that only touches an obstacle still follows its command. With gains that keep the margins, a
 free digit lags behind its command by less than a third of this angle.
 """
 BLOCKED_DURATION_NS = 50_000_000
@@ -69,7 +69,7 @@ def round_amplitudes(max_amplitude: float = 1.0) -> tuple[float, ...]:
 
 @dataclass(frozen=True, slots=True)
 class BlockedDigit:
-    """A digit that was stopped by something during a move of the exercise.
+    """Digit that an obstacle or another digit stopped during a move of the exercise.
 
     Attributes:
         digit: name of the digit.
@@ -87,7 +87,7 @@ class BlockedDigit:
     proposed_amplitude: float
 
     def __str__(self) -> str:
-        """Return the reason why a verification with this blocked digit is not valid."""
+        """Return a text that says that the blocked digit makes the verification invalid."""
         by = f" by {' and '.join(self.by)}" if self.by else ""
         text = f"{self.digit} is blocked{by} at {self.angle}"
         text += ": the amplitude is too large for this hand"
@@ -200,17 +200,17 @@ class VerifyObserver:
             self._request_gains(self.old_gains, self.new_gains)
 
     def _blocked_names(self, tick_output: TickOut) -> tuple[str, ...]:
-        """Return the names of the digits in contact.
+        """Return the names of all digits in contact, if one of the digits lags behind the goal.
 
-        If no digit in contact lags behind its goal, the result is empty. The digit with the largest
-        lag comes first.
+        The digit with the largest lag comes first. If no digit in contact lags, the result is
+        empty.
         """
-        numbers = tick_output.telemetry
-        goal_deviation = np.abs(numbers.q_goal - numbers.q) / self.hand.display_units.scale
+        telemetry = tick_output.telemetry
+        goal_deviation = np.abs(telemetry.q_goal - telemetry.q) / self.hand.display_units.scale
         lag_by_digit = {
             name: float(np.nanmax(goal_deviation[joints], initial=0.0))
             for (name, joints), contact_seconds in zip(
-                self.hand.digit_joints.items(), numbers.contact, strict=True
+                self.hand.digit_joints.items(), telemetry.contact, strict=True
             )
             if contact_seconds > 0.0
         }
@@ -237,9 +237,9 @@ class VerifyObserver:
         )
 
     def _request_gains(self, gains: Gains, present_gains: Gains) -> None:
-        """Add a request that sets those of the given gains that a running controller can change."""
-        # If a request does not set the force of some tendon, the running controller keeps the
-        # present force of this tendon. Therefore the request must set the forces of all tendons.
+        """Request new gains from the controller, without the gains that a running controller cannot change."""
+        # The running controller keeps the present force of each tendon that the request does not
+        # mention. Therefore the request must set the forces of all tendons.
         value_by_key = values_by_key(gains) | {
             key: new_value
             for key, (_, new_value) in changed_gain_values(present_gains, gains).items()
@@ -302,10 +302,10 @@ class VerifyObserver:
         if tick_output.mode != HandMode.ACTIVE:
             return ""
         limits = self.limits
-        numbers = tick_output.telemetry
-        if tick_output.phase == "move" and (text := self._tracking_violation(numbers)):
+        telemetry = tick_output.telemetry
+        if tick_output.phase == "move" and (text := self._tracking_violation(telemetry)):
             return text
-        for tendon, tension in zip(self.hand.tendon, numbers.tension.tolist(), strict=True):
+        for tendon, tension in zip(self.hand.tendon, telemetry.tension.tolist(), strict=True):
             if tension > limits.max_tension_fraction * tendon.tension_trip_N:
                 bound = limits.max_tension_fraction * tendon.tension_trip_N
                 return f"tension of {tendon.name} {tension:.0f} N, limit {bound:.0f}"

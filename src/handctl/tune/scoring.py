@@ -45,7 +45,7 @@ OBJECTIVE_OF_FAILED_RUN = 1e3
 
 @dataclass(frozen=True, slots=True)
 class GainScore:
-    """Score of a set of gains: root mean squares over all plants.
+    """Score of a set of gains: the root mean square of each error over all plants, and the worst values.
 
     Attributes:
         tracking_deg: difference between the goal and the true mean joint angle while digits move
@@ -57,8 +57,8 @@ class GainScore:
         shortfall: required margin minus the margin on the worst plant, as a fraction of the
             required margin. The shortfall is 0 or less if all margins are large enough.
         failure: reason why a run ended early or has no score, or an empty text.
-        blocked: names of digits that were blocked by something during a move, separated by commas.
-            While a digit is blocked, its tracking error is not part of the score.
+        blocked: names of the digits that an obstacle or a digit blocked during a move, separated by
+            commas. While a digit is blocked, its tracking error is not part of the score.
     """
 
     tracking_deg: float
@@ -71,14 +71,14 @@ class GainScore:
 
     @property
     def objectives(self) -> tuple[float, float, float]:
-        """Return the numbers that a search minimises."""
+        """Return the three numbers that a search minimises: errors of tracking and tension, and effort."""
         return self.tracking_deg, self.tension_N, self.effort_Nm_per_s
 
     def relative_cost(self, scale: "GainScore") -> float:
         """Return the cost of this score as a single number, relative to a reference score.
 
-        In the cost, the errors of tracking and tension have most of the weight. If two sets of
-        gains have similar errors of tracking and tension, the effort decides.
+        The weight of the effort is a tenth of the weight of each error. Therefore the effort
+        decides mainly between sets of gains with similar errors of tracking and tension.
         """
         # The weights of tracking, tension and effort are 1, 1 and 0.1. The weights are divided by
         # their sum 2.1, so that the cost of the reference score is 1.
@@ -229,7 +229,7 @@ def _true_touch_mask(hand: Hand, truth: TruthRecord, t_ns: NDArray[np.int64]) ->
 
 
 def _failed_score(peak_tension_N: float, failure_text: str, shortfall: float = 0.0) -> GainScore:
-    """Return the score of gains for which the exercise gave no result."""
+    """Return a score with the worst objectives, for gains without a valid result of the exercise."""
     return GainScore(
         OBJECTIVE_OF_FAILED_RUN,
         OBJECTIVE_OF_FAILED_RUN,

@@ -167,7 +167,7 @@ def _check_node_round_trips(
 def _duplicate_nodes(
     result: BusScan, node_round_trips: list[tuple[DiscoveredNode, RoundTrip]]
 ) -> list[DiscoveredNode]:
-    """Return the nodes whose node number more than one drive uses."""
+    """Return the nodes with a node number that two or more drives share."""
     shared_nodes = [node for node, trip in node_round_trips if trip.is_node_number_shared]
     return [node for node in result.found_nodes if node.twins or node in shared_nodes]
 

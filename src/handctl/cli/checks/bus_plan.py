@@ -60,7 +60,7 @@ def bus_plan_report(hand: Hand, loads: tuple[BusLoad, ...], rate_hz: float) -> d
 
 
 def bit_rate_errors(hand: Hand, specs: tuple[str, ...]) -> list[str]:
-    """Return one line for each interface whose bit rate differs from the rate in the hand file.
+    """Return one line for each CAN interface with a bit rate that differs from the hand file.
 
     Each line contains the command that corrects the bit rate.
     """

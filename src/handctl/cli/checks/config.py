@@ -120,7 +120,7 @@ def _all_errors(args: argparse.Namespace) -> list[str]:
 
 
 def _file_checks(args: argparse.Namespace, hand: Hand) -> list[Callable[[], object]]:
-    """Return functions that check a valid hand and the other files of the hand.
+    """Return functions that check the files of a hand whose hand file is valid.
 
     Each function raises a ConfigError if it finds an error.
     """
@@ -140,7 +140,7 @@ def _file_checks(args: argparse.Namespace, hand: Hand) -> list[Callable[[], obje
         find_calibration(args, hand)
 
     def check_design() -> None:
-        """Check that a valid controller can be designed with the gains at the control rate."""
+        """Check that the gains give a valid controller at the control rate of the hand."""
         check_gain_margins(
             hand, gains_with_sources(args, hand).gains, control_rate(None, hand, bus_loads(hand))
         )
@@ -200,7 +200,7 @@ def _show_graph(args: argparse.Namespace, hand: Hand) -> int:
 
 def _show_or_check_hand(args: argparse.Namespace, hand: Hand) -> int:
     """Show a hand with its derived values and files, or check the hand."""
-    layers = gains_with_sources(args, hand)
+    sourced_gains = gains_with_sources(args, hand)
     if args.task:
         load_task_for_hand(args.task, hand)
     if args.calibration and not args.calibration.exists():
@@ -214,9 +214,9 @@ def _show_or_check_hand(args: argparse.Namespace, hand: Hand) -> int:
     if args.what == "check":
         # The default gains are already small enough for the control rate. At a low rate, a run may
         # fail with them, too, so that the warning is about the packaged gains.
-        rate_gains = layers.gains if layers.file else packaged_gains(hand.name)
+        rate_gains = sourced_gains.gains if sourced_gains.file else packaged_gains(hand.name)
         warnings += rate_warnings(hand, rate_gains, rate)
-        warnings += force_warnings(hand, layers.gains, rate)
+        warnings += force_warnings(hand, sourced_gains.gains, rate)
     if args.json:
         print_json(
             {
@@ -228,9 +228,9 @@ def _show_or_check_hand(args: argparse.Namespace, hand: Hand) -> int:
                 "warnings": warnings,
                 "moment_arm_tables": list(moment_arm_fit_lines(hand)),
                 "hand": hand.content,
-                "gains": layers.gains.model_dump(by_alias=True),
-                "gains_file": str(layers.file) if layers.file else "packaged",
-                "gains_origins": layers.origins,
+                "gains": sourced_gains.gains.model_dump(by_alias=True),
+                "gains_file": str(sourced_gains.file) if sourced_gains.file else "packaged",
+                "gains_origins": sourced_gains.origins,
                 "calibration": calibration,
             }
         )
@@ -238,7 +238,7 @@ def _show_or_check_hand(args: argparse.Namespace, hand: Hand) -> int:
     if args.what == "show":
         print(f"# from {source}, identity {hand.identity[:16]}")
         print(hand.to_toml(), end="")
-        print("\n".join(_gains_with_sources(layers)))
+        print("\n".join(_gain_comment_lines(sourced_gains)))
         print("\n".join(f"# {line}" for line in _calibration_lines(calibration)))
     for text in caution_lines(make_drives(hand)):
         print(f"# caution: {text}")
@@ -252,19 +252,19 @@ def _show_or_check_hand(args: argparse.Namespace, hand: Hand) -> int:
         f"bus {name} {100 * fraction:.0f} %" for name, fraction in load.items()
     )
     print(
-        f"# default rate {rate:g} Hz: {bus_loads_text}; gains: {_gains_text(layers)}; all files are valid"
+        f"# default rate {rate:g} Hz: {bus_loads_text}; gains: {_gains_text(sourced_gains)}; all files are valid"
     )
     return 0
 
 
-def _gains_text(layers: GainsWithSources) -> str:
-    """Return the file of the gains, or the values that are not those of the packaged gains."""
-    if layers.file:
-        return str(layers.file)
-    values = values_by_key(layers.gains)
+def _gains_text(sourced_gains: GainsWithSources) -> str:
+    """Return the path of the gains file, or without a gains file, each gain that differs from the packaged gains."""
+    if sourced_gains.file:
+        return str(sourced_gains.file)
+    values = values_by_key(sourced_gains.gains)
     changed_gains = [
         f", {key} = {values[key]:g} {origin}"
-        for key, origin in layers.origins.items()
+        for key, origin in sourced_gains.origins.items()
         if origin != PACKAGED_GAINS_SOURCE
     ]
     return PACKAGED_GAINS_SOURCE + "".join(changed_gains)
@@ -282,16 +282,16 @@ def _hand_warnings(hand: Hand) -> list[str]:
     ]
 
 
-def _gains_with_sources(layers: GainsWithSources) -> list[str]:
+def _gain_comment_lines(sourced_gains: GainsWithSources) -> list[str]:
     """Return TOML comments with the value and the origin of every gain.
 
     A hand file contains no gains, because gains belong in a separate file.
     """
-    values = values_by_key(layers.gains)
+    values = values_by_key(sourced_gains.gains)
     return [
         "",
         "# gains",
-        *(f"# {key} = {value}  ({layers.origins[key]})" for key, value in values.items()),
+        *(f"# {key} = {value}  ({sourced_gains.origins[key]})" for key, value in values.items()),
     ]
 
 

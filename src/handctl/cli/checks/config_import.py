@@ -205,9 +205,9 @@ def _ask_questions(import_answers: ImportAnswers, known_keys: set[str]) -> Impor
 
 
 def _check_tendon_answers(import_answers: ImportAnswers) -> None:
-    """Raise an error if a hand file cannot be written with these answers.
+    """Check the names and the node numbers in the answers before the hand file is written.
 
-    The check of the new hand file finds all other mistakes in the answers.
+    The check of the new hand file finds the remaining mistakes in the answers.
 
     Raises:
         ConfigError: a name or a node number is wrong.

@@ -1,4 +1,4 @@
-"""``handctl config init``: write a new hand file from options, or from the answers to a few questions."""
+"""``handctl config init``: write a new hand file from options, and ask the operator for missing values."""
 
 import argparse
 from dataclasses import fields, replace

@@ -109,8 +109,8 @@ def _source_comment(key: str, settings: Mapping[str, float], hint: str) -> str:
 def _torque_source(settings: Mapping[str, float]) -> str:
     """Return the comment that the hand file contains next to the torque limit.
 
-    As its largest torque, a drive reports the full scale of its torque values. The full scale is
-    not suitable as a first torque limit.
+    The largest torque that a drive reports is the full scale of its torque values. For a first
+    torque limit, the full scale is too large.
     """
     reported_torque = settings.get("torque_max_N_m", 0.0)
     if not reported_torque:

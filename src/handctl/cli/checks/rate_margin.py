@@ -1,4 +1,7 @@
-"""Warnings about a control rate or gains at which a hand can oscillate although the buses can carry all frames."""
+"""Warnings about a control rate or about gains with which the motion loops have too small a gain margin.
+
+A hand with too small a gain margin can oscillate, even if its buses can carry all frames.
+"""
 
 import math
 
@@ -102,7 +105,7 @@ def _has_tendon_without_cell(hand: Hand, digit: str) -> bool:
 
 
 def _min_unchecked_rate(hand: Hand) -> float:
-    """Return the lowest control rate at which the motion loops of a hand need not be checked [Hz]."""
+    """Return the control rate from which on no check of the motion loops is necessary for a hand [Hz]."""
     for digit in hand.digit:
         tendons = hand.digit_tendons[digit.name]
         coordinates = len(digit.joints) if digit.coupling is None else len(digit.coupling[0])

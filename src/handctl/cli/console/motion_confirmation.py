@@ -72,7 +72,7 @@ def _file_text(file_kind: str, path: Path, creation_date: str) -> str:
 
 
 def age_text(seconds: float) -> str:
-    """Return an age as text, in the largest unit in which the number is at least 2."""
+    """Return an age as text, in the largest unit that gives a number of 2 or more, such as "26 h"."""
     for unit, name in ((DAY_S, "days"), (HOUR_S, "h"), (MINUTE_S, "min")):
         if seconds >= 2 * unit:
             return f"{seconds / unit:.0f} {name}"

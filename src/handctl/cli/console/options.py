@@ -60,8 +60,7 @@ def check_count(count: int, option: str, maximum: int) -> int:
 def add_protocol_option(parser: argparse.ArgumentParser, extra_help: str = "") -> None:
     """Declare --protocol and --motor-type.
 
-    With ``--protocol``, all drives of the hand use the given protocol, and not the protocol in the
-    hand file.
+    With ``--protocol``, the given protocol replaces the protocol in the hand file for all drives.
     """
     text = "drives of the simulated hand (default: as in its file)" + extra_help
     parser.add_argument("--protocol", choices=tuple(PROTOCOL_TRAITS), help=text)
@@ -246,7 +245,7 @@ def add_gains_options(parser: argparse.ArgumentParser) -> None:
 
 
 def print_escaped(text: str, error: bool = False) -> None:
-    """Print a line with text from a file. Control characters are escaped."""
+    """Print a line that contains text from a file, and escape the control characters in the line."""
     print(one_line_message(text), file=sys.stderr if error else sys.stdout)
 
 
@@ -286,7 +285,8 @@ def print_json(result: dict[str, Any]) -> None:
 def print_json_line(result: dict[str, Any]) -> None:
     """Print a result as one line of JSON, without buffering.
 
-    Commands that report results during their work use this function. A NaN becomes null.
+    Commands that report results before the end of the command use this function. A NaN becomes
+    null.
     """
     has_printed_json.set(True)
     text = json.dumps(_json_value(result), allow_nan=False)

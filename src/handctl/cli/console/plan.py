@@ -138,7 +138,7 @@ def default_gains(
 
 
 def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
-    """Return the path of the calibration file of a hand. The calibration file possibly does not exist yet.
+    """Return the path of the calibration file of a hand. The file need not exist.
 
     Raises:
         ConfigError: the calibration file could not be written. The path of the file is checked
@@ -158,9 +158,7 @@ def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
 def find_calibration(
     args: argparse.Namespace, hand: Hand, buses: Sequence[str] = ()
 ) -> tuple[Path, Calibration | None, str]:
-    """Return the path of the calibration file of a hand.
-
-    If arming of the hand with the calibration in the file is allowed, also return the calibration.
+    """Return the path of the calibration file, and the calibration if arming with the calibration is allowed.
 
     Args:
         args: arguments with ``--calibration``.
@@ -168,9 +166,8 @@ def find_calibration(
         buses: buses of the hand to arm.
 
     Returns:
-        the path of the file, the calibration, and a reason. If arming of the hand with the
-        calibration is not allowed, the result contains None instead of the calibration, and the
-        reason.
+        the path of the file, the calibration, and a text. If arming with the calibration is not
+        allowed, the second value is None, and the text gives the reason.
 
     Raises:
         ConfigError: a named file exists but cannot be used, or the file cannot be written.

@@ -34,7 +34,7 @@ class HandQuestion(NamedTuple):
 def reader_of_choice(allowed_words: Collection[str]) -> Callable[[str], str]:
     """Return a function that accepts only the given words as an answer.
 
-    For other texts, the returned function raises ValueError.
+    For any text that is not among the given words, the returned function raises ValueError.
     """
 
     def read_choice(text: str) -> str:

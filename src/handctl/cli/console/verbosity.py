@@ -30,8 +30,7 @@ _printed_cautions: ContextVar[set[str] | None] = ContextVar("printed_cautions", 
 def apply_verbosity(args: argparse.Namespace) -> Iterator[None]:
     """Apply ``--quiet`` and ``--verbose`` of a command line while the command runs.
 
-    At the beginning of a command, every caution counts as not yet printed, see
-    ``is_first_caution``.
+    The record of printed cautions begins empty for each command, see ``is_first_caution``.
     """
     quiet = getattr(args, "quiet", False)
     verbose = getattr(args, "verbose", False)

@@ -1,7 +1,7 @@
-"""``handctl replay``: execute a recorded run again, repeat its motion on a hand, or judge it by other safety limits.
+"""``handctl replay``: execute a recorded run again, repeat the motion on a hand, or test new safety limits on the run.
 
-handctl imports only the module of the requested kind of replay. Because of this choice, only
-``replay drive`` imports the modules of buses.
+handctl imports only the module of the requested kind of replay. Therefore the modules of buses are
+imported only for ``replay drive``.
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """Optional packages that each command of handctl needs.
 
-With the list of optional packages, handctl can report a missing package before the command begins.
+handctl checks the optional packages before the command begins, and reports a missing package.
 """
 
 import argparse

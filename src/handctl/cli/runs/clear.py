@@ -15,7 +15,7 @@ from handctl.runtime.confirmed_requests import request_action
 def run(args: argparse.Namespace) -> int:
     """Ask the controller on a bus to clear all latched faults.
 
-    Return 0 after the controller has confirmed the request.
+    The result is 0. The function returns only after the controller has confirmed the request.
     """
     bus = controller_bus(args)
     line = request_action(bus, "clear")

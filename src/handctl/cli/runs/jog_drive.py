@@ -156,9 +156,9 @@ def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor
 
 
 def _torque_options(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options of a drive without the options of the position and velocity modes.
+    """Return the options of a drive that apply in torque mode.
 
-    All returned options also apply in torque mode.
+    The options of the position and velocity modes are left out.
     """
     return {
         key: value
@@ -184,8 +184,8 @@ def _move_drive(
 
     Return the result, and True if the drive has confirmed that it is disabled.
 
-    If a fault or a limit stops the motion, the drive keeps its latched fault and its mode.
-    After a motion without a fault or a limit, the drive is in torque mode.
+    If a fault or a limit stops the motion, the drive keeps its latched fault and its mode. After a
+    complete motion, the drive is in torque mode.
     """
     result: JogResult | None = None
     with open_drive_rig(args, drive) as (rig, bus):

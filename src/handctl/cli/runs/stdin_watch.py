@@ -1,4 +1,4 @@
-"""End of a run at the end of standard input, for the option ``--until-eof``.
+"""Observer that stops a run when standard input ends, for the option ``--until-eof``.
 
 A run with ``--until-eof`` ends when standard input ends. Standard input ends when the program that
 started the run ends.
@@ -22,7 +22,7 @@ class StdinWatch:
     """
 
     def __init__(self) -> None:
-        """Create the observer. At the start, standard input is assumed to be open."""
+        """Create the observer. The end of standard input has not been seen yet."""
         self.input_ended = False
 
     def poll_requests(self) -> tuple[str, ...]:

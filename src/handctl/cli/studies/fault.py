@@ -37,7 +37,7 @@ def _send_request(args: argparse.Namespace, request: dict[str, object]) -> int:
 
 
 def _print_fault_kinds(args: argparse.Namespace) -> int:
-    """Print each kind of fault, with the components of the hand that a fault of this kind can affect."""
+    """Print each kind of fault, and the kinds of components that a fault of the kind can affect."""
     kinds = ask_simulator(find_simulator(args.bus), {"kinds": True})["kinds"]
     if args.json:
         print_json({"kinds": kinds})

@@ -89,7 +89,7 @@ def gain_meaning(gain: GainBounds) -> str:
 
 
 def _provenance_text(provenance: GainsProvenance) -> str:
-    """Return a phrase about the origin of gains: their number in the history, their time and their sources."""
+    """Return a phrase with the history number, the date and the sources of gains."""
     sources = [*provenance.log, *filter(None, (provenance.fit, provenance.study, provenance.note))]
     number = f", number {provenance.number}" if provenance.number else ""
     date_text = f", made {provenance.made}" if provenance.made else ""
@@ -172,7 +172,7 @@ def _apply_file(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
-    """Restore earlier gains of the hand from the history.
+    """Restore gains from the history: the gains with the given number, or by default the previous gains.
 
     If the command line gives no number and the file of the present gains cannot be used, restore
     the newest entry of the history.
@@ -241,7 +241,7 @@ def _number_text(present_value: Any) -> int:
 
 
 def _history_line(entry: StoredGains, stored_gains: list[StoredGains]) -> str:
-    """Return an entry of the history as one line: time, sources, and the first three changed gains."""
+    """Return a history entry as one line: date, sources, and the names of the first three changed gains."""
     gains_by_number = {
         stored_entry.number: stored_entry.file.gains for stored_entry in stored_gains
     }

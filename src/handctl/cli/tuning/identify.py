@@ -66,8 +66,8 @@ BLOCKED_DIGIT_HINT = (
 def run(args: argparse.Namespace) -> int:
     """Excite a hand with a series of motions, or read logs of such motions.
 
-    The command then fits the parameters of the hand to the data, reports the parameters, and saves
-    them. Return the exit code.
+    Then fit the parameters of the hand to the data, report and save the parameters, and return the
+    exit code.
     """
     source_count = sum(map(bool, (args.bus, args.lockstep, args.logs)))
     if source_count != 1:
@@ -118,8 +118,8 @@ def run(args: argparse.Namespace) -> int:
 def _digits_to_excite(args: argparse.Namespace, hand: Hand) -> tuple[str, ...]:
     """Return the digits that the operator has named, or all digits whose parameters can be identified.
 
-    Each digit that is left out is reported. If no parameter of the hand can be identified, all
-    digits are returned.
+    The function prints the name of each digit that is left out. If no digit has parameters that can
+    be identified, the function returns all digits.
     """
     if args.digits:
         return tuple(args.digits)
@@ -236,8 +236,7 @@ def _are_simulated(header_of_log: dict[Path, RunHeader]) -> bool:
     """Return True if all logs were recorded with a simulated hand: in lockstep, or on buses without real motors.
 
     Raises:
-        ConfigError: some of the logs were recorded with a simulated hand, and others with a real
-            hand.
+        ConfigError: the logs come from both a simulated hand and a real hand.
     """
     kinds = {}
     for log, header in header_of_log.items():
@@ -268,7 +267,7 @@ def _report_results(
         for tendon_result in all_results
         if tendon_result.blocked_event_text
     }
-    blocked_results = {
+    contact_by_digit = {
         result.data.digit: result.contact_text
         for result in all_results
         if result.contact_text and not result.blocked_event_text
@@ -287,28 +286,28 @@ def _report_results(
             for name, new_entry in new_entries.items()
             if new_entry is not None
         }
-    written_path = (
+    is_written = (
         calibration is not None
         and not args.no_write
-        and (any_identified or not (blocked_events or blocked_results))
+        and (any_identified or not (blocked_events or contact_by_digit))
     )
-    if calibration is not None and written_path:
+    if calibration is not None and is_written:
         write_calibration(path, calibration.model_copy(update={"identified": identified}))
     pictures = _draw_pictures(
         hand, results_of_log, print_note
     )  # the calibration is written first, so that it is not lost if the drawing fails
-    _print_rejected_parameters(blocked_events, blocked_results, incoherent_names)
-    exit_code = ExitCode.FAILED if blocked_events or blocked_results else ExitCode.DONE
+    _print_rejected_parameters(blocked_events, contact_by_digit, incoherent_names)
+    exit_code = ExitCode.FAILED if blocked_events or contact_by_digit else ExitCode.DONE
     if args.json:
         print_json(
-            _result_fields(results_of_log, pictures, path if written_path else None)
-            | {"blocked": blocked_events, "met": blocked_results, "incoherent": incoherent_names}
+            _result_fields(results_of_log, pictures, path if is_written else None)
+            | {"blocked": blocked_events, "met": contact_by_digit, "incoherent": incoherent_names}
         )
         return exit_code
     for log, tendons in results_of_log.items():
         print("\n".join([f"from {log}:", *result_table(tendons, is_verbose())]))
     print("pictures: " + ", ".join(map(str, pictures)))
-    if written_path:
+    if is_written:
         print(f"calibration written to {path}")
         if not incoherent_names:
             print(f"next: {_search_command(args, path)}")
@@ -325,13 +324,14 @@ def _report_results(
 
 
 def _print_rejected_parameters(
-    blocked_digits: dict[str, str], reason_of_tendon: dict[str, str], incoherent_tendons: list[str]
+    blocked_digits: dict[str, str], contact_by_digit: dict[str, str], incoherent_tendons: list[str]
 ) -> None:
-    """Print the parameters that are not kept, and the reason for each rejected parameter.
+    """Print which identified parameters are rejected, and the reason for each rejection.
 
     Args:
         blocked_digits: for each digit that was blocked, the event that reports the blocking.
-        reason_of_tendon: for each digit that touched something during its sweep, the description of the contact.
+        contact_by_digit: for each digit that touched an obstacle in its sweep, the description of
+            the contact.
         incoherent_tendons: names of the tendons whose coherence is too low.
     """
     for digit, reason in blocked_digits.items():
@@ -339,7 +339,7 @@ def _print_rejected_parameters(
             f"handctl: no parameters of {digit} are kept: {reason}; expected a digit that touches nothing",
             error=True,
         )
-    for digit, reason in reason_of_tendon.items():
+    for digit, reason in contact_by_digit.items():
         print_escaped(
             f"handctl: springs and friction of {digit} are not kept: {reason}; {BLOCKED_DIGIT_HINT}",
             error=True,

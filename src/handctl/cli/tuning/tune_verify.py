@@ -1,6 +1,6 @@
 """``handctl tune verify``: test new gains on the hand, in rounds of rising amplitude.
 
-If the hand fails a test round, it returns to its old gains.
+If the hand violates a limit in a round, the controller returns to the old gains.
 """
 
 import argparse
@@ -138,10 +138,10 @@ def _judge_run(
         rounds = scores_by_round(record, plan.hand, truth, outcome.offset_ns)
         picture = log.with_suffix(".png")
         draw_verify(picture, record, plan.hand, truth, outcome.offset_ns, verify_observer.rollback)
-    stopped = _stop_reason(outcome.state.failure, verify_observer, len(rounds))
+    stop_reason = _stop_reason(outcome.state.failure, verify_observer, len(rounds))
     return {
-        "through": not stopped,
-        "stopped": stopped,
+        "through": not stop_reason,
+        "stopped": stop_reason,
         "blocked": asdict(verify_observer.blocked) if verify_observer.blocked else None,
         "amplitudes": verify_observer.amplitudes,
         "returned": asdict(verify_observer.rollback) if verify_observer.rollback else None,
@@ -154,12 +154,10 @@ def _judge_run(
 
 
 def _stop_reason(failure: str, verify_observer: Any, round_count: int) -> str:
-    """Return the reason why a test run did not pass all of its rounds.
+    """Return the reason why a test run did not pass all rounds, or an empty text.
 
-    If the run passed all rounds, the returned text is empty.
-
-    A blocked digit comes before all other reasons, because a blocked digit explains most of the
-    other reasons.
+    If a digit was blocked, the text gives only this reason, because a blocked digit causes most
+    failures.
     """
     if verify_observer.blocked:
         return str(verify_observer.blocked)
@@ -272,7 +270,7 @@ def _print_rounds(
 
 
 def rollback_text(rollback: dict[str, Any]) -> str:
-    """Return the line of the report that says when and why the hand returned to the old gains."""
+    """Return a line with the time and the cause of the return to the old gains."""
     return (
         f"returned to the old gains at {rollback['t_s']:.3f} s (tick {rollback['k']}), "
         f"amplitude {rollback['amplitude']:g}: {rollback['why']}"
@@ -282,10 +280,7 @@ def rollback_text(rollback: dict[str, Any]) -> str:
 def _gains_label(
     round_number: int, rollback: dict[str, Any] | None, amplitudes: tuple[float, ...]
 ) -> str:
-    """Return the label of the gains in a test round.
-
-    The label is old, new, first new and then old, or old again.
-    """
+    """Return the label of the gains in a test round: old, new, new then old, or old again."""
     from handctl.tune.gains_verification import ROUNDS_WITH_OLD_GAINS
 
     if round_number < ROUNDS_WITH_OLD_GAINS:

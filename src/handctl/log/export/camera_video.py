@@ -1,10 +1,10 @@
 """Videos of the cameras in a LeRobot dataset, and statistics of their images.
 
 A video has one image for each frame of an episode. The program ``ffmpeg`` decodes and encodes the
-videos. Each frame of the dataset gets the latest image that the camera had recorded by the time of
-this frame. Source of the layout of the video files: LeRobot 0.4, ``datasets/lerobot_dataset.py``
-and ``video_utils.py``. Each episode has its own video file. The statistics of the images are
-computed for each colour channel. The values of a colour channel are from 0 to 1.
+videos. A frame of the dataset gets the last image that the camera recorded before or at the time of
+the frame. Source of the layout of the video files: LeRobot 0.4, ``datasets/lerobot_dataset.py`` and
+``video_utils.py``. Each episode has its own video file. The statistics of the images are computed
+for each colour channel. The values of a colour channel are from 0 to 1.
 """
 
 import shutil

@@ -50,7 +50,7 @@ A telemetry field has the same unit with a suffix such as `_raw` and without a s
 
 
 class TableBlock(NamedTuple):
-    """Table with some consecutive ticks of a log.
+    """Table with consecutive ticks of a log, one row for each tick.
 
     Attributes:
         k, t_ns, late_ns: (rows,) number, time and lateness of each tick, as in TickIn [ns].
@@ -181,10 +181,9 @@ def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
     """Yield the time [ns], the direction (R or T) and the content of all CAN frames, in the order of their times.
 
     The time of a received frame is its arrival. The time of a sent frame is the start of its tick.
-    If a tick has read frames that arrived after the start of the tick, the sent frames of the tick
-    get the arrival time of the latest of these received frames. On a local bus, a received frame
-    always arrives after the start of the tick, because it arrives at the moment at which the tick
-    reads it.
+    If a tick reads a frame that arrived after the start of the tick, the sent frames of the tick
+    get the latest arrival time of the received frames. On a local bus, every received frame arrives
+    after the start of the tick, because a frame arrives when the tick reads the bus.
     """
     pending_frames: list[tuple[int, str, Frame]] = []
     complete_until_ns = 0

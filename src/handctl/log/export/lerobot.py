@@ -178,8 +178,8 @@ def _write_videos(
     """Write the videos of a camera, one for each episode.
 
     Raises:
-        LogError: a video does not cover the whole episode, or its images have another size than the
-            images of the first video.
+        LogError: a video does not cover the whole episode, or the width and height of its images
+            differ from those of the first video.
     """
     episode_videos = list[EpisodeVideo]()
     for number, episode in enumerate(episodes):

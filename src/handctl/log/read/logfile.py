@@ -1,4 +1,4 @@
-"""Access to a log file that is possibly truncated, damaged, or malicious.
+"""Access to a log file, even if the file is truncated, damaged, or malicious.
 
 The reader checks every size that the file declares before it allocates memory of this size.
 
@@ -32,9 +32,9 @@ ERRORS_OF_DAMAGED_FILES = (
 class LogErrorContext:
     """Context `with LogErrorContext(where)`.
 
-    If a bad file causes an exception in the context, a LogError with the position in the file is
-    raised instead. A log is read in thousands of pieces, and each piece needs a context. The
-    context is a class, because a context that is made from a generator function would be slower.
+    If a bad file causes an exception in the context, the context raises a LogError with the
+    position in the file instead. A log is read in thousands of pieces, and each piece needs a
+    context. A class is faster here than a generator function with `contextmanager`.
     """
 
     __slots__ = ("where",)
@@ -52,7 +52,7 @@ class LogErrorContext:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Raise a LogError instead of an exception that a bad file has caused."""
+        """Raise a LogError in place of an exception that a bad file has caused."""
         if (
             error is None
             or isinstance(error, LogError)
@@ -141,14 +141,14 @@ class LogFile:
         return data
 
     def range_crc(self, start: int, end: int, value: int = 0) -> int:
-        """Return the CRC-32 of a part of the file.
+        """Return the CRC-32 of a part of the file, calculated piece by piece.
 
-        The calculation can continue the CRC-32 of the bytes before this part of the file.
+        With ``value``, the result is the CRC-32 of the bytes before the part and the part together.
 
         Args:
             start: start of the part [bytes].
             end: end of the part [bytes].
-            value: CRC-32 of the bytes before the part.
+            value: CRC-32 of the bytes before the part, or 0.
         """
         while start < end:
             data = self.read_range(start, min(1 << 20, end - start))

@@ -229,7 +229,7 @@ class RunLog:
 
     @property
     def _tick_heads(self) -> NDArray[np.void]:
-        """Return the first part of each Tick message (ticks,). All first parts have the same length."""
+        """Return the part of constant length at the start of each Tick message (ticks,)."""
         return self._chunk_index.tick_heads
 
     def __len__(self) -> int:
@@ -273,7 +273,7 @@ class RunLog:
 
     @property
     def gaps(self) -> list[TickGap]:
-        """Return the gaps of the log, where ticks are missing."""
+        """Return the gaps of the log. In a gap, one or more ticks are missing."""
         at = np.flatnonzero(np.diff(self.k) != 1)
         return [TickGap(int(self.k[i]), int(self.k[i + 1])) for i in at]
 
@@ -329,7 +329,7 @@ class RunLog:
         return self._columns(slice(0, self._telemetry_column_count))
 
     def _columns(self, columns: slice) -> Array:
-        """Read some columns of the telemetry (ticks, columns).
+        """Read the given columns of the telemetry (ticks, columns).
 
         Raises:
             LogError: the sequence numbers of the telemetry messages differ from those of the tick
@@ -367,7 +367,7 @@ class RunLog:
     def packed_telemetry(self, chunks: slice = slice(None)) -> Iterator[bytes]:
         """Yield the telemetry of each tick in the layout of `Telemetry.to_bytes`.
 
-        At any time, only a part of the file is in memory.
+        The chunks are read one by one, so that the whole telemetry is never in memory.
 
         Args:
             chunks: chunks of the file to read. By default, all chunks are read.
@@ -470,7 +470,8 @@ class RunLog:
     def _events_and_phases(self) -> tuple[list[LoggedEvent], list[PhaseChange]]:
         """Return the events of the controller, and the starts of the grasp phases.
 
-        If several Tick messages end with the same bytes, these bytes are decoded only once.
+        Most Tick messages have no events, and equal ends. Equal ends without events are decoded
+        only once.
         """
         events: list[LoggedEvent] = []
         phases: list[PhaseChange] = []

@@ -113,8 +113,8 @@ def scan_records(
 ) -> None:
     """Read the outermost records of a file, and add their content to a scan.
 
-    If the file ends early, no error is raised. If the file ends early, `scan` contains all complete
-    records, and `scan.problem` gives the position of the file's end.
+    A file that ends early raises no error. After the scan of a file that ends early, `scan`
+    contains all complete records, and `scan.problem` gives the position of the end.
 
     Args:
         file: the MCAP file.
@@ -139,7 +139,7 @@ def scan_records(
     # If the earlier scan skipped no records, its only possible problem is the early end of the
     # file, which was shorter at that time.
     scan.problem = scan.problem if scan.skipped_ranges else ""
-    unpacked = sum(chunk.size for chunk in scan.chunks)
+    uncompressed_size = sum(chunk.size for chunk in scan.chunks)
     while scan.end + _RECORD_STRUCT.size <= file.size:
         at = scan.end
         code, length = _RECORD_STRUCT.unpack(file.read_range(at, _RECORD_STRUCT.size))
@@ -160,7 +160,7 @@ def scan_records(
             return
         try:
             with LogErrorContext(file.position_text(at)):
-                unpacked += _add_record(file, scan, code, at, end)
+                uncompressed_size += _add_record(file, scan, code, at, end)
         except LogError as error:
             if not skip_chunk_content:
                 raise
@@ -168,7 +168,7 @@ def scan_records(
             scan.skipped_ranges.append((at, end))
         scan.unknown_record_count += code not in Opcode.__members__.values()
         with LogErrorContext(file.position_text(at)):
-            _check_limits(scan, unpacked)
+            _check_limits(scan, uncompressed_size)
         scan.end = end
     scan.problem = (
         scan.problem
@@ -177,7 +177,7 @@ def scan_records(
 
 
 def scan_path(path: Path) -> RecordScan:
-    """Return the scan of a file. The checksum of the data section is not checked.
+    """Scan a file without a check of the checksum of the data section, and return the scan.
 
     This function raises the same errors as `scan_records`.
     """

@@ -24,7 +24,7 @@ class LoggedEvent(NamedTuple):
 
 
 class TickGap(NamedTuple):
-    """Gap in a log, where ticks are missing: the last tick before the gap and the first tick after the gap."""
+    """Gap of missing ticks in a log, given by the tick before the gap and the tick after the gap."""
 
     last_tick_before: int
     first_tick_after: int
@@ -53,7 +53,7 @@ def phase_of_each_tick(
 
 
 def check_tick_times(t_ns: NDArray[np.int64], period_ns: int) -> None:
-    """Raise an error if the times of the ticks cannot belong to a run with a constant period.
+    """Raise an error if the ticks are out of order, or if nearly all ticks of the run are missing.
 
     Without the check of the tick times, a log with wrong times could require a table that does not
     fit into memory.

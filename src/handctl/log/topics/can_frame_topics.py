@@ -146,7 +146,7 @@ class _DirectionTopics:
 
 
 def _join_records(channel: int, log_times: TimeArray, records: list[bytes]) -> MessageBlock:
-    """Join several Message records to one block."""
+    """Return one block with all given Message records, in order."""
     end_offsets = np.cumsum([0, *map(len, records)], dtype=np.uint64)
     return MessageBlock(channel, b"".join(records), log_times, end_offsets[:-1])
 

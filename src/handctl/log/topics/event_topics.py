@@ -149,7 +149,7 @@ class EventTopics:
         return [block for block in [*blocks, *self._line_messages(batch, stamps)] if block.data]
 
     def _line_messages(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
-        """Return the messages for the log lines and changed gains in a batch of ticks."""
+        """Return a message for each log line of a batch, and for each tick that changes gains."""
         line_indexes: list[int] = []
         lines: list[bytes] = []
         gain_indexes = []
@@ -174,7 +174,7 @@ class EventTopics:
 
 
 def _index_array(values: list[int]) -> NDArray[np.intp]:
-    """Return a list of indexes as an array."""
+    """Return indexes as an array that numpy accepts as an index, even if the list is empty."""
     return np.array(values, np.intp)
 
 

@@ -1,4 +1,4 @@
-"""Hash chain over the ticks of a log. If a byte of a tick is changed, the hash of this tick no longer matches.
+"""Hash chain over the ticks of a log. After a change of any byte of a tick, the hash of the tick is wrong.
 
 The chain shows if the log was damaged, or if an attached file was replaced. The chain is not a
 signature. An attacker who changes the log can compute all hashes again. The last hash is in the end

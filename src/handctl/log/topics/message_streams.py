@@ -63,7 +63,7 @@ class TopicRegistry:
 
 @dataclass(frozen=True, slots=True)
 class MessageStamps:
-    """Log times and sequence numbers of n messages.
+    """Log time and sequence number of each of n messages.
 
     Attributes:
         log_times: (n,) uint64, log times as UNIX times [ns].
@@ -74,7 +74,7 @@ class MessageStamps:
     sequence: NDArray[np.uint32]
 
     def select(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "MessageStamps":
-        """Return the log times and sequence numbers of the messages that `index` selects."""
+        """Return the stamps of the messages that `index` selects."""
         return MessageStamps(self.log_times[index], self.sequence[index])
 
 
@@ -89,7 +89,7 @@ def single_message_stamps(log_ns: int, k: int) -> MessageStamps:
 
 
 def ros_time(t_ns: TimeArray) -> NDArray[np.uint32]:
-    """Convert times (n,) [ns] to pairs of seconds and nanoseconds (n, 2)."""
+    """Convert times (n,) [ns] to ROS 2 time stamps (n, 2): whole seconds, and the remaining nanoseconds."""
     return np.stack([t_ns // np.uint64(10**9), t_ns % np.uint64(10**9)], axis=1).astype("<u4")
 
 

@@ -256,8 +256,9 @@ class StateTopics:
     def _tendon_torque(self, tension: FloatArray, q: FloatArray) -> FloatArray:
         """Return the joint torques R^T f (n, J) from the tensions f at joint angles q [N m].
 
-        The sum is computed in a fixed order. In a matrix product, the order of the additions can
-        depend on n. The rounding of a matrix product can therefore depend on n.
+        The sum is computed in a fixed order, so that the result of a tick does not depend on n. In
+        a matrix product, the order of the additions, and with the order the rounding, can depend on
+        n.
         """
         torque = np.zeros((len(tension), self._arms.shape[1]))
         arms = (

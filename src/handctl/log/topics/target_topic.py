@@ -45,10 +45,10 @@ class TargetTopic:
         ]
 
     def _stream_targets(self, requests: tuple[TickRequest, ...]) -> Iterator[StreamTarget]:
-        """Yield the streamed targets among some requests.
+        """Yield the streamed targets among the requests of a tick.
 
-        The values of a streamed target have no names. The names are in the request that opened the
-        stream.
+        A streamed target contains values without names. The request that opened the stream contains
+        the names of the values.
         """
         for request in requests:
             if isinstance(request, StreamTarget) or is_stream_target(request):

@@ -139,7 +139,7 @@ def link_positions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.float6
 
 
 def _transform_stream(channel: int, link_frames: list[LinkFrame]) -> MessageStream:
-    """Return the stream of tf2_msgs/TFMessage messages for some links."""
+    """Return the stream of tf2_msgs/TFMessage messages for the given links."""
     writer = TemplateWriter()
     writer.put_length(len(link_frames))
     for index, link in enumerate(link_frames):
@@ -181,7 +181,7 @@ class TfTopics:
         return self._static.block(stamps, values)
 
     def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
-        """Return the /tf messages. The first tick in each period of 20 ms gets one message."""
+        """Return the /tf messages: one for the first tick in each period of 20 ms."""
         periods = batch.t_ns // TRANSFORM_PERIOD_NS
         period_starts = np.flatnonzero(np.diff(periods, prepend=self._last))
         self._last = int(periods[-1])

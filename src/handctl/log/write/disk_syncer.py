@@ -28,7 +28,7 @@ def sync_to_disk(descriptor: int) -> None:
 class DiskSyncer:
     """Callable object that starts a sync of a file to the disk.
 
-    If a sync has failed, a later call raises the error of this sync.
+    If a sync fails, one of the next calls raises the error of the failed sync.
     """
 
     def __init__(self) -> None:
@@ -72,9 +72,9 @@ class DiskSyncer:
 def _close_other_descriptors(*descriptors: int) -> None:
     """Close all file descriptors of the forked process except the given ones.
 
-    If the forked process kept other descriptors open, the controller would not notice the death of
-    the recorder. With other open descriptors in the forked process, the disk space that the
-    recorder has reserved could also not be freed.
+    If the forked process kept the pipes of the recorder open, the controller would not notice the
+    death of the recorder. If the forked process kept the file of the reserved disk space open, the
+    space could not be freed.
     """
     edges = [-1, *sorted(descriptors), _MAX_FILE_DESCRIPTORS]
     for low, high in itertools.pairwise(edges):
@@ -82,7 +82,7 @@ def _close_other_descriptors(*descriptors: int) -> None:
 
 
 def _serve_sync_requests(descriptor: int, requests: int, errors: int) -> None:
-    """Serve sync requests until the recorder's end of the request pipe is closed.
+    """Serve sync requests until the recorder closes its end of the request pipe, or until a sync fails.
 
     A single sync serves all requests that are waiting.
     """

@@ -92,7 +92,8 @@ class _ReservedDiskSpace:
 class LogWriter:
     """Writer of the log file of a run.
 
-    After a write has failed, the writer closes the file. Later ticks are counted, but not written.
+    After a write has failed, the writer closes the file. Ticks that arrive after the failure are
+    counted as lost, and not written.
 
     Attributes:
         ticks: number of ticks written or waiting for the next chunk.
@@ -133,7 +134,7 @@ class LogWriter:
         self._path = path
         self._header = header
         self._report = report
-        self._floor = min_free_bytes
+        self._min_free_bytes = min_free_bytes
         self._topics = TopicSet(header)
         self._batcher = TickBatcher(header)
         self._fd = _create_file(path)
@@ -262,16 +263,16 @@ class LogWriter:
             return
         try:
             self._to_disk(self._fd)
-            # The file descriptor stays valid even if somebody renames or deletes the log file
-            # during the run.
+            # The file descriptor stays valid even if a user renames or deletes the log file during
+            # the run.
             disk = os.fstatvfs(self._fd)
         except OSError as error:
             self._close_after_failure(error)
             return
         free_bytes = disk.f_bavail * disk.f_frsize
-        if free_bytes < self._floor:
+        if free_bytes < self._min_free_bytes:
             self._finish_log_early(free_bytes)
-        elif free_bytes < 4 * self._floor and not self._warned:
+        elif free_bytes < 4 * self._min_free_bytes and not self._warned:
             self._warned = True
             self._report("disk_low", free_bytes)
 

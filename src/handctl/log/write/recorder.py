@@ -47,13 +47,13 @@ LOCKSTEP_TIMEOUT_S = 60.0
 CALLS_PER_PROCESS_CHECK = 8
 """Number of calls of ``Recorder.take_events`` from one check of the recorder process to the next.
 
-A check of the recorder process needs two system calls. Events of the recorder can be some
-milliseconds late, because no event of the recorder stops the hand.
+A check of the recorder process needs two system calls. A delay of a few milliseconds is acceptable,
+because no event of the recorder stops the hand.
 """
 
 
 def _enlarge_pipe(descriptor: int) -> int:
-    """Ask the system for a larger pipe. Return the pipe size that the system has granted [bytes]."""
+    """Request a larger pipe from the system, and return the size that the system has granted [bytes]."""
     for size in PIPE_BYTES if hasattr(fcntl, "F_SETPIPE_SZ") else ():
         with suppress(OSError):
             return fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, size)
@@ -212,7 +212,8 @@ class Recorder:
     def take_events(self) -> tuple[IoEvent, ...]:
         """Return the events of the recorder since the last call. The loop calls this method in every tick.
 
-        Only one of every `CALLS_PER_PROCESS_CHECK` calls asks the recorder process for its events.
+        To save system calls, only every `CALLS_PER_PROCESS_CHECK`-th call reads the notes of the
+        recorder process.
 
         All events of the recorder have the kind "recorder".
 
@@ -220,7 +221,8 @@ class Recorder:
             dropped: records were dropped. Value: number of dropped records.
             gone: the recorder process has ended.
             filling: the pipe to the recorder has become more than half full. Value: number of bytes
-            in the pipe. disk_low: little disk space is left. Value: number of free bytes.
+                in the pipe.
+            disk_low: little disk space is left. Value: number of free bytes.
             disk_full: the log was finished early, because the disk is full. Value: number of free
                 bytes, or errno.
             error: a write to the log file has failed. Value: errno.

@@ -71,7 +71,7 @@ def report_event(event: str, number: int) -> None:
 
 
 class RecordSplitter:
-    """Splitter that divides a byte stream into records.
+    """Splitter that divides the bytes from the pipe into records.
 
     The splitter keeps an incomplete record until the missing bytes of the record arrive.
     """
@@ -101,7 +101,7 @@ class RecordSplitter:
 
 
 class RecorderSession:
-    """Work of the recorder for one run, from the first record to the end of the input.
+    """Recording of one run, from the first record to the end of the input.
 
     Attributes:
         path: path of the log.
@@ -110,7 +110,7 @@ class RecorderSession:
     def __init__(self) -> None:
         """Create a session without a log file. The first records name the log file and open this file."""
         self.path = Path()
-        self._floor = 0
+        self._min_free_bytes = 0
         self._splitter = RecordSplitter()
         self._writer: LogWriter | None = None
         self._wall_flush = True
@@ -153,12 +153,12 @@ class RecorderSession:
         elif record_kind == FILE_RECORD_KIND:
             file = json.loads(body)
             self.path = Path(file["path"])
-            self._floor = int(file["floor_bytes"])
+            self._min_free_bytes = int(file["floor_bytes"])
         elif record_kind == HEADER_RECORD_KIND:
             header = RunHeader.load(body)
             self._wall_flush = not header.deterministic
             self._writer = LogWriter(
-                self.path, header, report_event, self._floor, sync_file=DiskSyncer()
+                self.path, header, report_event, self._min_free_bytes, sync_file=DiskSyncer()
             )
             send_note({"ready": True})
         elif record_kind == END_RECORD_KIND:

@@ -43,7 +43,7 @@ class BenchRecording:
     travel: list[Vector] = field(default_factory=list)
 
     def record(self, entry: TickIn, tick_output: TickOut) -> None:
-        """Record the input and output of a tick."""
+        """Append the time, the phase, the tensions and the motor positions of a tick to the lists."""
         self.t_ns.append(entry.t_ns)
         self.phase.append(tick_output.phase)
         self.tension.append(tick_output.telemetry.tension_raw)
@@ -71,8 +71,10 @@ def run_bench_task(
     """
     model = _hand_model(hand_file)
     recording = BenchRecording()
-    bench = SimulatorSettings(hand_file, scene, seed, homed=True, truth=truth)
-    state = simulate_controller(homed_controller(model, TaskProgram(task)), bench, recording.record)
+    simulator_settings = SimulatorSettings(hand_file, scene, seed, homed=True, truth=truth)
+    state = simulate_controller(
+        homed_controller(model, TaskProgram(task)), simulator_settings, recording.record
+    )
     if state.failure:
         raise DriveError(state.failure, f"{task.name} with {model.hand.name} in the simulator")
     return recording

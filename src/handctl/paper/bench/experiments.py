@@ -15,7 +15,7 @@ from handctl.paper.bench import force_displacement, payload
 ExperimentJob = Mapping[str, Any]
 ExperimentResult = Mapping[str, Any]
 JobRunner = Callable[[Sequence[ExperimentJob]], list[ExperimentResult]]
-"""Function that runs jobs, possibly several at a time, and returns their results in the order of the jobs."""
+"""Function that runs jobs, one or several at a time, and returns their results in the order of the jobs."""
 
 
 def run_job(job: ExperimentJob, folder: Path) -> ExperimentResult:

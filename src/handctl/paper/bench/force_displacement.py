@@ -71,8 +71,9 @@ class TendonCurve:
 def blocked_hand(knee_tensions: tuple[float, ...]) -> Hand:
     """Return the hand of the test bench, with all joints clamped.
 
-    The force-displacement curve of a tendon has a knee. In the returned hand, the first tendons
-    have their knees at the given tensions [N].
+    The force-displacement curve of each tendon has a knee. The argument gives the tension at the
+    knee [N] of the first tendon, the second tendon, and so on. Tendons without a given tension keep
+    their knees.
     """
     content = copy.deepcopy(load_hand(HAND_NAME).content)
     for digit in content["digit"]:
@@ -111,7 +112,7 @@ def measure_tendons(folder: Path) -> dict[str, Any]:
 
 
 def _pull_task(tension: dict[str, float]) -> Task:
-    """Return the task that pulls the tendons of some digits to given tensions [N]."""
+    """Return the task that pulls the tendons of the named digits to given tensions [N]."""
     phases = (
         {
             "kind": "close",

@@ -108,6 +108,6 @@ def _read_result(child: WorkerProcess) -> ExperimentResult:
 
 
 def _require_pipe(worker_pipe: IO[str] | None) -> IO[str]:
-    """Return a pipe of a worker process, and assert that the pipe exists."""
+    """Return the given pipe, after an assertion that the pipe is not None."""
     assert worker_pipe is not None
     return worker_pipe

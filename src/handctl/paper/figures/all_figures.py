@@ -35,12 +35,12 @@ def figure_contents(
         "fig7-eq10": (fig7_torques.EQ10_FIGURE_SIZE_IN, fig7_torques.draw_eq10_figure),
     }
     if experiment_results is not None:
-        bench = curves_of_tendons(experiment_results["force_displacement"])
+        curves = curves_of_tendons(experiment_results["force_displacement"])
         loads = experiment_results["payload"]
         figure_functions |= {
             "fig5-force-displacement": (
                 measured_figures.FORCE_FIGURE_SIZE_IN,
-                lambda fig: measured_figures.draw_force_displacement(fig, bench),
+                lambda fig: measured_figures.draw_force_displacement(fig, curves),
             ),
             "fig8-payload": (
                 measured_figures.PAYLOAD_FIGURE_SIZE_IN,

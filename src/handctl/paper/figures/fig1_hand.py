@@ -96,7 +96,7 @@ def _set_axes(axes: Any) -> None:
 
 
 def _finger_and_thumb() -> tuple[Any, Any]:
-    """Return a finger and the thumb of the paper's hand."""
+    """Return the description of one finger and of the thumb of the paper's hand."""
     return src.paper_finger(), src.paper_thumb()
 
 

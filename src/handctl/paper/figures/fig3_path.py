@@ -33,7 +33,7 @@ def draw_path_figure(figure: Any) -> None:
 
 
 def _draw_digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> None:
-    """Draw a digit in some poses, the curve of its tip, and the area that the tip could reach."""
+    """Draw a digit in several poses, the curve of its tip, and the area that the tip could reach."""
     model = kinematics.paper_digit(name)
     _draw_reachable_area(
         axes, kinematics.reachable_tips(name, SAMPLE_COUNTS[name]), x, HEIGHT_RANGE_MM
@@ -79,10 +79,7 @@ def _draw_digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> Non
 def _draw_reachable_area(
     axes: Any, tip_positions: Array, x_limits: tuple[float, float], y_limits: tuple[float, float]
 ) -> None:
-    """Fill the cells that contain a sampled position of the fingertip.
-
-    The gaps between the cells with sampled positions are filled, too.
-    """
+    """Fill the grid cells that contain a sampled position of the fingertip, and the gaps between these cells."""
     bins = [np.arange(low, high + AREA_CELL_MM, AREA_CELL_MM) for low, high in (x_limits, y_limits)]
     # Without the filling, empty cells between two samples would look like positions that the tip
     # cannot reach.

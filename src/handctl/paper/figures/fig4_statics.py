@@ -1,6 +1,6 @@
 """Fig. 4 and 6 of the paper: moments at the joints of a straight digit.
 
-A force on the tip causes some of the moments at the joints. The tendon causes the other moments.
+At each joint, the figures compare the moment of a force on the tip with the moment of the tendon.
 """
 
 from typing import Any

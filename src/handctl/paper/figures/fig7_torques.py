@@ -93,12 +93,12 @@ def _add_tension_axis(axes: Any, moment_arm_m: float, is_labelled: bool) -> None
 def draw_eq10_figure(figure: Any) -> None:
     """Draw T_1 as Eq. 10 gives it, both as printed and as corrected.
 
-    The scale of one plot suits the printed equation. The scale of the other plot suits the
-    corrected equation.
+    Both plots show both curves. The first plot has the scale of the printed equation, and the
+    second plot has the scale of the corrected equation.
     """
     times, printed_torque, correct_torque = closing_torque_t1(CLOSING_DURATIONS_S[1])
-    printed_axes, close = figure.subplots(1, 2)
-    for axes in (printed_axes, close):
+    printed_axes, enlarged_axes = figure.subplots(1, 2)
+    for axes in (printed_axes, enlarged_axes):
         axes.plot(1e3 * times, 1e3 * printed_torque, color=RED, label="Eq. 10 as printed")
         axes.plot(1e3 * times, 1e3 * correct_torque, color=BLUE, label="corrected")
         axes.axhline(0.0, color=GREY, linewidth=0.7)
@@ -107,13 +107,13 @@ def draw_eq10_figure(figure: Any) -> None:
     factor = float(np.abs(printed_torque).max() / np.abs(correct_torque).max())
     printed_axes.set_title(f"as printed: {factor:.0f} times too large")
     limit = 1.6e3 * float(np.abs(correct_torque).max())
-    close.set(ylim=(-limit, limit))
-    close.set_title("enlarged: even at rest the wrong sign")
+    enlarged_axes.set(ylim=(-limit, limit))
+    enlarged_axes.set_title("enlarged: even at rest the wrong sign")
     printed_axes.legend(fontsize=8.5)
     for at in (0, -1):
-        close.plot(
+        enlarged_axes.plot(
             1e3 * times[at], 1e3 * printed_torque[at], "o", color=RED, markersize=5, clip_on=False
         )
-        close.plot(
+        enlarged_axes.plot(
             1e3 * times[at], 1e3 * correct_torque[at], "o", color=BLUE, markersize=5, clip_on=False
         )

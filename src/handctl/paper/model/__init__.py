@@ -1,1 +1,1 @@
-"""Equations and numbers of the paper. Each is compared with the correct equation or the correct number."""
+"""Equations and numbers of the paper, compared with the correct equations and the correct numbers."""

@@ -1,4 +1,4 @@
-"""Assumptions that the model of the paper makes, but that the paper does not state.
+"""Assumptions of the model of the paper that the paper does not state.
 
 For each assumption, the module gives the effect on the numbers of the paper.
 """

@@ -12,7 +12,7 @@ from handctl.paper.model.expression import Expression
 
 @dataclass(frozen=True, slots=True)
 class EquationTerm:
-    """Term of an equation in the paper, or a group of terms that belong together.
+    """Term of an equation in the paper, or a group of terms with one errata item.
 
     Attributes:
         id: identifier of the errata item about this term.

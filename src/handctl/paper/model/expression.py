@@ -1,8 +1,8 @@
-"""Formulas that are given as text.
+"""Formulas given as text, such as ``L1*cos(th1)``.
 
 A formula can be evaluated with numbers or arrays, checked for dimensions, and typeset. The tests
-give the text of each formula to sympy. Therefore the page about the paper shows exactly the
-formulas that sympy has proved.
+check the text of each formula with sympy. Therefore the formulas on the page about the paper are
+exactly the checked formulas.
 """
 
 import ast

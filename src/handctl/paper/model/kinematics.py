@@ -1,4 +1,4 @@
-"""Section 4 of the paper: checks of Eq. 1 and 2 and of the angles in them, and the reach of a fingertip."""
+"""Section 4 of the paper: checks of Eq. 1 and 2, of the angles in Eq. 1 and 2, and of the reach of a fingertip."""
 
 from collections.abc import Callable
 
@@ -112,8 +112,8 @@ def _lengths_text(name: str) -> list[str]:
 def _check_general_position() -> list[ErrataItem]:
     """Check the position of the fingertip that section 4 states, at random joint angles.
 
-    Section 4 states the position as L1 cos q1 + L2 cos(q1 + q2) + .., and the second coordinate as
-    the same sum with sines.
+    In section 4, the first coordinate is L1 cos q1 + L2 cos(q1 + q2) + .., and the second
+    coordinate is the same sum with sines.
     """
     model = paper_digit("index")
     random = np.random.default_rng(1)

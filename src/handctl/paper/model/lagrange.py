@@ -90,7 +90,7 @@ def lagrange_torques(states: StateSamples) -> list[Array]:
 
 
 def _energy_of_terms(terms: Sequence[EquationTerm], states: StateSamples) -> Any:
-    """Return the energy that is the sum of the correct forms of some terms."""
+    """Return the sum of the correct forms of the given energy terms."""
     return sum(term.correct_form.evaluate(states) for term in terms)
 
 
@@ -160,7 +160,7 @@ def _term_item(term: EquationTerm) -> ErrataItem:
 
 
 def _wrong_dimensions_text(term: EquationTerm) -> str:
-    """Return the text "dimensions" if some reading of a term has wrong dimensions, and otherwise an empty text."""
+    """Return the text "dimensions" if a reading of a term has wrong dimensions, and otherwise an empty text."""
     for reading in term.readings:
         try:
             if reading.dimension(SYMBOL_DIMENSIONS) != ENERGY_DIMENSION:
@@ -171,7 +171,7 @@ def _wrong_dimensions_text(term: EquationTerm) -> str:
 
 
 def _asymmetry_text(term: EquationTerm) -> str:
-    """Compare the printed coefficient of a term with that of the mirror term.
+    """Compare the printed coefficient of a term with the printed coefficient of the mirror term.
 
     If the coefficients differ, return a text about the difference. If the coefficients are equal,
     return an empty text.

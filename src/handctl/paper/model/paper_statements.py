@@ -42,7 +42,7 @@ def text_errata() -> list[ErrataItem]:
 
 
 def _check_degrees_of_freedom() -> list[ErrataItem]:
-    """Check the numbers of degrees of freedom that the paper states."""
+    """Check each number of degrees of freedom that the paper states."""
     hand = src.paper_hand()
     joints = [len(digit.joints) for digit in hand.digit]
     joints_per_digit = max(joints)

@@ -48,7 +48,7 @@ def number_item(
 
     The verdict on the printed number follows from the printed decimal digits.
 
-    In the paper, `symbol` is printed after the number.
+    The argument `symbol` is the text that the paper prints after the number.
     """
     verdict = verdict_of_number(printed, exact_value)
     return ErrataItem(
@@ -107,8 +107,8 @@ Joints are counted from the palm, beginning with 0.
 def _check_moment_labels() -> list[ErrataItem]:
     """Check the labels of the moments in the paper.
 
-    Some labels of moments name several joints. A label with several joints states that the moments
-    at these joints are equal.
+    If a label names several joints, the paper states that the moments at the named joints are
+    equal.
     """
     rows = []
     for id, location, printed_label, digit, joint, named_joint in FIGURE_LABELS:

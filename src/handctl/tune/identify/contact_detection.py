@@ -1,18 +1,16 @@
 """Detection of a contact during the sweeps of a digit, from the residuals of the fit.
 
-Assume that a digit touches an obstacle at some angle. From the angle of the contact on, an
-additional tension grows while the digit closes. The fit attributes most of the additional tension
-to the springs, but no parameter can reproduce the kink in the curve. To detect a contact, the fit
-therefore includes a ramp of tension that begins at some joint angle. The linearised fit determines
-the ramp together with all parameters. The score of the contact is the size of the ramp in standard
-deviations.
-Source: score test (Rao 1948).
+If a closing digit touches an obstacle, an additional tension grows from the angle of the contact
+on. The fit attributes most of the additional tension to the springs, but no parameter can reproduce
+the kink in the curve. Therefore a ramp of tension is added to the linearised fit, and is determined
+together with all parameters. The joint angle at which the ramp begins is varied. The score of the
+contact is the height of the ramp in standard deviations. Source: score test (Rao 1948).
 
 A contact that lasts during the whole sweep causes no kink. If a contact blocks one of n joints
-during the whole sweep, the digit behaves like a free digit with other springs. The springs of the
-blocked digit then seem to have n / (n - 1) of their stiffness and (n - 1) / n of their preload. The
-travel of the tendon shows whether a joint is blocked. If the digit closes farther than n - 1 joints
-permit, no joint is blocked.
+during the whole sweep, the digit behaves like a free digit with different springs. The stiffness of
+these springs is n / (n - 1) of the true stiffness, and the preload is (n - 1) / n of the true
+preload. The travel of the tendon shows whether a joint is blocked. If the digit closes farther than
+n - 1 joints permit, no joint is blocked.
 """
 
 from collections.abc import Sequence
@@ -55,7 +53,7 @@ class ResidualRamp(NamedTuple):
     """Ramp with the largest score in the residuals of a fit.
 
     Attributes:
-        score: size of the ramp in standard deviations. The score is positive if the ramp adds
+        score: height of the ramp in standard deviations. The score is positive if the ramp adds
             tension.
         begin: mean joint angle at which the ramp begins [rad].
         end: largest mean joint angle of the sweep [rad].
@@ -129,10 +127,12 @@ def steepest_ramp(
             # Only the component of the ramp that the parameters cannot explain counts for the
             # score.
             orthogonal_part = column - basis @ (basis.T @ column)
-            size = float(orthogonal_part @ orthogonal_part)
-            if size > MIN_UNEXPLAINED_RAMP_FRACTION * float(column @ column):
-                score = float(orthogonal_part @ residual) / size**0.5
-                best = max(best, (score, start, score / size**0.5), key=lambda ramp: abs(ramp[0]))
+            squared_norm = float(orthogonal_part @ orthogonal_part)
+            if squared_norm > MIN_UNEXPLAINED_RAMP_FRACTION * float(column @ column):
+                score = float(orthogonal_part @ residual) / squared_norm**0.5
+                best = max(
+                    best, (score, start, score / squared_norm**0.5), key=lambda ramp: abs(ramp[0])
+                )
     mean_square = float(np.mean(residual[rows][used_columns] ** 2))
     contact_score = (
         MIN_CONTACT_SCORE if len(unit_vectors) == 1 else MIN_CONTACT_SCORE_OF_SEVERAL_TENDONS

@@ -50,8 +50,8 @@ The noise of the load cell would hide a smaller difference of the tensions.
 STRETCH_DURATION_S = 0.9
 """Duration of one rise or one fall of the tension in a stretch [s].
 
-The friction of the motor is larger than the tension, and the gains are possibly low. On faster
-ramps of the commanded tension, the tension would change by only a third of the commanded range.
+The friction of the motor is larger than the tension, and the gains can be low. On faster ramps of
+the commanded tension, the tension would change by only a third of the commanded range.
 """
 STRETCH_COUNT = 4
 """Number of times that the tension of a stretched tendon rises and falls."""

@@ -3,9 +3,9 @@
 A digit that tendons close and open has n + 1 tendons and no springs, or it has spool pairs.
 
 First, the digit sweeps about a middle posture. In the sweeps, the joints first move together. Then
-the joints move against each other, so that the motors wind up each tendon while they pay out
-others. After the sweeps, the digit oscillates. At the end, the tendons are stretched while the
-digit is pressed against its lower stops.
+the joints move against each other. In these sweeps, the motors wind up a part of the tendons, and
+pay out the rest. After the sweeps, the digit oscillates. At the end, the tendons are stretched
+while the digit is pressed against its lower stops.
 """
 
 import math

@@ -3,11 +3,12 @@
     sum_j R_ji f_j exp(-mu_j sgn(w_j) (phi_j + q_1 + .. + q_i)) = S k_i (q_i + P p_i) + b_i q_i' + m (M q'' + g)_i
 
 The equation above is the torque balance of joint i in free motion. The exponent contains a sum of
-angles: the wrap angle of tendon j, and the angles of the joints up to joint i that tendon j
-crosses. The drift of the load cells is known from the fits of single tendons. Each row of the fit
-is the torque balance of a joint, divided by the noise that the load cells cause in the torque
-balance. The fit neglects errors of the joint encoders, because their effect is a tenth of the
-effect of load-cell errors. Source: as in `fit_load`.
+angles: the wrap angle phi_j of tendon j, and the angles of the joints from joint 1 to joint i.
+Prismatic joints, and joints that tendon j does not cross, are left out of the sum. The drift of the
+load cells is known from the fits of single tendons. Each row of the fit is the torque balance of a
+joint, divided by the noise that the load cells cause in the torque balance. The fit neglects errors
+of the joint encoders, because their effect is a tenth of the effect of load-cell errors. Source: as
+in `fit_load`.
 """
 
 from collections.abc import Sequence
@@ -55,9 +56,10 @@ MIN_DATA_ROWS = 20
 
 @dataclass(frozen=True, slots=True)
 class TorqueBalance:
-    """Data of a digit at certain times.
+    """Torque balance of a digit at the sample times of the fit.
 
-    At each time of the data, the digit moves freely, and the joint encoders of the digit are read.
+    At each sample time, the digit moves freely, and there is a reading of all joint encoders of the
+    digit.
 
     Attributes:
         digit: model of the digit.
@@ -86,7 +88,7 @@ class TorqueBalance:
     def from_fits(
         digit: DigitModel, data: Sequence[TendonData], fits: Sequence[TendonFit]
     ) -> "TorqueBalance | None":
-        """Combine the data and the fits of a digit's tendons to the data for the fit of the digit.
+        """Return the data for the fit of a digit, made from the data and the fits of the digit's tendons.
 
         If too few sample times can be used, return None.
 
@@ -234,7 +236,7 @@ def fit_digit(balance: TorqueBalance) -> FitSolution:
     tendons = len(balance.noise)
     arms = balance.digit.moment_arms
     whitening_matrix = balance.whitening_matrix
-    spread = np.array(
+    prior_deviations = np.array(
         [
             *(PRIOR_DEVIATIONS.get(name, DEFAULT_PRIOR_DEVIATION) for name in SHARED_PARAMETERS),
             *[DEFAULT_PRIOR_DEVIATION] * tendons,
@@ -250,7 +252,7 @@ def fit_digit(balance: TorqueBalance) -> FitSolution:
         return np.concatenate(
             [
                 (torque_imbalance @ whitening_matrix).ravel(),
-                (z[: n + tendons] - 1.0) / spread,
+                (z[: n + tendons] - 1.0) / prior_deviations,
                 offset / balance.drift_sigma,
             ]
         )
@@ -266,8 +268,8 @@ def fits_with_digit_solution(
 ) -> list[TendonFit]:
     """Add the parameters from the fit of a digit to the fits of its tendons, and return the fits of the tendons.
 
-    Each tendon gets its capstan coefficient. The fit of the first tendon gets, in addition, the
-    factors that all tendons share.
+    The fit of each tendon gets the capstan coefficient of this tendon. The fit of the first tendon
+    also gets the factors that all tendons share.
     """
     rows = len(balance.t) * balance.q.shape[1]
     tendon_fits = [replace(fit, ramp=_unexplained_ramp(solution, balance)) for fit in tendon_fits]
@@ -318,7 +320,8 @@ def _tendon_rates(data: TendonData, half_window: int) -> tuple[Array, Array]:
 
     At the start and the end of the data, the speed and the acceleration are NaN.
 
-    Both rates are differences over twice the time over which signals are averaged.
+    Speed and acceleration are computed from differences. The time step of the differences is twice
+    the time over which signals are averaged.
     """
     x = data.travel
     step = 2 * half_window

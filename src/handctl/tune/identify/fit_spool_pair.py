@@ -215,7 +215,7 @@ def _mean_wrap_angles(digit: DigitModel, tendon: int, q: Array) -> Array:
 
 
 def select_windows(windows: MotorWindows, selection_mask: NDArray[np.bool_]) -> MotorWindows:
-    """Return those windows of a motor that a mask selects."""
+    """Return the windows of a motor for which a mask is True."""
     field_names = ("t", "tension", "acceleration", "speed", "sign", "commands")
     return replace(
         windows, **{name: getattr(windows, name)[selection_mask] for name in field_names}
@@ -270,7 +270,7 @@ def _stretch_readings(
 ) -> tuple[Array, Array, Array]:
     """Return the travel and the excursion (m,) in windows, at the times at which the joint encoders were read [m].
 
-    The last result is the effective number of readings in each window.
+    The third result is the effective number of joint-encoder readings in each window (m,).
 
     While a pair is stretched against a stop, its travel changes, but its excursion does not. In a
     window of a stretch, the travel is averaged over all ticks, and not only over the times of the
@@ -539,9 +539,9 @@ def _start_parameters(windows: SpoolPairWindows) -> Array:
 def _start_candidates(first_candidate: Array) -> list[Array]:
     """Return several start points of the fit, with different pretensions.
 
-    If the pretension at the start of the fit is too small, the solver possibly finds a wrong
-    solution, in which one tendon is slack and the stiffness is twice as large. From the wrong
-    solution, small steps of the solver cannot lead to the right parameters.
+    If the pretension at the start of the fit is too small, the solver can find a wrong solution. In
+    the wrong solution, one tendon is slack and the stiffness is twice as large. The solver cannot
+    leave the wrong solution in small steps.
     """
     start_candidates = []
     for factor in PRETENSION_START_FACTORS:

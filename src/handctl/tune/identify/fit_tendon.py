@@ -245,13 +245,13 @@ class TendonFitProblem:
 
     def _prior_residuals(self, z: Array, drift: Array) -> list[Array]:
         """Return the residuals of the load-cell drift and of the prior knowledge about the parameters."""
-        spread = np.array(
+        prior_deviations = np.array(
             [PRIOR_DEVIATIONS.get(name, DEFAULT_PRIOR_DEVIATION) for name in PARAMETER_NAMES]
         )
         return [
             np.diff(drift) / self.drift_step_N,
             drift[:1] / TARE_SIGMA_N,
-            (z[: len(PARAMETER_NAMES)] - 1.0) / spread,
+            (z[: len(PARAMETER_NAMES)] - 1.0) / prior_deviations,
         ]
 
 
@@ -338,7 +338,7 @@ class TendonFit:
         Source: Sidak (1967). If the parameters are not independent of each other, the joint
         confidence intervals are wider than necessary.
         """
-        spread = (
+        standard_deviations = (
             np.sqrt(np.diag(self.covariance))[: len(PARAMETER_NAMES)]
             * self.problem.parameter_scales
         )
@@ -346,7 +346,9 @@ class TendonFit:
             0.5 + 0.5 * CONFIDENCE_LEVEL ** (1.0 / parameter_count),
             self.degrees_of_freedom[: len(PARAMETER_NAMES)],
         )
-        return dict(zip(PARAMETER_NAMES, (student_t_factor * spread).tolist(), strict=True))
+        return dict(
+            zip(PARAMETER_NAMES, (student_t_factor * standard_deviations).tolist(), strict=True)
+        )
 
 
 def fit_tendon(problem: TendonFitProblem) -> TendonFit:
@@ -426,14 +428,14 @@ def merge_solution(
     parameter_names: tuple[str, ...],
     source_rows: Sequence[int],
 ) -> TendonFit:
-    """Return a fit in which some parameters are replaced by the results of another, independent fit.
+    """Return a fit in which the named parameters are replaced by the results of an independent fit.
 
     Args:
         fit: fit of one tendon's parameters.
-        solution: result of the other fit.
-        row_count: number of data rows of the other fit.
+        solution: result of the independent fit.
+        row_count: number of data rows of the independent fit.
         parameter_names: names of the parameters to replace.
-        source_rows: indices of the replaced parameters in the other solution.
+        source_rows: indices of the named parameters in ``solution``.
     """
     target = [PARAMETER_NAMES.index(name) for name in parameter_names]
     z = fit.z.copy()

@@ -3,9 +3,9 @@
     x = m s(q) + f / k + o(t) + d x'
 
 The travel x of the spool is the sum of the joints' excursion s(q) and the tendon's stretch f / k.
-The factor m multiplies the moment arms of the hand file. The joint encoders are read at slightly
-different times than the motor encoders. The time difference between the encoders adds the term d x'
-while the joints move. The offset o follows the drift of the load cell. The equation of the travel
+The factor m multiplies the moment arms of the hand file. The joint encoders are read a short time d
+before or after the motor encoders. While the spool turns with the speed x', the time difference d
+adds the term d x'. The offset o follows the drift of the load cell. The equation of the travel
 contains neither joint stops nor return springs.
 """
 

@@ -94,7 +94,8 @@ class TendonResult:
     def identified_names(self) -> tuple[str, ...]:
         """Return the names of the identified parameters that are valid.
 
-        A contact or a low coherence makes some identified parameters invalid.
+        A contact makes the parameters from the sweeps invalid. A low coherence makes the parameters
+        from the swing invalid. If the digit was blocked, no parameter is valid.
         """
         if self.blocked_event_text:
             return ()
@@ -107,9 +108,9 @@ class TendonResult:
 
     @property
     def is_incoherent(self) -> bool:
-        """Return True if the motor force and the motion are hardly related.
+        """Return True if the motor force explains hardly any of the motion.
 
-        The coherence of motor force and motion is then no larger than chance would cause.
+        The coherence of motor force and motion is then as low as for two unrelated signals.
         """
         return self.coherence < MIN_COHERENCE
 
@@ -117,7 +118,7 @@ class TendonResult:
     def reason_by_invalid_quantity(self) -> dict[str, str]:
         """Return, for each quantity without a valid value, the reason why the value is not valid.
 
-        The fitted parameters come first, and then other quantities.
+        The parameters of the fit come first. Quantities that the fit does not contain follow.
         """
         reason_by_parameter = dict(text.split(": ", 1) for text in self.identifiability.missing)
         invalid_reasons = dict.fromkeys(self.identifiability.names, "invalid because of a contact")
@@ -267,10 +268,10 @@ def _fit_single_tendon(hand: Hand, data: TendonData, digit_data: list[TendonData
 def _result_with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult:
     """Add information about contacts to the result of a tendon.
 
-    Contacts make some parameters invalid. To detect obstacles, the controller uses the springs of
-    the hand file. If the real springs are a third stiffer than the springs in the hand file, the
-    controller reports an obstacle that does not exist. Therefore the function ignores the contact
-    event of the controller if the fit explains the whole sweep.
+    A contact makes the parameters from the sweeps invalid. To detect obstacles, the controller uses
+    the springs of the hand file. If the real springs are a third stiffer than the springs in the
+    hand file, the controller reports an obstacle that does not exist. Therefore the function
+    ignores the contact event of the controller if the fit explains the whole sweep.
     """
     contact = contact_text(hand, result)
     residual_ramp = result.fit.ramp
@@ -331,9 +332,8 @@ def blocked_digits(log: RunLog) -> dict[str, str]:
 
     The keys of the result are the names of the excited digits.
 
-    If two digits touch each other, the controller possibly reports the wrong digit as blocked. Even
-    if the event names the wrong digit, the event is assigned to the digit that was excited at the
-    time.
+    If the excited digit touches a second digit, the event can name the second digit. Therefore each
+    event is assigned to the digit that was excited at the time, and not to the digit in the event.
     """
     events = [
         event_entry

@@ -1,8 +1,8 @@
 """Solution of a least-squares fit, and the uncertainty of the fitted parameters.
 
 The confidence intervals follow from the variation of the residuals between blocks of time.
-Therefore errors of the model widen the intervals. The rows of data need not be independent of each
-other.
+Therefore errors of the model widen the intervals, and the intervals are also right for rows of data
+that are not independent.
 """
 
 from collections.abc import Callable, Iterator
@@ -41,7 +41,7 @@ block would contain all rows.
 
 @dataclass(frozen=True, slots=True)
 class FitSolution:
-    """Solution of a fit: the scaled parameters and their uncertainty.
+    """Solution of a least-squares fit: the scaled parameters, and the uncertainty of each parameter.
 
     Attributes:
         z: (n,) parameters.
@@ -100,9 +100,9 @@ def _rows_by_time_block(sample_times: Array) -> Iterator[NDArray[np.intp]]:
 
     A long block is divided into parts of `MAX_BLOCK_ROWS` rows.
     """
-    order = np.floor((sample_times - sample_times.min()) / NOISE_BLOCK_S).astype(int)
-    for block in np.unique(order):
-        rows = np.flatnonzero(order == block)
+    block_of_row = np.floor((sample_times - sample_times.min()) / NOISE_BLOCK_S).astype(int)
+    for block in np.unique(block_of_row):
+        rows = np.flatnonzero(block_of_row == block)
         yield from np.array_split(rows, -(-len(rows) // MAX_BLOCK_ROWS))
 
 
@@ -118,10 +118,11 @@ def _parameter_covariance(
     block. The covariance is never smaller than the covariance for independent noise.
 
     The degrees of freedom are calculated for independent noise with a standard deviation of 1, and
-    not from the residuals. If the degrees of freedom were calculated from the residuals, one block
-    with large residuals could leave less than three degrees of freedom for the friction.
-    Source: the jackknife over clusters in its linear form (Bell & McCaffrey 2002, CR3),
-    Satterthwaite's degrees of freedom with their working model.
+    not from the residuals. With the residuals, a single block with large residuals could leave
+    fewer than three degrees of freedom for the friction.
+
+    Source: Bell & McCaffrey 2002, for the linear jackknife over clusters (CR3), and for
+    Satterthwaite's degrees of freedom with a working model of the noise.
     """
     plain_covariance = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
     # The rows with prior knowledge are exact by definition. Therefore the rows of the priors enter

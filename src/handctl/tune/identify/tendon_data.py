@@ -32,7 +32,7 @@ IGNORED_STEP_START_S = 0.02
 TRANSIENT_S = 0.35
 """Time after which a relaxed tendon is slack, because the springs have opened the digit [s]."""
 STOP_DISTANCE_DEG = 2.0
-"""Distance from a joint stop below which the stop possibly carries a fraction of the load [deg]."""
+"""Distance from a joint stop below which the stop can carry a fraction of the load [deg]."""
 MIN_TENSION_N = 2.0
 """Tension above which a tendon counts as taut [N]."""
 
@@ -41,8 +41,7 @@ MIN_TENSION_N = 2.0
 class TendonData:
     """Measurements and commands of a tendon during the excitation of its digit.
 
-    Row j of every array belongs to the time that is j control periods after the time of the first
-    row.
+    Row j of every array belongs to the time j control periods after row 0.
 
     Attributes:
         tendon: name of the tendon.
@@ -167,8 +166,8 @@ def _digit_has_tendon(hand: Hand, digit: str, tendon: int) -> bool:
 def _free_motion_mask(log: RunLog, hand: Hand, digit: str) -> Mask:
     """Return a mask of the ticks in which a digit moves freely.
 
-    In the selected ticks, the digit has followed a trajectory for some time, and is away from its
-    stops.
+    In the selected ticks, the digit has followed a trajectory for a minimum time, and is away from
+    its stops.
     """
     joints = hand.digit_joints[digit]
     (digit_file,) = (candidate for candidate in hand.digit if candidate.name == digit)
@@ -207,7 +206,7 @@ def _step_mask(
 def _restrict_to_excitation(
     data: TendonData, phase_of_tick: NDArray[np.str_], digit: str
 ) -> TendonData:
-    """Return the data from the time in which the digit was excited."""
+    """Return the rows of the data from the first to the last tick of the excitation of the digit."""
     ticks = np.flatnonzero(np.char.startswith(phase_of_tick[:-1], f"{digit} "))
     rows = slice(int(ticks[0]), int(ticks[-1]) + 1)
     excited_samples = {

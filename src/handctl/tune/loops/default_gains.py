@@ -1,8 +1,9 @@
-"""Default gains of a hand: the packaged gains, with a motor force that leaves the motion loops a gain margin.
+"""Default gains of a hand: the packaged gains, with ``motion.force_N`` reduced for a sufficient gain margin.
 
-The packaged ``motion.force_N`` was chosen for the packaged hands. A hand with light motors, short
-pulleys or tendons without load cells can oscillate with it. For such a hand, the default is the
-largest force with which every motion loop has the gain margin ``MIN_GAIN_MARGIN_DB``.
+The packaged ``motion.force_N`` was chosen for the packaged hands. With this force, a hand with
+light motors, small pulleys or tendons without load cells can oscillate. For such a hand, the
+default is the largest force with which every motion loop has the gain margin
+``MIN_GAIN_MARGIN_DB``.
 """
 
 import math
@@ -23,8 +24,9 @@ MIN_FORCE_FRACTION = 0.04
 def default_gains(hand: Hand, rate_hz: float) -> Gains:
     """Return the gains of a hand for which no gains file exists.
 
-    The gains of a packaged hand are its packaged gains. If no force gives another hand the gain
-    margin, its gains are the packaged gains, too, and ``handctl config check`` warns.
+    A packaged hand keeps its packaged gains. Any hand without packaged gains gets the largest force
+    that gives the gain margin. If no force gives the gain margin, the packaged gains stay
+    unchanged, and ``handctl config check`` warns.
 
     Args:
         hand: description of the hand.
@@ -63,7 +65,7 @@ def largest_force_with_margin(hand: Hand, gains: Gains, rate_hz: float) -> float
     tendons = list(range(len(hand.tendon)))
 
     def has_margin(index: int) -> bool:
-        """Return True if every motion loop has the gain margin with a candidate."""
+        """Return True if every motion loop has the gain margin with the candidate force ``candidates[index]``."""
         model = HandModel.from_hand(hand, _gains_with_force(gains, candidates[index]), rate_hz)
         for tendon in tendons:
             if _gain_margin(model, tendon) < MIN_GAIN_MARGIN_DB:
@@ -112,5 +114,5 @@ def _rounded_down(force: float) -> float:
 
 
 def _gains_with_force(gains: Gains, force: float) -> Gains:
-    """Return gains with another ``motion.force_N`` [N]."""
+    """Return the given gains with ``motion.force_N`` replaced by a force [N]."""
     return gains.model_copy(update={"motion": gains.motion.model_copy(update={"force_N": force})})

@@ -2,15 +2,16 @@
 
 The first design method finds the largest authority that keeps the margins on all plants. The second
 design method places the poles at given frequencies. The authority of a loop is the parameter of LQR
-that the first method varies. By Bryson's rule, the authority is the force whose cost equals the
-cost of the errors. More authority makes a loop faster and its margins smaller. Therefore the design
-increases the authority of each tendon alone, until a margin would become too small. The smallest
-authority of all tendons becomes the common ``force_N``. A tendon that permits more than twice the
-common authority gets a separate force. So a digit with little authority, such as a heavy wrist,
-does not make other digits slow. The eigenvalues of the closed loop confirm the reported margins. A
-function that the caller provides, such as a simulation, confirms the designed gains.
+that the first method varies. By Bryson's rule, a motor force as large as the authority costs as
+much as the errors ``position_error_m`` or ``speed_error_m_s`` in the gains. More authority makes a
+loop faster and its margins smaller. Therefore the design finds, for each tendon alone, the largest
+authority with sufficient margins. The smallest authority of all tendons becomes the common
+``force_N``. A tendon that permits more than twice the common authority gets a separate force. So a
+digit with little authority, such as a heavy wrist, does not make other digits slow. The eigenvalues
+of the closed loop confirm the reported margins. A function that the caller provides, such as a
+simulation, confirms the designed gains.
 
-The placement of poles uses an equation for a plant with one input and weights on position and
+The second method uses an equation for a plant with one input, and with weights on position and
 speed. The characteristic polynomial d of the closed loop satisfies
 
     d(s) d(-s) = p(s) p(-s) + (q1 |g1(s)|^2 + q2 |g2(s)|^2) / r.
@@ -77,7 +78,8 @@ FORCE_SIGNIFICANT_DIGITS = 3
 DISTURBANCE_REJECTION_FRACTIONS = (1.0, 0.7, 0.5, 0.35, 0.25, 0.1, 0.0)
 """Fractions of disturbance rejection that the design tries, largest first.
 
-With the filters of some hands, loops with a large fraction of disturbance rejection have no margin.
+With the filters of a few hands, loops with a large fraction of disturbance rejection have no
+margin.
 """
 
 
@@ -108,7 +110,7 @@ class GainDesign:
     def with_zero_old_margins(self, reason: str) -> "GainDesign":
         """Return the design with margins of zero for the old gains.
 
-        Margins of zero are right if the hand did not come to rest with the old gains in simulation.
+        Call this method if the hand did not come to rest with the old gains in simulation.
 
         Args:
             reason: reason why the hand does not come to rest.
@@ -124,7 +126,7 @@ class GainDesign:
         )
 
     def as_weights(self) -> Gains:
-        """Express the designed gains by the default authority and by scaled errors.
+        """Return the designed gains with the default authority, and with errors that are scaled to match.
 
         The returned gains describe the same controller as the designed gains, because LQR depends
         only on ratios of weights.
@@ -221,7 +223,7 @@ def _scaled_tendon_forces(
 def _replace_gain_sections(
     gains: Gains, **sections: dict[str, float] | list[dict[str, Any]]
 ) -> Gains:
-    """Check the bounds of some sections of the gains, and return gains in which these sections are replaced.
+    """Return gains in which the given sections are replaced, after a check of the bounds.
 
     Raises:
         ValueError: a value is out of its bounds.
@@ -283,7 +285,7 @@ def _positive_root(squared_value: float, expected_text: str) -> float:
 
 
 def model_with_gains(model: HandModel, gains: Gains) -> HandModel:
-    """Return the model with other gains of the motion loop and the tension loop, but with the same filter."""
+    """Return the model with the given gains of both loops. The filter of the model stays unchanged."""
     return replace(
         model, gains=gains, motion_design=design_motion(model.tendon_constants, gains, model.period)
     )
@@ -445,7 +447,7 @@ def _model_with_scaled_forces(model: HandModel, factor: float) -> HandModel:
 
 
 def _model_with_motion_gains(model: HandModel, **values: float) -> HandModel:
-    """Return the model with some gains of the motion loop replaced."""
+    """Return the model in which the given gains of the motion loop are replaced."""
     gains = _replace_gain_sections(
         model.gains, motion={**model.gains.motion.model_dump(), **values}
     )
@@ -455,7 +457,7 @@ def _model_with_motion_gains(model: HandModel, **values: float) -> HandModel:
 def model_with_largest_force(
     model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...]
 ) -> HandModel | None:
-    """Return the model in which each tendon's loop has the largest authority that keeps the margins.
+    """Return the model in which the loop of each tendon keeps the margins with the largest authority.
 
     If a tendon influences the loops of other tendons, all tendons have equal forces. If no
     authority keeps the margins, return None.
@@ -480,7 +482,7 @@ def model_with_largest_force(
         model_with_equal_forces, kind, separate_force_by_tendon
     )
     # The force of each tendon was found while all tendons had the same force. If two tendons share
-    # a joint, a larger force of one tendon reduces the margins of the other.
+    # a joint, a larger force of the first tendon reduces the margins of the second.
     return (
         model_with_tendon_forces
         if keeps_required_margins(model_with_tendon_forces, plants, (kind,))
@@ -495,10 +497,10 @@ def _largest_force(
 
     If no authority keeps the margins, return None.
 
-    The search begins with the smallest possible force. Even the smallest force possibly violates
-    the margins, if the integrator makes a tendon oscillate because the other feedback is too weak.
-    After the first force that keeps the margins, the force is increased until a margin is violated.
-    The interval of the last increase is then bisected. Larger forces are not tried.
+    The search begins with the smallest possible force. Even the smallest force can violate the
+    margins: if the feedback without the integrator is too weak, the integrator makes the tendon
+    oscillate. After the first force that keeps the margins, the force is increased until a margin
+    is violated. The interval of the last increase is then bisected. Larger forces are not tried.
     """
 
     def has_required_margins(force_logarithm: float) -> bool:
@@ -509,36 +511,36 @@ def _largest_force(
             (tendon,),
         )
 
-    best = None
-    at = math.log(MIN_FORCE_N)
-    while at < math.log(MAX_FORCE_N):
-        if has_required_margins(at):
-            best = at
-        elif best is not None:
+    best_logarithm = None
+    next_logarithm = math.log(MIN_FORCE_N)
+    while next_logarithm < math.log(MAX_FORCE_N):
+        if has_required_margins(next_logarithm):
+            best_logarithm = next_logarithm
+        elif best_logarithm is not None:
             break
-        at += FORCE_SEARCH_STEP
-    if best is None:
+        next_logarithm += FORCE_SEARCH_STEP
+    if best_logarithm is None:
         return None
-    high = min(at, math.log(MAX_FORCE_N))
+    high_logarithm = min(next_logarithm, math.log(MAX_FORCE_N))
     for _ in range(BISECTION_STEPS):
-        tried_force = (best + high) / 2.0
-        if has_required_margins(tried_force):
-            best = tried_force
+        middle_logarithm = (best_logarithm + high_logarithm) / 2.0
+        if has_required_margins(middle_logarithm):
+            best_logarithm = middle_logarithm
         else:
-            high = tried_force
-    # The search uses the response at few frequencies. The margins are possibly smaller when they
-    # are calculated at more frequencies or from the eigenvalues.
+            high_logarithm = middle_logarithm
+    # The search uses the response at few frequencies. At more frequencies, or from the eigenvalues,
+    # the calculated margins can be smaller.
     for _ in range(MAX_FORCE_REDUCTIONS):
-        tried_gains = _model_with_equal_forces(model, kind, _rounded_force(best))
+        tried_model = _model_with_equal_forces(model, kind, _rounded_force(best_logarithm))
         if all(
             margin.are_sufficient
             for margin in _margins_of_loops(
-                tried_gains, plants, (kind,), confirmed_margins, (tendon,)
+                tried_model, plants, (kind,), confirmed_margins, (tendon,)
             )
         ):
             break
-        best -= FORCE_REDUCTION_STEP
-    return _rounded_force(best)
+        best_logarithm -= FORCE_REDUCTION_STEP
+    return _rounded_force(best_logarithm)
 
 
 def _rounded_force(force_logarithm: float) -> float:
@@ -550,7 +552,7 @@ def _rounded_force(force_logarithm: float) -> float:
 
 
 def _without_tendon_forces(gains: Gains, kind: LoopKind) -> Gains:
-    """Return gains in which no single tendon has a separate force in a loop."""
+    """Remove the separate forces of all tendons in one loop from the gains, and return the new gains."""
     removed_key = f"{kind}_force_N"
     entries = [tendon_gains.model_copy(update={removed_key: None}) for tendon_gains in gains.tendon]
     kept_entries = [
@@ -562,7 +564,7 @@ def _without_tendon_forces(gains: Gains, kind: LoopKind) -> Gains:
 def _model_with_tendon_forces(
     model: HandModel, kind: LoopKind, force_of_tendon: Mapping[str, float]
 ) -> HandModel:
-    """Return the model in which some tendons, given by name, have separate forces [N] in a loop."""
+    """Return the model in which the named tendons have separate forces [N] in one loop."""
     values = {
         f"{TENDON_SECTION}.{name}.{kind}_force_N": force for name, force in force_of_tendon.items()
     }
@@ -570,7 +572,7 @@ def _model_with_tendon_forces(
 
 
 def _model_with_equal_forces(model: HandModel, kind: LoopKind, force: float) -> HandModel:
-    """Return the model with another common authority for a loop of all tendons [N]."""
+    """Return the model in which one loop of every tendon has the authority ``force`` [N]."""
     if kind == LoopKind.MOTION:
         return _model_with_motion_gains(model, force_N=force)
     table = {**model.gains.tension.model_dump(), "force_N": force}

@@ -103,10 +103,10 @@ class LinearSystem:
         """Return the frequency response (len(omega),) of a system with one input and one output.
 
         By the determinant lemma, 1 + C (zI - A)^-1 B = det(zI - A + BC) / det(zI - A). A
-        determinant is the product of the distances from z to the eigenvalues. Two sets of
-        eigenvalues therefore replace the solution of one system of equations per frequency, which
-        would take 20 times as long. For the packaged hands, the error of the frequency response is
-        below 1e-9 of 1 + L.
+        determinant is the product of the distances from z to the eigenvalues. Therefore the
+        eigenvalues of A - BC and of A give the response at all frequencies. Solving a system of
+        equations for each frequency would take 20 times as long. For the packaged hands, the error
+        of the frequency response is below 1e-9 of 1 + L.
 
         Args:
             omega: angular frequencies [rad/s].
@@ -239,7 +239,7 @@ def open_loop(
 
 
 def connect_in_series(P: LinearSystem, K: LinearSystem) -> LinearSystem:
-    """Return the open loop L of a plant P and a controller K, where the loop is opened at the motor force.
+    """Return the open loop L of a plant P and a controller K. The loop is cut at the motor force.
 
     The output of the open loop is the force that the controller commands, with the opposite sign.
     Because of the opposite sign, the margins follow from 1 + L.
@@ -353,7 +353,8 @@ class _LinearController:
     def run_filter(self, block: BlockArray) -> None:
         """Execute the correction and the prediction of the filter.
 
-        In this call, the filter detects no contact, because no motor makes torque yet.
+        The filter detects no contact, because the mode ARMING is set before the correction, and no
+        motor makes torque in this mode.
         """
         self.layout.view(block, "mode")[...] = HandMode.ARMING
         tick_stages.correct_tension_estimate(block, self.layout.offsets, *self._constant_args)
@@ -468,9 +469,8 @@ def _operating_point_state(
 def _half_closed_coordinates(digit: DigitModel) -> Matrix:
     """Return coordinates (n_c,) at which all joints of a digit are well inside their ranges [rad].
 
-    All joints are at `OPERATING_ANGLE_RAD`, if the coupling and the joint limits allow this angle.
-    If the coupling or a limit does not allow this angle, the result is the point that is farthest
-    from all joint limits.
+    If the coupling and the joint limits allow the angle `OPERATING_ANGLE_RAD`, all joints have this
+    angle. If not, the result is the point that is farthest from all joint limits.
     """
     low = digit.joint_min
     high = digit.joint_max

@@ -83,10 +83,11 @@ class LoopMargins:
 
     @property
     def shortfall(self) -> float:
-        """Return the shortfall of the gain margin or the phase margin.
+        """Return the larger of two shortfalls: of the gain margin and of the phase margin.
 
-        The shortfall is a fraction of the required margin. The result is the larger shortfall of
-        both margins. If every margin is large enough, the result is 0 or less.
+        The shortfall of a margin is the fraction of the required margin that is missing. If both
+        margins are sufficient, the result is 0 or less. If the loop is unstable, the result is 1 or
+        more.
         """
         if not self.stable:
             return 1.0 + min(self.peak, 100.0)
@@ -98,7 +99,7 @@ class LoopMargins:
 def zeroed_margins(linear_margins: LoopMargins) -> LoopMargins:
     """Return margins that are zero.
 
-    The zero margins replace margins that a simulation has contradicted.
+    If the hand oscillates in a simulation, margins of zero replace the margins of the linear model.
     """
     return _zero_margins(linear_margins.crossover_hz, linear_margins.peak, is_stable_loop=False)
 
@@ -181,8 +182,9 @@ def confirmed_margins(system: LinearSystem) -> LoopMargins:
     """Return margins that the eigenvalues of the closed loop confirm.
 
     The function reduces a margin if a tested change of the loop within the margin moves an
-    eigenvalue out of the unit circle. The frequency response is known only at some frequencies.
-    Without the eigenvalues, a resonance between two of the known frequencies would not be found.
+    eigenvalue out of the unit circle. The frequency response is known only on a grid of
+    frequencies. Without the eigenvalues, a resonance between two frequencies of the grid would not
+    be found.
     """
     result = margins_of_loop(system, FINE_GRID_POINTS)
     if not result.stable or result.phase_deg == 0.0:
@@ -235,7 +237,7 @@ def _largest_confirmed_margin(
     is_confirmed: Callable[[float], bool],
     step_count: int = MARGIN_STEP_COUNT,
 ) -> float:
-    """Return the largest fraction of a margin that the eigenvalues confirm.
+    """Return the largest value up to a linear margin that the eigenvalues confirm.
 
     The function tests several fractions of the margin. All fractions up to the result are
     confirmed. The function does not test the last hundredth of a margin, because the frequency
@@ -269,9 +271,9 @@ def _phase_angles(L: NDArray[np.complex128], omega: Matrix) -> list[tuple[float,
 
     The angle and the frequency are interpolated.
     """
-    size = np.log(np.maximum(np.abs(L), MAX_OPEN_LOOP_GAIN))
-    i = np.flatnonzero(np.diff(np.sign(size)) != 0.0)
-    fraction = size[i] / (size[i] - size[i + 1])
+    log_gain = np.log(np.maximum(np.abs(L), MAX_OPEN_LOOP_GAIN))
+    i = np.flatnonzero(np.diff(np.sign(log_gain)) != 0.0)
+    fraction = log_gain[i] / (log_gain[i] - log_gain[i + 1])
     # The logarithm of the magnitude and the phase are interpolated, because both quantities are
     # almost linear in frequency.
     angle = np.abs(np.angle(-L[i] * (L[i + 1] / L[i]) ** fraction))
@@ -297,7 +299,7 @@ def margins_by_loop(
 def worst_loop(
     margins_by_loop: dict[tuple[str, LoopKind], LoopMargins],
 ) -> tuple[tuple[str, LoopKind], LoopMargins]:
-    """Return the loop with the largest shortfall: its tendon and kind, and its margins."""
+    """Return tendon, kind and margins of the loop with the largest shortfall."""
     return max(margins_by_loop.items(), key=lambda loop_and_margins: loop_and_margins[1].shortfall)
 
 

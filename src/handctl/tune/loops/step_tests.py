@@ -123,10 +123,11 @@ class StepOscillation:
         return is_small and not self.failure
 
     def subtract_plant_swings(self, plant_swings_N: tuple[float, ...]) -> "StepOscillation":
-        """Return the oscillation of the held tensions, minus the oscillation that the plant itself causes [N].
+        """Subtract the oscillation that the plant itself causes from the oscillation of the held tensions [N].
 
         A loop with sufficient margins amplifies the oscillation of the plant by up to
-        `MAX_LOOP_AMPLIFICATION`.
+        `MAX_LOOP_AMPLIFICATION`. Therefore the oscillation of the plant is multiplied by
+        `MAX_LOOP_AMPLIFICATION` before the subtraction.
         """
         remaining = (
             max(0.0, hold_swing - MAX_LOOP_AMPLIFICATION * plant_swing)
@@ -195,8 +196,9 @@ def median_swing(
 ) -> StepOscillation:
     """Return the median oscillations of runs with different noise, or the first failure of a run.
 
-    A digit that slips on a stop causes a single peak of the oscillation in some runs. The median of
-    the runs ignores a single peak. One run is enough if its oscillations are far below the limits.
+    If a digit slips on a stop in one of the runs, the oscillation of this run has a single peak.
+    The median of the runs ignores a single peak. One run is enough if its oscillations are far
+    below the limits.
 
     Args:
         hand: description of the simulated hand.
@@ -251,10 +253,9 @@ def _peak_to_peak(values: Matrix) -> Matrix:
 def is_loop_ringing(model: HandModel, factors: PlantFactors) -> bool:
     """Return True if a linear tension loop oscillates too long after a step.
 
-    A loop oscillates too long if it still oscillates when the oscillations are measured. The
-    oscillating eigenvalues are the same at every tension below the knee of the tendon. The
-    measurement begins `REST_DURATION_S - EVALUATED_DURATION_S` after the step. When the measurement
-    begins, the oscillation must be below `MAX_HOLD_SWING_N`.
+    The oscillations are measured from `REST_DURATION_S - EVALUATED_DURATION_S` after the step. At
+    the start of the measurement, the oscillation of the loop must be below `MAX_HOLD_SWING_N`. The
+    oscillating eigenvalues are the same at every tension below the knee of the tendon.
 
     Args:
         model: model of the hand with its gains.
@@ -293,16 +294,17 @@ All other parameters of the plant are nominal.
 class RestTest:
     """Test of gains in a lockstep simulation. The hand must come to rest with the tested gains.
 
-    The test simulates four plants. Two of them are nominal plants: one with the nominal friction,
-    and one with the lowest friction of all ensembles. The third plant has the smallest margins, and
-    the fourth has the highest friction. A simulation is necessary because the linear models neglect
-    friction.
+    The test simulates up to three plants of the ensemble: the nominal plant, the plant with the
+    smallest margins, and the plant with the highest friction. The last simulated plant is a nominal
+    plant with the lowest friction of all ensembles. A simulation is necessary because the linear
+    models neglect friction.
 
     The links of a digit that presses on an object can chatter even at constant motor torque. The
     chatter is a property of the plant. First, the test measures the oscillation of the same plant
     without feedback. Then the test multiplies the oscillation without feedback by
-    `MAX_LOOP_AMPLIFICATION`, and subtracts it for each tendon. Nothing is subtracted if the
-    eigenvalues of a linear tension loop show that the loop itself oscillates.
+    `MAX_LOOP_AMPLIFICATION`, and subtracts the product from the oscillation with feedback, for each
+    tendon. Nothing is subtracted if the eigenvalues of a linear tension loop show that the loop
+    itself oscillates.
 
     The chatter of pressed links varies by a factor of two between seeds of the noise. The test
     therefore uses the median of several runs, see `median_swing`.
@@ -327,7 +329,10 @@ class RestTest:
     _plant_swings_by_name: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
     def with_limit_fraction(self, fraction: float) -> "RestTest":
-        """Return the test with other limits. Both tests share the measurements of the plant without feedback."""
+        """Return a copy of the test that allows oscillations up to ``fraction`` of the limits.
+
+        Both tests share the measurements of the plant without feedback.
+        """
         return replace(self, fraction=fraction, reason="", _reason_by_gains={})
 
     def __call__(self, model: HandModel) -> bool:

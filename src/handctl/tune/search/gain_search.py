@@ -3,9 +3,9 @@
 The search requests trials from Optuna in batches of a fixed size. The search reports the scores in
 the order of the trials. Each batch has a separate sampler, whose seed follows from the seed of the
 study and the number of the batch. Because of the batches, the result does not depend on the number
-of processes, and an interrupted study can be resumed. A resumed study begins with the trials of the
-last batch that have no score yet. If a batch was only partly requested, the whole batch is
-requested again.
+of processes. Batches also make it possible to resume an interrupted study. A resumed study begins
+with the trials of the last batch that have no score yet. If a batch was only partly requested, the
+whole batch is requested again.
 """
 
 import fcntl
@@ -24,7 +24,7 @@ from handctl.tune.search.search_space import GAIN_RANGES, clamped_gains
 from handctl.tune.search.workers import SearchWorkers
 
 BATCH_SIZE = 8
-"""Number of trials in a batch. If there are more worker processes than trials in a batch, some processes are idle."""
+"""Number of trials in a batch. Worker processes beyond this number stay idle."""
 RANDOM_BATCH_COUNT = 2
 """Number of batches with random trials. Later batches use the results of earlier trials."""
 STUDY_NAME = "handctl"
@@ -36,7 +36,7 @@ class SearchPlan:
     """Settings of a search for gains.
 
     Attributes:
-        hand: text of the hand file, because a worker on another machine possibly lacks the file.
+        hand: text of the hand file, because a worker on another machine can lack the file.
         rate_hz: control rate [Hz].
         gains: gains of the first trial. All gains that the search does not vary keep the values of
             the first trial.
@@ -66,7 +66,7 @@ class SearchPlan:
     def trial_job(self, trial_number: int, gain_values: Mapping[str, float]) -> dict[str, Any]:
         """Return the job by which a worker computes the score of a trial.
 
-        The first trial is the reference for the other trials. Therefore the worker simulates the
+        The costs of all trials are relative to the first trial. Therefore the worker simulates the
         first trial even if the margins of its gains are too small.
         """
         return {
@@ -160,7 +160,7 @@ def _cost_reference(trials: tuple[SearchTrial, ...]) -> GainScore:
 
 
 def _dominates(score: GainScore, other_score: GainScore) -> bool:
-    """Return True if a score is better than another score in at least one objective, and worse in no objective."""
+    """Return True if ``score`` dominates ``other_score``: better in one objective or more, and worse in none."""
     pairs = list(zip(score.objectives, other_score.objectives, strict=True))
     return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
 
@@ -191,9 +191,9 @@ def run_search(
 
 @contextmanager
 def _exclusive_lock(path: Path) -> Iterator[None]:
-    """Lock a journal against other searches.
+    """Lock a journal, so that no second search can use the journal at the same time.
 
-    The lock of the journal ends when the process of the search ends, even after a crash.
+    The lock ends with the process of the search, even after a crash.
 
     Raises:
         ConfigError: another search has locked the journal, or the file cannot be opened.
