@@ -37,8 +37,8 @@ CLOCK_SLIP_PAUSE_S = 0.005
 MAX_CATCH_UP_NS = 4_000_000
 """Maximum plant time by which one turn of the main loop advances the plant [ns].
 
-The computation of the maximum plant time takes half a millisecond. In a longer turn, an answer
-could come later than the next SYNC.
+The computation of 4 ms of plant time takes half a millisecond of wall time. In a longer turn, an
+answer could come later than the next SYNC.
 """
 
 
@@ -55,14 +55,14 @@ class ServerClock(Protocol):
         ...
 
     def sent_tick_count(self) -> int:
-        """Return the number of ticks whose frames were all sent by the controller.
+        """Return the number of ticks for which the controller has sent all frames.
 
         The controller uses the same clock as the server.
         """
         ...
 
     def publish_answered_ticks(self, ticks: int) -> None:
-        """Report the number of ticks whose frames have all been answered by the nodes."""
+        """Report the number of ticks for which the nodes have answered all frames."""
         ...
 
     def publish_reached_time(self, t_ns: int) -> None:
@@ -75,7 +75,7 @@ class BusNodes(Protocol):
 
     Attributes:
         t_ns: present time of the nodes [ns].
-        slip_ns: total delay behind the wall clock that the simulation will never make up [ns].
+        slip_ns: total time that the slips of the clock have skipped [ns].
         foreign_frame_count: number of received frames that no node has handled.
     """
 
@@ -97,7 +97,7 @@ class BusNodes(Protocol):
         ...
 
     def advance(self, t_ns: int) -> None:
-        """Advance the nodes towards the time ``t_ns``, by whole time steps."""
+        """Advance the nodes by whole time steps, as far as the time ``t_ns`` permits."""
         ...
 
     def advance_exactly(self, t_ns: int) -> None:
@@ -117,7 +117,8 @@ class BusServer:
 
     Attributes:
         pace: measured pace of the simulation.
-        overruns: number of turns of the loop in which the plant was behind the clock.
+        overruns: number of turns in which the plant was more than ``OVERRUN_DELAY_NS`` behind the
+            clock.
         slips: number of slips of the clock, in which the plant has skipped lost time.
         running: True while ``run`` serves the buses. A signal handler sets the attribute to False
             to end ``run``.
@@ -150,7 +151,7 @@ class BusServer:
         self._clock = clock
         self.overruns = self.slips = 0
         self.running = True
-        self._served = False
+        self._has_host = False
 
     def run(self) -> None:
         """Serve the buses until the attribute ``running`` is False."""
@@ -177,7 +178,7 @@ class BusServer:
         self._publish_progress()
 
     def _publish_progress(self) -> None:
-        """Report the number of answered ticks and the plant time to a controller with the same clock as the server."""
+        """Report the number of answered ticks and the plant time to a controller that shares the server's clock."""
         self._clock.publish_reached_time(self._world.t_ns + self._world.slip_ns)
         # The number of ticks must be read before the sockets are checked. Frames that arrive
         # between the reading of the number and the check of the sockets then belong to a later
@@ -187,12 +188,12 @@ class BusServer:
             self._clock.publish_answered_ticks(ticks)
 
     def _register_host(self) -> None:
-        """Give this process its real-time priority, because a host has sent frames.
+        """Request real-time priority for this process, because a host has sent frames.
 
         When the first frame of a host arrives, restart the measurement of the pace.
         """
-        if not self._served:
-            self._served = True
+        if not self._has_host:
+            self._has_host = True
             self.pace.restart(self._world.t_ns)
         if self._priority:
             self._priority.request_priority()
@@ -241,7 +242,7 @@ class BusServer:
         advance_world(min(target_ns, world.t_ns + MAX_CATCH_UP_NS))
 
     def _skip_lost_time(self, behind_ns: int) -> None:
-        """Skip the time in which the process of the simulator did not run.
+        """Skip the time by which the plant is behind the clock.
 
         The plant and the watchdogs of the drives do not advance by the skipped time.
         """
@@ -249,7 +250,7 @@ class BusServer:
         self.slips += 1
         if self._priority:
             self._priority.count_clock_slip()
-        if self._served:
+        if self._has_host:
             self.pace.count_slip(behind_ns, self._world.t_ns)
         time.sleep(CLOCK_SLIP_PAUSE_S)
 
@@ -267,7 +268,7 @@ class BusServer:
     def summary(self) -> dict[str, object]:
         """Return the counts of a run, such as the number of overruns.
 
-        The truth file and the last line that the program prints contain the counts of the run.
+        The truth file contains the counts. The program also prints the counts in its last line.
         """
         return {
             "overruns": self.overruns,

@@ -11,7 +11,7 @@ from firmware_sim.hand_description import SimulatorError
 
 
 class CommandParser(argparse.ArgumentParser):
-    """A parser for command lines. Each of its error messages has a single line."""
+    """A parser for command lines. Each error message of the parser has a single line."""
 
     def error(self, message: str) -> NoReturn:
         """Raise a SimulatorError for a usage error.

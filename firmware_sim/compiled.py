@@ -1,18 +1,17 @@
 """Kernels: plain functions that numba can compile.
 
-Some programs advance a plant without waiting for a clock. Programs that wait for no clock use the
-kernels.
+Programs that advance a plant without waiting for a clock use the compiled kernels.
 
 ``compiled`` registers the argument types of a kernel. ``compile_module_kernels`` compiles the
 kernels of a module. Only the function ``compile_module_kernels`` imports numba. The import takes
-almost a second. A delay of a second is too long for a simulator in a separate process. A compiled
-kernel and the same kernel in Python return the same bits, because compilation keeps the order and
-the rounding of all operations (no fast math).
+almost a second, which is too long for a simulator in a separate process. A compiled kernel and the
+same kernel in Python return the same bits, because compilation keeps the order and the rounding of
+all operations (no fast math).
 
-For each source file, numba stores the compiled code in a cache. If only another file changes, numba
-does not renew the cached code of a source file. Therefore kernels that call each other must be in
-the same file. If the called kernels are in other files, the name of the calling kernel must contain
-a digest of these files.
+For each source file, numba stores the compiled code in a cache. numba renews the cached code of a
+source file only if this source file changes. Therefore kernels that call each other must be in the
+same file. If the called kernels are in other files, the name of the calling kernel must contain a
+digest of these files.
 """
 
 import ctypes
@@ -47,11 +46,11 @@ def compiled(*arguments: ArgumentType) -> Callable[[F], F]:
             type.
     """
 
-    def note(function: F) -> F:
+    def register_kernel(function: F) -> F:
         _KERNEL_ARGUMENTS.setdefault(function.__module__, {})[function.__name__] = arguments
         return function
 
-    return note
+    return register_kernel
 
 
 def kernel_helper(function: F) -> F:
@@ -75,8 +74,8 @@ def call_c_function(function: int, first_argument: int, second_argument: int) ->
 def array_at(address: int, row_count: int, row_type: Any) -> Any:
     """Return an array of the ``row_count`` numbers or rows at an address in memory.
 
-    If a kernel makes an array itself, the array costs no time. Each array that a Python caller
-    passes to a kernel costs 0.2 us per call.
+    An array that a kernel makes by ``array_at`` costs no time. An array that a Python caller passes
+    to a kernel costs 0.2 us per call.
 
     Args:
         address: address of the first row.
@@ -131,10 +130,10 @@ def _imported_kernels(module: ModuleType) -> dict[str, ModuleType]:
 
 
 def _source_digest(modules: set[ModuleType]) -> str:
-    """Return a digest of the source code of some modules.
+    """Return a digest of the source code of the given modules.
 
-    The digest includes the modules from which the given modules import kernels. If no module is
-    given, the digest is an empty text.
+    The digest also includes the modules from which the given modules import kernels. If no module
+    is given, the digest is an empty text.
     """
     known_modules = set(modules)
     new_modules = set(modules)
@@ -167,8 +166,8 @@ def _compile_kernel(arguments: tuple[Any, ...], kernel: FunctionType) -> Any:
 def use_compiled_kernels(module: ModuleType) -> None:
     """Replace the kernels of a module by their compiled forms, for all callers in this process.
 
-    Functions marked with ``kernel_helper`` stay Python functions, because some Python code calls
-    these functions with objects.
+    Functions marked with ``kernel_helper`` stay Python functions, because Python code calls these
+    functions with objects in place of array rows.
     """
     compiled_kernels = compile_module_kernels(module)
     for name, arguments in _KERNEL_ARGUMENTS[module.__name__].items():
@@ -177,7 +176,7 @@ def use_compiled_kernels(module: ModuleType) -> None:
 
 
 def _numba_type(name: ArgumentType) -> Any:
-    """Return numba's type for the type of a kernel argument."""
+    """Convert the type of a kernel argument to a numba type."""
     from numba import from_dtype, types
 
     if not isinstance(name, str):

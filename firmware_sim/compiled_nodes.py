@@ -41,7 +41,7 @@ class CompiledNodes:
     """
 
     def __init__(self, simulated_world: Any, rows: dict[type, Any]) -> None:
-        """Collect the arrays on which the compiled kernel works.
+        """Collect the arrays that the compiled kernel reads and writes.
 
         Args:
             simulated_world: world to which the nodes belong.
@@ -78,7 +78,7 @@ class CompiledNodes:
         self._receivers: Any = None
 
     def refresh_identifiers(self) -> None:
-        """Delete the table of identifiers, so that it is built again at the next frame."""
+        """Delete the table of receivers, so that the next frame leads to a new table."""
         self._table = None
 
     def answer(self, frames: Any, t_ns: int, last_ns: int) -> tuple[Any, bool]:
@@ -107,15 +107,15 @@ class CompiledNodes:
                 progress[NEXT_FRAME] = len(frames)
                 self._drop_stale_table()
             self._run_kernel(frames, answer_frames, t_ns, last_ns)
-            at = int(progress[NEXT_FRAME])
-            if at == len(frames):
+            frame_index = int(progress[NEXT_FRAME])
+            if frame_index == len(frames):
                 return answer_frames[: progress[ANSWERS]], bool(progress[IN_ORDER])
             if progress[ANSWERS] + self._max_answers > len(answer_frames):
                 answer_frames = self._enlarge_buffer(answer_frames)
                 continue
-            (frame,) = records_to_frames(frames[at : at + 1])
+            (frame,) = records_to_frames(frames[frame_index : frame_index + 1])
             answer_frames = self._append_frames(answer_frames, world.receive(frame))
-            progress[NEXT_FRAME] = at + 1
+            progress[NEXT_FRAME] = frame_index + 1
             self._drop_stale_table()
 
     def _run_kernel(self, frames: Any, answer_frames: Any, t_ns: int, last_ns: int) -> None:
@@ -144,7 +144,7 @@ class CompiledNodes:
         return answer_frames
 
     def _build_table(self) -> None:
-        """Build the table of identifiers. The table contains the nodes that receive each identifier.
+        """Build the table of receivers. For each identifier, the table contains the nodes that receive the identifier.
 
         If the state of a node is not in an array row, Python code handles all frames with
         identifiers of this node.
@@ -215,14 +215,14 @@ class CompiledNodes:
 
     @property
     def wake_ns(self) -> int:
-        """Return the stored value of the earliest wake time of drives in array rows [ns].
+        """Return the earliest wake time of the drives in array rows [ns].
 
         The last call of ``answer`` or ``send_due_frames`` has stored the wake time.
         """
         return int(self._progress[WAKE_NS])
 
     def next_wake(self) -> int:
-        """Compute the earliest wake time of drives in array rows from their present states [ns]."""
+        """Compute the earliest wake time of the drives in array rows from the present states of these drives [ns]."""
         if self._table is None:
             self._build_table()
         return int(self._kernels.next_wake(self._drive_rows, *self._drive_structs))
@@ -267,6 +267,6 @@ class CompiledNodes:
 
 
 def _does_node_accept(node: Any, can_id: int) -> bool:
-    """Return True if a node possibly answers frames with an identifier."""
+    """Return True if a node accepts frames with the given identifier."""
     accepted_ids = getattr(node, "accepted_ids", node.ids)
     return accepted_ids is None or can_id in accepted_ids

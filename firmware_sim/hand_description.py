@@ -539,7 +539,7 @@ def _parse_meshes(file_content: dict[str, Any], folder: Path) -> Iterator[LinkMe
 def _make_mesh(link_name: str, file: Path, scale: Any, position: Any, rpy_deg: Any) -> LinkMesh:
     """Return a mesh with the given placement.
 
-    If an argument is None, the mesh is not scaled, not shifted or not rotated.
+    An argument that is None leaves the scale, the position or the rotation of the mesh unchanged.
     """
     factors = scale if isinstance(scale, list) else [1.0 if scale is None else scale] * 3
     return LinkMesh(
@@ -597,10 +597,7 @@ def _parse_digit(digit_section: dict[str, Any]) -> Digit:
 
 
 def _are_joints_prismatic(digit_section: dict[str, Any]) -> list[bool]:
-    """Return one boolean value for each joint of a digit.
-
-    The value of a joint is True if the joint slides along its axis.
-    """
+    """Return a boolean value for each joint of a digit, True for a joint that slides along its axis."""
     kinds = digit_section.get("joint_type", ["revolute"] * len(digit_section["link_length_m"]))
     return [kind == PRISMATIC for kind in kinds]
 
@@ -624,10 +621,9 @@ def _joint_values(
 
 
 def _link_inertia(digit_section: dict[str, Any], i: int) -> tuple[float, ...]:
-    """Return the six values of the inertia of link ``i`` of a digit.
+    """Return the inertia of link ``i`` of a digit: xx, yy, zz, xy, xz, yz [kg m2].
 
-    If the hand file contains a single number, this number is the moment of inertia of a round bar
-    about the axes y and z.
+    A single number in the hand file is the moment of inertia of a round bar about the axes y and z.
     """
     value = digit_section["link_inertia_kg_m2"][i]
     if isinstance(value, int | float):
@@ -658,7 +654,7 @@ def _joint_ranges(digit_section: dict[str, Any]) -> dict[str, tuple[float, float
 def _parse_moment_arm_curve(
     curve_section: dict[str, list[float]], limits: tuple[float, float]
 ) -> MomentArmCurve:
-    """Return a moment arm of a tendon that depends on the joint angle.
+    """Return the moment arm of a tendon as a function of the joint angle.
 
     If the hand file contains a table of moment arms, the function fits a polynomial to the table by
     least squares.

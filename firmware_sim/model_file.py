@@ -1,6 +1,6 @@
 """Read the links in a robot description (URDF or MJCF) with MuJoCo.
 
-The result of the reading consists of plain values.
+The returned values are plain Python values, without MuJoCo objects.
 """
 
 import warnings
@@ -48,9 +48,8 @@ BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for 
 def read_model_file(path: str, file_format: str) -> dict[str, Any]:
     """Read the tree of links of a hand from a URDF or MJCF file.
 
-    In all poses that are returned, all joints are at angle zero, as in the file. Bodies that are
-    fixed to each other become a single link. The frame of a link has its origin at the joint of the
-    link.
+    All returned poses belong to joint angles of zero, as in the file. Bodies that are fixed to each
+    other become a single link. The frame of a link has its origin at the joint of the link.
 
     Args:
         path: path of the URDF or MJCF file.
@@ -203,8 +202,8 @@ def _name_mesh_files(model_spec: Any, xml_root: ET.Element, folder: Path) -> Non
 def _compile_spec(model_spec: Any) -> Any:
     """Compile a model, and suppress the warnings of MuJoCo.
 
-    The warnings concern the dynamics of the model, which this module does not use. The warnings
-    would appear beside an error message that must have a single line.
+    MuJoCo warns about the dynamics of the model, but this module does not use the dynamics. The
+    warnings would appear beside an error message that must have a single line.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -273,7 +272,7 @@ def _check_structure(model: Any, path: str) -> None:
 
 
 def _is_proportional_coupling(model: Any, equality: int) -> bool:
-    """Return True if an equality constraint makes the angle of a joint proportional to that of another joint."""
+    """Return True if an equality constraint makes the angle of a joint proportional to another joint angle."""
     if model.eq_type[equality] != mujoco.mjtEq.mjEQ_JOINT or model.eq_obj2id[equality] < 0:
         return False
     offset, ratio, *other_coefficients = model.eq_data[equality, :POLYNOMIAL_LENGTH].tolist()
@@ -281,7 +280,7 @@ def _is_proportional_coupling(model: Any, equality: int) -> bool:
 
 
 def _coupled_joints(model: Any, xml_root: ET.Element) -> dict[str, tuple[str, float]]:
-    """Return the joint that each coupled joint follows, and the ratio of the two angles, by joint.
+    """Return the leading joint of each coupled joint, and the ratio of the two angles, by coupled joint.
 
     The couplings come from equality constraints of an MJCF file, and from mimic joints of a URDF.
     """
@@ -336,7 +335,7 @@ def _link_values(
     joint = int(model.body_jntadr[body_id])
     dof = int(model.jnt_dofadr[joint])
     origin = model_data.xanchor[joint].copy()
-    turn = model_data.xmat[body_id].reshape(3, 3).copy()
+    rotation = model_data.xmat[body_id].reshape(3, 3).copy()
     parent_body = int(model.body_weldid[model.body_parentid[body_id]])
     parent_origin, parent_rotation = np.zeros(3), np.eye(3)
     if parent_body:
@@ -344,21 +343,23 @@ def _link_values(
         parent_rotation = model_data.xmat[parent_body].reshape(3, 3)
     zero = float(model.qpos0[model.jnt_qposadr[joint]])
     mass, com, inertia = _link_inertia(
-        model, model_data, _fixed_bodies(model, body_id), origin, turn
+        model, model_data, _fixed_bodies(model, body_id), origin, rotation
     )
     if mass <= 0.0:
         raise SimulatorError(
             f"{path}: link {model.body(body_id).name} has no mass; expected its mass and its inertia"
         )
-    points, radius = _shape_corners(model, model_data, _fixed_bodies(model, body_id), origin, turn)
+    points, radius = _shape_corners(
+        model, model_data, _fixed_bodies(model, body_id), origin, rotation
+    )
     return {
         "name": model.body(body_id).name,
         "joint": _joint_name(model, joint),
         "parent": root_bodies.index(parent_body) if parent_body else -1,
         "position": (parent_rotation.T @ (origin - parent_origin)).tolist(),
-        "rotation": (parent_rotation.T @ turn).tolist(),
+        "rotation": (parent_rotation.T @ rotation).tolist(),
         "prismatic": bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE),
-        "axis": (turn.T @ model_data.xaxis[joint]).tolist(),
+        "axis": (rotation.T @ model_data.xaxis[joint]).tolist(),
         "range": (model.jnt_range[joint] - zero).tolist() if model.jnt_limited[joint] else None,
         "damping": float(np.ravel(model.dof_damping[dof])[0]),
         "armature": float(model.dof_armature[dof]),
@@ -367,7 +368,7 @@ def _link_values(
         "mass": mass,
         "com": com,
         "inertia": inertia,
-        "frames": _frame_origins(model, model_data, body_id, origin, turn),
+        "frames": _frame_origins(model, model_data, body_id, origin, rotation),
         "points": points,
         "radius": radius,
     }
@@ -409,20 +410,20 @@ def _link_inertia(
     if mass <= 0.0:
         return 0.0, [], []
     centre = masses @ model_data.xipos[body_ids] / mass
-    total = np.zeros((3, 3))
+    total_inertia = np.zeros((3, 3))
     for body in body_ids:
         axes = model_data.ximat[body].reshape(3, 3)
         offset_from_centre = model_data.xipos[body] - centre
         # Steiner's theorem converts the inertia of each body to the common centre of mass.
-        total += axes @ np.diag(model.body_inertia[body]) @ axes.T
-        total += model.body_mass[body] * (
+        total_inertia += axes @ np.diag(model.body_inertia[body]) @ axes.T
+        total_inertia += model.body_mass[body] * (
             offset_from_centre @ offset_from_centre * np.eye(3)
             - np.outer(offset_from_centre, offset_from_centre)
         )
     return (
         mass,
         (link_rotation.T @ (centre - link_origin)).tolist(),
-        (link_rotation.T @ total @ link_rotation).tolist(),
+        (link_rotation.T @ total_inertia @ link_rotation).tolist(),
     )
 
 
@@ -455,10 +456,11 @@ def _frame_origins(
 def _shape_corners(
     model: Any, model_data: Any, body_ids: list[int], link_origin: Any, link_rotation: Any
 ) -> tuple[list[list[float]], float | None]:
-    """Return the corners (n, 3) of the boxes around the shapes of a link, and a radius [m].
+    """Return the corners (n, 3) of the boxes around the shapes of a link, and the radius of the link [m].
 
-    The radius is half of the width of a shape. Without shapes, the corners are empty and the radius
-    is None.
+    The radius is the largest half width of the shapes of one kind: the first kind in
+        ``ROUND_SHAPES`` that the link has. Without shapes, the corners are empty and the radius is
+        None.
     """
     corners: list[Any] = []
     radii: dict[int, float] = {}
@@ -480,12 +482,12 @@ def _shape_corners(
             @ link_rotation
         )
         rank = ROUND_SHAPES.index(kind) if kind in ROUND_SHAPES else len(ROUND_SHAPES)
-        width = (
+        half_width = (
             float(model.geom_size[geom, 0])
             if kind in ROUND_SHAPES
             else float(np.sort(half_sizes)[:2].mean())
         )
-        radii[rank] = max(radii.get(rank, 0.0), width)
+        radii[rank] = max(radii.get(rank, 0.0), half_width)
     if not corners:
         return [], None
     return np.vstack(corners).tolist(), radii[min(radii)]
@@ -519,14 +521,15 @@ def _tendon_values(model: Any, notes: list[str]) -> list[dict[str, Any]]:
             if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_TENDON
             and model.actuator_trnid[actuator, 0] == tendon
         ]
-        tendon_sections.append({"name": name, "arms": arms, **_pull_direction(model, motors)})
+        tendon_sections.append({"name": name, "arms": arms, **_actuator_values(model, motors)})
     return tendon_sections
 
 
-def _pull_direction(model: Any, motors: list[int]) -> dict[str, Any]:
-    """Return the name of a tendon's only actuator, and the largest tension of this actuator [N].
+def _actuator_values(model: Any, motors: list[int]) -> dict[str, Any]:
+    """Return the motor of a tendon, and the largest tension of the motor [N].
 
-    The largest tension is given only if the actuator controls the tension.
+    Both values are None unless the tendon has exactly one actuator. The largest tension is None
+    unless the actuator commands a force of limited range.
     """
     if len(motors) != 1:
         return {"motor": None, "tension_max": None}
@@ -537,8 +540,8 @@ def _pull_direction(model: Any, motors: list[int]) -> dict[str, Any]:
         and model.actuator_ctrllimited[motor]
     )
     scale = float(model.actuator_gainprm[motor, 0] * model.actuator_gear[motor, 0])
-    largest = scale * float(model.actuator_ctrlrange[motor, 1])
+    max_tension = scale * float(model.actuator_ctrlrange[motor, 1])
     return {
         "motor": model.actuator(motor).name or None,
-        "tension_max": largest if is_force_driven else None,
+        "tension_max": max_tension if is_force_driven else None,
     }

@@ -79,23 +79,27 @@ class RealTimePriority:
             restore_function: function that gives the process the ordinary priority again.
             now_s: function that returns the present time [s].
         """
-        self._take = request_function
+        self._request = request_function
         self._restore = restore_function
         self._now_s = now_s
         self.active = False
-        self._not_before_s = -math.inf
+        self._next_request_s = -math.inf
         self._slips_s: deque[float] = deque(maxlen=MAX_CLOCK_SLIPS)
 
     def request_priority(self) -> None:
         """Request the real-time priority for this process, because the host has sent frames."""
-        if not self.active and self._now_s() >= self._not_before_s:
-            self.active = self._take()
-            self._not_before_s = (
+        if not self.active and self._now_s() >= self._next_request_s:
+            self.active = self._request()
+            self._next_request_s = (
                 self._now_s() + ORDINARY_PRIORITY_DURATION_S
             )  # after the system has refused the priority, the simulator does not request it in every turn
 
     def count_clock_slip(self) -> None:
-        """Count a slip of the clock. After ``MAX_CLOCK_SLIPS`` slips, give the real-time priority back."""
+        """Count a slip of the clock.
+
+        After ``MAX_CLOCK_SLIPS`` slips within ``CLOCK_SLIP_WINDOW_S``, give the real-time priority
+        back.
+        """
         if not self.active:
             return
         now_s = self._now_s()
@@ -106,5 +110,5 @@ class RealTimePriority:
         ):
             self._restore()
             self.active = False
-            self._not_before_s = now_s + ORDINARY_PRIORITY_DURATION_S
+            self._next_request_s = now_s + ORDINARY_PRIORITY_DURATION_S
             self._slips_s.clear()

@@ -4,8 +4,8 @@ The clock pauses while the machine is too slow.
 
 If the operating system stops the simulator for many milliseconds, the answers of the simulator
 arrive late, although the simulated hand has no fault. A controller that uses the shared clock waits
-for late answers of the simulator. In every tick, the controller sets the gate, which is a time
-beyond which the simulator never advances.
+for late answers of the simulator. In every tick, the controller sets the gate, a time at which the
+simulator waits for at most ``MAX_GATE_WAIT_NS``.
 
 The clock is a file with six 64-bit integers. Both processes map the file into memory:
 
@@ -91,8 +91,8 @@ class SharedClock:
     def now_ns(self) -> int:
         """Return the present time [ns].
 
-        If the gate, the time limit that the controller sets, is earlier than the present time,
-        return the gate.
+        If the gate (time limit of the controller) is earlier than the present time by at most
+        ``MAX_GATE_WAIT_NS``, return the gate.
         """
         now, gate = time.monotonic_ns() - self._numbers[PAUSED_INDEX], self._numbers[GATE_INDEX]
         if gate < now <= gate + MAX_GATE_WAIT_NS:
@@ -104,7 +104,7 @@ class SharedClock:
         return self._numbers[SENT_INDEX]
 
     def publish_answered_ticks(self, ticks: int) -> None:
-        """Report the number of ticks whose frames have all been answered by the nodes."""
+        """Report the number of ticks for which the nodes have answered all frames."""
         self._numbers[ANSWERED_INDEX] = ticks
 
     def publish_reached_time(self, t_ns: int) -> None:
@@ -114,8 +114,7 @@ class SharedClock:
     def close(self) -> None:
         """Remove the file of the clock.
 
-        A controller that still has the file in its memory map waits, as it does for a stopped
-        simulator.
+        A controller that still maps the file into memory waits, as for a stopped simulator.
         """
         if self._path:
             self._path.unlink(missing_ok=True)

@@ -45,18 +45,19 @@ class SimulatedWorld:
     """The plant and the simulated nodes of one hand.
 
     A world that is not homed starts like a hand at power-up. At the start, each tendon is slack by
-    1 to 3 mm, because the motors were off. At the joint angles q = 0, a tendon is just taut at a
-    certain spool angle. At the spool angle of a just taut tendon, the encoder of the motor reads
-    ``zero_rad`` with an error of at most 0.5 rad. An error of up to 0.5 rad occurs if a person
-    clamps the spool by hand. The slack and the encoder angle are random numbers that depend on a
-    seed. A homed world starts with taut tendons and with the encoders at ``zero_rad``.
+    1 to 3 mm, because the motors were off. At the spool angle theta = 0 and the joint angles q = 0,
+    a tendon is just taut.
+
+    At theta = 0, the encoder of a motor reads ``zero_rad`` with an error of at most 0.5 rad, as
+    after a person has clamped the spool by hand. The slack and the encoder error are random numbers
+    that depend on a seed. A homed world starts with taut tendons and without encoder errors.
 
     Attributes:
         hand: description of the hand.
         plant: mechanics of the hand.
         nodes: list of the nodes on each bus of the hand.
         t_ns: present time of plant and nodes [ns].
-        slip_ns: total delay behind the wall clock that the simulation will never make up [ns].
+        slip_ns: total time that the slips of the clock have skipped [ns].
         foreign_frame_count: number of received frames that no simulated node has handled.
         sensor_node: node with load cells and joint encoders, or an object for all load-cell
             amplifiers.
@@ -97,9 +98,10 @@ class SimulatedWorld:
         self.t_ns = self._origin_ns = origin_ns
         self.foreign_frame_count = 0
         rng = random.Random(f"encoders {seed}")
-        spread = 0.0 if homed else MAX_ENCODER_OFFSET_RAD
+        max_offset_rad = 0.0 if homed else MAX_ENCODER_OFFSET_RAD
         self.encoder_offset = {
-            motor.name: motor.zero_angle + rng.uniform(-spread, spread) for motor in hand.motors
+            motor.name: motor.zero_angle + rng.uniform(-max_offset_rad, max_offset_rad)
+            for motor in hand.motors
         }
         self.nodes: list[list[SimulatedNode]] = [[] for _ in hand.buses]
         self.row_of: dict[int, tuple[int, int]] = {}
@@ -113,7 +115,7 @@ class SimulatedWorld:
             self.nodes[self._bus_index(hand.sensors.bus)] += self.sensor_nodes
         self._nodes_by_bus = [(index, node) for index, bus in enumerate(self.nodes) for node in bus]
         self._without_row = [node for _, node in self._nodes_by_bus if id(node) not in self.row_of]
-        self._by_id: list[dict[int, list[tuple[SimulatedNode, frozenset[int] | None]]]]
+        self._receivers_by_id: list[dict[int, list[tuple[SimulatedNode, frozenset[int] | None]]]]
         self.compiled_nodes = CompiledNodes(self, rows) if compiled else None
         self.refresh_identifiers()
         self._unsolicited: list[Frame] = []
@@ -226,7 +228,7 @@ class SimulatedWorld:
         return Frame(can_id, data, 0, self._bus_index(spec.bus), self.t_ns)
 
     def record(self, truth: TruthWriter) -> None:
-        """Record every millisecond of plant time in a truth file."""
+        """Record the true state of the plant in a truth file, every millisecond of plant time."""
         self._truth = truth
 
     def receive(self, frame: Frame) -> list[Frame]:
@@ -248,7 +250,7 @@ class SimulatedWorld:
         receivers = (
             self._nodes_of_bus[bus]
             if has_wire_fault
-            else self._by_id[bus].get(frame[0]) or self._receivers(bus, frame[0])
+            else self._receivers_by_id[bus].get(frame[0]) or self._receivers(bus, frame[0])
         )
         for node, ids in receivers:
             replies = (
@@ -267,31 +269,33 @@ class SimulatedWorld:
         return answer_frames
 
     def has_receiver(self, frame: Frame) -> bool:
-        """Return True if a node possibly answers the frame. To answer a frame, a node samples the plant."""
-        return bool(self._by_id[frame[3]].get(frame[0]) or self._receivers(frame[3], frame[0]))
+        """Return True if a node accepts the frame. The node can then sample the plant for its answer."""
+        return bool(
+            self._receivers_by_id[frame[3]].get(frame[0]) or self._receivers(frame[3], frame[0])
+        )
 
     def _receivers(
         self, bus: int, can_id: int
     ) -> list[tuple[SimulatedNode, frozenset[int] | None]]:
-        """Return the nodes that possibly answer frames with the given identifier.
+        """Return the nodes that accept frames with the given identifier.
 
         The function returns each node together with all present identifiers of the node.
         """
         receivers = [
             (node, ids) for node, ids in self._nodes_of_bus[bus] if ids is None or can_id in ids
         ]
-        self._by_id[bus][can_id] = receivers
+        self._receivers_by_id[bus][can_id] = receivers
         return receivers
 
     def refresh_identifiers(self) -> None:
-        """Read the identifiers of all nodes again, because identifiers have possibly changed."""
+        """Read the identifiers of all nodes again, because a node can have new identifiers."""
         self._nodes_of_bus = [[(node, node.ids) for node in bus] for bus in self.nodes]
-        self._by_id = [{} for _ in self.nodes]
+        self._receivers_by_id = [{} for _ in self.nodes]
         if self.compiled_nodes:
             self.compiled_nodes.refresh_identifiers()
 
     def advance(self, t_ns: int, row_wake_ns: int | None = None) -> None:
-        """Advance the plant and the nodes towards the time ``t_ns``, by whole time steps.
+        """Advance the plant and the nodes by whole time steps, as far as the time ``t_ns`` permits.
 
         The remaining time, which is less than a time step, is left for the next call.
 
@@ -328,9 +332,9 @@ class SimulatedWorld:
     def advance_exactly(self, t_ns: int) -> None:
         """Advance plant and nodes to exactly ``t_ns``.
 
-        Because of the exact time, the values that a node samples belong to the time of the sample.
-        The method divides the time step that contains ``t_ns``, and the next call completes this
-        step. All other steps begin and end at the usual times.
+        A node that answers a frame then samples the plant at exactly ``t_ns``. The method divides
+        the time step that contains ``t_ns``, and the next call completes this step. All other steps
+        begin and end at multiples of ``STEP_NS``.
         """
         self.advance(t_ns)
         remaining_ns = t_ns - self.t_ns

@@ -44,8 +44,8 @@ class PaceMeter:
     The counter measures and reports the pace of the simulation, which is plant time per wall time.
 
     Attributes:
-        advice: highest pace that this machine can keep, as the ratio of plant time to wall time.
-            The advice is None until the machine has proved too slow for the requested pace.
+        advice: highest pace advised for this machine, as the ratio of plant time to wall time. The
+            advice is None until the machine has proved too slow for the requested pace.
     """
 
     def __init__(
@@ -69,8 +69,8 @@ class PaceMeter:
         self._wall_s = wall_s
         self._cpu_s = cpu_s
         self._print_line = print_line
-        self._mark = self._read_clocks(plant_ns)
-        self._start = self._mark
+        self._last_report = self._read_clocks(plant_ns)
+        self._start = self._last_report
         self._reported_s = -math.inf
         self._slips = self._lost_ns = 0
         self.advice: float | None = None
@@ -81,13 +81,13 @@ class PaceMeter:
         Args:
             plant_ns: present time of the plant [ns].
         """
-        self._mark = self._start = self._read_clocks(plant_ns)
+        self._last_report = self._start = self._read_clocks(plant_ns)
 
     def count_slip(self, behind_ns: int, plant_ns: int) -> None:
         """Count a slip of the clock.
 
-        The simulation never catches up on the time that is lost by a slip. If the last report of a
-        slip is at least a second old, report the slip.
+        The plant never makes up the time that a slip has skipped. If the last report of a slip is
+        at least a second old, report the slip.
 
         Args:
             behind_ns: plant time that was lost by the slip [ns].
@@ -100,18 +100,20 @@ class PaceMeter:
             return
         if self._slips >= SLOW_MACHINE_SLIP_COUNT:
             self._update_advised_pace(present_readings)
-            self._print_line(self._slow_machine_text(present_readings.wall_s - self._mark.wall_s))
+            self._print_line(
+                self._slow_machine_text(present_readings.wall_s - self._last_report.wall_s)
+            )
         else:
             times = "" if self._slips == 1 else f" {self._slips} times"
             self._print_line(
                 f"firmware_sim: {self._lost_ns / 1e6:.0f} ms behind, clock slipped{times}"
             )
         self._reported_s = present_readings.wall_s
-        self._mark = present_readings
+        self._last_report = present_readings
         self._slips = self._lost_ns = 0
 
     def report(self, plant_ns: int) -> dict[str, float | None]:
-        """Return the requested pace, the advised pace, and the ratio of plant to computing time since the start."""
+        """Return the requested pace, the advised pace, and the plant time per computing time since the start."""
         max_pace = _pace_ratio(self._start, self._read_clocks(plant_ns))
         return {
             "time_scale": self._time_scale,
@@ -126,13 +128,13 @@ class PaceMeter:
 
     def _update_advised_pace(self, present_readings: ClockReadings) -> None:
         """Update the advised pace from the measured pace since the last report."""
-        measured_pace = (present_readings.plant_s - self._mark.plant_s) / (
-            present_readings.wall_s - self._mark.wall_s
+        measured_pace = (present_readings.plant_s - self._last_report.plant_s) / (
+            present_readings.wall_s - self._last_report.wall_s
         )
         advised_pace = ADVISED_PACE_FRACTION * min(
             measured_pace,
             SIMULATOR_CORE_FRACTION
-            * _pace_ratio(self._mark, present_readings)
+            * _pace_ratio(self._last_report, present_readings)
             * (1 if len(_usable_cores()) == 1 else 2),
         )
         self.advice = (

@@ -47,7 +47,9 @@ def run_dir() -> Path:
 
 
 def _parent_dir(folder: Path, path_parts: int) -> Path:
-    """Return the parent of the private directories in the path of the run directory.
+    """Return the directory that contains the private part of the run directory's path.
+
+    The last ``path_parts`` directories of the path ``folder`` are private.
 
     In the path of the returned parent, only symbolic links that belong to root are allowed.
 
@@ -62,7 +64,7 @@ def _parent_dir(folder: Path, path_parts: int) -> Path:
 
 
 def _check_directory(path: Path, is_private: bool) -> None:
-    """Make a missing directory, and refuse a directory that another user can change.
+    """Create the directory if it is missing, and refuse a directory that another user can change.
 
     Args:
         path: path of a directory, whose parent directories have already been checked.

@@ -2,8 +2,8 @@
 
 Tests compare the estimates of a controller with the truth file.
 
-The truth file starts with a line of JSON. The line is padded with spaces, and the writer completes
-it when the file is closed. Rows of data follow after the line. Each row consists of an int64 t_ns
+The truth file starts with a line of JSON. The writer pads the line with spaces, and completes the
+line when the file is closed. Rows of data follow after the line. Each row consists of an int64 t_ns
 and of a float64 for each column, little-endian.
 """
 
@@ -28,7 +28,7 @@ _BUFFERED_ROW_COUNT = 256
 MIN_FREE_DISK_BYTES = 64 << 20
 """Free disk space below which the writer writes no more rows [bytes].
 
-The run folder is possibly in memory, and a simulator possibly runs for days.
+The run folder can be in memory, and a simulator can run for days.
 """
 MAX_UNNAMED_FILE_BYTES = 1 << 30
 """Largest size of a truth file that no user has named [bytes].
@@ -113,7 +113,7 @@ class TruthWriter:
             "period_ns": PERIOD_NS,
             **header,
         }
-        self._row = struct.Struct(f"<q{len(column_names)}d")
+        self._row_struct = struct.Struct(f"<q{len(column_names)}d")
         self._buffered: list[bytes] = []
         self._motors = list(plant.motors.values())
         self._file = path.open("wb", buffering=0)
@@ -133,7 +133,7 @@ class TruthWriter:
             return
         engine = plant.engine
         self._buffered.append(
-            self._row.pack(
+            self._row_struct.pack(
                 t_ns,
                 *plant.tensions(),
                 *engine.q.tolist(),

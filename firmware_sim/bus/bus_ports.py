@@ -26,7 +26,7 @@ class BusPort(Protocol):
     Attributes:
         lost_frame_count: number of frames that could not be sent or read.
         due_ns: time when the port must be served even if no socket is ready [ns]. The time is
-            ``medium.NEVER_NS`` if the port must be served only when a socket is ready.
+            ``simulated_wire.NEVER_NS`` if the port must be served only when a socket is ready.
     """
 
     @property
@@ -57,7 +57,7 @@ class BusPort(Protocol):
     def send(self, frames: list[Frame]) -> None:
         """Send frames in the given order.
 
-        If the bus has no room for a frame, the frame is lost, and the port counts the lost frame.
+        A frame that the bus cannot accept is lost, and the port counts the lost frame.
         """
         ...
 
@@ -106,7 +106,7 @@ def is_local_bus(spec: str) -> bool:
 
 
 def assign_buses(specs: list[str], buses: list[str]) -> list[str]:
-    """Assign a bus specification to each bus of a hand.
+    """Assign each bus of a hand its specification, such as ``local:NAME``.
 
     Args:
         specs: one text ``BUS=SPEC`` for each bus, or only ``SPEC`` for a hand with one bus.

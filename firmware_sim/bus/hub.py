@@ -104,7 +104,7 @@ class HubConnection:
         self.dropped_record_count += count - record_count_started
 
     def flush(self) -> bool:
-        """Send the rest of a partly sent record.
+        """Send the bytes left over from a partly sent record.
 
         Returns:
             True if no bytes remain, so that the next record can be sent.
@@ -185,7 +185,7 @@ class BusHub:
         return b"".join(records for _, records in received_records)
 
     def poll(self, ready_sockets: Collection[socket.socket]) -> list[tuple[HubConnection, bytes]]:
-        """Accept new clients, and read the records of all clients without forwarding them.
+        """Accept new clients, and read the records of all clients, but do not forward the records.
 
         Args:
             ready_sockets: sockets that are ready for reading.

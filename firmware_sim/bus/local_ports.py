@@ -133,6 +133,8 @@ def split_records(records: bytes, bus: int) -> tuple[list[Frame], int]:
         The frames, and the number of records that contain no valid frame.
     """
     start_indices = range(0, len(records), RECORD_SIZE)
-    read = [unpack_record(records[start : start + RECORD_SIZE], bus) for start in start_indices]
-    frames = [frame for frame in read if frame is not None]
-    return frames, len(read) - len(frames)
+    unpacked_records = [
+        unpack_record(records[start : start + RECORD_SIZE], bus) for start in start_indices
+    ]
+    frames = [frame for frame in unpacked_records if frame is not None]
+    return frames, len(unpacked_records) - len(frames)

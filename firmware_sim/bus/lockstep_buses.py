@@ -1,4 +1,4 @@
-"""One tick in lockstep with transmission times: every frame occupies a simulated wire for some time."""
+"""Buses for a simulation in lockstep: each frame occupies a simulated wire for its transmission time."""
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
@@ -74,8 +74,8 @@ class LockstepBuses:
         while True:
             event_time_ns = min([wire.next_event_ns() for wire in self.wires])
             self._world.advance(min(event_time_ns, end_ns))
-            # The nodes have possibly queued frames with a send time before at_ns. So each wire must
-            # determine its next event again.
+            # A frame that a node has just queued can start before ``event_time_ns``. So each wire
+            # must determine its next event again.
             if self._queue_node_frames(self._world.take_unsolicited_frames()):
                 continue
             if event_time_ns >= end_ns:

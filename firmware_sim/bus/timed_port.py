@@ -1,6 +1,7 @@
 """A port that serves a local bus with simulated transmission times.
 
-Every client and every identifier of a node has its own simulated CAN controller.
+Each client has its own simulated CAN controller. The nodes have a simulated CAN controller for each
+identifier that they send.
 """
 
 import socket
@@ -42,9 +43,10 @@ class TimedPort:
     The class ``bus_ports.BusPort`` describes the methods.
 
     Each call of a method processes the events since the last call, in the order in which the events
-    occur on the wire. ``receive`` returns only frames that end at the same time on the wire,
-    because the nodes must answer these frames before the next frame. The caller calls ``receive``
-    until the result is empty. The nodes have one CAN controller for each identifier that they send.
+    occur on the wire. A call of ``receive`` returns only frames that end at the same time on the
+    wire. The nodes must answer the returned frames before the wire carries the next frame. The
+    caller calls ``receive`` until the result is empty. The nodes have one CAN controller for each
+    identifier that they send.
 
     Attributes:
         wire: the simulated wire.
@@ -77,9 +79,9 @@ class TimedPort:
         """
         self._latency = latency or no_latency
         self._latencies: dict[HubConnection, AdapterLatency] = {}
-        self._late: list[tuple[int, int, HubConnection, bytes]] = []
+        self._delayed_records: list[tuple[int, int, HubConnection, bytes]] = []
         """Records delayed by a client's adapter: time of delivery to the client [ns], serial number, client, record."""
-        self._delayed = 0
+        self._delayed_count = 0
         self._hub = BusHub(name)
         self.wire = SimulatedWire(rate, options)
         self._bus = bus
@@ -107,8 +109,8 @@ class TimedPort:
     def due_ns(self) -> int:
         """See ``bus_ports.BusPort.due_ns``."""
         return (
-            min(self.wire.next_event_ns(), self._late[0][0])
-            if self._late
+            min(self.wire.next_event_ns(), self._delayed_records[0][0])
+            if self._delayed_records
             else self.wire.next_event_ns()
         )
 
@@ -138,8 +140,8 @@ class TimedPort:
         while not self._received and self.wire.next_event_ns() <= now_ns:
             self._at_ns = self.wire.next_event_ns()
             self.wire.step(now_ns)
-        while self._late and self._late[0][0] <= now_ns:
-            _, _, link, record = heappop(self._late)
+        while self._delayed_records and self._delayed_records[0][0] <= now_ns:
+            _, _, link, record = heappop(self._delayed_records)
             link.deliver(record)
         frames = list(self._received)
         self._received.clear()
@@ -212,8 +214,11 @@ class TimedPort:
             if delivery_time_ns <= t_ns:
                 link.deliver(pack_record(frame))
                 return
-            self._delayed += 1
-            heappush(self._late, (delivery_time_ns, self._delayed, link, pack_record(frame)))
+            self._delayed_count += 1
+            heappush(
+                self._delayed_records,
+                (delivery_time_ns, self._delayed_count, link, pack_record(frame)),
+            )
 
         return deliver
 

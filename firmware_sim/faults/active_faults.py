@@ -66,14 +66,13 @@ class ActiveFaults:
     def t_ns(self) -> int:
         """Return the present time of the truth file [ns].
 
-        The time of the truth file is the time of the simulated world plus the time lost by slips of
-        the clock.
+        The time of the truth file is the time of the simulated world plus ``slip_ns``.
         """
         return int(self._world.t_ns + self._world.slip_ns)
 
     @property
     def slip_ns(self) -> int:
-        """Return the total permanent delay of the simulation behind the wall clock [ns]."""
+        """Return the total time that the slips of the clock have skipped [ns]."""
         return int(self._world.slip_ns)
 
     def inject(self, fault_line: str) -> Fault:
@@ -177,7 +176,10 @@ class ActiveFaults:
         return min(due_times, default=FOREVER_NS)
 
     def _index_faults_by_node(self) -> None:
-        """Update the index of faults by node. After a reset, a node can have another identifier."""
+        """Update the index of faults by node, and the identifiers of the nodes.
+
+        After a reset, a node can have another identifier.
+        """
         self._world.refresh_identifiers()
         self.wire_faults_of = {}
         self._all_wire = []
@@ -211,7 +213,7 @@ class ActiveFaults:
     def exchange(self, node: Any, frame: Frame, t_ns: int) -> list[Frame] | None:
         """Return the answers of a node to a request.
 
-        The faults of the node can change the request and the answers.
+        The faults of the node can suppress the request and the answers, and can change the answers.
 
         Args:
             node: the node.

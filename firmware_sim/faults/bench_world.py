@@ -1,4 +1,4 @@
-"""Test bench of drives whose faults can be simulated.
+"""A test bench of drives into which a user can inject faults.
 
 The bench is described as a hand without digits, in which each drive is a motor.
 """
@@ -22,7 +22,7 @@ class BenchInterface(Protocol):
     Attributes:
         motors: rotors of the drives, in the order of the drive descriptions.
         nodes: simulated nodes of the drives, in the order of the drive descriptions.
-        slip_ns: total delay behind the wall clock that the simulation will never make up [ns].
+        slip_ns: total time that the slips of the clock have skipped [ns].
         step_progress_ns: completed time of the present plant step [ns].
     """
 
@@ -68,7 +68,7 @@ class BenchPlant:
 
 
 class BenchWorld:
-    """A test bench of drives that has the interface of a simulated world.
+    """Adapter that gives a test bench of drives the interface of a simulated world.
 
     ``active_faults.ActiveFaults`` needs the interface of a simulated world.
 
@@ -97,7 +97,7 @@ class BenchWorld:
 
     @property
     def slip_ns(self) -> int:
-        """Return the total time by which the simulation has permanently fallen behind the wall clock [ns]."""
+        """Return the total time that the slips of the clock have skipped [ns]."""
         return self._bench.slip_ns
 
     def node_of(self, name: str) -> Any:

@@ -54,7 +54,7 @@ def check_fault_has_effect(protocol: str, fault: str) -> None:
 
 
 class FaultyDrive:
-    """A drive node with a deliberate fault. The class ``nodes.Node`` describes the methods.
+    """A drive node with a deliberate fault. The class ``protocol_spec.SimulatedNode`` describes the methods.
 
     Attributes:
         node: simulated drive without the fault.
@@ -74,21 +74,21 @@ class FaultyDrive:
 
     @property
     def wake_ns(self) -> int:
-        """See ``nodes.Node.wake_ns``."""
+        """See ``protocol_spec.SimulatedNode.wake_ns``."""
         return self.node.wake_ns
 
     @property
     def ids(self) -> frozenset[int] | None:
-        """See ``nodes.Node.ids``."""
+        """See ``protocol_spec.SimulatedNode.ids``."""
         return self.node.ids
 
     @property
     def malformed_frame_count(self) -> int:
-        """See ``nodes.Node.malformed_frame_count``."""
+        """See ``protocol_spec.SimulatedNode.malformed_frame_count``."""
         return self.node.malformed_frame_count
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """See ``nodes.Node.receive``."""
+        """See ``protocol_spec.SimulatedNode.receive``."""
         self._feed_watchdog(t_ns)
         answer_frames = self.node.receive(
             self._spec.make_ineffective_disable(frame) if self._fault == "deaf" else frame, t_ns
@@ -102,7 +102,7 @@ class FaultyDrive:
         return answer_frames
 
     def wake(self, t_ns: int) -> list[Frame] | None:
-        """See ``nodes.Node.wake``."""
+        """See ``protocol_spec.SimulatedNode.wake``."""
         self._feed_watchdog(t_ns)
         unsolicited_frames = self.node.wake(t_ns)
         return None if self._fault == "mute" else unsolicited_frames
@@ -134,7 +134,11 @@ def with_fault(node: DriveNode, protocol: str, fault: str) -> SimulatedNode:
 
 
 def motor_specs_with_fault(motor_specs: list[MotorSpec], fault: str) -> list[MotorSpec]:
-    """Return the descriptions of drives with the change that the fault ``sign`` or ``twin`` makes."""
+    """Apply the fault ``sign`` or ``twin`` to the descriptions of drives.
+
+    The fault ``sign`` inverts the torque of each drive. For each drive, the fault ``twin`` adds a
+    second drive with the same node number. Any other fault leaves the descriptions unchanged.
+    """
     if fault == "sign":
         return [replace(spec, torque_gain=-1.0) for spec in motor_specs]
     if fault == "twin":

@@ -82,7 +82,7 @@ def _start_reading_fault(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _make_reading_fault(active: ActiveFault, now_ns: Callable[[], int]) -> Callable[[float], float]:
-    """Return a function that changes the readings of a sensor in the way of a given fault.
+    """Return a function that changes each reading of a sensor, as the kind of the fault requires.
 
     Args:
         active: active fault, which counts its effects.
@@ -123,9 +123,9 @@ def _make_reading_fault(active: ActiveFault, now_ns: Callable[[], int]) -> Calla
 def _delayed_reading(
     active: ActiveFault, past_readings: list[float], value: float, now_ns: int
 ) -> float:
-    """Return the reading that a sensor had ``size`` samples ago, where ``size`` is the size of the fault.
+    """Return a reading that is ``fault.size`` samples old.
 
-    While fewer than ``size`` earlier samples exist, return the present reading.
+    While the sensor has fewer earlier samples than ``fault.size``, return the present reading.
     """
     past_readings.append(value)
     # The list contains the first reading twice, because ``_make_reading_fault`` has already stored this
@@ -271,7 +271,7 @@ def _start_torque_ripple(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _start_motor_overheating(world: Any, active: ActiveFault) -> UndoFunction:
-    """Keep the winding of a motor at the temperature that the size of the fault gives [degC]."""
+    """Keep the winding of a motor at a constant temperature, the size of the fault [degC]."""
     thermal = world.node_of(active.fault.instance).thermal
     active.count_effect(world.t_ns)
     thermal.forced = active.fault.size

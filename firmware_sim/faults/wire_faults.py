@@ -101,7 +101,7 @@ def _delay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[F
 
 
 def _duplicate_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Send the frames that the fault affects twice."""
+    """Send two copies of each frame that the fault affects."""
     sent_frames = []
     for frame in frames:
         sent_frames.append(frame)
@@ -198,13 +198,10 @@ def _remove_all_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> l
 
 
 def _replay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
-    """Send the frames of an earlier answer in place of the frames of the present answer.
+    """Replace the frames of each answer by the frames of an earlier answer.
 
-    The size of the fault is the number of answers by which the sent answer is older than the
-    present answer.
-
-    While the node has sent fewer answers than the size of the fault, send the frames of the present
-    answer.
+    In place of answer k, the node sends answer k - n, where n is the size of the fault. The first n
+    answers stay unchanged.
     """
     active.answer_count += 1
     # The release time of the stored frames is NEVER_NS plus the number of the answer. So

@@ -13,8 +13,8 @@ Commands have the layout of ``mit.codec``. Feedback (8 bytes, highest byte and b
 Older firmware sends only the first six bytes. Source: fact sheet mit_damiao, section variants.
 
 The fact sheet does not determine the following behaviour. A disabled motor answers commands. An
-error of the motor removes the torque, and ends when its cause ends. Special commands (seven bytes
-of FF and a code) with an unknown code are not answered.
+error of the motor removes the torque. The error ends when the cause of the error ends. The motor
+does not answer a special command (seven bytes FF and a code) with an unknown code.
 """
 
 import enum

@@ -1,10 +1,10 @@
 """Compiled kernel that answers the cyclic frames of a tick. Frames and answers are records.
 
-A table contains the first receiver of each identifier. Each receiver in the array contains the
-index of the next receiver of the same identifier. The kernel stops at a frame that Python must
-process: a special command, a register request, a frame of wrong length, or any frame while a
-watchdog is due. After a stop of the kernel, the node processes the frame in Python, and the kernel
-continues with the next frame. The bit layouts are in ``mit.codec``, ``odrive.node``,
+A table contains the first receiver of each identifier. Each entry in the array of receivers
+contains the index of the next receiver of the same identifier. The kernel stops at a frame that
+Python must process: a special command, a register request, a frame of wrong length, or any frame
+while a watchdog is due. After a stop of the kernel, the node processes the frame in Python, and the
+kernel continues with the next frame. The bit layouts are in ``mit.codec``, ``odrive.node``,
 ``cia402.kernels`` and ``sensor_node``.
 """
 
@@ -344,12 +344,12 @@ def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
     read = np.empty(channels)
     codes = np.empty(channels, np.int64)
     words = np.empty(-(-channels // CHANNELS_PER_FRAME), np.int64)
-    true = np.empty(channels)
+    true_tensions = np.empty(channels)
     for i in range(channels):
-        true[i] = cells[cell_order[i]]
+        true_tensions[i] = cells[cell_order[i]]
     at = noise_bounds[0]
     drift = bias_drift_deviation(node, t_ns)
-    read_cells(true, bias, noise[at : at + 2 * channels], drift, node.tension_noise, read)
+    read_cells(true_tensions, bias, noise[at : at + 2 * channels], drift, node.tension_noise, read)
     at += 2 * channels
     encode(read, _TENSION_LOW, _TENSION_STEP, _TENSION_OFFSET, counter, codes, words)
     count = _write_sensor_frames(words, channels, node.base_id, frame, answer_frames, count)
@@ -373,10 +373,9 @@ def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
 def _assign_bus_times(
     frames: Any, answer_frames: Any, count: int, t_ns: int, last_ns: int, buses: int
 ) -> bool:
-    """Set the times of answers.
+    """Set the times at which the answers end on their buses.
 
-    The times are valid for a bus that transmits all frames of the host before the answers, one
-    frame after the other.
+    Each bus transmits one frame after the other: first all frames of the host, then the answers.
 
     Args:
         frames: frames of the host.
@@ -637,7 +636,7 @@ def answer(
 
 @kernel_helper
 def _must_wake_odrive(node: Any, rotor: Any, now_ns: int) -> bool:
-    """Return True if an ODrive must do work other than to send its two cyclic messages.
+    """Return True if an ODrive must do other work than sending its two cyclic messages.
 
     Python must wake the drive for the other work: the update of temperatures, the watchdog, the end
     of a calibration, the modes of ``odrive.motion_modes``, and the messages of firmware 0.5.
@@ -650,7 +649,7 @@ def _must_wake_odrive(node: Any, rotor: Any, now_ns: int) -> bool:
 
 @kernel_helper
 def _must_wake_cia402(node: Any, now_ns: int) -> bool:
-    """Return True if a CiA 402 drive must do work other than to send its heartbeat.
+    """Return True if a CiA 402 drive must do other work than sending its heartbeat.
 
     Python must wake the drive for the other work.
     """

@@ -57,7 +57,7 @@ JOINT_CODE = (0.0, JOINT_STEP_RAD, JOINT_ZERO_CODE)
 
 
 class SensorStruct(ctypes.Structure):
-    """Memory of a ``SensorNode``, which compiled kernels read and write."""
+    """State of a ``SensorNode``, as memory for compiled kernels."""
 
     _fields_ = [
         *((name, ctypes.c_double) for name in ("tension_noise", "bias_drift")),
@@ -81,8 +81,8 @@ def _encode_value(value: float, low: float, step: float, offset: int) -> int:
 def payload_size(channels: int) -> int:
     """Return the size of a payload [bytes].
 
-    The argument ``channels`` is the number of channels in this payload and all following payloads
-    together.
+    The argument ``channels`` is the total number of channels in this payload and in all following
+    payloads.
     """
     return (4 + 12 * min(CHANNELS_PER_FRAME, channels) + 7) // 8
 
@@ -343,7 +343,7 @@ class SensorNode:
 
 
 class SensorNodeRow(SensorStruct, SensorNode):
-    """A sensor node that keeps its state in a row of an array, which compiled kernels read and write."""
+    """A simulated sensor node whose state is in an array row, for compiled kernels."""
 
     def initialise(
         self, spec: SensorSpec, tensions: Callable[[], Any], angles: Callable[[], Any], seed: int

@@ -93,8 +93,7 @@ class Camera:
             mujoco.mjtCatBit.mjCAT_ALL.value,
             self._scene,
         )
-        # Another camera of the process has possibly made its own graphics context the current
-        # context.
+        # Another camera of the process can have made its own graphics context the current context.
         self._gl.make_current()
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         picture_rectangle = mujoco.MjrRect(0, 0, self.width_px, self.height_px)

@@ -4,9 +4,10 @@ In compiled kernels, tendons and rotors are the rows of an array. In interpreted
 rotors are objects in a list. The rows and the objects have the same attributes.
 
 Tendon damping and Coulomb-like capstan friction rise steeply with the speed of the tendon. The
-links are light, so an explicit step would be unstable. Therefore the engine integrates the slopes
-of the damping and of the friction implicitly, as a damping of the tendon. The kernels then
-compensate the torque of the added damping at the links, so that only the exact friction remains.
+links are light, so an explicit step would be unstable. Therefore the engine integrates both forces
+implicitly. The engine gets the slope of the forces over the tendon speed as a damping of the
+tendon. The kernels then compensate the torque of the added damping at the links, so that only the
+exact friction remains.
 """
 
 import math
@@ -33,10 +34,9 @@ DIVERGENCE_SPEED_RAD_S = 1e5
 """Sum of joint speeds above which the plant counts as diverged [rad/s]."""
 
 PRISMATIC_FLAG_INDEX = 10
-"""Index of a number of each pulley.
+"""Index of the prismatic flag among the parameters of a pulley.
 
-The number of a pulley with this index is 1 at a prismatic joint. See
-``tendon.PRISMATIC_FLAG_INDEX``.
+The flag is 1 at a prismatic joint. See ``tendon.PRISMATIC_FLAG_INDEX``.
 """
 PARAMETERS_PER_PULLEY = 11
 """Number of array elements of ``arms`` for each pulley, see ``tendon.PARAMETERS_PER_PULLEY``."""
@@ -133,11 +133,11 @@ def _cell_tension(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: A
 def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> None:
     """Add the joint torques of a taut tendon to ``torque`` [N m].
 
-    The kernel also sets the slope of the friction over the speed of the tendon.
+    The kernel also sets ``tendon.slope``: the damping, plus the friction force divided by the
+    tendon speed [N s/m].
 
-    Friction at a pulley reduces the tension behind the pulley. The wrap angle is the sum over the
-    pulley and all pulleys before the pulley.
-    Source: MODEL, section 3.
+    Friction at a pulley reduces the tension behind the pulley. The wrap angle at a pulley includes
+    the wrap of all pulleys nearer to the spool. Source: MODEL, section 3.
     """
     tension = tendon.tension
     angle = tendon.wrap
@@ -204,9 +204,9 @@ def _compensate_damping(tendon: Any, joints: Any, arms: Any, dq: Any, torque: An
     speed = 0.0
     for i in range(tendon.first, tendon.end):
         speed += arms[PARAMETERS_PER_PULLEY * i] * dq[joints[i]]
-    push = tendon.slope * speed
+    damping_force = tendon.slope * speed
     for i in range(tendon.first, tendon.end):
-        torque[joints[i]] += arms[PARAMETERS_PER_PULLEY * i] * push
+        torque[joints[i]] += arms[PARAMETERS_PER_PULLEY * i] * damping_force
 
 
 @kernel_helper
@@ -231,10 +231,10 @@ def limit_torque_by_speed(
     slope: float,
     is_braking: bool,
 ) -> float:
-    """Limit a torque command to the range from slope (-speed - omega) to slope (speed - omega) [N m].
+    """Limit a torque command to slope (-speed - omega) .. slope (speed - omega) [N m].
 
-    In the limits, omega is the rotor's velocity at the end of the step, as in the command of the
-    servo.
+    The velocity omega is the velocity of the rotor at the end of the step, as in
+    ``compute_command``.
 
     Args:
         rotor: rotor whose torque is limited.
@@ -266,9 +266,9 @@ def compute_command(rotor: Any) -> None:
     """Compute the limited torque command of the servo from the velocity at the end of the step [N m].
 
     The control loop of a real drive runs at 10 to 20 kHz. The simulation uses the velocity of the
-    rotor at the end of the step. Because of the velocity at the end of the step, all gains that are
-    stable in the drive are stable in the simulation. If a drive moves its position setpoint itself,
-    the kernel first moves the setpoint to its value at the end of the step.
+    rotor at the end of the step. So all gains that are stable in the drive are also stable in the
+    simulation. If a drive moves its position setpoint itself, the kernel first moves the setpoint
+    to its value at the end of the step.
     """
     servo = rotor.own_servo
     filter_fraction = rotor.lag
@@ -342,7 +342,7 @@ def tensions(
     Args:
         tendons: tendons of the hand.
         joints: joint index of each pulley.
-        arms: numbers of each pulley, see ``tendon.PARAMETERS_PER_PULLEY``.
+        arms: parameters of each pulley, see ``tendon.PARAMETERS_PER_PULLEY``.
         rotors: rotors of the motors.
         q: joint angles [rad].
         dq: joint velocities [rad/s].
@@ -371,7 +371,7 @@ def step_drivetrain(
     Args:
         tendons: tendons of the hand.
         joints: joint index of each pulley.
-        arms: numbers of each pulley, see ``tendon.PARAMETERS_PER_PULLEY``.
+        arms: parameters of each pulley, see ``tendon.PARAMETERS_PER_PULLEY``.
         rotors: rotors of the motors.
         q: joint angles [rad].
         dq: joint velocities [rad/s].
@@ -410,7 +410,7 @@ def _integrate_steps(
         count: number of steps.
         tendons: tendons of the hand.
         joints: joint index of each pulley.
-        arms: numbers of each pulley, see ``tendon.PARAMETERS_PER_PULLEY``.
+        arms: parameters of each pulley, see ``tendon.PARAMETERS_PER_PULLEY``.
         rotors: rotors of the motors.
         q: joint angles in the memory of MuJoCo [rad].
         dq: joint velocities in the memory of MuJoCo [rad/s].

@@ -127,10 +127,9 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
 
 
 def opposed_digits(hand: Hand) -> list[bool]:
-    """Return one boolean value for each digit.
+    """Return a boolean value for each digit, True for a digit that closes against the first closing digit.
 
-    The value of a digit is True if the digit closes against the first closing digit, as the thumb
-    does.
+    For example, the thumb closes against the fingers.
     """
     first_closing_direction = _closing_direction(hand, hand.closing_digits[0])
     return [
@@ -142,7 +141,7 @@ def opposed_digits(hand: Hand) -> list[bool]:
 def _closing_direction(hand: Hand, digit: Digit) -> Any:
     """Compute the direction in which a digit closes, in the palm frame.
 
-    The closing direction is the y axis of the last link at rest.
+    The closing direction is the y axis of the last link with all joints at zero.
     """
     direction = rest_poses(digit)[-1][1][:, 1]
     while digit.carrier:
@@ -241,7 +240,7 @@ def _palm_element(
     """
     centre, half_sizes = palm_box(hand, carrier)
     name = f"{carrier}_palm" if carrier else "palm"
-    link = f"{carrier}_link{_last_link(hand, carrier)}" if carrier else "palm"
+    link = f"{carrier}_link{_last_link_number(hand, carrier)}" if carrier else "palm"
     box = (
         f'<geom name="{name}" class="palm" type="box" size="{_numbers_text(half_sizes.tolist())}" '
         f'pos="{_numbers_text(centre.tolist())}"'
@@ -255,8 +254,8 @@ def _palm_element(
     return f"{box}{mesh}\n{digits}\n"
 
 
-def _last_link(hand: Hand, name: str) -> int:
-    """Return the number of links of a digit."""
+def _last_link_number(hand: Hand, name: str) -> int:
+    """Return the number of the last link of a digit, counted from 1."""
     return next(len(digit.length) for digit in hand.digits if digit.name == name)
 
 
@@ -269,15 +268,14 @@ def _group_attribute(has_mesh: bool) -> str:
 
 
 def find_links_at_palm(hand: Hand, digit: Digit) -> list[bool]:
-    """Find the links of a digit whose collision with the palm must be ignored.
+    """Find the links of a digit that must not collide with the palm or with the carrier of the digit.
 
-    The result has one value per link. The value is True if, while the digit is at rest, the link
-    overlaps the palm or the link that carries the digit.
-    The hinge of a link that overlaps the palm is close to the palm. In the model, overlapping links
-    do not collide with the palm.
+    The result has one value per link. The value is True if, while all joints are at zero, the link
+    overlaps the palm or the link that carries the digit. The hinge of a link that overlaps the palm
+    is close to the palm.
     """
     centre, half_sizes = palm_box(hand, digit.carrier)
-    carrier = [
+    carriers = [
         carrier_digit for carrier_digit in hand.digits if carrier_digit.name == digit.carrier
     ]
     fractions = np.linspace(0.0, 1.0, SAMPLES_PER_LINK)[:, None]
@@ -286,15 +284,15 @@ def find_links_at_palm(hand: Hand, digit: Digit) -> list[bool]:
         points = position + fractions * (length * rotation[:, 0])
         distance_outside = np.maximum(np.abs(points - centre) - half_sizes, 0.0)
         is_overlapping = bool((np.linalg.norm(distance_outside, axis=1) <= digit.radius).any())
-        for carrier_name in carrier:
+        for carrier_digit in carriers:
             # The link that carries the digit is a capsule along the x axis of its own frame.
-            nearest_points = np.clip(points[:, :1], 0.0, carrier_name.length[-1]) * np.array(
+            nearest_points = np.clip(points[:, :1], 0.0, carrier_digit.length[-1]) * np.array(
                 [1.0, 0.0, 0.0]
             )
             is_overlapping |= bool(
                 (
                     np.linalg.norm(points - nearest_points, axis=1)
-                    <= digit.radius + carrier_name.radius
+                    <= digit.radius + carrier_digit.radius
                 ).any()
             )
         overlaps.append(is_overlapping)
@@ -346,8 +344,8 @@ def _digit_element(
 def _digit_collision_bits(is_opposed: bool, is_near_palm: bool) -> tuple[int, int]:
     """Return the collision category and the collision affinity of a link.
 
-    All links of a digit touch the object and the opposed digits. Only links whose hinges are not
-    close to the palm can touch the palm.
+    All links of a digit touch the object and the opposed digits. A link that overlaps the palm
+    while all joints are at zero never touches the palm.
     """
     category, opposite_category = (
         (OPPOSED_DIGIT_COLLISION_BIT, FINGER_COLLISION_BIT)
@@ -413,9 +411,9 @@ def _loopback_elements(hand: Hand, digit: Digit) -> dict[str, str]:
 
     A digit with spool pairs has no springs. If only the spool pairs held the digit, coupled joints
     could turn against each other. In a real hand, a loopback tendon or a bar couples the coupled
-    joints. For every vector c with B^T c = 0, the combination of the joint angles with the
-    coefficients c is constant. In the model, each vector c is a tendon, and ``_equality_element``
-    keeps the length of this tendon constant.
+    joints. For every vector c with B^T c = 0, the sum of the joint angles, each times its element
+    of c, is constant. In the model, each vector c is a tendon, and ``_equality_element`` keeps the
+    length of this tendon constant.
 
     Returns:
         The loopback tendons by name. In the model, the loopback tendons come after the tendons of
@@ -503,10 +501,10 @@ def _table_element(
     plates = ""
     for i, (normal, sign) in enumerate(_support_directions(gravity)):
         offset = np.subtract(_plate_position(grasp_object, normal, sign), position)
-        place = "" if i == 0 else f' pos="{_numbers_text(offset.tolist())}"'
+        position_attribute = "" if i == 0 else f' pos="{_numbers_text(offset.tolist())}"'
         size = _numbers_text(_plate_half_extents(normal))
         plates += (
-            f'<geom name="{"table" if i == 0 else f"table{i + 1}"}" type="box"{place} size="{size}"'
+            f'<geom name="{"table" if i == 0 else f"table{i + 1}"}" type="box"{position_attribute} size="{size}"'
             f' contype="{TABLE_COLLISION_BIT}" conaffinity="{OBJECT_COLLISION_BIT}"/>'
         )
     x, y, z = position
@@ -601,7 +599,7 @@ def _plate_position(
 
 
 def _plate_half_extents(normal: int) -> tuple[float, float, float]:
-    """Return half of the lengths of a plate that is perpendicular to an axis of the palm frame [m]."""
+    """Return the half lengths of a plate that is perpendicular to the given axis of the palm frame [m]."""
     width, _, thickness = TABLE_HALF_EXTENTS
     x, y, z = (thickness if i == normal else width for i in range(3))
     return (x, y, z)

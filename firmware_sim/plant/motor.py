@@ -26,10 +26,10 @@ VELOCITY_LAG_S = 1e-3
 
 
 def time_step_factors(step_s: float) -> tuple[float, float, float]:
-    """Compute three numbers of a motor for a given time step.
+    """Compute the motor parameters for a given time step.
 
-    The numbers are the time step [s], the lag of the current, and the lag of the velocity estimate.
-    A lag is the fraction by which a first-order filter approaches its input in one step.
+    The parameters are the time step [s], the lag of the current, and the lag of the velocity
+    estimate. A lag is the fraction by which a first-order filter approaches its input in one step.
     """
     return step_s, 1.0 - math.exp(-step_s / CURRENT_LAG_S), 1.0 - math.exp(-step_s / VELOCITY_LAG_S)
 
@@ -149,7 +149,7 @@ class Motor:
 
 
 class MotorRow(RotorStruct, Motor):
-    """A motor that keeps its state in a row of an array, which compiled kernels read and write."""
+    """A motor whose state is in an array row, for compiled kernels."""
 
 
 def motor_rows(specs: Sequence[MotorSpec], step_s: float) -> tuple[list[Motor], Any]:

@@ -43,9 +43,9 @@ class Plant:
         engine: rigid bodies and contacts.
         motors: rotors by the names of the motors.
         tendons: each tendon with the rotor that winds it, in the order of ``Hand.all_tendons``.
-        table: table under the object, or None in a scene without a support.
-        load: force on the object that grows with time, or None in most scenes.
-        stages: stages of the scene after the grasp, or None in most scenes.
+        table: table under the object, or None in a scene without a support. load: growing force on
+        the object, or None in a scene without a load. stages: stages of the scene after the grasp,
+        or None in a scene without stages.
         stage: index of the present stage, or -1 before the first stage.
         sampled: arguments for the kernels by which nodes read the plant: arrays of the drivetrain,
             joint angles [rad], joint velocities [rad/s], and an array into which tensions are
@@ -226,9 +226,11 @@ class Plant:
                 time step.
         """
         while count > 0:
-            block = 1 if self.step_progress_ns else min(count, self._steps_until_table_update())
-            self._run_steps(block)
-            count -= block
+            step_count = (
+                1 if self.step_progress_ns else min(count, self._steps_until_table_update())
+            )
+            self._run_steps(step_count)
+            count -= step_count
             # The table and the load of the scene change only between two time steps, never within a
             # time step.
             if (
@@ -256,7 +258,7 @@ class Plant:
         self.step_progress_ns += duration_ns
 
     def _run_step_of_duration(self, duration_ns: int) -> None:
-        """Run one step with another duration [ns]."""
+        """Run one step of the given duration [ns] instead of a step of ``STEP_NS``."""
         self._set_step_duration(duration_ns * 1e-9)
         try:
             self._run_single_step(self.faulty_motors)
@@ -404,10 +406,10 @@ class Plant:
         its two tendons.
         """
         cell_tensions = self.cells().tolist()
-        net = [float(tension) for tension in cell_tensions[: len(self.hand.tendons)]]
+        net_tensions = [float(tension) for tension in cell_tensions[: len(self.hand.tendons)]]
         for i, antagonist in self._antagonist.items():
-            net[i] -= cell_tensions[antagonist]
-        return net
+            net_tensions[i] -= cell_tensions[antagonist]
+        return net_tensions
 
     def pair_tensions(self) -> list[float]:
         """Return the tensions of the first and the second tendon of each spool pair [N], pair by pair."""

@@ -22,8 +22,8 @@ class Servo:
         torque: feedforward torque [N m].
         limit: torque limit of the drive [N m].
         speed_limit: speed above which the drive brakes [rad/s].
-        speed_gain: braking torque, divided by the excess of the speed over ``speed_limit`` [N m
-            s/rad], 0 if there is no speed limit.
+        speed_gain: ratio of the braking torque to the speed above ``speed_limit`` [N m s/rad]. The
+            ratio is 0 if there is no speed limit.
         target_speed: speed with which the drive itself moves the position setpoint [rad/s].
     """
 
@@ -44,7 +44,7 @@ class Servo:
 
 
 class ServoStruct(ctypes.Structure, Servo):
-    """Memory of a servo, which is a field of ``RotorStruct``."""
+    """State of a servo, as a field of ``RotorStruct``."""
 
     _fields_ = [
         (name, ctypes.c_double)
@@ -63,7 +63,7 @@ class ServoStruct(ctypes.Structure, Servo):
 
 
 class RotorStruct(ctypes.Structure):
-    """Memory of a rotor. The class ``motor.Motor`` explains the fields."""
+    """State of a rotor, as memory for compiled kernels. The class ``motor.Motor`` explains the fields."""
 
     _fields_ = [
         *((name, ctypes.c_double) for name in ("theta", "omega", "torque", "velocity", "heat")),
@@ -79,7 +79,7 @@ class RotorStruct(ctypes.Structure):
 
 
 class TendonStruct(ctypes.Structure):
-    """Memory of a tendon. The class ``tendon.Tendon`` explains the fields."""
+    """State of a tendon, as memory for compiled kernels. The class ``tendon.Tendon`` explains the fields."""
 
     _fields_ = [
         *((name, ctypes.c_double) for name in ("tension", "speed", "slope", "extra_length")),

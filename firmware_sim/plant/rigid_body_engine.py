@@ -134,10 +134,10 @@ class RigidBodyEngine:
         self._model.opt.timestep = step_s
 
     def brake(self, joints: list[int], damping: float) -> Callable[[], None]:
-        """Set a high damping in some joints, to brake these joints [N m s/rad].
+        """Brake the given joints by a high damping [N m s/rad].
 
         Returns:
-            Function that restores the former damping of the joints.
+            Function that restores the damping that the joints had before.
         """
         damping_before = self._model.dof_damping[joints].copy()
         self._model.dof_damping[joints] = damping

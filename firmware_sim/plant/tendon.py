@@ -11,17 +11,17 @@ from firmware_sim.hand_description import MOMENT_ARM_COEFFICIENT_COUNT, TendonSp
 from firmware_sim.plant.plant_structs import TendonStruct
 
 PRISMATIC_FLAG_INDEX = 4 + MOMENT_ARM_COEFFICIENT_COUNT
-"""Index of a pulley's number that is 1 at a prismatic joint, where the tendon does not bend, and 0 at a hinge."""
+"""Index of the prismatic flag: 1 at a prismatic joint, where the tendon does not bend, and 0 at a hinge."""
 PARAMETERS_PER_PULLEY = PRISMATIC_FLAG_INDEX + 1
-"""Count of the numbers that describe a pulley.
+"""Number of parameters of a pulley.
 
-The numbers are the mean moment arm [m], 1 if the moment arm varies, two joint limits [rad], the
+The parameters are the mean moment arm [m], 1 if the moment arm varies, two joint limits [rad], the
 coefficients, and the flag at ``PRISMATIC_FLAG_INDEX``.
 """
 
 
 def _pulley_parameters(spec: TendonSpec, joint: str) -> tuple[float, ...]:
-    """Return the numbers that describe a tendon's pulley at a joint, see ``PARAMETERS_PER_PULLEY``."""
+    """Return the parameters of a tendon's pulley at a joint, see ``PARAMETERS_PER_PULLEY``."""
     if joint not in spec.curves:
         prismatic_flag = float(joint in spec.prismatic_joints)
         return (spec.arms[joint], *(0.0,) * (PARAMETERS_PER_PULLEY - 2), prismatic_flag)
@@ -36,8 +36,8 @@ class Tendon:
         tension: tension at the load cell, between spool and first pulley, in the last step [N].
         speed: speed of the tendon towards the spool in the last step [m/s]. The speed is positive
             when the digit closes.
-        slope: slope of the damping force and the friction force over the speed of the tendon, for
-            the implicit integrator [N s/m].
+        slope: damping, plus the friction force divided by the tendon speed, for the implicit
+            integrator [N s/m].
         extra_length: length of the tendon beyond the length in its description [m].
         radius: radius of the spool [m], negative if a positive spool angle pays the tendon
             out.
@@ -82,7 +82,7 @@ class Tendon:
         self.wrap = spec.wrap
 
     def break_tendon(self) -> Callable[[], None]:
-        """Break the tendon, which then carries no tension.
+        """Break the tendon, so that the tendon carries no tension.
 
         Returns:
             Function that repairs the tendon.
@@ -99,7 +99,7 @@ class Tendon:
 
 
 class TendonRow(TendonStruct, Tendon):
-    """A tendon that keeps its state in a row of an array, which compiled kernels read and write."""
+    """A tendon whose state is in an array row, for compiled kernels."""
 
 
 class TendonRouting:

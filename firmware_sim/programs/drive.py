@@ -78,7 +78,7 @@ class SimulatedDriveBench:
     Attributes:
         motors: rotors of the drives, in the order of the drive descriptions.
         nodes: simulated nodes of the drives, in the order of the drive descriptions.
-        slip_ns: total delay behind the wall clock that the simulation will never make up [ns].
+        slip_ns: total time that the slips of the clock have skipped [ns].
         step_progress_ns: completed time of the present time step [ns].
         faults: faults injected while the bench runs.
     """
@@ -125,7 +125,7 @@ class SimulatedDriveBench:
         ]
 
     def advance(self, t_ns: int) -> None:
-        """Advance the drives towards the time ``t_ns``, by whole time steps."""
+        """Advance the drives by whole time steps, as far as the time ``t_ns`` permits."""
         while self.t_ns - self.step_progress_ns + STEP_NS <= t_ns:
             self._advance_shafts(STEP_NS - self.step_progress_ns)
             self.step_progress_ns = 0

@@ -62,7 +62,7 @@ class SinkingTable:
 
 @dataclass(frozen=True, slots=True)
 class GrowingLoad:
-    """A force on the centre of the object that grows until the hand loses the object.
+    """A force on the centre of the object. The force grows until the hand loses the object.
 
     Attributes:
         direction: unit vector of the force in the palm frame.

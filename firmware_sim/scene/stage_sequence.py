@@ -167,7 +167,7 @@ def _scaled_vector(vector: Vector, factor: float) -> Vector:
 def _rotated_vector(start: Vector, end: Vector, fraction: float) -> Vector:
     """Interpolate between two vectors along a great circle.
 
-    If the vectors are opposite, the interpolation follows a straight line.
+    Between opposite vectors, the direction does not turn, but changes its sign halfway.
 
     Args:
         start: vector at fraction 0.

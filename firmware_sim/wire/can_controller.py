@@ -69,7 +69,7 @@ class CanErrorState(enum.IntEnum):
 
 
 class CanController:
-    """A CAN controller on a simulated wire. ``SimulatedWire.add`` creates the controller.
+    """A CAN controller on a simulated wire. ``SimulatedWire.add_controller`` creates the controller.
 
     Attributes:
         queue: queued frames, each with earliest start [ns] and priority.
@@ -134,9 +134,9 @@ class CanController:
 
         The queue must not be empty.
         """
-        since_ns = self.queue[0][0]
+        start_ns = self.queue[0][0]
         retry_ns = self.retry_ns
-        return since_ns if since_ns > retry_ns else retry_ns
+        return start_ns if start_ns > retry_ns else retry_ns
 
     def count_sent_frame(self, t_ns: int) -> None:
         """Remove the first frame from the queue, because it has been sent."""
@@ -225,7 +225,7 @@ class CanController:
         return self.state != state_before
 
     def _status_bits(self) -> int:
-        """Return the bits of data[1] in an error frame for the present error state."""
+        """Return the value of payload byte 1 in an error frame that reports the present error state."""
         if self.state == CanErrorState.ACTIVE:
             return ERROR_ACTIVE
         limit, receive, send = (

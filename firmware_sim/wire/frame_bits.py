@@ -83,7 +83,7 @@ def arbitration_priority(can_id: int) -> int:
 def _frame_bits(
     can_id: int, data: bytes, flags: int, counts_actual_stuffing: bool
 ) -> tuple[int, int]:
-    """Return the number of a frame's bits at the nominal bit rate, and the number at the data bit rate."""
+    """Count the bits of a frame at the nominal bit rate, and the bits at the data bit rate."""
     return (
         _fd_frame_bits(can_id, data, flags, counts_actual_stuffing)
         if flags & FDF
@@ -113,7 +113,7 @@ def _classical_frame_bits(
 def _fd_frame_bits(
     can_id: int, data: bytes, flags: int, counts_actual_stuffing: bool
 ) -> tuple[int, int]:
-    """Return the number of an FD frame's bits at the nominal bit rate, and the number at the data bit rate."""
+    """Count the bits of an FD frame at the nominal bit rate, and the bits at the data bit rate."""
     size = next(length for length in FD_LENGTHS if length >= len(data))
     has_fast_bits = bool(flags & BRS)
     header_bits = (
@@ -131,9 +131,9 @@ def _fd_frame_bits(
     )
     # The CRC has 17 bits for a payload of up to 16 bytes, and 21 bits for a longer payload. The
     # stuff count and the CRC have one fixed stuff bit before every four bits.
-    check = 4 + (17 if size <= 16 else 21)
+    check_bits = 4 + (17 if size <= 16 else 21)
     nominal_bits = len(header_bits) + stuff_bits_in_head + TAIL_BITS
-    data_bits = len(body) + stuff_bits_total - stuff_bits_in_head + check + -(-check // 4)
+    data_bits = len(body) + stuff_bits_total - stuff_bits_in_head + check_bits + -(-check_bits // 4)
     return (nominal_bits, data_bits) if has_fast_bits else (nominal_bits + data_bits, 0)
 
 
@@ -161,15 +161,15 @@ def _stuff_bit_count(bit_string: str) -> int:
     with the inserted bit.
     """
     last_bit = ""
-    run = 0
+    equal_bits = 0
     count = 0
     for bit in bit_string:
-        run = run + 1 if bit == last_bit else 1
+        equal_bits = equal_bits + 1 if bit == last_bit else 1
         last_bit = bit
-        if run == 5:
+        if equal_bits == 5:
             count += 1
             last_bit = "10"[int(bit)]
-            run = 1
+            equal_bits = 1
     return count
 
 

@@ -1,9 +1,8 @@
 """A simulated wire.
 
 A wire carries one frame at a time. If several frames wait for the wire, the frame with the lowest
-identifier is sent before the others. A frame on the wire is never interrupted. The caller calls
-``advance`` to advance the time of the wire. All times come from the caller, and can be real or
-virtual.
+identifier is sent first. A frame on the wire is never interrupted. The caller calls ``advance`` to
+advance the time of the wire. All times come from the caller, and can be real or virtual.
 """
 
 import random

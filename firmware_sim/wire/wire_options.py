@@ -26,7 +26,7 @@ _MAX_BITRATE = 20_000_000
 
 @dataclass(frozen=True, slots=True)
 class WireSpec:
-    """Description of simulated wires, which the command line gives.
+    """Options of simulated wires from the command line.
 
     Attributes:
         options: options of the wires.
@@ -78,7 +78,7 @@ def parse_wire_options(words: Sequence[str]) -> WireSpec:
 
 
 def _updated_spec(spec: WireSpec, option_text: str) -> WireSpec:
-    """Return a copy of a wire specification in which a command-line word has changed one value."""
+    """Return a copy of a wire specification, with one value changed by a command-line word."""
     key, _, text = option_text.partition("=")
     if key not in WIRE_OPTION_KEYS:
         raise SimulatorError(

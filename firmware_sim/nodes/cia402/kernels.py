@@ -49,7 +49,7 @@ _MAX_INT32 = (1 << 31) - 1
 
 
 class Cia402Struct(ctypes.Structure):
-    """Memory of a simulated drive, which compiled kernels read and write.
+    """State of a simulated drive, as memory for compiled kernels.
 
     The class ``node.Cia402Node`` explains the fields.
 
@@ -82,7 +82,7 @@ class Cia402Struct(ctypes.Structure):
 
 @kernel_helper
 def _clamp_to_range(value: int, limit: int) -> int:
-    """Return a value, limited to the range of an object with a signed data type."""
+    """Limit a value to the range of a signed integer whose maximum is ``limit``."""
     return min(limit, max(-limit - 1, value))
 
 
@@ -119,7 +119,7 @@ def update_measured_objects(
 
 @kernel_helper
 def apply_torque(node: Any, servo: Any) -> None:
-    """Apply the target torque to the servo of an enabled drive, limited by objects 0x6072 and 0x6080."""
+    """Apply the target torque, the torque limit (0x6072) and the speed limit (0x6080) to an enabled drive's servo."""
     values = node.values
     thousandths = values[TARGET_TORQUE] + values[TORQUE_OFFSET]
     limit = values[MAX_TORQUE]

@@ -94,13 +94,13 @@ class MotionModes:
         self._position_at_spool = MotionSetpoint()
         self._cascade = CascadeController(node.motor)
         self._mode = 0
-        self._updated_ns = self._late_ns = 0
+        self._updated_ns = self._in_window_ns = 0
         self._target = 0.0
-        self._rest_s = 0.0
-        self._next: float | None = None
-        self._control = 0
+        self._remaining_s = 0.0
+        self._queued_target: float | None = None
+        self._control_word = 0
         self._bits = 0
-        self._attained = False
+        self._is_homed = False
         self._homing = False
         self._acknowledged = False
 
@@ -110,17 +110,17 @@ class MotionModes:
         return self._mode != 0
 
     def start(self, mode: int, t_ns: int) -> None:
-        """Enter a motion mode at the present position. If the mode is already active, it continues."""
+        """Enter a motion mode at the present position. A mode that is already active continues."""
         if mode == self._mode:
             return
         node = self._node
         self._mode = mode
-        self._updated_ns = self._late_ns = t_ns
-        self._control = node.objects[0x6040, 0]
+        self._updated_ns = self._in_window_ns = t_ns
+        self._control_word = node.objects[0x6040, 0]
         self._cascade.integral = 0.0
-        self._next = None
-        self._attained = self._homing = self._acknowledged = False
-        self._rest_s = 0.0
+        self._queued_target = None
+        self._is_homed = self._homing = self._acknowledged = False
+        self._remaining_s = 0.0
         self._bits = 0
         self._demand.jump_to(self._position(), self._velocity() if mode == CYCLIC_VELOCITY else 0.0)
         self._target = self._demand.position
@@ -139,15 +139,17 @@ class MotionModes:
         if object_index == 0x6040:
             self._take_control(self._node.objects[0x6040, 0])
         elif object_index == 0x607A and self._mode == CYCLIC_POSITION:
-            self._rest_s = self._node.objects[0x60C2, 1] * 10.0 ** self._node.objects[0x60C2, 2]
+            self._remaining_s = (
+                self._node.objects[0x60C2, 1] * 10.0 ** self._node.objects[0x60C2, 2]
+            )
 
     def _take_control(self, control_word: int) -> None:
-        """Apply the bits of a control word that belong to the active mode.
+        """Apply the mode-specific bits of a control word to the active mode.
 
         Bit 4 of the control word starts a motion only on its rising edge.
         """
-        rising_edge = control_word & ~self._control & NEW_SETPOINT_BIT
-        self._control = control_word
+        rising_edge = control_word & ~self._control_word & NEW_SETPOINT_BIT
+        self._control_word = control_word
         if self._mode == HOMING_MODE:
             if rising_edge:
                 self._start_homing()
@@ -164,9 +166,9 @@ class MotionModes:
             target += self._target
         if control_word & CHANGE_IMMEDIATELY_BIT or self._bits & TARGET_REACHED_BIT:
             self._target = self._within_position_limits(target)
-            self._next = None
-        elif self._next is None:
-            self._next = target
+            self._queued_target = None
+        elif self._queued_target is None:
+            self._queued_target = target
         self._acknowledged = True
         # At this point, the bit *target reached* still refers to the previous target.
         self._bits &= ~TARGET_REACHED_BIT
@@ -175,7 +177,7 @@ class MotionModes:
         """Start homing with the method in object 0x6098."""
         node = self._node
         self._homing = True
-        self._attained = False
+        self._is_homed = False
         self._bits &= ~(TARGET_REACHED_BIT | SETPOINT_FOLLOWED_BIT)
         method = node.objects[0x6098, 0]
         self._target = self._position()
@@ -198,7 +200,7 @@ class MotionModes:
         node.offset += (home - self._position()) / node.counts * TURN_RAD
         self._demand.jump_to(home)
         self._target = float(home)
-        self._attained = True
+        self._is_homed = True
 
     def advance(self, t_ns: int) -> None:
         """Update the demand, the status bits and the servo if the update is due at the present time [ns]."""
@@ -227,12 +229,15 @@ class MotionModes:
             self._interpolate(step_s)
         elif self._mode == HOMING_MODE:
             self._approach_target(step_s, 0x6099, 2, 0x609A, 0x609A)
-            if self._homing and not self._attained and self._is_target_reached():
+            if self._homing and not self._is_homed and self._is_target_reached():
                 self._finish_homing()
         else:
-            if self._approach_target(step_s, 0x6081, 0, 0x6083, 0x6084) and self._next is not None:
-                self._target = self._within_position_limits(self._next)
-                self._next = None
+            if (
+                self._approach_target(step_s, 0x6081, 0, 0x6083, 0x6084)
+                and self._queued_target is not None
+            ):
+                self._target = self._within_position_limits(self._queued_target)
+                self._queued_target = None
 
     def _approach_target(
         self,
@@ -247,7 +252,7 @@ class MotionModes:
         Return True if the demand has reached the target.
         """
         slope = max(1.0, self._counts_per_s(self._node.objects[deceleration_index, 0]))
-        if self._control & HALT_BIT:
+        if self._control_word & HALT_BIT:
             self._demand.ramp(0.0, slope, slope, step_s)
             return False
         max_speed = self._counts_per_s(
@@ -265,8 +270,8 @@ class MotionModes:
         """Move the demand linearly, to reach the cyclic target at the end of the interpolation period."""
         objects = self._node.objects
         self._target = self._within_position_limits(float(objects[0x607A, 0] + objects[0x60B0, 0]))
-        step_fraction = step_s / self._rest_s if self._rest_s > step_s else 1.0
-        self._rest_s = max(0.0, self._rest_s - step_s)
+        step_fraction = step_s / self._remaining_s if self._remaining_s > step_s else 1.0
+        self._remaining_s = max(0.0, self._remaining_s - step_s)
         change = step_fraction * (self._target - self._demand.position)
         self._demand.jump_to(
             self._demand.position + change, change / step_s + self._speed_from_object(0x60B1)
@@ -281,7 +286,7 @@ class MotionModes:
         return limited_position
 
     def _check_following_error(self, t_ns: int) -> bool:
-        """Check the following error. Return True if the error has caused a fault."""
+        """Check the following error. Return True if the following error has caused a fault."""
         node = self._node
         error = self._demand.position - self._position()
         node.objects[0x60F4, 0] = round(error)
@@ -291,11 +296,14 @@ class MotionModes:
             or window == FOLLOWING_ERROR_WINDOW_OFF
             or abs(error) <= window
         ):
-            self._late_ns = t_ns
+            self._in_window_ns = t_ns
             self._bits &= ~FOLLOWING_ERROR_BIT
         else:
             self._bits |= FOLLOWING_ERROR_BIT
-        if t_ns - self._late_ns < node.objects[0x6066, 0] * 1_000_000 or t_ns == self._late_ns:
+        if (
+            t_ns - self._in_window_ns < node.objects[0x6066, 0] * 1_000_000
+            or t_ns == self._in_window_ns
+        ):
             return False
         node.trip(FOLLOWING_ERROR)
         return True
@@ -303,29 +311,29 @@ class MotionModes:
     def _is_target_reached(self) -> bool:
         """Return True if both the demand and the measured position have reached the target."""
         window = self._node.objects[0x6067, 0]
-        has_arrived = self._demand.position == self._target and self._next is None
+        has_arrived = self._demand.position == self._target and self._queued_target is None
         return has_arrived and abs(self._position() - self._target) <= window
 
     def _status_bits(self) -> int:
         """Return the status word bits that the active mode of the drive sets."""
         if self._mode in (CYCLIC_POSITION, CYCLIC_VELOCITY):
             return self._bits | SETPOINT_FOLLOWED_BIT
-        if self._control & HALT_BIT:
+        if self._control_word & HALT_BIT:
             is_stopped = self._demand.velocity == 0.0
             self._bits = (
                 self._bits | TARGET_REACHED_BIT if is_stopped else self._bits & ~TARGET_REACHED_BIT
             )
             return self._bits
-        is_reached = self._attained if self._mode == HOMING_MODE else self._is_target_reached()
+        is_reached = self._is_homed if self._mode == HOMING_MODE else self._is_target_reached()
         self._bits = (
             self._bits | TARGET_REACHED_BIT if is_reached else self._bits & ~TARGET_REACHED_BIT
         )
         # In profile position mode, a set-point stays acknowledged until the host clears the bit
         # *new set-point* and the set-point buffer is free.
-        self._acknowledged = self._next is not None or (
-            self._acknowledged and bool(self._control & NEW_SETPOINT_BIT)
+        self._acknowledged = self._queued_target is not None or (
+            self._acknowledged and bool(self._control_word & NEW_SETPOINT_BIT)
         )
-        is_followed = self._attained if self._mode == HOMING_MODE else self._acknowledged
+        is_followed = self._is_homed if self._mode == HOMING_MODE else self._acknowledged
         self._bits = (
             self._bits | SETPOINT_FOLLOWED_BIT
             if is_followed

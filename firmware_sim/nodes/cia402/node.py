@@ -144,7 +144,7 @@ class Cia402Node:
         self._reset(sends_boot_message=True)
 
     def _reset(self, sends_boot_message: bool) -> None:
-        """Restart the drive with the settings that it has stored.
+        """Restart the drive with its stored settings.
 
         Args:
             sends_boot_message: True to send the boot-up message.
@@ -174,7 +174,7 @@ class Cia402Node:
         return objects, PowerStage()
 
     def _update_derived_values(self) -> None:
-        """Update the attributes of the node that are derived from communication objects."""
+        """Update the node attributes derived from communication objects."""
         self.sync_id = self.objects[0x1005, 0] & 0x7FF
         self.master_id = 0x700 + (self.objects[0x1016, 1] >> 16 & 0x7F)
         self.rpdo_id, (self.tpdo_id, self.tpdo_kind) = (
@@ -244,7 +244,8 @@ class Cia402Node:
     def _connection_lost(self, error_code: int) -> None:
         """React to a lost connection.
 
-        Object 0x6007 (abort connection option) selects the reaction.
+        Object 0x6007 (abort connection option) selects the reaction: 0 none, 1 the fault state, any
+        other value power stage off.
         """
         option = self.objects[0x6007, 0]
         if option == 1:
@@ -263,7 +264,7 @@ class Cia402Node:
         self._apply_torque()
 
     def lose_settings(self) -> None:
-        """Set the torque limit and the supervision of the master to their defaults, but keep the drive's state."""
+        """Reset the torque limit and the supervision of the master to the defaults, but keep the drive's state."""
         initial = ObjectDictionary(self.node_id)
         for key in ((0x6072, 0), (0x6007, 0), (0x1016, 1)):
             self.objects[key] = initial[key]
@@ -431,7 +432,11 @@ class Cia402Node:
         )
 
     def _apply_torque(self) -> None:
-        """Follow the target torque or a motion mode, if the power stage and the mode of operation allow this."""
+        """Follow a motion mode or the target torque, as the mode of operation requires.
+
+        If the drive is not enabled, or if its mode of operation is not simulated, release the
+        servo.
+        """
         mode = self.objects[0x6061, 0]
         if self.power.state == ENABLED_STATE and mode in MOTION_MODES:
             if not self.motion.is_active:
@@ -447,7 +452,7 @@ class Cia402Node:
             self.motor.servo.release()
 
     def wake(self, t_ns: int) -> list[Frame]:
-        """Update the temperatures and the motion, send the heartbeat, and check the master, where each is due.
+        """Do the work that is due: update temperatures and motion, send the heartbeat, check the master's heartbeat.
 
         Returns:
             The frames that the drive sends.
@@ -479,12 +484,12 @@ class Cia402Node:
 
 
 class Cia402NodeRow(Cia402Struct, Cia402Node):
-    """A drive that keeps its state in a row of an array, which compiled kernels read and write."""
+    """A simulated drive whose state is in an array row, for compiled kernels."""
 
     layout = Cia402Struct
 
     def initialise(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Set the row of the drive to the state after power-up.
+        """Set the array row of the drive to the state after power-up.
 
         The class ``Cia402Node`` explains the arguments.
         """

@@ -86,7 +86,7 @@ class NodePdos:
         return self._rpdo_index(can_id) >= 0
 
     def unpack(self, can_id: int, payload: bytes) -> list[ObjectKey] | None:
-        """Write the objects of an RPDO at once, or keep the RPDO until the next SYNC frame.
+        """Write the objects of an RPDO at once, or keep a synchronous RPDO until the next SYNC frame.
 
         Returns:
             The objects that were written at once, or None if the RPDO is too short.
@@ -159,9 +159,9 @@ class NodePdos:
     def standard_tpdo(self) -> tuple[int, int]:
         """Return the identifier and the transmission type of the TPDO that compiled kernels can handle.
 
-        The standard TPDO contains status word, position and torque. It is sent after SYNC, and is
-        the only active TPDO. If the PDOs are arranged in another way, or if an RPDO depends on
-        SYNC, the identifier is -1.
+        The standard TPDO contains status word, position and torque. The standard TPDO is sent after
+        SYNC, and is the only active TPDO. If the PDOs are arranged in another way, or if an RPDO
+        depends on SYNC, the identifier is -1.
         """
         active = self._active_tpdos()
         waits_for_sync = any(

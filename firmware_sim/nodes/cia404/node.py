@@ -122,7 +122,7 @@ class AmplifierNode:
         cells: indices of the load cells of this amplifier in the hand's list of load cells.
         nmt: NMT state of the amplifier.
         objects: object dictionary of the amplifier.
-        ids: identifiers of the frames that the node possibly answers.
+        ids: identifiers of the frames that the node accepts.
         malformed_frame_count: number of frames that the node could not decode.
         wake_ns: time of the next heartbeat [ns].
         serial: serial number of the amplifier.

@@ -57,7 +57,7 @@ class MitRanges(NamedTuple):
 
 
 class MitStruct(ctypes.Structure):
-    """Memory of a simulated drive, which compiled kernels read and write. See ``node.MitNode``.
+    """State of a simulated drive, as memory for compiled kernels. See ``node.MitNode``.
 
     ``motor_number`` is the index of the drive's rotor in the array of rotors.
     """

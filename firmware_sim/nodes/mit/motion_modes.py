@@ -76,7 +76,7 @@ class MotionModes:
         return float(self._node.direction * (position - self._node.offset))
 
     def _set_target(self, gains: LoopGains, target: float, speed: float, fraction: float) -> None:
-        """Store a target for the spool, with gains, largest speed and fraction of the largest torque."""
+        """Store a target at the spool, its gains, the largest speed and the fraction of the largest torque."""
         self._gains = gains
         self._target = target
         self._speed = speed
@@ -110,21 +110,21 @@ class MotionModes:
         self.due_ns = t_ns + PERIOD_NS
         node = self._node
         registers = node.registers
-        largest = min(registers[reg.MAX_SPEED], node.velocity_range)
-        speed = min(self._speed, largest)
-        rise = registers[reg.ACCELERATION] or math.inf
+        max_speed = min(registers[reg.MAX_SPEED], node.velocity_range)
+        speed = min(self._speed, max_speed)
+        acceleration = registers[reg.ACCELERATION] or math.inf
         deceleration = -registers[reg.DECELERATION] or math.inf
         if self._gains.position == 0.0:
             self._setpoint.position = node.motor.encoder()
-            target = min(largest, max(-largest, self._target))
-            if rise == deceleration == math.inf:
+            target = min(max_speed, max(-max_speed, self._target))
+            if acceleration == deceleration == math.inf:
                 self._setpoint.velocity = target
             elif step_s:
-                self._setpoint.ramp(target, rise, deceleration, step_s)
-        elif node.mode == reg.MODE_FORCE or rise == deceleration == math.inf:
+                self._setpoint.ramp(target, acceleration, deceleration, step_s)
+        elif node.mode == reg.MODE_FORCE or acceleration == deceleration == math.inf:
             # In force-position mode, the controllers limit the speed, and the setpoint does not.
             self._setpoint.jump_to(self._target)
         elif step_s:
-            self._setpoint.trapezoid(self._target, speed, rise, deceleration, step_s)
+            self._setpoint.trapezoid(self._target, speed, acceleration, deceleration, step_s)
         limit = min(1.0, self._fraction) * min(node.torque_peak, node.torque_range)
         self._cascade.regulate(self._setpoint, self._gains, speed, limit, step_s)

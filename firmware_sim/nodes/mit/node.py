@@ -362,15 +362,15 @@ class MitNode:
         self._update_derived_values()
 
     def wake(self, t_ns: int) -> None:
-        """Update the temperatures and the motion mode, and check the watchdog, where each is due."""
+        """Do the work that is due: update the temperatures and the motion mode, check the watchdog."""
         if t_ns - self.thermal_ns >= THERMAL_PERIOD_NS or self.thermal_ns < 0:
             self._update_temperatures(t_ns)
-        is_watchdog_active = (
+        watched_states = (
             FeedbackState.ENABLED,
             *[FeedbackState.DISABLED] * (self._watchdog == FIRES_ALWAYS),
         )
         silence_ns = t_ns - self.watchdog_fed_ns
-        if self.state in is_watchdog_active and self.timeout_ns and silence_ns >= self.timeout_ns:
+        if self.state in watched_states and self.timeout_ns and silence_ns >= self.timeout_ns:
             self.trip(FeedbackState.COMMUNICATION_LOST)
         self._motion_modes.advance(t_ns)
         self._schedule()
@@ -397,12 +397,12 @@ class MitNode:
 
 
 class MitNodeRow(MitStruct, MitNode):
-    """A node that keeps its state in a row of an array, which compiled kernels read and write."""
+    """A simulated Damiao motor whose state is in an array row, for compiled kernels."""
 
     layout = MitStruct
 
     def initialise(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
-        """Set the row of the node to the state after power-up.
+        """Set the array row of the node to the state after power-up.
 
         The class ``MitNode`` explains the arguments.
         """

@@ -1,6 +1,6 @@
 """Moteus controllers as delivered.
 
-The data of the motor and of the free shaft are assumptions that suit a motor such as mj5208.
+The data of the motor and of the free shaft are assumptions for a motor such as the mj5208.
 """
 
 from firmware_sim.bus.frame import EXTENDED_FLAG, FDF, Frame

@@ -126,7 +126,7 @@ def encode_register(value: float, value_type: int, lsb_values: tuple[float, floa
 
 
 def subframe_head(base: int, value_type: int, register_count: int, first_register: int) -> bytes:
-    """Return the first bytes of a register subframe, which precede the values."""
+    """Return the bytes of a register subframe that precede the register values."""
     subframe = base | value_type << 2
     start = (
         bytes([subframe | register_count])

@@ -179,20 +179,20 @@ class MoteusNode:
             The bytes to add to the reply, or None if the rest of the payload is meant for another
             controller.
         """
-        kind = subframe >> 2 & 3
+        value_type = subframe >> 2 & 3
         count = subframe & 3 or reader.varuint()
-        first_value = reader.varuint()
+        first_register = reader.varuint()
         reply_bytes = b""
         if subframe >= 0x10:
-            return self._read_registers(kind, count, first_value)
-        for number in range(first_value, first_value + count):
-            raw_bytes = reader.take(mp.REGISTER_STRUCTS[kind].size)
+            return self._read_registers(value_type, count, first_register)
+        for number in range(first_register, first_register + count):
+            raw_bytes = reader.take(mp.REGISTER_STRUCTS[value_type].size)
             if reg.UUID_MASK <= number < reg.UUID_MASK + 4:
                 expected = struct.pack("<I", self._uuid_word(number - reg.UUID_MASK))
-                if kind != mp.INT32 or raw_bytes != expected:
+                if value_type != mp.INT32 or raw_bytes != expected:
                     return None
                 continue
-            if error := self._write_register(number, kind, raw_bytes):
+            if error := self._write_register(number, value_type, raw_bytes):
                 reply_bytes += b"\x30" + mp.encode_varuint(number) + mp.encode_varuint(error)
         return reply_bytes
 
@@ -273,11 +273,11 @@ class MoteusNode:
             return mp.encode_register(
                 self.command[register], value_type, reg.LSB_BY_COMMAND_REGISTER[register]
             )
-        steps = reg.LSB_BY_MEASURED_REGISTER.get(register)
+        lsb_values = reg.LSB_BY_MEASURED_REGISTER.get(register)
         return (
             None
-            if steps is None
-            else mp.encode_register(self._measured_value(register), value_type, steps)
+            if lsb_values is None
+            else mp.encode_register(self._measured_value(register), value_type, lsb_values)
         )
 
     def _integer_register(self, register: int) -> int:
@@ -498,7 +498,7 @@ class MoteusNode:
         self.wake_ns = min(due_times)
 
     def wake(self, t_ns: int) -> None:
-        """End the preparation of the power stage, check the watchdog, and update temperatures, where each is due."""
+        """Do the work that is due: end the preparation of the power stage, check the watchdog, update temperatures."""
         self._t_ns = t_ns
         if self.mode == ENABLING and t_ns - self._enabling_ns >= ENABLING_DURATION_NS:
             self._start_mode()

@@ -12,8 +12,8 @@ motion.
 
 The simulation differs from the firmware in the following points. A speed above the velocity limit
 is not an error, because the position controller limits the velocity demand. Input mode 0 (inactive)
-keeps the last setpoint. The list above contains all simulated modes. The firmware refuses other
-modes, but the simulation ignores commands of other modes.
+keeps the last setpoint. The two lists above contain all simulated modes. The firmware refuses other
+modes, but the simulation ignores commands in other modes.
 """
 
 import math

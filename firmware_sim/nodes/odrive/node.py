@@ -27,8 +27,8 @@ little-endian:
     0x1A  Set_Pos_Gain           f32 gain [1/s]
     0x1B  Set_Vel_Gains          f32 gain [N m s/turn], f32 integrator gain
 
-A host requests a Get message with a remote frame or an empty data frame of the message's
-identifier.
+To request a Get message, a host sends a remote frame or an empty data frame with the identifier of
+the message.
 
 Choices of this simulator where the fact sheet has only an assumption:
 
@@ -419,18 +419,18 @@ class OdriveNode:
         self.motion.advance(t_ns, is_forced=True)
 
     def _endpoint_limit(self, name: str, default: float) -> float:
-        """Return the float of a named endpoint.
+        """Return the value of a named endpoint as a float.
 
         If the hand file does not give the number of the endpoint, return ``default``.
         """
-        raw_limit = self.endpoints.get(self._numbers[name])
-        return float(struct.unpack("<f", raw_limit)[0]) if raw_limit else default
+        limit_bytes = self.endpoints.get(self._numbers[name])
+        return float(struct.unpack("<f", limit_bytes)[0]) if limit_bytes else default
 
     def endpoint_float(self, endpoint: int) -> float:
         """Return a setting of ``MOTION_ENDPOINTS``.
 
-        If the hand file gives the endpoint number of the setting to another endpoint, return the
-        default value of the setting.
+        If the hand file uses the same number for another endpoint, return the default value of the
+        setting.
         """
         if endpoint in self._numbers.values():
             return MOTION_ENDPOINTS[endpoint][1]
@@ -522,7 +522,7 @@ class OdriveNode:
         self._release_axis(DISARMED_RESULT)
 
     def wake(self, t_ns: int) -> list[Frame]:
-        """Update temperatures, watchdog, calibration and motion, and send cyclic messages, where each is due.
+        """Do the work that is due: temperatures, watchdog, calibration, motion and cyclic messages.
 
         Returns:
             The cyclic messages that are due.
@@ -578,7 +578,7 @@ class OdriveNode:
 
 
 class OdriveNodeRow(OdriveStruct, OdriveNode):
-    """An axis that keeps its state in a row of an array, which compiled kernels read and write."""
+    """A simulated axis whose state is in an array row, for compiled kernels."""
 
     layout = OdriveStruct
 

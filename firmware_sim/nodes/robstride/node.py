@@ -100,7 +100,7 @@ READ_ONLY_PARAMETERS = (0x7019, 0x701A, 0x701B, 0x701C)
 def value_to_code(value: float, largest: float) -> int:
     """Encode a value between -largest and largest as 16 bits.
 
-    If a value is outside of the range, the nearest value of the range is encoded.
+    A value outside of the range is limited to the range.
     """
     return round((min(largest, max(-largest, value)) + largest) / (2.0 * largest) * 65535)
 
@@ -274,7 +274,7 @@ class RobstrideNode:
         self._schedule()
 
     def follow(self, torque: int, data: bytes) -> None:
-        """Set the servo from the two parts of a control command: 16 bits of torque and a payload of 8 bytes."""
+        """Set the servo to a control command: ``torque`` as a 16-bit code, all other values in a payload of 8 bytes."""
         position, velocity, kp, kd = struct.unpack(">4H", data)
         servo = self.motor.servo
         sign = self._direction
@@ -395,7 +395,7 @@ class RobstrideNode:
         return reports
 
     def _fault_report_frame(self, fault: int) -> Frame:
-        """Return the frame that reports faults."""
+        """Return the frame that reports a new fault."""
         bits = (
             sum(report_bit for bit, report_bit in FAULT_REPORT_BITS.items() if fault & bit)
             | fault >> FAULT_REPORT_SHIFT
