@@ -1,9 +1,9 @@
 """Detect stalls of the machine.
 
 A host sometimes pauses a virtual machine for tens of milliseconds. If the machine stalls, a
-controller rightly ends its run. A test in real time then fails because the machine has paused, and
-not because of a defect in the code. A sleeping process on each core detects the stall, independently of
-the tested processes.
+controller rightly ends its run. In this case, a test in real time fails because of the stall, and
+not because of a defect in the code. To detect stalls independently of the tested processes, one
+process on each core sleeps and checks when it wakes up.
 """
 
 import contextlib
@@ -22,7 +22,7 @@ Even a busy core wakes a sleeping process within some milliseconds.
 
 
 class ComputerPauseMeter:
-    """Processes that sleep and report when they wake up late.
+    """Detector of stalls: one sleeping process on each core reports if it wakes up late.
 
     The sleeping processes run until :meth:`close`.
 

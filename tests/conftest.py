@@ -82,7 +82,7 @@ VCAN_TESTS_FOLDER = Path(__file__).parent / "vcan"
 
 
 def has_real_clock_tests(path: Path) -> bool:
-    """Return True if a test file possibly has tests that run in real time."""
+    """Return True if a test file contains a marker of tests in real time, or is a vcan test."""
     text = path.read_text(encoding="utf-8")
     return path.is_relative_to(VCAN_TESTS_FOLDER) or any(
         mark in text for mark in REAL_CLOCK_MARKERS
@@ -107,9 +107,10 @@ class RepeatAfterStallPlugin:
     The plugin repeats a test only if the machine stalled during the test. A test has at most three
     tries.
 
-    In some tests, simulated time runs slower than real time. In a repetition, the simulated time of
-    a test runs even slower. The fixture ``attempt_time_scale`` returns the factor of the simulated
-    time. In slower time, a stall of the machine has less effect, but a defect has the same effect.
+    In some tests, simulated time runs slower than real time. In a repetition of such a test,
+    simulated time runs even slower, by the factor of the fixture ``attempt_time_scale``. The slower
+    simulated time runs, the less effect a stall of the machine has. A defect has the same effect at
+    any speed.
 
     Attributes:
         stalls: name of each repeated test, with the longest stall of the machine during the test
@@ -118,7 +119,7 @@ class RepeatAfterStallPlugin:
     """
 
     def __init__(self) -> None:
-        """Start without a stall meter, because most test runs contain no test in real time."""
+        """Leave out the stall meter at first, because most test runs contain no test in real time."""
         self.stalls: list[tuple[str, float]] = []
         self.pause_meter: ComputerPauseMeter | None = None
         self._test = ""
@@ -180,7 +181,7 @@ class RepeatAfterStallPlugin:
 
 @pytest.fixture
 def attempt_time_scale(request: pytest.FixtureRequest) -> float:
-    """Return the factor that multiplies the time scale of a test: 1 in its first try, and less in each repetition."""
+    """Return the factor of a test's time scale: 1 in the first try, and a smaller factor in each repetition."""
     return float(TIME_SCALE_PER_REPEAT ** (getattr(request.node, "execution_count", 1) - 1))
 
 

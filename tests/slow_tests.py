@@ -9,7 +9,7 @@
     python -m tests.slow_tests times.jsonl --add                              # adds those that have become slow
 
 A test run leaves out the listed tests whose cost is higher than ``HANDCTL_SLOW_S``. `make test`
-sets ``HANDCTL_SLOW_S`` to 0. CI sets it to 3, and to a higher value for tests that run in real
+sets ``HANDCTL_SLOW_S`` to 0. CI sets ``HANDCTL_SLOW_S`` to 3, and to 0 for tests that run in real
 time. `make nightly` and plain pytest run all listed tests. The cost of a test is its processor
 time. For a test that runs in real time, the cost is its elapsed time. A test run that leaves out
 tests still executes the first cases of each test function. The total cost of the first cases is at

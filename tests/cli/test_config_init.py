@@ -130,9 +130,8 @@ def test_sensors_springs_and_protocol_are_asked_for(
 ) -> None:
     """Reproduce a defect.
 
-    After the question about the breaking force, ``config init`` asked no more questions. Without a
-    message, the command wrote the drive protocol `mit` and a load cell for every tendon into the
-    hand file.
+    ``config init`` did not ask for sensors, springs and drive protocol. Without a message, ``config
+    init`` wrote the drive protocol `mit` and a load cell for every tendon into the hand file.
     """
     answers = iter(
         [
@@ -265,7 +264,7 @@ def test_config_check_warns_of_motors_that_cannot_rest(
     spool_radius_mm: str,
     is_warned: bool,
 ) -> None:
-    """Reproduce a defect: `config check` gave no warning if the smallest torque command of a motor pulls too hard."""
+    """Reproduce a defect: `config check` gave no warning for a motor whose smallest torque command is too large."""
     words = ["--protocol", "cubemars", "--motor-type", motor_type, "--spool", spool_radius_mm]
     assert main(["config", "init", "--yes", *words, "--output", "mine.toml"]) == 0
     capsys.readouterr()

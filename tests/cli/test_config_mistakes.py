@@ -118,7 +118,7 @@ HAND_FILE_MISTAKES = {
 
 
 def write_changed_jamia11(work_folder: Path, *text_replacements: tuple[str, str]) -> None:
-    """Replace some texts in the hand file of jamia11, and write the result to the file mine.toml."""
+    """Replace each old text in the hand file of jamia11 by its new text, and write the result to mine.toml."""
     text = hand_path("jamia11").read_text("utf-8")
     for old_text, new_text in text_replacements:
         assert text.count(old_text) == 1, old_text

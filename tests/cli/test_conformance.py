@@ -124,8 +124,9 @@ def test_a_broken_drive_fails_and_its_line_says_why():
 def test_a_new_robstride_motor_in_mit_mode_needs_no_host_number():
     """Reproduce a defect: ``conformance`` expected replies of RobStride motors with the identifier 0x11.
 
-    In a new RobStride motor, the identifier of the host is 0. Although the simulated motor had no
-    fault, it failed the first check, so ``conformance`` did not check its motion.
+    In a new RobStride motor, the identifier of the host is 0. The simulated motor had no fault, but
+    the motor failed the first check. For this reason, ``conformance`` did not check the motion of
+    the motor.
     """
     words = ["--protocol", "robstride_mit", "--node", "1", "--option", "motor_type=rs05", "--yes"]
     with run_simulated_drives("local:c", "robstride_mit", "--ids", "1"):

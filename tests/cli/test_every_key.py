@@ -28,7 +28,7 @@ SAMPLE_STEP = 1 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 199
 
 
 class UnrepresentableNumber(float):
-    """A number that a TOML file can contain, but that is too large for a float."""
+    """Represent a number that is valid in a TOML file, but too large for a float."""
 
     def __repr__(self):
         return "1e400"
@@ -127,8 +127,8 @@ def _table_lines(table_name, table_content):
 def content_without_key(file_content, key_path, renamed_value=None):
     """Return a copy of the content of a file without one key.
 
-    If ``renamed_value`` is given, the copy contains this value under the name of the removed key
-    plus ``_x``.
+    If ``renamed_value`` is given, the copy contains ``renamed_value`` under a new key. The new key
+    is the removed key with the suffix ``_x``.
     """
     file_content = content_with_value(file_content, key_path, None)
     parent = file_content

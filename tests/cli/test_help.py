@@ -36,7 +36,7 @@ def sub_parsers(parser: VerbParser) -> dict[str, VerbParser]:
 
 
 def leaf_parsers() -> dict[str, VerbParser]:
-    """Return the parsers of all sub-commands, and of the commands that have no sub-commands, by name."""
+    """Return each parser that has no sub-commands, by the words of its command."""
     parser_by_words = {}
     for verb in VERB_HELP:
         parser = verb_parser(verb)

@@ -1,7 +1,7 @@
 """Test the hands that ``handctl identify`` refuses.
 
-``identify`` refuses a hand without the necessary sensors or springs, and prints one error line.
-``identify`` refuses a hand without these sensors or springs before it opens a bus.
+If a hand does not have the necessary sensors or springs, ``identify`` prints one error line.
+``identify`` prints the error line before it opens a bus.
 """
 
 from pathlib import Path
@@ -31,8 +31,8 @@ def test_hands_without_return_springs_are_not_refused(
 ) -> None:
     """Reproduce a defect: ``identify`` refused two hands that it should accept.
 
-    One of the two refused hands has no springs. The other refused hand has no load cells, and two
-    of its spools share one motor.
+    The first of the two hands has no springs. The second hand has no load cells, and each of its
+    motors turns a pair of spools.
     """
     assert main(["identify", "--hand", hand, "--lockstep", "--dry-run"]) == 0
     assert f"would move {len(load_hand(hand).digit)} digits" in capsys.readouterr().out

@@ -222,7 +222,10 @@ def test_a_rate_that_leaves_no_margin_is_a_warning(
 def test_gains_that_leave_no_margin_without_load_cells_are_a_warning(
     work_folder: Path, capsys: pytest.CaptureFixture[str], link_lengths_mm: str, margin_db: float
 ) -> None:
-    """Reproduce a defect: at 400 Hz, `config check` did not check a hand that has springs but no load cells."""
+    """Reproduce a defect: `config check` did not check the gain margin of a hand without load cells at 400 Hz.
+
+    The hand of this test has springs.
+    """
     write_initial_hand(
         "--fingers", "1", "--links", link_lengths_mm, "--tendons", "each", "--cells", "none"
     )
@@ -249,7 +252,7 @@ def test_gains_that_leave_no_margin_without_load_cells_are_a_warning(
     ],
 )
 def test_the_default_force_leaves_the_gain_margin(work_folder: Path, words: list[str]) -> None:
-    """The default is the largest candidate: the next larger force leaves a smaller margin."""
+    """The default force weight leaves the required gain margin, and a force weight 1.12 times as large does not."""
     write_initial_hand(*words)
     hand = load_hand("mine.toml")
     for rate in (500.0, 200.0, 100.0):

@@ -1,7 +1,7 @@
 """Test a hand of three different fingers: spool pairs and abduction, springs with and without a load cell.
 
-A newcomer described this hand with nothing but the page *Describe a hand*. Most tests of this module
-reproduce a defect that stood in the newcomer's way.
+A new user wrote the hand file of this hand, and read only the page *Describe a hand*. Most tests of
+this module reproduce a defect that the new user found.
 """
 
 import json
@@ -152,7 +152,7 @@ def check_grasp(capsys: pytest.CaptureFixture[str], seed: int) -> None:
 def test_a_mistake_is_one_line(
     work_folder: Path, capsys: pytest.CaptureFixture[str], mistake_name: str
 ) -> None:
-    """Reproduce defects: `config check` accepted these values, or named another key than the wrong one."""
+    """Reproduce defects: `config check` accepted values in ``HAND_FILE_MISTAKES``, or named a correct key."""
     old_text, new_text, expected_start = HAND_FILE_MISTAKES[mistake_name]
     write_hand(old_text, new_text)
     assert main(["config", "check", "--hand", "mine.toml"]) == 2
@@ -164,7 +164,7 @@ def test_a_mistake_is_one_line(
 def test_a_doubtful_value_is_a_warning(
     work_folder: Path, capsys: pytest.CaptureFixture[str], case: str
 ) -> None:
-    """Reproduce defects: `config check` printed nothing about these values."""
+    """Reproduce defects: `config check` printed no warning about the values in ``DOUBTFUL_VALUES``."""
     old_text, new_text, expected_start = DOUBTFUL_VALUES[case]
     write_hand(old_text, new_text)
     assert main(["config", "check", "--hand", "mine.toml"]) == 0
@@ -212,7 +212,7 @@ def test_the_first_demo_grasps_in_every_direction_of_gravity(
 def test_a_run_that_a_fault_holds_prints_json(
     work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Reproduce a defect: with ``--json``, a demo that a fault held for too long printed nothing."""
+    """Reproduce a defect: with ``--json``, a command printed nothing if a fault held the hand for too long."""
     write_hand()
     words = ["identify", "--lockstep", "--hand", "mine.toml", "--digits", "opposer", "--json"]
     assert main([*words, "--gain", "motion.force_N=13"]) == 1
@@ -226,9 +226,10 @@ def test_a_run_that_a_fault_holds_prints_json(
 def test_identified_spool_pairs_are_those_of_the_plant(
     work_folder: Path, capsys: pytest.CaptureFixture[str], seed: int
 ) -> None:
-    """Reproduce a defect: without joint encoders, friction and inertia of a spool pair were wrong on every seed.
+    """Reproduce a defect: the identified friction and inertia of a spool pair were wrong if the joints had no encoders.
 
-    The wrap angle was that of the last pulley, and the joint angles began at zero.
+    The defect had two causes. The identification used the wrap angle of the last pulley, and
+    assumed that the joint angles begin at zero.
     """
     write_hand()
     words = ["identify", "--lockstep", "--hand", "mine.toml", "--digits", "opposer"]
@@ -252,7 +253,10 @@ def test_identified_spool_pairs_are_those_of_the_plant(
 
 
 def test_a_rollback_to_the_default_gains_keeps_the_gain_margin(work_folder: Path) -> None:
-    """With the packaged force, this hand would oscillate."""
+    """A rollback to gains 0 restores the default force weight of this hand.
+
+    With the force weight of the packaged gains, this hand would oscillate.
+    """
     write_hand()
     Path("gains.toml").write_text("schema = 1\n\n[motion]\nforce_N = 0.5\n")
     assert main(["gains", "apply", "gains.toml", "--hand", "mine.toml"]) == 0

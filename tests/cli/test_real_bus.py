@@ -1,4 +1,4 @@
-"""Test commands on a bus to which real motors are possibly connected.
+"""Test commands on a bus to which real motors can be connected.
 
 Commands for real motors have no default hand, ask for a confirmation before a motion, and list the
 files that they use.
@@ -53,7 +53,7 @@ def input_files(work_folder, monkeypatch):
 def command_words(request, work_folder):
     """Return the words of a command that moves a hand.
 
-    If the command is ``replay``, also create the log.
+    If the command is ``replay``, create the log that the command replays.
     """
     if request.param == "replay":
         (work_folder / "before.mcap").symlink_to(GOLDEN_LOG)
@@ -101,8 +101,9 @@ def test_without_a_terminal_a_hand_moves_only_with_yes(command_words, capsys):
 def test_the_calibration_of_a_simulated_hand_arms_no_real_hand(work_folder, capsys):
     """Reproduce a defect.
 
-    A real hand was armed with the calibration of a simulated hand if neither hand had serial
-    numbers, or if both hands had the same serial numbers.
+    handctl armed a real hand with the calibration of a simulated hand in two cases. In the first
+    case, neither hand had serial numbers. In the second case, both hands had the same serial
+    numbers.
     """
     hand = load_hand("jamia")
     path = work_folder / "jamia.calibration.toml"

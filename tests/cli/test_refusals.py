@@ -1,7 +1,7 @@
 """Test that, after wrong input, every command prints one error line and exits with code 2 before it opens a bus.
 
-No other process uses the bus of these tests, so a command that tried to open the bus would exit
-with code 1 instead of 2.
+No other process uses the bus of these tests. If a command tried to open the bus, the command would
+exit with code 1 instead of 2.
 """
 
 import socket
@@ -316,7 +316,7 @@ def test_a_local_bus_without_a_controller_needs_no_power_switch(capsys, command_
     """Reproduce a defect.
 
     The command exited with code 71, and asked the user to switch off the motor power. However, the
-    hand was a simulated hand, and its simulator did not run.
+    hand was simulated, so it had no motor power. The simulator of the hand did not run.
     """
     assert main([*command_words, *ABSENT_BUS_OPTION]) == 1
     assert capsys.readouterr() == (

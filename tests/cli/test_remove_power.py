@@ -21,7 +21,7 @@ FAILURE_TEXT = "fault B17 index_motor; REMOVE POWER: not confirmed disabled: ind
 
 
 def outcome_with_enabled_motor(plan, controller, log_path):
-    """Return the outcome of a run after which a motor possibly still makes torque."""
+    """Return the outcome of a run in which a motor did not confirm that it is disabled."""
     state = controller.initial_state()
     state.decide(failure=FAILURE_TEXT, unconfirmed_motors=("index_motor",))
     return RunOutcome(state, LoopStats(), {}, None, 0)

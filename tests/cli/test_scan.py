@@ -28,7 +28,7 @@ from tests.drives.protocol_bench import hand_file
 
 
 class BenchBus:
-    """A bus with simulated drives. Another host sends the frames ``foreign_frames`` on this bus."""
+    """A bus with simulated drives and a second host, which sends the frames ``foreign_frames``."""
 
     name = "bench"
 
@@ -259,7 +259,7 @@ def test_two_motors_that_answer_on_one_identifier_are_found():
 def test_a_torque_too_large_for_a_hand_file_is_not_taken_from_the_drive():
     """A DM-J8009 motor reports a torque of 54 N m as its full scale.
 
-    A hand file permits a torque of at most 50 N m. The part of a hand file that ``scan`` prints
+    A hand file permits a torque of at most 50 N m. ``scan`` prints a part of a hand file. This part
     contains the limit 50 N m, and a comment with the torque that the drive reports.
     """
     result, _, _ = scan_bench(("mit", 1, "dm8009"))
@@ -345,7 +345,7 @@ def test_scan_reads_two_buses_and_prints_a_part_of_a_hand_file(capsys):
 
 
 def test_a_repeated_frame_of_another_host_is_printed_once(capsys):
-    """Reproduce a defect: ``scan`` printed one frame of another host eight times, and none of its other frames."""
+    """Reproduce a defect: ``scan`` printed one frame of another host eight times, and no other frame of this host."""
     foreign_frames = [Frame(0x6E, bytes(8)), Frame(0x67, bytes(8))]
     result, _, _ = scan_bench(("odrive", 3), foreign_frames=foreign_frames)
     _print_scans({"main": "local:s"}, {"main": result}, "")

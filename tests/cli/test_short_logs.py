@@ -25,7 +25,7 @@ def tick_records_of(run_log: RunLog) -> list[bytes]:
 
 
 def write_log(log_path: Path, source_log: RunLog, tick_records: Sequence[bytes]) -> str:
-    """Write a complete log that has the given ticks and the header of another log, and return its path."""
+    """Write a complete log with given ticks and the header of ``source_log``, and return the path of this log."""
     writer = LogWriter(log_path, source_log.header, lambda *arguments: None, 1)
     for tick in tick_records:
         writer.add_tick(tick)
@@ -61,7 +61,7 @@ def test_every_verb_reads_or_refuses_a_short_log(
 
 
 def _shifted_tick(tick_record: bytes, tick_shift: int, period_ns: int) -> bytes:
-    """Return a copy of a recorded tick whose number and time are shifted by a number of ticks."""
+    """Return a copy of a recorded tick, with the tick number and the time shifted by ``tick_shift`` ticks."""
     at = TICK_SIZES_STRUCT.size + 4
     k, t_ns = struct.unpack_from("<qq", tick_record, at)
     return (

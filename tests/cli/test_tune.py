@@ -90,8 +90,8 @@ def test_a_design_tells_why_the_old_gains_do_not_come_to_rest(
 ):
     """Reproduce a defect.
 
-    The table of ``tune design`` showed "none" as gain margin and as phase margin of the old gains,
-    and no line of the output gave the reason.
+    The table of ``tune design`` showed "none" for both stability margins of the old gains. No line
+    of the output gave the reason.
     """
     oscillation_message = "the plant with 0.5 of the friction swings by 2.3 N held"
     reasons = {7e-4: f": {oscillation_message}"}
@@ -329,8 +329,8 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, ca
 def result_of_digit(digit_name, spring_stiffness, blocked="", met="", names=("tendon_stiffness",)):
     """Return an invented result for the identification of the parameters of a tendon.
 
-    ``blocked`` and ``met`` are texts about contacts of the tendon's digit while the identification
-    moves the tendon.
+    ``blocked`` is the text about a blocked digit, and ``met`` is the text about a contact of the
+    digit during its sweeps.
     """
     from handctl.tune.identify.fit_tendon import PARAMETER_NAMES
     from handctl.tune.identify.identify import TendonResult
@@ -469,7 +469,7 @@ def test_a_fit_of_a_blocked_digit_is_not_written(work_folder, capsys, monkeypatc
 )
 @pytest.mark.parametrize("tune_command", ["design", "search"])
 def test_gains_and_picture_are_two_files(work_folder, capsys, tune_command, command_words):
-    """With equal file names, the picture would overwrite the gains, so the command refuses equal file names."""
+    """The command refuses equal names for gain file and picture, because the picture would overwrite the gains."""
     assert "the name of the picture" in refusal_line(
         capsys, "tune", tune_command, "--plants", "1", *command_words
     )

@@ -1,7 +1,6 @@
 """Test that every example in the help text of a command runs exactly as printed.
 
-JSON output is valid, a dry run opens no bus, and the exit codes of the log commands depend on the
-state of the log.
+Further tests check JSON output, dry runs, and the exit codes of the log commands.
 """
 
 import json

@@ -34,7 +34,7 @@ MOVE_GOAL = {"do": "move", "angle_deg": {"index": 5.0}, "duration_s": 0.2}
 
 
 class CalibratedBench:
-    """A simulated hand in virtual time, and a plan for the runs of its controller."""
+    """A simulated hand in virtual time, and the plan for runs in which a controller controls this hand."""
 
     def __init__(self, work_folder, hand, serials=()):
         import argparse
@@ -164,8 +164,8 @@ def test_a_calibration_of_an_earlier_version_is_accepted_with_a_notice(work_fold
 def test_a_calibration_is_used_for_a_day(work_folder, hours, reason):
     """Reproduce a defect.
 
-    The clock of a computer was wrong, so the date of a calibration was in the future. handctl never
-    treated a calibration with a future date as too old.
+    If the clock of a computer is wrong, the date of a calibration can be in the future. handctl
+    never refused a calibration with a future date.
     """
     bench = CalibratedBench(work_folder, "jamia")
     path = work_folder / "c.toml"

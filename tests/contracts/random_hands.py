@@ -127,8 +127,8 @@ def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
 def _motors_with_position_loop(hand: Hand, rng: RandomGenerator) -> set[str]:
     """Return the motors whose drives close a position loop.
 
-    About half of the suitable motors are chosen at random. A motor is suitable if it drives a digit
-    without antagonist.
+    The function selects about half of the allowed motors at random. A motor is allowed if its digit
+    has no antagonistic tendons.
     """
     if hand.motor[0].protocol not in ("mit", "robstride", "moteus"):
         return set()
@@ -141,7 +141,7 @@ def _motors_with_position_loop(hand: Hand, rng: RandomGenerator) -> set[str]:
 
 
 def _moment_arm_kinds(joints: list[str], radii: np.ndarray) -> Iterator[list[dict[str, float]]]:
-    """For each kind of digit, yield the moment arms of all its tendons."""
+    """Yield a list for each kind of digit. The list contains the moment arms of each tendon, by joint."""
     first_radius = float(radii[0])
     yield [dict.fromkeys(joints, first_radius)]
     closing_arms = [
@@ -169,8 +169,8 @@ def _message_payload(
 ) -> bytes:
     """Return the payload of a message with given values.
 
-    If a message has several status signals, the first of these signals contains the highest bits of
-    the drive status.
+    If several status signals of a message share the drive status, the first status signal contains
+    the highest bits.
     """
     values, remaining_bits = (
         [],
@@ -195,10 +195,10 @@ def _message_payload(
 
 
 class RandomHand:
-    """A random hand, and random frames for it.
+    """A random hand, and random frames from the nodes of this hand.
 
-    The motors of the random hand make torque. The random frames are frames that the nodes of the
-    hand could send.
+    The motors of the random hand make torque. The nodes of the random hand could send the random
+    frames.
     """
 
     def __init__(self, tendons: int, seed: int) -> None:

@@ -90,8 +90,8 @@ def test_interpreted_kernels_give_the_same_bytes(name: str) -> None:
 def hash_of_frame_conversions() -> str:
     """Convert random structs of CAN frames to records and back, and return a hash of the results.
 
-    The structs contain frames of all kinds, lengths and flags. Some of these frames are impossible.
-    The times of reception of the frames are positive and negative.
+    The structs contain frames of all kinds, lengths and flags. The structs also contain frames that
+    no CAN controller can send. The times of reception of the frames are positive and negative.
     """
     digest = hashlib.sha256()
     for seed in range(20):
@@ -170,9 +170,17 @@ def hash_of_motion_segments() -> str:
         rows[STREAM_RANGE], rows[STREAM_RANGE + 1] = -1.0, 1.0
         aim, held_targets = draw.normal(size=(2, 3))
         duration = draw.uniform(0.002, 0.05)
-        apart = np.inf if i % 5 == 0 else draw.uniform(0.005, 0.05)
+        target_interval = np.inf if i % 5 == 0 else draw.uniform(0.005, 0.05)
         is_clipped = begin_segments(
-            block, layout.offsets, aim, held_targets, draw.normal(), duration, apart, 5.0, i % 2
+            block,
+            layout.offsets,
+            aim,
+            held_targets,
+            draw.normal(),
+            duration,
+            target_interval,
+            5.0,
+            i % 2,
         )
         digest.update(block.tobytes() + bytes([bool(is_clipped)]))
     return digest.hexdigest()
@@ -191,7 +199,7 @@ def test_a_prepared_kernel_refuses_other_argument_types() -> None:
     """A prepared kernel raises an exception if one of its arguments has another array type.
 
     Without this exception, a call with a new array type would compile the kernel in the middle of a
-    tick, which would take a second.
+    tick. The compilation would take a second.
     """
 
     @kernel("vector", "real")
@@ -206,7 +214,7 @@ def test_a_prepared_kernel_refuses_other_argument_types() -> None:
 
 
 def test_only_a_contiguous_array_can_be_borrowed() -> None:
-    """A kernel refuses an array that is not contiguous, because it would also read the gaps between the elements."""
+    """A kernel refuses a non-contiguous array, because the kernel would also read the gaps between its elements."""
 
     @njit
     def third_value(values: np.ndarray) -> float:
@@ -290,7 +298,8 @@ def test_a_constant_changed_in_another_file_compiles_again(
 ) -> None:
     """A kernel is compiled again if a constant in another source file changes.
 
-    The cache of numba checks only if the source file of the kernel has changed.
+    The cache of numba alone would not notice a changed constant, because it checks only the source
+    file of the kernel.
     """
     cache_folder = tmp_path / "cache"
     assert run_copied_kernel(package_copy, cache_folder) == (True, False, True)
@@ -314,7 +323,7 @@ def test_a_constant_changed_in_another_file_compiles_again(
 def test_two_installations_of_one_version_store_their_code_apart(
     package_copy: Path, tmp_path: Path
 ) -> None:
-    """If two installations used one cache folder, each could load the stored machine code of the other."""
+    """Two installations must not share a cache folder, because one could load the machine code of the other one."""
     cache_folder, other_copy = tmp_path / "cache", tmp_path / "other" / package_copy.name
     shutil.copytree(package_copy, other_copy)
     for package in (package_copy, other_copy):
@@ -343,7 +352,8 @@ def test_without_a_writable_cache_each_process_compiles(
 class KernelSources:
     """Modules of handctl whose source text can change the machine code of a kernel.
 
-    The modules define all names that the kernel uses, directly or indirectly.
+    These modules define the names that the kernel uses, and the names on which the used names
+    depend.
     """
 
     def __init__(self) -> None:
@@ -353,7 +363,7 @@ class KernelSources:
         self._trees: dict[str, ast.Module] = {}
 
     def add_modules_of_name(self, module_name: str, name: str) -> None:
-        """Add the module that defines a name, and the modules of all names in this definition."""
+        """Add the module that defines a name, and the modules that define the names in the definition."""
         if (module_name, name) in self._seen:
             return
         self._seen.add((module_name, name))

@@ -69,15 +69,15 @@ def test_the_catalogue_has_every_row_once_and_in_order() -> None:
 
 
 def test_table_and_catalogue_agree_on_what_a_tick_can_judge() -> None:
-    judged = {fault.row for fault in FAULT_TABLE}
-    assert judged <= set(CATALOGUE_IDS)
+    table_rows = {fault.row for fault in FAULT_TABLE}
+    assert table_rows <= set(CATALOGUE_IDS)
     elsewhere = {
         entry.id for entry in FAULT_CATALOGUE if entry.checked_by != CHECKED_BY_FAULT_TABLE
     }
     assert {
         entry.id for entry in FAULT_CATALOGUE if entry.checked_by == CHECKED_BY_FAULT_TABLE
-    } <= judged
-    assert judged & elsewhere <= {"B18", "N12"}, (
+    } <= table_rows
+    assert table_rows & elsewhere <= {"B18", "N12"}, (
         "only these rows are checked before arming and in every tick"
     )
 

@@ -1,6 +1,6 @@
 """Test that fuzz tests start from valid inputs, which handctl accepts.
 
-Because the original input is valid, the change is the reason if handctl refuses a changed input.
+A fuzz test changes a valid input. If handctl refuses the changed input, the reason is the change.
 """
 
 import functools

@@ -37,13 +37,17 @@ def imported_modules(source_text: str, known_modules: set[str]) -> set[str]:
 
 def import_cycles(import_graph: ImportGraph) -> list[set[str]]:
     """Return the groups of modules that import each other, directly or through other modules."""
-    reach = {name: set(targets) for name, targets in import_graph.items()}
+    reachable_modules = {name: set(targets) for name, targets in import_graph.items()}
     for middle_module in import_graph:
-        for targets in reach.values():
+        for targets in reachable_modules.values():
             if middle_module in targets:
-                targets |= reach[middle_module]
+                targets |= reachable_modules[middle_module]
     groups = {
-        frozenset(other_name for other_name in reach[name] if name in reach[other_name])
+        frozenset(
+            other_name
+            for other_name in reachable_modules[name]
+            if name in reachable_modules[other_name]
+        )
         for name in import_graph
     }
     return sorted((set(group) for group in groups if group), key=sorted)

@@ -1,4 +1,4 @@
-"""Test that a command names a missing optional package that it needs in one error line, before it does any work."""
+"""Test that, if an optional package is missing, a command that needs it prints one error line before any other work."""
 
 import ast
 import json

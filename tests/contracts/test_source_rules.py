@@ -26,7 +26,7 @@ def source_files(*folder_names: str) -> list[Path]:
 
 
 def lines_of_broad_handlers(source_text: str) -> Iterator[int]:
-    """Yield the numbers of the lines that catch all exceptions, with ``except`` or with ``suppress``."""
+    """Yield the line number of each ``except`` clause and each call of ``suppress`` that catches all exceptions."""
     for node in ast.walk(ast.parse(source_text)):
         match node:
             case ast.ExceptHandler(type=None):

@@ -31,7 +31,7 @@ pytestmark = [pytest.mark.nightly, pytest.mark.timeout(1800)]
 
 
 class WheelEnvironment:
-    """A Python environment in which the wheel is installed, without access to the repository.
+    """A Python environment that has the wheel of handctl, but no access to the repository.
 
     Args:
         environment_folder: folder that contains the environment, and in which its programs run.
@@ -81,7 +81,7 @@ class WheelEnvironment:
         return result
 
     def install_wheel(self, extra_names: str = "") -> None:
-        """Install the wheel with extras. The versions of all packages are those in the lock file."""
+        """Install the wheel with extras. Each package gets the version that the lock file states."""
         self.run(
             "python",
             "-m",

@@ -1,6 +1,7 @@
 """Run single ticks of the control law in tests.
 
-This module also reads the state of the control law and its commands from the controller's state.
+Functions of this module also read two things from a controller's state: the state and the commands
+of the control law.
 """
 
 from dataclasses import replace
@@ -101,7 +102,7 @@ def run_control_law(
     t: float,
     action: SafetyAction,
 ) -> None:
-    """Run the control law of one tick on a controller's state, with goals for time t [s]."""
+    """Run the control law for one tick on a controller's state. The goals are evaluated at time t [s]."""
     write_goals(model, state.layout, state.block, goals)
     state.decide(progress=replace(state.progress, goals=goals))
     state.goal_time = t
@@ -181,8 +182,8 @@ def _tension_limits(
 def tension_limits_of(model: HandModel, state: ControllerState) -> np.ndarray:
     """Return the tension limits (N,) [N] that a controller's state contains.
 
-    For a tendon without a tension limit, the returned value is infinity. The function does not
-    include the tension limits of the hand file.
+    For a tendon without a tension limit, the returned value is infinity. The tension limits of the
+    hand file are not a part of the returned limits.
     """
     return _tension_limits(state.block, state.layout.offsets, *constant_args_of(model))
 
@@ -203,7 +204,10 @@ def _required_tensions(
 def required_tensions_of(
     model: HandModel, goals: tuple[DigitGoal, ...], motion: np.ndarray
 ) -> np.ndarray:
-    """Return the tensions (N,) [N] that moving digits need for a motion of the joints (3, J)."""
+    """Return the tensions (N,) [N] that moving digits need for a motion.
+
+    The rows of ``motion`` (3, J) are the angle, the rate and the acceleration of each joint.
+    """
     state = active_state(model)
     write_goals(model, state.layout, state.block, goals)
     unsolved_digits = _required_tensions(

@@ -51,7 +51,11 @@ def rates_of_change(
 
 
 def unknown_motor_force(model: HandModel, regime: TendonRegime) -> tuple[float, float, float]:
-    """Return the standard deviation [N], the time constant [s] and the noise [N] of the unknown force on a motor."""
+    """Return three parameters of the unknown force on a motor.
+
+    The parameters are the standard deviation [N] and the time constant [s] of the slow force, and
+    the white force noise [N].
+    """
     kind = "held" if regime == TendonRegime.HELD else "motor"
     names = ("disturbance_N", "disturbance_time_s", "acceleration_noise_N")
     return tuple(getattr(model.gains.filter, f"{kind}_{name}") for name in names)
@@ -183,9 +187,8 @@ def joseph_update(
 
     ``is_missing`` (2,) marks missing readings of encoder and load cell.
 
-    Only in a slack tendon can the filter distinguish an error of the load cell from tension. In a
-    taut tendon, the filter does not correct the estimate of the load-cell error, but takes the
-    variance of the load-cell error into account.
+    The filter can distinguish a load-cell error from tension only in a slack tendon. In a taut
+    tendon, the filter does not correct the estimated load-cell error, but uses its variance.
     """
     H, R = block.H[:2].copy(), np.diag(block.R * np.where(is_missing, 1e12, 1.0))
     H[1, E] = float(block.is_cell_error_observable)

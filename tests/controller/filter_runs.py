@@ -211,7 +211,7 @@ def noiseless_readings(
 ) -> SensorReadings:
     """Return readings without noise, for a hand with given filter states (N, 7) and tensions (N,) [N].
 
-    If ``excursion`` is True, the readings include those of the joint encoders.
+    If ``excursion`` is True, the readings include tendon excursions from the joint encoders.
     """
     return empty_readings(model)._replace(
         travel=x[:, X].copy(),
@@ -236,10 +236,10 @@ def flags_without_contact(model: HandModel) -> tuple[bool, ...]:
 def state_after_first_readings(
     model: HandModel, state: FilterState, travel: np.ndarray, with_load_cells: bool = True
 ) -> FilterState:
-    """Return the filter state after the first readings of the encoders.
+    """Return the filter state after the first readings of the motor encoders.
 
-    The argument ``travel`` [m] contains the first readings of the motor encoders. If
-    ``with_load_cells`` is True, the load cells have also been read.
+    ``travel`` [m] contains the readings of the motor encoders. If ``with_load_cells`` is True, all
+    load cells have replied, too.
     """
     controller_state = state_with_filter(model, state)
     controller_state.mode = HandMode.SILENT
@@ -279,7 +279,7 @@ def state_with_filter(model: HandModel, filter_state: FilterState) -> Controller
 def design_arrays_by_tendon(
     model: HandModel, regime_by_tendon: tuple[int, ...], array_name: str
 ) -> np.ndarray:
-    """Return one array of the filter design for each tendon (N, ...), selected by the regime of the tendon."""
+    """Return the array ``array_name`` of the filter design of each tendon in its regime, stacked (N, ...)."""
     return np.array(
         [
             getattr(designs_of_tendon[kind], array_name)

@@ -45,7 +45,7 @@ class PlantRun:
     events: list[tuple[float, TickEvent]] = field(default_factory=list)
 
     def events_named(self, event_name: str) -> list[tuple[float, str]]:
-        """Return the time [s] of each event with a given name, and the hand part (such as a digit) that it concerns."""
+        """Return time [s] and hand part of each event with a given name. The hand part is, for example, a digit."""
         return [(time_s, event.where) for time_s, event in self.events if event.name == event_name]
 
 

@@ -2,9 +2,10 @@
 
 Tests use the generated estimates instead of results of the tension filter.
 
-``ControllerState`` contains all numbers of a tick. ``SyntheticEstimate`` and ``SensorReadings`` are
-the parts of a controller's state that a test generates. ``state_with_estimate`` writes an estimate
-into a controller's state, and ``estimate_of`` reads the estimate from a controller's state.
+``ControllerState`` is the complete state of a controller between two ticks. ``SyntheticEstimate``
+and ``SensorReadings`` are the parts of a controller's state that a test generates.
+``state_with_estimate`` writes an estimate into a controller's state, and ``estimate_of`` reads the
+estimate from a controller's state.
 """
 
 import functools
@@ -79,7 +80,7 @@ class SyntheticEstimate(NamedTuple):
     def largest_grip_opening(
         self, closing_sign: np.ndarray, held_tension: np.ndarray
     ) -> tuple[int, float]:
-        """Return the tendon of the largest opening and the opening, computed with numpy."""
+        """Return the index of the tendon with the largest grip opening, and this grip opening."""
         openings = np.where(np.isnan(held_tension), 0.0, closing_sign * self.grip_opening).clip(0.0)
         worst_tendon = int(openings.argmax())
         return worst_tendon, float(openings[worst_tendon])
@@ -322,9 +323,9 @@ def empty_readings(model: HandModel) -> SensorReadings:
 def detect_contacts(
     model: HandModel, state: ControllerState, estimate: SyntheticEstimate
 ) -> SyntheticEstimate:
-    """Detect contacts, write them into the state, and return the estimate with the contact forces.
+    """Detect contacts, write the contacts into the state, and return the estimate with the contact forces.
 
-    The function also writes flags of the closing digits into the state.
+    The function also marks each closing digit in the state with a flag.
 
     Args:
         model: model of the hand. state: state of the last tick. The function writes the values of

@@ -1,7 +1,7 @@
 """Test hands without return springs in the simulator: commissioning, tracking, grasp and release.
 
-In hands without return springs, a digit with n joints has n + 1 tendons. Only one kind of thumb has
-2 n tendons.
+In hands without return springs, a digit with n joints has n + 1 tendons. The exception is the thumb
+of one test hand, which has 2 n tendons.
 """
 
 import os
@@ -43,7 +43,7 @@ def n_plus_1_hand() -> Hand:
 
 @cache
 def hand_without_encoders() -> Hand:
-    """Return the n + 1 hand without joint encoders. The zeros of its motors refer to the lower joint limits."""
+    """Return the hand n_plus_1 without joint encoders. The motor zeros of this hand refer to the lower joint limits."""
     content = hand_content("n_plus_1")
     return hand_from_content(
         content | {"sensor_node": content["sensor_node"] | {"joints": []}}, "no encoders"
@@ -108,7 +108,7 @@ def begin_run(
 ) -> tuple[SimulatedRun, Iterator[None]]:
     """Begin a run of a program on a simulated hand at tick ``first_tick``.
 
-    The simulated hand has possibly been moved by an earlier run.
+    An earlier run can have moved the simulated hand.
     """
     controller = make_controller(
         hand or n_plus_1_hand(), Gains(), RATE_HZ, program, calibration, arm_at_once=True

@@ -16,8 +16,8 @@ from tests.controller.synthetic_states import active_state, constant_args_of
 def test_contact_does_not_move_the_filtered_goal(jamia: HandModel, rest_s: float) -> None:
     """Reproduce a defect.
 
-    If an object touched a digit after a move to 40 deg, the controller reported the digit's resting
-    motor as stuck.
+    A digit rested after a move to 40 deg, and then an object touched the digit. The contact moved
+    the filtered goal, so the controller reported the resting motor as stuck.
     """
     state, period = active_state(jamia), jamia.period
     far_angles = np.full(len(jamia.hand.joints), math.radians(40.0))

@@ -253,10 +253,10 @@ def test_crosstalk_is_found_while_load_cells_drift(fifteen_motor_model: HandMode
 
 
 def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandModel) -> None:
-    """In this test, the tension of a tendon falls slowly, by 2 N/s, after its own pull.
+    """In this test, the tension of a tendon falls slowly after the pull of this tendon, by 2 N/s.
 
-    The load cell of the pulled tendon still reads 1.4 N just before the pull of the next tendon,
-    and 0 N during the pull of the next tendon.
+    Just before the pull of the next tendon, the load cell of the first tendon still reads 1.4 N.
+    During the pull of the next tendon, this load cell reads 0 N.
     """
     tension_held_by_friction = np.zeros(jamia.tendon_count)
 
@@ -276,8 +276,8 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
 def test_a_load_cell_that_falls_below_its_tare_in_another_pull_is_refused(jamia: HandModel) -> None:
     """A load cell must not fall below its tare while another tendon is pulled.
 
-    When a tendon relaxes, its load-cell reading falls at most by the tension that remained from its
-    own pull.
+    The exception is a tendon that relaxes after its own pull: its load-cell reading can fall by the
+    remaining tension.
     """
 
     def tensions_during_pull(i: int) -> np.ndarray:
@@ -353,7 +353,7 @@ def test_a_load_cell_beyond_taring_is_named(commissioning_bench: ControllerBench
 def test_a_tare_too_near_to_an_end_of_the_range_is_refused(
     model: HandModel, tare_N: float, is_refused: bool
 ) -> None:
-    """The message names the load cell that is nearest to an end of its range, even if another cell reads more."""
+    """The message names the load cell that is nearest to an end of its range, even if another reading is larger."""
 
     def tensions_during_pull(i: int) -> np.ndarray:
         tension = tensions_without_fault(model)(i) - CELL_BIAS_N

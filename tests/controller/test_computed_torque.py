@@ -164,7 +164,7 @@ def test_from_limp_to_tension_the_present_tension_is_the_first_setpoint(model: H
 def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
     """Reproduce a defect.
 
-    The integral part of the tension loop must not grow without limit while a load cell is silent.
+    While a load cell was silent, the integral part of the tension loop grew without limit.
     """
     law = ControlLawState.initial_state(model.tendon_count)
     silent_estimate = estimate_from_states(model, np.zeros((model.tendon_count, STATE_COUNT)))
@@ -444,8 +444,8 @@ def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
 def test_the_filter_gets_the_planned_change_of_tension(model: HandModel) -> None:
     """While the motor winds a tendon up against full friction, the tension changes as planned.
 
-    The direction of friction follows from the measured speed of the tendon, and not from the
-    planned speed.
+    The filter computes the direction of friction from the measured speed of the tendon, and not
+    from the planned speed.
     """
     x = balanced_state(model, 0.5)
     x[:, V] = x[:, W] = 0.1

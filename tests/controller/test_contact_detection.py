@@ -135,9 +135,9 @@ def test_drifted_load_cells_cause_no_contact_where_a_digit_stops(
 ) -> None:
     """Reproduce a defect: a load-cell error of 1 to 2 N made the computed friction wrong at the end of a motion.
 
-    The load-cell error makes the estimated speed of the spool wrong, and the filter sums up such
-    speeds to compute the friction state. Within 30 ms of the end of the trajectory, the tension
-    that the model did not explain looked like a contact.
+    Because of the load-cell error, the estimated speed of the spool is wrong. The filter sums up
+    the estimated speeds to compute the friction state. Within 30 ms of the end of the trajectory,
+    the tension that the model did not explain looked like a contact.
     """
     assert count_contacts_in_free_motion(hand, 60.0, seed, tmp_path) == 0
 
@@ -169,8 +169,8 @@ def closing_hand(
 ) -> ControllerState:
     """Return the state of a hand whose first digits close, with the given force at each tip [N].
 
-    The first ``closing_digit_count`` digits close. ``earlier_fields`` sets other fields of the
-    state that earlier ticks would have written.
+    The first ``closing_digit_count`` digits close. ``earlier_fields`` sets fields of the state
+    whose values come from earlier ticks in a real run.
     """
     state, unit = (
         active_state(model),
@@ -207,7 +207,7 @@ def test_a_contact_force_counts_from_its_usual_negative_value(jamia: HandModel) 
 
 
 def test_drift_of_all_closing_digits_is_no_contact_force(jamia: HandModel) -> None:
-    """If the contact-force estimates of all closing digits stay positive for a long time, their load cells drift.
+    """A contact-force estimate that stays above zero for long in all closing digits is a sign of load-cell drift.
 
     The zero of a load cell can drift by 0.5 N in half a minute.
     """
@@ -219,8 +219,8 @@ def test_drift_of_all_closing_digits_is_no_contact_force(jamia: HandModel) -> No
 def test_means_of_a_closing_digit_follow_with_their_time_constants(jamia: HandModel) -> None:
     """Test two averages of the force at the tip of a closing digit.
 
-    The two averages of the tip force are its mean and its drift, each with its own time constant. A
-    digit that does not close has no mean tip force.
+    The first average is the mean of the tip force, and the second average is its drift. Each
+    average has its own time constant. A digit that does not close has no mean tip force.
     """
     state = closing_hand(
         jamia,

@@ -349,8 +349,8 @@ def test_a_motor_that_reports_disabled_and_pulls_needs_its_power_removed(
 ) -> None:
     """Reproduce a defect.
 
-    After an ordinary stop, a run ended as soon as all drives reported that they were disabled, even
-    if a motor still pulled.
+    After an ordinary stop, a run ended as soon as all drives reported that they were disabled. The
+    run ended even if a motor still pulled.
     """
     hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.run(1.0)

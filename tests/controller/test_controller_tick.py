@@ -53,7 +53,7 @@ def session_bench(request: pytest.FixtureRequest) -> ControllerBench:
 
 
 def comparable_outputs(tick_output: TickOut) -> tuple[object, ...]:
-    """Return all outputs of a tick in a form in which NaN equals NaN, so that tests can compare them."""
+    """Return the outputs of a tick in a form that tests can compare. In this form, NaN equals NaN."""
     plain = (
         tick_output.frames,
         tick_output.mode,
@@ -182,7 +182,8 @@ def test_telemetry_has_the_declared_shapes_and_its_fields_change(
 def test_old_values_have_no_new_time_stamp() -> None:
     """In a tick without frames, the telemetry contains NaN for every measurement.
 
-    The telemetry of a tick without frames also contains the growing ages of the last measurements.
+    The telemetry of such a tick also contains the age of each last measurement, which grows from
+    tick to tick.
     """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()
@@ -313,10 +314,9 @@ def test_no_request_event_or_delay_can_stop_the_tick(
 
 
 def test_a_hand_armed_under_tension_is_not_jerked() -> None:
-    """The tension loop starts at the tension that the tendons have when the hand is armed.
+    """When a hand is armed, the tension loop of each tendon starts at the present tension.
 
-    For example, the tendons of a hand that already holds an object are under tension when the hand
-    is armed.
+    The tendons can already be under tension, for example if the hand holds an object.
     """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()

@@ -1,7 +1,7 @@
 """Test the default task of a hand.
 
 The default task opens the hand, closes the hand, holds an object, and releases the object. The
-default task suits hands with any digits.
+default task works with any number and kind of digits.
 """
 
 from pathlib import Path

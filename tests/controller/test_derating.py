@@ -141,7 +141,7 @@ def test_derating_affects_the_warm_drive_only(warm_grasp) -> None:
 def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
     """While the safety monitor holds the hand (HOLD), no tension exceeds the value that it had when the HOLD began.
 
-    The limit of the tensions ends when the HOLD ends.
+    After the HOLD, the tensions are no longer limited to their values at the start of the HOLD.
     """
     state, controller = warm_grasp.state.copy(), warm_grasp.controller
     tension = np.array(warm_grasp.simulated_hand.truth()["tension"])
@@ -183,7 +183,7 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
 def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
     """The safety monitor holds the hand (HOLD) while more than 20 of the last 100 replies of a drive are lost.
 
-    During the HOLD, the state of the control law contains a flag of the HOLD.
+    The state of the control law contains a flag that is True during the HOLD.
     """
     warm_grasp.simulated_hand.inject("drop node=thumb_motor p=0.25 seed=3 for=700ms")
     tension_before, actions_and_holds = warm_grasp.simulated_hand.truth()["tension"], []
@@ -195,11 +195,13 @@ def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
         if out.mode != HandMode.ACTIVE:
             break
     hold_flags = [
-        state_values for action, state_values in actions_and_holds if action == SafetyAction.HOLD
+        is_hold_active
+        for action, is_hold_active in actions_and_holds
+        if action == SafetyAction.HOLD
     ]
     assert hold_flags
     assert all(hold_flags)
     assert not any(
-        state_values for action, state_values in actions_and_holds if action < SafetyAction.HOLD
+        is_hold_active for action, is_hold_active in actions_and_holds if action < SafetyAction.HOLD
     )
     assert max(warm_grasp.simulated_hand.truth()["tension"]) < max(tension_before) + 5.0

@@ -104,7 +104,7 @@ def readings_of(
 
 
 def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandModel) -> None:
-    """At the start of a run, load cells possibly reply before motor encoders.
+    """At the start of a run, the first load-cell readings can arrive before the first motor-encoder readings.
 
     A drive sends its position only after the controller has read the drive's registers.
     """
@@ -128,7 +128,7 @@ def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandMode
 
 
 def regimes_of_readings(model: HandModel, cell_readings: list[float]) -> list[set[int]]:
-    """Return, for each tick, the set of the regimes that the tendons have.
+    """Return one set for each tick. The set contains each regime that at least one tendon has in the tick.
 
     In all ticks, the motors are at rest. In each tick, all load cells read the next tension in
     ``cell_readings`` [N].
@@ -368,8 +368,8 @@ def test_the_filter_step_changes_none_of_its_arguments(model: HandModel) -> None
 def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None:
     """In this test, friction holds a digit just before the mechanical stop at its open end.
 
-    If the filter assumed that the digit is at its stop, each return of the digit would add an error
-    to its estimated angle.
+    If the filter assumed that the digit is at the stop, each return of the digit would add an error
+    to the estimated angle.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = 1e-5

@@ -193,8 +193,8 @@ def test_consistent_with_its_own_model_though_measurements_are_missing(
 ) -> None:
     """The errors of the filter are as large as its covariance predicts.
 
-    The permitted difference between errors and covariance is the statistical uncertainty of the
-    run.
+    A run has a limited number of ticks, so its statistical uncertainty determines the permitted
+    difference.
     """
     missing = SPARSE_MEASUREMENTS[missing_pattern]
     filter_run = run_monte_carlo(
@@ -376,7 +376,7 @@ def test_covariance_grows_over_skipped_ticks(
 ) -> None:
     """In missed ticks, the covariance of the filter grows.
 
-    The covariance grows at most for the time for which the motors hold the last command.
+    The covariance stops growing after the time for which the motors hold the last command.
     """
     x, force = state_at_rest(model, 25.0, 0.6)
     measured, zero_vector = noiseless_readings(model, x, force), np.zeros(model.tendon_count)

@@ -58,7 +58,7 @@ class HandAtConstantTension:
         return estimate
 
     def settle(self) -> "HandAtConstantTension":
-        """Return this hand after its filter got 200 readings without errors."""
+        """Run 200 ticks with correct readings, so that the filter settles, and return ``self``."""
         for _ in range(200):
             self.run_tick_with_tension(HOLD_TENSION_N)
         return self

@@ -168,9 +168,9 @@ def regimes_after_sample(model: HandModel, state: FilterState, cell_tension: flo
 def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     model: HandModel, slack_length_m: float, is_length_known: bool, is_taut_afterwards: bool
 ) -> None:
-    """The motor encoder alone shows that a tendon will soon be taut, but only if its length is known.
+    """If the length of a tendon is known, the motor encoder alone shows that the tendon will soon be taut.
 
-    The length of a tendon is known if the tendon was taut before.
+    The length of a tendon is known if the tendon has been taut before.
 
     After a tendon has become taut, the filter resets its evidence for a change of the regime to
     zero.

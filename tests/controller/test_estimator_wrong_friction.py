@@ -99,10 +99,10 @@ def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
 
 @pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
-    """After large innovations, the filter assumes more noise, which makes the same innovations look normal.
+    """After large innovations, the filter assumes more noise. With more noise, the same innovations look normal.
 
-    To decide about the warning, the filter uses the noise that it assumed before the large
-    innovations.
+    For this reason, the filter decides about the warning with the noise that it assumed before the
+    large innovations.
     """
     model = model_of(hand)
     x, force = state_at_rest(model, 20.0, 0.5)

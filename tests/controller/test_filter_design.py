@@ -251,7 +251,8 @@ def rng() -> np.random.Generator:
 def test_tendons_that_are_alike_share_a_design(jamia11: HandModel) -> None:
     """Tendons of equal fingers share one filter design.
 
-    The tendons of the thumb have other filter designs, because a thumb tendon moves another mass.
+    The filter designs of thumb and finger tendons differ, because a thumb tendon moves another mass
+    than a finger tendon.
     """
     blocks = dict(zip(jamia11.hand.tendon_names, jamia11.filter_design.blocks, strict=True))
     assert blocks["index_t1"] is blocks["ring_t1"]

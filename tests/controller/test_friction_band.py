@@ -1,6 +1,6 @@
 """Test how friction changes a tension when a digit reverses its motion.
 
-Some tests check only the computation of the friction band, and other tests run the simulator.
+The tests check the computation of the friction band, and its effect in the simulator.
 """
 
 from pathlib import Path

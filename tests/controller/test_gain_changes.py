@@ -154,8 +154,8 @@ RecordedControlLawCall = tuple[Controller, ControllerState, ControllerState, Saf
 def record_control_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[RecordedControlLawCall]:
     """Return a list that records each call of the control law.
 
-    An entry of the list contains the controller, its states before and after the call, the action
-    of the safety monitor, and the number of ticks.
+    An entry of the list contains the arguments of the call, and the states of the controller before
+    and after the call.
     """
     calls, real = list[RecordedControlLawCall](), Controller._compute_torques
 
@@ -327,8 +327,8 @@ def test_every_corner_of_the_live_bounds_can_be_designed(
 ) -> None:
     """The test sets one gain at a time to its bound. All gains except the gain at its bound keep their defaults.
 
-    Some gains must be greater than their lower bound. For such a gain, the test uses the lower
-    bound plus one hundredth of the gain's default.
+    If a gain must be greater than its lower bound, the test uses the lower bound plus one hundredth
+    of the gain's default.
     """
     for key, bound in gain_bounds().items():
         if bound.is_changeable_live:

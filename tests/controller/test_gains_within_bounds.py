@@ -1,4 +1,4 @@
-"""Test that, with any gains within their bounds, handctl designs a controller or gives the reason in one error line."""
+"""Test that handctl designs a controller for any gains within bounds, or states in one error line why it cannot."""
 
 import math
 from contextlib import suppress

@@ -28,7 +28,7 @@ def goal_of_request(request_text: str) -> MoveDigitsRequest | HoldTensionRequest
 def begin_live_program(
     model: HandModel, estimate: SyntheticEstimate
 ) -> tuple[LiveProgram, ProgramProgress]:
-    """Return a program that waits for requests of a client, and the progress of the program."""
+    """Run a program until it waits for requests of a client, and return the program and its progress."""
     program = LiveProgram()
     progress, t = program.initial_progress(model), 0.0
     while progress.phase != "live":

@@ -42,7 +42,7 @@ def make_back_and_forth_controller(hand_name: str, rate_hz: float) -> Controller
 
 
 def mean_nis_and_events(hand_name: str, rate_hz: float, seed: int) -> tuple[float, list[TickEvent]]:
-    """Return the mean NIS during a free motion, and the events that concern estimates and faults.
+    """Return the mean NIS during a free motion, and all events named ``estimate`` or ``fault``.
 
     The mean NIS is averaged over all tendons and ticks. NIS is the normalised innovation squared
     per degree of freedom.

@@ -70,7 +70,7 @@ def simulate_control_errors(
     along = simulated_hand.moment_arms_of_own_digit / np.abs(
         simulated_hand.moment_arms_of_own_digit
     ).sum(axis=1, keepdims=True)
-    apart = list[np.ndarray]()
+    angle_errors = list[np.ndarray]()
     external_tension = list[float]()
     controller = homed_controller(model, TaskProgram(waving_task(assumed_hand)), simulated_hand)
     with SimulatorSettings(simulated_hand, None, seed, homed=True).begin_run(controller) as run:
@@ -79,14 +79,14 @@ def simulate_control_errors(
             if [event for event in out.events if event.level == "error"]:
                 return None
             if run.state.mode == HandMode.ACTIVE and run.state.progress.phase.startswith("move"):
-                apart.append(
+                angle_errors.append(
                     np.degrees(
                         along @ (run.state.view("q_goal") - run.simulated_hand.world.plant.engine.q)
                     )
                 )
                 external_tension.append(run.state.view("external")[0])
         assert run.state.mode == HandMode.DONE
-    squares = np.mean(np.square(apart), axis=0)
+    squares = np.mean(np.square(angle_errors), axis=0)
     return ControlErrors(
         float(np.sqrt(squares[1:].mean())),
         float(np.sqrt(squares[0])),

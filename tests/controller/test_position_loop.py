@@ -88,7 +88,7 @@ def hand_with_position_loop(
 
 
 def back_and_forth_program(hand: Hand, move_count: int, duration_s: float) -> TaskProgram:
-    """Return a program that closes and opens all digits of a hand in turn."""
+    """Return a program that alternately closes and opens all digits of a hand together."""
     ends = [dict.fromkeys(hand.digit_names, angle) for angle in (45.0, 15.0)]
     phases = [{"kind": "move", "name": "ready", "angle_deg": ends[1], "duration_s": 0.6}] + [
         {"kind": "move", "name": f"move {i}", "angle_deg": ends[i % 2], "duration_s": duration_s}
@@ -171,8 +171,8 @@ def moteus_command(payload: bytes) -> tuple[float, ...]:
 def test_a_moteus_command_makes_the_predicted_torque(motor_direction: int) -> None:
     """A moteus drive moves its position target with the commanded velocity.
 
-    The average of the position target over a control period is ahead of the commanded position by
-    the motion in half a control period.
+    For this reason, the mean position target in a control period is ahead of the commanded
+    position. The distance between both positions is the motion in half a control period.
     """
     hand = hand_with_position_loop(protocol="moteus")
     motors = tuple(

@@ -237,15 +237,15 @@ def _fuse_encoders(
     state_places: TableOffsets,
     constants: BlockArray,
     constant_places: TableOffsets,
-    encoder_angles: np.ndarray,
-    encoder_sigma: np.ndarray,
+    covariance_columns: np.ndarray,
+    angle_deviations: np.ndarray,
     t_ns: int,
 ) -> None:
     posture._fuse_encoders(
         state_tables(block, state_places),
         constant_tables(constants, constant_places),
-        encoder_angles,
-        encoder_sigma,
+        covariance_columns,
+        angle_deviations,
         t_ns,
     )
 
@@ -253,21 +253,24 @@ def _fuse_encoders(
 def state_after_fusion(
     model: HandModel,
     state: ControllerState,
-    encoder_angles: np.ndarray,
-    encoder_sigma: np.ndarray,
+    covariance_columns: np.ndarray,
+    angle_deviations: np.ndarray,
     t_ns: int,
 ) -> ControllerState:
     """Return the state after the filter has fused readings of joint encoders with the estimate.
 
-    ``encoder_angles`` (C, J) and ``encoder_sigma`` (J, N) determine the covariance before the fusion.
+    The estimated covariance before the fusion follows from two arrays of deviations [rad]. The rows
+    of ``covariance_columns`` (C, J) are C independent deviations of the joint angles.
+    ``angle_deviations`` (J, N) are the angle errors that the excursion errors of the N tendons
+    cause.
     """
     state_after = state.copy()
     _fuse_encoders(
         state_after.block,
         state_after.layout.offsets,
         *controller_of(model).derived_constants.kernel_constants,
-        encoder_angles,
-        encoder_sigma,
+        covariance_columns,
+        angle_deviations,
         t_ns,
     )
     return state_after

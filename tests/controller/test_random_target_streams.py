@@ -43,7 +43,7 @@ def white_noise_targets(
     highest_targets: FloatArray,
     times: FloatArray,
 ) -> FloatArray:
-    """Return targets of white noise. Some of the returned targets exceed the limits of the targets."""
+    """Return targets of white noise, which exceed each limit by at most 10 % of the range between the limits."""
     range_excess = 0.1 * (highest_targets - lowest_targets)
     return rng.uniform(
         lowest_targets - range_excess,
@@ -171,23 +171,27 @@ def test_random_targets_cause_no_fault(
     model = model_of(hand_name)
     digit = model.hand.digit_names[0]
     names, low, high = target_limits(hand_name, target_space, digit)
-    every = max(1, round(1.0 / STREAM_RATE_HZ / model.period))
-    rate = 1.0 / every / model.period
+    ticks_per_target = max(1, round(1.0 / STREAM_RATE_HZ / model.period))
+    rate = 1.0 / ticks_per_target / model.period
     times = np.arange(round(STREAM_DURATION_S * rate)) / rate
     targets = target_generator(np.random.default_rng(seed), low, high, times)
-    trip = np.array([tendon.tension_trip_N for tendon in model.hand.tendon])
+    trip_tensions = np.array([tendon.tension_trip_N for tendon in model.hand.tendon])
     with SimulatorSettings(hand_name, None, seed, homed=True).begin_run(
         homed_controller(model, LiveProgram())
     ) as run:
         run.are_ticks_recorded = False
         client = StreamClient(run, model)
         assert client.open_stream(target_space, names, rate_Hz=rate).startswith("stream")
-        for i in range(len(times) * every):
+        for i in range(len(times) * ticks_per_target):
             client.tick(
-                *([client.target_request(*targets[i // every].tolist())] if i % every == 0 else [])
+                *(
+                    [client.target_request(*targets[i // ticks_per_target].tolist())]
+                    if i % ticks_per_target == 0
+                    else []
+                )
             )
             assert run.state.mode == HandMode.ACTIVE, client.reported_faults
-            assert (np.array(list(run.simulated_hand.world.plant.tensions())) < trip).all()
+            assert (np.array(list(run.simulated_hand.world.plant.tensions())) < trip_tensions).all()
 
 
 def test_a_spool_pair_that_turns_around_does_not_count_as_torn() -> None:

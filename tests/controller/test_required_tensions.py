@@ -23,7 +23,7 @@ def motion_goals(
 def test_a_motion_depends_on_the_time_since_its_start_only(
     hand_name: str, durations_s: tuple[float, ...], request: pytest.FixtureRequest
 ) -> None:
-    """In one test case, all digits move for the same duration. In another one, the durations of the digits differ."""
+    """Test one motion in which all digits have the same duration, and one motion in which their durations differ."""
     model: HandModel = request.getfixturevalue(hand_name)
     first_goals, later_goals = (motion_goals(model, since, durations_s) for since in (0.0, 2.0))
     motion = joint_motion_at(model, first_goals, 0.1)

@@ -1,4 +1,4 @@
-"""Test that drives get disable commands after an exception in a tick, until each has confirmed that it is disabled."""
+"""Test that, after an exception in a tick, drives get disable commands until each drive has confirmed the command."""
 
 from pathlib import Path
 

@@ -69,7 +69,7 @@ class GripRun:
     def estimate_after_winding(
         self, extra_travel_m: float, digit_index: int = 0
     ) -> SyntheticEstimate:
-        """Return the estimate after the tendons of a digit were wound up by a further ``extra_travel_m``."""
+        """Return the estimate after the motors have wound up ``extra_travel_m`` [m] more of a digit's tendons."""
         travel = self.resting_estimate.travel.copy()
         travel[self.model.digit_tendons[digit_index]] += extra_travel_m
         return self.resting_estimate._replace(travel=travel)
@@ -177,8 +177,7 @@ def test_a_growing_load_removes_the_object_only_without_slip_reaction(
 ) -> None:
     """The two runs of this test, with and without slip reaction, have the same load, hand and seed.
 
-    The runs with and without slip reaction differ only in the key of the task that permits a higher
-    grip force.
+    The only difference between both runs is the task key that permits a higher grip force.
     """
     scene, motion, tension = (
         PULLED_CYLINDER_SCENE.format(friction=object_friction, rate=load_rate),

@@ -129,7 +129,7 @@ def begin_run(
 ) -> SimulatedRun:
     """Begin a run of a program on a simulated hand at tick ``first_tick``.
 
-    The simulated hand has possibly been moved by an earlier run.
+    An earlier run can have moved the simulated hand.
     """
     controller = make_controller(hand, Gains(), RATE_HZ, program, calibration, arm_at_once=True)
     run = SimulatedRun.start_run(controller, simulated_hand)
@@ -265,13 +265,13 @@ def test_a_tendon_that_snaps_under_load_is_found(tension: float, tendon: str) ->
 
 
 def content_with_tendon(**tendon_fields: object) -> dict[str, object]:
-    """Return the content of the finger's hand file, in which the first tendon has other values."""
+    """Return the content of the finger's hand file, with ``tendon_fields`` as new values of the first tendon."""
     content = hand_content(SPOOL_FINGER_FILE)
     return content | {"tendon": [content["tendon"][0] | tendon_fields, *content["tendon"][1:]]}
 
 
 def content_with_digit(**digit_fields: object) -> dict[str, object]:
-    """Return the content of the finger's hand file, in which the digit has other values."""
+    """Return the content of the finger's hand file, with ``digit_fields`` as new values of the digit."""
     content = hand_content(SPOOL_FINGER_FILE)
     return content | {"digit": [content["digit"][0] | digit_fields]}
 

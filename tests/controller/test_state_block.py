@@ -248,14 +248,14 @@ def test_nan_is_the_same_as_nan_and_zero_is_not_minus_zero(state: ControllerStat
 def random_hand(seed: int) -> HandModel:
     """Return the model of a random hand.
 
-    The random hand has some digits of a packaged hand, or of a hand with 15 motors. The function
-    varies the masses, springs and friction of the digits at random.
+    The digits of the random hand are a random selection from a packaged hand, or from a hand with
+    15 motors. The function varies the masses, springs and friction of the digits at random.
     """
     rng = random.Random(seed)
-    raw: dict[str, Any] = fifteen_motor_hand()
+    content: dict[str, Any] = fifteen_motor_hand()
     if seed % 3:
-        raw = hand_content(("jamia", "jamia11")[seed % 3 - 1])
-    digits = [digit["name"] for digit in raw["digit"]]
+        content = hand_content(("jamia", "jamia11")[seed % 3 - 1])
+    digits = [digit["name"] for digit in content["digit"]]
     digit_names = sorted(rng.sample(digits, rng.randint(1, len(digits))), key=digits.index)
 
     def is_kept_section(drive_field: str) -> bool:
@@ -264,17 +264,17 @@ def random_hand(seed: int) -> HandModel:
         )
 
     for section in ("digit", "tendon", "motor"):
-        raw[section] = [
+        content[section] = [
             _randomised_section(entry, rng)
-            for entry in raw[section]
+            for entry in content[section]
             if is_kept_section(entry["name"])
         ]
-    node = raw["sensor_node"]
-    raw["sensor_node"] = node | {
+    node = content["sensor_node"]
+    content["sensor_node"] = node | {
         key: [name for name in node[key] if is_kept_section(name)] for key in ("tendons", "joints")
     }
     return HandModel.from_hand(
-        hand_from_content(raw | {"name": f"random_{seed}"}, "test"), Gains(), 200.0
+        hand_from_content(content | {"name": f"random_{seed}"}, "test"), Gains(), 200.0
     )
 
 
@@ -299,7 +299,7 @@ def _randomised_section(section: dict[str, Any], rng: random.Random) -> dict[str
 def packed_constants(
     model: HandModel, monkeypatch: pytest.MonkeyPatch
 ) -> tuple[HandConstants, dict[str, object]]:
-    """Return the block of the constants of a hand model, and the values that were written into it, by field."""
+    """Return the block of constants of a hand model, and a dictionary of the values in the block, by field."""
     values: dict[str, object] = {"design": hand_constants.filter_design_array(model)}
     for group_name in (
         "_motor_constants",

@@ -35,7 +35,7 @@ def _static_torque(block: BlockArray, state_places: TableOffsets, q: np.ndarray)
 
 
 def static_torque_of(model: HandModel, q: np.ndarray) -> np.ndarray:
-    """Return the torque of gravity and springs at all joints that the estimator computes."""
+    """Return the torque of gravity and springs at each joint [N m], as the estimator computes it."""
     return _static_torque(*constant_args_of(model), q)
 
 

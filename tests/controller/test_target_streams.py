@@ -102,10 +102,14 @@ class StreamClient:
         self, motion: Callable[[float], float], duration_s: float, rate_Hz: float = RATE_HZ
     ) -> None:
         """Stream the values of a motion at a regular rate."""
-        every = round(1.0 / rate_Hz / self.model.period)
+        ticks_per_target = round(1.0 / rate_Hz / self.model.period)
         for i in range(round(duration_s / self.model.period)):
             self.tick(
-                *([self.target_request(motion(i * self.model.period))] if i % every == 0 else [])
+                *(
+                    [self.target_request(motion(i * self.model.period))]
+                    if i % ticks_per_target == 0
+                    else []
+                )
             )
 
     @property
@@ -339,7 +343,8 @@ def test_a_stale_stream_holds_then_relaxes(jamia: HandModel) -> None:
 def test_a_late_target_waits_at_the_last_one(jamia: HandModel) -> None:
     """While a target is late, the controller does not extrapolate the stream.
 
-    The reference angle passes the last target only by the distance that it needs to brake.
+    The reference angle brakes behind the last target, so it passes the last target by the braking
+    distance.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -460,9 +465,8 @@ def test_targets_between_the_deadline_and_a_late_tick_are_in_order(jamia: HandMo
     """If a tick is late, a client can send a target after the scheduled time of the tick.
 
     A target that was sent after the scheduled time of its tick counts as sent at the scheduled
-    time.
-    Earlier defect: the controller refused the next target, because the late tick's target seemed to
-    be newer.
+    time. Earlier defect: the controller refused the next target, because the time stamp of the late
+    tick's target seemed to be later.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -543,7 +547,7 @@ def test_goals_with_a_long_horizon_move_the_hand(jamia: HandModel) -> None:
 
 
 def test_a_long_move_of_a_fast_digit_stays_within_the_range() -> None:
-    """The motion of a fast digit does not pass its target.
+    """A digit that is already fast when it gets a new target stays within the joint range.
 
     A quintic polynomial that starts at 300 deg/s and lasts five seconds would pass its target by
     280 degrees.
@@ -630,10 +634,10 @@ def test_streams_that_do_not_suit_the_hand_are_refused(jamia: HandModel) -> None
 
 
 def test_joint_angles_become_coordinates(model: HandModel) -> None:
-    """A stream of angles of single joints moves the digits.
+    """A stream can contain the angles of single joints instead of one angle for each digit.
 
-    Coupled joints turn to those angles that satisfy the coupling and are nearest to the target
-    angles.
+    Of the angles that satisfy the coupling, coupled joints turn to the angles that are nearest to
+    the target angles.
     """
     names = model.hand.joints
     where = mapping_of_stream(model, "joint", names)

@@ -176,7 +176,7 @@ def test_curve_derivatives_match_differences(
 
 
 def test_every_number_of_a_way_is_in_its_plain_form() -> None:
-    """The plain form of a trajectory contains every number of the trajectory.
+    """The plain form (see ``handctl.core.plain_data``) of a trajectory contains every number of the trajectory.
 
     The hash of a state is computed from the plain forms of its trajectories.
     """

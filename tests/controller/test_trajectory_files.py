@@ -103,8 +103,8 @@ def test_radians_are_not_degrees(tmp_path: Path) -> None:
 def test_very_close_times_do_not_bypass_the_speed_limit(time_gap_s, recwarn):
     """If the times of two points of a trajectory are very close, the coefficients of the spline overflow.
 
-    If the coefficients of a spline overflow, the computed speed is NaN, which is refused in the
-    same way as a speed above the limit.
+    After the overflow, the computed speed is NaN. handctl refuses a NaN speed in the same way as a
+    speed above the limit.
     """
     angles = {"index": (0.0, 1.0, 0.0)}
     with pytest.raises(ValueError, match="at most 700 deg/s"):

@@ -149,8 +149,8 @@ def test_only_replies_in_excess_are_compared_with_the_expected_reply(
 def copies_of_motor_reply(motor_reply: Frame, reply_variants: str) -> list[Frame]:
     """Return one copy of a motor's reply for each letter of ``reply_variants``.
 
-    For the letter A, the copy is unchanged. For the letter B, the copy has another temperature.
-    Each reply of another motor is returned once and unchanged.
+    The letter A stands for an unchanged copy, and the letter B for a copy with another temperature.
+    For a reply of another motor, return only this reply, unchanged.
     """
     if motor_reply.can_id != 0x11:
         return [motor_reply]

@@ -92,9 +92,9 @@ CYLINDER_TASK = Task.model_validate(
 class RunWithoutCells:
     """Record of a run without load cells: the values of each tick, and all events.
 
-    The values of a tick are the phase of the task and, for each tendon (N,), the estimated tension
-    with its standard deviation, and the true tension [N]. The record also contains the last height
-    of the object.
+    The values of a tick are the phase of the task, and three values for each tendon (N,) [N]. The
+    three values are the estimated tension, its standard deviation, and the true tension. The record
+    also contains the last height of the object.
     """
 
     phase_name: list[str] = field(default_factory=list)
@@ -105,7 +105,7 @@ class RunWithoutCells:
     object_height: float = 0.0
 
     def normalized_errors(self, *phase_names: str) -> np.ndarray:
-        """Return the errors of the tension estimate in some task phases, divided by the standard deviation."""
+        """Return the tension errors in the phases ``phase_names``, divided by their estimated standard deviation."""
         rows = np.isin(self.phase_name, phase_names)
         return (np.array(self.tension)[rows] - np.array(self.true_tension)[rows]) / np.array(
             self.sigma
@@ -143,7 +143,7 @@ def run_without_sensors(
 
 
 def assert_no_check_of_a_missing_cell(hand: Hand, events: list[TickEvent]) -> None:
-    """Check that the commissioning reports no check for which a load cell is missing.
+    """Assert that the commissioning does not report a check that needs a load cell that the hand does not have.
 
     Earlier defect: for a hand without load cells, the commissioning program printed "answers 2.99
     N, others 0.00 N".

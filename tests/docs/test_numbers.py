@@ -1,4 +1,4 @@
-"""Test that results of ``handctl demo`` in the README and on the site equal the output of the command beside them."""
+"""Test that the results in the README and on the site equal the output of the ``handctl demo`` command beside them."""
 
 import json
 import re

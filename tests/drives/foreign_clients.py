@@ -180,8 +180,7 @@ async def _set_control_mode(
 ) -> None:
     """Set a drive to the axis state idle, set its control mode, and set the axis state ``final_state``.
 
-    The function does not use the waiting functions of odrive-can, because they give up after a
-    second.
+    The function does not use the waiting functions of odrive-can, which give up after a second.
     """
     drive.set_axis_state_no_wait("IDLE")
     await _wait_for_async(lambda: drive.axis_state == "IDLE", "idle")

@@ -200,7 +200,7 @@ def bench(tmp_path: Any) -> Iterator[AmplifierBench]:
 
 
 def make_bench(hand_folder: Any, **changed_keys: Any) -> AmplifierBench:
-    """Return an amplifier bench whose hand has other values for some keys of its sensor section."""
+    """Return an amplifier bench with ``changed_keys`` as new values in the sensor section of the hand."""
     hand = hand_with_amplifiers(**changed_keys)
     path = hand_folder / "hand.toml"
     path.write_text(hand.to_toml())

@@ -37,7 +37,7 @@ NO_SENSORS = SensorNode(0, 0x7F0, (0x7F1,), ((),), (1,), 0, (-1,), 1)
 
 @cache
 def enable_drive(variant_name: str) -> tuple[Drive, DriveState, int, tuple[Frame, ...]]:
-    """Return an enabled drive, its state, the time [ns], and some frames that the drive has sent."""
+    """Return an enabled drive, the drive state, the time [ns], and frames that the drive has sent."""
     variant = DRIVE_VARIANTS[variant_name]
     with TemporaryDirectory() as folder:
         path = hand_file(Path(folder), [variant.protocol], variant.options)
@@ -93,8 +93,8 @@ def random_frame(
 def are_states_equal(first_state: DriveState, second_state: DriveState, drive: Drive) -> bool:
     """Return True if two states of a drive are equal.
 
-    Two states of a CiA 402 drive can differ in the time of the last sign of life. They count as
-    equal if the last feedback is later than both times.
+    Two equal states of a CiA 402 drive can differ in the time of the last sign of life, if the last
+    feedback is later than both times.
     """
     if isinstance(drive, Cia402Drive):
         first_state, second_state = (
@@ -168,7 +168,7 @@ def state_enabled_at(state: DriveState, node_id: int, t_ns: int) -> DriveState:
 def reply_to_open_request(drive: Drive, state: DriveState) -> list[Frame]:
     """Return several copies of the correct reply to a request for a drive setting.
 
-    Several copies of the correct reply make it frequent among random frames.
+    A test picks frames at random. With several copies, the test often picks the correct reply.
     """
     if not (state.recheck.is_waiting and drive.rechecks):
         return []

@@ -22,7 +22,7 @@ def run_until_mode(simulated_run: SimulatedRun, mode: HandMode) -> None:
 
 
 def restart_with_same_drives(simulated_run: SimulatedRun) -> SimulatedRun:
-    """Return a second run with the drives of the first run. It starts one second after the end of the first run."""
+    """Return a second run with the same drives, which starts one second after the end of the first run."""
     for k in range(SILENCE_TICKS):
         simulated_run.simulated_hand.step((simulated_run.k + k) * simulated_run.period_ns, [])
     return SimulatedRun(

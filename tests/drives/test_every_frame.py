@@ -39,9 +39,10 @@ def bench(
 
 
 def extended_ids(bench: ProtocolBench, random_source: random.Random) -> set[int]:
-    """Return random 29-bit identifiers, and some 29-bit identifiers that a drive and its host use.
+    """Return random 29-bit identifiers, and at most four 29-bit identifiers that the drive or its host uses.
 
-    Each 29-bit identifier also appears with one bit changed.
+    The result also contains every identifier that differs in one bit from a returned identifier of
+    the drive or its host.
     """
     own_ids = sorted(
         identifier

@@ -263,16 +263,16 @@ def test_frames_are_those_of_the_simulated_node_and_of_the_dbc(
             assert list(signals.values()) == pytest.approx(
                 group, abs=0.0625 / 2 + NANONEWTON_PER_COUNT / 1e9
             )
-            ours = [
+            sent_codes = [
                 (int.from_bytes(data, "little") >> 4 + 12 * i) & 0xFFF for i in range(len(group))
             ]
-            assert len(data) == len(pack(counter, ours))
-            assert data == pack(counter, ours)
+            assert len(data) == len(pack(counter, sent_codes))
+            assert data == pack(counter, sent_codes)
             # If a tension is halfway between two codes, the firmware is allowed to round it up or
             # down.
             assert all(
                 abs(code - tension_code(tension)) <= 1
-                for code, tension in zip(ours, group, strict=True)
+                for code, tension in zip(sent_codes, group, strict=True)
             )
 
 

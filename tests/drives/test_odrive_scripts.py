@@ -1,6 +1,6 @@
 """Run ODrive's own scripts for CAN with simulated drives.
 
-One of ODrive's scripts restores a configuration, and another one calibrates a drive. No Python
+ODrive has a script that restores a configuration, and a script that calibrates a drive. No Python
 package contains ODrive's scripts. The tests use the scripts in the folder that the environment
 variable ``HANDCTL_ODRIVE_SCRIPTS`` names. If ``HANDCTL_ODRIVE_SCRIPTS`` is not set, the tests
 download a fixed version of the scripts. If the download of the scripts fails, the tests are

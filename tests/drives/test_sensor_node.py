@@ -102,9 +102,9 @@ def test_counters_keep_the_turn_of_the_joints(joint_decimation: int) -> None:
 def test_no_age_of_a_frame_makes_it_fresh(joint_decimation: int) -> None:
     """A frame that is up to 7 ticks old never counts as a new frame.
 
-    A frame that is more than 7 ticks old can count as new by chance. Of 100 frames that are more
-    than 7 ticks old, more than 40 still count as lost, which causes the fault B03b (many replies
-    are being lost).
+    A frame that is more than 7 ticks old can count as new by chance. Of 100 such frames, more than
+    40 still count as lost. This number of lost frames causes the fault B03b (many replies are being
+    lost).
     """
     counter_nibbles = [counter & 0xF for counter in sync_counters(joint_decimation)]
     n = len(counter_nibbles)

@@ -136,7 +136,7 @@ def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed):
-    """A moteus that has lost its settings possibly no longer obeys its commands.
+    """A moteus that has lost its settings can make another torque than commanded.
 
     If the controller notices the wrong torque before it reads the settings again, the first fault
     is N14 (a command is not obeyed).

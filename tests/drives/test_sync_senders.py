@@ -1,8 +1,8 @@
 """Test the SYNC frame and the heartbeat of the host for CiA 402 drives.
 
-On some buses, the request to the sensor node is the SYNC frame. On a bus without a request to the
-sensor node, the host sends a SYNC frame on behalf of one drive. One drive of each bus sends the
-heartbeat of the host.
+On a bus with a sensor node, the request to the sensor node can be the SYNC frame. On a bus without
+a request to the sensor node, the host sends a SYNC frame on behalf of one drive. One drive of each
+bus sends the heartbeat of the host.
 """
 
 import tomllib
@@ -49,8 +49,8 @@ def hand_without_sensors() -> Hand:
 def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
     """Reproduce a defect.
 
-    A bus without a sensor node had no SYNC frame, so a hand with CiA 402 drives on the bus was
-    never armed.
+    On a bus without a sensor node, no node sent a SYNC frame. For this reason, a hand with CiA 402
+    drives on such a bus was never armed.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
     hand = load_hand(str(path))

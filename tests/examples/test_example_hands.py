@@ -29,7 +29,7 @@ less than the lower bound, the page docs/evidence/hands.md is out of date.
 def hands_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Copy the folder examples/hands, and change to the copy.
 
-    The path of the copy in a temporary folder is the same as the path of the original in the
+    Relative to the temporary folder, the copy has the same path as the original has in the
     repository.
     """
     (tmp_path / "logs").mkdir()

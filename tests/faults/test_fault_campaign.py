@@ -97,7 +97,7 @@ def test_the_report_has_its_sections(campaign_report):
 
 
 def test_fault_free_run_alone_continues_its_seeds():
-    """The seeds of the runs without faults can continue those of an earlier campaign.
+    """A campaign of only runs without faults can begin with the seed that follows the last seed of an earlier campaign.
 
     With consecutive seeds, a long campaign can be divided into several short campaigns.
     """
@@ -120,8 +120,8 @@ def test_fault_free_run_alone_continues_its_seeds():
 def alarms_of_run(last_phase, *event_texts):
     """Return the false alarms of a run without injected faults.
 
-    In the run without injected faults, the hand stays in one phase of its task for eight seconds,
-    and reports the given faults in each second.
+    The run stays in the phase ``last_phase`` for eight seconds. In each second, the run reports the
+    faults ``event_texts``.
     """
     events = tuple(TickEvent("warn", "fault", "", text) for text in event_texts)
     out = SimpleNamespace(mode=HandMode.ACTIVE, phase=last_phase, events=events)
@@ -278,7 +278,7 @@ def test_the_offset_of_a_load_cell_exceeds_the_limits_of_its_tendon():
 
 @pytest.mark.parametrize("joint", ["index_j1", "thumb_j2"])
 def test_silent_joint_encoders_are_detected(joint):
-    """If four successive frames of a joint encoder are missing, this is a fault.
+    """Four successive missing frames of a joint encoder cause the fault N02b (the joint encoders are silent).
 
     Three successive missing frames of a joint encoder cause no fault: neither N06 (encoder drift or
     slip) nor T08 (a tendon left its pulley).
@@ -343,7 +343,11 @@ def test_exchanged_power_stages_without_torque_feedback_are_found_at_a_small_ten
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_drive_without_torque_feedback_that_switches_off_is_reported_by_its_own_error(seed: int):
-    """The fast filter of the fault T04b does not find a drive without torque, because its tension becomes lower."""
+    """The fast filter of T04b finds only tensions that are too high.
+
+    If a drive makes no torque, the tension becomes lower, so the fast filter does not find the
+    drive.
+    """
     faults = ("voltage", "error", "watchdog")
     for result in results_of_hand("t42", seed, {GRASP_STAGE: faults}, "odrive").values():
         assert result.ok, result.problem
@@ -353,8 +357,8 @@ def test_a_drive_without_torque_feedback_that_switches_off_is_reported_by_its_ow
 def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
     """Check that tensions stay below 40 N if drives are exchanged or late in a hand without load cells.
 
-    Earlier defect: when drives of the thumb were exchanged or reacted late, their spools became
-    faster and faster, and pulled with 208 to 230 N.
+    Earlier defect: when drives of the thumb were exchanged or reacted late, the speed of the
+    thumb's spools grew without limit, and the tensions reached 208 to 230 N.
     """
     results = results_of_hand("orca_like", seed, {FREE_MOTION_STAGE: ("swap", "cross", "late")})
     assert len(results) == 6
@@ -476,7 +480,10 @@ def test_a_stall_of_the_host_is_a_stall_at_every_control_rate():
 
 
 def test_a_time_limit_of_a_filter_stays_the_same_time_at_a_fast_control_rate():
-    """At 500 Hz and below, each limit is ``max_ticks``. At 1 kHz, limits with ``scales_with_period`` are higher."""
+    """The reaction limit is ``max_ticks`` at 500 Hz and below.
+
+    At 1 kHz, the limit of a fault with ``scales_with_period`` is twice as many ticks.
+    """
     for row in FAULT_MATRIX:
         fixed_row = row._replace(max_extra_ms=0.0, extra_ms_by_protocol={}, extra_ticks={})
         slow = [fixed_row.reaction_limit_ticks("mit", period_ms) for period_ms in (5.0, 2.5, 2.0)]

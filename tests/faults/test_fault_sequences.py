@@ -86,13 +86,13 @@ def test_a_sequence_that_breaks_a_rule_names_it(copy_of_arming_simulation, monke
     """In the fault sequence of this test, a drive runs away.
 
     The safety rule about high tensions usually allows a high tension that a runaway drive has
-    caused. In the test, the rule allows no such tension. The fault sequence must violate the
-    changed rule.
+    caused. The test changes the rule, so that the rule no longer allows the high tension of a
+    runaway drive. The fault sequence must violate the changed rule.
     """
     results = []
     sequence = FaultSequence(0, ARMING_STAGE, (FaultStep(20, "runaway node=index_motor"),))
-    for explains in (fault_sequences.RUNAWAY_FAULT, "nobody"):
-        monkeypatch.setattr(fault_sequences, "RUNAWAY_FAULT", explains)
+    for allowed_fault in (fault_sequences.RUNAWAY_FAULT, "nobody"):
+        monkeypatch.setattr(fault_sequences, "RUNAWAY_FAULT", allowed_fault)
         run_in_forked_processes(
             copy_of_arming_simulation,
             [sequence],

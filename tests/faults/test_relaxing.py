@@ -104,26 +104,26 @@ def tension_bound(
 def test_relaxing_raises_no_command_and_no_tension(
     hand_name: str, protocol: str, seed: int
 ) -> None:
-    chance = random.Random(f"{hand_name} {protocol} {seed}")
+    rng = random.Random(f"{hand_name} {protocol} {seed}")
     hand = hand_with_protocol(hand_name, protocol)
     rate = RATE_HZ_BY_HAND[hand_name]
-    perturb = {key: chance.uniform(0.7, 1.4) for key in ("stiffness", "friction", "motor_inertia")}
+    perturb = {key: rng.uniform(0.7, 1.4) for key in ("stiffness", "friction", "motor_inertia")}
     task = {
         **CAMPAIGN_TASK,
         "phase": [
             *CAMPAIGN_TASK["phase"][:-1],
-            {**CAMPAIGN_TASK["phase"][-1], "tension_N": chance.uniform(20.0, 90.0)},
+            {**CAMPAIGN_TASK["phase"][-1], "tension_N": rng.uniform(20.0, 90.0)},
         ],
     }
-    a, b = chance.sample([motor.name for motor in hand.motor], 2)
-    fault = chance.choice(FAULT_COMMANDS).format(a=a, b=b, t=chance.choice(hand.tendon_names))
+    a, b = rng.sample([motor.name for motor in hand.motor], 2)
+    fault = rng.choice(FAULT_COMMANDS).format(a=a, b=b, t=rng.choice(hand.tendon_names))
     with homed_run(hand, rate, seed, perturb, task) as simulation:
-        advance_to_stage(simulation, chance.choice((FREE_MOTION_STAGE, GRASP_STAGE)))
-        for _ in range(int(chance.uniform(0.0, 3.0) * rate)):
+        advance_to_stage(simulation, rng.choice((FREE_MOTION_STAGE, GRASP_STAGE)))
+        for _ in range(int(rng.uniform(0.0, 3.0) * rate)):
             simulation.run_tick()
         if fault:
             simulation.simulated_hand.inject(fault)
-        stop_tick = simulation.k + int(chance.uniform(0.02, 0.8) * rate)
+        stop_tick = simulation.k + int(rng.uniform(0.02, 0.8) * rate)
         check_relaxing(simulation, stop_tick, round(COMMAND_DELAY_S * rate), fault)
 
 

@@ -1,8 +1,8 @@
-"""Clock for the simulator whose time a test sets."""
+"""Provide a clock for the simulator. A test sets the time of the clock."""
 
 
 class ManualClock:
-    """A clock whose time a test sets.
+    """A clock that shows the time that a test has set.
 
     Attributes:
         t_ns: present time [ns].

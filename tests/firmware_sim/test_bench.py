@@ -321,8 +321,8 @@ def test_the_watchdog_of_a_damiao_motor_is_selectable(
 ) -> None:
     """The vendor of Damiao motors describes the watchdog condition as "no CAN commands within the interval".
 
-    The vendor does not say if register requests count as commands, and does not say if the watchdog
-    of a disabled motor is active.
+    The vendor does not state whether register requests count as commands. The vendor also does not
+    state whether the watchdog of a disabled motor is active.
     """
     spec = drive_spec("mit", 2)
     for enabled, expected in ((True, polled_state), (False, idle_state)):

@@ -164,8 +164,8 @@ def test_a_divided_step_ends_where_the_whole_step_ends() -> None:
 def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: str) -> None:
     """The simulated encoder readings have no jitter, even if the control period is no multiple of the simulation step.
 
-    At a spool speed of 3 rad/s, an encoder reading from the end of the last whole simulation step
-    would be wrong by 5 counts.
+    If the simulator read the encoder only at the end of whole simulation steps, a reading would be
+    wrong by 5 counts. This error applies to a spool speed of 3 rad/s.
     """
     for rate_hz in (300.0, 333.0, 450.0, 640.0):
         world = SimulatedWorld(load_hand(hand), load_scene(None), seed=2)
@@ -234,9 +234,9 @@ def test_a_full_truth_file_ends_and_the_simulation_goes_on(
 
 
 def test_a_truth_file_ends_after_a_part_of_the_rows_was_written(tmp_path: Path) -> None:
-    """Reproduce a defect: after half of a row of the truth file was written, the next rows followed directly.
+    """Reproduce a defect: the simulator wrote only half of a row to the truth file, and continued with the next row.
 
-    Because of the incomplete row, the numbers of all later rows were read as other quantities.
+    After the incomplete row, a reader assigned each number to a wrong column.
     """
     plant = LockstepHand("jamia").world.plant
     row_bytes = 8 * (1 + len(truth_columns(plant)))

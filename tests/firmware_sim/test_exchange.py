@@ -116,7 +116,8 @@ def frames_of_tick(protocol: str, node: int, tick_index: int) -> list[tuple[int,
 def disturb_frame(frame: Frame, rng: random.Random) -> list[Frame]:
     """Return the frames that arrive when one frame is sent on a disturbed bus.
 
-    The disturbed bus rarely loses, repeats or changes a frame. Most frames arrive unchanged.
+    The disturbed bus loses, repeats or changes a small fraction of the frames. Most frames arrive
+    unchanged.
     """
     can_id, data, flags, bus, t_ns = frame
     disturbed_frames = [

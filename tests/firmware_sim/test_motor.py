@@ -106,7 +106,8 @@ def test_gains_of_the_whole_range_are_stable(kp: float, kd: float) -> None:
 def test_a_moving_target_is_followed_as_a_mass_on_a_spring(target_speed: float) -> None:
     """In this test, a rotor starts at rest and follows a target that moves with constant speed.
 
-    The position error e of the rotor obeys J e'' + kd e' + kp e = 0.
+    The position error e of the rotor obeys J e'' + kd e' + kp e = 0, with the inertia J and the
+    gains kp and kd.
     """
     kp, kd, step_s = 0.5, 0.004, 1e-5
     motor = Motor(FRICTIONLESS_SPEC, step_s)

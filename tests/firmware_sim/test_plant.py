@@ -58,10 +58,10 @@ def test_the_springs_hold_the_free_hand_open() -> None:
 
 @pytest.mark.parametrize("tension", [8.0, 10.0, 12.0])
 def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
-    """Without friction, each joint obeys r f = k (q + q0).
+    """Without friction, the tension f and the angle q of each joint obey r f = k (q + q0).
 
-    The moment arm r, the stiffness k and the preload angle q0 are the same for all joints, so all
-    joint angles q are equal.
+    The moment arm r, the stiffness k and the preload angle q0 of all joints are equal. For this
+    reason, all joint angles are equal.
 
     Gravity has no effect on the joints, because it is parallel to the hinges.
     """
@@ -73,11 +73,17 @@ def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
 
 
 def test_excursion_and_stretch_add_up() -> None:
-    """At rest and without friction, the travel of the spool is r_a theta = sum r q + f/k, with the tension f."""
+    """At rest and without friction, the travel of the spool is r_a theta = sum r q + f / k.
+
+    The spool has the radius r_a and the angle theta. A joint has the moment arm r and the angle q.
+    The tendon has the tension f and the stiffness k.
+    """
     plant = plant_without_object({"friction": 0.0})
     pull_tendons(plant, 14.0 * 0.005, 2.0)
-    index = plant.motors["index_motor"].theta
-    assert 0.005 * index == pytest.approx(0.003 * sum(plant.engine.q[:3]) + 14.0 / 1e5, abs=2e-6)
+    spool_angle = plant.motors["index_motor"].theta
+    assert 0.005 * spool_angle == pytest.approx(
+        0.003 * sum(plant.engine.q[:3]) + 14.0 / 1e5, abs=2e-6
+    )
 
 
 def test_friction_makes_the_far_joints_lag() -> None:
@@ -125,7 +131,11 @@ def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
 
 
 def test_a_blocked_rotor_rings_at_the_frequency_of_tendon_and_rotor() -> None:
-    """A rotor on a tendon oscillates with the frequency sqrt(k r^2 / J) = 139 rad/s. Source: MODEL, section 4."""
+    """A rotor on a tendon oscillates with the angular frequency sqrt(k r^2 / J) = 139 rad/s.
+
+    The tendon has the stiffness k, the spool has the radius r, and the rotor has the inertia J.
+    Source: MODEL, section 4.
+    """
     plant = plant_without_object({"friction": 0.0, "damping": 0.1}, hand_with_locked_joints())
     pull_tendons(plant, 0.25, 0.6)
     motor = plant.motors["index_motor"]

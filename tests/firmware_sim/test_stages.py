@@ -75,8 +75,7 @@ def test_duration_of_a_push_and_lasting_friction() -> None:
 def test_the_plant_applies_the_stage(tmp_path: Path) -> None:
     """The first contact of the hand starts the stages of a scene.
 
-    The stage of this test turns gravity towards the thumb, and changes the friction of all
-    contacts.
+    In this test, a stage turns gravity towards the thumb, and changes the friction of all contacts.
     """
     path = tmp_path / "stages.toml"
     path.write_text(TWO_STAGE_SCENE)

@@ -138,7 +138,7 @@ def test_friction_dissipates_energy_and_the_slope_matches(
 ) -> None:
     """The friction of a tendon never adds power to its motion.
 
-    At each pulley, ``slope`` times the speed is at least the tension that is lost at this pulley.
+    The tension that friction takes at a pulley is at most ``slope`` times the spool speed.
     """
     dq = [spool_speed / 0.009] * 3
     torque = [0.0] * 3

@@ -46,9 +46,9 @@ class BusMember:
 
     @property
     def error_class_bits(self) -> list[int]:
-        """Return those bits of the received error frames that contain the class of the error.
+        """Return the error-class bits of each received error frame.
 
-        The returned bits do not include the bits that mark an error frame or a counter.
+        The bits that mark an error frame or a counter are zero in the returned numbers.
         """
         return [frame.can_id & 0x1FF for frame in self.errors]
 
@@ -69,7 +69,7 @@ def test_both_packages_compute_the_same_maximum_frame_time(frame: Frame) -> None
 
 
 def test_a_frame_whose_bits_were_counted_by_hand() -> None:
-    """A frame with the identifier 0 and without data has 19 zeros before its CRC, and its CRC is zero.
+    """A frame with the identifier 0 and without data begins with 34 zeros: 19 before the CRC, and 15 in the CRC.
 
     A stuff bit follows after every five zeros of the frame.
     """

@@ -118,7 +118,7 @@ def random_digit(rng: np.random.Generator, digit_name: str, joint_count: int) ->
 def make_some_joints_prismatic(random_source: np.random.Generator, digit: dict[str, Any]) -> None:
     """Make some joints of a digit prismatic.
 
-    In some random hands, the first digits have only prismatic joints.
+    With a probability of 0.2, all joints of the digit become prismatic.
     """
     count = len(digit["link_length_m"])
     is_prismatic = random_source.random(count) < (1.0 if random_source.random() < 0.2 else 0.5)

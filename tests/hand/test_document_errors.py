@@ -21,7 +21,7 @@ class ExampleMoveStep(Document):
 
 
 class ExampleHoldStep(Document):
-    """Step of an example plan. The step has a tension, and possibly contains a further step."""
+    """Step of an example plan. The step has a tension, and can contain a further step."""
 
     kind: Literal["hold"]
     tension_N: float

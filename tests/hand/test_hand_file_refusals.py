@@ -21,7 +21,7 @@ OPTIONAL_KEYS = {"coupling"}
 
 
 def content_leaves(content_node, node_path=()):
-    """Yield key path and value of each single value in the content of a hand. Skip tables and lists."""
+    """Yield the key path and the value of each number, text and flag in a hand's content. Skip tables and lists."""
     entries = (
         content_node.items()
         if isinstance(content_node, dict)
@@ -84,8 +84,8 @@ axes and inertias.
 def first_case_per_key(cases: list[ParameterSet]) -> list[ParameterSet]:
     """Return one test case for each key of a hand file.
 
-    The returned test case can belong to any hand, and to any entry of a list. In a nightly test
-    run, return all test cases.
+    A key occurs in several hands and list entries. The returned case of the key is the first case
+    in ``cases``. In a nightly test run, return all test cases.
     """
     case_by_key = {re.sub(r"^\w+-|\[[^]]*\]", "", str(case.id)): case for case in reversed(cases)}
     return cases if NIGHTLY else list(case_by_key.values())
@@ -202,10 +202,7 @@ def test_random_change_is_read_or_refused_in_one_line():
 
 
 def is_usable_or_refused(content):
-    """Return True if a usable hand can be built from a content.
-
-    Return True, too, if handctl refuses the content with a single error line.
-    """
+    """Return True if a content gives a usable hand, or if handctl refuses the content with one error line."""
     try:
         hand = hand_from_content(content, "f")
     except ConfigError as error:

@@ -1,7 +1,7 @@
 """Test the conversion of hand files from schema 1 to schema 2.
 
-The converted hand file describes the same hand and keeps the comments. It contains a repeated value
-only once.
+The converted hand file describes the same hand and keeps the comments. If a value is repeated in
+the old file, the converted file contains the value only once.
 """
 
 import re

@@ -106,9 +106,9 @@ def test_known_numbers_of_the_packaged_tendon():
 
 
 def test_work_of_tendons_is_work_of_joints(digits, rng):
-    """The work f . ds of the tendons equals the work tau . dq of the joints.
+    """The work f . ds of the tendon tensions f equals the work tau . dq of the joint torques tau.
 
-    In the work f . ds, the vector ds is the change of the tendon excursions.
+    The vector ds is the change of the tendon excursions, and dq is the change of the joint angles.
     """
     for digit in digits:
         for _ in range(50):
@@ -176,7 +176,7 @@ def test_reflected_inertia_is_the_rotors_kinetic_energy(hand, digits, rng):
 
 
 def test_one_tendon_per_joint_pulls_the_absolute_torques():
-    """With one tendon per joint, the moment arms are R = r S.
+    """With one tendon per joint and the moment arm r at every joint, the moment arms are R = r S.
 
     With one tendon per joint, a tendon tension times r is the torque of one joint minus the torque
     of the next joint.

@@ -65,9 +65,9 @@ def write_video(video_path, duration_s, width_px=IMAGE_WIDTH_PX):
 
 
 def active_time_range(run_log):
-    """Return start time and end time [s] of the period of a log in which the hand is active.
+    """Return the first and the last time [s] at which the hand is active in a log.
 
-    The export of the log makes an episode from the period in which the hand is active.
+    The export of the log makes an episode from the time between both times.
     """
     active = run_log.t_ns[run_log.mode == int(HandMode.ACTIVE)] / 1e9
     return active[0], active[-1]

@@ -37,10 +37,10 @@ def run_script(script_name: str, *script_arguments: str) -> "subprocess.Complete
 
 
 def fault_texts(run_log: RunLog) -> list[str]:
-    """Return the faults that made a run relax.
+    """Return the texts of all faults in a log that made the hand relax.
 
-    The function ignores faults that did not make a run relax, because a busy machine that delays
-    frames and actions causes such faults.
+    The function ignores weaker faults, because a busy machine delays frames and actions, and in
+    this way causes weaker faults.
     """
     return [
         row.event.text

@@ -49,7 +49,7 @@ def hostile_files(small_log: Path) -> dict[str, bytes]:
     """
     message = struct.pack("<BQHIQQ", 5, 22, 3, 0, 0, 0)
     message_of_other_channel = struct.pack("<BQHIQQ", 5, 22, 4, 0, 0, 0)
-    many = (message + message_of_other_channel) * (MAX_CHUNK_BYTES // 62)
+    many_messages = (message + message_of_other_channel) * (MAX_CHUNK_BYTES // 62)
     zero_bytes = bytes(MAX_CHUNK_BYTES)
     channels = b"".join(
         struct.pack("<BQHHIIIB", 4, 17, n & 0xFFFF, 0, 0, 0, 1, 0) for n in range(1_000_000)
@@ -82,7 +82,7 @@ def hostile_files(small_log: Path) -> dict[str, bytes]:
             small_log, _chunk_record("lz4", lz4.frame.compress(zero_bytes), len(zero_bytes))
         ),
         "a million messages": _log_with_chunks(
-            small_log, _chunk_record("lz4", lz4.frame.compress(many), len(many))
+            small_log, _chunk_record("lz4", lz4.frame.compress(many_messages), len(many_messages))
         ),
         "a million channels": _log_with_chunks(
             small_log, _chunk_record("lz4", lz4.frame.compress(channels), len(channels))

@@ -1,6 +1,6 @@
 """Read handctl logs by means of Python packages of other projects.
 
-Tests compare the messages that other packages read with those that handctl's own reader reads.
+Tests compare the messages from other packages with the messages from handctl's own reader.
 """
 
 from collections.abc import Iterator

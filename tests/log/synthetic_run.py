@@ -148,7 +148,7 @@ class SyntheticRunTicks:
             + 60.0 * contact_depth[self._tendon_digit]
         )
         noise = self._random.standard_normal(len(tension))
-        raw = np.round((tension + 0.3 * noise + 6) / 0.0625) * 0.0625 - 6
+        measured_tension = np.round((tension + 0.3 * noise + 6) / 0.0625) * 0.0625 - 6
         excursion = self._arms @ q
         motor = excursion[: len(run.motors)] / 0.005 + tension / 1e5 / 0.005
         phase = DrivePhase.READY if run_fraction < 0.02 else DrivePhase.ENABLED
@@ -157,9 +157,9 @@ class SyntheticRunTicks:
             "q": q, "dq": dq, "q_goal": goal, "dq_goal": dq, "joint_torque": self._arms.T @ tension,
             "joint_encoder": q.round(3) if tick_index % 4 == 0 else np.full(len(q), np.nan),
             "excursion": excursion, "excursion_rate": self._arms @ dq, "tension": tension,
-            "tension_sigma": np.full(len(tension), 0.25) + 0.1 * (tick_index < 20), "tension_raw": raw,
+            "tension_sigma": np.full(len(tension), 0.25) + 0.1 * (tick_index < 20), "tension_raw": measured_tension,
             "tension_goal": tension + 0.5, "stretch_offset": 1e-5 * np.sin(run_fraction) * np.ones(len(tension)),
-            "innovation": raw - tension, "nis": ((raw - tension) / 0.3) ** 2,
+            "innovation": measured_tension - tension, "nis": ((measured_tension - tension) / 0.3) ** 2,
             "external_tension": 60.0 * contact_depth[self._tendon_digit], "motor_position": motor,
             "motor_velocity": np.gradient(motor), "motor_torque": 0.005 * tension,
             "motor_torque_goal": 0.005 * (tension + 0.5), "motor_temperature": motor_temperature,
@@ -180,8 +180,10 @@ class SyntheticRunTicks:
                 frames.append(
                     Frame(0x11 + index, data, 0, 0, previous_tick_ns + 150_000 + 120_000 * index)
                 )
-            raw = int(np.clip((telemetry.tension_raw[0] + 6) / 0.0625, 0, 4095))
-            frames.append(Frame(0x1A0, raw.to_bytes(7, "little"), 0, 0, previous_tick_ns + 90_000))
+            tension_code = int(np.clip((telemetry.tension_raw[0] + 6) / 0.0625, 0, 4095))
+            frames.append(
+                Frame(0x1A0, tension_code.to_bytes(7, "little"), 0, 0, previous_tick_ns + 90_000)
+            )
         io_events = (
             (IoEvent("enobufs", self.run.buses[0], 3),) if tick_index == self.ticks // 2 else ()
         )

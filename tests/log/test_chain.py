@@ -1,4 +1,4 @@
-"""Test the hash chain over the ticks of a log, and the readings of two clocks at the same moments."""
+"""Test the hash chain over the ticks of a log, and pairs of simultaneous readings of two clocks."""
 
 import itertools
 from pathlib import Path

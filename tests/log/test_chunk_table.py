@@ -67,12 +67,12 @@ def test_an_hour_of_chunks_is_less_than_half_a_megabyte() -> None:
 
     The soak test permits 1 MiB per hour for the whole recorder.
     """
-    chunks_an_hour, channels, chance = 4 * 3600, range(34), random.Random(1)
+    chunks_an_hour, channels, rng = 4 * 3600, range(34), random.Random(1)
     start = 0
     tracemalloc.start()
     table = ChunkTable()
     for k in range(chunks_an_hour):
-        size = chance.randrange(60_000, 90_000)
+        size = rng.randrange(60_000, 90_000)
         times = (250_000_000 * k, 250_000_000 * k + 248_000_000)
         chunk_entry = ChunkEntry(start, size, size - 40, 3 * size, *times, 4000)
         table.add_chunk(chunk_entry, {channel: 50 * channel + k % 7 for channel in channels})

@@ -213,15 +213,15 @@ def test_frames_of_all_buses_stay_in_order(varied_log: Path) -> None:
         for suffix, is_fd in (("", False), ("_fd", True)):
             messages = topics[f"/can/{topic}{suffix}"]
             serialiser = RosbagsSerialiser(messages[0].kind, messages[0].schema)
-            ours = [serialiser.decode(message.data) for message in messages]
+            decoded_messages = [serialiser.decode(message.data) for message in messages]
             sent = [
                 frame
                 for tick in varied_run.varied_ticks(varied_run.varied_header())
                 for frame in choose(*tick)
                 if bool(frame.flags & 4) == is_fd
             ]
-            assert len(sent) == len(ours) > 50
-            for frame, message in zip(sent, ours, strict=True):
+            assert len(sent) == len(decoded_messages) > 50
+            for frame, message in zip(sent, decoded_messages, strict=True):
                 assert message.id == frame.can_id & 0x1FFF_FFFF
                 assert message.is_extended == bool(frame.can_id >> 31)
                 assert message.is_error == bool(frame.can_id >> 29 & 1)

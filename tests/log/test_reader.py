@@ -72,7 +72,7 @@ def test_every_field_comes_back_bit_for_bit(
 def test_a_log_without_the_latest_fields_is_read(
     varied_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A log of an older version possibly does not have every field.
+    """Fields can be missing in a log of an older version.
 
     For example, logs of version 0.1 do not have q_sigma.
 
@@ -170,15 +170,15 @@ def test_a_changed_bit_is_detected_or_harmless(small_log: Path, tmp_path: Path, 
 def test_a_changed_file_without_an_end_never_does_worse_than_log_error(
     small_log: Path, tmp_path: Path, data: st.DataObject
 ) -> None:
-    raw = bytearray(small_log.read_bytes())
-    del raw[data.draw(st.integers(9, len(raw))) :]
+    log_bytes = bytearray(small_log.read_bytes())
+    del log_bytes[data.draw(st.integers(9, len(log_bytes))) :]
     for _ in range(data.draw(st.integers(1, 4))):
-        at = data.draw(st.integers(0, len(raw) - 1))
-        raw[at : at + 8] = data.draw(
+        at = data.draw(st.integers(0, len(log_bytes) - 1))
+        log_bytes[at : at + 8] = data.draw(
             st.sampled_from([b"\xff", b"\0" * 8, b"\xff" * 8, b"\x7f" * 4, b"\x06"])
         )
     damaged_log = tmp_path / "bad.mcap"
-    damaged_log.write_bytes(raw)
+    damaged_log.write_bytes(log_bytes)
     with contextlib.suppress(LogError):
         _log_content(damaged_log)
 

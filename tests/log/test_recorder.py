@@ -83,7 +83,7 @@ def _is_finished(log_path: Path) -> bool:
 def test_a_recorder_that_does_not_start_in_time_is_named(
     start_recorder: Callable[..., Recorder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The error message states how long the command waited for the recorder, and recommends a less busy computer."""
+    """The error message states the time that the command waited for the recorder, and advises a less busy computer."""
     python = tmp_path / "python"
     python.write_text("#!/bin/sh\nexec sleep 10\n")
     python.chmod(0o755)
@@ -128,7 +128,7 @@ def test_a_process_started_ahead_ends_with_its_controller() -> None:
 
 
 def test_a_kill_of_the_controller_loses_no_tick(tmp_path: Path) -> None:
-    chance = random.Random(5)
+    rng = random.Random(5)
     for first_number in range(0, TICK_SENDER_KILLS, PARALLEL_KILLS):
         paths = [tmp_path / f"{n}.mcap" for n in range(first_number, first_number + PARALLEL_KILLS)]
         tick_senders = [
@@ -143,7 +143,7 @@ def test_a_kill_of_the_controller_loses_no_tick(tmp_path: Path) -> None:
             assert tick_sender.stdout is not None
             assert tick_sender.stdout.read(8)
         for tick_sender in tick_senders:
-            time.sleep(chance.uniform(0, 0.2))
+            time.sleep(rng.uniform(0, 0.2))
             tick_sender.kill()
         for path, tick_sender in zip(paths, tick_senders, strict=True):
             written = 8 + len(tick_sender.communicate()[0])
@@ -230,7 +230,7 @@ def test_a_deterministic_run_has_no_event_of_the_time_that_its_recorder_takes(
 def test_records_longer_than_an_atomic_write_stay_whole(
     start_recorder: Callable[..., Recorder], tmp_path: Path
 ) -> None:
-    recorder, chance, accepted_records = start_recorder(), random.Random(3), []
+    recorder, rng, accepted_records = start_recorder(), random.Random(3), []
     ticks = list(synthetic_run.SyntheticRunTicks(synthetic_run.synthetic_header(rate_hz=1000), 1.0))
     for k, (tick_in, out) in enumerate(ticks):
         if k % 250 == 100:
@@ -238,7 +238,7 @@ def test_records_longer_than_an_atomic_write_stay_whole(
         if k % 250 == 200:
             os.kill(recorder._child.pid, signal.SIGCONT)
             time.sleep(0.1)
-        text = chance.choice("ab") * chance.randrange(9_000, 30_000)
+        text = rng.choice("ab") * rng.randrange(9_000, 30_000)
         if recorder.send_record(pack_tick_record(tick_in._replace(requests=(text,)), out)):
             accepted_records.append((k, text))
     assert 0 < recorder.dropped < len(ticks) - 100

@@ -41,7 +41,7 @@ def _write_log(
 ) -> Path:
     """Write a log in the test process, and begin a new MCAP chunk at each index in ``chunk_borders``.
 
-    Check the reports of the log writer, too.
+    Also assert that the log writer reports exactly the events ``event_texts``.
     """
     log_path.unlink(missing_ok=True)
     problems: list[str] = []

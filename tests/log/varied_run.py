@@ -36,8 +36,8 @@ def varied_header(**other_fields: object) -> RunHeader:
 def varied_ticks(run_header: RunHeader, tick_count: int = 120) -> Iterator[tuple[TickIn, TickOut]]:
     """Yield ticks with every kind of content.
 
-    Some ticks of the run are missed. The other ticks of the run contain frames of all kinds on all
-    buses, NaN, infinities, unusual texts, all modes and all actions.
+    The run has gaps of missed ticks. The yielded ticks contain frames of all kinds on all buses,
+    NaN, infinities, unusual texts, all modes and all actions.
     """
     random, k = np.random.default_rng(1), 0
     for index in range(tick_count):

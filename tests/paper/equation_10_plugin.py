@@ -22,8 +22,8 @@ HANDCTL_TORQUE_FUNCTION = dynamics._rigid_body_torque
 def torque_from_equation_10(digit, gravity, q, dq, ddq):
     """Return the joint torques of a digit, with the torque of the first joint from Eq. 10.
 
-    The torque of the first joint follows from Eq. 10 of the paper for T_1. The torques of the other
-    joints come from the dynamic model of handctl.
+    Eq. 10 of the paper gives the torque T_1 of the first joint. The torques of the other joints
+    come from the dynamic model of handctl.
     """
     _, tau2, tau3 = (*HANDCTL_TORQUE_FUNCTION(digit, gravity, q, dq, ddq), 0.0, 0.0)[:3]
     r1, r2, _ = (*digit.armature, 0.0, 0.0)[:3]

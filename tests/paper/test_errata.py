@@ -44,7 +44,7 @@ def derived_energies() -> tuple[list[sp.Expr], sp.Expr]:
 
 
 def expression_in_symbols(expression: sp.Expr) -> sp.Expr:
-    """Return an expression with the symbols of the formulas in place of functions of time."""
+    """Replace each function of time in an expression by its symbol in the formulas, and return the new expression."""
     for order in (2, 1, 0):
         expression = expression.subs(
             {
@@ -87,9 +87,9 @@ def test_corrected_torques_follow_from_the_lagrangian(link_index: int) -> None:
 
 
 def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
-    """With m3 = I3 = 0, the equations of a finger with three links describe two links.
+    """With mass m3 = 0 and inertia I3 = 0 of the third link, the finger equations describe a thumb with two links.
 
-    The equations with m3 = I3 = 0 are compared with those of the thumb, which has two links.
+    The test compares the finger equations with m3 = I3 = 0 with the thumb equations.
     """
     thumb = DigitModel.from_hand(src.paper_hand(), "thumb").with_gravity((0.0, -9.81, 0.0))
     chance = np.random.default_rng(3)
@@ -280,7 +280,11 @@ def test_no_erratum_denies_a_statement_that_the_paper_makes() -> None:
 
 
 def test_torques_convert_between_relative_and_absolute_angles() -> None:
-    """The page about the paper states two correct conversions: tau = S^T T and M_q = S^T M_theta S."""
+    """The page about the paper states two correct conversions: tau = S^T T and M_q = S^T M_theta S.
+
+    tau and M_q are torques and mass matrix for relative joint angles, and T and M_theta those for
+    absolute angles. S is the lower triangular matrix of ones.
+    """
     digit = lagrange.paper_finger()
     states = lagrange.finger_states(digit)
     tau, torque = (

@@ -1,4 +1,4 @@
-"""Test that decimal places and exact value decide if a printed number counts as equal, rounded, truncated or wrong."""
+"""Test the verdict on a printed number (equal, rounded, truncated, wrong): it depends on decimals and exact value."""
 
 from decimal import ROUND_DOWN, ROUND_HALF_EVEN, Decimal
 from fractions import Fraction

@@ -1,7 +1,7 @@
 """Test the controller programs that handctl makes from episodes of a LeRobot dataset.
 
-A hand follows an episode in lockstep. The tests check that handctl refuses an episode that does not
-suit the hand.
+A hand follows an episode in lockstep. The tests check that handctl refuses an episode that the hand
+cannot perform.
 """
 
 import json

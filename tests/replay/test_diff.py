@@ -103,8 +103,8 @@ def test_unknown_values_have_no_difference_and_no_delay() -> None:
 def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
     """If a joint is at rest, the signal of its angle is only noise in both runs.
 
-    The noise of the two runs always agrees best at some time shift, but this time shift is not a
-    delay of the joint.
+    There is always a time shift at which the noise of both runs agrees best. Such a time shift is
+    no delay of the joint.
     """
     noise = np.random.default_rng(3).normal(scale=0.02, size=(2, 400))
     sine_signal = np.sin(np.linspace(0.0, 9.0, 420))
@@ -124,7 +124,7 @@ def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
 
 
 def test_unknown_differences_are_not_printed() -> None:
-    """In a task phase of one or two ticks, the differences of the two runs are NaN, and handctl does not print them.
+    """handctl does not print differences that are NaN. Differences in a task phase of one or two ticks are NaN.
 
     If the second run is ahead of the first run, handctl does not print the delay as "-10 ms
     behind".

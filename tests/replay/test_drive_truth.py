@@ -26,10 +26,10 @@ DIGIT_NAMES = ("index", "middle", "ring", "thumb")
 
 @dataclass(frozen=True)
 class RunWithRepetition:
-    """The logs of a run and its repetition, and the true values of both runs in a common interval."""
+    """A run and its repetition: the logs of both runs, and the true values of both runs in a common interval."""
 
     folder: Path
-    raw: bool
+    follows_tensions: bool
 
     def compare_replay(self) -> dict[str, dict[str, dict[str, float]]]:
         with (
@@ -40,7 +40,7 @@ class RunWithRepetition:
 
     @property
     def repeated_log_path(self) -> Path:
-        return self.folder / f"again-{self.raw}.mcap"
+        return self.folder / f"again-{self.follows_tensions}.mcap"
 
     def true_values(self, *truth_columns: str) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the times since the start of the common interval, and the true values of both runs.
@@ -108,7 +108,7 @@ def run_with_repetition(run_folder: Path, request: pytest.FixtureRequest) -> Run
     """
     run_pair = RunWithRepetition(run_folder, request.param)
     with RunLog(run_folder / "first.mcap") as original_log:
-        program = playback_program(original_log, 1 / RATE_HZ, run_pair.raw)
+        program = playback_program(original_log, 1 / RATE_HZ, run_pair.follows_tensions)
     truth = run_pair.repeated_log_path.with_suffix(".truth")
     assert (
         short_runs.record_lockstep_run(
@@ -131,12 +131,12 @@ def test_second_replay_gives_the_same_log(run_with_repetition: RunWithRepetition
     comparison = run_with_repetition.compare_replay()
     worst = (
         {"joint_deg": 12.0, "tendon_N": 13.0}
-        if run_with_repetition.raw
+        if run_with_repetition.follows_tensions
         else {"joint_deg": 3.0, "tendon_N": 13.0}
     )
     max_rms_by_signal = (
         {"joint_deg": 3.0, "tendon_N": 2.2}
-        if run_with_repetition.raw
+        if run_with_repetition.follows_tensions
         else {"joint_deg": 1.5, "tendon_N": 2.2}
     )
     for signal in worst:
@@ -158,8 +158,8 @@ def test_second_replay_gives_the_same_truth(
     angle_difference = np.degrees(
         np.abs(repeated_angles.mean(axis=1) - recorded_angles.mean(axis=1))
     )
-    assert angle_difference.max() < (6.0 if run_with_repetition.raw else 1.0)
-    assert angle_difference.mean() < (1.5 if run_with_repetition.raw else 0.3)
+    assert angle_difference.max() < (6.0 if run_with_repetition.follows_tensions else 1.0)
+    assert angle_difference.mean() < (1.5 if run_with_repetition.follows_tensions else 0.3)
 
 
 def test_a_replayed_grasp_is_as_strong_as_the_recorded_one(
@@ -169,7 +169,9 @@ def test_a_replayed_grasp_is_as_strong_as_the_recorded_one(
     forces = [f"contact_force/{digit}/{axis}" for digit in DIGIT_NAMES for axis in "xyz"]
     recorded_tensions, repeated_tensions = run_with_repetition.mean_values_at_rest(*tensions)
     np.testing.assert_allclose(
-        repeated_tensions, recorded_tensions, rtol=0.08 if run_with_repetition.raw else 0.05
+        repeated_tensions,
+        recorded_tensions,
+        rtol=0.08 if run_with_repetition.follows_tensions else 0.05,
     )
     recorded_forces, repeated_forces = (
         np.linalg.norm(mean_forces.reshape(-1, 3), axis=1)
@@ -177,5 +179,5 @@ def test_a_replayed_grasp_is_as_strong_as_the_recorded_one(
     )
     assert recorded_forces.min() > 1.0, "every digit has contact"
     np.testing.assert_allclose(
-        repeated_forces, recorded_forces, rtol=0.2 if run_with_repetition.raw else 0.05
+        repeated_forces, recorded_forces, rtol=0.2 if run_with_repetition.follows_tensions else 0.05
     )

@@ -1,7 +1,6 @@
 """Test the re-execution of unusual logs.
 
-Some of the unusual logs have gaps, or contain values that handctl refuses. Other unusual logs come
-from runs that ended early.
+An unusual log has gaps, contains values that handctl refuses, or comes from a run that ended early.
 """
 
 import json

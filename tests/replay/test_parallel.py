@@ -37,8 +37,8 @@ def execute_serial_and_parallel(
 ) -> ExecuteSerialAndParallel:
     """Return a function that executes a log with one process and with three processes.
 
-    The returned function takes another function as its only argument. The function in the argument
-    makes a number in the state of the controller wrong.
+    The only argument of the returned function is None, or a function that makes a number in the
+    controller state wrong.
     """
 
     def run(change: StateChange | None = None) -> tuple[LogExecution, LogExecution]:
@@ -141,7 +141,7 @@ def test_three_processes_find_no_difference_where_one_finds_none(
 def test_three_processes_find_the_first_difference_wherever_it_is(
     execute_serial_and_parallel: ExecuteSerialAndParallel, first_wrong_tick: int
 ) -> None:
-    """The test changes a field of the controller state in the part of the log that each process executes.
+    """One test case for each process changes a field of the controller state in the part that this process executes.
 
     In some test cases, the changed tick is at the border between two parts of the log.
     """

@@ -1,4 +1,4 @@
-"""Test the numbers of late and lost frames that the report counts in a log.
+"""Test how the report counts the late frames and the lost frames in a log.
 
 The tests delay or remove frames in copies of a golden log.
 """

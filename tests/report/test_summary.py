@@ -129,16 +129,16 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
 def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
     """The summary compares the tension estimate of a tick with the true tension at the time of the tick.
 
-    A load-cell reading is taken one period before its tick. The summary compares it with the true
-    tension at the time of the reading.
+    A load-cell reading is taken one period before its tick. The summary compares the load-cell
+    reading with the true tension at the time of the reading.
     """
     log, truth = log_without_faults(), zero_truth_record(JAMIA_HAND, 200)
-    real = 20.0 + np.arange(200) * 0.1
+    true_tension = 20.0 + np.arange(200) * 0.1
     for name in JAMIA_HAND.tendon_names:
-        set_truth_column(truth, f"tension/{name}", real)
-    log.fields["tension"][:] = real[:, None] + 0.3
+        set_truth_column(truth, f"tension/{name}", true_tension)
+    log.fields["tension"][:] = true_tension[:, None] + 0.3
     log.fields["tension_raw"][1:] = (
-        real[:-1, None] + np.where(np.arange(199) % 2, 0.5, -0.5)[:, None]
+        true_tension[:-1, None] + np.where(np.arange(199) % 2, 0.5, -0.5)[:, None]
     )
     log.fields["tension_raw"][0] = np.nan
     log.fields["tension_raw"][50] = np.nan
@@ -256,9 +256,10 @@ def test_rms_ignores_nan() -> None:
 
 
 def test_measured_load_equals_a_hand_calculation() -> None:
-    """In a classical frame of 8 bytes, 34 + 64 bits can cause stuff bits, at most one for every four bits.
+    """In a classical frame of 8 bytes, the bus inserts stuff bits only in the first 34 + 64 bits.
 
-    The other 13 bits of the frame get no stuff bits.
+    After the first bit, at most one stuff bit is inserted for every four bits. The last 13 bits of
+    the frame get no stuff bits.
     """
     log = log_without_faults()
     frame_time_s = (98 + 97 // 4 + 13) / 1e6

@@ -157,10 +157,10 @@ def test_the_file_descriptor_becomes_readable_with_a_frame(bus_under_test: BusUn
 
 
 def test_python_can_understands_every_frame(bus_under_test: BusUnderTest) -> None:
-    ours = bus_under_test.open()
+    handctl_bus = bus_under_test.open()
     python_can_bus = bus_under_test.connect_python_can()
     for frame in random_frames(50, seed=2):
-        assert ours.send([frame]) == 1
+        assert handctl_bus.send([frame]) == 1
         message = python_can_bus.recv(RECEIVE_TIMEOUT_S)
         assert message is not None
         assert (
@@ -177,7 +177,7 @@ def test_python_can_understands_every_frame(bus_under_test: BusUnderTest) -> Non
 
 
 def test_every_message_of_python_can_is_understood(bus_under_test: BusUnderTest) -> None:
-    ours = bus_under_test.open()
+    handctl_bus = bus_under_test.open()
     python_can_bus = bus_under_test.connect_python_can()
     sent = [
         can.Message(arbitration_id=0x7FF, is_extended_id=False, data=b"\x00\xff"),
@@ -193,7 +193,7 @@ def test_every_message_of_python_can_is_understood(bus_under_test: BusUnderTest)
     ]
     for message in sent:
         python_can_bus.send(message)
-    assert frame_contents(drain_bus(ours, len(sent))) == [
+    assert frame_contents(drain_bus(handctl_bus, len(sent))) == [
         (0x7FF, b"\x00\xff", 0),
         (0x1FFFFFFF | EXTENDED_FLAG, bytes(range(8)), 0),
         (0x10 | REMOTE_FLAG, bytes(4), 0),

@@ -121,15 +121,15 @@ class KillVerdict(NamedTuple):
     def has_complete_log(self) -> bool:
         """Return True if the log contains every tick whose SYNC frame was on the bus.
 
-        The last tick is allowed to be missing, because the signal possibly comes just after the
-        SYNC frame of the last tick.
+        The last tick is allowed to be missing, because the signal can arrive between the SYNC frame
+        and the recording of the last tick.
         """
-        on_bus = self.run.bus_sync_counts
-        is_in_log = self.run.log_sync_counts
+        bus_counts = self.run.bus_sync_counts
+        log_counts = self.run.log_sync_counts
         return (
             not self.run.warning
-            and len(on_bus) - len(is_in_log) in (0, 1)
-            and on_bus.startswith(is_in_log)
+            and len(bus_counts) - len(log_counts) in (0, 1)
+            and bus_counts.startswith(log_counts)
         )
 
 
@@ -170,7 +170,7 @@ class KillTestSetup:
         )
 
     def now_ns(self) -> tuple[int, int]:
-        """Return the time of the simulator, and the total time in which the simulator did not run [ns]."""
+        """Return the time of the simulator, and the total delay that the simulator will never make up [ns]."""
         reply_path = run_dir() / f"kills-{os.getpid()}"
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
             link.bind(str(reply_path))
@@ -359,13 +359,15 @@ def disturb_controllers(
 
     The controllers get the signals SIGKILL and SIGSTOP alternately.
     """
-    chance = random.Random(seed)
+    rng = random.Random(seed)
     test_hand = KillTestSetup(work_folder, time_scale)
     runs: list[DisturbedRun] = []
     try:
         for number in range(controller_count):
-            how = signal.SIGKILL if number % 2 == 0 else signal.SIGSTOP
-            runs.append(test_hand.disturb_controller(number, how, chance.uniform(0.0, MAX_DELAY_S)))
+            signal_number = signal.SIGKILL if number % 2 == 0 else signal.SIGSTOP
+            runs.append(
+                test_hand.disturb_controller(number, signal_number, rng.uniform(0.0, MAX_DELAY_S))
+            )
     finally:
         end_process(test_hand.simulator)
     return test_hand.kill_verdicts(runs)

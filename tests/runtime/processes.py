@@ -134,7 +134,7 @@ def socket_names() -> list[str]:
 
 
 def write_homed_calibration(calibration_file: Path, hand: Hand) -> None:
-    """Write the calibration that suits a simulated hand with ``HOMED_HAND_OPTIONS``.
+    """Write the calibration of a simulated hand that runs with ``HOMED_HAND_OPTIONS``.
 
     All tares and zeros in the written calibration are zero.
     """

@@ -141,14 +141,14 @@ def test_a_folder_that_another_user_made_is_refused(
 @SECOND_USER
 def test_a_folder_above_that_another_user_owns_or_can_write_in_is_refused(shared_tmp, monkeypatch):
     """The owner of the parent folder could rename the private run directory, and create another folder in its place."""
-    above = shared_tmp / "above"
-    above.mkdir()
-    monkeypatch.setenv("HANDCTL_RUN_DIR", str(above / "run"))
+    parent_folder = shared_tmp / "above"
+    parent_folder.mkdir()
+    monkeypatch.setenv("HANDCTL_RUN_DIR", str(parent_folder / "run"))
     run_dir()
-    above.chmod(0o777)
+    parent_folder.chmod(0o777)
     check_refusals(r"above: is open to others \(mode 0777\)")
-    above.chmod(0o755)
-    os.chown(above, NOBODY_UID, NOBODY_UID)
+    parent_folder.chmod(0o755)
+    os.chown(parent_folder, NOBODY_UID, NOBODY_UID)
     check_refusals("above: belongs to")
 
 
@@ -210,12 +210,12 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(
     """
     box = Mailbox("local:x")
     folder = run_dir()
-    aside = folder / "aside"
+    renamed_mailbox = folder / "aside"
     mailbox = Path(box.path)
     received = []
 
     def take():
-        mailbox.rename(aside)
+        mailbox.rename(renamed_mailbox)
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
             link.bind(str(mailbox))
             os.chmod(mailbox, 0o777)
@@ -223,7 +223,7 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(
             select.select([over], [], [], 6.0)
             return link.recv(4096, socket.MSG_DONTWAIT).decode()
 
-    assert call_as_user_nobody(lambda: mailbox.rename(aside)) == "PermissionError"
+    assert call_as_user_nobody(lambda: mailbox.rename(renamed_mailbox)) == "PermissionError"
     assert call_as_user_nobody(
         lambda: socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM).connect(str(mailbox))
     ) == ("PermissionError")

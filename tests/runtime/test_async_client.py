@@ -16,8 +16,8 @@ REALTIME_MARK = pytest.mark.realtime
 async def use_hand_as_client(*connect_options):
     """Move, stream, observe and cancel with a client.
 
-    At the same time, another asyncio task counts, to show that the client does not block the event
-    loop.
+    At the same time, another asyncio task counts loops. The count shows that the client does not
+    block the event loop.
     """
     loop_count = 0
 
@@ -154,7 +154,7 @@ def test_a_controller_that_cannot_start_is_one_error(work_folder):
 
 def test_every_call_has_its_coroutine():
     """With a few exceptions, the asyncio client has a coroutine for each method of the ordinary client."""
-    apart = {
+    names_without_coroutine = {
         "end_stream",
         "state",
         "wait",
@@ -164,7 +164,7 @@ def test_every_call_has_its_coroutine():
     }
     names = (
         {name for name in vars(library.HandClient) if not name.startswith("_")}
-        - apart
+        - names_without_coroutine
         - {"description"}
     )
     for name in names:

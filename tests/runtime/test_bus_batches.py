@@ -1,7 +1,7 @@
 """Test how all kinds of buses treat unusual batches of frames.
 
-Some batches contain frames of mixed kinds with 0 to 64 bytes. Other batches contain more frames
-than a buffer can store, or error frames.
+An unusual batch contains frames of mixed kinds with 0 to 64 bytes, error frames, or more frames
+than a buffer can store.
 """
 
 import random
@@ -73,7 +73,7 @@ def frame_contents(frames: Frames) -> list[tuple[int, bytes, int, int]]:
 def has_zeros_behind_payloads(frames: Frames) -> bool:
     """Return True if frame records contain only zeros after each payload.
 
-    Check the size of a frame record, too.
+    Also assert that each frame record has ``WORDS_PER_RECORD`` words.
     """
     assert frames.rows.shape == (len(frames), WORDS_PER_RECORD)
     is_behind_payload = np.arange(64) >= frames.records["length"][:, np.newaxis]

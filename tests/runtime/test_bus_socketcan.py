@@ -132,10 +132,10 @@ def test_stamps_never_run_backwards_or_ahead(
     the future.
     """
     bus, peer_socket = udp_bus
-    real = time.time_ns
+    real_time_ns = time.time_ns
     stamps = []
     for step in (0, 5 * 10**9, -5 * 10**9, 3600 * 10**9, 0):
-        monkeypatch.setattr(time, "time_ns", lambda step=step: real() + step)
+        monkeypatch.setattr(time, "time_ns", lambda step=step: real_time_ns() + step)
         bus._offset.request_measurement()
         peer_socket.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
         time_ns_before = time.monotonic_ns()

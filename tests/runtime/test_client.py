@@ -76,7 +76,7 @@ def status_with_events(*event_texts):
     "foreign_reply", ["refused: no digit 'x'", "request: Invalid JSON", "move index 3"]
 )
 def test_replies_to_other_programs_are_ignored(unserved_client, monkeypatch, foreign_reply):
-    """Reproduce a defect: if two programs used one hand, each program reported refused requests of the other one."""
+    """Reproduce a defect: if two programs used one hand, a program reported the other program's refused requests."""
     sent = []
     monkeypatch.setattr(
         unserved_client._watcher, "send", lambda data, timeout: sent.append(json.loads(data))
@@ -121,8 +121,8 @@ def test_a_hold_without_a_tension_brings_the_hand_to_rest(unserved_client, monke
 def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
     """Reproduce a defect.
 
-    If the first argument of a call was a mapping, the client used the mapping as the duration. The
-    call raised the error "no digit".
+    A user called ``move`` or ``hold`` with a mapping of digits as the first argument. The client
+    used this mapping as the duration, and raised the error "no digit".
     """
     requests = []
     monkeypatch.setattr(unserved_client, "_set_goal", requests.append)

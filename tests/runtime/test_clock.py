@@ -21,7 +21,7 @@ PERIOD_NS = 2_000_000
 class FakeMonotonicClock:
     """A simulated CLOCK_MONOTONIC.
 
-    A sleep advances this clock by the duration of the sleep, and by some additional time.
+    A sleep advances this clock by the duration of the sleep plus ``overshoot_ns``.
     """
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, overshoot_ns: int = 0) -> None:
@@ -118,7 +118,8 @@ def test_the_granted_priority_is_described() -> None:
 class FakeLockstepSimulator:
     """A fake simulator for the lockstep clock, which records its steps.
 
-    The simulator replies to each frame with an identifier that is larger by 0x10.
+    The simulator replies to each frame. The identifier of the reply is the identifier of the frame
+    plus 0x10.
     """
 
     def __init__(self, failure_text: str = "") -> None:

@@ -164,9 +164,9 @@ def test_each_defect_is_found_or_not_as_the_documentation_says(
 ):
     """Reproduce three defects.
 
-    A CubeMars drive that ignores commands passed all checks. An ODrive without endpoint options
-    passed although the read-back of its settings was wrong. An ODrive without endpoint options
-    failed the watchdog check although its watchdog worked.
+    First, a CubeMars drive that ignores commands passed all checks. Second, an ODrive without
+    endpoint options passed although the read-back of its settings was wrong. Third, an ODrive
+    without endpoint options failed the watchdog check although its watchdog worked.
     """
     protocol = protocol_column.split()[0]
     options = OPTIONS_WITHOUT_ENDPOINTS if "without" in protocol_column else None
@@ -219,7 +219,7 @@ def test_an_odrive_of_firmware_05_is_judged_without_torque_reports(drive_fault):
 
 
 def test_a_second_drive_never_turns(protocol):
-    """The second drive on a bus is never enabled, because the checks stop when a second drive replies."""
+    """The checks stop at the first reply of a second drive with the same number, so this drive is never enabled."""
     _, virtual_bench, _ = check_results(protocol, "twin")
     assert virtual_bench.largest_torque == 0.0
 
@@ -312,7 +312,7 @@ def test_a_reason_names_a_few_identifiers_of_many():
 
 
 def test_a_motor_in_velocity_mode_is_set_to_mit_mode():
-    """An earlier client has possibly left the value 3 (velocity mode) in the register CTRL_MODE."""
+    """In this test, the register CTRL_MODE contains the value 3 (velocity mode), as an earlier client can leave it."""
     virtual_bench = VirtualBench("mit")
     node = virtual_bench.bench.nodes[0]
     node.registers.write(10, (3).to_bytes(4, "little"))

@@ -224,7 +224,7 @@ def test_a_blocked_cia402_drive_reports_its_following_error():
 def stall_host(virtual_bench, rig, stall_time_s, missed_ticks):
     """Let the host miss consecutive ticks, ``stall_time_s`` seconds after the drive was enabled.
 
-    Return the time [ns] and the command of all ticks in which the drive is enabled.
+    Return the time [ns] and the command of each tick in which the drive is enabled.
     """
     wait, advance_drive = virtual_bench.wait, rig.drive.advance
     commands = []

@@ -54,7 +54,7 @@ def test_missed_ticks_are_skipped_and_not_executed_later(protocol: str, missed_t
 def test_a_drive_that_was_never_heard_is_not_confirmed_off(protocol: str) -> None:
     """Reproduce a defect: a drive counted as disabled although none of its replies had arrived.
 
-    Another host has possibly enabled a drive that sends no replies.
+    Another host can have enabled such a drive.
     """
     virtual_bench = VirtualBench(protocol, "mute")
     rig = make_drive_rig(virtual_bench, protocol, 0.1)

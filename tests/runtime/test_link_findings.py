@@ -118,7 +118,7 @@ def test_invalid_output_of_ip_is_no_link(ip_output):
 def usb_interface(folder, driver_name="gs_usb", usb_speed="12", serial_number="0042"):
     """Make a folder like /sys/class/net.
 
-    The only interface in the made folder is can0, which belongs to a USB adapter.
+    The folder contains only the interface can0, which belongs to a USB adapter.
     """
     usb = folder / "usb1" / "1-1"
     (usb / "1-1:1.0").mkdir(parents=True)

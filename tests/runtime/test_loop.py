@@ -455,7 +455,7 @@ def test_a_bus_that_refuses_every_cut_delays_no_other(
 ) -> None:
     """If a bus refuses the disabling frames, the loop sends them again for a limited time.
 
-    The other bus gets its disabling frames before the loop sends the frames to the refusing bus
+    The loop sends the disabling frames on the other bus first, and then tries the refusing bus
     again.
     """
     pauses: list[float] = []

@@ -148,7 +148,7 @@ def test_a_wrong_lease_is_one_line(request_options, expected_message):
 
 
 def test_a_watchdog_stops_the_signs_of_life(work_folder):
-    """A watchdog in the client ends the signs of life when the program has not called the client for some time.
+    """If a program does not call its client for too long, a watchdog in the client ends the signs of life.
 
     The next call of the client starts the signs of life again.
     """

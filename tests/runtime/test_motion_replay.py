@@ -69,9 +69,9 @@ def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, time_scale_options
         "as in lockstep, tests/replay/test_drive.py"
     )
     with RunLog(GOLDEN_LOG) as original_log, RunLog(work_folder / "again.mcap") as replayed_log:
-        apart = mean_angle_differences(original_log, replayed_log)
-        assert np.percentile(apart, 99, axis=0).max() < 1.0
-        assert apart.max() < 2.0, "a digit may leave the object one tick late"
+        angle_differences = mean_angle_differences(original_log, replayed_log)
+        assert np.percentile(angle_differences, 99, axis=0).max() < 1.0
+        assert angle_differences.max() < 2.0, "a digit may leave the object one tick late"
         original_tensions, replayed_tensions = mean_held_tensions(original_log, replayed_log)
     np.testing.assert_allclose(replayed_tensions, original_tensions, rtol=0.05)
 

@@ -58,7 +58,7 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def telemetry_of_tick(tick_index: int) -> PackedTelemetry:
-    """Return telemetry in which each number is computed from the tick index and from the index of the number."""
+    """Return telemetry in which number i of tick k has the value 1000 k + i."""
     places, first_element = TelemetrySlices(), 0
     for name in TELEMETRY_FIELDS:
         places[name] = slice(first_element, first_element + AXIS_LENGTHS[TELEMETRY_AXES[name]])

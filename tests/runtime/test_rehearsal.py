@@ -1,4 +1,4 @@
-"""Test the rehearsal of a tick before its deadline."""
+"""Test the rehearsal: shortly before a deadline, the clock executes the beginning of the last tick again."""
 
 import time
 from collections.abc import Iterator
@@ -146,7 +146,7 @@ def test_rehearsals_begin_again_after_an_interruption(monkeypatch: pytest.Monkey
 
 @pytest.mark.parametrize("log_path", GOLDEN_LOGS, ids=lambda path: path.stem)
 def test_a_rehearsal_changes_no_later_tick(log_path: Path) -> None:
-    """Execute the beginning of every tick a second time, and compare all states with the log."""
+    """Rehearse every tick, and compare the states of all ticks with the log."""
     with RunLog(log_path) as log, np.errstate(all="ignore"):
         controller = rebuild_controller(log)
         state = controller.initial_state()

@@ -104,9 +104,9 @@ def test_the_clock_pauses_for_a_late_controller(clock_pair, late_ms) -> None:
 
 
 def test_ticks_of_a_controller_that_was_stopped_are_missed(clock_pair) -> None:
-    """The shared clock does not pause if a user stops the controller process.
+    """The shared clock continues while a user stops the controller process.
 
-    When the controller process is stopped, the watchdogs of the drives must fire.
+    Because the clock continues, the watchdogs of the drives fire.
     """
     clock = clock_pair.controller
     clock.start()
@@ -166,8 +166,8 @@ def test_a_simulator_that_stopped_is_not_waited_for_again(clock_pair) -> None:
 def test_a_simulator_behind_its_time_is_waited_for(clock_pair) -> None:
     """In this test, the simulator has replied to all frames, but its time is behind the present time.
 
-    Although the simulator has replied, the controller waits until the simulated sensors have sent
-    all frames up to the present time.
+    The controller still waits, because simulated sensors can send further frames up to the present
+    time.
     """
     clock = clock_pair.controller
     clock.start()
@@ -225,7 +225,7 @@ def test_a_time_stamp_before_the_last_pause_is_converted(clock_pair) -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_the_time_of_the_simulator_never_runs_backwards(tmp_path, monkeypatch, seed) -> None:
-    """The simulated machine of this test stops the controller and the simulator at random times."""
+    """In this test, a simulated machine stops the processes of controller and simulator at random times."""
     rng = random.Random(seed)
     clock_pair = SharedClockPair(
         tmp_path / "t.clock", monkeypatch, scale := rng.choice([0.1, 1.0, 1.0, 4.0])

@@ -216,7 +216,7 @@ def slack_tendon(earlier_slack_ticks: int, tendon_index: int = 3) -> TickInput:
 def derailed_tendon(tendon_index: int, deviation_deg: float) -> TickInput:
     """Return an input in which the angles of a tendon's joint and spool disagree by ``deviation_deg`` [deg].
 
-    The angles of joint and spool disagree in the third reading in a row.
+    Joint and spool disagree in three successive readings, the present reading included.
     """
     excursion = -20.0 / 1e5 - 0.02 * np.radians(deviation_deg)
     return state_input(
@@ -441,7 +441,7 @@ def monitor_at_rest() -> SyntheticMonitor:
 def reset_monitor_for_input(monitor: SyntheticMonitor, tick_input: TickInput) -> StateValues:
     """Reset a monitor to a hand at rest.
 
-    Return the values of ``tick_input`` that must be set for one tick.
+    Return the state values of ``tick_input``, which the caller must set before one tick.
     """
     monitor.reset_to_rest()
     return dict(tick_input.state_values)

@@ -167,7 +167,8 @@ class SyntheticMonitor:
     def reset_to_rest(self) -> None:
         """Reset all values to those of a hand at rest.
 
-        Keep only one value of the state: for how many ticks each fault has been present.
+        Only the field ``fault_ticks`` keeps its values: the number of ticks for which each fault
+        has been present.
         """
         present = self.view("fault_ticks").copy()
         self.block[:] = self.block_at_rest

@@ -334,8 +334,8 @@ def add_reading(
     """Run a tick with an encoder reading, a target and a tension.
 
     Return three values. The first value is the number of ticks in which the encoder reading has not
-    changed. The other two values are the changes of the target and of the tension since the last
-    changed reading.
+    changed. The second and the third value are the changes of target and tension since the encoder
+    reading last changed.
     """
     rows: StateValues = {
         "measured_position": motor_position,

@@ -193,8 +193,8 @@ def unexplained_tensions(monitor: SyntheticMonitor) -> list[float]:
 def test_lasting_residual_is_a_fault(tension, expected_residual):
     """The residual is the measured tension minus the tension that the model explains.
 
-    In this test, friction is allowed to cause a residual of 3 N. The tolerance of the torque
-    constant is allowed to cause a tenth of 20 N.
+    In this test, friction explains a residual of up to 3 N. The tolerance of the torque constant
+    explains a further tenth of 20 N.
     """
     monitor, findings = run_ticks(1200, tension=tension)
     assert unexplained_tensions(monitor) == pytest.approx([expected_residual] * 2, abs=0.05)
@@ -356,18 +356,18 @@ def test_good_reading_restarts_the_count_of_derailed_readings():
 
 
 def test_the_joint_spool_filter_has_one_time_constant_at_any_joint_rate():
-    """A filter with a time constant of 0.3 s reaches 3 deg 0.58 s after a step of its input to 3.5 deg.
+    """After an input step to 3.5 deg, a filter with a time constant of 0.3 s needs 0.58 s to reach 3 deg.
 
     The time of 0.58 s is 0.3 s ln 7.
     """
-    for every in (1, TICKS_PER_JOINT_READING):
-        monitor = monitor_at_20_newton(make_monitor(joint_period=every * PERIOD_S))
+    for ticks_per_reading in (1, TICKS_PER_JOINT_READING):
+        monitor = monitor_at_20_newton(make_monitor(joint_period=ticks_per_reading * PERIOD_S))
         run_ticks(100, monitor, excursion=0.0, read=True)
         detection_time_s = None
         for k in range(400):
             read = (
                 {"excursion": [-0.02 * np.radians(3.5), 0.0], "read": True}
-                if k % every == 0
+                if k % ticks_per_reading == 0
                 else {}
             )
             findings = monitor.tick(measurements_at_rest(**read))

@@ -115,8 +115,8 @@ def stuck_sensor_names(
 ) -> dict[str, list[str]]:
     """Return the names of the sensors that count as stuck after one more equal reading.
 
-    ``changed_state`` contains the changes of other signals, which should change together with the
-    readings.
+    ``changed_state`` contains the changes of signals that move together with the readings of a
+    healthy sensor.
     """
     zero = [0.0, 0.0]
     findings = monitor.tick(
@@ -234,10 +234,16 @@ def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
         )
         return abs(monitor.field_values("slip")[0]), monitor.field_values("derailed")[0]
 
-    apart = pulley_limit / DEG_PER_RAD * 0.02
-    around = [slip_and_derailed_ticks(apart * (1.0 + i * 2.0**-52)) for i in range(-4, 5)]
-    assert min(angle for angle, _ in around) <= pulley_limit < max(angle for angle, _ in around)
-    assert all(count == float(angle > pulley_limit) for angle, count in around)
+    limit_difference_m = pulley_limit / DEG_PER_RAD * 0.02
+    results_near_limit = [
+        slip_and_derailed_ticks(limit_difference_m * (1.0 + i * 2.0**-52)) for i in range(-4, 5)
+    ]
+    assert (
+        min(angle for angle, _ in results_near_limit)
+        <= pulley_limit
+        < max(angle for angle, _ in results_near_limit)
+    )
+    assert all(count == float(angle > pulley_limit) for angle, count in results_near_limit)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Test the requests to drives that have no reply yet.
 
-A reply to an open request is possibly late. A reply without any request is a duplicate.
+A reply to an open request can be late, but it is no duplicate. A reply without any request is a
+duplicate.
 """
 
 import pytest

@@ -121,9 +121,10 @@ def test_slack_is_reported_by_name_and_in_seconds():
 def test_a_snapped_tendon_is_detected(
     ticks_since_taut, cell_tension_N, commanded_tension_N, spool_speed, is_detected
 ):
-    """In this test, one tendon is neither slack nor taut, so the count of ticks since it was taut continues.
+    """In this test, one tendon is neither slack nor taut.
 
-    The other tendon of the digit is taut.
+    For such a tendon, the count of ticks since it was taut continues. The other tendon of the digit
+    is taut.
     """
     tendons = FilteredTensionMonitor(
         2, taut_ago=[0, ticks_since_taut - 1 if ticks_since_taut > 0 else ticks_since_taut]
@@ -233,8 +234,7 @@ def test_a_tendon_still_pulled_by_its_motor_is_detected(
 ):
     """The detector compares a tendon's tension with the tension before the motors were disabled.
 
-    Without a reading from before the motors were disabled, the detector compares the tension with
-    the first reading.
+    If there is no such earlier reading, the detector compares the tension with the first reading.
     """
     tendons = FilteredTensionMonitor(
         2, cut_ticks=ticks_after_cut - 1, cut_from=[0.0, tension_before_cut], cut_bears=NAN
@@ -325,9 +325,8 @@ def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(
 def test_a_step_of_a_coarse_torque_report_is_no_pull(torque_step_N, is_detected):
     """Reproduce a defect.
 
-    A CubeMars AK70-10 has no code for zero torque. After an AK70-10 was disabled, it reports a
-    torque that corresponds to 1.2 N. The reported torque caused the fault N16 (a drive does not
-    release).
+    A CubeMars AK70-10 has no code for zero torque, so a disabled AK70-10 reports a torque that
+    corresponds to 1.2 N. The reported torque caused the fault N16 (a drive does not release).
     """
     tendons = FilteredTensionMonitor(1)
     tendons.set_constants(torque_step=torque_step_N)

@@ -181,7 +181,7 @@ def test_a_torque_constant_within_its_tolerance_is_no_fault():
 def test_friction_that_has_grown_is_seen_in_motion_only():
     """In this test, the friction is 8 N higher than in the hand file.
 
-    If the motor moves to and fro for 15 s, the fault T09 (friction has grown) is reported.
+    After 15 s of motion to and fro, the monitor reports the fault T09 (friction has grown).
     """
     w, a = 2 * np.pi, 0.02
 

@@ -73,7 +73,7 @@ def rounded_to_counts(reported_force: np.ndarray) -> np.ndarray:
 
 
 def delayed_reports(commanded: np.ndarray, delay_ticks: int = 1) -> np.ndarray:
-    """Return the torque reports of drives that obey with a delay [ticks].
+    """Return the torque reports of drives that obey their commands ``delay_ticks`` ticks late.
 
     Row k of the returned array contains the reports that arrive in tick k.
     """
@@ -177,9 +177,10 @@ def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def motors_with_doubtful_reports(commanded: np.ndarray, reported: np.ndarray) -> np.ndarray:
-    """Return one truth value for each of two motors.
+    """Return a flag for each of two motors.
 
-    The truth value is True if, in any tick, the reports of the motor do not follow its commands.
+    The flag is True if the torque reports of the motor did not follow its commands in at least one
+    tick.
     """
     return motors_after_reports(commanded, reported).ever_unfollowed
 
@@ -237,7 +238,7 @@ def test_a_drive_without_torque_is_found_although_its_command_is_small() -> None
 def test_a_drive_that_obeys_fast_commands_is_not_a_fault(seed: int, ticks: int) -> None:
     """In this test, force commands jump by up to 50 N and have ramps of 10 N per tick.
 
-    Some torque reports and torque commands are lost.
+    A small fraction of the torque reports and torque commands is lost.
     """
     random = np.random.default_rng(seed)
     command_steps = (

@@ -137,8 +137,8 @@ def unexplained_ramp_of_line(
 ) -> ResidualRamp | None:
     """Fit a straight line to generated data, and return the steepest ramp in the residuals.
 
-    The generated data are noise in two sweeps of a digit. Beyond the angle ``kink_start``, the
-    generated data rise by ``kink_size`` per unit of angle, too.
+    The data of two sweeps of a digit are noise plus a kink. Beyond the angle ``kink_start``, the
+    kink adds ``kink_size`` per unit of angle.
     """
     random = np.random.default_rng(seed)
     angle = np.abs(np.linspace(-1.0, 1.0, ROW_COUNT)) * 0.6
@@ -165,10 +165,10 @@ def test_a_kink_is_found_where_it_is(kink_start: float) -> None:
         assert not ramp.excludes_contact
         assert ramp.begin == pytest.approx(kink_start, abs=0.06)
         assert ramp.rise == pytest.approx(40.0 * (0.6 - kink_start), rel=0.5)
-        support = unexplained_ramp_of_line(seed, -40.0, kink_start)
-        assert support
-        assert support.is_contact
-        assert support.rise < 0.0
+        falling_ramp = unexplained_ramp_of_line(seed, -40.0, kink_start)
+        assert falling_ramp
+        assert falling_ramp.is_contact
+        assert falling_ramp.rise < 0.0
 
 
 def test_a_fit_without_a_sweep_reports_no_contact() -> None:

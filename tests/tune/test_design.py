@@ -56,9 +56,9 @@ def test_the_packaged_gains_keep_their_margins(hand_name: str) -> None:
 
 
 def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
-    """The stability margins of a tendon limit only the force weight of the tendon itself.
+    """A heavy digit can need a low force weight to keep its stability margins.
 
-    The force weights of other tendons do not change.
+    The low force weight of the heavy digit does not change the force weights of other digits.
     """
     hand = load_hand("t42")
     left_digit, right_digit = hand.digit
@@ -96,10 +96,7 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
 
 
 def stiffness_of_motion_loop(model: HandModel, gains: Gains) -> float:
-    """Return the stiffness of the motion loop of the second tendon [1/s^2].
-
-    The motion loop has the given gains.
-    """
+    """Return the stiffness of the second tendon's motion loop with given gains [1/s^2]."""
     return float(model_with_gains(model, gains).motion_design.stiffness[1])
 
 

@@ -1,6 +1,6 @@
 """Test how files with gains are written, read and restored.
 
-Every change of the gains can be undone, and a reader never sees a file that is only partly written.
+A user can undo every change of the gains. A reader never sees a file that is only partly written.
 """
 
 import os

@@ -58,7 +58,7 @@ WEAK_MOTOR, STIFF_MOTOR = (23, "thumb"), (39, "thumb")
 def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
     tmp_path: Path, seed: int, digit: str
 ) -> None:
-    """The identification can tell whether a motor makes 29 % less torque or a load cell is wrong.
+    """The identification can distinguish a motor with 29 % less torque from a wrong load cell.
 
     In this test, even a motor with high friction moves its tendon.
     """

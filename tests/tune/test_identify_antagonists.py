@@ -1,7 +1,8 @@
 """Test the identification of digits without springs.
 
-Some digits without springs have n + 1 tendons for n joints. Other digits have pairs of tendons. The
-two tendons of a pair share one motor and have no load cells.
+There are two kinds of such digits. A digit of the first kind has n + 1 tendons for n joints. A
+digit of the second kind has pairs of tendons: the two tendons of a pair share one motor and have no
+load cells.
 """
 
 from pathlib import Path
@@ -154,10 +155,10 @@ def test_both_tendons_of_a_pair_balance_its_joint(passes_wrist: float) -> None:
 
 
 def test_the_stretch_of_a_pair_makes_its_net_tension() -> None:
-    """Two antagonistic tendons on one motor have the tensions p + k d and p - k d, but never less than 0.
+    """Two antagonistic tendons on one motor have the tensions max(p + k d, 0) and max(p - k d, 0).
 
-    In these tensions, p is the pretension, k the stiffness and d the stretch. The net tension of
-    the pair is the difference of the two tensions.
+    p is the pretension, k the stiffness, and d the stretch. The net tension of the pair is the
+    difference of both tensions.
     """
     stretch = spool_pair_stretch(np.linspace(-50.0, 50.0, 101), 5e4, 10.0)
     single_tensions = [np.maximum(10.0 + 5e4 * side * stretch, 0.0) for side in (1.0, -1.0)]
@@ -169,8 +170,8 @@ def test_the_stretch_of_a_pair_makes_its_net_tension() -> None:
 def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
     """Reproduce a defect.
 
-    While a fault holds the hand, the identification makes no progress. Because of the defect, a run
-    with a held hand never ended.
+    While a fault holds the hand, the identification makes no progress. The run had no time limit,
+    so a run with a held hand never ended.
     """
     limit = HoldTimeout()
 

@@ -78,7 +78,7 @@ def test_a_tick_acts_on_the_samples_of_the_tick_before(
 def test_the_frequency_response_solves_the_equations_of_the_system(
     hand_name: str, loop_kind: LoopKind, rate_hz: float
 ) -> None:
-    """The product over the eigenvalues equals C (zI - A)^-1 B + D, as the package ``control`` computes it."""
+    """The computed frequency response equals C (zI - A)^-1 B + D, as the package ``control`` computes it."""
     system = open_loop(HandModel.from_hand(load_hand(hand_name), Gains(), rate_hz), 0, loop_kind)
     omega = frequency_grid(system.period)
     expected = ss(system.A, system.B, system.C, system.D, system.period)(

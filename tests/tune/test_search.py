@@ -79,9 +79,9 @@ def test_search_result_does_not_depend_on_the_processes(
 def test_the_sampler_knows_which_trials_keep_their_margins(
     search_plan: SearchPlan, search_result: SearchResult, tmp_path: Path
 ) -> None:
-    """The sampler of Optuna uses the stability margins of all trials as constraints.
+    """The sampler of Optuna uses the stability margins of all trials as constraints, also of trials with random gains.
 
-    The trials with random gains are included. Optuna prints no warnings.
+    Optuna prints no warnings.
     """
     run_search(search_plan, tmp_path / "study", RecordedWorkers(search_result), _ignore_result)
     finished_trials = [
@@ -205,8 +205,8 @@ def test_search_resumes_from_a_truncated_journal(
 ) -> None:
     """In this test, the journal of a search is cut off in the middle of a line.
 
-    Some of the shortened journals contain trials that the sampler has chosen after the random
-    trials.
+    In a part of the test cases, the cut is after the random trials, among the trials that the
+    sampler has chosen.
     """
     longer_plan, complete_result, journal = long_search
     path, lines = tmp_path / "study", journal.splitlines(keepends=True)
@@ -301,7 +301,7 @@ def test_a_dask_cluster_finds_what_one_process_finds(
 
 def test_two_searches_do_not_share_a_journal(search_plan: SearchPlan, tmp_path: Path) -> None:
     class WorkersWithSecondSearch(InProcessWorkers):
-        """Workers that start a second search with the same journal before they compute the jobs of the first search."""
+        """Workers that try to start a second search with the journal of the first search, which still runs."""
 
         def compute_scores(
             self, jobs: Sequence[dict[str, Any]]

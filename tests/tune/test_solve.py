@@ -2,7 +2,7 @@
 
 The jackknife method leaves out one block of time after the other.
 
-In a damaged log, all rows are possibly in one block of time.
+If a log is damaged, all its rows can be in one block of time.
 """
 
 import time

@@ -194,7 +194,8 @@ def margins_by_brute_force(system: LinearSystem) -> tuple[float, float]:
 def test_margins_are_those_of_brute_force(hand_name: str, seed: int) -> None:
     """A computed stability margin is never larger than the true margin.
 
-    A computed margin is too small only if the frequency response and the eigenvalues disagree.
+    The computed margin is smaller than the true margin only if the frequency response and the
+    eigenvalues disagree.
     """
     model = model_of(hand_name, seed)
     for kind in LoopKind:
@@ -258,8 +259,8 @@ def test_written_design_is_stable(hand_name: str, seed: int) -> None:
 def test_tendons_that_share_joints_keep_their_margins_together() -> None:
     """Reproduce a defect: ``tune design`` gave up for n_plus_1.
 
-    The design gave the first tendon of a finger a large force weight of its own. Because of the
-    large force weight, the gain margins of the finger's other tendons fell below 6 dB.
+    The design gave the first tendon of a finger a large force weight of its own. This large force
+    weight lowered the gain margins of the other tendons of the finger below 6 dB.
     """
     model = HandModel.from_hand(load_hand("n_plus_1"), Gains(), 250.0)
     plants = (linear_factors({}),)
@@ -306,7 +307,7 @@ def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
 
 @pytest.mark.parametrize("hand_name", QUICK_TEST_HANDS)
 def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand_name: str) -> None:
-    """If an oscillation occurs without feedback, too, it is not an oscillation of the control loop."""
+    """The control loop is not the cause of an oscillation that also occurs without feedback."""
     model = HandModel.from_hand(
         load_hand(hand_name), packaged_gains(hand_name), CONTROL_RATES_HZ.get(hand_name, 200.0)
     )
@@ -357,7 +358,8 @@ def test_one_peak_in_five_runs_does_not_decide_about_gains(
     """Reproduce a defect: the seed of the sensor noise decided whether the same gains passed or failed.
 
     The links of a pressed digit slip at random times. A slip causes a peak of several newtons. The
-    defect was that only one run of each plant (simulated hand) decided about a design.
+    cause of the defect was the number of runs: a single run of each plant (simulated hand) decided
+    about a design.
     """
     runs = [5.0, 0.9, 1.0, 0.9, 1.1]
 

@@ -3,8 +3,8 @@
 Pytest reports each test of a guest system as if the test had run in the pytest process of the host.
 
 A guest system (guest) is either a network namespace or a virtual machine of user-mode Linux. In the
-guest, ``conftest.py`` writes each report of pytest to the file that HANDCTL_VCAN_REPORTS names.
-With HANDCTL_REQUIRE_VCAN=1, a skipped test counts as failed.
+guest, ``conftest.py`` writes each report of pytest to the file that HANDCTL_VCAN_REPORTS names. If
+HANDCTL_REQUIRE_VCAN is 1, a skipped test counts as failed.
 """
 
 import json

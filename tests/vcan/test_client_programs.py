@@ -1,12 +1,12 @@
 """Run motor clients of other authors, each in an environment of its own, with simulated drives on real SocketCAN.
 
-The clients open a SocketCAN interface themselves, so the tests run them in a virtual machine that
-has one.
+The clients open a SocketCAN interface themselves. For this reason, the tests run the clients in a
+virtual machine with a SocketCAN interface.
 
-The Python environments of the clients are made before the virtual machine starts, because it has no
-network. The tests with motor clients run only in nightly test runs. If pip cannot install a client,
-its test is skipped with pip's reason. ``HANDCTL_CLIENT_ENVIRONMENTS`` names a folder that keeps the
-Python environments for the next test run.
+The virtual machine has no network, so the tests make the Python environments of the clients before
+the virtual machine starts. The tests with motor clients run only in nightly test runs. If pip
+cannot install a client, its test is skipped with pip's reason. ``HANDCTL_CLIENT_ENVIRONMENTS``
+names a folder that keeps the Python environments for the next test run.
 """
 
 import os

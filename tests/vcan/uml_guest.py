@@ -209,8 +209,8 @@ def _guest_command(job: Path) -> list[str]:
 def _command_prefix_for_amx(job: Path) -> list[str]:
     """Return the words that precede the command of the guest system.
 
-    A processor with AMX needs these words, because the guest system does not save the AMX
-    registers. For other processors, the returned list is empty.
+    The guest system does not save the AMX registers of a processor, so a processor with AMX needs
+    these words. For other processors, the returned list is empty.
     """
     if "amx_tile" not in Path("/proc/cpuinfo").read_text(
         encoding="utf-8"

@@ -136,7 +136,7 @@ def test_a_viewer_that_is_closed_leaves_no_files_behind(
 def command_line_of(child_process: psutil.Process) -> list[str]:
     """Return the command line of a child process, or an empty list if the process has ended.
 
-    Other tests possibly leave ended processes.
+    Earlier tests can leave processes that have ended but still exist as zombies.
     """
     try:
         return child_process.cmdline()

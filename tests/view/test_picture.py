@@ -106,7 +106,7 @@ def test_the_viewer_listens_on_this_machine_only(
 def test_viewer_ignores_streams_of_other_programs(
     viewer_without_layout: "tuple[Viewer, ViewerClient]",
 ) -> None:
-    """Another program possibly still sends data to an earlier viewer.
+    """In this test, another program still sends data to an earlier viewer.
 
     A new viewer must not show the data of the other program.
 

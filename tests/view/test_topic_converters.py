@@ -190,7 +190,7 @@ def test_frames_put_the_fingertips_where_kinematics_does(
 def _frame_position(
     transform_by_frame: dict[str, tuple[str, np.ndarray, np.ndarray]], frame_name: str
 ) -> np.ndarray:
-    """Return the origin of a coordinate frame relative to the palm, computed from the chain of transforms."""
+    """Return the position of a coordinate frame's origin relative to the palm, from the chain of transforms."""
     frame_position = np.zeros(3)
     while frame_name != "palm":
         frame_name, translation, (x, y, z, w) = transform_by_frame[frame_name]

@@ -79,7 +79,7 @@ def test_an_unknown_shape_is_one_line(jamia_log_path: Path) -> None:
 
 
 def write_truth(truth_file: Path, truth: TruthRecord) -> None:
-    """Write a truth record to a file, and check that the file can be read."""
+    """Write a truth record to a file, and assert that the reader of truth files can read the file."""
     head = json.dumps({"columns": truth.columns, **truth.header}) + "\n"
     rows = np.zeros(len(truth.t_ns), [("t_ns", "<i8"), ("v", "<f8", (len(truth.columns),))])
     rows["t_ns"] = truth.t_ns

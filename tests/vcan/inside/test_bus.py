@@ -171,7 +171,7 @@ def test_a_full_transmit_queue_refuses_and_is_an_event(slow_tunnel: tuple[str, s
 
 @pytest.fixture
 def slow_tunnel() -> Iterator[tuple[str, str]]:
-    """Make a CAN tunnel with a slow wire behind its first interface. Yield the names of its two interfaces."""
+    """Make a CAN tunnel with a slow wire behind the first interface, and yield the names of both interfaces."""
     result = subprocess.run(
         ["bash", "-c", SLOW_TUNNEL_SCRIPT], capture_output=True, text=True, check=False
     )

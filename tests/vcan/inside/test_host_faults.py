@@ -119,8 +119,8 @@ def run_until_done(
     """Return the first run that has ended as expected.
 
     If a run ends because the only core of the guest system was busy, the test repeats the run. A
-    defect can end runs in the same way as a busy core. With a defect, none of five runs ends as
-    expected, so the test fails.
+    defect can end a run in the same way as a busy core. If none of five runs ends as expected, the
+    function assumes a defect, and the test fails.
     """
     failure = ""
     for number in range(5):
