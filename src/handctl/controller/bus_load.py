@@ -112,8 +112,10 @@ def bus_warnings(hand: Hand) -> tuple[str, ...]:
             lines.append(f"{location}.data_bitrate: no motor on this bus sends CAN FD frames")
         for key, value in (("bitrate", bus.bitrate), ("data_bitrate", bus.data_bitrate)):
             if value is not None and value not in USUAL_BITRATES_BIT_S:
-                usual_text = ", ".join(str(bitrate) for bitrate in USUAL_BITRATES_BIT_S)
-                lines.append(f"{location}.{key}: {value} is not usual; usual are {usual_text}")
+                usual_bitrates_text = ", ".join(str(bitrate) for bitrate in USUAL_BITRATES_BIT_S)
+                lines.append(
+                    f"{location}.{key}: {value} is not usual; usual are {usual_bitrates_text}"
+                )
     return tuple(lines)
 
 

@@ -312,7 +312,7 @@ class ControllerState:
 
     @property
     def sensor_counts(self) -> tuple[int, int, int]:
-        """Return the numbers of sent SYNC frames, accepted tension frames, and answers to an earlier SYNC frame."""
+        """Return the counts of sent SYNC frames, accepted tension frames, and answers to an earlier SYNC frame."""
         return (
             self.run_table_integer(s.SYNC_COUNT),
             self.run_table_integer(s.TENSION_FRAME_COUNT),

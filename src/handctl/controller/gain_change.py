@@ -36,7 +36,7 @@ MAX_CACHED_DESIGNS = 8
 
 
 class DesignProgress(NamedTuple):
-    """Result of a design step after which the design of the controller is not complete.
+    """Result of a design step that does not complete the design of the controller.
 
     Attributes:
         pending_gains: state of the design, or None if no stabilising gains exist for the requested
@@ -52,8 +52,8 @@ class DesignProgress(NamedTuple):
 class DesignCache:
     """Cache of controller designs.
 
-    The gains are the keys of the cache. The cache drops old designs. If the controller needs a
-    dropped design, the design is computed a second time.
+    The gains are the keys of the cache. The cache drops old designs, and computes a dropped design
+    again if the controller needs it.
 
     Attributes:
         loop_designs: control loops that are designed so far, for each of the last ``MAX_CACHED_DESIGNS``
@@ -116,7 +116,7 @@ class DesignCache:
     def _design_missing_loops(
         self, model: HandModel, gains: Gains, loop_count: int
     ) -> list[Vector]:
-        """Design the missing ones of the first ``loop_count`` loops, and return all designed loops."""
+        """Design those of the first ``loop_count`` loops that are not designed yet, and return all designed loops."""
         loop_designs = self.loop_designs.setdefault(gains, [])
         if len(self.loop_designs) > MAX_CACHED_DESIGNS:
             # A dictionary keeps the order of insertion, so the first entry is the oldest entry. The

@@ -179,7 +179,9 @@ def next_mode(
     )  # a fault during the move to the home position is also a failure
     names = inputs.names
     level = "error" if failure else "info"
-    unconfirmed_motors = _motors_possibly_on(model, state, names) if mode == HandMode.DONE else ()
+    unconfirmed_motors = (
+        _motors_possibly_with_torque(model, state, names) if mode == HandMode.DONE else ()
+    )
     text = f"{mode_before.name} -> {mode.name}" + (f": {failure}" if failure else "")
     if (
         unconfirmed_motors and REMOVE_POWER not in text
@@ -213,7 +215,7 @@ def _overriding_mode(state: ControllerState, inputs: ModeInputs) -> NextMode | N
 
 
 def _next_mode_before_arming(state: ControllerState, inputs: ModeInputs) -> NextMode | None:
-    """Return the mode DONE if a run must end before any motor makes torque.
+    """Return the mode DONE, with the reason, if a run must end before any motor makes torque.
 
     Return None if the run continues.
     """
@@ -381,10 +383,10 @@ def _next_mode_after_arming(state: ControllerState, inputs: ModeInputs) -> NextM
         return HandMode.ACTIVE, ""
     if inputs.time_in_mode < ARMING_TIMEOUT_S:
         return HandMode.ARMING, ""
-    late_names = [
+    names_not_enabled = [
         name for name, drive in _named_drives(state, inputs) if drive.phase != DrivePhase.ENABLED
     ]
-    return HandMode.DISARM, f"not enabled: {', '.join(late_names)}"
+    return HandMode.DISARM, f"not enabled: {', '.join(names_not_enabled)}"
 
 
 def _next_mode_after_active(state: ControllerState, inputs: ModeInputs) -> NextMode:
@@ -448,9 +450,9 @@ def _named_drives(state: ControllerState, inputs: ModeInputs) -> Iterator[tuple[
 def motors_not_confirmed_off(
     state: ControllerState, motor_names: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return the names of motors that are possibly still enabled.
+    """Return the names of motors that could still be enabled.
 
-    A motor is possibly enabled if its drive has not confirmed that it is disabled. Before arming,
+    A motor could be enabled if its drive has not confirmed the disabled state. Before arming,
     handctl has not enabled any motor, so a motor without a confirmation is not in the result. After
     the end of a run, the result contains only motors that had no confirmation at the end of the
     run. A motor whose drive reports that it is enabled is always in the result.
@@ -484,10 +486,10 @@ def _pulling_motors(
     )
 
 
-def _motors_possibly_on(
+def _motors_possibly_with_torque(
     model: HandModel, state: ControllerState, motor_names: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return the names of motors that possibly still make torque at the end of a run.
+    """Return the names of motors that could still make torque at the end of a run.
 
     If the run ends before arming, the tensions of the tendons are ignored. Before arming, a tendon
     can have tension although its motor makes no torque.

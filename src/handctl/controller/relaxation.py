@@ -8,10 +8,12 @@ tendon. No measurement can raise the envelope:
     e[k] = max(min(u[k-1], floor), u[k-1] - rate T)      0 <= u[k] <= e[k]
 
 Here, u is the commanded motor force at the tendon [N], and T is the control period. For a spool
-pair, u is the absolute value of the force, and the force keeps its direction. The envelope begins
-at the last motor command, or at the present tension if the tension is smaller. If the load cell of
-a tendon in the tension loop is possibly wrong, and the setpoint is above the tension, the envelope
-begins at the setpoint. The tension loop cannot command more force than the envelope. After a fault
+pair, u is the absolute value of the force, and the force keeps its direction.
+
+The envelope begins at the last motor command, but not above a limit. The limit is the present
+tension plus ``MAX_SETPOINT_EXCESS_N`` plus the friction of the motor. If the load cell of a tendon
+in the tension loop could be wrong, and the setpoint is higher than the first two terms, the
+setpoint replaces them. The tension loop cannot command more force than the envelope. After a fault
 of the tension loop (``RelaxMethod.OPEN_LOOP``), the command u[k] equals e[k]. If a motor brakes
 when relaxing begins, its command goes to zero.
 """
@@ -83,8 +85,8 @@ def start_relaxation(model: HandModel, state: ControllerState) -> None:
         FAULT_BY_ID[latched_fault.id].makes_tension_unreliable
         for latched_fault in state.latched_faults
     ):
-        # If the load cell is possibly wrong, the true tension can be as large as the tension
-        # setpoint. A digit that follows a position goal has no tension setpoint.
+        # If the load cell could be wrong, the true tension can be as large as the tension setpoint.
+        # A digit that follows a position goal has no tension setpoint.
         explained_force = np.where(
             in_tension_loop, np.maximum(present_tensions, start), present_tensions
         )
@@ -127,7 +129,7 @@ def _envelope_start(
 def are_commands_relaxed(model: HandModel, state: ControllerState) -> bool:
     """Return True if every commanded force is close to or below the tension of a relaxed tendon."""
     return not np.any(
-        _force_sizes(model, state.tendon[s.COMMANDED_FORCE])
+        _force_magnitudes(model, state.tendon[s.COMMANDED_FORCE])
         > model.relaxed_tensions + RELAXED_TOLERANCE_N
     )
 
@@ -136,13 +138,13 @@ def are_tensions_relaxed(model: HandModel, state: ControllerState) -> bool:
     """Return True if every tension is close to or below the tension of a relaxed tendon."""
     return bool(
         np.all(
-            _force_sizes(model, state.tendon[s.TENSION])
+            _force_magnitudes(model, state.tendon[s.TENSION])
             < model.relaxed_tensions + RELAXED_TOLERANCE_N
         )
     )
 
 
-def _force_sizes(model: HandModel, forces: Vector) -> Vector:
+def _force_magnitudes(model: HandModel, forces: Vector) -> Vector:
     """Return the absolute values (N,) of forces or tensions [N].
 
     Only a spool pair can have a negative force.

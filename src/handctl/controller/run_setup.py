@@ -243,10 +243,10 @@ def _check_torque_report(motor: Motor, tendon: str) -> None:
 
 
 def _check_position_loop(motor: Motor, drive: Drive) -> None:
-    """Check that a drive's commands can contain the values of the position loop that the hand file demands.
+    """Check that the commands of a drive can contain the position loop's values in the hand file.
 
-    The commands must contain a position setpoint. The gains in the hand file must be within the
-    range of the commands.
+    The commands must contain a position setpoint. The stiffness and damping in the hand file must
+    be within the range of the commands.
 
     Raises:
         ConfigError: the commands cannot contain the values of a position loop.
@@ -282,7 +282,7 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
 
 
 def _with_host_frames(drives: tuple[Drive, ...], sensors: SensorInterface) -> tuple[Drive, ...]:
-    """Return the drives after one CiA 402 drive of each bus was selected for SYNC and heartbeat.
+    """Add heartbeat and necessary SYNC frames of the host to one CiA 402 drive per bus, and return all drives.
 
     The host sends its heartbeat after the command of the selected CiA 402 drive. If the bus has no
     other SYNC frames, the host also sends SYNC after the command of the selected CiA 402 drive. All

@@ -142,7 +142,7 @@ class DerivedConstants:
         limits: SafetyLimits,
         constants: HandConstants,
     ) -> "DerivedConstants":
-        """Return the constants for a hand, the drives and sensors of the hand, and the safety thresholds."""
+        """Compute the constants that follow from a hand, its drives, its sensors and the safety thresholds."""
         layout = layout_of_state(model, len(sensors.ids))
         closes_position_loop = constants.layout.view(constants.block, "servo").astype(bool).tolist()
         return DerivedConstants(
@@ -436,7 +436,7 @@ class Controller:
         derived_constants = self.derived_constants
         tables = derived_constants.wire_tables
         second_controller_signs: list[str] = []
-        at = 0
+        next_row = 0
         rows = frames.rows
         entries = tables.entries
         if state.decisions.amplifiers:
@@ -444,16 +444,16 @@ class Controller:
                 self._groups_not_ready(state.decisions.amplifiers)
             )
         while True:
-            at = cyclic_frames.receive_frames(
+            next_row = cyclic_frames.receive_frames(
                 state.block, derived_constants.layout.offsets, *derived_constants.kernel_constants, rows,
                 tables.keys, entries, tables.signal_integers, tables.signal_scalings, tables.recheck_ranges,
-                tables.rechecks, at, min_receive_ns,
+                tables.rechecks, next_row, min_receive_ns,
             )  # fmt: skip
-            if at >= len(rows):
+            if next_row >= len(rows):
                 return tuple(dict.fromkeys(second_controller_signs))
             # The kernel ``receive_frames`` has already counted the error frames, so the frame at
             # the returned index is no error frame.
-            frame = frames[at]
+            frame = frames[next_row]
             owner = derived_constants.drive_index_by_id.get((frame.bus, frame.can_id))
             if owner is not None:
                 self.store_drive_state(
@@ -463,7 +463,7 @@ class Controller:
                 self._receive_amplifier_frame(state, frame)
             else:
                 second_controller_signs.append(f"{frame.can_id:#05x}")
-            at += 1
+            next_row += 1
 
     def _groups_not_ready(self, amplifiers: tuple[AmplifierState, ...]) -> tuple[int, ...]:
         """Return the frame groups of all amplifiers whose set-up is not complete.
@@ -534,8 +534,8 @@ class Controller:
     ) -> None:
         """Count the refused requests of the present tick, and the malformed requests of the last second.
 
-        A program can send a request only to find out whether a value is in range, so a refused
-        request is no fault. Only malformed requests show that a client is faulty.
+        A client can find out by a refused request whether a value is in range, so a refused request
+        is no fault. Only malformed requests show that a client is faulty.
         """
         refused_texts = [event.text for event in request_events if event.level == "warn"]
         malformed_count = sum(not text.startswith(REFUSAL_EVENT_PREFIX) for text in refused_texts)

@@ -207,7 +207,7 @@ class BlockLayout:
     def axis_name_of_field(self, name: str) -> str:
         """Return the name of the axis of a field.
 
-        If the field has the axes ``a`` and ``b``, the result is ``a*b``.
+        The result is ``a*b`` for a field in a table with the axes ``a`` and ``b``.
         """
         return next(field.table for field in self.schema.fields if field.name == name).removesuffix(
             INTEGER_TABLE_SUFFIX

@@ -21,7 +21,7 @@ from handctl.hand.file.quantity_types import MAX_POSITION_RANGE_RAD
 
 
 class TendonCalibration(Document):
-    """Calibration of a tendon, with the response of the load cells to the pull during commissioning."""
+    """Calibration of a tendon: tare, motor zero, and the responses of the load cells during commissioning."""
 
     tare_N: float
     """Tare of the load cell: its reading without tension."""

@@ -343,8 +343,9 @@ TENSION_GROUP_COUNT = _integer_field(
 class ConstantTables(NamedTuple):
     """Tables in a block of constants.
 
-    The shape of each table except ``design`` is (rows, lengths of its axes). The table ``design``
-    has the shape (tendon, kind of filter design, element of the design).
+    The shape of each table except ``design`` is (rows, length of the first axis, length of the
+    second axis if there is one). The table ``design`` has the shape (tendon, kind of filter design,
+    element of the design).
     """
 
     tendon: NDArray[np.float64]

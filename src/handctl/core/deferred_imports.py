@@ -43,7 +43,7 @@ class _DeferredAttribute:
     def _apply_to_real_object(self, operation: Callable[[Any], Any]) -> Any:
         """Import the module, and apply ``operation`` to its real function or distribution.
 
-        During its import, filterpy makes one trial call, for which the method returns None.
+        filterpy makes one trial call while it is imported. The result of the trial call is None.
         """
         module: Any = importlib.import_module(self._module)
         imported_object = getattr(module, self._name)

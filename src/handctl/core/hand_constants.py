@@ -222,10 +222,10 @@ def _link_constants(model: HandModel) -> dict[str, object]:
 
 def _structure_constants(model: HandModel) -> dict[str, object]:
     digits = model.digits
-    size = np.abs(model.excursion_to_joints)
+    joint_motion = np.abs(model.excursion_to_joints)
     return {
         "excursion_to_joints": model.excursion_to_joints,
-        "moves": size > MIN_JOINT_MOTION_FRACTION * size.max(initial=0.0),
+        "moves": joint_motion > MIN_JOINT_MOTION_FRACTION * joint_motion.max(initial=0.0),
         "moment_arms": model.hand.moment_arms_of_own_digit,
         "carrier_arms": model.hand.moment_arms_of_carrying_digits,
         "hand_passed": bool(model.hand.moment_arms_of_carrying_digits.any()),
@@ -249,11 +249,11 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
     digits = model.digits
     hand = model.hand
     arms = model.hand.moment_arms_of_own_digit
-    sizes = [digit.joint_count for digit in digits]
+    joint_counts = [digit.joint_count for digit in digits]
     compliance = linalg.block_diag(*(_joint_compliance(digit) for digit in digits))
     spread = linalg.block_diag(*(digit.coupling @ digit.coupling.T for digit in digits))
-    read = np.array([joint in hand.sensor_node.joints for joint in hand.joints])
-    are_encoders_fused = bool((compliance.any(axis=1) & read).any())
+    has_encoder = np.array([joint in hand.sensor_node.joints for joint in hand.joints])
+    are_encoders_fused = bool((compliance.any(axis=1) & has_encoder).any())
     update_ticks = (
         1 if are_encoders_fused else max(1, round(posture.POSTURE_UPDATE_PERIOD_S / model.period))
     )
@@ -264,12 +264,12 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
         "compliance": compliance,
         "spread": spread,
         "posture_torque": spread @ arms.T,
-        "same_digit": linalg.block_diag(*(np.ones((size, size)) for size in sizes)),
+        "same_digit": linalg.block_diag(*(np.ones((size, size)) for size in joint_counts)),
         "place_weight": np.concatenate(
             [_contact_place_probabilities(digits, digit) for digit in digits], axis=1
         ),
         "encoder_variance": noise,
-        "loose": compliance.any(axis=1) & read,
+        "loose": compliance.any(axis=1) & has_encoder,
         "excursion_variance": np.where(
             hand.tendons_with_encoders,
             hinge_variance * (arms**2 * (noise / hinge_variance)).sum(axis=1),
@@ -286,7 +286,8 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
 def _joint_compliance(digit: DigitModel) -> Vector:
     """Return the turn of the joints per torque at constant excursions (n, n) [rad/(N m)].
 
-    The compliance (turn per torque) is N (N^T K N)^-1 N^T.
+    With the spring stiffness K and a basis N of the null space of the moment arms, the compliance
+    (turn per torque) is N (N^T K N)^-1 N^T.
     """
     free_motions = linalg.null_space(digit.moment_arms)
     if not free_motions.shape[1]:
@@ -305,9 +306,9 @@ def _contact_place_probabilities(digits: tuple[DigitModel, ...], digit: DigitMod
     torque on all joints, see ``posture``.
     """
     n = digit.joint_count
-    weight = np.zeros((max(any_digit.joint_count for any_digit in digits) + 2, n))
-    weight[: n + 1] = weight[-1] = 1.0 / (n + 2)
-    return weight
+    probabilities = np.zeros((max(any_digit.joint_count for any_digit in digits) + 2, n))
+    probabilities[: n + 1] = probabilities[-1] = 1.0 / (n + 2)
+    return probabilities
 
 
 @functools.lru_cache(maxsize=16)
@@ -330,7 +331,7 @@ def _block_elements(block: FilterBlock) -> Vector:
 def low_pass_fractions(model: HandModel, motor_period: Vector, joint_period: float) -> Vector:
     """Return the update fraction (9, N) of each low-passed residual.
 
-    In an update, a residual moves by the update fraction of its distance to the input.
+    Each update adds to a residual the update fraction times the difference of input and residual.
     """
     sample_periods = np.full((len(RESIDUAL_TIME_CONSTANTS_S), model.tendon_count), model.period)
     sample_periods[2] = motor_period  # row COMMAND_DIFFERENCE

@@ -160,7 +160,7 @@ class HandEstimate(_StateView):
     def contact_force(self) -> Vector:
         """Return the contact forces at the tips of closing digits (D,) [N].
 
-        The errors of the contact force that were estimated before the contact are subtracted.
+        The result is corrected by the force error that was estimated before the contact.
         """
         return self.digit[s.CONTACT_FORCE]
 

@@ -124,9 +124,8 @@ class HandModel:
         margin = np.where(
             hand.has_cell, 0.0, MARGIN_SIGMAS_WITHOUT_CELL * filter_design.held_tension_sigma
         )
-        # The margin of tendons without load cell raises the tension floor only in digits with
-        # surplus tendons. In a digit without surplus tendons, a higher tension floor would close
-        # the digit.
+        # The margin of tendons without load cell raises the tension floor only in digits with more
+        # tendons than coordinates. A higher tension floor would close any other digit.
         has_surplus_tendons = np.array(
             [
                 len(digit.moment_arms) > digit.coupling.shape[1]
@@ -180,7 +179,7 @@ class HandModel:
     def relaxed_tensions(self) -> Vector:
         """Return the tensions of all tendons of a relaxed hand (N,) [N].
 
-        In a relaxed hand, the tendons of digits with surplus tendons keep their balance tensions. A
+        In a relaxed hand, digits with more tendons than coordinates keep their balance tensions. A
         spool pair has no net tension in a relaxed hand.
         """
         unpaired_tensions = np.where(
@@ -211,16 +210,16 @@ def _coordinate_slices(digits: tuple[DigitModel, ...]) -> tuple[slice, ...]:
 def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
     """Return the largest torque that the host is allowed to command to each drive (N,) [N m at the spool].
 
-    The hand file and the drive limit the torque. A drive that makes less torque than commanded
-    needs larger commands for a given torque, so its largest torque at the spool is lower. A drive
-    refuses a command that exceeds its torque limit even by the last bit. Torques are divided or
-    multiplied by the spool radius and the torque gain, so rounding errors could exceed the torque
-    limit. To prevent a refused command, the result is reduced by 1e-12 of its value.
+    The hand file and the drive limit the torque. If a drive makes less torque than commanded, its
+    largest torque at the spool is lower by the same factor. A drive refuses a command that exceeds
+    its torque limit even by the last bit. The conversion of a torque by the spool radius and the
+    torque gain has rounding errors, by which the torque could exceed the limit. To prevent a
+    refused command, the result is reduced by 1e-12 of its value.
     """
-    largest = np.array(
+    torque_limit = np.array(
         [hand.motor_of_tendon(tendon.name).torque_max_N_m for tendon in hand.tendon]
     ) * (1.0 - 1e-12)
-    return largest if gain is None else largest * np.minimum(gain, 1.0)
+    return torque_limit if gain is None else torque_limit * np.minimum(gain, 1.0)
 
 
 def _joint_period(hand: Hand, period_s: float) -> Vector:

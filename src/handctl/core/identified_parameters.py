@@ -100,7 +100,7 @@ class IdentifiedParameters(Document):
     def merge_older_parameters(
         self, older_parameters: "IdentifiedParameters | None"
     ) -> "IdentifiedParameters":
-        """Return the parameters of the object, and add parameters that only an older identification contains.
+        """Return these parameters, together with the parameters that only an older identification contains.
 
         If a run identifies only a few parameters, the other parameters of the older identification
         are kept. Parameters from different runs are assumed to be uncorrelated.

@@ -124,12 +124,12 @@ class Hand(Section):
 
     @cached_property
     def has_cell(self) -> NDArray[np.bool_]:
-        """Return for each tendon if it has a load cell, (N,)."""
+        """Return True for each tendon with a load cell, (N,)."""
         return np.array([name in self.sensor_node.tendons for name in self.tendon_names])
 
     @cached_property
     def is_pair(self) -> NDArray[np.bool_]:
-        """Return for each tendon if it is a spool pair: two antagonistic tendons on one spool, (N,)."""
+        """Return True for each tendon that is a spool pair: two antagonistic tendons on one spool, (N,)."""
         return np.array([tendon.pretension_N is not None for tendon in self.tendon])
 
     @cached_property
@@ -178,7 +178,7 @@ class Hand(Section):
 
     @cached_property
     def is_prismatic(self) -> NDArray[np.bool_]:
-        """Return for each joint if it is prismatic, (J,)."""
+        """Return True for each prismatic joint, (J,)."""
         return np.array(
             [
                 joint_is_prismatic
@@ -268,7 +268,7 @@ class Hand(Section):
 
     @cached_property
     def has_varying_arm(self) -> NDArray[np.bool_]:
-        """Return for each tendon if one of its moment arms depends on the joint angle, (N,)."""
+        """Return True for each tendon with a moment arm that depends on the joint angle, (N,)."""
         return np.array(
             [
                 any(map(is_moment_arm_varying, tendon.moment_arm_m.values()))
@@ -283,7 +283,7 @@ class Hand(Section):
 
     @cached_property
     def tendons_with_encoders(self) -> NDArray[np.bool_]:
-        """Return for each tendon if all joints of its own digit that it crosses have encoders, (N,)."""
+        """Return True for each tendon if every joint that it crosses in its own digit has an encoder, (N,)."""
         has_joint_encoder = np.array([joint in self.sensor_node.joints for joint in self.joints])
         return np.asarray(
             ~((self.moment_arms_of_own_digit != 0.0) & ~has_joint_encoder).any(axis=1)
@@ -318,13 +318,13 @@ class Hand(Section):
         return frozenset(digit.mount_on for digit in self.digit if digit.mount_on is not None)
 
     def names_of_carrying_digits(self, digit: str) -> tuple[str, ...]:
-        """Return the names of the digits that carry a digit.
+        """Return the names of all digits that carry the given digit.
 
-        The first returned name is the name of the digit that directly carries the given digit.
+        The first name is the digit on whose last link the given digit is mounted.
         """
         carrier_name = self.digit_named(digit).mount_on
-        # In an invalid hand file, digits possibly carry each other in a circle. Later checks refuse
-        # a hand file with a circle.
+        # In an invalid hand file, digits can carry each other in a circle. Later checks refuse a
+        # hand file with a circle.
         carriers: list[str] = []
         while carrier_name in self.digit_names and carrier_name not in carriers:
             carriers.append(carrier_name)

@@ -31,7 +31,7 @@ A joint whose axis has a larger angle moves the digit sideways.
 NEWTON_STEPS = 20
 """Largest number of Newton steps from an excursion to joint angles. Usually about five Newton steps are sufficient."""
 NEWTON_TOLERANCE_RAD = 1e-10
-"""Size of a Newton step at which the iteration ends [rad]."""
+"""Change of a coordinate below which the Newton iteration ends [rad]."""
 SIDEWAYS_RANGE_RATIO = 0.5
 """Threshold for the opening range of a coordinate divided by its closing range.
 
@@ -44,8 +44,9 @@ class DigitModel:
     """Digit with n joints, n_t tendons, and n_c reduced coordinates theta.
 
     The joint angles of the digit are q = B theta. All arrays of the model are read-only. A
-    prismatic joint has other quantities than a hinge: a position [m] for an angle [rad], a force
-    [N] for a torque [N m], and an excursion per position [m/m] for a moment arm [m].
+    prismatic joint has a position [m] instead of an angle [rad], and a force [N] instead of a
+    torque [N m]. Instead of a moment arm [m], a prismatic joint has an excursion per position
+    [m/m].
 
     Attributes:
         name: name of the digit.
@@ -300,7 +301,7 @@ class DigitModel:
     def with_joint_angles(
         self, angle_of_joint: Mapping[int, float], present_angles: JointValues
     ) -> Array:
-        """Return the coordinates (n_c,) that give some joints their goal angles, and are nearest to ``present_angles``.
+        """Return the coordinates (n_c,) nearest to ``present_angles`` at which the given joints have their goal angles.
 
         The returned coordinates have the same unit as the arguments.
 

@@ -123,9 +123,10 @@ def parse_toml(text: str, source_name: str) -> dict[str, Any]:
 
 
 def _single_bracket_error(text: str, source_name: str) -> ConfigError | None:
-    """Return an error about the first line such as ``[digit]``, where a hand file has ``[[digit]]``.
+    """Return an error about the first line with single brackets, such as ``[digit]`` instead of ``[[digit]]``.
 
-    With both spellings in a file, the error of the TOML parser names another line.
+    If a file contains ``[digit]`` and ``[[digit]]``, the error of the TOML parser names another
+    line.
     """
     for number, line in enumerate(text.splitlines(), 1):
         section = SINGLE_BRACKET_PATTERN.match(line)
@@ -137,7 +138,7 @@ def _single_bracket_error(text: str, source_name: str) -> ConfigError | None:
 def _check_whole_numbers(content: dict[str, Any], source_name: str) -> None:
     """Refuse integers of more than 64 bits.
 
-    Python refuses to print very long integers, so that no error message could contain them.
+    Python cannot print very long integers, so an error message could not contain the value.
     """
     # The function uses a list instead of recursion, because deeply nested content would exceed
     # Python's recursion limit.

@@ -159,15 +159,16 @@ def _two_link_solutions(
     The number of solutions is two, one if the links are stretched or folded, and zero if the point
     is out of reach.
 
-    The angle between the links is the atan2 of (r - |l1 - l2|)(r + |l1 - l2|) and (l1 + l2 - r)(l1
-    + l2 + r). The products are accurate even near the stretched posture, where acos would lose half
-    of the significant digits.
+    At the distance r of the point, the second joint has the angle 2 atan2(sqrt(a), sqrt(b)). Here,
+    a is (l1 + l2 - r)(l1 + l2 + r), and b is (r - |l1 - l2|)(r + |l1 - l2|). The products a and b
+    are accurate even near the stretched posture, where acos would lose half of the significant
+    digits.
     """
     r = math.hypot(x, y)
     fold_margin = (r - abs(l1 - l2)) * (r + abs(l1 - l2))
     stretch_margin = (l1 + l2 - r) * (l1 + l2 + r)
-    slack = REACH_TOLERANCE * (l1 + l2) ** 2
-    if fold_margin < -slack or stretch_margin < -slack or r == 0.0:
+    tolerance = REACH_TOLERANCE * (l1 + l2) ** 2
+    if fold_margin < -tolerance or stretch_margin < -tolerance or r == 0.0:
         return ()
     elbow_angle = 2.0 * math.atan2(
         math.sqrt(max(stretch_margin, 0.0)), math.sqrt(max(fold_margin, 0.0))

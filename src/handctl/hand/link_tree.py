@@ -93,5 +93,5 @@ class LinkTree:
     def static_torque(self, q: JointValues) -> Array:
         """Return the joint torques (J,) that hold the hand at rest against weight and return springs [N m]."""
         angles = np.asarray(q, dtype=np.float64)
-        weight = rigid_body.weight_torques(self.table, self.parent, self.gravity, angles)
-        return np.asarray(weight + self.stiffness * (angles + self.preload))
+        gravity_torques = rigid_body.weight_torques(self.table, self.parent, self.gravity, angles)
+        return np.asarray(gravity_torques + self.stiffness * (angles + self.preload))

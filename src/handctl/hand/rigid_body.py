@@ -85,7 +85,7 @@ _WORK_TABLE_COLUMN_COUNT = 27
 def write_link_poses(
     link_table: Array, first_row: int, parent: IndexArray, q: Array, pose: Array
 ) -> None:
-    """Compute the poses of all links, but not the masses that they carry, and write them into ``pose``.
+    """Compute the poses of all links, and write the poses, but no carried masses, into ``pose``.
 
     Args:
         link_table: array that contains the table of links, see the docstring of the module.
@@ -149,7 +149,7 @@ def _palm_frame_component(
 def write_carried_masses(
     link_table: Array, first_row: int, parent: IndexArray, pose: Array
 ) -> None:
-    """Write the carried masses of all links, and their first moments, for given poses."""
+    """Write the mass that each link carries, and the first moment of this mass, for given poses."""
     for j in range(len(pose)):
         pose[j, CARRIED_MASS_COLUMN] = link_table[first_row + LINK_MASS_ROW, j]
         for a in range(3):

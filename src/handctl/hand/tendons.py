@@ -22,8 +22,8 @@ class TendonElasticity:
     The tension increases linearly with the stretch up to a point that is called the knee. Beyond
     the knee, the stiffness changes smoothly to a different value.
 
-    phi = k dl up to the tension f_k. Beyond f_k, with x = dl - f_k / k, phi = f_k + k2 x + (k - k2)
-    w (1 - exp(-x / w)). The tendon is slack at dl <= 0.
+    The tension f at the stretch dl is k dl up to the knee. Beyond the knee, with x = dl - f_k / k,
+    the tension is f = f_k + k2 x + (k - k2) w (1 - exp(-x / w)). The tendon is slack at dl <= 0.
 
     Attributes:
         stiffness: k, stiffness up to the knee [N/m].

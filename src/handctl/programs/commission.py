@@ -78,7 +78,7 @@ MIN_RESPONSE_FRACTION = 0.6
 MAX_CROSSTALK_FRACTION = 0.3
 """Largest accepted response of any other load cell, as a fraction of the pull tension."""
 MIN_EXCHANGED_ENCODER_MOTION_M = 0.1e-3
-"""Smallest motion of another motor during a pull that shows exchanged encoders, if its own motor moves less [m].
+"""Smallest motion of another motor that shows exchanged encoders, if the motor of the pulled tendon moves less [m].
 
 A motor without torque moves its tendon by less than 0.1 mm. A simulated motor without torque moves
 by at most 10 um. A motor whose tendon contracts after an earlier pull moves by at most 70 um.
@@ -182,8 +182,8 @@ class CommissionProgram:
         """Read all load cells without torque, and renew the tare of the present tendon.
 
         After the reading, the program pulls the present tendon. A tare is renewed only if the
-        tendon has never been taut, because friction possibly holds tension in a tendon that was
-        pulled before. The tares of all tendons in a digit without springs are renewed together.
+        tendon has never been taut, because friction can hold tension in a tendon that was pulled
+        before. The tares of all tendons in a digit without springs are renewed together.
         """
         if t - progress.since < REST_SETTLING_S:
             return progress, ()
@@ -483,7 +483,7 @@ def _response_text(model: HandModel, i: int, answer: float, crosstalk: float) ->
 def _missing_response_reason(model: HandModel, measured: TickMeasurements) -> str:
     """Return the reason why the load cell of the pulled tendon does not respond.
 
-    Possibly another load cell responds instead of the load cell of the pulled tendon.
+    If another load cell responds instead, the text names the tendon of that load cell.
     """
     measured_tensions = np.nan_to_num(measured.tension)
     other_tendon = int(measured_tensions.argmax())
@@ -567,7 +567,7 @@ def _tares_from_table(table: Vector) -> Vector:
 
 
 def _with_new_tare(progress: ProgramProgress) -> ProgramProgress:
-    """Return a copy of a progress that uses the tares in its table, from the next reading on."""
+    """Return a copy of a progress in which the tares of its table apply from the next reading on."""
     return replace(progress, tare=tuple(_tares_from_table(_commissioning_table(progress)).tolist()))
 
 
@@ -623,13 +623,14 @@ def _encoder_that_turned(model: HandModel, table: Vector, i: int, travel: Vector
 
 
 def idle_torque_warnings(hand: Hand, drives: Sequence[Drive]) -> tuple[str, ...]:
-    """Return warnings about motors with which commissioning would fail, because they cannot be commanded to rest.
+    """Return warnings about motors with which commissioning would fail, because no command makes their torque zero.
 
     The torque command of some motors has no count for zero torque. When a motor without a count for
     zero torque is idle, it makes the torque of the count nearest to zero. Commissioning accepts a
     tension from an idle motor up to the fraction ``MAX_CROSSTALK_FRACTION`` of the pull tension. In
-    simulation with spools of 5 mm, AK80-9 motors (0.88 N) pass commissioning. AK70-10 motors (1.2
-    N) and AK10-9 motors (3.2 N) do not pass commissioning.
+    simulation with spools of 5 mm, idle AK80-9 motors make a tension of 0.88 N and pass
+    commissioning. Idle AK70-10 motors (1.2 N) and idle AK10-9 motors (3.2 N) do not pass
+    commissioning.
 
     Args:
         hand: description of the hand.

@@ -159,14 +159,14 @@ def _tension_factors(hand: Hand) -> dict[str, float]:
     # If no tension factors balance the forces on the object, the palm or friction must balance the
     # forces. The opposed digits together then press with the same force as the other digits
     # together.
-    opposed = _are_digits_opposed(hand)
-    count = len(opposed)
-    opposed_force = sum(opposed.values())
-    if opposed_force == 0:
-        return dict.fromkeys(opposed, 1.0)
+    is_opposed_by_name = _are_digits_opposed(hand)
+    count = len(is_opposed_by_name)
+    opposed_digit_count = sum(is_opposed_by_name.values())
+    if opposed_digit_count == 0:
+        return dict.fromkeys(is_opposed_by_name, 1.0)
     return {
-        name: count / 2 / (opposed_force if is_opposed else count - opposed_force)
-        for name, is_opposed in opposed.items()
+        name: count / 2 / (opposed_digit_count if is_opposed else count - opposed_digit_count)
+        for name, is_opposed in is_opposed_by_name.items()
     }
 
 
@@ -210,8 +210,8 @@ def _hold_tensions(hand: Hand, name: str, tension_fraction: float) -> float | li
 
     The tension of a tendon that extends the digit is just large enough to keep the tendon taut.
 
-    For a digit of spool pairs, the result is a single number: the largest net tension while the tip
-    of the digit presses.
+    For a digit of spool pairs, the result is a single number: the largest net tension of its pairs
+    while the digit presses.
     """
     if hand.is_pair[hand.digit_tendons[name]].any():
         largest = min(tendon.tension_max_N for tendon in hand.tendon[hand.digit_tendons[name]])
@@ -258,10 +258,10 @@ def grasp_warnings(hand: Hand) -> tuple[str, ...]:
     Either no digit closes against another digit, or a digit is too weak.
     """
     warnings = []
-    opposed = _are_digits_opposed(hand)
-    if len(set(opposed.values())) == 1:
+    is_opposed = _are_digits_opposed(hand)
+    if len(set(is_opposed.values())) == 1:
         warnings.append(
-            f"{shortened_list(list(opposed))}: no digit closes against another: the default task lifts no object; "
+            f"{shortened_list(list(is_opposed))}: no digit closes against another: the default task lifts no object; "
             "add a digit that is turned by 180 degrees about x in mount_rpy_deg"
         )
     else:
@@ -270,7 +270,7 @@ def grasp_warnings(hand: Hand) -> tuple[str, ...]:
             "turn it by 180 degrees about x in mount_rpy_deg, in degrees"
             for name in _digits_flexing_away(hand)
         ]
-    for name in opposed:
+    for name in is_opposed:
         tendons = hand.tendon[hand.digit_tendons[name]]
         max_hold_tension = MAX_HOLD_TENSION_FRACTION * min(
             tendon.tension_max_N for tendon in tendons
@@ -298,7 +298,7 @@ def _digits_flexing_away(hand: Hand) -> list[str]:
             for other_name, position in mount_positions.items()
             if other_name != name
         ]
-        # Digits beside the digit, such as other fingers, are at a distance of almost 0.
+        # Digits side by side, such as fingers, have almost no distance in the direction of flexion.
         is_away = max(distances, default=0.0) < MIN_DISTANCE_AWAY_M
         if is_away and min(distances, default=0.0) < -MIN_DISTANCE_AWAY_M:
             names.append(name)

@@ -41,7 +41,7 @@ GENTLE_CLOSE_DURATION_S = 1.5
 GENTLE_TENSION_RATE_N_PER_S = 20.0
 """Rate at which the tension of digits without springs rises after they have closed [N/s].
 
-Friction or another digit has possibly stopped a digit before its end stop. With a slow rise of the
+Friction or another digit could have stopped a digit before its end stop. With a slow rise of the
 tension, a stopped digit starts to move with little excess tension, and reaches its end stop early.
 With 40 N/s or more, the spool of the digit winds so fast that the tendon looks torn (fault T01).
 """

@@ -3,10 +3,10 @@
 The module applies the stiffness of the grip, detects slip, and raises the tension after slip.
 
 If an object slips, it pushes a digit open. The tension stays constant, but the spool unwinds the
-tendon. The excursion of a tendon (travel minus stretch) is known to a few micrometres, so that it
-shows a slip of a fraction of a millimetre at the object. A force along the hinges moves no joint
-(J^T F = 0). If a bar of constant thickness slides along the hinges, neither tendons nor joint
-encoders show the slip.
+tendon. The excursion of a tendon (travel minus stretch) is known to a few micrometres. It thus
+shows a slip of a fraction of a millimetre at the object. A force F parallel to the hinge axes makes
+no joint torque (J^T F = 0). If a bar of constant thickness slides in this direction, neither
+tendons nor joint encoders show the slip.
 """
 
 import math

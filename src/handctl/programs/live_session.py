@@ -127,8 +127,8 @@ def begin_task(
 
     The first hold phase of the task lasts until ``release_task`` is called, but at most one hour.
 
-    The progress does not change if the task does not suit the hand, or if its first move is too
-    fast.
+    If the hand cannot execute the task, or if the first move of the task is too fast, the progress
+    does not change.
     """
     try:
         check_task_for_hand(task, model.hand, "task", model.digits)
@@ -139,11 +139,13 @@ def begin_task(
         refusal := _refusal_of_fast_first_move(model, first_phase, estimate)
     ):
         return progress, (refusal,)
-    at = next((i for i, phase in enumerate(task.phase) if isinstance(phase, HoldPhase)), None)
-    if at is not None:
-        hold_phase = task.phase[at].model_copy(update={"duration_s": LONGEST_HOLD_S})
+    hold_index = next(
+        (i for i, phase in enumerate(task.phase) if isinstance(phase, HoldPhase)), None
+    )
+    if hold_index is not None:
+        hold_phase = task.phase[hold_index].model_copy(update={"duration_s": LONGEST_HOLD_S})
         task = task.model_copy(
-            update={"phase": (*task.phase[:at], hold_phase, *task.phase[at + 1 :])}
+            update={"phase": (*task.phase[:hold_index], hold_phase, *task.phase[hold_index + 1 :])}
         )
     progress, events = TaskProgram(task).begin_first_phase(
         model, replace(progress, task=task), estimate, t

@@ -59,7 +59,7 @@ class RecordedGoals:
         """Read the text of a recording.
 
         Raises:
-            ValueError: the text is not a table whose width suits the numbers of joints and tendons.
+            ValueError: the text is not a table with the columns for the joints and tendons.
         """
         table = np.frombuffer(base64.b64decode(text, validate=True), "<f8").reshape(
             -1, 3 * joints + tendons
@@ -143,7 +143,7 @@ class PlaybackProgram:
         return progress, (TickEvent("info", "phase", "", "approach: slowly to the first pose"),)
 
     def _follow_recording(self, model: HandModel, progress: ProgramProgress) -> ProgramProgress:
-        """Set the goals in the row of the recording that belongs to the present tick."""
+        """Set the goals of the present tick from the row of the recording for this tick."""
         i = progress.step
         rows = self.recording
         goals = []

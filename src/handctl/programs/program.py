@@ -207,7 +207,7 @@ def slack_tendons(model: HandModel, estimate: HandEstimate) -> list[str]:
 def coordinates_from_excursion(digit: DigitModel, estimate: HandEstimate) -> Vector:
     """Return the coordinates (n_c,) of a digit, computed from the excursions of its tendons [rad].
 
-    During contact, the joints possibly turn further than the excursions show.
+    During contact, the joints can turn further than the excursions show.
     """
     return digit.coordinates_of_excursion(estimate.excursion[digit.tendons])
 

@@ -194,8 +194,7 @@ REFUSAL_EVENT_PREFIX = "refused: "
 def describe_request(request: Request) -> str:
     """Return the event text of an accepted request.
 
-    All request events between the event text of a request and the event text of the next request
-    belong to the first of the two requests.
+    The events of a request follow its event text, up to the event text of the next request.
     """
     return f"{_ACCEPTED_PREFIX}{request.do}" + (f" by {request.by}" if request.by else "")
 

@@ -105,7 +105,7 @@ class StreamStatus(NamedTuple):
 
 
 def target_horizon_s(rate_Hz: float, period: float) -> float:
-    """Return the time [s] between the sending of a target and the time at which the hand should reach it.
+    """Return the delay [s] from the sending of a target until the hand should reach the target.
 
     Args:
         rate_Hz: rate of the stream [Hz].
@@ -258,7 +258,7 @@ def streamed_digits(model: HandModel, stream: StreamPlan) -> tuple[int, ...]:
 
 
 def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector]:
-    """Return the fractions (N,) of the gains' stiffness and damping that a stream uses in the motion loop.
+    """Return stiffness and damping of a stream's motion loop (N,), as fractions of the values in the gains.
 
     The stiffness of a joint is the stiffness of the tendon's loop [N/m] times the square of the
     tendon's moment arm. If the damping is proportional to the square root of the stiffness, the
@@ -394,10 +394,9 @@ def blended_move(
 ) -> MinimumJerk:
     """Return a move that begins with the position, rate and acceleration of a reference.
 
-    The move ends at rest. If the speed of an earlier fast motion decreased during the whole of a
-    long move, the move would go far beyond its start and end. The speed of an earlier motion
-    decreases in a shorter time than the move, and this time is halved until the joints stay within
-    their range.
+    The move ends at rest. If an earlier fast motion faded out during the whole of a long move, the
+    joints would go far beyond the start and the end of the move. The function therefore halves the
+    fade-out time, which is the duration at first, until the joints stay within their range.
 
     Args:
         reference: (3, n) position, rate and acceleration at the start [rad, s].

@@ -268,7 +268,7 @@ def load_task(path: Path) -> Task:
 
 
 class DigitShape(NamedTuple):
-    """Numbers of values that a task is allowed to contain for a digit.
+    """Number of angles and tensions that a task is allowed to give for a digit, and the names of the digit's joints.
 
     Attributes:
         coordinates: number of coordinates of the digit, each with an angle.
@@ -283,7 +283,7 @@ class DigitShape(NamedTuple):
 
 
 def shapes_of_digits(hand: Hand) -> dict[str, DigitShape]:
-    """Return the shape of each digit of a hand, by the name of the digit."""
+    """Return for each digit the number of values that a task is allowed to give, by the name of the digit."""
     counts = {
         name: tendon_slice.stop - tendon_slice.start
         for name, tendon_slice in hand.digit_tendons.items()
@@ -305,14 +305,14 @@ def check_task(
     task_name: str,
     digit_shapes: Mapping[str, DigitShape] | None = None,
 ) -> None:
-    """Check that the names and values in a task suit a hand.
+    """Check that a hand has the digits and joints that a task names, and that the task's values are allowed.
 
     Args:
         task: task to check.
         digits: names of the hand's digits.
         tension_limit: smallest of the tension limits in the hand [N].
         task_name: name of the file, for messages.
-        digit_shapes: numbers of values for each digit, or None to skip this check.
+        digit_shapes: allowed number of values for each digit, or None to skip this check.
 
     Raises:
         ConfigError: the task names an unknown digit, gives a digit the wrong number of values, or

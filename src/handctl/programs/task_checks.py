@@ -70,7 +70,7 @@ def check_speed(task: Task, models: Sequence[DigitModel], task_name: str) -> Non
     The check includes all positions at which the phases before a move can end.
 
     Args:
-        task: task whose numbers of values fit the digits.
+        task: task with the right number of values for each digit.
         models: models of the hand's digits.
         task_name: name of the task file, for error messages.
 
@@ -178,7 +178,7 @@ def check_joint_range(task: Task, hand: Hand, task_name: str, digits: Sequence[D
     A joint beyond its range would press against its stop.
 
     Args:
-        task: task that suits the hand in all other respects.
+        task: task that has passed ``check_task``.
         hand: hand that shall execute the task.
         task_name: name of the task file, for error messages.
         digits: models of the hand's digits.
@@ -269,7 +269,7 @@ def check_tip_force(task: Task, hand: Hand, task_name: str) -> None:
     hand `jamia` curled up on a wall, and pressed with 23 to 56 N.
 
     Args:
-        task: task that suits the hand in all other respects.
+        task: task that has passed ``check_task``.
         hand: hand that shall execute the task.
         task_name: name of the task file, for error messages.
 
@@ -300,7 +300,7 @@ def check_slip_limit(task: Task, hand: Hand, task_name: str) -> None:
     With a slip limit below the hold tension, the tension could not rise after slip.
 
     Args:
-        task: task that suits the hand in all other respects.
+        task: task that has passed ``check_task``.
         hand: hand that shall execute the task.
         task_name: name of the task file, for error messages.
 

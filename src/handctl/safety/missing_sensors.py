@@ -8,10 +8,10 @@ from handctl.safety.faults.table import FAULT_TABLE
 FAULTS_NEEDING_LOAD_CELL = tuple(fault.id for fault in FAULT_TABLE if fault.needs_load_cell)
 """Faults that are not detected for a tendon without load cell.
 
-The faults in the list compare a load cell with the motor, or concern the load cell itself. Without
-a load cell, the faults T01, T02, T03, T08 and N06 use the estimated tension. Without a load cell,
-the limits of the faults T01, T02, T03, T08 and N06 are stricter by two standard deviations of the
-estimate, and the fault N16 uses the torque that the drive reports.
+The faults in the list are a difference between load cell and motor, or a failure of the load cell
+itself. Without a load cell, the faults T01, T02, T03, T08 and N06 use the estimated tension.
+Without a load cell, the limits of the faults T01, T02, T03, T08 and N06 are stricter by two
+standard deviations of the estimate, and the fault N16 uses the torque that the drive reports.
 """
 FAULTS_NEEDING_TORQUE_IN_REPLY = tuple(
     fault.id for fault in FAULT_TABLE if fault.shows_torque_after_cut

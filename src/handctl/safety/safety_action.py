@@ -23,7 +23,7 @@ class SafetyAction(enum.IntEnum):
     CUT = 4
     """Remove the torque of all motors at once.
 
-    The reaction CUT belongs to faults after which commands possibly no longer reach the drives.
+    The reaction CUT belongs to faults after which commands could fail to reach the drives.
     """
 
 

@@ -20,8 +20,8 @@ MIN_SILENT_TICKS = 4
 MIN_STALLED_TICKS = 3
 """Smallest number of ticks for the times ``MAX_SILENCE_S`` and ``MAX_STALL_S``.
 
-At slow control rates, the smallest number of ticks lasts longer than ``MAX_SILENCE_S`` or
-``MAX_STALL_S``, and applies.
+At low control rates, ``MIN_SILENT_TICKS`` and ``MIN_STALLED_TICKS`` apply, because these numbers of
+ticks last longer than ``MAX_SILENCE_S`` and ``MAX_STALL_S``.
 """
 MIN_FLOOD_FRAMES = 64
 """Smallest threshold for a flooded bus [frames per tick]. A small hand sends fewer frames."""

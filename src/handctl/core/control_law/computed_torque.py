@@ -10,10 +10,11 @@ at the load cell, the feedback, and the force for the inertia and friction of th
         - c_d disturbance + K_f (f_0 - f_hat)
 
 The tendon excursions are s = R_r theta. If moment arms depend on the joint angles q, the excursions
-are e(q), and their acceleration is s'' = R q'' + R' q'^2. The speed v is the speed of the tendon at
-its spool, so the feedback of v damps the rotor, and does not damp the digit. The factors c_i, c_f
-and c_d are fractions that the gains contain. The mass m_m of the rotor is about twenty times the
-mass m_l of the finger. The feedback has to accelerate both the rotor and the finger.
+are s = e(q). The acceleration of the excursions is then s'' = R q'' + R' q'^2. The speed v is the
+speed of the tendon at its spool, so the feedback of v damps the rotor, and does not damp the digit.
+The gains contain the fractions of inertia (c_i), friction (c_f) and disturbance (c_d) that the
+motor force compensates. The mass m_m of the rotor is about twenty times the mass m_l of the finger.
+The feedback has to accelerate both the rotor and the finger.
 
 Tension: the tension loop is a state feedback of the tension error and the tendon speed, with a slow
 integral. If the digit is expected to follow a trajectory, the speed of the tendon and the force for
@@ -119,8 +120,8 @@ MIN_RELAXED_TENSION_N = 5.0
 def command_zero_torque(x: StateTables, c: ConstantTables) -> None:
     """Command zero torque for every motor.
 
-    The tension setpoints follow the present tensions, so that a tension loop that begins later
-    starts at the tension of its first tick.
+    The tension setpoints follow the present tensions. When a tension loop begins, its first
+    setpoint is thus the present tension.
     """
     begin_servo_commands(x, c)
     for n in range(x.tendon.shape[1]):
@@ -255,8 +256,10 @@ def write_motor_torques(
             load[n] = x.tendon[s.TENSION_GOAL, n] = setpoint
         if kind != LIMP:
             force += x.tendon[s.TRIM_FORCE, n]
-        largest = min(limit[n], c.tendon[h.TENSION_CEILING, n]) if is_drive_controlled else limit[n]
-        command_force = _limited_force(c, n, force, largest)
+        tension_limit = (
+            min(limit[n], c.tendon[h.TENSION_CEILING, n]) if is_drive_controlled else limit[n]
+        )
+        command_force = _limited_force(c, n, force, tension_limit)
         if relax_rate > 0.0:
             command_force = _force_during_relaxation(
                 x, c, n, command_force, _relaxation_envelope(x, c, n, relax_rate, ticks), open_loop
@@ -381,7 +384,7 @@ def _force_during_relaxation(
 def _motion_force_terms(
     x: StateTables, c: ConstantTables, trajectory: Matrix, limit: Vector
 ) -> tuple[Vector, Matrix, Matrix]:
-    """Return the pulley efficiencies, and four forces of the motion loop for each tendon [N].
+    """Return for each tendon the pulley efficiency, and four forces of the motion loop [N].
 
     The first result has the efficiencies (N,). The second result (2, N) has the tension goals and
     the feedback forces. The third result (2, N) has the null-space forces and the integrals. The
@@ -533,8 +536,8 @@ def _would_pay_out_slack_tendon(x: StateTables, c: ConstantTables, n: int, feedb
 
     For motions along streamed angles, the result is False. No measurement corrects the estimated
     excursion of a slack tendon. If the estimated excursion is too large, the position feedback
-    would pay out more and more of the tendon. In a digit with surplus tendons, the excursion of a
-    slack tendon follows from the other tendons.
+    would pay out more and more of the tendon. In a digit with more tendons than coordinates, the
+    excursion of a slack tendon follows from the other tendons.
 
     Args:
         x: state tables.
@@ -578,10 +581,7 @@ def _tendon_motion_on_trajectory(
 def _tendon_motion_by_carriers(
     c: ConstantTables, n: int, trajectory: Matrix
 ) -> tuple[float, float]:
-    """Return a tendon's rate [m/s] and acceleration [m/s2] because of the motion of carrying digits.
-
-    The carrying digits move on their trajectories.
-    """
+    """Return the rate [m/s] and acceleration [m/s2] of a tendon caused by the motion of digits that carry its digit."""
     if not c.run_int[h.HAS_CARRIER_ARMS]:
         return 0.0, 0.0
     return carrier_excursion(c, n, trajectory[1]), carrier_excursion(c, n, trajectory[2])

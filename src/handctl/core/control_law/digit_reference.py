@@ -162,14 +162,14 @@ def write_required_torque(x: StateTables, c: ConstantTables, trajectory: Matrix)
         trajectory: (3, J) angles [rad], rates [rad/s] and accelerations [rad/s2].
     """
     joints = x.joint.shape[1]
-    moving = False
+    is_any_digit_moving = False
     motion = np.zeros((3, joints))
     torque = np.empty(joints)
     for d in range(x.digit.shape[1]):
         first_joint = c.digit_int[h.FIRST_JOINT, d]
         end = c.digit_int[h.END_JOINT, d]
         if is_digit_moving(x, c, d):
-            moving = True
+            is_any_digit_moving = True
             for order in range(3):
                 for j in range(first_joint, end):
                     motion[order, j] = trajectory[order, j]
@@ -177,7 +177,7 @@ def write_required_torque(x: StateTables, c: ConstantTables, trajectory: Matrix)
             # A digit without a trajectory is assumed to rest at its estimated angles.
             for j in range(first_joint, end):
                 motion[0, j] = x.joint[s.Q, j]
-    if not moving:
+    if not is_any_digit_moving:
         return
     parent = c.joint_int[h.PARENT_JOINT]
     gravity = c.run[h.GRAVITY : h.GRAVITY + 3]

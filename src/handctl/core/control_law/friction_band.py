@@ -89,14 +89,13 @@ def predict_tension_of_moving_tendon(
 def update_friction_state(x: StateTables, c: ConstantTables, n: int, efficiency: float) -> None:
     """Write the friction state of a moving tendon.
 
-    The friction state is 1 if the friction is fully developed while the tendon is wound up, and -1
-    if it is fully developed while the tendon is paid out. The model of the friction band is a
-    spring in series with a slider. The stretch of the spring is the travel of the spool minus the
-    travel of the slider. The friction state is not computed from the planned tension. The planned
-    tension is a sum over estimated speeds, and these speeds are wrong by 0.1 mm/s per newton of
-    load-cell error. With a wrong friction state, the tension filter would expect a force on the
-    motor that does not exist. When the digit comes to rest, the unexplained tension would resemble
-    a contact.
+    The friction state is 1 at full friction while the tendon is wound up, and -1 at full friction
+    while the tendon is paid out. The model of the friction band is a spring in series with a
+    slider. The stretch of the spring is the travel of the spool minus the travel of the slider. The
+    friction state is not computed from the planned tension. The planned tension is integrated from
+    estimated speeds. Each newton of load-cell error makes an estimated speed wrong by 0.1 mm/s.
+    With a wrong friction state, the tension filter would expect a force on the motor that does not
+    exist. When the digit comes to rest, the unexplained tension would resemble a contact.
 
     Args:
         x: state tables, with ``FRICTION_SLIDER`` of the last tick.

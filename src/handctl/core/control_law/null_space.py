@@ -37,7 +37,7 @@ that the motion feedback has to move.
 def raise_goals_to_tension_floor(
     x: StateTables, c: ConstantTables, limit: Vector, motion_terms: Matrix, null_space_terms: Matrix
 ) -> None:
-    """Raise the tension goals in digits with surplus tendons to the floor, and write null-space forces.
+    """Raise tension goals to the floor in digits with more tendons than coordinates, and write null-space forces.
 
     The position feedback can reduce the force on a tendon to less than the tension floor. A
     multiple of the balance tensions, which make no joint torque, is added to the tension goals of
@@ -54,7 +54,7 @@ def raise_goals_to_tension_floor(
     """
     count = x.tendon.shape[1]
     error = np.zeros(count)
-    total = np.zeros(count)
+    error_integral = np.zeros(count)
     feedback = np.zeros(count)
     for d in range(x.digit.shape[1]):
         first_tendon = c.digit_int[h.FIRST_TENDON, d]
@@ -81,12 +81,12 @@ def raise_goals_to_tension_floor(
         for n in range(first_tendon, end):
             motion_terms[0, n] += balance_factor * c.tendon[h.BALANCE_TENSION, n]
             error[n] = motion_terms[0, n] - x.tendon[s.TENSION, n]
-            total[n] = x.tendon[s.TENSION_INTEGRAL, n] + c.run[h.INTEGRAL_GAIN] * error[n]
+            error_integral[n] = x.tendon[s.TENSION_INTEGRAL, n] + c.run[h.INTEGRAL_GAIN] * error[n]
         for n in range(first_tendon, end):
             null_space_terms[0, n] = c.tendon[h.TENSION_GAIN, n] * (
                 error[n] - project_onto_digit_motion(c, n, error)
             )
-            integral = total[n] - project_onto_digit_motion(c, n, total)
+            integral = error_integral[n] - project_onto_digit_motion(c, n, error_integral)
             null_space_terms[1, n] = min(max(integral, -INTEGRAL_LIMIT_N), INTEGRAL_LIMIT_N)
 
 

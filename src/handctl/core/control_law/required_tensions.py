@@ -1,8 +1,9 @@
 """Tensions that the goals of the digits require.
 
 The required tensions are the tensions at the joints, after the friction of the pulleys. Compiled
-code computes the required tensions of most digits. For digits without unique tensions within the
-bounds, Python code solves a bounded least-squares problem.
+code computes the required tensions of most digits. If the joint torques of a digit do not determine
+its tensions, or if these tensions exceed their bounds, Python code solves a bounded least-squares
+problem.
 """
 
 from dataclasses import replace
@@ -79,7 +80,7 @@ def allocate_bounded_tensions(
     unsolved_digits: int,
     trajectory: Vector,
 ) -> None:
-    """Solve the bounded least-squares problem of each digit without unique tensions within the bounds.
+    """Solve the least-squares problem of each digit that compiled code has marked as unsolved.
 
     Args:
         model: model of the hand.

@@ -6,10 +6,10 @@ velocity v, and computes its torque:
 
     kp (p_d - p) + kd (v_d - v) + t
 
-The commanded position, multiplied by the spool's radius r, is the sum of the planned excursion s_d,
-the stretch of the tendon under its planned tension f_0, and the estimated stretch offset o. The
-tendon has the stiffness k and the estimated tension f_hat = k (r p - s - o). The position error of
-the drive contains the errors of excursion and tension:
+The spool radius r times the commanded position is a sum of three lengths. The lengths are the
+planned excursion s_d, the stretch under the planned tension f_0, and the estimated stretch offset
+o. The estimated tension is f_hat = k (r p - s - o), with the stiffness k of the tendon and the
+motor position p. The position error of the drive contains the errors of excursion and tension:
 
     r p_d = s_d + f_0 / k + o
     r (p_d - p) = (s_d - s) + (f_0 - f_hat) / k
@@ -30,10 +30,9 @@ command to a drive with a moving commanded position also contains a torque limit
 predicted torque.
 
 In commands for a digit that moves freely on its trajectory, kp and kd are above 0. In commands for
-any other digit, kp and kd are 0, and t is the whole torque. Commands with kp = kd = 0 are sent if
-the digit touches an object, if it relaxes, if the tendon takes up slack, or if the safety monitor
-holds the hand. Commands with kp = kd = 0 are also sent if the motor position was not measured in
-the tick.
+any other digit, kp and kd are 0, and t is the whole torque. Such torque commands are sent while the
+digit touches an object or relaxes, and while the tendon takes up slack. Torque commands are also
+sent while the safety monitor holds the hand, and in a tick without a measured motor position.
 """
 
 import math

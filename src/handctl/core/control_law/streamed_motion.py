@@ -7,11 +7,11 @@ the reference position stays at the target, because targets are not extrapolated
 
 The reference position follows the segment exactly if speed and acceleration stay within their
 limits. If the segment exceeds a limit, the reference position approaches the target as fast as the
-limits allow. The reference position reaches the target with the rate of the stream. Near the end of
-a joint's range, the speed towards the end of the range is limited, so that the motion can stop
-before the end. The reference position is never more than ``MAX_LEAD_RAD`` ahead of the digit. If an
-object holds a digit, the reference position waits ahead of the digit. If an object pushes a digit
-away, the reference position follows the digit.
+limits allow. At the target, the rate of the reference position is the rate at which the targets
+change, within a limit. Near the end of a joint's range, the speed towards the end of the range is
+limited, so that the motion can stop before the end. The reference position is never more than
+``MAX_LEAD_RAD`` ahead of the digit. If an object holds a digit, the reference position waits ahead
+of the digit. If an object pushes a digit away, the reference position follows the digit.
 """
 
 import math
@@ -119,16 +119,16 @@ def _write_segment(
         x.coordinate[s.STREAM_SEGMENT + 1, k] = (target - position) / duration
         return
     duration_squared = duration * duration
-    missing = target - position - duration * rate - 0.5 * duration_squared * acceleration
+    missing_distance = target - position - duration * rate - 0.5 * duration_squared * acceleration
     missing_rate = speed - rate - duration * acceleration
     b = (
         480.0
-        * (missing_rate * duration / 10.0 - missing / 4.0)
+        * (missing_rate * duration / 10.0 - missing_distance / 4.0)
         / (duration_squared * duration_squared)
     )
     c = (
         480.0
-        * (missing / 3.0 - missing_rate * duration / 8.0)
+        * (missing_distance / 3.0 - missing_rate * duration / 8.0)
         / (duration_squared * duration_squared * duration)
     )
     x.coordinate[s.STREAM_SEGMENT + 1, k] = rate
@@ -171,8 +171,8 @@ def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None
     candidate_position, candidate_rate = position_on_segment(x, k, now)
     remaining = max(x.run[s.STREAM_SEGMENT_START] + x.run[s.STREAM_DURATION] - now, 0.0)
     target_rate = x.coordinate[s.STREAM_TARGET_RATE, k] if remaining > 0.0 else 0.0
-    # The moving target moves at the rate of the stream, and reaches the latest target at the end of
-    # the segment.
+    # The moving target moves at the rate of the latest target, and reaches the latest target at the
+    # end of the segment.
     moving_target = x.coordinate[s.STREAM_TARGET, k] - target_rate * remaining
     mean = (candidate_position - position) / period
     max_rate_change = gain * (1.0 + RATE_LIMIT_TOLERANCE)
@@ -205,9 +205,9 @@ def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None
 
 @kernel_helper
 def coordinate_scale(c: ConstantTables, d: int, k: int) -> float:
-    """Return the scale of coordinate k of digit d, which converts limits in rad to the coordinate.
+    """Return the factor that converts a limit in rad to the unit of coordinate k of digit d.
 
-    The scale is 1 for hinges, and less than 1 for prismatic joints.
+    The factor is 1 for hinges, and less than 1 for prismatic joints.
     """
     for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
         if c.joint_coordinate_table[h.JOINT_COUPLING, j, k] != 0.0:
@@ -263,13 +263,13 @@ def _allowed_rates(
 @kernel_helper
 def _estimated_coordinate(x: StateTables, c: ConstantTables, d: int, k: int) -> tuple[float, float]:
     """Return position [rad] and rate [rad/s] of a coordinate, computed from the estimated joint angles."""
-    position = rate = total = 0.0
+    position = rate = squared_coupling = 0.0
     for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
         coupling = c.joint_coordinate_table[h.JOINT_COUPLING, j, k]
         position += coupling * x.joint[s.Q, j]
         rate += coupling * x.joint[s.DQ, j]
-        total += coupling * coupling
-    return position / total, rate / total
+        squared_coupling += coupling * coupling
+    return position / squared_coupling, rate / squared_coupling
 
 
 @kernel_helper

@@ -32,7 +32,7 @@ class TendonRedundancy:
         has_return_springs: True if springs move the digit of the tendon back to its lower joint limits.
         has_surplus: True for a tendon of a digit with more tendons than coordinates.
         balance_tension: smallest tensions that make no joint torque, and are all above the tension floor
-            [N]. The balance tensions are 0 for a digit without surplus tendons.
+            [N]. The balance tensions are 0 unless the digit has more tendons than coordinates.
         excursion_at_lower_limits: excursion at the lower joint limits [m].
         excursion_range: (2, N) smallest and largest excursion of each tendon within the joint
             limits [m].

@@ -2,10 +2,11 @@
 
 The least-squares problem, with the mean moment arm r, is: minimise |R^T f - tau|^2 / r^2 +
 regularisation |f - f_min|^2 subject to f_min <= f <= f_max. If the equations R^T f = tau have a
-unique solution within the bounds, this solution is used. If no tensions within the bounds make the
-required torque, the solution is the tensions with the closest possible torque. The torque errors of
-all coordinates have equal weights. ``tensions_for_torque`` returns the tensions, and the difference
-between the required and the possible torque. Source: Lee & Tsai (1991).
+unique solution, and the solution is within the bounds, the function returns it. If no tensions
+within the bounds make the required torque, the solution is the tensions with the closest possible
+torque. The torque errors of all coordinates have equal weights. ``tensions_for_torque`` returns the
+tensions, and the difference between the required and the possible torque. Source: Lee & Tsai
+(1991).
 """
 
 from typing import NamedTuple

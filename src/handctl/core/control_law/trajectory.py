@@ -27,12 +27,12 @@ class Trajectory(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class BlendTrajectory:
-    """Part of a move that continues an earlier motion of the digit.
+    """Blend: the part of a move in which the earlier motion of the digit fades out.
 
-    The blend, which continues the earlier motion, fades out during the move. The position that the
-    blend adds is the sum of two polynomials of degree 5. At the start of the move, the first
-    polynomial has a rate of 1, and the second polynomial has an acceleration of 1. All other
-    values, rates and accelerations of the two polynomials at the start and at the end are 0.
+    The position that the blend adds is the sum of two polynomials of degree 5. At the start of the
+    move, the first polynomial has a rate of 1, and the second polynomial has an acceleration of 1.
+    All other values, rates and accelerations of the two polynomials at the start and at the end are
+    0.
 
     Attributes:
         speed: (n,) rate of the earlier motion at t = 0 [rad/s].
@@ -74,7 +74,7 @@ class MinimumJerk:
         start: (n,) coordinates at t = 0 [rad].
         end: (n,) coordinates at t = duration [rad].
         duration: duration of the move [s], > 0.
-        blend: part of the move that continues an earlier motion, or None if the move starts at
+        blend: part of the move in which an earlier motion fades out, or None if the move starts at
             rest.
     """
 

@@ -69,17 +69,19 @@ def _detect_overdue_feedback(x: StateTables, c: ConstantTables, evidence: Eviden
     In a tick that the host has missed, the host requests no feedback, so missed ticks do not cause
     the fault B01.
     """
-    lowest_age = motor_ticks_overdue(x, c, 0, x.run_int[s.TICK_TIME_NS])
+    min_ticks_overdue = motor_ticks_overdue(x, c, 0, x.run_int[s.TICK_TIME_NS])
     for n in range(x.tendon.shape[1]):
-        lowest_age = min(lowest_age, motor_ticks_overdue(x, c, n, x.run_int[s.TICK_TIME_NS]))
+        min_ticks_overdue = min(
+            min_ticks_overdue, motor_ticks_overdue(x, c, n, x.run_int[s.TICK_TIME_NS])
+        )
     for n in range(x.tendon.shape[1]):
-        age = motor_ticks_overdue(x, c, n, x.run_int[s.TICK_TIME_NS])
-        if age > x.run_int[s.MISSED_TICKS]:
-            evidence[B01_MISSING_REPLY, n] = age
-        if age >= c.run_int[h.SILENT_TICKS]:
-            evidence[B02_SILENT_MOTOR, n] = age
-        if age >= c.run_int[h.SILENT_TICKS_OF_SINGLE_MOTOR] and lowest_age == 0:
-            evidence[B17_DEAF_NODES, n] = age
+        ticks_overdue = motor_ticks_overdue(x, c, n, x.run_int[s.TICK_TIME_NS])
+        if ticks_overdue > x.run_int[s.MISSED_TICKS]:
+            evidence[B01_MISSING_REPLY, n] = ticks_overdue
+        if ticks_overdue >= c.run_int[h.SILENT_TICKS]:
+            evidence[B02_SILENT_MOTOR, n] = ticks_overdue
+        if ticks_overdue >= c.run_int[h.SILENT_TICKS_OF_SINGLE_MOTOR] and min_ticks_overdue == 0:
+            evidence[B17_DEAF_NODES, n] = ticks_overdue
 
 
 @kernel_helper

@@ -35,7 +35,7 @@ from handctl.safety.faults.table import ACTION_NUMBERS, DEBOUNCE_TICKS
 
 
 def empty_evidence(layout: BlockLayout) -> EvidenceTable:
-    """Return memory for the evidence of all faults in a tick, (faults, instances).
+    """Return an evidence table without faults: an array (faults, instances) of NaN.
 
     Args:
         layout: layout of the state block.

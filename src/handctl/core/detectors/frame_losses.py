@@ -97,8 +97,8 @@ def update_loss_counts(
                 is_late |= cell_ticks_overdue(x, c, n, now_ns) > 0
         recent_bits = x.node_int[s.LOST_REPLY_BITS, node]
         older_bits = x.node_int[s.LOST_REPLY_BITS + 1, node]
-        # The two integers form a shift register: the oldest bit of the first integer moves into the
-        # second one.
+        # The two integers form a shift register: the oldest bit of ``recent_bits`` moves into
+        # ``older_bits``.
         x.node_int[s.LOST_REPLY_BITS + 1, node] = (
             older_bits << 1 | recent_bits >> (BITS_PER_WORD - 1)
         ) & WORD_MASK
@@ -141,7 +141,7 @@ def misses_every_second_reply(x: StateTables, node: int) -> bool:
     """Return True if about every second reply of a node is missing.
 
     The function tests the replies of the last ``MALFORMED_WINDOW_TICKS`` ticks. If every second
-    reply is missing, two consecutive replies are missing at most once.
+    reply is missing, the window contains at most one pair of consecutive missing replies.
     """
     recent_losses = x.node_int[s.LOST_REPLY_BITS, node] & MALFORMED_WINDOW_MASK
     # The integer of lost frames is combined by AND with the same integer, shifted by one bit. The

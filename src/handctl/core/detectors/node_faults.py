@@ -107,9 +107,9 @@ def _detect_silent_sensors(x: StateTables, c: ConstantTables, evidence: Evidence
     """Find load cells and joint encoders whose last reading is too old."""
     now_ns = x.run_int[s.TICK_TIME_NS]
     for n in range(x.tendon.shape[1]):
-        age = cell_ticks_overdue(x, c, n, now_ns)
-        if age >= c.run_int[h.SILENT_TICKS]:
-            evidence[N02_SILENT_LOAD_CELLS, n] = age
+        ticks_overdue = cell_ticks_overdue(x, c, n, now_ns)
+        if ticks_overdue >= c.run_int[h.SILENT_TICKS]:
+            evidence[N02_SILENT_LOAD_CELLS, n] = ticks_overdue
     last_group = -1
     for j in range(x.joint.shape[1]):
         group = c.joint_int[h.JOINT_GROUP, j]
@@ -229,8 +229,8 @@ def _overcomes_friction(c: ConstantTables, n: int, goal_change: float) -> bool:
 def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: EvidenceTable) -> None:
     """Find tendons that are still under tension after the motor torque was cut.
 
-    The tension is visible in the load-cell reading or in the torque that the drive reports. If a
-    spool has paid out its tendon, its motor no longer pulls, although the tendon can still be taut.
+    The tension is visible in the load-cell reading or in the torque that the drive reports. A
+    tendon can still be taut after its spool has paid it out, but then the motor no longer pulls.
     """
     if x.run_int[s.TICKS_SINCE_CUT] * c.run[h.CONTROL_PERIOD] < PULL_AFTER_CUT_TIME_S:
         return

@@ -6,8 +6,8 @@ The host sends a request to each motor in every tick. A missing reply is either 
 together with other replies. On a busy computer, all replies can come a tick late. The host cannot
 distinguish a lost reply from a late reply, so a request stays outstanding until its reply comes,
 but at most for ``LOSS_WINDOW_TICKS`` ticks. The last request to a motor stays outstanding without a
-time limit. If there are more replies than outstanding requests, a reply is a duplicate or comes
-from another node.
+time limit. If there are more replies than outstanding requests, at least one reply is a duplicate
+or comes from another node.
 """
 
 from handctl.compiled import kernel_helper

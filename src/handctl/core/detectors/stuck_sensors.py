@@ -6,9 +6,9 @@ quantity changes.
 The other measurement is called the reference of the sensor. A constant reading is no fault while
 the reference of the sensor is constant. The reading of a motor encoder is compared with two
 references: the goal of the tendon's excursion, and the tension of the tendon. The reference of a
-load cell is the range of the motor force since the last change of the reading. The range of the
-motor force is used because the tension loop can first raise the force and then lower it. The
-reference of a joint encoder is the joint angle that is computed from the positions of the spools.
+load cell is the range of the motor force since the last change of the reading. The range shows a
+change even if the tension loop first raises the motor force and then lowers it again. The reference
+of a joint encoder is the joint angle that is computed from the positions of the spools.
 """
 
 import math
@@ -102,12 +102,12 @@ def reference_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the tension that is the reference for the encoder of a motor [N].
 
     Return NaN if other motors also change the tension, as in every digit with several tendons and
-    load cells. If the motor of another tendon turns a joint that both tendons pass, the tension
-    changes although friction holds the tendon's own motor at rest.
+    load cells. Another motor can turn a joint that the tendon crosses. The tension then changes
+    although friction holds the tendon's own motor at rest.
 
-    Without a load cell, the tension is computed from the motor's own torque, and shows that a
-    tendon has torn. In a digit with surplus tendons, an antagonist also changes the tension that is
-    computed from the torque.
+    Without a load cell, the tension is computed from the torque of the tendon's own motor. The
+    computed tension shows that a tendon has torn. In a digit with more tendons than coordinates,
+    the result is NaN, because an antagonist also changes the computed tension.
     """
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     has_other_tendons = c.digit_int[h.END_TENDON, d] - c.digit_int[h.FIRST_TENDON, d] > 1
@@ -164,8 +164,8 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
     distance of the motor from the goal, because friction can stop the motor before the goal. When a
     motor has reached its goal, the filtered goal is set to the estimated excursion. The jump of the
     filtered goal to the estimated excursion does not count as a motion of the motor's goal. A
-    client can send targets beyond an object that is unknown to the client, so the motion of the
-    goal does not count while a streamed digit presses on an object.
+    client that does not know an object can send targets that the object makes unreachable. The
+    motion of the goal therefore does not count while a streamed digit presses on an object.
     """
     fraction = 1.0 - math.exp(-c.run[h.CONTROL_PERIOD] / MOTOR_FOLLOWING_TIME_CONSTANT_S)
     min_step = MAX_UNDELAYED_GOAL_SPEED_M_S * c.run[h.CONTROL_PERIOD]

@@ -124,10 +124,10 @@ def detect_tendon_faults_under_torque(
 def _planned_speed(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the speed of a tendon on the streamed trajectory of its joints [m/s].
 
-    For a digit without a stream, the speed is 0. The moves of tasks are slow, and the spool of a
-    torn tendon still follows the moves. The detector subtracts the planned speed of a stream from
-    the speed of the spool. If the speed of the moves of tasks were also subtracted, a torn tendon
-    would be found half a second later, as a slack tendon (fault T02b).
+    For a digit without a stream, the speed is 0. The detector subtracts the planned speed of a
+    stream from the speed of the spool. The detector does not subtract the slow speed of a task's
+    move, because the spool of a torn tendon follows the move. With such a subtraction, a torn
+    tendon would be found half a second later, as a slack tendon (fault T02b).
     """
     speed = 0.0
     if not follows_streamed_angles(x, c, n):
@@ -183,7 +183,7 @@ def _snapped_speed_threshold(
     force = (1.0 + c.tendon[h.TENSION_GAIN, n]) * commanded_tension - c.tendon[
         h.MOTOR_COULOMB_FRICTION, n
     ]
-    # The comparison needs no division, because the damping can be zero.
+    # The comparison has no division, because the damping can be zero.
     if FREE_SPOOL_SPEED_FRACTION * force >= SNAP_SPOOL_SPEED * damping:
         return SNAP_SPOOL_SPEED
     return max(FREE_SPOOL_SPEED_FRACTION * force / damping, MIN_SNAP_SPOOL_SPEED)

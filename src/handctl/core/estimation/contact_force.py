@@ -9,14 +9,14 @@ averaged over a few milliseconds by a low-pass filter. The force of a contact re
 low-pass filter. The alternating force of a chattering tendon cancels out in the low-pass filter.
 
 Two errors of the tip force are corrected. If the model expects too much tension, the tip force is
-negative and hides a contact. A contact force grows fast, and the error of a wrong model lasts
-longer, so a negative average of the tip force is subtracted. If the reading of a load cell drifts,
-the tip force is positive during the whole closing motion. To correct the drift, a positive average
-of the tip force over a long time is subtracted.
+negative and hides a contact. A contact force grows faster than the error of a wrong model. To
+correct the error, an average of the tip force is subtracted while the average is negative. If the
+reading of a load cell drifts, the tip force is positive during the whole closing motion. To correct
+the drift, a positive average of the tip force over a long time is subtracted.
 
-While a digit holds an object, the length on each spool minus the stretch of the tendon is known to
-a few micrometres. If an object pushes the digit open, a fast and a slow average of the length minus
-the stretch differ.
+The excursion of a tendon is the tendon length on the spool minus the stretch of the tendon. While a
+digit holds an object, the excursion is known to a few micrometres. If the object pushes the digit
+open, a fast and a slow average of the excursion differ.
 """
 
 import math
@@ -50,7 +50,7 @@ SLOW_GRIP_TIME_CONSTANT_S = 0.2
 MIN_SQUARED_RESPONSE = 1e-6
 """Sum of the squared tendon tensions under a tip force of 1 N [N^2], below which the tip force is unknown.
 
-The tendons of a digit with a smaller sum cannot feel a force at the tip of the digit.
+If the sum is smaller, the tensions of the tendons do not show a force at the tip.
 """
 
 
@@ -103,20 +103,20 @@ def _write_tip_levers(x: StateTables, c: ConstantTables, lever: Vector) -> None:
 
 @kernel_helper
 def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> float:
-    """Return the force at the tip that explains a digit's unexplained tensions best [N].
+    """Return the force at the tip that best explains the tensions which the model does not explain [N].
 
     The force is a least-squares solution. The result is 0 if a force at the tip does not load any
     tendon of the digit.
     """
     virtual_work = 0.0
-    size = 0.0
+    squared_response = 0.0
     for n in range(c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d]):
         tension_per_force = 0.0
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
             tension_per_force += c.tendon_joint_table[h.TORQUE_TO_TENSION, n, j] * lever[j]
         virtual_work += tension_per_force * x.tendon[s.EXTERNAL_TENSION, n]
-        size += tension_per_force * tension_per_force
-    return virtual_work / size if size > MIN_SQUARED_RESPONSE else 0.0
+        squared_response += tension_per_force * tension_per_force
+    return virtual_work / squared_response if squared_response > MIN_SQUARED_RESPONSE else 0.0
 
 
 @kernel_helper
@@ -127,8 +127,7 @@ def update_grip_travel(x: StateTables, c: ConstantTables) -> None:
     """
     is_slip_judged = x.run[s.GOAL_TIME] + c.run[h.CONTROL_PERIOD] >= x.run[s.SLIP_DETECTION_START]
     for n in range(x.tendon.shape[1]):
-        # The length on the spool minus the elastic stretch is the tendon length that moves the
-        # joints.
+        # The tendon length on the spool minus the elastic stretch is the excursion at the joints.
         unstretched_travel = (
             x.tendon[s.SPOOL_TRAVEL, n] - x.tendon[s.TENSION, n] / c.tendon[h.TENDON_STIFFNESS, n]
         )

@@ -153,8 +153,8 @@ class FilterDesign:
 def _stack_blocks(blocks: list[Matrix]) -> Matrix:
     """Return a matrix for N tendons, which contains a block of shape (rows, columns) for each tendon.
 
-    The order of the rows is row of the block first, and tendon second. The order of the columns is
-    column of the block first, and tendon second.
+    Row i of the block of tendon n becomes row i N + n of the matrix. Column j of the block becomes
+    column j N + n.
     """
     n, (rows, columns), indices = len(blocks), blocks[0].shape, np.arange(len(blocks))
     # The indices are (row, tendon, column, tendon), because each tendon is coupled only with

@@ -132,7 +132,7 @@ def correct_tension_filter(x: StateTables, c: ConstantTables, missed_ticks: int)
         x.tendon_int[s.FILTER_KIND, n] = x.tendon_int[s.LAST_FILTER_KIND, n] = filter_kind(x, n)
     z = _usable_measurements(x)
     innovation = _innovations(x, c, z)
-    use_full_update = (
+    propagates_covariance = (
         missed_ticks > 0
         or x.run_int[s.COVARIANCE_PROPAGATED] == 1
         or _is_measurement_missing(x, c, z)
@@ -141,23 +141,23 @@ def correct_tension_filter(x: StateTables, c: ConstantTables, missed_ticks: int)
     information = np.zeros((count, 3))
     cell_sigma = np.zeros(count)
     covariances_after = np.zeros(
-        (count, STATE_COUNT, STATE_COUNT) if use_full_update else (0, 0, 0)
+        (count, STATE_COUNT, STATE_COUNT) if propagates_covariance else (0, 0, 0)
     )
     for n in range(count):
         kind = x.tendon_int[s.FILTER_KIND, n]
         _write_steady_gain(c, n, kind, gain[n], information[n])
         cell_sigma[n] = c.design[n, kind, h.CELL_SIGMA_OFFSET]
-        if use_full_update:
+        if propagates_covariance:
             cell_sigma[n] = filter_covariance.correct_tendon_covariance(
                 x, c, n, z[n], gain[n], covariances_after[n], information[n]
             )
     _gate_and_correct_states(x, c, innovation, gain, cell_sigma)
     _correct_slack_by_taut_tendons(x, c)
-    _update_consistency(x, c, innovation, information, use_full_update)
+    _update_consistency(x, c, innovation, information, propagates_covariance)
     force = _update_regimes(x, c)
     _choose_filter_kinds(x)
     _write_external_tension(x, c, force)
-    if use_full_update:
+    if propagates_covariance:
         filter_covariance.predict_covariances(x, c, covariances_after, missed_ticks)
 
 
@@ -289,7 +289,7 @@ def _gate_and_correct_states(
 
 @kernel_helper
 def _correct_slack_by_taut_tendons(x: StateTables, c: ConstantTables) -> None:
-    """In digits with surplus tendons, correct the excursion of slack tendons by the other tendons.
+    """In digits with more tendons than coordinates, correct the excursion of slack tendons by the other tendons.
 
     The excursions of a digit are the product R q of its moment arms and joint angles. If one tendon
     of a digit is slack, its excursion follows from the excursions of the other tendons. If several
@@ -376,18 +376,18 @@ def _update_consistency(
 
 @kernel_helper
 def _judge_noise(x: StateTables, c: ConstantTables) -> None:
-    """Select the tendons that get added process noise, by the short average of the NIS.
+    """Use the short average of the NIS to select the tendons whose filters get added process noise.
 
     The added noise is kept for ``MAX_ADDED_NOISE_S``. A wrong friction in the model is visible only
     while the tendon moves. The error of the friction is largest when the motion reverses.
     """
     if c.run[h.CONTROL_PERIOD] > ADDED_NOISE_MAX_PERIOD_S:
         return
-    total = 0.0
+    nis_sum = 0.0
     count = x.tendon.shape[1]
     for n in range(count):
-        total += x.tendon[s.RECENT_NIS_MEAN, n]
-    limit = NOISE_NIS_LIMIT if total < NOISE_NIS_LIMIT_OF_HAND * count else 0.0
+        nis_sum += x.tendon[s.RECENT_NIS_MEAN, n]
+    limit = NOISE_NIS_LIMIT if nis_sum < NOISE_NIS_LIMIT_OF_HAND * count else 0.0
     for n in range(count):
         remaining_time = max(x.tendon[s.ADDED_NOISE_TIME_S, n] - c.run[h.CONTROL_PERIOD], 0.0)
         x.tendon[s.ADDED_NOISE_TIME_S, n] = (
@@ -434,12 +434,14 @@ def _resistance_and_pull_forces(x: StateTables, c: ConstantTables) -> Matrix:
     """Return three forces of each tendon (3, N) [N]: the resistance, the speed-signed pull, and the pull.
 
     The resistance is the tension at the joints that balances springs and gravity. The pull is the
-    estimated tension at the joints, after the loss by friction. If the control law has computed a
-    friction state for a tendon, friction follows from the friction state. If the friction state of
-    a tendon is unknown, friction is computed from the speed of the tendon at the spool. The
-    estimated speed of the digit is not used, because the estimate is rough, and its sign would
-    chatter. For the speed-signed pull, friction is always computed from the speed of the tendon at
-    the spool. The speed-signed pull is the first sign that a digit leaves a stop.
+    estimated tension at the joints, after the friction of the pulleys. If the control law has
+    computed a friction state for a tendon, friction follows from the friction state. If the
+    friction state of a tendon is unknown, friction is computed from the speed of the tendon at the
+    spool. The estimated speed of the digit is not used, because the sign of the rough estimate
+    would chatter.
+
+    For the speed-signed pull, friction is always computed from the speed of the tendon at the
+    spool. The speed-signed pull is the first sign that a digit leaves a stop.
     """
     count = x.tendon.shape[1]
     joints = x.joint.shape[1]

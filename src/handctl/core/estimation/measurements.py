@@ -119,7 +119,7 @@ def _reject_outlier(
 
 @kernel_helper
 def reset_rejected_steps(x: StateTables) -> None:
-    """Set the sizes of all rejected steps to 0.
+    """Set all rejected steps to 0.
 
     While no motor makes torque, positions are not tested.
     """
@@ -157,8 +157,8 @@ def is_cell_saturated(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if a load cell is at an end of its range.
 
     A load cell counts as saturated if its raw reading is at an end of the range, or if its tared
-    reading is beyond any possible tension. The raw and the tared reading are tested, because the
-    tare can hide a saturation in one of both readings.
+    reading is beyond any possible tension. Both the raw and the tared reading are tested, because
+    the tare can hide a saturation in either reading.
     """
     tension = x.tendon[s.MEASURED_TENSION, n]
     is_out_of_range = tension >= c.run[h.CELL_SATURATION] or tension <= c.run[h.MIN_CELL_READING]

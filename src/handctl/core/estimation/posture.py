@@ -4,12 +4,13 @@ In a digit with fewer tendons than joints, the excursions of the tendons do not 
 joint angles. A motion in the null space of the moment arms changes no excursion. The joints of a
 free digit have the angles of its coupling, q = B theta. An object that a digit touches turns the
 joints of the digit against each other. The turn of the joints is the torque of the contact times
-the compliance of the springs in the null space, N (N^T K N)^-1 N^T. The torque of the contact
-follows from the unexplained tension. The place of the contact on the digit is unknown, so the
-estimate is the mean over several assumed contacts: a force at the middle of each link, a force at
-the tip, and an equal torque on all joints. The standard deviation of an angle has several parts:
-the differences between the assumed places of contact,
+the compliance N (N^T K N)^-1 N^T. K is the stiffness of the springs, and the columns of N span the
+null space of the moment arms. The torque of the contact follows from the unexplained tension. The
+place of the contact on the digit is unknown, so the estimate is the mean over several assumed
+contacts. The assumed contacts are a force at the middle of each link, a force at the tip, and an
+equal torque on all joints. The standard deviation of an angle has several parts:
 
+- the differences between the assumed places of contact,
 - the error of the modelled tension, at each assumed place of contact,
 - capstan friction, whose sign depends on the direction of motion,
 - springs and gravity that do not agree with the coupling of a free digit,
@@ -120,11 +121,11 @@ def estimate_joint_angles(x: StateTables, c: ConstantTables, k: int, t_ns: int) 
 
 @kernel_helper
 def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Vector]:
-    """Return the angle errors by the error of each excursion (J, N) [rad], and the angle variances (J,)."""
+    """Return the angle error that each excursion error causes (J, N) [rad], and the angle variances (J,) [rad^2]."""
     joints = x.joint.shape[1]
     tendons = x.tendon.shape[1]
     angle_deviations = np.zeros((joints, tendons))
-    total = np.zeros(joints)
+    angle_variances = np.zeros(joints)
     for n in range(tendons):
         stretch = square(x.tendon[s.TENSION, n] * STIFFNESS_ERROR_FRACTION) + square(
             x.tendon[s.TENSION_SIGMA, n]
@@ -134,14 +135,15 @@ def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Ve
         )
         if c.run_int[h.HAS_CARRIER_ARMS]:
             # Add the error that the joint angles of carrying digits cause. The tendons of carrying
-            # digits come first, so ``total`` already contains the error of the carrying digits.
+            # digits come first, so ``angle_variances`` already contains the variances of these
+            # angles.
             for j in range(joints):
-                variance += square(c.tendon_joint_table[h.CARRIER_ARMS, n, j]) * total[j]
+                variance += square(c.tendon_joint_table[h.CARRIER_ARMS, n, j]) * angle_variances[j]
         excursion = math.sqrt(variance)
         for j in range(joints):
             angle_deviations[j, n] = c.joint_tendon_table[h.EXCURSION_TO_JOINTS, j, n] * excursion
-            total[j] += square(angle_deviations[j, n])
-    return angle_deviations, total
+            angle_variances[j] += square(angle_deviations[j, n])
+    return angle_deviations, angle_variances
 
 
 @kernel_helper
@@ -150,9 +152,9 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
 
     The function also writes the turn of the joints that a contact causes.
 
-    The covariance of two angles is the sum of the products of their deviations. H is the number of
-    assumed places of contact. The levers of the contact forces are computed at the joint angles of
-    the last estimate, so each tick is an iteration towards a fixed point.
+    H is the number of assumed places of contact. The covariance of two angles is the sum, over the
+    rows, of the products of their deviations. The levers of the contact forces are computed at the
+    joint angles of the last estimate, so each tick is an iteration towards a fixed point.
     """
     place_count = c.place_joint_table.shape[1]
     joints = x.joint.shape[1]
@@ -191,7 +193,7 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
 
 @kernel_helper
 def _contact_turns(x: StateTables, c: ConstantTables) -> tuple[Matrix, Matrix]:
-    """Return the turns of the joints by a contact at each assumed place (H, J), and their deviations [rad]."""
+    """Return the turns of the joints that a contact at each assumed place causes (H, J), and their deviations [rad]."""
     place_count = c.place_joint_table.shape[1]
     joints = x.joint.shape[1]
     turns = np.zeros((place_count, joints))
@@ -225,7 +227,7 @@ def _write_levers_at_contact_place(
     """Write the levers (J,) of a contact force about the joints of a digit [m].
 
     Place of contact i is the middle of link i. The place of contact after the last link is the tip.
-    At all further places of contact, the levers are 0.
+    If i exceeds the number of links, all levers are 0.
     """
     first_joint = c.digit_int[h.FIRST_JOINT, d]
     end = c.digit_int[h.END_JOINT, d]
@@ -269,26 +271,26 @@ def _write_digit_turn(
     """
     first_joint = c.digit_int[h.FIRST_JOINT, d]
     end = c.digit_int[h.END_JOINT, d]
-    size = 0.0
+    squared_lever = 0.0
     virtual_work = 0.0
     work_sigma = 0.0
     for j in range(first_joint, end):
         virtual_work += lever[j] * torque[j]
         work_sigma += lever[j] * error[j]
         for other_joint in range(first_joint, end):
-            size += (
+            squared_lever += (
                 lever[j]
                 * c.joint_joint_table[h.COORDINATE_PROJECTION, j, other_joint]
                 * lever[other_joint]
             )
-    size = max(size, MIN_SQUARED_LEVER_M2)
+    squared_lever = max(squared_lever, MIN_SQUARED_LEVER_M2)
     for j in range(first_joint, end):
         compliance = 0.0
         for other_joint in range(first_joint, end):
             compliance += lever[other_joint] * c.joint_joint_table[h.COMPLIANCE, other_joint, j]
         # Unexplained tension is positive if the object pushes the digit open.
-        turns[j] = -virtual_work / size * compliance
-        deviation[j] = work_sigma / size * compliance
+        turns[j] = -virtual_work / squared_lever * compliance
+        deviation[j] = work_sigma / squared_lever * compliance
     fraction = _largest_turn_fraction(x, c, d, turns, 1.0)
     for j in range(first_joint, end):
         # the turns of all joints are reduced by the same fraction, so that the excursion does not

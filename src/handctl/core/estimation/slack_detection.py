@@ -10,7 +10,7 @@ from handctl.core.estimation.filter_types import SLACK_REGIME
 from handctl.core.state_block import StateTables
 
 MAX_SLACK_TENSION_N = 1.0
-"""Upper limit of the estimated tension and of the load-cell reading of a possibly slack tendon [N].
+"""Upper limit of the estimated tension and of the load-cell reading of a tendon that could be slack [N].
 
 The limit of 1 N is two standard deviations of the load cell's noise.
 """

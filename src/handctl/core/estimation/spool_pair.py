@@ -9,9 +9,9 @@ one tendon is slack, and the other tendon carries the whole net tension u. With 
 with one slack tendon, the first tendon has the tension max(p + u / 2, u, 0), and the second tendon
 has the tension max(p - u / 2, -u, 0).
 
-Behind the pulleys, friction makes the tension of the wound tendon smaller, and the tension of the
-other tendon larger. The friction of both tendons resists the motion. Because of the pretension, a
-spool pair has friction even if its net tension is 0.
+Behind the pulleys, friction reduces the tension of the tendon that is wound up, and increases the
+tension of the tendon that is paid out. The friction of both tendons resists the motion. Because of
+the pretension, a spool pair has friction even if its net tension is 0.
 """
 
 from handctl.compiled import kernel_helper

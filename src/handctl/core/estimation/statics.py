@@ -72,7 +72,7 @@ def capstan_ratio(c: ConstantTables, n: int, friction_state: float, wrap_angle: 
     Args:
         c: constants of the hand.
         n: index of the tendon.
-        friction_state: development of friction, from 1 for a winding tendon to -1 for a tendon that is
+        friction_state: 1 at full friction while the tendon is wound up, -1 at full friction while it is
             paid out.
         wrap_angle: wrap angle of the tendon [rad].
 
@@ -123,8 +123,8 @@ def subtract_torque_of_passing_tendons(
         c: constants of the hand.
         q: (J,) joint angles [rad].
         tension: (N,) tensions at the load cells [N].
-        friction_state: (N,) development of friction, from 1 for a winding tendon to -1 for a tendon that
-            is paid out.
+        friction_state: (N,) 1 at full friction while a tendon is wound up, -1 at full friction while it is
+            paid out.
         torque: (J,) joint torques, modified in place [N m].
     """
     if not c.run_int[h.HAS_CARRIER_ARMS]:
@@ -184,15 +184,15 @@ def write_tensions_at_joints(
 ) -> None:
     """Write the tensions at the joints, with the effect of friction.
 
-    The tensions at the joints would make the joint torques without friction. The tensions at the
-    load cells make the same joint torques with friction.
+    With friction, the tensions at the load cells make certain joint torques. The result is the
+    tensions that would make the same joint torques without friction.
 
     Args:
         c: constants of the hand.
         q: (J,) joint angles [rad].
         tension: (N,) tensions at the load cells [N].
-        friction_state: (N,) development of friction, from 1 for a winding tendon to -1 for a tendon that
-            is paid out.
+        friction_state: (N,) 1 at full friction while a tendon is wound up, -1 at full friction while it is
+            paid out.
         result: (N,) tensions at the joints [N].
 
     Source: capstan equation.
@@ -211,7 +211,7 @@ def write_tensions_at_joints(
 
 @kernel_helper
 def project_onto_digit_motion(c: ConstantTables, n: int, tendon_values: Vector) -> float:
-    """Return the part of tendon n's value that a motion of the digit explains.
+    """Return the part of a tendon's value, such as its excursion, that a motion of the digit can cause.
 
     The result is element n of R R^+ v.
 
@@ -238,13 +238,13 @@ def project_onto_digit_motion(c: ConstantTables, n: int, tendon_values: Vector) 
 def value_from_other_tendons(
     c: ConstantTables, n: int, tendon_values: Vector, offset: float
 ) -> float:
-    """Compute the value of tendon n from the values of the other tendons of its digit.
+    """Compute a value of tendon n, such as its excursion, from the values of the other tendons of its digit.
 
     Return NaN if the other tendons do not determine the value.
 
-    The values of a digit's tendons are the product R q of the moment arms and the joint values. In
-    a digit with more tendons than coordinates, the other tendons determine q, and q determines the
-    value of tendon n.
+    The values of all tendons of a digit are R q, with the moment arms R and the angles or rates q
+    of the joints. In a digit with more tendons than coordinates, the other tendons determine q, and
+    q determines the value of tendon n.
 
     Args:
         c: constants of the hand.

@@ -13,7 +13,7 @@ from handctl.hand.digit import DigitModel
 
 
 def joint_lever(digit: DigitModel, q: Vector) -> Vector:
-    """Return the levers J^T n (n,) about the joints, for a force at the tip [m].
+    """Return the levers (n,) about the joints, for a force at the tip [m].
 
     The force at the tip acts along the y axis of the last link.
 
@@ -28,7 +28,7 @@ def joint_lever(digit: DigitModel, q: Vector) -> Vector:
 
 
 def reduced_tip_lever(digit: DigitModel, q: Vector) -> Vector:
-    """Return the levers B^T J^T n (n_c,) about the digit's coordinates, for a force at the tip [m].
+    """Return the levers (n_c,) about the digit's coordinates, for a force at the tip [m].
 
     The direction of the force at the tip is the same as in ``joint_lever``.
     """

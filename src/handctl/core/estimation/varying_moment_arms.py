@@ -12,10 +12,10 @@ stored state gives the same result, because the tables depend only on the state.
 The tendons of a finger pass the wrist that carries the finger. If a tendon does not pass through
 the axis of the wrist, a motion of the wrist moves the tendon, and the tension of the tendon turns
 the wrist. The motion of the tendon and the torque on the wrist are computed from the estimated
-angle of the wrist and from the tension. The part of the travel that carrying digits such as the
-wrist cause is subtracted from the travel (``carrier_excursion``). With the corrected travel, the
-filter, the goals and the detectors treat the finger as if its base were at rest. The tendons of the
-wrist must balance the torque of the tendons that pass the wrist
+angle of the wrist and from the tension. The travel of a tendon has a part that the wrist causes.
+``carrier_excursion`` computes this part, which is subtracted from the travel. With the corrected
+travel, the filter, the goals and the detectors treat the finger as if its base were at rest. The
+tendons of the wrist must balance the torque of the tendons that pass the wrist
 (``statics.subtract_torque_of_passing_tendons``).
 
 Source: Tsai, Robot Analysis (1999), structure matrix; Gauss-Newton method.
@@ -275,7 +275,8 @@ def _write_weights(c: ConstantTables, d: int) -> None:
 def _write_compliance(c: ConstantTables, d: int) -> None:
     """Write the turn of the joints per torque at constant excursions.
 
-    The compliance (turn per torque) is K^-1 - K^-1 R^T (R K^-1 R^T)^-1 R K^-1.
+    With the spring stiffness K and the moment arms R, the compliance (turn per torque) is K^-1 -
+    K^-1 R^T (R K^-1 R^T)^-1 R K^-1.
     """
     joints = (c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d])
     tendons = (c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d])

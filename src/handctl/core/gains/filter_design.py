@@ -168,7 +168,7 @@ def _continuous_model(
 
 
 def _motor_noise(regime: TendonRegime, gains: FilterGains) -> tuple[float, float, float]:
-    """Return the disturbance force on the motor: size [N], correlation time [s], white noise [N]."""
+    """Return the force noise on the motor: standard deviation [N], correlation time [s], white noise [N]."""
     if regime == TendonRegime.HELD:
         return (
             gains.held_disturbance_N,
@@ -188,7 +188,8 @@ def _process_noise(
     """Return the process noise (7, 7) of a tendon's continuous model.
 
     A Gauss-Markov state with the standard deviation sigma and the correlation time tau has the
-    noise 2 sigma^2 / tau. The two speeds in the state have white noise.
+    noise intensity 2 sigma^2 / tau. The speed v of the tendon also has white noise. While the digit
+    is free, the rate w of the excursion has the same white noise as v.
     """
     Q = np.zeros((STATE_COUNT, STATE_COUNT))
     disturbance, correlation_time_s, acceleration_noise = _motor_noise(regime, gains)
@@ -232,7 +233,7 @@ def _add_process_noise(process_noise: Matrix, stiffness: float, regime: TendonRe
 def _discretise_model(
     A: Matrix, B: Matrix, process_noise: Matrix, period_s: float
 ) -> tuple[Matrix, Matrix, Matrix]:
-    """Return A and B discretised by a zero-order hold, and the discrete covariance of Q.
+    """Discretise A and B by a zero-order hold, and return them with the covariance of the process noise per period.
 
     Source: van Loan (1978).
     """
@@ -271,7 +272,7 @@ def _design_filter_block(
     consider states.
 
     The encoder and the load cell determine only the sum of excursion and stretch offset. Joint
-    encoders separate the excursion from the stretch offset within ``joint_time_s``, and correct no
+    encoders separate the excursion from the stretch offset within ``joint_time_s``. They correct no
     other state, so the gains for all other states do not depend on joint encoders.
     """
     regime, has_added_noise = regime_and_noise
@@ -340,7 +341,7 @@ def _design_filter_block(
 def _prediction_covariance(F: Matrix, H: Matrix, process_noise: Matrix, R: Matrix) -> Matrix:
     """Return the constant covariance of the filter's prediction.
 
-    The Riccati equation is solved in units in which all states have a size of about 1.
+    The Riccati equation is solved in units in which all states are of the order of 1.
     """
     scale = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
     rows = 1.0 / np.sqrt(np.diag(R))

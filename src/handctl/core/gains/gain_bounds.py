@@ -111,7 +111,7 @@ def gain_bounds() -> Mapping[str, GainBounds]:
 
 
 def _range_of_field(field_metadata: list[Any]) -> tuple[float, float, bool]:
-    """Return the smallest and largest value of a field, and True if the smallest value is not allowed."""
+    """Return the lower and the upper bound of a field, and True if the lower bound itself is not allowed."""
     low = float("-inf")
     high = float("inf")
     is_low_excluded = False

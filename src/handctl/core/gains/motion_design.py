@@ -1,7 +1,7 @@
 """Feedback gains of the motion loop and the tension loop, designed by LQR on the discrete model.
 
-The gains are designed before arming, and again when the gains change during a run. Both loops use
-the prediction of the tension filter, which includes the delay of the bus, so the loops have no
+The gains are designed before arming, and again when the gains change during a run. The prediction
+of the tension filter includes the delay of the bus. Both loops use the prediction, so they have no
 state for the delay. Errors of the prediction grow with the prediction horizon, and reduce the phase
 margin. To keep the phase margin at control rates below 500 Hz, the force weights are reduced.
 Source: Bryson's rule for the weights. The function that solves the Riccati equation comes from the

@@ -282,7 +282,7 @@ def _is_recheck_due(x: StateTables, n: Any, now_ns: Any, ranges: IntArray) -> bo
 
 @kernel_helper
 def _is_recheck_regular(x: StateTables, n: Any, now_ns: Any) -> bool:
-    """Return True if compiled code can send the next read-back request.
+    """Return True if compiled code, instead of the state machine, can send the next read-back request.
 
     If the result is False, the state machine of the drive must send the request. If the request is
     late by a whole period, the state machine calculates the time of the next request. If the drive
@@ -398,7 +398,7 @@ def _decode_sensor_frame(
 
 @kernel_helper
 def _is_nearer_to_prediction(x: StateTables, c: ConstantTables, n: Any, position: float) -> bool:
-    """Return True if a position is nearer to the predicted position than the stored position.
+    """Return True if a new position is at least as near to the predicted position as the stored position.
 
     The stored position was received earlier in the present tick. The tension filter predicts the
     position for the time of the request. Before the tension filter has started, the position that

@@ -165,7 +165,7 @@ class WireTables:
         self._entries_by_removed_groups: dict[tuple[int, ...], IntArray] = {}
 
     def entries_without_groups(self, removed_groups: tuple[int, ...]) -> IntArray:
-        """Return a copy of the entries in which some frame groups belong to the sensors' state machines."""
+        """Return a copy of ``entries`` that leaves the frames of the given groups to the sensors' state machines."""
         entries = self._entries_by_removed_groups.get(removed_groups)
         if entries is None:
             entries = self.entries.copy()

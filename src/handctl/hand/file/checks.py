@@ -119,7 +119,7 @@ MistakeIterator = Iterator[FileMistake]
 
 
 def check_hand(hand: Hand) -> MistakeIterator:
-    """Yield the mistakes that concern several sections of a hand.
+    """Yield the remaining mistakes of a hand whose sections are valid one by one.
 
     If a reference or a list length is wrong, the function leaves out the checks that need valid
     references and list lengths.
@@ -290,7 +290,7 @@ def _check_body(digit: Digit, i: int, key_path: str) -> MistakeIterator:
     length = digit.link_length_m[i]
     # No point of a link can be farther from the centre of mass than the larger of the link's length
     # and width.
-    size = max(length, 2 * digit.link_radius_m)
+    max_distance = max(length, 2 * digit.link_radius_m)
     if isinstance(com, float):
         if com > length:
             yield FileMistake(
@@ -298,13 +298,13 @@ def _check_body(digit: Digit, i: int, key_path: str) -> MistakeIterator:
                 f"{key_path}.link_com_m[{i}]",
                 f"at most the link's length, {length:g} m",
             )
-    elif np.linalg.norm(com) > size:
-        expected = f"at most {size:g} m from the joint, the link's length or width"
+    elif np.linalg.norm(com) > max_distance:
+        expected = f"at most {max_distance:g} m from the joint, the link's length or width"
         yield FileMistake(f"{np.linalg.norm(com):g} m", f"{key_path}.link_com_m[{i}]", expected)
     moments = np.linalg.eigvalsh(link_inertia(digit, i))
-    largest = digit.link_mass_kg[i] * size**2
-    if moments[-1] > largest:
-        expected = f"at most mass x length^2 = {largest:.3g} kg m2"
+    max_moment = digit.link_mass_kg[i] * max_distance**2
+    if moments[-1] > max_moment:
+        expected = f"at most mass x length^2 = {max_moment:.3g} kg m2"
         yield FileMistake(f"{moments[-1]:g}", f"{key_path}.link_inertia_kg_m2[{i}]", expected)
     elif moments[0] <= 0.0:
         problem_text = f"a principal moment of {moments[0]:.3g} kg m2"
@@ -421,8 +421,8 @@ def _check_mounts(hand: Hand) -> MistakeIterator:
                     location,
                     "each digit right after the one that carries it, or after others on it",
                 )
-        # The digit before the next digit, or one of the digits that carry it, is allowed to carry
-        # the next digit.
+        # The next digit is allowed to be mounted on this digit, or on one of the digits that carry
+        # this digit.
         line = [*line[: line.index(carrier) + 1 if carrier in line else 0], digit.name]
 
 
@@ -496,7 +496,7 @@ def _check_moment_arm_range(hand: Hand, tendon: Tendon, joint: str) -> MistakeIt
     angle = np.linspace(low, high, MOMENT_ARM_SAMPLE_COUNT)
     values = np.polynomial.polynomial.polyval(np.radians(angle), moment_arm_polynomial(arm))
     smallest_index = int(np.argmin(np.abs(values)))
-    size = float(np.abs(values).max())
+    largest_arm = float(np.abs(values).max())
     if values.min() < 0.0 < values.max():
         sign_change_index = int(np.argmax(values * values[0] < 0.0))
         problem_text = f"the arm changes its sign at {angle[sign_change_index]:.0f} deg"
@@ -505,7 +505,7 @@ def _check_moment_arm_range(hand: Hand, tendon: Tendon, joint: str) -> MistakeIt
             location,
             f"one sign over {range_text}: a tendon either closes or opens a joint",
         )
-    elif abs(values[smallest_index]) < SMALLEST_MOMENT_ARM_M or size > LARGEST_MOMENT_ARM_M:
+    elif abs(values[smallest_index]) < SMALLEST_MOMENT_ARM_M or largest_arm > LARGEST_MOMENT_ARM_M:
         worst_arm = (
             values[smallest_index]
             if abs(values[smallest_index]) < SMALLEST_MOMENT_ARM_M
@@ -517,7 +517,7 @@ def _check_moment_arm_range(hand: Hand, tendon: Tendon, joint: str) -> MistakeIt
             location,
             f"0.0001 to 0.05 m over {range_text}",
         )
-    elif (residual := moment_arm_table_residual(arm)) > MAX_TABLE_RESIDUAL_FRACTION * size:
+    elif (residual := moment_arm_table_residual(arm)) > MAX_TABLE_RESIDUAL_FRACTION * largest_arm:
         degree_text = f"the polynomial of degree {MOMENT_ARM_FIT_DEGREE}"
         problem_text = f"{degree_text} differs by {1e3 * residual:.2g} mm from the table"
         yield FileMistake(
@@ -590,8 +590,8 @@ def _check_limits(tendon: Tendon) -> MistakeIterator:
     ):
         value = values[key]
         upper_limit_value = values[upper_limit]
-        # The check has reported the lower limit as too high, and does not also report the present
-        # limit as too low.
+        # If the check has already reported the lower limit as too high, it does not also report the
+        # present limit as too low.
         is_too_low = lower_limit is not None and value <= values[lower_limit] and not is_too_high
         bounds = (
             [] if lower_limit is None else [f"more than {lower_limit} = {values[lower_limit]:g} N"]
@@ -621,9 +621,9 @@ def _check_pretension(tendon: Tendon) -> MistakeIterator:
     pretension = tendon.pretension_N
     if pretension is None:
         return
-    largest = 0.5 * tendon.tension_max_N
-    if pretension > largest:
-        expected = f"at most tension_max_N / 2 = {largest:g} N, so that no tendon of the pair exceeds its limits"
+    max_pretension = 0.5 * tendon.tension_max_N
+    if pretension > max_pretension:
+        expected = f"at most tension_max_N / 2 = {max_pretension:g} N, so that no tendon of the pair exceeds its limits"
         yield FileMistake(f"{pretension:g}", f"tendon[{tendon.name}].pretension_N", expected)
     if tendon.tension_floor_N != 0.0:
         expected = "0, or no such key: the net tension of a spool pair has both signs"
@@ -712,7 +712,7 @@ def _check_control(hand: Hand, tendon: Tendon, motor: Motor) -> MistakeIterator:
 
 
 def _check_stream(stream: StreamLimits) -> MistakeIterator:
-    """Check that the hand first holds and then relaxes, if a client stops its stream of targets."""
+    """Check that a hand without new streamed targets begins to hold before it begins to relax."""
     if stream.relax_after_ms <= stream.hold_after_ms:
         expected = f"more than hold_after_ms = {stream.hold_after_ms:g} ms"
         yield FileMistake(f"{stream.relax_after_ms:g}", "stream.relax_after_ms", expected)

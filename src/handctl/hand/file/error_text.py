@@ -61,8 +61,8 @@ def validation_mistakes(
 ) -> list[FileMistake]:
     """Return one mistake for each validation error of pydantic.
 
-    The mistakes about unknown keys are first in the list. pydantic reports a misspelt key both as
-    unknown and as missing, and the unknown key is the cause of both reports.
+    The mistakes about unknown keys are first in the list, because pydantic reports a misspelt key
+    twice: as an unknown key, and as a missing key.
 
     Args:
         error: error raised by pydantic.
@@ -231,8 +231,8 @@ def with_paths_in_hand_file(
     """Return the mistakes with their key paths in the hand file.
 
     A key path in the hand file replaces the key path in the resolved content (the content without
-    defaults and templates). Many sections can use the same value of a default or a template. If
-    several mistakes concern the same value in the hand file, only the first mistake is returned.
+    defaults and templates). Many sections can use the same value of a default or a template. If a
+    value in the hand file causes several mistakes, only the first mistake is returned.
 
     Args:
         mistakes: mistakes whose key paths belong to the resolved content of the hand file.
@@ -250,7 +250,7 @@ def with_paths_in_hand_file(
 
 
 def group_mistakes(mistakes: Iterable[FileMistake]) -> list[FileMistake]:
-    """Join mistakes that differ only in the name of the section with the mistake.
+    """Join mistakes that differ only in the section name of their key path.
 
     A joined mistake replaces the first of the mistakes that it joins. The key path of a joined
     mistake names at most three sections: ``tendon[a, b and 4 more].knee_N``.
@@ -284,7 +284,7 @@ def shortened_list(section_names: Sequence[str]) -> str:
 
 
 def lines_by_text(name_text_pairs: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-    """Return one line for each different text, with all names that have the text.
+    """Return one line for each different text: the names that belong to the text, and the text.
 
     The lines are in the order of the first name in each line.
 
@@ -300,8 +300,8 @@ def lines_by_text(name_text_pairs: Iterable[tuple[str, str]]) -> tuple[str, ...]
 def _path_in_file(path: str, origin_of_path: Mapping[str, str]) -> str:
     """Convert a key path of a hand file's resolved content to the key path in the hand file.
 
-    The longest beginning of the key path that has an entry in ``origin_of_path`` is replaced. The
-    rest of the key path is unchanged.
+    The function looks for the longest beginning of the key path that is a key of
+    ``origin_of_path``, and replaces this beginning. The rest of the key path is unchanged.
     """
     known_path = path
     while known_path:

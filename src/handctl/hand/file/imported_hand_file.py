@@ -149,7 +149,7 @@ class _SectionLine:
 
 
 def usable_tendons(imported_hand: ImportedHand) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the tendons of a description that a hand file can contain, and notes about all other tendons.
+    """Return the described tendons that are possible in a hand file, and notes about all other tendons.
 
     The table of each tendon has ``digit``, ``name``, ``motor``, ``tension_max`` and ``arms``. The
     keys of ``arms`` are the short names of joints.
@@ -386,7 +386,8 @@ def _sensor_node(import_answers: ImportAnswers) -> str:
 def _common_lines(imported_hand: ImportedHand, import_answers: ImportAnswers) -> list[_SectionLine]:
     """Return lines for the values of digits that the robot description does not contain.
 
-    The new hand file contains a value missing in the robot description only once, for all digits.
+    In the new hand file, one line for all digits stands for each value that the robot description
+    does not contain.
     """
     all_links = [link for digit in imported_hand.digits for link in digit.links]
     is_known_by_key = {"link_radius_m": any(link.radius for link in all_links)}
@@ -538,10 +539,10 @@ def _drive_lines(
     """
     for tendon in tendons:
         arms = tendon["arms"]
-        words = [f'motor = "{tendon["motor"]}"']
+        inline_entries = [f'motor = "{tendon["motor"]}"']
         prismatic_joints = tendon["sliding"]
         if arms is None:
-            words.append(f'moment_arm_m = "{UNMEASURED_PLACEHOLDER}"')
+            inline_entries.append(f'moment_arm_m = "{UNMEASURED_PLACEHOLDER}"')
         ratios = dict.fromkeys(sorted(prismatic_joints), 1.0)
         if arms is not None:
             ratios = {joint: arm for joint, arm in arms.items() if joint in prismatic_joints}
@@ -549,15 +550,17 @@ def _drive_lines(
                 joint: arm for joint, arm in arms.items() if joint not in prismatic_joints
             }
             if revolute_arms:
-                words.append(f"moment_arm_m = {{ {_inline_table_text(revolute_arms)} }}")
+                inline_entries.append(f"moment_arm_m = {{ {_inline_table_text(revolute_arms)} }}")
         if ratios:
-            words.append(f"excursion_ratio = {{ {_inline_table_text(ratios)} }}")
+            inline_entries.append(f"excursion_ratio = {{ {_inline_table_text(ratios)} }}")
         comment = MISSING_MOMENT_ARMS_COMMENT if arms is None else ""
-        yield _SectionLine(f"tendon.{tendon['name']}", f"{{ {', '.join(words)} }}", comment)
+        yield _SectionLine(
+            f"tendon.{tendon['name']}", f"{{ {', '.join(inline_entries)} }}", comment
+        )
     for motor in dict.fromkeys(tendon["motor"] for tendon in tendons):
         node = last_node_of_bus[bus]
-        words = [f'bus = "{_bus_name(bus)}"'] if bus else []
-        words.append(
+        inline_entries = [f'bus = "{_bus_name(bus)}"'] if bus else []
+        inline_entries.append(
             f'node_id = "{UNMEASURED_PLACEHOLDER}"' if node is None else f"node_id = {node}"
         )
         comment = (
@@ -565,7 +568,7 @@ def _drive_lines(
             if node is None
             else ""
         )
-        yield _SectionLine(f"motor.{motor}", f"{{ {', '.join(words)} }}", comment)
+        yield _SectionLine(f"motor.{motor}", f"{{ {', '.join(inline_entries)} }}", comment)
         if node is not None:
             last_node_of_bus[bus] = node + 1
 

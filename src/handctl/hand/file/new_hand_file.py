@@ -309,7 +309,7 @@ def _bus_names(answers: NewHandAnswers) -> list[str]:
 
 
 def _digits_per_bus(answers: NewHandAnswers) -> int:
-    """Return the number of digits whose motors are on the same bus.
+    """Return the largest number of digits per bus.
 
     All motors of a digit are on the same bus.
     """

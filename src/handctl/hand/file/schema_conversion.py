@@ -265,23 +265,23 @@ def _move_sections_into_digits(
 ) -> None:
     """Move each tendon or motor into its digit.
 
-    The name of each tendon or motor must begin with the name of its digit. If the name of one
-    tendon or motor does not, the function moves no section.
+    The name of each tendon or motor must begin with the name of its digit. If one name begins
+    otherwise, the function moves no tendon and no motor.
     """
     moved_tables: list[tuple[TomlTable, str, TomlTable]] = []
     digits = {block.values()["name"]: block for block in tables_of_kind["digit"]}
     for block in tables_of_kind[section_kind]:
         name = str(block.values()["name"])
-        owner = max(
+        digit_name = max(
             (digit for digit in digits if name.startswith(f"{digit}_")), key=len, default=None
         )
-        if owner is None or not all(
-            joint.startswith(f"{owner}_j")
+        if digit_name is None or not all(
+            joint.startswith(f"{digit_name}_j")
             for key in MOMENT_ARM_KEYS
             for joint in block.values().get(key, ())
         ):
             return
-        moved_tables.append((digits[owner], name.removeprefix(f"{owner}_"), block))
+        moved_tables.append((digits[digit_name], name.removeprefix(f"{digit_name}_"), block))
     if [
         id(block)
         for *_, block in sorted(moved_tables, key=lambda row: list(digits.values()).index(row[0]))
@@ -294,17 +294,17 @@ def _move_sections_into_digits(
             [],
         )
     for digit, short_name, block in moved_tables:
-        owner = digit.values()["name"]
+        digit_name = digit.values()["name"]
         block.take(["name"])
         for entry in block.entries:
-            if entry.key == "motor" and str(entry.value).startswith(f"{owner}_"):
-                entry.value = str(entry.value).removeprefix(f"{owner}_")
+            if entry.key == "motor" and str(entry.value).startswith(f"{digit_name}_"):
+                entry.value = str(entry.value).removeprefix(f"{digit_name}_")
                 entry.text = f'"{entry.value}"'
             if entry.key in MOMENT_ARM_KEYS:
                 entry.value = {
-                    joint.removeprefix(f"{owner}_"): arm for joint, arm in entry.value.items()
+                    joint.removeprefix(f"{digit_name}_"): arm for joint, arm in entry.value.items()
                 }
-                entry.text = entry.text.replace(f"{owner}_j", "j")
+                entry.text = entry.text.replace(f"{digit_name}_j", "j")
                 assert all(SHORT_JOINT_PATTERN.fullmatch(joint) for joint in entry.value)
         digit.subtables[section_kind][short_name] = block
     tables_of_kind[section_kind].clear()

@@ -42,7 +42,7 @@ MIN_TENSION_NOISE_N = 1e-3
 
 
 def check_sensor_node(hand: Hand) -> Iterator[FileMistake]:
-    """Yield the mistakes of the section ``sensor_node`` that concern several keys."""
+    """Yield the mistakes of the section ``sensor_node`` that only a comparison of several keys shows."""
     node = hand.sensor_node
     foreign_keys, protocol = (
         (HANDCTL_NODE_KEYS, HANDCTL_PROTOCOL) if node.is_cia404 else (CIA404_KEYS, CIA404_PROTOCOL)

@@ -89,8 +89,8 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
 
     The function does not change content of schema 1.
 
-    If a section should be a table but is another value, the function does not change the value. The
-    later validation of the content reports the wrong value with a better message.
+    If the value of a section is not a table, the function does not change the value. The later
+    validation of the content reports such a value with a better message.
     """
     tables = [key for key in ("default", *TEMPLATE_KEYS.values()) if key in content]
     if content.get("schema") != SCHEMA_WITH_TEMPLATES and not tables:

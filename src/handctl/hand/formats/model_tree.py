@@ -249,7 +249,8 @@ class ModelDigit:
         matrix = np.zeros((len(self.links), len(columns)))
         for i in range(len(self.links)):
             ratio, joint, leader = 1.0, i, leaders[i]
-            # A leader can follow another joint itself. The range of the loop ends a circle of joints.
+            # A leader can itself follow another joint. The loop has a limited number of steps, so
+            # it also ends if joints follow each other in a circle.
             for _ in leaders:
                 if leader is None:
                     break
@@ -267,8 +268,8 @@ class ModelDigit:
 class _LinkChain:
     """Chain of links.
 
-    ``carrier`` is the index of the chain that carries the chain. ``link_indices`` are the indices
-    of the links in the chain.
+    ``carrier`` is the index of the chain on which this chain is mounted. ``link_indices`` are the
+    indices of the links in this chain.
     """
 
     name: str
@@ -531,8 +532,12 @@ def _palm_frame(
         )
     elif carriers != {None}:
         return palm, np.zeros(3)
-    depth = mounts @ palm[:, 0]
-    origin = palm[:, 0] * depth.max() if abs(depth.max()) > MAX_MOUNT_OFFSET_M else np.zeros(3)
+    mount_depths = mounts @ palm[:, 0]
+    origin = (
+        palm[:, 0] * mount_depths.max()
+        if abs(mount_depths.max()) > MAX_MOUNT_OFFSET_M
+        else np.zeros(3)
+    )
     if not np.array_equal(palm, np.eye(3)):
         # The origin of the palm frame is in the middle of the mounts, at the point of the palm that
         # faces the object.

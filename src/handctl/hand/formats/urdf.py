@@ -176,12 +176,13 @@ def _add_joint(robot_element: ET.Element, hand: Hand, digit: Digit, i: int) -> N
 
 
 def coupled_joints(hand: Hand, digit: Digit) -> dict[int, tuple[int, float]]:
-    """Return the joint that each coupled joint of a digit follows, and the ratio of the two joint angles.
+    """Return for each coupled joint of a digit the joint that it follows, and the ratio of the two joint angles.
 
-    The result contains joints by their index. The coupling of a digit with spool pairs is rigid. In
-    a digit without spool pairs, the springs determine the coupling, which is valid only in free
-    motion, so that the joints count as independent. A joint that depends on several coordinates
-    follows no single joint, and is left out.
+    The keys of the result are the indices of the coupled joints. A value is the index of the
+    leading joint, and the ratio. The coupling of a digit with spool pairs is rigid. In a digit
+    without spool pairs, the springs determine the coupling. Such a coupling is valid only in free
+    motion, so the joints count as independent. A joint that depends on several coordinates follows
+    no single joint, and is left out.
     """
     if digit.coupling is None or not hand.is_pair[hand.digit_tendons[digit.name]].any():
         return {}

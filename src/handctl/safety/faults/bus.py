@@ -21,9 +21,9 @@ MALFORMED_WINDOW_TICKS = 20
 """Lengths of the windows in which lost frames, and malformed frames, are counted [ticks]."""
 LOST_FRAMES_FOR_HOLD = 20
 LOST_FRAMES_FOR_RELAX = 40
-"""Numbers of lost frames of a node, within ``LOSS_WINDOW_TICKS`` ticks, that are faults.
+"""Limits for the number of lost frames of a node, within ``LOSS_WINDOW_TICKS`` ticks.
 
-The reaction is HOLD above the first number of lost frames, and RELAX above the second number.
+The reaction is HOLD above the first limit, and RELAX above the second limit.
 """
 MALFORMED_FRAMES_LIMIT = 3
 """Smallest number of malformed frames from a node, within ``MALFORMED_WINDOW_TICKS`` ticks, that is a fault."""

@@ -93,7 +93,7 @@ class CatalogueRow(NamedTuple):
     reaction_time_start: str = ""
 
     def visibility(self, protocol: str) -> str:
-        """Return the visibility of the failure with a drive protocol.
+        """Return how the failure is visible with a drive protocol.
 
         The argument ``protocol`` is one of ``VERIFIABLE_PROTOCOLS``.
         """
@@ -235,7 +235,7 @@ def declare_fault(
         needs_joint_encoders,
     )
     DECLARED_FAULTS.append(fault)
-    # A fault can concern several kinds of parts, such as tendons and joints. In the table of the
+    # A fault can affect several kinds of parts, such as tendons and joints. In the table of the
     # detectors' results, a fault of tendons and joints has one row for tendons and one row for
     # joints. For the second kind of part, detectors add 1 to the row of the first kind.
     first_row = len(DETECTOR_ROWS)

@@ -81,7 +81,7 @@ in simulation, and can be below one count on hardware.
 """
 MIN_REPEATED_READINGS = 8
 REPEAT_WINDOW = 16
-"""Number of repeated readings after which chance is tested as a cause, and of readings that show its probability."""
+"""Number of repeated readings from which chance is tested as the cause, and number of readings for that test."""
 SATURATED_CELL_TICKS = 3
 """Number of consecutive ticks with a saturated load cell after which there is a fault."""
 DERAILED_TENDON_DEG = 15.0
