@@ -16,11 +16,11 @@ from pathlib import Path
 
 from cpu_profile import cpu_time_fractions
 
-from handctl.blas_kernels import use_portable_kernels
+from handctl.blas_kernels import configure_openblas
 
 # The matrix kernels must be chosen before numpy is imported. With other matrix kernels, the last bits
 # of the outputs differ from the log.
-use_portable_kernels()
+configure_openblas()
 
 from handctl.controller.tick import Controller  # noqa: E402
 from handctl.log.read.reader import RunLog  # noqa: E402

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from handctl.blas_kernels import use_portable_kernels
+from handctl.blas_kernels import configure_openblas
 from tests.computer_pause_meter import ComputerPauseMeter
 from tests.slow_tests import DurationRecorder, tests_slower_than
 
@@ -45,7 +45,7 @@ A test can set a shorter time limit.
 # With these BLAS kernels, the golden logs repeat to the bit on every x86 processor. numpy reads the
 # choice of the kernels when it is imported, so no earlier import of conftest.py is allowed to
 # import numpy.
-use_portable_kernels()
+configure_openblas()
 # A shell starts its background jobs with SIGINT ignored, and nohup ignores SIGHUP. Restore both
 # signals, so that the programs that the tests start do not ignore them.
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -1,4 +1,4 @@
-"""Choice of the matrix kernels of OpenBLAS.
+"""Settings of OpenBLAS: the matrix kernels, and the number of threads.
 
 With the chosen kernels, a log has the same bits on every x86 processor with AVX2 and FMA. numpy and
 scipy compute products of matrices with OpenBLAS. OpenBLAS has kernels for each family of
@@ -7,6 +7,9 @@ filter and the design of the controller use products of matrices. With the kerne
 numbers in a log could therefore differ in their last bits from the numbers on a processor without
 AVX-512. The kernels for Haswell run on every processor with AVX2 and FMA. For matrices as small as
 those of a hand, the kernels for Haswell are as fast as the other kernels.
+
+OpenBLAS uses a single thread. The matrices of a hand are too small for several threads. With
+several threads, the idle threads wait in a loop, and take the processor from other programs.
 """
 
 import os
@@ -15,18 +18,22 @@ from pathlib import Path
 
 OPENBLAS_CORE_VARIABLE = "OPENBLAS_CORETYPE"
 """Environment variable with the family of processors whose kernels OpenBLAS uses."""
+OPENBLAS_THREADS_VARIABLE = "OPENBLAS_NUM_THREADS"
+"""Environment variable with the number of threads that OpenBLAS uses."""
 PORTABLE_MATRIX_KERNELS = "Haswell"
 REQUIRED_CPU_FEATURES = frozenset({"avx2", "fma"})
 """Features of a processor that can execute the portable kernels."""
 CPU_INFO_PATH = Path("/proc/cpuinfo")
 
 
-def use_portable_kernels() -> None:
-    """Let OpenBLAS use the kernels for Haswell in this process and in the programs that this process starts.
+def configure_openblas() -> None:
+    """Let OpenBLAS use a single thread and the kernels for Haswell in this process and its child processes.
 
-    The call has an effect only before the first import of numpy. The call changes nothing if the
-    user has chosen other kernels, or if the processor cannot execute the kernels for Haswell.
+    The call has an effect only before the first import of numpy. The call does not change a setting
+    that the user has chosen. If the processor cannot execute the kernels for Haswell, OpenBLAS uses
+    other kernels.
     """
+    os.environ.setdefault(OPENBLAS_THREADS_VARIABLE, "1")
     if can_run_portable_kernels():
         os.environ.setdefault(OPENBLAS_CORE_VARIABLE, PORTABLE_MATRIX_KERNELS)
 

@@ -11,12 +11,17 @@ from pathlib import Path
 import pytest
 
 from handctl import blas_kernels
-from handctl.blas_kernels import OPENBLAS_CORE_VARIABLE, PORTABLE_MATRIX_KERNELS, cpu_features
+from handctl.blas_kernels import (
+    OPENBLAS_CORE_VARIABLE,
+    OPENBLAS_THREADS_VARIABLE,
+    PORTABLE_MATRIX_KERNELS,
+    cpu_features,
+)
 
 CPUINFO_WITH_AVX2 = "processor : 0\nflags\t\t: fpu fma avx avx2\nprocessor : 1\n"
 PROGRAM_THAT_PRINTS_KERNELS = (
     "import os, sys; import handctl.cli.main as cli; print('numpy' in sys.modules); "
-    f"cli.use_portable_kernels(); print(os.environ.get('{OPENBLAS_CORE_VARIABLE}'))"
+    f"cli.configure_openblas(); print(os.environ.get('{OPENBLAS_CORE_VARIABLE}'))"
 )
 
 
@@ -56,8 +61,21 @@ def test_kernels_are_chosen_where_the_processor_can_execute_them(
         monkeypatch.delenv(OPENBLAS_CORE_VARIABLE, raising=False)
     else:
         monkeypatch.setenv(OPENBLAS_CORE_VARIABLE, preset_kernels)
-    blas_kernels.use_portable_kernels()
+    blas_kernels.configure_openblas()
     assert os.environ.get(OPENBLAS_CORE_VARIABLE) == kernels
+
+
+@pytest.mark.parametrize(("preset_count", "count"), [(None, "1"), ("2", "2")])
+def test_openblas_has_a_single_thread_unless_the_user_has_chosen_more(
+    preset_count: str | None, count: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reproduce a defect: idle threads of OpenBLAS took most of the processor time of `config check`."""
+    if preset_count is None:
+        monkeypatch.delenv(OPENBLAS_THREADS_VARIABLE, raising=False)
+    else:
+        monkeypatch.setenv(OPENBLAS_THREADS_VARIABLE, preset_count)
+    blas_kernels.configure_openblas()
+    assert os.environ[OPENBLAS_THREADS_VARIABLE] == count
 
 
 def test_command_line_chooses_the_kernels_before_numpy_is_imported() -> None:

@@ -21,7 +21,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from typing import Any, NamedTuple
 
-from handctl.blas_kernels import use_portable_kernels
+from handctl.blas_kernels import configure_openblas
 from handctl.cli.console.process_termination import (
     TerminationRequested,
     install_excepthook,
@@ -163,7 +163,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if is_shell_completion():
             print_completions(parser_of_all_verbs())
         install_excepthook()
-    use_portable_kernels()
+    configure_openblas()
     open_standard_streams()
     with escaped_streams():
         return _run_and_report_errors(words)
