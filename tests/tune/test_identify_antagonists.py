@@ -12,11 +12,14 @@ import numpy as np
 import pytest
 
 from benchmarks.identify import PARAMETER_TOLERANCES, measure_digit, summarise_results
+from handctl.cli.main import main
 from handctl.core.identified_parameters import IdentifiedParameters, identified_hand
 from handctl.core.tick_types import HandMode
 from handctl.errors import DriveError
 from handctl.hand.digit import DigitModel
-from handctl.hand.hand_loading import load_hand
+from handctl.hand.hand_loading import hand_path, load_hand
+from handctl.hand.tendons import TendonElasticity
+from handctl.log.read.reader import RunLog
 from handctl.runtime.hold_timeout import HoldTimeout
 from handctl.safety.safety_action import SafetyAction
 from handctl.tune.identify.excitation import excitation_steps
@@ -27,6 +30,7 @@ from handctl.tune.identify.excitation_antagonists import (
 )
 from handctl.tune.identify.fit_spool_pair import spool_pair_stretch, spool_pair_tension
 from handctl.tune.identify.identifiability import unobservable_parameters
+from handctl.tune.identify.identify import identify_tendons
 
 SEED_RANGE = range(20)
 TESTED_HANDS = ("n_plus_1", "orca_like")
@@ -154,17 +158,50 @@ def test_both_tendons_of_a_pair_balance_its_joint(passes_wrist: float) -> None:
     )
 
 
-def test_the_stretch_of_a_pair_makes_its_net_tension() -> None:
-    """Two antagonistic tendons on one motor have the tensions max(p + k d, 0) and max(p - k d, 0).
+@pytest.mark.parametrize("knee_N", [200.0, 14.0, 6.0])
+@pytest.mark.parametrize("factor", [0.8, 1.0, 1.3])
+def test_the_stretch_of_a_pair_makes_its_net_tension(knee_N: float, factor: float) -> None:
+    """The first tendon is stretched by s + x, and the second by s - x, where s is the stretch by the pretension.
 
-    p is the pretension, k the stiffness, and d the stretch. The net tension of the pair is the
-    difference of both tensions.
+    A factor of the stiffness divides all stretches.
     """
-    stretch = spool_pair_stretch(np.linspace(-50.0, 50.0, 101), 5e4, 10.0)
-    single_tensions = [np.maximum(10.0 + 5e4 * side * stretch, 0.0) for side in (1.0, -1.0)]
+    elasticity = TendonElasticity(5e4, 1.5 * 5e4, knee_N, 1e-4, 20.0)
+    net_tensions = np.linspace(-50.0, 50.0, 101)
+    stretch = factor * spool_pair_stretch(net_tensions, factor * 5e4, 10.0, elasticity)
+    rest_stretch = elasticity.stretch(10.0)
+    tensions = [
+        [elasticity.elastic_tension(rest_stretch + side * x) for x in stretch.tolist()]
+        for side in (1.0, -1.0)
+    ]
     np.testing.assert_allclose(
-        single_tensions[0] - single_tensions[1], np.linspace(-50.0, 50.0, 101), atol=1e-9
+        np.subtract(*tensions), net_tensions, atol=1e-9 if knee_N > 100.0 else 0.1
     )
+
+
+def test_the_stiffness_of_a_tendon_is_that_below_its_knee(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reproduce a defect: the fit ignored the knee, so that a knee at 8 N made the stiffness 18 % too large."""
+    monkeypatch.chdir(tmp_path)
+    text = hand_path("n_plus_1").read_text()
+    for line, new_line in (
+        ("knee_N = 200.0", "knee_N = 8.0"),
+        ("stiffness_beyond_ratio = 0.4", "stiffness_beyond_ratio = 1.4"),
+        ("knee_width_m = 0.3e-3", "knee_width_m = 0.1e-3"),
+    ):
+        assert line in text
+        text = text.replace(line, new_line)
+    Path("knee.toml").write_text(text)
+    words = ["identify", "--lockstep", "--hand", "knee.toml", "--digits", "thumb"]
+    assert main([*words, "--log", "run.mcap"]) == 0
+    hand = load_hand("knee.toml")
+    with RunLog(Path("run.mcap")) as log:
+        results = identify_tendons(log, hand)
+    for name, result in results.items():
+        stiffness = hand.tendon[hand.tendon_names.index(name)].stiffness_N_per_m
+        error = result.fit.parameter_values["tendon_stiffness"] - stiffness
+        assert abs(error) < 2.0 * result.fit.half_widths["tendon_stiffness"], name
+        assert abs(error) < 0.08 * stiffness, name
 
 
 def test_a_fault_that_holds_the_hand_ends_the_run() -> None:

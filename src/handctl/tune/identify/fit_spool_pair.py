@@ -8,7 +8,8 @@ F is the net tension at the spool. In free motion, F balances the force n. The f
 the inertia, the weight and the damping of the links, and the friction of both tendons. The stretch
 of the pair is the travel of the spool minus the excursion of the joints. The characteristic g gives
 the stretch at a net tension F. The stiffness of the pair is 2 k while both tendons are taut, and k
-if F exceeds twice the pretension p.
+if F exceeds twice the pretension p. Above the knee of a tendon, the stiffness is that of the hand
+file, multiplied by the same factor as k.
 
 No sensor of a spool pair measures a force. Therefore all forces are measured in units of the
 drive's torque. If a motor makes 10 % less torque than commanded, inertia, friction and tendon
@@ -25,7 +26,7 @@ from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.link_tree import LinkTree
-from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
+from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S, TendonElasticity
 from handctl.tune.identify.fit_load import SignalBins
 from handctl.tune.identify.fit_motor import (
     MotorWindows,
@@ -98,6 +99,8 @@ MIN_NOISE_N = 0.02
 """Smallest standard deviation that the fit uses for the residuals of the motor equation [N]."""
 PRETENSION_START_FACTORS = (1.0, 1.5, 2.2)
 """Factors of the pretension of the hand file with which the fit starts, once for each factor."""
+STRETCH_GRID_POINTS = 65
+"""Number of points at which the net tension of a pair is computed, to find the stretch at a net tension."""
 MIN_READINGS = 3
 """Smallest number of joint readings in a window whose stretch the fit uses."""
 
@@ -318,15 +321,40 @@ def spool_pair_tension(net_tension: Array, pretension: float, pulley_ratios: Arr
     )
 
 
-def spool_pair_stretch(net_tension: Array, stiffness: float, pretension: float) -> Array:
+def spool_pair_stretch(
+    net_tension: Array, stiffness: float, pretension: float, elasticity: TendonElasticity
+) -> Array:
     """Return the stretch of a spool pair (m,) [m]: the travel of the spool minus the excursion of the joints.
 
-    The net tension (m,) is in N.
+    The stretch lengthens the first tendon and shortens the second tendon, until the second tendon
+    is slack. The net tension is the difference of their tensions.
+
+    Args:
+        net_tension: net tension of the pair (m,) [N].
+        stiffness: stiffness of each tendon up to its knee [N/m].
+        pretension: pretension of both tendons [N].
+        elasticity: tension of a tendon over its stretch, as the hand file describes it. The
+            function keeps the shape, and uses the given stiffness.
     """
-    single_stretch = np.sign(net_tension) * (np.abs(net_tension) - pretension) / stiffness
-    return np.where(
-        np.abs(net_tension) < 2.0 * pretension, 0.5 * net_tension / stiffness, single_stretch
+    rest_stretch = elasticity.stretch(pretension)
+    knee_stretch = elasticity.knee / elasticity.stiffness
+    # If the second tendon is slack, the first tendon alone has the net tension.
+    largest = max(
+        elasticity.stretch(float(np.nanmax(np.abs(net_tension), initial=0.0))), 2.0 * rest_stretch
     )
+    # Below the knee, the net tension is linear between these points of the stretch.
+    corners = [rest_stretch, abs(knee_stretch - rest_stretch)]
+    stretches = np.unique(np.append(np.linspace(0.0, largest, STRETCH_GRID_POINTS), corners))
+    net_tensions = _elastic_tensions(elasticity, rest_stretch + stretches) - _elastic_tensions(
+        elasticity, rest_stretch - stretches
+    )
+    nominal_stretch = np.sign(net_tension) * np.interp(np.abs(net_tension), net_tensions, stretches)
+    return np.asarray(nominal_stretch * elasticity.stiffness / stiffness)
+
+
+def _elastic_tensions(elasticity: TendonElasticity, stretches: Array) -> Array:
+    """Return the elastic tensions of a tendon (m,) at stretches (m,) [N], see ``TendonElasticity``."""
+    return np.array([elasticity.elastic_tension(stretch) for stretch in stretches.tolist()])
 
 
 @dataclass(frozen=True, slots=True)
@@ -336,6 +364,7 @@ class SpoolPairProblem:
     Attributes:
         windows: signals of the pair, averaged with time windows.
         spool_radius_m: radius of the spool [m].
+        elasticity: tension of a tendon over its stretch, as the hand file describes it.
         parameter_scales: (15,) scale of each parameter of `fit.PARAMETER_NAMES`.
         motor_noise: standard deviation of the residuals of the motor equation [N].
         reading_noise: standard deviation of an excursion that is computed from a single
@@ -346,6 +375,7 @@ class SpoolPairProblem:
 
     windows: SpoolPairWindows
     spool_radius_m: float
+    elasticity: TendonElasticity
     parameter_scales: Array
     motor_noise: float
     reading_noise: float
@@ -421,7 +451,10 @@ class SpoolPairProblem:
         measured_tension = self.measured_tension(z)
         needed_tension = self.tension_in_free_motion(z)
         stretch_from_tension = spool_pair_stretch(
-            np.where(w.is_free, needed_tension, measured_tension), stiffness, pretension
+            np.where(w.is_free, needed_tension, measured_tension),
+            stiffness,
+            pretension,
+            self.elasticity,
         )
         motor_residuals = (
             np.where(w.is_free, measured_tension - needed_tension, 0.0) / self.motor_noise
@@ -497,6 +530,7 @@ def fit_spool_pair(
     problem = SpoolPairProblem(
         windows,
         motor.spool_radius_m,
+        TendonElasticity.from_tendon(hand.tendon[digit.tendons][tendon]),
         value_scales,
         INITIAL_NOISE_N,
         reading,

@@ -1,8 +1,9 @@
 """Fit of stiffness and moment arms of a tendon, from spool travel, load cell and joint encoders.
 
-    x = m s(q) + f / k + o(t) + d x'
+    x = m s(q) + f_l / k + o(t) + d x'
 
-The travel x of the spool is the sum of the joints' excursion s(q) and the tendon's stretch f / k.
+The travel x of the spool is the sum of the joints' excursion s(q) and the tendon's stretch f_l / k.
+The linear tension f_l is the tension that a tendon without a knee would have at the same stretch.
 The factor m multiplies the moment arms of the hand file. The joint encoders are read a short time d
 before or after the motor encoders. While the spool turns with the speed x', the time difference d
 adds the term d x'. The offset o follows the drift of the load cell. The equation of the travel
@@ -14,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from handctl.hand.digit import DigitModel
+from handctl.hand.tendons import TendonElasticity
 from handctl.tune.identify.fit_tendon import (
     DEFAULT_PRIOR_DEVIATION,
     MAX_SCALED_PARAMETER,
@@ -72,7 +74,12 @@ def model_with_arm_factors(digit: DigitModel, arm_factors: Array) -> DigitModel:
 
 
 def fit_travel(
-    digit: DigitModel, tendon: int, data: TendonData, fit: TendonFit, joint_noise: float
+    digit: DigitModel,
+    tendon: int,
+    data: TendonData,
+    fit: TendonFit,
+    joint_noise: float,
+    elasticity: TendonElasticity,
 ) -> TendonFit:
     """Return the fit of a tendon.
 
@@ -86,6 +93,8 @@ def fit_travel(
         data: data of the tendon.
         fit: fit of the tendon, whose stiffness and moment arm are replaced.
         joint_noise: standard deviation of one joint-encoder reading [rad].
+        elasticity: tension of the tendon over its stretch, as the hand file describes it. The fit
+            keeps its shape, and scales its stiffness.
     """
     problem = fit.problem
     tension = average_samples(data.tension, AVERAGING_HALF_WINDOW)
@@ -109,12 +118,15 @@ def fit_travel(
         joint_noise * float(np.linalg.norm(digit.moment_arms[tendon])),
         problem.cell_noise_N / (2 * AVERAGING_HALF_WINDOW + 1) ** 0.5 / nominal,
     )
+    linear_tension = elasticity.stiffness * np.array(
+        [elasticity.stretch(sample) for sample in tension.tolist()]
+    )
     knots = problem.drift_knots
     scalar_count = 3
-    offset = float(np.mean(travel - excursion - tension / nominal))
+    offset = float(np.mean(travel - excursion - linear_tension / nominal))
 
     def residuals(z: Array) -> Array:
-        stretch = tension / (z[0] * nominal)
+        stretch = linear_tension / (z[0] * nominal)
         drift_offset = np.interp(t, knots, z[scalar_count:]) * STRETCH_OFFSET_SCALE_M
         expected = z[1] * excursion + stretch + offset + drift_offset + z[2] * SENSOR_SKEW_S * speed
         # The offset of the travel follows the drift of the load cell, which is a random walk.

@@ -16,6 +16,7 @@ from handctl.core.identified_parameters import (
 from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
+from handctl.hand.tendons import TendonElasticity
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import phase_of_each_tick
 from handctl.tune.identify.contact_detection import are_joints_moving
@@ -262,7 +263,8 @@ def _fit_single_tendon(hand: Hand, data: TendonData, digit_data: list[TendonData
     fit = fit_tendon(TendonFitProblem.from_data(data, hand))
     if any(digit.spring_stiffness):
         return fit
-    return fit_travel(digit, tendon_index, data, fit, hand.sensor_node.joint_noise_rad)
+    elasticity = TendonElasticity.from_tendon(hand.tendon[digit.tendons][tendon_index])
+    return fit_travel(digit, tendon_index, data, fit, hand.sensor_node.joint_noise_rad, elasticity)
 
 
 def _result_with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult:
