@@ -21,6 +21,7 @@ from handctl.hand.description import Hand
 from handctl.hand.digit import coordinate_range
 from handctl.hand.file.error_text import FileMistake, lines_by_text
 from handctl.hand.file.section_models import PRISMATIC_KEYS, REVOLUTE_KEYS, Bus, Digit, Tendon
+from handctl.hand.link_tree import LinkTree
 from handctl.hand.moment_arms import moment_arm_table, moment_arm_table_residual, moment_arms_at
 
 Vector = NDArray[np.float64]
@@ -49,6 +50,8 @@ Until its watchdog expires, a drive pulls with its last torque although the comp
 """
 SMALLEST_USUAL_RANGE_DEG = 5.0
 """Range of a hinge below which a warning is printed [deg]."""
+SMALLEST_USUAL_TRANSMISSION = 0.5
+"""Fraction of the tension behind the guide before the first joint below which a warning is printed."""
 LARGEST_AXIS_COMPONENT_ALONG_LINK = 0.99
 """Component of a joint axis along its link above which a warning is printed."""
 SMALLEST_RANGE_DEG = 1.0
@@ -228,6 +231,18 @@ def doubtful_values(hand: Hand) -> tuple[str, ...]:
             f"mount.gravity_m_s2: a gravity of {gravity:.3g} m/s2; "
             f"on earth {STANDARD_GRAVITY_M_S2:g} m/s2 in the direction of gravity"
         )
+    lines += _far_mount_lines(hand)
+    lines += _sagging_digit_lines(hand)
+    lines += lines_by_text(
+        (
+            tendon.name,
+            f"friction_coefficient and wrap_angle_rad: only {100 * transmitted:.0f} % of the tension passes the "
+            "guide before the first joint",
+        )
+        for tendon in hand.tendon
+        if (transmitted := np.exp(-tendon.friction_coefficient * tendon.wrap_angle_rad))
+        < SMALLEST_USUAL_TRANSMISSION
+    )
     doubtful_joints: list[tuple[str, str]] = []
     lines += lines_by_text(
         (
@@ -260,10 +275,58 @@ def doubtful_values(hand: Hand) -> tuple[str, ...]:
                 "flexion is about z, and abduction about y",
             )
             for joint, axis in zip(digit.joints, digit.joint_axis or (), strict=False)
-            if joint in hinges and abs(axis[0]) > LARGEST_AXIS_COMPONENT_ALONG_LINK
+            if joint in hinges
+            and digit.name not in hand.carrier_digits
+            and abs(axis[0]) > LARGEST_AXIS_COMPONENT_ALONG_LINK
         ]
     lines += lines_by_text(doubtful_joints)
     return tuple(lines)
+
+
+def _sagging_digit_lines(hand: Hand) -> Iterator[str]:
+    """Yield a line for each joint that its spring does not hold open against the weight of the links.
+
+    The springs of coupled joints are not rigid, so that each spring must hold its own joint.
+    """
+    open_angles = hand.joint_limits[0]
+    still = np.zeros_like(open_angles)
+    weight_torques = -LinkTree.from_hand(hand).inverse_dynamics(open_angles, still, still)
+    floor = np.array([tendon.tension_floor_N for tendon in hand.tendon])
+    closing_torques = weight_torques + hand.moment_arms.T @ floor
+    for digit in hand.digit:
+        if not digit.has_springs:
+            continue
+        stiffness = np.array(digit.joint_values("spring_stiffness_N_m_per_rad"))
+        opened_angles = np.add(digit.joint_limits[0], digit.joint_values("spring_preload_rad"))
+        torques = zip(
+            digit.joints,
+            (stiffness * opened_angles).tolist(),
+            closing_torques[hand.digit_joints[digit.name]].tolist(),
+            strict=True,
+        )
+        for joint, opening_torque, closing_torque in torques:
+            if 0.0 < opening_torque < closing_torque:
+                yield (
+                    f"{joint}: with this gravity, weight and tension_floor_N close the joint with "
+                    f"{closing_torque:.3g} N m, and its spring opens it with {opening_torque:.3g} N m"
+                )
+
+
+def _far_mount_lines(hand: Hand) -> Iterator[str]:
+    """Yield a line for each digit on the palm that is far from all other digits on the palm."""
+    digits = [digit for digit in hand.digit if digit.mount_on is None]
+    reach = 2.0 * max(sum(digit.link_length_m) for digit in hand.digit)
+    for digit in digits:
+        distances = [
+            float(np.linalg.norm(np.subtract(digit.mount_position_m, other_digit.mount_position_m)))
+            for other_digit in digits
+            if other_digit is not digit
+        ]
+        if distances and min(distances) > reach:
+            yield (
+                f"digit[{digit.name}].mount_position_m: {min(distances):.3g} m from the nearest digit, "
+                "more than two digit lengths"
+            )
 
 
 def moment_arm_fit_lines(hand: Hand) -> tuple[str, ...]:

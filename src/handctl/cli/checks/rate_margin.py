@@ -50,8 +50,8 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     buses = split_motors_over_buses(hand, min_unchecked_rate)
     remedy = (
         f"{len(buses)} buses allow {min_unchecked_rate:g} Hz (bus plan --rate {min_unchecked_rate:g})"
-        if buses
-        else "a faster bus"
+        if buses and len(buses) > len(hand.bus)
+        else f"a higher bitrate, or other motors on each bus, for {min_unchecked_rate:g} Hz"
     )
     faults = "N14b or T03" if min_unchecked_rate == MIN_UNCHECKED_RATE_HZ else "T01"
     return [

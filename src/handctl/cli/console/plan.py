@@ -25,6 +25,12 @@ from handctl.output_files import check_output_path
 from handctl.session import calibration, gains, run_plan
 from handctl.session.lockstep_simulation import SimulatorSettings
 
+_gains_of_hands: dict[tuple[str, float], Gains] = {}
+"""Default gains by the identity of the hand and the control rate.
+
+A command needs the default gains several times, and their computation takes a second.
+"""
+
 
 def make_plan(args: argparse.Namespace, lockstep: bool = False) -> run_plan.RunPlan:
     """Check the hand, the gains, the buses and the control rate on a command line, and return the plan of the run.
@@ -126,7 +132,10 @@ def default_gains(
     from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB
 
     rate = run_plan.control_rate(requested_rate_hz, hand, bus_loads(hand))
-    hand_gains = margin_gains.default_gains(hand, rate)
+    key = hand.identity, rate
+    if key not in _gains_of_hands:
+        _gains_of_hands[key] = margin_gains.default_gains(hand, rate)
+    hand_gains = _gains_of_hands[key]
     force = hand_gains.motion.force_N
     packaged_force = packaged_gains(hand.name).motion.force_N
     if show_force and force != packaged_force:

@@ -626,7 +626,10 @@ def _check_pretension(tendon: Tendon) -> MistakeIterator:
         expected = f"at most tension_max_N / 2 = {max_pretension:g} N, so that no tendon of the pair exceeds its limits"
         yield FileMistake(f"{pretension:g}", f"tendon[{tendon.name}].pretension_N", expected)
     if tendon.tension_floor_N != 0.0:
-        expected = "0, or no such key: the net tension of a spool pair has both signs"
+        expected = (
+            "0 in the section of this spool pair: the net tension of a pair has both signs, "
+            "and the default is for single tendons"
+        )
         yield FileMistake(
             f"{tendon.tension_floor_N:g}", f"tendon[{tendon.name}].tension_floor_N", expected
         )
