@@ -119,6 +119,21 @@ DOUBTFUL_VALUES = {
         "bitrate = 1000000\ndata_bitrate = 5000000",
         "bus[can0].data_bitrate: no motor on this bus sends CAN FD frames",
     ),
+    "a digit far away": (
+        "mount_position_m = [0.0, -0.035, 0.0]",
+        "mount_position_m = [0.0, -0.35, 0.0]",
+        "digit[opposer].mount_position_m: 0.386 m from the nearest digit, more than two digit lengths",
+    ),
+    "a wrap angle of two turns": (
+        "wrap_angle_rad = 1.0",
+        "wrap_angle_rad = 12.6",
+        "opposer_abd, opposer_flex and 2 more: friction_coefficient and wrap_angle_rad: only 36 % of the tension",
+    ),
+    "a spring that the weight overcomes": (
+        "0.0, 0.0, -9.81",
+        "0.0, -9.81, 0.0",
+        "long_j1: with this gravity, weight and tension_floor_N close the joint with 0.0327 N m, and its spring",
+    ),
     "a finger that flexes away": (
         SHORT_MOUNT,
         SHORT_MOUNT.replace("180.0", "0.0"),
@@ -145,7 +160,7 @@ def check_grasp(capsys: pytest.CaptureFixture[str], seed: int) -> None:
     assert main(["demo", "--lockstep", "--hand", "mine.toml", "--seed", str(seed), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["table_sunk_mm"] > 50.0
-    assert result["object_slid_mm"] < 5.0
+    assert result["object_slid_mm"] < 10.0
 
 
 @pytest.mark.parametrize("mistake_name", HAND_FILE_MISTAKES)
