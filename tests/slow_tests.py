@@ -13,9 +13,9 @@ sets ``HANDCTL_SLOW_S`` to 0. CI sets ``HANDCTL_SLOW_S`` to 3, and to 0 for test
 time. `make nightly` and plain pytest run all listed tests. The cost of a test is its processor
 time. For a test that runs in real time, the cost is its elapsed time. A test run that leaves out
 tests still executes the first cases of each test function. The total cost of the first cases is at
-most ``TEST_FUNCTION_BUDGET_S`` or ``REAL_CLOCK_BUDGET_S``. In each file, an incomplete test run
-executes the cheapest test, too, if it costs no more than ``CHEAPEST_TEST_LIMIT_S``. An incomplete
-test run executes at least one test of nearly every file.
+most ``TEST_FUNCTION_BUDGET_S`` or ``REAL_CLOCK_BUDGET_S``. An incomplete test run also executes
+the cheapest test of each file, if this test costs no more than ``CHEAPEST_TEST_LIMIT_S``. As a
+result, it executes at least one test of nearly every file.
 """
 
 import json

@@ -33,8 +33,8 @@ RUN_DURATION_S = 20.0
 def measure_payload(job: tuple[str, str, int]) -> dict[str, Any]:
     """Measure the payload of a hand in one direction [kg], for one seed.
 
-    A payload along the joint axes includes the mass of the object, because gravity acts along the
-    joint axes.
+    In the direction of the joint axes, gravity pulls the object too. In this direction, the result
+    therefore includes the mass of the object.
     """
     hand, direction, seed = job
     case = GRASP_CASES[1]

@@ -37,7 +37,7 @@ class BenchInterface(Protocol):
         ...
 
     def queue_frames(self, frames: list[Frame]) -> None:
-        """Queue frames from senders outside the bench on the bus of the bench."""
+        """Queue frames on the bus of the bench, as if a device outside of the bench had sent them."""
         ...
 
 
@@ -119,7 +119,7 @@ class BenchWorld:
         return Frame(can_id, data, 0, 0, self.t_ns)
 
     def queue_frames(self, frames: list[Frame]) -> None:
-        """Queue frames from senders outside the bench on the bus of the bench."""
+        """Queue frames on the bus of the bench, as if a device outside of the bench had sent them."""
         self._bench.queue_frames(frames)
 
     def refresh_identifiers(self) -> None:

@@ -9,8 +9,8 @@ contains the code of all kernels, a program compiles nothing and needs none of t
 must compile a function in spite of the stored code, numba registers the types at that time. If
 another kernel calls a stored kernel, the bitcode of the stored kernel is parsed at that time.
 
-The three slow steps are internal to numba. This module leaves the three steps out only with the
-versions of numba in ``TESTED_VERSIONS``.
+The three slow steps are internal to numba. If the version of numba is not one of
+``TESTED_VERSIONS``, this module does not leave the three steps out.
 """
 
 from collections.abc import Iterator

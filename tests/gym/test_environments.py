@@ -48,8 +48,8 @@ def make_env(environment_id: str, **environment_options: Any) -> Any:
 def action_towards_reference(environment: Any, observation: Any) -> Any:
     """Return the action that makes the hand follow the reference angles in an observation.
 
-    The observation contains the reference angles for the time at which the hand will reach new
-    targets. The action has these reference angles as its targets.
+    The hand reaches the targets of an action only after a delay. The observation contains the
+    reference angles at the end of this delay, and the action has these angles as its targets.
     """
     first_element = environment.layout.names.index(f"reference_ahead_rad[{environment.names[0]}]")
     return environment.action_for(

@@ -1,4 +1,4 @@
-"""Test the pictures of the environments of ``handctl.gym``, which MuJoCo draws without a screen."""
+"""Test that MuJoCo draws pictures of the environments of ``handctl.gym`` without a screen."""
 
 import warnings
 from typing import Any

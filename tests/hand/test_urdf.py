@@ -1,6 +1,6 @@
 """Test the XML document of the URDF export.
 
-Other tests compare the dynamics and kinematics of the exported URDF.
+The tests of another module compare dynamics and kinematics of the URDF with those of the hand.
 """
 
 from xml.etree import ElementTree as ET

@@ -469,7 +469,8 @@ def test_recording_a_tick_is_fast(start_recorder: Callable[..., Recorder]) -> No
 def test_the_recorder_needs_no_compiler(tmp_path: Path) -> None:
     """The recorder imports no compiler.
 
-    The import of a compiler would delay every run, because a run waits until its recorder is ready.
+    A run waits until its recorder is ready. If the recorder imported a compiler, every run would
+    begin later.
 
     Earlier defect: the recorder imported numba, llvmlite and scipy in order to check a single
     string.

@@ -129,7 +129,7 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
 def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
     """The summary compares the tension estimate of a tick with the true tension at the time of the tick.
 
-    A load-cell reading is taken one period before its tick. The summary compares the load-cell
+    A load cell is read one control period before the tick that receives the reading. The summary compares the load-cell
     reading with the true tension at the time of the reading.
     """
     log, truth = log_without_faults(), zero_truth_record(JAMIA_HAND, 200)

@@ -193,8 +193,8 @@ def unexplained_tensions(monitor: SyntheticMonitor) -> list[float]:
 def test_lasting_residual_is_a_fault(tension, expected_residual):
     """The residual is the measured tension minus the tension that the model explains.
 
-    In this test, friction explains a residual of up to 3 N. The tolerance of the torque constant
-    explains a further tenth of 20 N.
+    In this test, friction explains a residual of up to 3 N. The torque constant has a tolerance
+    of 10 %, so that it explains 2 N more at a tension of 20 N.
     """
     monitor, findings = run_ticks(1200, tension=tension)
     assert unexplained_tensions(monitor) == pytest.approx([expected_residual] * 2, abs=0.05)

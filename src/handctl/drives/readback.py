@@ -9,8 +9,8 @@ The torque limit and the watchdog in the drive protect the hand even if the host
 restart within a few milliseconds, and can then be enabled again. After a restart, the drive has its
 saved settings, and has lost the settings that the host wrote before arming. The feedback of a drive
 does not show a restart. To detect a restart, the host reads one setting of each enabled drive every
-half second, one setting after the other. Each node number has its own time offset, so that the
-requests to the drives are spread over the half second.
+half second, one setting after the other. The time of a request within the half second depends on
+the node number, so that drives with different node numbers get their requests at different times.
 
 If a setting needs only one frame for the request and one frame for the answer, the protocol
 describes both frames as a ``SettingRecheck``. While the drive is steady, compiled code in

@@ -98,7 +98,7 @@ class MoveDigitsRequest(CommandRequestBase):
 class StopMotionRequest(CommandRequestBase):
     """Bring the moving digits to rest at their present positions.
 
-    Digits that hold a tension continue.
+    A digit that holds a tension continues to hold the tension.
     """
 
     do: Literal["stay"]

@@ -489,9 +489,9 @@ def _curve_of_digit(
 
 @functools.lru_cache(maxsize=64)
 def contact_margin_without_cells(model: HandModel, d: int) -> float:
-    """Return the margin that digit d adds to its contact threshold for tendons without load cells [N].
+    """Return the additional contact threshold of digit d, which has tendons without load cells [N].
 
-    The margin is 0 if all tendons have load cells.
+    The addition is 0 if all tendons of the digit have load cells.
     """
     digit = model.digits[d]
     margin = float(model.margin_without_cell[digit.tendons].mean())

@@ -443,7 +443,7 @@ STATUS_RATE_HZ = 50.0
 
 @dataclass(slots=True)
 class PublishedState:
-    """Values from the latest state of the controller that status lines show.
+    """Values for the status lines, from the latest state of the controller.
 
     Attributes:
         commander: client that commands the hand, or None if every client is allowed to start to

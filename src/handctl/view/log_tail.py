@@ -32,7 +32,7 @@ class LogTail:
         return self._scan.is_complete
 
     def write_new_chunks(self, path: Path) -> int | None:
-        """Write the chunks that have been added since the last call into a log file.
+        """Write into a log file the chunks that have been added since the last call of this method.
 
         The written file has no end mark.
 

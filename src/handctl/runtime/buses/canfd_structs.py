@@ -183,7 +183,8 @@ class FrameStructs:
     def write(self, frames: Frames) -> NDArray[np.uint64]:
         """Write frames into the first structs.
 
-        Payload bytes after the end of a frame are set to zero.
+        If a frame is shorter than the payload of a struct, the remaining bytes of the payload are
+        set to zero.
 
         Returns:
             (n,) number of bytes to send of each struct. This number is the size of ``can_frame`` or

@@ -493,7 +493,7 @@ def model_with_largest_force(
 def _largest_force(
     model: HandModel, kind: LoopKind, tendon: int, plants: tuple[PlantFactors, ...]
 ) -> float | None:
-    """Return the largest authority [N] with which the loop of a tendon keeps the margins.
+    """Return the largest authority [N] with which the loop of a tendon keeps its stability margins.
 
     If no authority keeps the margins, return None.
 
