@@ -81,14 +81,17 @@ SPOOL_PAIR_MODEL_ERROR = {
 From the data, friction of the motor and friction of the tendons are hard to separate. The values
 were chosen in simulations of five hands.
 """
-ROTOR_INERTIA_SIGMA = 0.05
-"""First part of the standard deviation of the model's inertia, as a fraction of the inertia of the rotor."""
-LINK_INERTIA_SIGMA = 0.2
-"""Second part of the standard deviation of the model's inertia, as a fraction of the inertia of the links.
+LOAD_INERTIA_SIGMA = 0.05
+"""Standard deviation of the error of the model's link inertia, as a fraction of the inertia of the rotor.
 
 Rotor and links accelerate together. Therefore only the model of the links can separate the inertia
-of the rotor from the inertia of the links. If the links are heavier than the rotor, a small error of
-the links is a large error of the rotor.
+of the rotor from the inertia of the links.
+"""
+LINK_INERTIA_ERROR = 0.13
+"""Standard deviation of the error of the rotor's inertia because of the links, as a fraction of the links' inertia.
+
+If the links are heavier than the rotor, a small error of the links is a large error of the rotor.
+The fit does not know this error. The error widens the confidence interval after the fit.
 """
 INITIAL_NOISE_N = 0.3
 """Assumed standard deviation of the motor equation's residuals in the first fit [N].
@@ -401,15 +404,6 @@ class SpoolPairProblem:
             - coulomb / r
         )
 
-    def inertia_sigma_kg(self) -> float:
-        """Return the standard deviation of the model's inertia as a mass that moves with the tendon [kg]."""
-        rotor = (
-            self.parameter_scales[PARAMETER_NAMES.index("motor_inertia")] / self.spool_radius_m**2
-        )
-        return float(
-            np.hypot(ROTOR_INERTIA_SIGMA * rotor, LINK_INERTIA_SIGMA * self.windows.link_inertia_kg)
-        )
-
     def tension_in_free_motion(self, z: Array) -> Array:
         """Return the net tension (m,) that links and tendon friction require in free motion [N]."""
         w = self.windows
@@ -417,7 +411,10 @@ class SpoolPairProblem:
             self.parameter_value(z, "link_mass") * w.inertial_tension
             + self.parameter_value(z, "joint_damping") * w.damping_tension
         )
-        load = load + z[-2] * self.inertia_sigma_kg() * w.motor.acceleration
+        rotor = (
+            self.parameter_scales[PARAMETER_NAMES.index("motor_inertia")] / self.spool_radius_m**2
+        )
+        load = load + z[-2] * LOAD_INERTIA_SIGMA * rotor * w.motor.acceleration
         transmitted_ratio = np.exp(
             np.clip(
                 -self.parameter_value(z, "capstan") * w.friction_fraction * w.wrap_angle, -3.0, 3.0
@@ -548,7 +545,12 @@ def fit_spool_pair(
     solution = solve_least_squares(
         problem.residuals, first_solution.z, problem.parameter_bounds(), times
     )
-    return add_model_error(_as_tendon_fit(hand, problem, solution), SPOOL_PAIR_MODEL_ERROR)
+    rotor_inertia = problem.parameter_value(solution.z, "motor_inertia")
+    link_inertia = windows.link_inertia_kg * motor.spool_radius_m**2
+    inertia_error = {"motor_inertia": LINK_INERTIA_ERROR * link_inertia / rotor_inertia}
+    return add_model_error(
+        _as_tendon_fit(hand, problem, solution), SPOOL_PAIR_MODEL_ERROR | inertia_error
+    )
 
 
 def _start_parameters(windows: SpoolPairWindows) -> Array:
