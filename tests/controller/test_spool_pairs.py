@@ -288,7 +288,11 @@ HAND_FILE_MISTAKES = {
         "pretension_N",
         "at most tension_max_N / 2 = 30 N",
     ),
-    "a floor": (content_with_tendon(tension_floor_N=2.0), "tension_floor_N", "0 in the section of this spool pair"),
+    "a floor": (
+        content_with_tendon(tension_floor_N=2.0),
+        "tension_floor_N",
+        "0 in the section of this spool pair",
+    ),
     "one single": (
         content_without_pretension(),
         "finger_mcp",
