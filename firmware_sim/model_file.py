@@ -64,9 +64,9 @@ def read_model_file(path: str, file_format: str) -> dict[str, Any]:
         - ``palm``: (3,) origin of each named frame fixed to the root, by name [m].
         - ``palm_meshes``: meshes fixed to the root, in the same form as the ``meshes`` of
           a link.
-        - ``links``: one table for each link, see ``_link_values``. Parents come first. ``follows``
-          is the name of the joint that the joint of the link follows, and the ratio of the two
-          angles, or None. The
+        - ``links``: one table for each link, see ``_link_values``. Parents come first. The
+          entry ``follows`` has the name of the joint that the joint of the link follows, and the
+          ratio of the two angles. It is None for an independent joint. The
           ``meshes`` of a link are tables with ``file``, ``scale`` (3,), ``position`` (3,) [m] and
           ``rotation`` (3, 3) in the frame of the link.
         - ``tendons``: for each tendon, its name, moment arms by joint [m], motor or None, and
@@ -459,8 +459,7 @@ def _shape_corners(
     """Return the corners (n, 3) of the boxes around the shapes of a link, and the radius of the link [m].
 
     The radius is the largest half width of the shapes of one kind: the first kind in
-        ``ROUND_SHAPES`` that the link has. Without shapes, the corners are empty and the radius is
-        None.
+    ``ROUND_SHAPES`` that the link has. Without shapes, the corners are empty and the radius is None.
     """
     corners: list[Any] = []
     radii: dict[int, float] = {}
