@@ -211,15 +211,18 @@ def _check_mount_positions(hand: Hand) -> Iterator[FileMistake]:
     """Check that no two digits on the same carrier begin at the same position."""
     for i, digit in enumerate(hand.digit):
         for other_digit in hand.digit[:i]:
-            distance = float(
-                np.linalg.norm(np.subtract(digit.mount_position_m, other_digit.mount_position_m))
-            )
-            if digit.mount_on == other_digit.mount_on and distance < MIN_MOUNT_DISTANCE_M:
+            is_same_carrier = digit.mount_on == other_digit.mount_on
+            if is_same_carrier and _mount_distance(digit, other_digit) < MIN_MOUNT_DISTANCE_M:
                 yield FileMistake(
                     f"the position of {other_digit.name}",
                     f"digit[{digit.name}].mount_position_m",
                     f"another position, at least {1e3 * MIN_MOUNT_DISTANCE_M:g} mm away",
                 )
+
+
+def _mount_distance(digit: Digit, other_digit: Digit) -> float:
+    """Return the distance between the mount positions of two digits on the same carrier [m]."""
+    return float(np.linalg.norm(np.subtract(digit.mount_position_m, other_digit.mount_position_m)))
 
 
 def doubtful_values(hand: Hand) -> tuple[str, ...]:
@@ -288,28 +291,19 @@ def _sagging_digit_lines(hand: Hand) -> Iterator[str]:
 
     The springs of coupled joints are not rigid, so that each spring must hold its own joint.
     """
+    tree = LinkTree.from_hand(hand)
     open_angles = hand.joint_limits[0]
-    still = np.zeros_like(open_angles)
-    weight_torques = -LinkTree.from_hand(hand).inverse_dynamics(open_angles, still, still)
     floor = np.array([tendon.tension_floor_N for tendon in hand.tendon])
-    closing_torques = weight_torques + hand.moment_arms.T @ floor
-    for digit in hand.digit:
-        if not digit.has_springs:
-            continue
-        stiffness = np.array(digit.joint_values("spring_stiffness_N_m_per_rad"))
-        opened_angles = np.add(digit.joint_limits[0], digit.joint_values("spring_preload_rad"))
-        torques = zip(
-            digit.joints,
-            (stiffness * opened_angles).tolist(),
-            closing_torques[hand.digit_joints[digit.name]].tolist(),
-            strict=True,
-        )
-        for joint, opening_torque, closing_torque in torques:
-            if 0.0 < opening_torque < closing_torque:
-                yield (
-                    f"{joint}: with this gravity, weight and tension_floor_N close the joint with "
-                    f"{closing_torque:.3g} N m, and its spring opens it with {opening_torque:.3g} N m"
-                )
+    opening_torques = tree.stiffness * (open_angles + tree.preload)
+    # The static torque balances springs and weight. Without the springs, weight and floor remain.
+    closing_torques = hand.moment_arms.T @ floor + opening_torques - tree.static_torque(open_angles)
+    torques = zip(hand.joints, opening_torques.tolist(), closing_torques.tolist(), strict=True)
+    for joint, opening_torque, closing_torque in torques:
+        if 0.0 < opening_torque < closing_torque:
+            yield (
+                f"{joint}: with this gravity, weight and tension_floor_N close the joint with "
+                f"{closing_torque:.3g} N m, and its spring opens it with {opening_torque:.3g} N m"
+            )
 
 
 def _far_mount_lines(hand: Hand) -> Iterator[str]:
@@ -318,7 +312,7 @@ def _far_mount_lines(hand: Hand) -> Iterator[str]:
     reach = 2.0 * max(sum(digit.link_length_m) for digit in hand.digit)
     for digit in digits:
         distances = [
-            float(np.linalg.norm(np.subtract(digit.mount_position_m, other_digit.mount_position_m)))
+            _mount_distance(digit, other_digit)
             for other_digit in digits
             if other_digit is not digit
         ]

@@ -44,9 +44,7 @@ def default_gains(hand: Hand, rate_hz: float) -> Gains:
     if smallest_gain_margin(hand, gains, rate_hz)[1] >= MIN_PACKAGED_MARGIN_DB:
         return gains
     force = largest_force_with_margin(hand, gains, rate_hz)
-    if force is None or force == gains.motion.force_N:
-        return gains
-    return _gains_with_force(gains, force)
+    return gains if force is None else _gains_with_force(gains, force)
 
 
 def largest_force_with_margin(hand: Hand, gains: Gains, rate_hz: float) -> float | None:
