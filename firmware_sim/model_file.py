@@ -69,8 +69,9 @@ def read_model_file(path: str, file_format: str) -> dict[str, Any]:
           ratio of the two angles. It is None for an independent joint. The
           ``meshes`` of a link are tables with ``file``, ``scale`` (3,), ``position`` (3,) [m] and
           ``rotation`` (3, 3) in the frame of the link.
-        - ``tendons``: for each tendon, its name, moment arms by joint [m], motor or None, and
-          maximum tension [N] or None.
+        - ``tendons``: for each tendon, its name, moment arms by joint [m], motor or None,
+          maximum tension [N] or None, and ``pulls_both_ways``, which is True if the motor commands
+          positive and negative forces.
         - ``notes``: one line for each element of the file that was not read.
 
     Raises:
@@ -525,13 +526,15 @@ def _tendon_values(model: Any, notes: list[str]) -> list[dict[str, Any]]:
 
 
 def _actuator_values(model: Any, motors: list[int]) -> dict[str, Any]:
-    """Return the motor of a tendon, and the largest tension of the motor [N].
+    """Return the motor of a tendon, the largest tension of the motor [N], and its directions.
 
-    Both values are None unless the tendon has exactly one actuator. The largest tension is None
-    unless the actuator commands a force of limited range.
+    The motor and the largest tension are None unless the tendon has exactly one actuator. The
+    largest tension is None unless the actuator commands a force of limited range. The value
+    ``pulls_both_ways`` is True if the range of the force contains negative forces. A single tendon
+    cannot push, so such an actuator belongs to two antagonistic tendons on one spool.
     """
     if len(motors) != 1:
-        return {"motor": None, "tension_max": None}
+        return {"motor": None, "tension_max": None, "pulls_both_ways": False}
     motor = motors[0]
     is_force_driven = (
         model.actuator_gaintype[motor] == mujoco.mjtGain.mjGAIN_FIXED
@@ -539,8 +542,9 @@ def _actuator_values(model: Any, motors: list[int]) -> dict[str, Any]:
         and model.actuator_ctrllimited[motor]
     )
     scale = float(model.actuator_gainprm[motor, 0] * model.actuator_gear[motor, 0])
-    max_tension = scale * float(model.actuator_ctrlrange[motor, 1])
+    min_force, max_force = sorted(scale * model.actuator_ctrlrange[motor])
     return {
         "motor": model.actuator(motor).name or None,
-        "tension_max": max_tension if is_force_driven else None,
+        "tension_max": float(max_force) if is_force_driven else None,
+        "pulls_both_ways": bool(is_force_driven and min_force < 0.0 < max_force),
     }

@@ -198,6 +198,18 @@ def test_moment_arms_and_springs_of_a_model_are_imported(work_folder: Path) -> N
     assert content["mount"]["gravity_m_s2"] == list(known_hand.mount.gravity_m_s2)
 
 
+def test_a_motor_that_pulls_both_ways_is_imported_as_a_spool_pair(work_folder: Path) -> None:
+    assert main(["config", "export", "--mjcf", "--hand", "orca_like", "--output", "hand.xml"]) == 0
+    text = import_description("--mjcf", "hand.xml")
+    known_hand = load_hand("orca_like")
+    pair_names = {tendon.name for tendon in known_hand.tendon if tendon.pretension_N is not None}
+    assert pair_names
+    tendons = hand_content("mine.toml")["tendon"]
+    assert {tendon["name"] for tendon in tendons if "pretension_N" in tendon} == pair_names
+    assert {tendon.get("pretension_N", "TODO") for tendon in tendons} == {"TODO"}
+    assert "# TODO measure: Tension of both tendons of a spool pair at rest" in text
+
+
 def test_links_in_any_frames_have_the_dynamics_of_pinocchio(work_folder: Path) -> None:
     Path("full.toml").write_text(
         replace_todo_values(import_description("--urdf", TRIPOD_URDF, *IMPORT_OPTIONS))

@@ -11,6 +11,7 @@ import pytest
 
 from firmware_sim.hand_description import load_hand as simulated
 from handctl.hand.description import Hand
+from handctl.hand.file.error_text import FileMistake
 from handctl.hand.file.templates import resolve_templates
 from handctl.hand.hand_loading import (
     PACKAGED_HANDS_FOLDER,
@@ -159,3 +160,23 @@ def test_a_deeply_nested_table_is_reported_without_a_crash() -> None:
         "digit_template.finger.tendon.tendon.a",
         "default.tendon.a",
     ]
+
+
+@pytest.mark.parametrize(
+    ("table", "misspelt_name"),
+    [("default", "defaults"), ("default", "deafult"), ("digit_template", "digit_templates")],
+)
+def test_a_misspelt_table_of_defaults_or_templates_is_one_mistake(
+    table: str, misspelt_name: str
+) -> None:
+    content = jamia_hand_content()
+    content[misspelt_name] = content.pop(table)
+    _, mistakes = validate_content(content)
+    assert mistakes == [FileMistake("unknown key", misspelt_name, f"{table}?")]
+
+
+def test_a_misspelt_table_beside_the_right_one_is_one_mistake() -> None:
+    content = jamia_hand_content()
+    content["defaults"] = {"tendon": content["default"].pop("tendon")}
+    _, mistakes = validate_content(content)
+    assert mistakes == [FileMistake("unknown key", "defaults", "default?")]

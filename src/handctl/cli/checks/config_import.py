@@ -111,6 +111,7 @@ def run(args: argparse.Namespace) -> int:
         f"{args.output}: {len(imported_hand.digits)} digits, {joints} joints; "
         f"{len(missing_values)} values are still {UNMEASURED_PLACEHOLDER}"
     )
+    print_escaped(f"{schema}: keys of a hand file, for completion in an editor")
     for warning in warnings:
         print_escaped(f"warning: {warning}")
     print_escaped(f"next: handctl config check --hand {args.output}, which lists what is missing")

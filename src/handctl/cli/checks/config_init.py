@@ -110,6 +110,7 @@ def run(args: argparse.Namespace) -> int:
     print_escaped(
         f"{args.output}: {hand_answers.fingers + hand_answers.opposed} digits; {assumed_count} lines are marked ASSUMED"
     )
+    print_escaped(f"{schema}: keys of a hand file, for completion in an editor")
     for text in warnings:
         print_escaped(f"warning: {text}")
     print_escaped(

@@ -123,7 +123,8 @@ class ImportedHand:
             description does not contain it.
         palm: (3, 3) rotation from the palm frame to the root frame of the robot description.
         digits: digits of the hand, where each digit comes after the digit that carries it.
-        tendons: a table for each tendon, with ``name``, ``arms``, ``motor`` and ``tension_max``.
+        tendons: a table for each tendon, with ``name``, ``arms``, ``motor``, ``tension_max`` and
+            ``pulls_both_ways``.
         palm_mesh: mesh of the palm in the palm frame, or None for a palm without a mesh.
     """
 
@@ -151,8 +152,8 @@ class _SectionLine:
 def usable_tendons(imported_hand: ImportedHand) -> tuple[list[dict[str, Any]], list[str]]:
     """Return the described tendons that are possible in a hand file, and notes about all other tendons.
 
-    The table of each tendon has ``digit``, ``name``, ``motor``, ``tension_max`` and ``arms``. The
-    keys of ``arms`` are the short names of joints.
+    The table of each tendon has ``digit``, ``name``, ``motor``, ``tension_max``, ``is_spool_pair``,
+    ``sliding`` and ``arms``. The keys of ``arms`` are the short names of joints.
     """
     joint_indices = {
         joint: (digit.name, f"j{i + 1}")
@@ -194,6 +195,7 @@ def usable_tendons(imported_hand: ImportedHand) -> tuple[list[dict[str, Any]], l
                     for joint in digit_and_joint[1:]
                 },
                 "tension_max": tendon["tension_max"],
+                "is_spool_pair": tendon["pulls_both_ways"],
             }
             usable_tendons_found.append(own_values)
     # If the tendons together do not move every joint, the tendons only model a mechanism, and other
@@ -291,6 +293,7 @@ def _placeholder_tendons(
             else {name: 1.0 if name in prismatic_joints else arm for name in names},
             "sliding": prismatic_joints & set(names),
             "tension_max": None,
+            "is_spool_pair": False,
         }
 
 
@@ -554,6 +557,9 @@ def _drive_lines(
         if ratios:
             inline_entries.append(f"excursion_ratio = {{ {_inline_table_text(ratios)} }}")
         comment = MISSING_MOMENT_ARMS_COMMENT if arms is None else ""
+        if tendon["is_spool_pair"]:
+            inline_entries.append(f'pretension_N = "{UNMEASURED_PLACEHOLDER}"')
+            comment = f"{UNMEASURED_PLACEHOLDER} measure: {_key_meaning(Tendon, 'pretension_N')}"
         yield _SectionLine(
             f"tendon.{tendon['name']}", f"{{ {', '.join(inline_entries)} }}", comment
         )

@@ -574,7 +574,7 @@ class Motor(Section):
 
     name: qty.Name
     """Name of the motor."""
-    protocol: qty.Name
+    protocol: qty.Text
     """Protocol of the drive: ``mit``, ``odrive``, ``cia402``, ``moteus``, ``robstride``,
     ``robstride_mit`` or ``cubemars``."""
     bus: qty.Name

@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 from handctl.hand.file.checks import KEYS_PER_LINK
 from handctl.hand.file.error_text import FileMistake, most_similar_valid_key, toml_spelling
 from handctl.hand.file.section_models import PRISMATIC, PRISMATIC_KEYS, REVOLUTE_KEYS
+from handctl.printing import similar_name
 
 SCHEMA_WITHOUT_TEMPLATES = 1
 """Schema number of a hand file in which every section has all its values."""
@@ -34,6 +35,10 @@ TABLE_KINDS_IN_DIGIT = ("tendon", "motor")
 """Kinds of table that a digit can contain."""
 TEMPLATE_KEYS = {kind: f"{kind}_template" for kind in SECTION_KINDS}
 """Name of the table that contains the templates of each kind of section."""
+TEMPLATE_TABLES = ("default", *TEMPLATE_KEYS.values())
+"""Names of the tables that contain the defaults and the templates."""
+MIN_NAME_SIMILARITY = 0.8
+"""Smallest similarity (0 to 1) of a misspelt name to the name of a table with defaults or templates."""
 KEYS_PER_JOINT_TYPE = {
     **dict.fromkeys((*REVOLUTE_KEYS, "joint_rated_torque_N_m"), False),
     **dict.fromkeys((*PRISMATIC_KEYS, "joint_rated_force_N"), True),
@@ -92,20 +97,21 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
     If the value of a section is not a table, the function does not change the value. The later
     validation of the content reports such a value with a better message.
     """
-    tables = [key for key in ("default", *TEMPLATE_KEYS.values()) if key in content]
+    content, spelling_mistakes = _with_correct_table_names(content)
+    tables = [key for key in TEMPLATE_TABLES if key in content]
     if content.get("schema") != SCHEMA_WITH_TEMPLATES and not tables:
         return ResolvedContent(dict(content), {}, [])
     resolver = _TemplateResolver(content)
+    resolver.mistakes += spelling_mistakes
     if content.get("schema") != SCHEMA_WITH_TEMPLATES:
         given_text = toml_spelling(content["schema"]) if "schema" in content else "missing"
         expected = (
             f"schema = {SCHEMA_WITH_TEMPLATES} in the first line, as the file has [{tables[0]}]"
         )
         resolver.mistakes.append(FileMistake(given_text, "schema", expected))
-    names = ("default", *TEMPLATE_KEYS.values())
-    resolved_content = {key: value for key, value in content.items() if key not in names} | {
-        "schema": SCHEMA_WITHOUT_TEMPLATES
-    }
+    resolved_content = {
+        key: value for key, value in content.items() if key not in TEMPLATE_TABLES
+    } | {"schema": SCHEMA_WITHOUT_TEMPLATES}
     resolver.check_tables()
     sections: dict[str, Any] = {kind: [] for kind in SECTION_KINDS}
     for kind in SECTION_KINDS:
@@ -130,6 +136,32 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
     if isinstance(node, Mapping):
         resolved_content["sensor_node"] = _expand_all_names(node, sections)
     return ResolvedContent(resolved_content, resolver.origins, resolver.mistakes)
+
+
+def _with_correct_table_names(
+    content: TableContent,
+) -> tuple[TableContent, list[FileMistake]]:
+    """Correct misspelt names of the tables with defaults and templates, such as ``defaults``.
+
+    If a misspelt name were not corrected, each value of the table would also be reported as missing.
+
+    Returns:
+        the content with correct names, and one mistake for each misspelt name.
+    """
+    corrected_content: dict[str, Any] = {}
+    mistakes = []
+    for key, value in content.items():
+        right_name = key
+        if key not in TEMPLATE_TABLES and (
+            table_name := similar_name(key, TEMPLATE_TABLES, MIN_NAME_SIMILARITY)
+        ):
+            mistakes.append(FileMistake("unknown key", key, f"{table_name}?"))
+            right_name = table_name
+        other_value = corrected_content.get(right_name)
+        if isinstance(value, Mapping) and isinstance(other_value, Mapping):
+            value = {**other_value, **value}
+        corrected_content[right_name] = value
+    return corrected_content, mistakes
 
 
 class _TemplateResolver:
