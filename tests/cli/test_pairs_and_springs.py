@@ -4,6 +4,7 @@ A new user wrote the hand file of this hand, and read only the page *Describe a 
 this module reproduce a defect that the new user found.
 """
 
+import copy
 import json
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.controller.bus_load import bus_warnings
 from handctl.core.gains.gains import load_gains_file
-from handctl.hand.hand_loading import load_hand
+from handctl.hand.hand_loading import hand_from_content, load_hand
 from handctl.hand.readiness_checks import doubtful_values
 from handctl.log.read.reader import RunLog
 from handctl.programs.default_task import grasp_warnings
@@ -84,6 +85,12 @@ HAND_FILE_MISTAKES = {
         "",
         "digit[short].mount_position_m: missing; expected a list of 3 entries, each a number from -0.5 to 0.5 m",
     ),
+    "limits in rad of joints that also open": (
+        "joint_min_deg = 0.0\njoint_max_deg = 90.0",
+        "joint_min_deg = -20.0\njoint_max_deg = 1.57",
+        "digit[long, short].coupling: column 0 opens the digit; expected the opposite sign: "
+        "a positive coordinate flexes, or joint_max_deg in degrees",
+    ),
 }
 """Mistakes in the hand file: the text to replace, the wrong text, and the beginning of the refusal."""
 DOUBTFUL_VALUES = {
@@ -103,6 +110,16 @@ DOUBTFUL_VALUES = {
         "joint_max_deg = 90.0",
         "joint_max_deg = 1.57",
         "long_j1, long_j2 and 3 more: joint_max_deg: the joint can turn by only 1.57 deg",
+    ),
+    "a thousandth of an inertia": (
+        "link_inertia_kg_m2 = [3.0e-6, 8e-7]",
+        "link_inertia_kg_m2 = [3.0e-9, 8e-7]",
+        "digit[short].link_inertia_kg_m2[0]: a radius of gyration of ",
+    ),
+    "a torque constant in N m per 32 A": (
+        "torque_constant_N_m_per_A = 0.5",
+        "torque_constant_N_m_per_A = 16.0",
+        "opposer_abd, opposer_flex and 2 more: torque_constant_N_m_per_A: torque_peak_N_m needs ",
     ),
     "an axis along the link": (
         "[[0, 1, 0], [0, 0, 1], [0, 0, 1]]",
@@ -185,6 +202,15 @@ def test_a_doubtful_value_is_a_warning(
     assert main(["config", "check", "--hand", "mine.toml"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len([line for line in lines if line.startswith(f"# warning: {expected_start}")]) == 1
+
+
+def test_closed_stops_in_rad_are_a_warning_for_joints_without_coupling() -> None:
+    content = copy.deepcopy(load_hand("n_plus_1").content)
+    digit = content["digit"][0]
+    digit["joint_min_deg"] = [-20.0] * len(digit["joint_max_deg"])
+    digit["joint_max_deg"] = [1.57] * len(digit["joint_max_deg"])
+    (line,) = doubtful_values(hand_from_content(content, "mine.toml"))
+    assert "joint_max_deg: no joint of the digit closes beyond 1.57 deg" in line
 
 
 def test_a_usual_hand_has_no_such_warning(work_folder: Path) -> None:

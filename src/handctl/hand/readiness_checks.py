@@ -12,6 +12,7 @@ Tools and logs can use any hand file that is valid. For a run, a hand must fulfi
 ``doubtful_values`` returns warnings about values that are possible, but hardly intended.
 """
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -21,6 +22,7 @@ from handctl.hand.description import Hand
 from handctl.hand.digit import coordinate_range
 from handctl.hand.file.error_text import FileMistake, lines_by_text
 from handctl.hand.file.section_models import PRISMATIC_KEYS, REVOLUTE_KEYS, Bus, Digit, Tendon
+from handctl.hand.link_geometry import link_inertia
 from handctl.hand.link_tree import LinkTree
 from handctl.hand.moment_arms import moment_arm_table, moment_arm_table_residual, moment_arms_at
 
@@ -50,6 +52,12 @@ Until its watchdog expires, a drive pulls with its last torque although the comp
 """
 SMALLEST_USUAL_RANGE_DEG = 5.0
 """Range of a hinge below which a warning is printed [deg]."""
+LARGEST_ANGLE_IN_RADIANS = 3.2
+"""Joint angle up to which a closed stop in degrees is probably a value in radians."""
+SMALLEST_USUAL_GYRATION_RATIO = 0.05
+"""Radius of gyration below which a warning is printed, divided by the length or the diameter of the link."""
+USUAL_PEAK_CURRENTS_A = (0.1, 500.0)
+"""Usual current of a motor at its peak torque [A]."""
 SMALLEST_USUAL_TRANSMISSION = 0.5
 """Fraction of the tension behind the guide before the first joint below which a warning is printed."""
 LARGEST_AXIS_COMPONENT_ALONG_LINK = 0.99
@@ -101,11 +109,10 @@ def _check_direction(digit: Digit) -> Iterator[FileMistake]:
             expected = "signs and sizes that leave the joints a common range within their limits"
             yield FileMistake(f"column {i} moves no joint within its limits", location, expected)
         elif low + high < 0.0:
-            yield FileMistake(
-                f"column {i} opens the digit",
-                location,
-                "the opposite sign: a positive coordinate flexes",
-            )
+            expected = "the opposite sign: a positive coordinate flexes"
+            if 0.0 < max(digit.joint_max_deg, default=0.0) <= LARGEST_ANGLE_IN_RADIANS:
+                expected += ", or joint_max_deg in degrees"
+            yield FileMistake(f"column {i} opens the digit", location, expected)
 
 
 def displayed_range(digit: Digit) -> tuple[Vector, Vector]:
@@ -256,7 +263,9 @@ def doubtful_values(hand: Hand) -> tuple[str, ...]:
         for motor in hand.motor
         if motor.watchdog_ms > LONGEST_WATCHDOG_MS
     )
+    lines += lines_by_text(_doubtful_torque_constants(hand))
     for digit in hand.digit:
+        lines += _doubtful_inertia_lines(digit)
         hinges = [
             joint
             for joint, is_prismatic in zip(digit.joints, digit.is_prismatic, strict=True)
@@ -271,6 +280,17 @@ def doubtful_values(hand: Hand) -> tuple[str, ...]:
             for joint, width in zip(hinges, ranges, strict=True)
             if width < SMALLEST_USUAL_RANGE_DEG
         ]
+        if not any(width < SMALLEST_USUAL_RANGE_DEG for width in ranges) and hinges:
+            largest_angle = max(digit.joint_max_deg)
+            doubtful_joints += [
+                (
+                    joint,
+                    f"joint_max_deg: no joint of the digit closes beyond {largest_angle:.3g} deg; "
+                    "angles in hand files are in degrees",
+                )
+                for joint in hinges
+                if 0.0 < largest_angle <= LARGEST_ANGLE_IN_RADIANS
+            ]
         doubtful_joints += [
             (
                 joint,
@@ -284,6 +304,31 @@ def doubtful_values(hand: Hand) -> tuple[str, ...]:
         ]
     lines += lines_by_text(doubtful_joints)
     return tuple(lines)
+
+
+def _doubtful_torque_constants(hand: Hand) -> Iterator[tuple[str, str]]:
+    """Yield the name of each motor with an unusual peak current, and a text about its torque constant."""
+    smallest, largest = USUAL_PEAK_CURRENTS_A
+    for motor in hand.motor:
+        peak_current = motor.torque_peak_N_m / motor.torque_constant_N_m_per_A
+        if not smallest <= peak_current <= largest:
+            yield (
+                motor.name,
+                f"torque_constant_N_m_per_A: torque_peak_N_m needs {peak_current:.3g} A; "
+                f"{smallest:g} to {largest:g} A is usual",
+            )
+
+
+def _doubtful_inertia_lines(digit: Digit) -> Iterator[str]:
+    """Yield a line for each link whose inertia is too small for its mass and its size."""
+    for i, (mass, length) in enumerate(zip(digit.link_mass_kg, digit.link_length_m, strict=True)):
+        gyration_radius = math.sqrt(float(np.linalg.eigvalsh(link_inertia(digit, i))[-1]) / mass)
+        link_size = max(length, 2.0 * digit.link_radius_m)
+        if gyration_radius / link_size < SMALLEST_USUAL_GYRATION_RATIO:
+            yield (
+                f"digit[{digit.name}].link_inertia_kg_m2[{i}]: a radius of gyration of {1e3 * gyration_radius:.3g} mm "
+                f"for a link of {1e3 * link_size:.3g} mm; a rod has {1e3 * link_size / math.sqrt(12.0):.3g} mm"
+            )
 
 
 def _sagging_digit_lines(hand: Hand) -> Iterator[str]:
