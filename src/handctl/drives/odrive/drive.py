@@ -465,28 +465,32 @@ class OdriveDrive:
         if progress.heartbeat_ns < 0:
             return state, ()
         configured_progress = progress._replace(is_configured=True, is_just_verified=True)
-        return state._replace(
-            phase=READY, error_text="", protocol_state=configured_progress
-        ), self._setup_frames()
+        state, requests = self._requests_during_verification(
+            state._replace(phase=READY, error_text="", protocol_state=configured_progress), t_ns
+        )
+        return state, (*self._setup_frames(), *requests)
 
     def _next_setting(
         self, state: DriveState, progress: OdriveProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next drive state, and the request to read or write the next endpoint.
-
-        If the drive has already sent feedback, the host requests the position in addition to the
-        endpoint. Before each enable command, the host verifies the settings of the drive again.
-        Other drives may be enabled during this verification, so missing feedback of the drive would
-        count as a fault.
-        """
+        """Return the next drive state, and the requests for the next endpoint and for feedback."""
         cursor, data, problem = endpoints.next_request(progress.cursor, self.settings, t_ns)
         next_state = state._replace(protocol_state=progress._replace(cursor=cursor))
         if problem:
             return enter_fault(next_state, SETTING_MISMATCH_ERROR, problem), ()
-        next_state, requests = (
-            self._feedback_requests(next_state, t_ns) if state.feedback_count else (next_state, ())
-        )
+        next_state, requests = self._requests_during_verification(next_state, t_ns)
         return next_state, (*((self._data_frame(codec.RX_SDO, data),) if data else ()), *requests)
+
+    def _requests_during_verification(
+        self, state: DriveState, t_ns: int
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Return the next drive state, and the requests for feedback of a drive that has sent feedback before.
+
+        Before each enable command, the host verifies the settings of the drive again. Other drives
+        may be enabled during this verification, so missing feedback of the drive would count as a
+        fault.
+        """
+        return self._feedback_requests(state, t_ns) if state.feedback_count else (state, ())
 
     def _setup_frames(self) -> tuple[Frame, ...]:
         """Return the frames that set the control mode and the limits.
