@@ -9,9 +9,14 @@ when it is ready.
 
 import select
 import sys
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
 
 from firmware_sim.bus.frame import RECORD_SIZE, Frame, pack_record
-from firmware_sim.bus.local_ports import HubPort
+from firmware_sim.bus.hub import BusHub
+from firmware_sim.bus.local_ports import split_records
 from firmware_sim.lockstep_hand import LockstepHand
 from firmware_sim.realtime_priority import request_realtime_priority
 
@@ -29,8 +34,48 @@ repeats, the controller reports old readings (fault T05b).
 """
 HOLD_TENSION_N = 5.0
 """Tension of each tendon after its drive was enabled [N]."""
-FIRST_TORQUE_BYTE = RECORD_SIZE - CANFD_PAYLOAD_BYTES + 4
-"""Byte of a frame record that contains the highest bits of the reported torque."""
+DATA_OFFSET = RECORD_SIZE - CANFD_PAYLOAD_BYTES
+"""Offset of the payload in a frame record [bytes]."""
+REPLY_TORQUE_OFFSET = DATA_OFFSET + 4
+COMMAND_TORQUE_OFFSET = DATA_OFFSET + 6
+"""Offsets of the first torque byte in the record of a reply, and in the record of a command [bytes].
+
+The low half of the first torque byte contains the highest 4 bits of the torque. The next byte
+contains the other 8 bits.
+"""
+HIGH_HALF = 0xF0
+LOW_HALF = 0x0F
+
+
+@dataclass
+class CommandBatch:
+    """Cached replies to the commands of a tick, which arrive together.
+
+    Attributes:
+        replies: (drives, ``RECORD_SIZE``) reply of each drive, as the bytes of a frame record.
+        last_torques: (drives, 2) torque bytes of the preceding command of each drive.
+    """
+
+    replies: NDArray[np.uint8]
+    last_torques: NDArray[np.uint8]
+
+    def replies_to(self, commands: bytes) -> bytes:
+        """Return the frame records of the replies to the records of all commands.
+
+        Each reply contains the torque of the preceding command.
+        """
+        torque_bytes = torque_bytes_of(commands)
+        self.replies[:, REPLY_TORQUE_OFFSET] &= HIGH_HALF
+        self.replies[:, REPLY_TORQUE_OFFSET] |= self.last_torques[:, 0] & LOW_HALF
+        self.replies[:, REPLY_TORQUE_OFFSET + 1] = self.last_torques[:, 1]
+        self.last_torques = torque_bytes
+        return self.replies.tobytes()
+
+
+def torque_bytes_of(commands: bytes) -> NDArray[np.uint8]:
+    """Return the two torque bytes (commands, 2) in the records of commands."""
+    records = np.frombuffer(commands, np.uint8).reshape(-1, RECORD_SIZE)
+    return records[:, COMMAND_TORQUE_OFFSET : COMMAND_TORQUE_OFFSET + 2]
 
 
 class CachedReplies:
@@ -39,6 +84,9 @@ class CachedReplies:
     A reply that was computed once is not computed again. Only the torque in the reply of a drive
     follows the commands. With a constant torque, the controller would report that the drive does
     not obey (fault N14).
+
+    A control loop can send the commands of a tick together. To such a batch, the nodes reply
+    together, as drives on a real bus compute their replies at the same time.
     """
 
     def __init__(self, hand_name: str) -> None:
@@ -47,6 +95,32 @@ class CachedReplies:
         self.last_commands: dict[int, bytes] = {}
         self.sync = self.rig.world.hand.sensors.sync_id
         self.sync_count = 0
+        self.batches: dict[bytes, CommandBatch] = {}
+
+    def replies_to_records(self, records: bytes) -> bytes:
+        """Return the replies of all nodes to frame records that arrived together, as frame records."""
+        batch_start = RECORD_SIZE if frame_of(records).can_id == self.sync else 0
+        commands = records[batch_start:]
+        # The two bytes of the identifiers, for all records.
+        identifiers = commands[0::RECORD_SIZE] + commands[1::RECORD_SIZE]
+        batch = self.batches.get(identifiers)
+        if batch and SPECIAL_COMMAND_PREFIX not in commands:
+            sync_replies = self.replies_to(frame_of(records)) if batch_start else b""
+            return sync_replies + batch.replies_to(commands)
+        self.batches.clear()
+        frames, _ = split_records(records, 0)
+        replies = b"".join(map(self.replies_to, frames))
+        cached_replies = [
+            self.replies.get((frame.can_id, 0), b"")
+            for frame in frames
+            if frame.can_id != self.sync
+        ]
+        if len(commands) > RECORD_SIZE and {len(reply) for reply in cached_replies} == {
+            RECORD_SIZE
+        }:
+            reply_rows = np.frombuffer(b"".join(cached_replies), np.uint8).reshape(-1, RECORD_SIZE)
+            self.batches[identifiers] = CommandBatch(reply_rows.copy(), torque_bytes_of(commands))
+        return replies
 
     def replies_to(self, frame: Frame) -> bytes:
         """Return the replies of all nodes to a frame, as frame records of the local bus."""
@@ -94,28 +168,33 @@ class CachedReplies:
 
 
 def with_torque_of_command(reply: bytes, command: bytes) -> bytes:
-    """Return the stored reply of a drive with the torque of a command.
+    """Return a reply that reports the torque of a command. The other values are those of a stored reply.
 
     The lowest 12 bits of the command contain the torque. In the reply, 4 bits of byte 4 and all
     bits of byte 5 contain the torque. Both have the same scale.
     """
     record = bytearray(reply)
-    record[FIRST_TORQUE_BYTE] = reply[FIRST_TORQUE_BYTE] & 0xF0 | command[6] & 0x0F
-    record[FIRST_TORQUE_BYTE + 1] = command[7]
+    record[REPLY_TORQUE_OFFSET] = reply[REPLY_TORQUE_OFFSET] & HIGH_HALF | command[6] & LOW_HALF
+    record[REPLY_TORQUE_OFFSET + 1] = command[7]
     return bytes(record)
+
+
+def frame_of(records: bytes) -> Frame:
+    """Return the first frame of some frame records."""
+    frames, _ = split_records(records[:RECORD_SIZE], 0)
+    return frames[0]
 
 
 def main(hand_name: str, bus_name: str) -> None:
     """Reply to frames on the bus until the process is killed."""
     cached_replies = CachedReplies(hand_name)
-    port = HubPort(bus_name, 0)
+    hub = BusHub(bus_name)
     request_realtime_priority()
     print("ready", flush=True)
     while True:
-        ready_sockets, _, _ = select.select(port.read_sockets(), port.write_sockets(), [])
-        records = b"".join(map(cached_replies.replies_to, port.receive(ready_sockets)))
-        if records:
-            port._hub.send(records)
+        ready_sockets, _, _ = select.select(hub.read_sockets(), hub.write_sockets(), [])
+        if records := hub.serve(ready_sockets):
+            hub.send(cached_replies.replies_to_records(records))
 
 
 if __name__ == "__main__":
