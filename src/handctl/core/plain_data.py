@@ -114,7 +114,7 @@ def serialized_bytes(value: Any) -> bytes:
 
 @functools.cache
 def _serialized_header(type_: type) -> tuple[bytes, tuple[str, ...]]:
-    """Return the first bytes of a dataclass in plain form, and the names of the fields that follow."""
+    """Return the bytes before the fields of a serialized dataclass, and the names of these fields."""
     names = tuple([field.name for field in fields(type_) if field.init])
     start = b"(" + (1 + len(names)).to_bytes(4, "little")
     return start + marshal.dumps(logged_type_name(type_), MARSHAL_VERSION), names
@@ -123,8 +123,8 @@ def _serialized_header(type_: type) -> tuple[bytes, tuple[str, ...]]:
 def join_serialized_fields(value: Any, serialize_field: Callable[[Any], bytes]) -> bytes:
     """Return ``serialized_bytes(value)`` for an object of a dataclass, joined from the bytes of its fields.
 
-    The bytes of the fields can come from a cache. A cache makes the function fast if most fields
-    stay the same objects.
+    The bytes of the fields can come from a cache. With a cache, the function is fast if most fields
+    are the same objects as in the last call.
 
     Args:
         value: object of a dataclass.
