@@ -11,7 +11,7 @@ from handctl.errors import ConfigError
 
 
 class IdentifierOwner(Protocol):
-    """Node with its own identifiers on a bus: a drive, or the sensor node."""
+    """Node that has identifiers on a bus: a drive, or the sensor node."""
 
     @property
     def bus(self) -> int:

@@ -168,7 +168,7 @@ class Cia404LoadCells:
 
     @property
     def tension_frames(self) -> int:
-        """Return the number of all frames from the amplifiers, because every frame contains tensions."""
+        """Return the number of cyclic frames from the amplifiers, because every cyclic frame contains tensions."""
         return len(self.ids)
 
     @property

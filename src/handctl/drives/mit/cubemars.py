@@ -287,7 +287,8 @@ class CubemarsDrive:
     def position_step(self) -> float:
         """Return the change of the position per count [rad].
 
-        The 16 bits of the position field cover twice the position full scale of the motor model.
+        The 16 bits of the position field cover the range from minus to plus the position full scale
+        of the motor model.
         """
         return self.ranges.position_step
 
@@ -418,7 +419,8 @@ class CubemarsDrive:
     ) -> DriveState:
         """Return the drive state after an enable or disable command was sent.
 
-        If the command differs from the latest command, the count of agreeing answers starts at 0.
+        If an enable command follows a disable command, or the reverse, the count of answers that
+        agree with the command starts at 0.
         """
         progress: CubemarsProgress = state.protocol_state
         if progress.last_special_command == new_command and progress.command_start_ns >= 0:

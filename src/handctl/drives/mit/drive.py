@@ -189,7 +189,10 @@ class MitDrive:
 
     @property
     def position_step(self) -> float:
-        """Return the change of the position per count [rad]. The 16 bits of the position field cover twice PMAX."""
+        """Return the change of the position per count [rad].
+
+        The 16 bits of the position field cover the range from -PMAX to PMAX.
+        """
         return self.ranges.position_step
 
     @property
@@ -449,7 +452,7 @@ class MitDrive:
         return (self._command_frame(torque),)
 
     def _command_frame(self, command: float) -> Frame:
-        """Return the frame of a command, in the unit of ``command_limit``."""
+        """Return the frame of a command, which is given in the unit of ``command_limit``."""
         return self._frame_to_motor(self._command_payload(command))
 
     def torque_cut_frames(self) -> tuple[Frame, ...]:

@@ -164,7 +164,7 @@ class MoteusDrive:
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the identifiers of requests from any host to this drive and to all drives."""
+        """Return the identifiers of requests from any host that are addressed to this drive or to all drives."""
         return frozenset(
             codec.request_id(node, source)
             for node in (self.node_id, codec.BROADCAST)

@@ -476,8 +476,8 @@ class OdriveDrive:
 
         If the drive has already sent feedback, the host requests the position in addition to the
         endpoint. Before each enable command, the host verifies the settings of the drive again.
-        Other drives may be enabled during this verification, so missing feedback of the drive would
-        count as a fault.
+        During the verification, other drives may already be enabled. The host therefore also
+        requests feedback from the present drive, because missing feedback would count as a fault.
         """
         cursor, data, problem = endpoints.next_request(progress.cursor, self.settings, t_ns)
         next_state = state._replace(protocol_state=progress._replace(cursor=cursor))
@@ -553,7 +553,7 @@ class OdriveDrive:
         return state, tuple(frames)
 
     def _command_frame(self, command: float) -> Frame:
-        """Return the frame of a command, in the unit of ``command_limit``."""
+        """Return the frame of a command, which is given in the unit of ``command_limit``."""
         try:
             return Frame(self.command.message.can_id, self.command.pack(command), 0, self.bus)
         except ValueError as error:

@@ -109,8 +109,8 @@ def unchecked_properties(
 ) -> dict[DriveProperty, str]:
     """Return the reason for each property of the drive that handctl cannot check.
 
-    The reason names the missing options of the motor. The watchdog of firmware 0.5 can be checked,
-    because the operator sets this watchdog over USB before the check.
+    The reason names the missing options of the motor. With firmware 0.5, the operator sets the
+    watchdog over USB, so handctl can check that the watchdog works.
     """
     if firmware_05:
         return {DriveProperty.READBACK: "firmware 0.5 has no message that reads its settings"}
@@ -129,7 +129,9 @@ def unchecked_properties(
 def on_reply(
     cursor: ReadbackCursor, settings: tuple[OdriveSetting, ...], data: bytes
 ) -> tuple[ReadbackCursor, str]:
-    """Return the position in the read-back after a TxSdo. A TxSdo that answers another request has no effect.
+    """Return the new position in the read-back, after the host has received a TxSdo.
+
+    A TxSdo that answers another request has no effect.
 
     Returns:
         The new position in the read-back, and the problem in words (empty if there is no problem).

@@ -2,10 +2,10 @@
 
 A motor answers requests, and sends fault reports without a request. The identifier of feedback
 contains mode and faults, so that all feedback of a running motor without a fault has the same
-identifier. The state machine processes feedback with another identifier. A stop command without
-data stops the motor, but does not clear faults. The host also sends the stop command without data
-to request feedback from a disabled motor. A disabled motor sends feedback only as the answer to a
-stop command.
+identifier. Feedback with any other identifier reports another mode or a fault, and is processed by
+the state machine. A stop command without data stops the motor, but does not clear faults. The host
+also sends the stop command without data to request feedback from a disabled motor. A disabled motor
+sends feedback only as the answer to a stop command.
 """
 
 import struct
@@ -200,7 +200,10 @@ class RobstrideDrive:
 
     @property
     def position_step(self) -> float:
-        """Return the change of the position per count [rad]. The 16 bits of the position field cover 8 pi."""
+        """Return the change of the position per count [rad].
+
+        The 16 bits of the position field cover a range of 8 pi rad.
+        """
         return 2 * codec.POSITION_RANGE_RAD / codec.MAX_COUNT
 
     @property

@@ -354,8 +354,8 @@ def sync_counters(decimation: int) -> bytes:
 
     The node sends angle frames if the counter is a multiple of ``decimation``. Therefore counter
     and tick have the same remainder modulo ``decimation``. If ``decimation`` is a multiple of 8,
-    the remainder leaves at most two values for the low four bits. Ticks at a small distance can
-    then have the same low four bits.
+    the remainder leaves at most two values for the low four bits. With such a ``decimation``, the
+    low four bits can be equal for two ticks that are less than ``DISTINCT_COUNTER_TICKS`` apart.
     """
     counters_by_remainder = [range(remainder, 256, decimation) for remainder in range(decimation)]
     byte_by_nibble = [{byte & 0xF: byte for byte in row} for row in counters_by_remainder]
