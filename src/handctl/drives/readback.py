@@ -34,7 +34,7 @@ With a shorter time, a hand of 11 MIT motors at 200 Hz would overload a classica
 RECHECKS_PER_SECOND = 1e9 / RECHECK_PERIOD_NS
 """Rate of read-back requests to an enabled drive [1/s]."""
 RECHECK_STAGGER_NS = 37_000_000
-"""Time from the request to one drive to the request to the drive with the next node number [ns].
+"""Time between the requests to two drives with consecutive node numbers [ns].
 
 In milliseconds, ``RECHECK_STAGGER_NS`` and ``RECHECK_PERIOD_NS`` have no common factor.
 """

@@ -213,7 +213,7 @@ window in the payload, or IDENTIFIER_WINDOW.
 IDENTIFIER_WINDOW = -8
 """Value in the column WINDOW_COLUMN for a signal in the identifier."""
 IDENTIFIER_BIT = -64
-"""Number of the lowest bit of the identifier, where ``Signal.start`` counts bits."""
+"""Bit number of the lowest bit of the identifier, in the numbering of ``Signal.start``."""
 INTEGER_COLUMN_COUNT = 7
 """Number of columns of the integer array with the signals."""
 UNSIGNED, SIGNED, FLOAT = map(int, SignalCoding)

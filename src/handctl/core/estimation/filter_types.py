@@ -31,7 +31,8 @@ class TendonRegime(enum.IntEnum):
     FREE = 0
     """The tendon is taut, and the digit follows it freely.
 
-    The tension of a free tendon changes no faster than the friction of the digit reverses.
+    The tension of a free tendon changes slowly. The fastest change is the change of friction when
+    the digit reverses its motion.
     """
     HELD = 1
     """The tendon is taut.

@@ -69,7 +69,7 @@ STEP_GATE_SIGMAS = 2.5
 The innovations of both load-cell samples must have the same sign.
 """
 TENSION_STEP_CORRECTION_FRACTION = 0.8
-"""Fraction of the second innovation of a step by which the tension is corrected at once."""
+"""Fraction of the second innovation of a tension step that is added to the tension at once."""
 NIS_AVERAGING_TIME_S = 1.0
 """Averaging time of the normalised innovation squared (NIS) by which the model of a tendon is judged [s].
 

@@ -61,7 +61,7 @@ class WireTables:
     """Identifiers, signals and records of all cyclic frames of a hand, in tables.
 
     Attributes:
-        keys: (e,) keys bus << 32 | identifier of all frames, sorted.
+        keys: (e,) sorted keys of all frames. The key of a frame is bus << 32 | identifier.
         entries: (e, 7) values of each frame, in the columns ``OWNER_COLUMN`` to
             ``NEAREST_ONLY_COLUMN``.
         signal_integers: (s, INTEGER_COLUMN_COUNT) integers of the received signals.

@@ -257,12 +257,12 @@ class Cia402Drive:
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return an empty tuple, because the host reads back every setting of the drive."""
+        """Return no unverified protections, because the host reads back every setting of the drive."""
         return ()
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return an empty mapping, because handctl can check every property of the drive."""
+        """Return no unchecked properties, because handctl can check every property of the drive."""
         return {}
 
     @property
@@ -277,7 +277,7 @@ class Cia402Drive:
 
     @property
     def feedback_period_s(self) -> float:
-        """Return 0, because SYNC requests feedback in every tick."""
+        """Return 0 (no unrequested feedback), because SYNC requests feedback in every tick."""
         return 0.0
 
     @property

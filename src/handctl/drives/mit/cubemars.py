@@ -246,7 +246,7 @@ class CubemarsDrive:
 
     @property
     def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return an empty tuple, because the motor sends only answers to commands."""
+        """Return no background frames, because the motor sends only answers to commands."""
         return ()
 
     @property
@@ -294,12 +294,12 @@ class CubemarsDrive:
 
     @property
     def feedback_period_s(self) -> float:
-        """Return 0, because the motor sends feedback only as the answer to a command."""
+        """Return 0 (no unrequested feedback), because the motor sends feedback only in answer to a command."""
         return 0.0
 
     @property
     def rechecks(self) -> tuple[SettingRecheck, ...]:
-        """Return an empty tuple, because the motor has no settings that can be read."""
+        """Return no settings to read again, because the motor has no settings that can be read."""
         return ()
 
     @property
@@ -323,7 +323,7 @@ class CubemarsDrive:
         return (self.node_id & 0xFF) << 8 if is_steady else NO_STEADY_STATUS
 
     def due_ns(self, state: DriveState) -> int:
-        """Return MAX_TIME_NS, because the motor has no settings to read back."""
+        """Return MAX_TIME_NS, because no call is scheduled: the motor has no settings to read back."""
         return MAX_TIME_NS
 
     def initial_state(self) -> DriveState:
@@ -469,7 +469,7 @@ class CubemarsDrive:
         return fresh_state, self.torque_cut_frames()
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return no frames, because a CubeMars motor has no watchdog."""
+        """Return no release frames, because a CubeMars motor has no watchdog."""
         return ()
 
     def identity(self, state: DriveState) -> str:

@@ -214,7 +214,7 @@ class OdriveDrive:
 
     @property
     def position_step(self) -> float:
-        """Return 0 (unknown), because the drive does not report the resolution of its encoder."""
+        """Return 0 (unknown resolution), because the drive does not report the resolution of its encoder."""
         return 0.0
 
     @property
@@ -237,7 +237,7 @@ class OdriveDrive:
         )
 
     def steady_status(self, state: DriveState) -> int:
-        """Return 0, because the frames with positions and torques contain no status.
+        """Return the status 0, because the frames with positions and torques contain no status.
 
         Only a heartbeat reports the state of the drive.
         """
@@ -564,7 +564,7 @@ class OdriveDrive:
         return 0.0
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return no frames, because the watchdog of a disabled drive is not active."""
+        """Return no release frames, because the watchdog of a disabled drive is not active."""
         return ()
 
     def identity(self, state: DriveState) -> str:

@@ -54,8 +54,9 @@ class OdriveProgress(NamedTuple):
     Attributes:
         version: True if the drive has reported the protocol version supported by handctl.
         serial: serial number of the drive, 0 if the serial number is unknown.
-        serial_requests: number of requests for the serial number. With ``SERIAL_NUMBER_TRIES``, the
-            host sends no more requests, because the drive has answered or does not answer.
+        serial_requests: number of requests for the serial number. If the number equals
+            ``SERIAL_NUMBER_TRIES``, the host sends no more requests, because the drive has answered
+            or does not answer.
         cursor: position in the list of endpoints to read back.
         is_configured: True if the host has sent control mode and limits.
         axis: axis state in the latest heartbeat.

@@ -78,12 +78,12 @@ def _describe_node(can_id: int, received_frames: ReceivedFrames) -> DiscoveredNo
 
 
 def command_ids(node: DiscoveredNode) -> frozenset[int]:
-    """Return an empty set, because SYNC moves no motor. SYNC only makes the sensor node take a sample."""
+    """Return no identifiers of commands, because SYNC only makes the sensor node take a sample."""
     return frozenset()
 
 
 def other_host_frames(received_frames: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return an empty tuple of frames.
+    """Return no frames of other hosts.
 
     The discovery of CANopen drives already reports the SYNC of another host.
     """
