@@ -2,9 +2,9 @@
 
 The state hash and the snapshots use the plain values. Plain values consist of numbers, strings,
 bytes and tuples only. A named tuple or dataclass becomes a tuple that begins with the name of the
-type. Equal objects have equal bytes, even if one of the objects contains another object several
-times. ``object_from_plain_data`` creates only objects of registered types, so a log cannot create
-objects of other types.
+type. Equal objects have equal bytes. The bytes do not depend on whether equal parts of an object
+are one shared object or several copies. ``object_from_plain_data`` creates only objects of
+registered types, so a log cannot create objects of other types.
 """
 
 import enum

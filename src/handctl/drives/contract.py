@@ -256,7 +256,7 @@ class Drive(Protocol):
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return one line for each protection of the drive that handctl cannot verify."""
+        """Return one line for each of the drive's protections that handctl cannot verify."""
         ...
 
     @property

@@ -232,7 +232,7 @@ def _is_measurement_missing(x: StateTables, c: ConstantTables, z: Matrix) -> boo
 def _write_steady_gain(
     c: ConstantTables, n: int, design_kind: int, gain: Matrix, information: Vector
 ) -> None:
-    """Write the constant gain (7, 3) of a tendon's filter, and the inverse innovation covariance (3,)."""
+    """Write the constant gain (7, 3) of a tendon's filter, and three numbers of the inverse innovation covariance."""
     for i in range(STATE_COUNT):
         for m in range(3):
             gain[i, m] = c.design[n, design_kind, h.KALMAN_GAIN_OFFSET + 3 * i + m]
@@ -291,7 +291,7 @@ def _gate_and_correct_states(
 
 @kernel_helper
 def _correct_slack_by_taut_tendons(x: StateTables, c: ConstantTables) -> None:
-    """In digits with more tendons than coordinates, correct the excursion of slack tendons by the other tendons.
+    """In digits with more tendons than coordinates, compute the excursion of slack tendons from the other tendons.
 
     The excursions of a digit are the product R q of its moment arms and joint angles. If one tendon
     of a digit is slack, its excursion follows from the excursions of the other tendons. If several
@@ -589,7 +589,7 @@ def _choose_filter_kinds(x: StateTables) -> None:
 
 @kernel_helper
 def _write_external_tension(x: StateTables, c: ConstantTables, force: Matrix) -> None:
-    """Write the load force of each tendon that springs, gravity and friction do not explain.
+    """Write the part of each tendon's load force that springs, gravity and friction do not explain.
 
     The value is positive if the load force acts against the closing of the digit.
 
@@ -618,7 +618,7 @@ def write_estimate_before_start(x: StateTables) -> None:
 
 @kernel_helper
 def derive_estimate(x: StateTables, c: ConstantTables) -> None:
-    """Compute tensions, standard deviations and free joint angles from the predicted states of the filter."""
+    """Compute tensions, their standard deviations, and joint angles of free digits from the predicted filter states."""
     for n in range(x.tendon.shape[1]):
         tension = filtered_tension(x, c, n)
         # Only a spool pair can have a negative tension, and a single tendon cannot.

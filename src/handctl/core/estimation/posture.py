@@ -1,4 +1,4 @@
-"""Joint angles of digits with fewer tendons than joints, with their standard deviations.
+"""Joint angles, and their standard deviations, in digits with fewer tendons than joints.
 
 In a digit with fewer tendons than joints, the excursions of the tendons do not fully determine the
 joint angles. A motion in the null space of the moment arms changes no excursion. In a free digit,
@@ -6,10 +6,10 @@ the coupling B determines the joint angles q = B theta from the coordinates thet
 touches an object, the contact turns the joints of the digit against each other. The turn of the
 joints is the torque of the contact times a compliance. With the stiffness K of the springs and a
 basis N of the null space of the moment arms, the compliance is N (N^T K N)^-1 N^T. The torque of
-the contact follows from the unexplained tension. The place of the contact on the digit is unknown,
-so the estimate is the mean over several assumed contacts. The assumed contacts are a force at the
-middle of each link, a force at the tip, and an equal torque on all joints. The standard deviation
-of an angle has several parts:
+the contact follows from the part of the tension that the model does not explain. The place of the
+contact on the digit is unknown, so the estimate is the mean over several assumed contacts. The
+assumed contacts are a force at the middle of each link, a force at the tip, and an equal torque on
+all joints. The standard deviation of an angle has several parts:
 
 - the differences between the assumed places of contact,
 - the error of the modelled tension, at each assumed place of contact,
@@ -260,7 +260,7 @@ def _write_digit_turn(
     turns: Vector,
     deviation: Vector,
 ) -> None:
-    """Write the turn of a digit's joints by a contact, for given levers of the contact force.
+    """Write how far a contact turns the joints of a digit, for given levers of the contact force.
 
     Args:
         x: state tables.
@@ -362,7 +362,8 @@ def _fuse_encoders(
 ) -> None:
     """Correct the joint angles by the readings of the joint encoders, one encoder after the other.
 
-    The result is exact, because the noises of the encoders are independent.
+    The result equals the correction by all encoders at once, because the noises of the encoders are
+    independent.
 
     Args:
         x: state tables.

@@ -25,7 +25,7 @@ If an exponent exceeds the limit, Python raises an error, but compiled code does
 def link_poses_of_hand(c: ConstantTables, q: Vector) -> Matrix:
     """Return the poses of all links at joint angles q (J,) [rad], as (J, POSE_COLUMN_COUNT).
 
-    The result does not contain the masses that each link carries.
+    The rows of the result do not contain the masses that the links carry.
     """
     pose = np.empty((len(q), rigid_body.POSE_COLUMN_COUNT))
     rigid_body.write_link_poses(c.joint, h.LINK_TABLE, c.joint_int[h.PARENT_JOINT], q, pose)

@@ -163,7 +163,7 @@ def update_moment_arm_tables(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def fit_angles_to_excursions(x: StateTables, c: ConstantTables) -> None:
-    """Correct the joint angles of digits with varying moment arms by the estimated excursions."""
+    """Correct the joint angles of digits with varying moment arms, so that they fit the estimated excursions."""
     for d in range(x.digit.shape[1]):
         if not c.digit_int[h.DIGIT_HAS_VARYING_ARM, d]:
             continue

@@ -126,7 +126,7 @@ class Cia404LoadCells:
             bus: index of the bus of the amplifiers.
             tendons: all tendon names of the hand, in order.
         """
-        assert node.range_N is not None  # the checks of the hand file guarantee that it has a value
+        assert node.range_N is not None  # checked with the hand file
         _, coding = PROCESS_VALUES[node.process_value]
         amplifiers, ranges, ids, channels = (
             list[LoadCellAmplifier](),

@@ -270,12 +270,12 @@ class CubemarsDrive:
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return one line for each protection of the drive that handctl cannot verify."""
+        """Return one line for each of the drive's protections that handctl cannot verify."""
         return UNVERIFIED_PROTECTIONS
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return the reason for each property of the drive that handctl cannot check."""
+        """Return a reason for each of the drive's properties that handctl cannot check."""
         return UNCHECKED_PROPERTIES
 
     @property

@@ -199,7 +199,7 @@ class OdriveDrive:
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return one line for each protection of the drive that handctl cannot verify."""
+        """Return one line for each of the drive's protections that handctl cannot verify."""
         return endpoints.unverified_protections(self.settings, self.firmware_05)
 
     @property

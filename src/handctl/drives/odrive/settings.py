@@ -84,7 +84,7 @@ def pop_settings(
 def unverified_protections(
     settings: tuple[OdriveSetting, ...], firmware_05: bool
 ) -> tuple[str, ...]:
-    """Return one line for each protection of the drive that handctl cannot verify."""
+    """Return one line for each of the drive's protections that handctl cannot verify."""
     names = {setting.name for setting in settings}
     protections = []
     if "watchdog_timeout" not in names:
@@ -107,7 +107,7 @@ def unverified_protections(
 def unchecked_properties(
     settings: tuple[OdriveSetting, ...], firmware_05: bool
 ) -> dict[DriveProperty, str]:
-    """Return the reason for each property of the drive that handctl cannot check.
+    """Return a reason for each of the drive's properties that handctl cannot check.
 
     The reason names the missing options of the motor. With firmware 0.5, the operator sets the
     watchdog over USB, so handctl can check that the watchdog works.
