@@ -100,7 +100,7 @@ class IdentifiedParameters(Document):
     def merge_older_parameters(
         self, older_parameters: "IdentifiedParameters | None"
     ) -> "IdentifiedParameters":
-        """Add the parameters that an older identification contains and this one does not, and return the result.
+        """Return the parameters of this identification, completed by parameters of an older identification.
 
         If a run identifies only a few parameters, the other parameters of the older identification
         are kept. Parameters from different runs are assumed to be uncorrelated.

@@ -219,7 +219,7 @@ class Drive(Protocol):
     def command_limit(self) -> float:
         """Return the largest command at the spool [N m].
 
-        In position mode and velocity mode (``drive_modes``), the unit is rad or rad/s.
+        For drives that control position or velocity (``drive_modes``), the unit is rad or rad/s.
         """
         ...
 
@@ -296,8 +296,8 @@ class Drive(Protocol):
         """Return the status in feedback for which the state machine has nothing to do.
 
         Return NO_STEADY_STATUS if the state machine of the drive must process every frame. While
-        the feedback contains this status, the drive state changes only in its measured values. The
-        host may then continue its torque commands without a call of the state machine.
+        the feedback contains the steady status, only the measured values in the drive state change.
+        The host may then continue its torque commands without a call of the state machine.
         """
         ...
 

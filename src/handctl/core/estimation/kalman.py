@@ -291,7 +291,7 @@ def _gate_and_correct_states(
 
 @kernel_helper
 def _correct_slack_by_taut_tendons(x: StateTables, c: ConstantTables) -> None:
-    """In digits with more tendons than coordinates, compute the excursion of slack tendons from the other tendons.
+    """Compute the excursion of slack tendons from the other tendons, in digits with more tendons than coordinates.
 
     The excursions of a digit are the product R q of its moment arms and joint angles. If one tendon
     of a digit is slack, its excursion follows from the excursions of the other tendons. If several
@@ -608,7 +608,7 @@ def _write_external_tension(x: StateTables, c: ConstantTables, force: Matrix) ->
 def write_estimate_before_start(x: StateTables) -> None:
     """Write the estimate of a tick before the filter has started.
 
-    Before the start, the external tension is 0, and the innovation is NaN.
+    Before the filter has started, the external tension is 0, and the innovation is NaN.
     """
     for n in range(x.tendon.shape[1]):
         x.tendon[s.EXTERNAL_TENSION, n] = 0.0

@@ -149,7 +149,7 @@ def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Ve
 
 @kernel_helper
 def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
-    """Return deviations of the joint angles in the null space, whose squares add up to the variance [rad].
+    """Return the deviations of the joint angles in the null space of the moment arms [rad].
 
     The function also writes the turn of the joints that a contact causes.
 

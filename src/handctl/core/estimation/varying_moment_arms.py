@@ -243,7 +243,7 @@ def _write_moment_arm_tables(c: ConstantTables, d: int, q: Vector) -> None:
 
 @kernel_helper
 def _write_weights(c: ConstantTables, d: int) -> None:
-    """Write the tables of weights and tensions of a digit that depend on its present moment arms R.
+    """Write three more tables of a digit that depend on its present moment arms R.
 
     The tables contain the pulley weights, the torques ``POSTURE_TORQUE``, and the balance tensions.
     """
