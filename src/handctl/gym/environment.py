@@ -360,7 +360,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def coordinates_of_joints(self, q: Vector) -> Vector:
         """Convert joint angles (J,) to the quantities for which an action contains targets (V,).
 
-        The quantities are the joint angles themselves, or the mean angle of the joints of each
+        The quantities are the joint angles themselves, or the mean of the coordinates of each
         digit.
 
         The conversion does not change the unit of the angles.

@@ -333,8 +333,8 @@ class Hand(Section):
     def digit_of_tendon(self, tendon: Tendon) -> str | None:
         """Return the name of the digit that a tendon moves.
 
-        The moved digit is the crossed digit that all other crossed digits carry. A tendon crosses a
-        digit if it has a moment arm about a joint of the digit.
+        The moved digit is the crossed digit that all other crossed digits carry. A tendon crosses
+        each digit about whose joints the tendon has a moment arm.
 
         Return None if no crossed digit is carried by all other crossed digits.
         """

@@ -5,8 +5,8 @@ An answer of the sensor node contains the low four bits of the counter in the SY
 SYNC does not move a motor that handctl has set up. A CANopen drive that handctl has not set up may
 obey stored PDOs at SYNC. A scan sends no SYNC on a bus with a CANopen drive. A scan also sends no
 SYNC on a bus with an ODrive whose node number is 4, because the identifier of SYNC is then an
-identifier of this ODrive. The scan finds out that a drive uses this identifier from the function
-``command_ids`` of the drive's protocol. Source: ``sensor_node``.
+identifier of this ODrive. The function ``command_ids`` of each protocol tells the scan if a drive
+uses the identifier of SYNC. Source: ``sensor_node``.
 """
 
 from handctl.drives.discovery import DiscoveredNode, ProtocolDiscovery, ReceivedFrames
