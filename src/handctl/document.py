@@ -1,7 +1,7 @@
 """Documents: validated content of TOML files, for example of task, gains and calibration files.
 
-The content of a document cannot be changed. A mistake in a TOML file is reported in one line with
-the file, the path of the key, the value and the expected value.
+The attributes of a loaded document cannot be changed. A mistake in a TOML file is reported in one
+line with the file, the path of the key, the value and the expected value.
 """
 
 import json
@@ -178,7 +178,7 @@ def _allowed_keys(type_annotation: Any, key_location: Sequence[str | int]) -> se
 
 
 def _is_alternative(model: type[BaseModel], name: str | int) -> bool:
-    """Return True if a name is one that pydantic gives to a certain model of a union.
+    """Return True if pydantic uses the given name in error locations for a model of a union.
 
     The name is either the tag or the class of the model.
     """

@@ -165,8 +165,8 @@ def servo_constants(model: HandModel) -> dict[str, Vector]:
 
     If the hand file contains neither stiffness nor damping, the position loops have the gains of
     the motion loop. If the hand file contains only the stiffness, the position loops have the
-    damping ratio of the motion loop. At low control rates, the stiffness is limited to a smaller
-    value, see ``servo_commands.MAX_LOOP_PHASE_RAD``.
+    damping ratio of the motion loop. The stiffness is limited, and the limit falls with the control
+    rate, see ``servo_commands.MAX_LOOP_PHASE_RAD``.
     """
     tendons = model.tendon_constants
     motors = [model.hand.motor_of_tendon(name) for name in model.hand.tendon_names]
@@ -300,7 +300,7 @@ def _joint_compliance(digit: DigitModel) -> Vector:
 
 
 def _contact_place_probabilities(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
-    """Return the assumed probability of each place of contact for each joint of a digit (places, n).
+    """Return the assumed probabilities of the places of contact on a digit, one column per joint, (places, n).
 
     The assumed contacts are a force at the middle of each link, a force at the tip, and an equal
     torque on all joints, see ``posture``.
@@ -313,7 +313,7 @@ def _contact_place_probabilities(digits: tuple[DigitModel, ...], digit: DigitMod
 
 @functools.lru_cache(maxsize=16)
 def filter_design_array(model: HandModel) -> NDArray[np.float64]:
-    """Return all numbers of the filter designs of a hand (N, KINDS, ELEMENTS)."""
+    """Return the filter designs of a hand as an array (N, KINDS, ELEMENTS), for compiled code."""
     return np.array(
         [[_block_elements(block) for block in tendon] for tendon in model.filter_design.blocks]
     )

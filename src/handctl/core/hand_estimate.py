@@ -1,4 +1,4 @@
-"""Estimate and measurements of a tick, in the form that programs use.
+"""Estimate and measurements of a tick, as properties that task programs read.
 
 The estimate and the measurements are views of the state block.
 """
@@ -16,7 +16,7 @@ QuantityTable = NDArray[np.float64]
 
 
 class _StateView:
-    """View of a state block, in the form that programs use.
+    """View of a state block, whose properties are read by task programs.
 
     Attributes:
         layout: layout of the state block.
@@ -100,12 +100,12 @@ class HandEstimate(_StateView):
 
     @property
     def motor_disturbance(self) -> Vector:
-        """Return the force on each motor that the model does not explain [N]."""
+        """Return the part of the force on each motor that the model does not explain [N]."""
         return self.tendon[s.MOTOR_DISTURBANCE]
 
     @property
     def external_tension(self) -> Vector:
-        """Return the load force on each tendon that the model does not explain [N].
+        """Return the part of the load force on each tendon that the model does not explain [N].
 
         A force that resists the closing of the digit is positive. Contact with an object causes a
         positive force.
@@ -166,11 +166,17 @@ class HandEstimate(_StateView):
 
     @property
     def grip_opening(self) -> Vector:
-        """Return the recent opening of digits that hold an object, as a length along each tendon [m]."""
+        """Return how far a digit that holds an object has recently opened, as a length along each tendon [m].
+
+        For a tendon that opens its digit, an opening of the digit is negative.
+        """
         return np.asarray(self.tendon[s.SLOW_GRIP_TRAVEL] - self.tendon[s.FAST_GRIP_TRAVEL])
 
     def largest_grip_opening(self, closing_sign: Vector, held_tension: Vector) -> tuple[int, float]:
-        """Return the tendon of the largest opening, and the opening [m], see ``contact_force``."""
+        """Return the tendon whose gripping digit has recently opened most, and the opening along this tendon [m].
+
+        The function ``contact_force.largest_grip_opening`` explains the result.
+        """
         return largest_grip_opening(self.block, self.layout.offsets, closing_sign, held_tension)
 
     @property

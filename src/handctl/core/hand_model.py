@@ -179,8 +179,8 @@ class HandModel:
     def relaxed_tensions(self) -> Vector:
         """Return the tensions of all tendons of a relaxed hand (N,) [N].
 
-        In a relaxed hand, digits with more tendons than coordinates keep their balance tensions. A
-        spool pair has no net tension in a relaxed hand.
+        In a relaxed hand, a digit with more tendons than coordinates keeps balance tensions, which
+        make no torque. A spool pair has no net tension in a relaxed hand.
         """
         unpaired_tensions = np.where(
             self.redundancy.balance_tension > 0.0,
@@ -210,11 +210,11 @@ def _coordinate_slices(digits: tuple[DigitModel, ...]) -> tuple[slice, ...]:
 def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
     """Return the largest torque that the host is allowed to command to each drive (N,) [N m at the spool].
 
-    The hand file and the drive limit the torque. If a drive makes less torque than commanded, its
-    largest torque at the spool is lower by the same factor. A drive refuses a command that exceeds
-    its torque limit even by the last bit. The conversion of a torque by the spool radius and the
-    torque gain has rounding errors, by which the torque could exceed the limit. To prevent a
-    refused command, the result is reduced by 1e-12 of its value.
+    The hand file and the drive limit the torque. If a drive makes less torque than commanded, the
+    largest torque of this drive at the spool is lower by the same factor. A drive refuses a command
+    that exceeds the torque limit, even by a rounding error. The conversion of a torque by the spool
+    radius and the torque gain has rounding errors, so the torque could exceed the limit. To prevent
+    a refused command, the result is reduced by a relative margin of 1e-12.
     """
     torque_limit = np.array(
         [hand.motor_of_tendon(tendon.name).torque_max_N_m for tendon in hand.tendon]
@@ -223,9 +223,9 @@ def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
 
 
 def _joint_period(hand: Hand, period_s: float) -> Vector:
-    """Return for each tendon the time (N,) between two readings of all its joints [s].
+    """Return the sampling period of the joint encoders along each tendon (N,) [s].
 
-    If a joint of the tendon has no encoder, the time is inf.
+    If any joint of a tendon has no encoder, the period of the tendon is inf.
     """
     return np.where(
         hand.tendons_with_encoders, hand.sensor_node.joint_decimation * period_s, np.inf

@@ -100,7 +100,7 @@ class IdentifiedParameters(Document):
     def merge_older_parameters(
         self, older_parameters: "IdentifiedParameters | None"
     ) -> "IdentifiedParameters":
-        """Return these parameters, together with the parameters that only an older identification contains.
+        """Return the parameters of this identification, completed by parameters of an older identification.
 
         If a run identifies only a few parameters, the other parameters of the older identification
         are kept. Parameters from different runs are assumed to be uncorrelated.
@@ -164,7 +164,7 @@ def torque_gain(hand: Hand, parameters_by_tendon: dict[str, IdentifiedParameters
     """Return the torque gain of each drive (N,).
 
     The torque gain of a drive is the torque at the spool divided by the commanded torque. If no run
-    has identified the torque gain, it is 1.
+    has identified the torque gain, the torque gain is 1.
     """
     return np.array(
         [

@@ -12,10 +12,11 @@ MAX_CACHED_VALUES = 256
 
 
 class SequenceCache(Generic[T]):
-    """Results of a function for each item of a sequence.
+    """Cache of a function's results for the items of a sequence.
 
-    Most items of a sequence are the same objects as in the last sequence. If an item is the same
-    object as the item with the same index in the last sequence, the earlier result is returned.
+    The cache is useful if most items of a sequence are the same objects as in the last sequence. If
+    an item is the same object as the item with the same index in the last sequence, the earlier
+    result is returned.
     """
 
     def __init__(self, serialize: Callable[[T], bytes]) -> None:
@@ -46,8 +47,8 @@ class SequenceCache(Generic[T]):
 class IdentityCache(Generic[T]):
     """Cache of a function's results for immutable objects.
 
-    An object is found by its identity. Equality would not be sufficient: 1, 1.0 and True are equal,
-    but have different bytes.
+    An object is found by its identity. Equality would not be sufficient, because 1, 1.0 and True
+    are equal, but the function returns different bytes for them.
     """
 
     def __init__(self, serialize: Callable[[T], bytes]) -> None:

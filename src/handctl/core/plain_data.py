@@ -2,9 +2,9 @@
 
 The state hash and the snapshots use the plain values. Plain values consist of numbers, strings,
 bytes and tuples only. A named tuple or dataclass becomes a tuple that begins with the name of the
-type. Equal objects have equal bytes, even if one of the objects contains another object several
-times. ``object_from_plain_data`` creates only objects of registered types, so a log cannot create
-objects of other types.
+type. Equal objects have equal bytes. The bytes do not depend on whether equal parts of an object
+are one shared object or several copies. ``object_from_plain_data`` creates only objects of
+registered types, so a log cannot create objects of other types.
 """
 
 import enum
@@ -114,7 +114,7 @@ def serialized_bytes(value: Any) -> bytes:
 
 @functools.cache
 def _serialized_header(type_: type) -> tuple[bytes, tuple[str, ...]]:
-    """Return the first bytes of a dataclass in plain form, and the names of the fields that follow."""
+    """Return the bytes before the fields of a serialized dataclass, and the names of these fields."""
     names = tuple([field.name for field in fields(type_) if field.init])
     start = b"(" + (1 + len(names)).to_bytes(4, "little")
     return start + marshal.dumps(logged_type_name(type_), MARSHAL_VERSION), names
@@ -123,8 +123,8 @@ def _serialized_header(type_: type) -> tuple[bytes, tuple[str, ...]]:
 def join_serialized_fields(value: Any, serialize_field: Callable[[Any], bytes]) -> bytes:
     """Return ``serialized_bytes(value)`` for an object of a dataclass, joined from the bytes of its fields.
 
-    The bytes of the fields can come from a cache. A cache makes the function fast if most fields
-    stay the same objects.
+    The bytes of the fields can come from a cache. With a cache, the function is fast if most fields
+    are the same objects as in the last call.
 
     Args:
         value: object of a dataclass.

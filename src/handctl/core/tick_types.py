@@ -142,7 +142,7 @@ class TickEvent(NamedTuple):
 class Telemetry(NamedTuple):
     """Numbers of a tick for the log and the viewers, as float64.
 
-    An unknown number is NaN. No number is taken from an older tick.
+    An unknown number is NaN, and is never replaced by the number of an older tick.
 
     Shapes: J joints, N tendons, M motors and D digits, in the order of the hand file.
     """
@@ -226,7 +226,8 @@ class TelemetrySlices(dict[str, slice]):
 class PackedTelemetry:
     """Telemetry of a tick in one array, with the same layout as in the log.
 
-    Each telemetry field is an attribute of the object. The attribute returns a slice of the array.
+    An attribute with the name of each telemetry field returns the slice of the array with this
+    field.
 
     Attributes:
         numbers: array of all fields in order.

@@ -57,7 +57,7 @@ class DriveTarget(enum.IntEnum):
 
 
 class DrivePhase(enum.IntEnum):
-    """Progress of a drive from the first frame to torque."""
+    """Progress of a drive from its first received frame until it makes torque."""
 
     SILENT = 0
     """The drive has sent no frame yet, or has sent no frame for longer than its timeout."""
@@ -99,7 +99,7 @@ class DriveFaultCause(enum.IntEnum):
 
 
 class DriveProperty(enum.Enum):
-    """Property of a drive that handctl cannot check with every protocol and every option."""
+    """Property of a drive that handctl can check only with some protocols and some options."""
 
     READBACK = "read-back of settings"
     WATCHDOG = "watchdog"
@@ -122,8 +122,8 @@ class DriveState(NamedTuple):
         error: error code of the drive, or 0 without an error.
         error_text: error of the drive in words, or an empty text without an error.
         misread_frame_count: number of frames that had an identifier of the drive but an invalid payload.
-        protocol_state: internal values of the protocol, such as an open request or the end of a waiting
-            time. Code outside the protocol does not read ``protocol_state``.
+        protocol_state: internal values of the protocol, such as an unanswered request or the end of
+            a waiting time. Code outside the protocol does not read ``protocol_state``.
     """
 
     phase: DrivePhase = DrivePhase.SILENT
@@ -149,9 +149,9 @@ class DriveState(NamedTuple):
         feedback_count: int = 0,
         recheck: RecheckCursor = INITIAL_RECHECK_CURSOR,
     ) -> "DriveState":
-        """Return a copy of the drive state with new feedback and a new position in the read-back.
+        """Return a copy of the drive state in which feedback and read-back cursor have new values.
 
-        The default values of the arguments are the values before the first feedback.
+        An omitted argument resets its field to the value before the first feedback.
         """
         # The constructor takes a third of the time of ``_replace``. While drives are configured,
         # every tick calls this method for each drive.
@@ -219,7 +219,7 @@ class Drive(Protocol):
     def command_limit(self) -> float:
         """Return the largest command at the spool [N m].
 
-        In the modes of ``drive_modes``, the unit is rad or rad/s.
+        For drives that control position or velocity (``drive_modes``), the unit is rad or rad/s.
         """
         ...
 
@@ -256,7 +256,7 @@ class Drive(Protocol):
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return one line for each protection of the drive that handctl cannot verify."""
+        """Return one line for each of the drive's protections that handctl cannot verify."""
         ...
 
     @property
@@ -293,11 +293,11 @@ class Drive(Protocol):
         ...
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status in the feedback with which the state machine has nothing to do.
+        """Return the status in feedback for which the state machine has nothing to do.
 
-        Return NO_STEADY_STATUS if the state machine of the drive must process every frame. As long
-        as the feedback contains the steady status, only the measured values change. The host may
-        then continue its torque commands without a call of the state machine.
+        Return NO_STEADY_STATUS if the state machine of the drive must process every frame. While
+        the feedback contains the steady status, only the measured values in the drive state change.
+        The host may then continue its torque commands without a call of the state machine.
         """
         ...
 

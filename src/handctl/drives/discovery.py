@@ -1,4 +1,4 @@
-"""Discovery of the nodes on a bus. No motor moves, because no drive obeys the requests as commands.
+"""Discovery of the nodes on a bus. A scan moves no motor, because no drive obeys its requests as commands.
 
 Each protocol has one ``ProtocolDiscovery``. A scan has four rounds. In round 0, the scan only
 listens. In round 1, the scan sends requests to all nodes at once. In round 2, the scan sends
@@ -66,8 +66,8 @@ def is_number_used_by_two_drives(
 ) -> bool:
     """Return True if the answers come from two drives with the same node number.
 
-    A bus can deliver one frame twice by mistake. Two answers to each of two different requests are
-    no such mistake, and prove that two drives have answered.
+    A bus can deliver one frame twice by mistake. If two different requests both have two answers,
+    two drives have answered.
 
     Args:
         payloads_by_command: received answers to each request of the scan, by request, for example by register

@@ -5,10 +5,10 @@ The computation uses the longest possible duration of each frame, with all stuff
     classical   exposed to stuffing 34 + 8 n | at most (exposed - 1) / 4 stuff bits | 13 without stuffing
     CAN FD      header 17 + 4 stuff | ESI and DLC 5, data 8 n | stuff count 4, CRC 17 or 21, fixed stuff | 13
 
-The two rows count the bits of a frame with an 11-bit identifier and n data bytes. A 29-bit
-identifier adds SRR, IDE and 18 bits. The bits of a 29-bit identifier are exposed to stuffing. The
-last 13 bits of a frame are CRC delimiter, acknowledge, end of frame, and interframe space. Source:
-ISO 11898-1.
+The two rows of the table above count the bits of a frame with an 11-bit identifier and n data
+bytes. A 29-bit identifier adds SRR, IDE and 18 bits. The bits of a 29-bit identifier are exposed to
+stuffing. The last 13 bits of a frame are CRC delimiter, acknowledge, end of frame, and interframe
+space. Source: ISO 11898-1.
 """
 
 import math
@@ -111,7 +111,7 @@ def bus_time_s(
 def highest_rate(
     tick_times_s: Iterable[float], periodic_loads: Iterable[float] | None = None
 ) -> float:
-    """Return the highest rate in ``COMMON_CONTROL_RATES_HZ`` with no bus load above ``MAX_BUS_LOAD`` [Hz].
+    """Return the highest rate in ``COMMON_CONTROL_RATES_HZ`` at which no bus is loaded above ``MAX_BUS_LOAD`` [Hz].
 
     Args:
         tick_times_s: time for which the frames of one tick occupy each bus [s].

@@ -11,7 +11,7 @@ from handctl.errors import ConfigError
 
 
 class IdentifierOwner(Protocol):
-    """Node with its own identifiers on a bus: a drive, or the sensor node."""
+    """Node that has identifiers on a bus: a drive, or the sensor node."""
 
     @property
     def bus(self) -> int:
@@ -33,7 +33,8 @@ def check_identifiers(identifier_owners: Iterable[tuple[str, IdentifierOwner]]) 
     """Check that no two nodes on a bus use the same identifier for different frames.
 
     Args:
-        identifier_owners: pairs of the key path of a node's section in the hand file, and the node.
+        identifier_owners: a pair for each node: key path of the node's section in the hand file,
+            and the node itself.
 
     Raises:
         ConfigError: two nodes use the same identifier.

@@ -1,4 +1,4 @@
-"""List of drive protocols, and the keys of a ``[[motor]]`` section (in the hand file) that the drives read.
+"""List of drive protocols, and interface of a ``[[motor]]`` section in the hand file.
 
 ``PROTOCOL_TRAITS`` is the list of drive protocols. The module ``protocol_registry`` adds the code
 of each protocol. Help texts use only ``PROTOCOL_TRAITS``, because the import of
@@ -88,7 +88,7 @@ VERIFIABLE_PROTOCOLS = tuple(
 
 
 def motor_types_text() -> str:
-    """Return a text that lists the motor types of each protocol with the required option ``motor_type``."""
+    """Return a text that lists the motor types of each protocol that requires the option ``motor_type``."""
     return "; ".join(
         f"{name}: {', '.join(protocol_traits.motor_types)}"
         for name, protocol_traits in PROTOCOL_TRAITS.items()
@@ -107,7 +107,7 @@ def check_protocol_given(protocol: str | None, motor_type: str | None) -> None:
 
 
 def options_with_motor_type(protocol: str, motor_type: str | None) -> dict[str, Any]:
-    """Return the drive options of a protocol, with the motor type that the operator has chosen.
+    """Return the drive options of a protocol, including the motor type that the operator has chosen.
 
     Args:
         protocol: name of the protocol.
@@ -130,7 +130,10 @@ def options_with_motor_type(protocol: str, motor_type: str | None) -> dict[str, 
 
 
 def position_loop_protocols_text() -> str:
-    """Return a text that lists the protocols with a position loop in the drive, each with its required option."""
+    """Return a text that lists the protocols with a position loop in the drive.
+
+    For each protocol, the text names the option that the position loop requires, if there is one.
+    """
     names = [
         f"{name} with {protocol_traits.position_option}"
         if protocol_traits.position_option

@@ -104,7 +104,7 @@ def checked_boolean(value: object, key_path: str) -> bool:
 def pop_motor_model(
     options: dict[str, Any], key_path: str, models: Mapping[str, ModelRangesType]
 ) -> ModelRangesType:
-    """Remove the option ``motor_type``, and return the ranges of the motor model that it names.
+    """Remove the option ``motor_type``, and return the ranges of the motor model that the option names.
 
     Args:
         options: options of the motor, modified in place.

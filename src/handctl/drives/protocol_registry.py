@@ -89,7 +89,7 @@ PROTOCOLS_WITHOUT_DISCOVERY = tuple(
 
 
 def make_drive(motor: MotorDescription, bus: int) -> Drive:
-    """Return the object of a drive in torque mode, for a motor description.
+    """Create the drive object for torque mode, from a motor description.
 
     Args:
         motor: description of the motor.
@@ -109,7 +109,7 @@ def make_drive(motor: MotorDescription, bus: int) -> Drive:
 def make_mode_drive(
     motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits
 ) -> Drive:
-    """Return the object of a drive in the given mode, for a motor description.
+    """Create the drive object for a control mode, from a motor description.
 
     Args:
         motor: description of the motor.

@@ -34,7 +34,7 @@ With a shorter time, a hand of 11 MIT motors at 200 Hz would overload a classica
 RECHECKS_PER_SECOND = 1e9 / RECHECK_PERIOD_NS
 """Rate of read-back requests to an enabled drive [1/s]."""
 RECHECK_STAGGER_NS = 37_000_000
-"""Time from the request to one drive to the request to the drive with the next node number [ns].
+"""Time between the requests to two drives with consecutive node numbers [ns].
 
 In milliseconds, ``RECHECK_STAGGER_NS`` and ``RECHECK_PERIOD_NS`` have no common factor.
 """
@@ -95,7 +95,7 @@ def cursor_after_request(cursor: ReadbackCursor, t_ns: int) -> ReadbackCursor:
 def request_setting(
     cursor: ReadbackCursor, name: str, t_ns: int, max_attempts: int = REQUEST_TRIES
 ) -> tuple[ReadbackCursor, bool, str]:
-    """Decide if the host must send a request about the present setting in the present tick.
+    """Decide if the host must send a request to read or write the present setting in the present tick.
 
     Args:
         cursor: position in the settings, not beyond the last setting.
@@ -179,7 +179,7 @@ class SettingRecheck(NamedTuple):
 
 
 def first_recheck(node_id: int, t_ns: int) -> RecheckCursor:
-    """Return the first cursor of the repeated read-back of a drive that is enabled at ``t_ns`` [ns]."""
+    """Return the first cursor of the repeated read-back, for a drive that was enabled at ``t_ns`` [ns]."""
     return RecheckCursor(due_ns=_next_request_time_ns(node_id, t_ns))
 
 

@@ -75,7 +75,7 @@ A float32 below 256 counts represents each step exactly.
 
 
 class Signal(NamedTuple):
-    """Position of a value in a frame, and its scale. The value of the signal is count * scale + offset.
+    """Position, coding and scale of a value in a frame. The value of the signal is count * scale + offset.
 
     Attributes:
         name: name of the signal.
@@ -127,8 +127,8 @@ class Signal(NamedTuple):
     def step(self) -> float:
         """Return the resolution of the value [unit].
 
-        The resolution of an integer signal is one count. The resolution of a float is 1 /
-        ``FLOAT_STEPS_PER_COUNT`` of a count.
+        The resolution of an integer signal is one count. A count of a float signal is divided into
+        ``FLOAT_STEPS_PER_COUNT`` steps, and the resolution of the float signal is one step.
         """
         return abs(self.scale) / (FLOAT_STEPS_PER_COUNT if self.coding == SignalCoding.FLOAT else 1)
 
@@ -213,7 +213,7 @@ window in the payload, or IDENTIFIER_WINDOW.
 IDENTIFIER_WINDOW = -8
 """Value in the column WINDOW_COLUMN for a signal in the identifier."""
 IDENTIFIER_BIT = -64
-"""Number of the lowest bit of the identifier, where ``Signal.start`` counts bits."""
+"""Bit number of the lowest bit of the identifier, in the numbering of ``Signal.start``."""
 INTEGER_COLUMN_COUNT = 7
 """Number of columns of the integer array with the signals."""
 UNSIGNED, SIGNED, FLOAT = map(int, SignalCoding)

@@ -236,7 +236,7 @@ def state_when_on(state: DriveState, error_code: int, error_text: str) -> DriveS
 
 
 def state_enabled_by_other_host(state: DriveState, error_code: int, error_text: str) -> DriveState:
-    """Return the state for a drive, if this drive possibly makes torque without a command of this host.
+    """Return the state of a drive that may make torque although this host has not enabled it.
 
     The function uses the fields ``enabled_by_other_host`` and ``is_disabling``. The arguments have the same
     meaning as in ``state_when_on``.

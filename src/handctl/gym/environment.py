@@ -1,10 +1,10 @@
 """Base class of the Gymnasium environments.
 
-In each environment, a simulated hand runs in lockstep and follows a stream of targets. At the start
-of each episode, the hand is homed. An action reaches the controller as text in ``TickIn``, in the
-same way as the targets of a client. The controller therefore checks, clips and limits an action,
-and the safety monitor reacts as on a real hand. The subclasses ``TrackEnv`` and ``GraspEnv`` define
-the rewards.
+In each environment, controller and simulated hand run in lockstep, and the hand follows a stream of
+targets. At the start of each episode, the hand is homed. An action reaches the controller as text
+in ``TickIn``, in the same way as the targets of a client. The controller therefore checks, clips
+and limits an action, and the safety monitor reacts as on a real hand. The subclasses ``TrackEnv``
+and ``GraspEnv`` define the rewards.
 """
 
 import json
@@ -177,7 +177,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
     @abstractmethod
     def values_outside_telemetry(self, name: str) -> Any:
-        """Return the values of an observation part that the telemetry does not contain, by name of the part."""
+        """Return the values of the observation part ``name``, if the telemetry does not contain this part."""
 
     @abstractmethod
     def begin_episode(self) -> None:
@@ -198,7 +198,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         return None
 
     def requests_of_action(self, action_vector: Vector) -> list[str]:
-        """Return the requests that a step sends in addition to the target of the stream."""
+        """Return the additional requests of a step. Every step also sends a target of the stream."""
         return []
 
     def names_of_targets(self, action_vector: Vector) -> tuple[str, ...]:
@@ -358,7 +358,10 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         return np.clip(scaled, -1.0, 1.0).astype(np.float32)
 
     def coordinates_of_joints(self, q: Vector) -> Vector:
-        """Convert joint angles (J,) to the coordinates in which an action gives its targets (V,).
+        """Convert joint angles (J,) to the quantities for which an action contains targets (V,).
+
+        The quantities are the joint angles themselves, or the mean of the coordinates of each
+        digit.
 
         The conversion does not change the unit of the angles.
         """
@@ -430,7 +433,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
 @lru_cache(maxsize=8)
 def _controller_of_file(path: str) -> Controller:
-    """Return the controller of a hand. In the returned controller, the hand is already homed.
+    """Return the controller of a hand. The returned controller starts with a homed hand.
 
     Several environments can share one controller, because a controller object never changes after
     its creation.
@@ -442,7 +445,7 @@ def _controller_of_file(path: str) -> Controller:
 
 
 def _target_range_deg(model: HandModel, space: TargetSpace) -> tuple[Vector, Vector]:
-    """Return the lowest and the highest target of each joint or digit in an action (V,) [deg].
+    """Return the lowest and the highest target that an action can give to each joint or digit, (V,) each [deg].
 
     The range of a digit is the range that all joint coordinates of this digit have in common.
     """

@@ -103,7 +103,7 @@ class GraspEnv(HandEnv):
         ]
 
     def values_outside_telemetry(self, name: str) -> Any:
-        """Raise KeyError, because the telemetry contains every observation part of the environment."""
+        """Raise KeyError, because the telemetry contains every observation part of this environment."""
         raise KeyError(name)
 
     def begin_episode(self) -> None:

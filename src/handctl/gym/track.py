@@ -105,7 +105,8 @@ class TrackEnv(HandEnv):
     def values_outside_telemetry(self, name: str) -> Any:
         """Return the references of an observation part [rad].
 
-        The name of the part selects the present references, or the references after the horizon.
+        For the part ``reference_ahead_rad``, the result is the references at the time ``horizon_s``
+        from now. For any other part, the result is the present references.
         """
         time_ahead_s = self.horizon_s if name == "reference_ahead_rad" else 0.0
         return self.units.si(self.reference_deg(self.t_s + time_ahead_s))
@@ -134,7 +135,7 @@ class TrackEnv(HandEnv):
 
     @property
     def _reference_units(self) -> DisplayUnits:
-        """Return the units of the references, which belong to digits or to coordinates of joints."""
+        """Return the unit of each reference. A reference belongs to a digit or to a coordinate of joints."""
         if self._space == "digit":
             return self.units
         return DisplayUnits.of(

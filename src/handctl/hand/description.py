@@ -240,7 +240,7 @@ class Hand(Section):
 
     @cached_property
     def moment_arms_of_carrying_digits(self) -> NDArray[np.float64]:
-        """Return the moment arms of tendons about joints of the digits that carry their digits, (N, J) [m].
+        """Return the moment arms of each tendon about joints of the digits that carry the tendon's digit, (N, J) [m].
 
         The returned array is read-only. For example, the tendons of a finger also cross the wrist.
         If the tendon of a finger does not run through the axis of the wrist, the tension of the
@@ -302,10 +302,9 @@ class Hand(Section):
 
     @cached_property
     def base_joints(self) -> dict[str, int]:
-        """Return the index of the joint whose link carries a digit, for each digit.
+        """Return the index of the joint whose link carries the digit, by the name of the digit.
 
-        The joint index counts the joints of the whole hand. If the palm carries a digit, the joint
-        index is -1.
+        The index counts all joints of the hand. If the palm carries the digit, the index is -1.
         """
         return {
             digit.name: -1 if digit.mount_on is None else self.digit_joints[digit.mount_on].stop - 1
@@ -334,9 +333,10 @@ class Hand(Section):
     def digit_of_tendon(self, tendon: Tendon) -> str | None:
         """Return the name of the digit that a tendon moves.
 
-        All other digits that the tendon crosses must carry the returned digit.
+        The moved digit is the crossed digit that all other crossed digits carry. A tendon crosses
+        each digit about whose joints the tendon has a moment arm.
 
-        Return None if the crossed digits do not carry one common digit.
+        Return None if no crossed digit is carried by all other crossed digits.
         """
         crossed_digits = [
             digit.name for digit in self.digit if not tendon.arms.keys().isdisjoint(digit.joints)

@@ -149,7 +149,8 @@ class DigitModel:
 
         A joint moves the links sideways if the angle between its axis and the axis of the last
         joint exceeds ``SIDEWAYS_ANGLE_DEG``. In a digit with parallel axes, a coordinate moves
-        sideways if its range of opening is more than half of its range of closing.
+        sideways if its range below zero (opening) is more than half of its range above zero
+        (closing).
         """
         turned_axes = np.eye(3)
         axes = []
@@ -301,7 +302,10 @@ class DigitModel:
     def with_joint_angles(
         self, angle_of_joint: Mapping[int, float], present_angles: JointValues
     ) -> Array:
-        """Return the coordinates (n_c,) nearest to ``present_angles`` at which the given joints have their goal angles.
+        """Return coordinates (n_c,) at which the given joints have their goal angles.
+
+        If several coordinate vectors are possible, the result is the vector nearest to the present
+        coordinates.
 
         The returned coordinates have the same unit as the arguments.
 
@@ -310,8 +314,8 @@ class DigitModel:
 
         Args:
             angle_of_joint: goal angles, by the index of the joint.
-            present_angles: (n_c,) present coordinates. All joints without a given angle move as
-                little as possible from their present angles.
+            present_angles: (n_c,) present coordinates. The change from the present to the returned
+                coordinates has the smallest possible norm.
         """
         rows = self.coupling[list(angle_of_joint)]
         return np.asarray(
@@ -329,7 +333,7 @@ def coordinate_range(coupling: Array, joint_limits: Array) -> Array:
     """Return the range of each coordinate (2, n_c).
 
     While a coordinate is within its range and all other coordinates are zero, all joints stay
-    within their limits. A joint that does not depend on a coordinate does not limit the coordinate.
+    within their limits. A coordinate is limited only by the joints that it moves.
 
     Args:
         coupling: matrix B (n, n_c), see ``DigitModel``.

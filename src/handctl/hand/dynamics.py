@@ -144,10 +144,10 @@ def forward_dynamics(digit: DigitModel, q: JointValues, dq: JointValues, tau: Jo
 def reduced_dynamics(
     digit: DigitModel, theta: JointValues, dtheta: JointValues
 ) -> tuple[Array, Array]:
-    """Return the mass matrix and the bias of the equations of motion in the coordinates of a digit.
+    """Return the reduced mass matrix M_r and bias torque h_r of a digit, in the digit's coordinates theta.
 
-    M_r = B^T M B and h_r = B^T (C q' + g + springs + damping). The torque of a motion in the
-    coordinates of the digit is M_r theta'' + h_r.
+    The reduced mass matrix is M_r = B^T M B, and the bias torque is h_r = B^T (C q' + g + springs +
+    damping). A motion of the digit requires the torque M_r theta'' + h_r in its coordinates.
 
     Args:
         digit: model of the digit.

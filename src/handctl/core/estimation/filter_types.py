@@ -31,7 +31,8 @@ class TendonRegime(enum.IntEnum):
     FREE = 0
     """The tendon is taut, and the digit follows it freely.
 
-    The tension of a free tendon changes no faster than the friction of the digit reverses.
+    The tension of a free tendon changes slowly. The fastest change is the change of friction when
+    the digit reverses its motion.
     """
     HELD = 1
     """The tendon is taut.
@@ -93,7 +94,8 @@ class FilterBlock:
 class StateTransition(NamedTuple):
     """Transition of the states of all tendons over a period.
 
-    The 7 N states are the travels of all tendons, then the speeds of all tendons, and so on.
+    For N tendons there are 7 N states. The first N states are the travels of the tendons, the next
+    N states are the speeds, and so on.
 
     Attributes:
         F: (7N, 7N) transition of the states.
@@ -114,7 +116,7 @@ hand have 6^11 combinations of design kinds.
 
 @dataclass(frozen=True, slots=True)
 class FilterDesign:
-    """Filter designs of all tendons, with one design for each tendon and kind of design.
+    """Filter designs of all tendons, with one filter for each pair of a tendon and a kind of design.
 
     Attributes:
         blocks: filter of each tendon and each kind of design, ``blocks[tendon][kind]``. The index
@@ -151,10 +153,10 @@ class FilterDesign:
 
 
 def _stack_blocks(blocks: list[Matrix]) -> Matrix:
-    """Return a matrix for N tendons, which contains a block of shape (rows, columns) for each tendon.
+    """Return a matrix that contains the blocks of N tendons, each of shape (rows, columns).
 
-    Row i of the block of tendon n becomes row i N + n of the matrix. Column j of the block becomes
-    column j N + n.
+    Row i of the block of tendon n becomes row i N + n of the matrix. Column j of the same block
+    becomes column j N + n of the matrix.
     """
     n, (rows, columns), indices = len(blocks), blocks[0].shape, np.arange(len(blocks))
     # The indices are (row, tendon, column, tendon), because each tendon is coupled only with

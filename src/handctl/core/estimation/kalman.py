@@ -69,7 +69,7 @@ STEP_GATE_SIGMAS = 2.5
 The innovations of both load-cell samples must have the same sign.
 """
 TENSION_STEP_CORRECTION_FRACTION = 0.8
-"""Fraction of the second innovation of a step by which the tension is corrected at once."""
+"""Fraction of the second innovation of a tension step that is added to the tension at once."""
 NIS_AVERAGING_TIME_S = 1.0
 """Averaging time of the normalised innovation squared (NIS) by which the model of a tendon is judged [s].
 
@@ -106,8 +106,8 @@ MAX_NIS_SAMPLE = 100.0
 def filter_kind(x: StateTables, n: int) -> int:
     """Return the index of a tendon's filter design.
 
-    The index is the value of the tendon's regime. While process noise is added to the filter, the
-    index is larger by 3.
+    Without added process noise, the index is the value of the tendon's regime. While the tendon's
+    filter has added process noise, the index is the value of the regime plus 3.
     """
     regime = x.tendon_int[s.REGIME, n]
     return regime + 3 if x.tendon[s.ADDED_NOISE_TIME_S, n] > 0.0 else regime
@@ -117,8 +117,9 @@ def filter_kind(x: StateTables, n: int) -> int:
 def correct_tension_filter(x: StateTables, c: ConstantTables, missed_ticks: int) -> None:
     """Correct the filter by the measurements of a tick, and judge the regime of each tendon.
 
-    The regime depends on slack, open stop and contact. A digit with ``PLANNED_CONTACT`` or
-    ``IS_BLOCKED`` counts as held, see ``is_in_contact``.
+    The regime depends on three conditions: the tendon is slack, the digit is on its open stop, or
+    the digit is in contact. The tendons of a digit in planned contact, and of a blocked digit,
+    count as held, see ``is_in_contact``.
 
     Args:
         x: state tables.
@@ -168,7 +169,8 @@ def _usable_measurements(x: StateTables) -> Matrix:
     Missing measurements are NaN.
 
     A lost or saturated measurement counts as missing. The load-cell reading of a slack tendon
-    counts as missing, unless the spool must still wind up a known slack length.
+    normally counts as missing. The reading is used only if the tendon length is known, and the
+    spool must still wind up more than ``SLACK_LENGTH_M``.
     """
     z = np.empty((x.tendon.shape[1], 3))
     for n in range(len(z)):
@@ -230,7 +232,7 @@ def _is_measurement_missing(x: StateTables, c: ConstantTables, z: Matrix) -> boo
 def _write_steady_gain(
     c: ConstantTables, n: int, design_kind: int, gain: Matrix, information: Vector
 ) -> None:
-    """Write the constant gain (7, 3) of a tendon's filter, and the inverse innovation covariance (3,)."""
+    """Write the constant gain (7, 3) of a tendon's filter, and three numbers of the inverse innovation covariance."""
     for i in range(STATE_COUNT):
         for m in range(3):
             gain[i, m] = c.design[n, design_kind, h.KALMAN_GAIN_OFFSET + 3 * i + m]
@@ -289,7 +291,7 @@ def _gate_and_correct_states(
 
 @kernel_helper
 def _correct_slack_by_taut_tendons(x: StateTables, c: ConstantTables) -> None:
-    """In digits with more tendons than coordinates, correct the excursion of slack tendons by the other tendons.
+    """Compute the excursion of slack tendons from the other tendons, in digits with more tendons than coordinates.
 
     The excursions of a digit are the product R q of its moment arms and joint angles. If one tendon
     of a digit is slack, its excursion follows from the excursions of the other tendons. If several
@@ -314,7 +316,7 @@ def _normalised_innovation_squared(
 
     Return NaN if the encoder or the load-cell measurement is missing.
 
-    For a tendon without a load cell (``has_no_cell``), the result is twice the value of the encoder
+    For a tendon without a load cell (``has_no_cell``), the result is twice the NIS of the encoder
     alone. With and without a load cell, the result has a mean of 2 if the model is correct.
     """
     if has_no_cell:
@@ -378,8 +380,9 @@ def _update_consistency(
 def _judge_noise(x: StateTables, c: ConstantTables) -> None:
     """Use the short average of the NIS to select the tendons whose filters get added process noise.
 
-    The added noise is kept for ``MAX_ADDED_NOISE_S``. A wrong friction in the model is visible only
-    while the tendon moves. The error of the friction is largest when the motion reverses.
+    The added noise is kept for ``MAX_ADDED_NOISE_S``. If the model has a wrong friction, the
+    innovations show the error only while the tendon moves. A wrong friction has the largest effect
+    when the motion reverses.
     """
     if c.run[h.CONTROL_PERIOD] > ADDED_NOISE_MAX_PERIOD_S:
         return
@@ -431,17 +434,18 @@ def write_free_angles(x: StateTables, c: ConstantTables, row: int, result: Vecto
 
 @kernel_helper
 def _resistance_and_pull_forces(x: StateTables, c: ConstantTables) -> Matrix:
-    """Return three forces of each tendon (3, N) [N]: the resistance, the speed-signed pull, and the pull.
+    """Return the resistance, the speed-signed pull, and the pull of each tendon, (3, N) [N].
 
     The resistance is the tension at the joints that balances springs and gravity. The pull is the
     estimated tension at the joints, after the friction of the pulleys. If the control law has
-    computed a friction state for a tendon, friction follows from the friction state. If the
-    friction state of a tendon is unknown, friction is computed from the speed of the tendon at the
-    spool. The estimated speed of the digit is not used, because the sign of the rough estimate
-    would chatter.
+    computed a friction state for a tendon, friction is computed from this state. If the friction
+    state of a tendon is unknown, friction is computed from the speed of the tendon at the spool.
+    The estimated speed of the digit is not used, because this estimate is rough, and its sign would
+    chatter.
 
     For the speed-signed pull, friction is always computed from the speed of the tendon at the
-    spool. The speed-signed pull is the first sign that a digit leaves a stop.
+    spool. The test for the open stop uses the speed-signed pull, because this force is the first to
+    show that a digit leaves the stop.
     """
     count = x.tendon.shape[1]
     joints = x.joint.shape[1]
@@ -475,8 +479,9 @@ def _resistance_and_pull_forces(x: StateTables, c: ConstantTables) -> Matrix:
 def _update_regimes(x: StateTables, c: ConstantTables) -> Matrix:
     """Update the regime of each tendon, and set the stretch offset or excursion of newly taut tendons.
 
-    The regime of a tendon depends on slack, on the open stop and on contact. Return the forces of
-    ``_resistance_and_pull_forces``, computed with the new regimes.
+    The regime of a tendon depends on three conditions: the tendon is slack, the digit is on its
+    open stop, or the digit is in contact. Return the forces of ``_resistance_and_pull_forces``,
+    computed with the new regimes.
     """
     force = _resistance_and_pull_forces(x, c)
     has_changed = False
@@ -584,7 +589,7 @@ def _choose_filter_kinds(x: StateTables) -> None:
 
 @kernel_helper
 def _write_external_tension(x: StateTables, c: ConstantTables, force: Matrix) -> None:
-    """Write the load force of each tendon that springs, gravity and friction do not explain.
+    """Write the part of each tendon's load force that springs, gravity and friction do not explain.
 
     The value is positive if the load force acts against the closing of the digit.
 
@@ -603,7 +608,7 @@ def _write_external_tension(x: StateTables, c: ConstantTables, force: Matrix) ->
 def write_estimate_before_start(x: StateTables) -> None:
     """Write the estimate of a tick before the filter has started.
 
-    The estimate before the start of the filter has no contact and no innovation.
+    Before the filter has started, the external tension is 0, and the innovation is NaN.
     """
     for n in range(x.tendon.shape[1]):
         x.tendon[s.EXTERNAL_TENSION, n] = 0.0
@@ -613,7 +618,7 @@ def write_estimate_before_start(x: StateTables) -> None:
 
 @kernel_helper
 def derive_estimate(x: StateTables, c: ConstantTables) -> None:
-    """Compute tensions, standard deviations and free joint angles from the predicted states of the filter."""
+    """Compute tensions, their standard deviations, and joint angles of free digits from the predicted filter states."""
     for n in range(x.tendon.shape[1]):
         tension = filtered_tension(x, c, n)
         # Only a spool pair can have a negative tension, and a single tendon cannot.

@@ -95,7 +95,7 @@ def _reject_outlier(
         accepted_row: row of the last accepted position.
         gap_ticks_row: row of the largest possible number of ticks between the measurement of the
             accepted position and the last tick.
-        rejected_step_row: row of the rejected step.
+        rejected_step_row: row for the size of the rejected position step.
         rejection_count_row: row for the number of consecutive rejections.
         limit: largest possible change of the position in a control period [rad].
         missed_ticks: see ``reject_outliers``.
@@ -119,9 +119,10 @@ def _reject_outlier(
 
 @kernel_helper
 def reset_rejected_steps(x: StateTables) -> None:
-    """Set all rejected steps to 0.
+    """Set the sizes of all rejected position steps to 0.
 
-    While no motor makes torque, positions are not tested.
+    The caller calls this function while no motor makes torque, because positions are then not
+    tested.
     """
     for n in range(x.tendon.shape[1]):
         x.tendon[s.REJECTED_MOTOR_STEP, n] = 0.0

@@ -1,14 +1,15 @@
-"""Joint angles of digits with fewer tendons than joints, with their standard deviations.
+"""Joint angles, and their standard deviations, in digits with fewer tendons than joints.
 
 In a digit with fewer tendons than joints, the excursions of the tendons do not fully determine the
-joint angles. A motion in the null space of the moment arms changes no excursion. The joints of a
-free digit have the angles of its coupling, q = B theta. An object that a digit touches turns the
-joints of the digit against each other. The turn of the joints is the torque of the contact times
-the compliance N (N^T K N)^-1 N^T. K is the stiffness of the springs, and the columns of N span the
-null space of the moment arms. The torque of the contact follows from the unexplained tension. The
-place of the contact on the digit is unknown, so the estimate is the mean over several assumed
-contacts. The assumed contacts are a force at the middle of each link, a force at the tip, and an
-equal torque on all joints. The standard deviation of an angle has several parts:
+joint angles. A motion in the null space of the moment arms changes no excursion. In a free digit,
+the coupling B determines the joint angles q = B theta from the coordinates theta. When a digit
+touches an object, the contact turns the joints of the digit against each other. The turn of the
+joints is the torque of the contact times a compliance. With the stiffness K of the springs and a
+basis N of the null space of the moment arms, the compliance is N (N^T K N)^-1 N^T. The torque of
+the contact follows from the part of the tension that the model does not explain. The place of the
+contact on the digit is unknown, so the estimate is the mean over several assumed contacts. The
+assumed contacts are a force at the middle of each link, a force at the tip, and an equal torque on
+all joints. The standard deviation of an angle has several parts:
 
 - the differences between the assumed places of contact,
 - the error of the modelled tension, at each assumed place of contact,
@@ -148,13 +149,14 @@ def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Ve
 
 @kernel_helper
 def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
-    """Return the deviations (2 H + 2, J) of the joint angles in the null space [rad].
+    """Return the deviations of the joint angles in the null space of the moment arms [rad].
 
     The function also writes the turn of the joints that a contact causes.
 
-    H is the number of assumed places of contact. The covariance of two angles is the sum, over the
-    rows, of the products of their deviations. The levers of the contact forces are computed at the
-    joint angles of the last estimate, so each tick is an iteration towards a fixed point.
+    The result has the shape (2 H + 2, J) for H assumed places of contact. Each row contains one
+    deviation of each joint angle. The covariance of two angles is the sum of the products of their
+    deviations over all rows. The levers of the contact forces are computed at the joint angles of
+    the last estimate. Each tick is thus one step of a fixed-point iteration.
     """
     place_count = c.place_joint_table.shape[1]
     joints = x.joint.shape[1]
@@ -226,8 +228,9 @@ def _write_levers_at_contact_place(
 ) -> None:
     """Write the levers (J,) of a contact force about the joints of a digit [m].
 
-    Place of contact i is the middle of link i. The place of contact after the last link is the tip.
-    If i exceeds the number of links, all levers are 0.
+    If ``place_index`` i is smaller than the number of links, the contact is at the middle of link
+    i. If i equals the number of links, the contact is at the tip. If i exceeds the number of links,
+    all levers are 0.
     """
     first_joint = c.digit_int[h.FIRST_JOINT, d]
     end = c.digit_int[h.END_JOINT, d]
@@ -257,7 +260,7 @@ def _write_digit_turn(
     turns: Vector,
     deviation: Vector,
 ) -> None:
-    """Write the turn of a digit's joints by a contact, for given levers of the contact force.
+    """Write how far a contact turns the joints of a digit, for given levers of the contact force.
 
     Args:
         x: state tables.
@@ -304,7 +307,7 @@ def _largest_turn_fraction(
 ) -> float:
     """Return the largest fraction (0 to 1) of a turn (J,) that keeps all joints within their ranges.
 
-    The turn starts at the joint angles of the free digit.
+    The turn is added to the joint angles of the free digit.
     """
     fraction = 1.0
     for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
@@ -322,9 +325,9 @@ def _largest_turn_fraction(
 
 @kernel_helper
 def _write_angle_errors_of_free_digits(x: StateTables, c: ConstantTables, turn: Matrix) -> None:
-    """Write two turns of the joints of free digits (2, J) [rad].
+    """Write the turns of the joints of free digits by two causes, (2, J) [rad].
 
-    The first turn is caused by friction, and the second turn by springs and gravity.
+    Row 0 contains the turns by friction, and row 1 contains the turns by springs and gravity.
     """
     joints = x.joint.shape[1]
     torque = np.zeros((2, joints))
@@ -359,7 +362,8 @@ def _fuse_encoders(
 ) -> None:
     """Correct the joint angles by the readings of the joint encoders, one encoder after the other.
 
-    The result is exact, because the noises of the encoders are independent.
+    The result equals the correction by all encoders at once, because the noises of the encoders are
+    independent.
 
     Args:
         x: state tables.
@@ -414,8 +418,8 @@ def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
     """Write the tip-equivalent force of the contact of each digit, and the standard deviation of this force.
 
     The tip-equivalent force acts at the tip, along the y axis of the last link, and makes the same
-    torque as the contact. The tension of a finger with one tendon does not show the place of the
-    contact, so the tip is assumed as the place of the contact.
+    torque as the contact. From the tension of a single tendon, the place of the contact cannot be
+    computed, so the contact is assumed at the tip.
     """
     joints = x.joint.shape[1]
     coordinates = x.coordinate.shape[1]

@@ -56,9 +56,9 @@ def regime_evidence(
     """Return the evidence that the regime of a tendon has ended.
 
     For a slack tendon, the result is a number of points, which grows while the tendon seems to be
-    taut. For a taut tendon, the result is the number of ticks in which the tendon seemed to be
-    slack. If a load-cell reading is missing, the number of ticks is set to 0, and the points do not
-    change.
+    taut. For a taut tendon, the result is the number of ticks in a row in which the tendon seemed
+    to be slack. If the load-cell reading of a taut tendon is missing, the number of ticks is set to
+    0. If the load-cell reading of a slack tendon is missing, the points do not change.
 
     Args:
         regime: present regime of the tendon.
@@ -103,9 +103,10 @@ def regime_evidence_without_cell(
 ) -> int:
     """Return the evidence for the end of a regime, for a tendon without a load cell.
 
-    ``regime_evidence`` explains the evidence. The motor of a slack tendon turns without load. When
-    the tendon has become taut, its tension reduces the force that accelerates the motor. The
-    missing force is the reduction of the force that accelerates the motor.
+    ``regime_evidence`` explains the evidence. The motor of a slack tendon turns without load, so
+    its whole force accelerates the rotor. When the tendon has become taut, its tension reduces the
+    force that accelerates the rotor. The missing force is the part of the motor force that no
+    longer accelerates the rotor.
 
     Args:
         regime: present regime of the tendon.
@@ -147,9 +148,9 @@ def set_offset_of_newly_taut_tendon(
 ) -> None:
     """Set the stretch offset or the excursion of a tendon that has become taut.
 
-    The new stretch offset or excursion makes the model agree with the load cell. If the digit has
-    return springs or joint encoders, the excursion is known, and the stretch offset is set. If the
-    digit has neither return springs nor joint encoders, the length of the tendon is known from
+    With the new value, the modelled tension equals the load-cell reading. If the digit has return
+    springs or joint encoders, the excursion is known, and the stretch offset is set. If the digit
+    has neither return springs nor joint encoders, the length of the tendon is known from
     commissioning, and the excursion is set. If the new excursion is outside the range of the
     joints, the stretch offset is set instead of the excursion.
 

@@ -5,9 +5,9 @@ directions. When the spool turns, it winds up a length dl of one tendon, and pay
 length of the other tendon. Both tendons have the pretension p and the stiffness k, so the tensions
 of the two tendons are p + k dl and p - k dl, but never below 0. The net tension u of the pair is
 the difference of the two tensions. While both tendons are taut, u is 2 k dl. If |u| exceeds 2 p,
-one tendon is slack, and the other tendon carries the whole net tension u. With two taut tendons or
-with one slack tendon, the first tendon has the tension max(p + u / 2, u, 0), and the second tendon
-has the tension max(p - u / 2, -u, 0).
+one tendon is slack, and the other tendon carries the whole net tension u. With or without a slack
+tendon, the tension of the first tendon is max(p + u / 2, u, 0). The tension of the second tendon is
+max(p - u / 2, -u, 0).
 
 Behind the pulleys, friction reduces the tension of the tendon that is wound up, and increases the
 tension of the tendon that is paid out. The friction of both tendons resists the motion. Because of

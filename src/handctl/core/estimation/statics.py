@@ -25,7 +25,7 @@ If an exponent exceeds the limit, Python raises an error, but compiled code does
 def link_poses_of_hand(c: ConstantTables, q: Vector) -> Matrix:
     """Return the poses of all links at joint angles q (J,) [rad], as (J, POSE_COLUMN_COUNT).
 
-    The result does not contain the masses that each link carries.
+    The rows of the result do not contain the masses that the links carry.
     """
     pose = np.empty((len(q), rigid_body.POSE_COLUMN_COUNT))
     rigid_body.write_link_poses(c.joint, h.LINK_TABLE, c.joint_int[h.PARENT_JOINT], q, pose)
@@ -67,7 +67,7 @@ def joint_wrap_angle(c: ConstantTables, j: int, q: float) -> float:
 
 @kernel_helper
 def capstan_ratio(c: ConstantTables, n: int, friction_state: float, wrap_angle: float) -> float:
-    """Return the ratio of the tension of tendon n after a wrap angle to its tension at the load cell.
+    """Return the tension of tendon n after a wrap angle, divided by its tension at the load cell.
 
     Args:
         c: constants of the hand.
@@ -116,8 +116,8 @@ def subtract_torque_of_passing_tendons(
 ) -> None:
     """Subtract the torques of passing tendons from the joint torques (J,).
 
-    A passing tendon passes a joint of a digit that carries the tendon's own digit. For example, the
-    tendons of a finger pass the wrist.
+    A passing tendon crosses a joint of another digit, which carries the tendon's own digit. For
+    example, the tendons of a finger cross the wrist.
 
     Args:
         c: constants of the hand.
@@ -157,7 +157,10 @@ def wrap_angle_before_digit(c: ConstantTables, n: int, q: Vector) -> float:
 
 @kernel_helper
 def write_tip_levers(c: ConstantTables, d: int, pose: Matrix, lever: Vector) -> None:
-    """Write the levers (J,) of a force at a digit's tip about its joints [m], see ``rigid_body.write_levers``."""
+    """Write the levers (J,) of a force at a digit's tip about the digit's joints [m].
+
+    The function ``rigid_body.write_levers`` defines the levers.
+    """
     last_joint = c.digit_int[h.END_JOINT, d] - 1
     rigid_body.write_levers(
         pose,
@@ -184,8 +187,8 @@ def write_tensions_at_joints(
 ) -> None:
     """Write the tensions at the joints, with the effect of friction.
 
-    With friction, the tensions at the load cells make certain joint torques. The result is the
-    tensions that would make the same joint torques without friction.
+    Friction changes the joint torques that the tensions at the load cells make. The tensions at the
+    joints are defined as the tensions that would make the changed joint torques without friction.
 
     Args:
         c: constants of the hand.
@@ -211,9 +214,10 @@ def write_tensions_at_joints(
 
 @kernel_helper
 def project_onto_digit_motion(c: ConstantTables, n: int, tendon_values: Vector) -> float:
-    """Return the part of a tendon's value, such as its excursion, that a motion of the digit can cause.
+    """Return the part of tendon n's value (for example its excursion) that a motion of the digit can cause.
 
-    The result is element n of R R^+ v.
+    With the moment arms R of the digit and the values v of all its tendons, the result is element n
+    of R R^+ v.
 
     Args:
         c: constants of the hand.
@@ -271,8 +275,8 @@ def value_from_other_tendons(
 def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
     """Return the fraction of the load-cell tension that reaches the joints while the tendon is wound up.
 
-    The result is a mean over the pulleys of the tendon. The weights of the mean are the moment
-    arms. While the tendon is paid out, the fraction is about the reciprocal of the result.
+    The result is a mean over the pulleys of the tendon, weighted by the moment arms. While the
+    tendon is paid out, the fraction that reaches the joints is about the reciprocal of this result.
 
     Args:
         c: constants of the hand.

@@ -1,13 +1,15 @@
 """Moment arms that depend on the joint angles.
 
 The tables with moment arms are computed for the present joint angles. Filter, control law and
-allocation use the linear relation q = B (R B)^+ s between joint angles q and excursions s. For a
-digit with varying moment arms, the tables of ``constants`` that depend on R are evaluated at the
-angles q0 = B theta of the free digit. At the angles q0, the excursions e(q0) equal s. Near q0 the
-excursion is e(q0) + R (q - q0), so the linear relation has an offset. If the moment arms are
-constant, the offsets are 0 and the tables do not change. The tables with moment arms depend only on
-the state block, and are evaluated before each use in a tick. A second computation of a tick from a
-stored state gives the same result, because the tables depend only on the state.
+allocation use the linear relation q = B (R B)^+ s between joint angles q and excursions s. R are
+the moment arms, and B is the coupling of the joints. For a digit with varying moment arms, the
+module ``constants`` has tables that depend on R. These tables are evaluated at angles q0 = B theta,
+the angles of a free digit at which the modelled excursions e(q0) equal s.
+
+Near q0 the excursion is e(q0) + R (q - q0), so the linear relation has an offset. If the moment
+arms are constant, the offsets are 0 and the tables do not change. The tables with moment arms
+depend only on the state block, and are evaluated before each use in a tick. A second computation of
+a tick from a stored state gives the same result, because the tables depend only on the state.
 
 The tendons of a finger pass the wrist that carries the finger. If a tendon does not pass through
 the axis of the wrist, a motion of the wrist moves the tendon, and the tension of the tendon turns
@@ -90,7 +92,7 @@ def joint_excursion(c: ConstantTables, n: int, j: int, q: float) -> float:
 
 @kernel_helper
 def carrier_excursion(c: ConstantTables, n: int, values: Vector) -> float:
-    """Return the part of tendon n's excursion [m] or rate [m/s] that carrying digits cause.
+    """Return the part of tendon n's excursion [m] or excursion rate [m/s] that the carrying digits cause.
 
     Args:
         c: constants of the hand.
@@ -108,7 +110,7 @@ def carrier_excursion(c: ConstantTables, n: int, values: Vector) -> float:
 
 @kernel_helper
 def motor_speed(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the speed of a tendon at its spool [m/s], including the part that carrying digits cause."""
+    """Return the speed of a tendon at its spool [m/s], including the part that the motion of carrying digits causes."""
     speed = x.tendon[s.SPOOL_SPEED, n]
     if c.run_int[h.HAS_CARRIER_ARMS]:
         speed += carrier_excursion(c, n, x.joint[s.DQ])
@@ -161,7 +163,7 @@ def update_moment_arm_tables(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def fit_angles_to_excursions(x: StateTables, c: ConstantTables) -> None:
-    """Correct the joint angles of digits with varying moment arms by the estimated excursions."""
+    """Correct the joint angles of digits with varying moment arms, so that they fit the estimated excursions."""
     for d in range(x.digit.shape[1]):
         if not c.digit_int[h.DIGIT_HAS_VARYING_ARM, d]:
             continue
@@ -241,9 +243,9 @@ def _write_moment_arm_tables(c: ConstantTables, d: int, q: Vector) -> None:
 
 @kernel_helper
 def _write_weights(c: ConstantTables, d: int) -> None:
-    """Write three tables of a digit for its present moment arms R.
+    """Write three more tables of a digit that depend on its present moment arms R.
 
-    The tables are the pulley weights, ``POSTURE_TORQUE`` and the balance tensions.
+    The tables contain the pulley weights, the torques ``POSTURE_TORQUE``, and the balance tensions.
     """
     for n in range(c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d]):
         total = 0.0
@@ -262,9 +264,8 @@ def _write_weights(c: ConstantTables, d: int) -> None:
             c.joint_tendon_table[h.POSTURE_TORQUE, j, n] = torque
         mean = c.tendon[h.MEAN_BALANCE_TENSION, n]
         if c.tendon_int[h.IS_REDUNDANT_DIGIT, n] and mean > 0.0:
-            # The balance tensions for the mean moment arms are known. The part of the known balance
-            # tensions that makes no torque with the present moment arms becomes the new balance
-            # tensions.
+            # The balance tensions for the mean moment arms are known. The new balance tensions are
+            # the part of these tensions that makes no torque with the present moment arms.
             balance = mean - project_onto_digit_motion(c, n, c.tendon[h.MEAN_BALANCE_TENSION])
             c.tendon[h.BALANCE_TENSION, n] = c.tendon[h.RELAXED_TENSION, n] = max(
                 balance, MIN_BALANCE_FRACTION * mean
@@ -273,10 +274,10 @@ def _write_weights(c: ConstantTables, d: int) -> None:
 
 @kernel_helper
 def _write_compliance(c: ConstantTables, d: int) -> None:
-    """Write the turn of the joints per torque at constant excursions.
+    """Write the compliance of the joints: the turn of the joints per torque while all excursions stay constant.
 
-    With the spring stiffness K and the moment arms R, the compliance (turn per torque) is K^-1 -
-    K^-1 R^T (R K^-1 R^T)^-1 R K^-1.
+    With the spring stiffness K and the moment arms R, the compliance is K^-1 - K^-1 R^T (R K^-1
+    R^T)^-1 R K^-1.
     """
     joints = (c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d])
     tendons = (c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d])

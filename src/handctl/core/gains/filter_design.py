@@ -9,12 +9,12 @@ change of a moving digit's tension [N/s]. The measurements are the encoder trave
 The model does not contain the equation of motion of the digit. The mass of the digit is a twentieth
 of the mass of the rotor. A stiff tendon connects the digit to the rotor. The friction at the
 pulleys of the digit is up to a third of the tension. The direction of the pulley friction depends
-on the sign of a very low speed, which is only micrometres per second. In a filter with the digit's
-equation of motion, the sign of the friction would change all the time, and the tension error would
-be 9 N instead of 0.5 N. Two assumptions replace the digit's equation of motion: a free digit
-follows its tendon with slowly changing tension, and a held digit is at rest. Source: linearised
-tendon plant, van Loan (1978) for the discretisation. The function that solves the Riccati equation
-comes from the package ``control``.
+on the sign of the tendon speed at the pulleys, which is only micrometres per second. In a filter
+with the digit's equation of motion, the sign of the friction would change all the time, and the
+tension error would be 9 N instead of 0.5 N. Two assumptions replace the digit's equation of motion:
+a free digit follows its tendon with slowly changing tension, and a held digit is at rest. Source:
+linearised tendon plant, van Loan (1978) for the discretisation. The function that solves the
+Riccati equation comes from the package ``control``.
 """
 
 import math
@@ -214,7 +214,7 @@ def _process_noise(
 
 
 def _add_process_noise(process_noise: Matrix, stiffness: float, regime: TendonRegime) -> None:
-    """Increase the process noise Q (7, 7) of a taut tendon with an inconsistent model.
+    """Increase the process noise Q (7, 7) of a taut tendon whose model does not fit the measurements.
 
     Args:
         process_noise: (7, 7) process noise of the continuous model, modified in place.
@@ -258,7 +258,7 @@ def _design_filter_block(
 ) -> FilterBlock:
     """Return the filter of a tendon for one kind of design.
 
-    A kind of design is a pair: the regime, and True if process noise is added.
+    A kind of design consists of the regime, and of a flag that is True if process noise is added.
 
     For a tendon without a load cell, the filter uses only the motor encoder. The tension of a
     tendon without a load cell is computed from the motor force, and is uncertain because of
@@ -272,8 +272,8 @@ def _design_filter_block(
     consider states.
 
     The encoder and the load cell determine only the sum of excursion and stretch offset. Joint
-    encoders separate the excursion from the stretch offset within ``joint_time_s``. They correct no
-    other state, so the gains for all other states do not depend on joint encoders.
+    encoders separate the excursion from the stretch offset within ``joint_time_s``. Joint encoders
+    correct no other state, so the gains for all other states do not depend on joint encoders.
     """
     regime, has_added_noise = regime_and_noise
     A, B, tension = _continuous_model(tendons, i, regime, gains)

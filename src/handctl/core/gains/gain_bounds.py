@@ -60,7 +60,7 @@ class GainBounds:
 
 
 class TendonKey(NamedTuple):
-    """Parts of a key that sets the force of a single tendon.
+    """Key of a force for a single tendon, split into its parts.
 
     Attributes:
         tendon: name of the tendon.
@@ -78,7 +78,7 @@ COMMON_KEY_BY_FORCE = {"motion_force_N": "motion.force_N", "tension_force_N": "t
 
 
 def tendon_key(key: str) -> TendonKey | None:
-    """Return the parts of a key that sets the force of a single tendon, or None for any other key."""
+    """Split a key of a force for a single tendon into its parts, and return None for any other key."""
     section, _, key_name = key.partition(".")
     tendon, _, field = key_name.rpartition(".")
     if section != TENDON_SECTION or not tendon or field not in COMMON_KEY_BY_FORCE:
@@ -129,7 +129,7 @@ def _range_of_field(field_metadata: list[Any]) -> tuple[float, float, bool]:
 def bounds_of_key(key: str) -> GainBounds | None:
     """Return the bounds of a key, or None for an unknown key.
 
-    The key can belong to the whole hand or to a single tendon.
+    The key can set a value for the whole hand, or for a single tendon.
     """
     key_parts = tendon_key(key)
     if key_parts is None:
@@ -157,7 +157,8 @@ def values_by_key(gains: Gains) -> dict[str, float]:
 def changed_gain_values(old_gains: Gains, new_gains: Gains) -> dict[str, tuple[float, float]]:
     """Return the old and the new value of every key whose value differs.
 
-    If a tendon has no force of its own, the force for all tendons is used.
+    If the gains contain no force for a single tendon, the force for all tendons counts as the value
+    of this tendon.
     """
     old_values = values_by_key(old_gains)
     new_values = values_by_key(new_gains)

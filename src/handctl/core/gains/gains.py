@@ -73,9 +73,10 @@ class FilterGains(Document):
 
 
 class MotionGains(Document):
-    """Weights of the motion loop by Bryson's rule.
+    """Weights of the motion loop, chosen by Bryson's rule, and settings of feedforward and inner tension loop.
 
-    The weights are an excursion error, a speed error and a force, which have equal costs.
+    The weights are an excursion error, a speed error and a motor force. Each of these three values
+    alone causes the same cost.
     """
 
     position_error_m: float = Field(6e-4, gt=0, le=0.1)
@@ -128,9 +129,9 @@ class ContactGains(Document):
 class TendonForces(Document):
     """Forces for a single tendon.
 
-    The forces of a single tendon replace the forces that apply to all tendons. Digits of different
-    mass need different forces. For example, the force for a wrist that carries five fingers is a
-    thirtieth of the force for a fingertip.
+    Each force is a weight of the motor force, and replaces the weight for all tendons. Digits of
+    different mass need different force weights. For example, the force weight for a wrist that
+    carries five fingers is a thirtieth of the force weight for a fingertip.
     """
 
     name: str
@@ -218,7 +219,7 @@ class GainsFile(Gains):
     def gains(self) -> Gains:
         """Return the gains without the information about their origin.
 
-        If the file does not set a value, the value stays unset.
+        Values that are missing in the file are also missing in ``model_fields_set`` of the result.
         """
         value_by_key = {
             name: getattr(self, name) for name in self.model_fields_set - {"provenance"}

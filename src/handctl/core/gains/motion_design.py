@@ -81,7 +81,7 @@ def design_motion(tendons: TendonConstants, gains: Gains, period_s: float) -> Mo
 def control_loop_count(tendons: TendonConstants) -> int:
     """Return the number of control loops to design.
 
-    In each tick, a running controller has time for the design of only one loop.
+    While the controller runs, it has time to design only one loop per tick.
     """
     return 2 * len(tendons.spool_radius)
 

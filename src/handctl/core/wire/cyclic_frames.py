@@ -236,7 +236,7 @@ def _compare_recheck(
     ranges: IntArray,
     rechecks: WordRows,
 ) -> int:
-    """Compare a frame with the expected reply to the open read-back request of an enabled drive.
+    """Compare a frame with the expected reply to the unanswered read-back request of an enabled drive.
 
     After a reply with the required value, the host requests the next setting of the drive.
 
@@ -299,7 +299,7 @@ def _is_recheck_regular(x: StateTables, n: Any, now_ns: Any) -> bool:
 def _copy_record(record: Any, frame_row: Any) -> None:
     """Copy the record of a frame into a row.
 
-    The words that follow the record are not copied.
+    If ``record`` has more than WORDS_PER_RECORD words, the additional words are not copied.
     """
     for word in range(WORDS_PER_RECORD):
         frame_row[word] = record[word]
@@ -309,7 +309,7 @@ def _copy_record(record: Any, frame_row: Any) -> None:
 def _request_recheck(
     x: StateTables, n: Any, frame_row: Any, ranges: IntArray, rechecks: WordRows
 ) -> None:
-    """Write the request that reads a setting of a drive again into the record of a frame."""
+    """Write the next read-back request to an enabled drive into the record of a frame."""
     _copy_record(rechecks[ranges[n, 0] + x.tendon_int[s.RECHECK_STEP, n]], frame_row)
     x.tendon_int[s.RECHECK_DUE_NS, n] += RECHECK_PERIOD_NS
     x.tendon_int[s.RECHECK_TRIES, n] += 1
@@ -338,7 +338,7 @@ def _count_unknown_frame(
 
 @kernel_helper
 def _count_stale_frame(x: StateTables, sensor_group: int) -> None:
-    """Count a sensor frame that answers an older SYNC."""
+    """Count a stale sensor frame, which answers an older SYNC."""
     x.run_int[s.STALE_FRAME_COUNT] += 1
     x.run_int[s.STALE_FRAME_STATE] = max(
         x.run_int[s.STALE_FRAME_STATE],
@@ -400,9 +400,9 @@ def _decode_sensor_frame(
 def _is_nearer_to_prediction(x: StateTables, c: ConstantTables, n: Any, position: float) -> bool:
     """Return True if a new position is at least as near to the predicted position as the stored position.
 
-    The stored position was received earlier in the present tick. The tension filter predicts the
-    position for the time of the request. Before the tension filter has started, the position that
-    arrived later is used.
+    The stored position was received earlier in the present tick. The predicted position comes from
+    the tension filter, and is the position at the time of the host's request. Before the tension
+    filter has started, the later of the two positions is used.
     """
     travel = x.tendon[s.SPOOL_TRAVEL, n]
     if c.run_int[h.HAS_CARRIER_ARMS]:

@@ -61,7 +61,7 @@ class WireTables:
     """Identifiers, signals and records of all cyclic frames of a hand, in tables.
 
     Attributes:
-        keys: (e,) keys bus << 32 | identifier of all frames, sorted.
+        keys: (e,) sorted keys of all frames. The key of a frame is bus << 32 | identifier.
         entries: (e, 7) values of each frame, in the columns ``OWNER_COLUMN`` to
             ``NEAREST_ONLY_COLUMN``.
         signal_integers: (s, INTEGER_COLUMN_COUNT) integers of the received signals.
@@ -165,7 +165,10 @@ class WireTables:
         self._entries_by_removed_groups: dict[tuple[int, ...], IntArray] = {}
 
     def entries_without_groups(self, removed_groups: tuple[int, ...]) -> IntArray:
-        """Return a copy of ``entries`` that leaves the frames of the given groups to the sensors' state machines."""
+        """Return a copy of ``entries`` in which state machines process the frames of the given sensor groups.
+
+        Compiled code processes the sensor frames of all other groups.
+        """
         entries = self._entries_by_removed_groups.get(removed_groups)
         if entries is None:
             entries = self.entries.copy()
@@ -251,7 +254,7 @@ class WireTables:
 
 
 def _recheck_row(recheck: SettingRecheck, frame_entry: int) -> WordRows:
-    """Return the row of a repeated read-back in ``WireTables.rechecks``, (WORDS_PER_RECHECK,).
+    """Return the row of ``WireTables.rechecks`` for a setting that is read again, (WORDS_PER_RECHECK,).
 
     Args:
         recheck: request and reply.

@@ -74,8 +74,8 @@ def download_request(index: int, subindex: int, value_bytes: bytes) -> bytes:
 class SdoReply(NamedTuple):
     """Content of an SDO reply: object, value, and abort code.
 
-    The field ``raw`` is empty in the reply to a write. The abort code is 0 if the node did not
-    abort the transfer.
+    In the reply to a write request, the field ``raw`` is empty. The abort code is 0 if the node did
+    not abort the transfer.
     """
 
     number: int

@@ -162,7 +162,7 @@ def on_reply(
 def next_request(
     cursor: ReadbackCursor, required_steps: tuple[SetupStep, ...], t_ns: int
 ) -> tuple[ReadbackCursor, bytes, str]:
-    """Return the new read-back cursor, the payload of the next SDO request, and the text of a problem.
+    """Return the new position in the read-back, the payload of the next SDO request, and the text of a problem.
 
     The payload is empty while the host waits for an answer of the drive. The text is empty if the
     read-back has no problem. The request for the first object is repeated without a limit until the

@@ -12,8 +12,8 @@ profile.
     TPDO1      0x180 + n   host   0..1 status word | 2..5 position int32 [count] | 6..7 torque int16
                                   [1/1000 of rated]
 
-Torque and position are measured at the shaft of the motor. In mode 10, RPDO1 contains a torque.
-Source: CiA 402-2 (control word, status word, objects).
+Torque and position are measured at the shaft of the motor. In mode 10 (cyclic synchronous torque),
+the target in RPDO1 is a torque. Source: CiA 402-2 (control word, status word, objects).
 """
 
 import math

@@ -2,12 +2,12 @@
 
 The state machine configures, enables and disables a CiA 402 drive. In each tick the host sends one
 RPDO (control word, target torque), and the drive sends one TPDO (status word, position, torque).
-The drive sends the TPDO at SYNC, a frame with the identifier 0x080. If the SYNC of a sensor node
-has the identifier 0x080, the SYNC of the sensor node also requests the TPDO of the drive. On a bus
-without a SYNC with the identifier 0x080 from a sensor node, handctl sends SYNC after the command to
-a drive with the option ``sync``. If no drive on the bus has the option ``sync``, handctl selects
-one drive (``controller.run_setup``). The watchdog of the drive supervises the heartbeat of this
-host. Only a status word proves that the drive is enabled or disabled.
+The drive sends the TPDO at SYNC, a frame with the identifier 0x080. If the host sends SYNC with the
+identifier 0x080 to a sensor node on the bus, this SYNC also requests the TPDO of the drive. On any
+other bus, the host sends SYNC after the command to the drive with the option ``sync``. If no drive
+on such a bus has the option ``sync``, handctl sets the option for the last CiA 402 drive on the bus
+(``controller.run_setup``). The watchdog of the drive supervises the heartbeat of this host. Only a
+status word proves that the drive is enabled or disabled.
 """
 
 import math
@@ -257,12 +257,12 @@ class Cia402Drive:
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return an empty tuple, because the host reads back every setting of the drive."""
+        """Return no unverified protections, because the host reads back every setting of the drive."""
         return ()
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return an empty mapping, because handctl can check every property of the drive."""
+        """Return no unchecked properties, because handctl can check every property of the drive."""
         return {}
 
     @property
@@ -277,7 +277,7 @@ class Cia402Drive:
 
     @property
     def feedback_period_s(self) -> float:
-        """Return 0, because SYNC requests feedback in every tick."""
+        """Return 0 (no unrequested feedback), because SYNC requests feedback in every tick."""
         return 0.0
 
     @property
@@ -542,7 +542,7 @@ class Cia402Drive:
         return Frame(canopen.RPDO + self.node_id, data, 0, self.bus)
 
     def _command_at_rest(self, state: DriveState) -> float:
-        """Return the command while the host enables the drive: a torque of 0 N m."""
+        """Return the command that the host sends while it enables the drive: a torque of 0 N m."""
         return 0.0
 
     def _sdo_frame(self, payload: bytes) -> Frame:

@@ -89,7 +89,7 @@ class Cia402ModeDrive(Cia402Drive):
 def make_mode_drive(
     motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits
 ) -> Cia402ModeDrive:
-    """Return the object of a drive in the given mode, for a motor description.
+    """Create the drive object for a control mode, from a motor description.
 
     Raises:
         ConfigError: an option is unknown or wrong, the mode is not supported, or a limit does not

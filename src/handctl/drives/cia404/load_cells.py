@@ -126,7 +126,7 @@ class Cia404LoadCells:
             bus: index of the bus of the amplifiers.
             tendons: all tendon names of the hand, in order.
         """
-        assert node.range_N is not None  # the checks of the hand file guarantee that it has a value
+        assert node.range_N is not None  # checked with the hand file
         _, coding = PROCESS_VALUES[node.process_value]
         amplifiers, ranges, ids, channels = (
             list[LoadCellAmplifier](),
@@ -168,7 +168,7 @@ class Cia404LoadCells:
 
     @property
     def tension_frames(self) -> int:
-        """Return the number of all frames from the amplifiers, because every frame contains tensions."""
+        """Return the number of cyclic frames from the amplifiers, because every cyclic frame contains tensions."""
         return len(self.ids)
 
     @property
@@ -251,11 +251,11 @@ class Cia404LoadCells:
 
     @property
     def has_counter(self) -> bool:
-        """Return False, because a frame of an amplifier does not contain the counter of its SYNC."""
+        """Return False, because a frame from an amplifier does not contain the counter of the SYNC."""
         return False
 
     def counter(self, k: int) -> int:
-        """Return 0, because the SYNC to an amplifier has no counter."""
+        """Return the counter byte 0, because the SYNC to an amplifier has no counter."""
         return 0
 
     def sync(self, k: int) -> Frame:
@@ -267,7 +267,7 @@ class Cia404LoadCells:
         return sync_ns + MIN_ANSWER_DELAY_NS
 
     def answers(self, data: bytes, counter: int) -> bool:
-        """Return True, because the payload of a TPDO does not show which SYNC the TPDO answers."""
+        """Return True for every payload, because no payload of a TPDO shows which SYNC the TPDO answers."""
         return True
 
     def lost_frame_count(self, sync_count: int, accepted_count: int, stale_count: int) -> int:
@@ -282,5 +282,5 @@ class Cia404LoadCells:
         return self.tendon_frame_indices[tendon_index]
 
     def group_of_joint(self, joint_index: int) -> int:
-        """Return -1, because the amplifiers have no joint encoders."""
+        """Return the frame index -1, because the amplifiers have no joint encoders."""
         return -1

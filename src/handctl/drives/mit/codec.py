@@ -156,7 +156,7 @@ def command_message(
     """Return the signal table of the torque command, which has kp = kd = 0.
 
     The torque field cannot represent exactly zero torque. For 0 N m, the host sends the nearest
-    count, which is half a count (TMAX / 4095) away from zero torque.
+    count, whose torque differs from zero by half a count (TMAX / 4095).
 
     Args:
         can_id: identifier of the motor, ESC_ID.

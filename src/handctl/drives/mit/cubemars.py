@@ -246,7 +246,7 @@ class CubemarsDrive:
 
     @property
     def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return an empty tuple, because the motor sends only answers to commands."""
+        """Return no background frames, because the motor sends only answers to commands."""
         return ()
 
     @property
@@ -270,12 +270,12 @@ class CubemarsDrive:
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return one line for each protection of the drive that handctl cannot verify."""
+        """Return one line for each of the drive's protections that handctl cannot verify."""
         return UNVERIFIED_PROTECTIONS
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return the reason for each property of the drive that handctl cannot check."""
+        """Return a reason for each of the drive's properties that handctl cannot check."""
         return UNCHECKED_PROPERTIES
 
     @property
@@ -287,18 +287,19 @@ class CubemarsDrive:
     def position_step(self) -> float:
         """Return the change of the position per count [rad].
 
-        The 16 bits of the position field cover twice the position full scale of the motor model.
+        The 16 bits of the position field cover the range from minus to plus the position full scale
+        of the motor model.
         """
         return self.ranges.position_step
 
     @property
     def feedback_period_s(self) -> float:
-        """Return 0, because the motor sends feedback only as the answer to a command."""
+        """Return 0 (no unrequested feedback), because the motor sends feedback only in answer to a command."""
         return 0.0
 
     @property
     def rechecks(self) -> tuple[SettingRecheck, ...]:
-        """Return an empty tuple, because the motor has no settings that can be read."""
+        """Return no settings to read again, because the motor has no settings that can be read."""
         return ()
 
     @property
@@ -322,7 +323,7 @@ class CubemarsDrive:
         return (self.node_id & 0xFF) << 8 if is_steady else NO_STEADY_STATUS
 
     def due_ns(self, state: DriveState) -> int:
-        """Return MAX_TIME_NS, because the motor has no settings to read back."""
+        """Return MAX_TIME_NS, because no call is scheduled: the motor has no settings to read back."""
         return MAX_TIME_NS
 
     def initial_state(self) -> DriveState:
@@ -418,7 +419,8 @@ class CubemarsDrive:
     ) -> DriveState:
         """Return the drive state after an enable or disable command was sent.
 
-        If the command differs from the latest command, the count of agreeing answers starts at 0.
+        If an enable command follows a disable command, or the reverse, the count of answers that
+        agree with the command starts at 0.
         """
         progress: CubemarsProgress = state.protocol_state
         if progress.last_special_command == new_command and progress.command_start_ns >= 0:
@@ -467,7 +469,7 @@ class CubemarsDrive:
         return fresh_state, self.torque_cut_frames()
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return no frames, because a CubeMars motor has no watchdog."""
+        """Return no release frames, because a CubeMars motor has no watchdog."""
         return ()
 
     def identity(self, state: DriveState) -> str:

@@ -223,7 +223,7 @@ def ping_request(motor: DiscoveredNode) -> Frame:
 
 
 def is_ping_reply(motor: DiscoveredNode, frame: Frame) -> bool:
-    """Return True if the frame is a reply of the motor with register MST_ID."""
+    """Return True if the frame is a reply in which the motor sends register MST_ID."""
     answer = frame.can_id != codec.BROADCAST_ID and len(frame.data) == 8
     return (
         answer and frame.data[:4] == codec.register_request(motor.node_id, codec.READ, MST_ID)[:4]

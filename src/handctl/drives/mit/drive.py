@@ -52,7 +52,7 @@ from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
-"""Phases of a drive as names of the module, for speed.
+"""Phases of a drive as constants of this module, for speed.
 
 Reading a phase from the enumeration takes longer than comparing two phases.
 """
@@ -174,12 +174,12 @@ class MitDrive:
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return an empty tuple, because the host reads back every setting of the drive."""
+        """Return no unverified protections, because the host reads back every setting of the drive."""
         return ()
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return an empty mapping, because handctl can check every property of the drive."""
+        """Return no unchecked properties, because handctl can check every property of the drive."""
         return {}
 
     @property
@@ -189,12 +189,15 @@ class MitDrive:
 
     @property
     def position_step(self) -> float:
-        """Return the change of the position per count [rad]. The 16 bits of the position field cover twice PMAX."""
+        """Return the change of the position per count [rad].
+
+        The 16 bits of the position field cover the range from -PMAX to PMAX.
+        """
         return self.ranges.position_step
 
     @property
     def feedback_period_s(self) -> float:
-        """Return 0, because the motor sends feedback only as the answer to a request."""
+        """Return 0 (no unrequested feedback), because the motor sends feedback only in answer to a request."""
         return 0.0
 
     @property
@@ -253,7 +256,7 @@ class MitDrive:
         return codec.ENABLED << 4 | self.node_id & 0xF
 
     def due_ns(self, state: DriveState) -> int:
-        """Return MAX_TIME_NS, because the state machine of an enabled motor has no schedule."""
+        """Return MAX_TIME_NS, because no call of the state machine of an enabled motor is scheduled."""
         return MAX_TIME_NS
 
     def initial_state(self) -> DriveState:
@@ -449,7 +452,7 @@ class MitDrive:
         return (self._command_frame(torque),)
 
     def _command_frame(self, command: float) -> Frame:
-        """Return the frame of a command, in the unit of ``command_limit``."""
+        """Return the frame of a command, which is given in the unit of ``command_limit``."""
         return self._frame_to_motor(self._command_payload(command))
 
     def torque_cut_frames(self) -> tuple[Frame, ...]:
@@ -470,7 +473,7 @@ class MitDrive:
         return fresh_state, (self._frame_to_motor(codec.special_command(codec.CLEAR_ERROR)),)
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return no frames, because the watchdog of a disabled motor is not active."""
+        """Return no release frames, because the watchdog of a disabled motor is not active."""
         return ()
 
     def identity(self, state: DriveState) -> str:

@@ -106,7 +106,7 @@ class MitModeDrive(MitDrive):
 def make_mode_drive(
     motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits
 ) -> MitModeDrive:
-    """Return the object of a motor in the given mode, for a motor description.
+    """Create the drive object for a control mode, from a motor description.
 
     Raises:
         ConfigError: an option is unknown or wrong, or a limit does not fit in the command.

@@ -1,4 +1,4 @@
-"""State of the state machine of a Damiao motor, and the effect of the state nibble in feedback."""
+"""State of the Damiao state machine, and the effect of the state nibble in feedback on this state."""
 
 from typing import NamedTuple
 

@@ -211,9 +211,9 @@ STOP_PAYLOAD = padded_payload(write_bytes_subframe(MODE, STOPPED) + QUERY_SUBFRA
 def limits_request(torque: float, timeout_s: float) -> bytes:
     """Return the payload that writes torque limit and watchdog timeout into the command registers.
 
-    The written limits have no effect until a command sets the mode of the drive. If the firmware
-    has no register for the integrator, the drive refuses the request. The host thus detects such a
-    firmware before the first torque command.
+    The written limits have no effect until a command sets the mode of the drive. The payload also
+    writes the register ``INTEGRATOR_SCALE``. A drive whose firmware does not have this register
+    refuses the request, so the host detects the missing register before the first torque command.
     """
     return padded_payload(
         limits_subframes(torque, timeout_s)
@@ -369,7 +369,7 @@ def _float_signal(
 
 
 def join_mode_and_fault(mode: int, fault: int) -> int:
-    """Return the status of feedback with a given mode and fault code.
+    """Join a mode and a fault code to the status of feedback.
 
     Compiled code computes the same number from the signals mode and fault of a feedback frame.
     """
@@ -450,7 +450,7 @@ class _SubframeReader:
         return value
 
     def read_bytes(self, byte_count: int) -> bytes:
-        """Return the given number of following bytes of the payload."""
+        """Return the next ``byte_count`` bytes of the payload."""
         value = self.data[self.at : self.at + byte_count]
         if len(value) < byte_count:
             raise IndexError
@@ -458,7 +458,7 @@ class _SubframeReader:
         return value
 
     def read_varuint(self) -> int:
-        """Return the next varuint of the payload, which has at most five groups of seven bits."""
+        """Return the next varuint of the payload. A varuint has at most five groups of seven bits."""
         number = 0
         for shift in range(0, 35, 7):
             group = self.read_byte()

@@ -119,7 +119,7 @@ def _describe_drive(
 
 
 def command_ids(drive: DiscoveredNode) -> frozenset[int]:
-    """Return the identifiers of requests from any host to this drive and to all drives."""
+    """Return the identifiers of requests from any host that are addressed to this drive or to all drives."""
     return frozenset(
         codec.request_id(node, source)
         for node in (drive.node_id, codec.BROADCAST)
@@ -149,7 +149,7 @@ def ping_request(drive: DiscoveredNode) -> Frame:
 
 
 def is_ping_reply(drive: DiscoveredNode, frame: Frame) -> bool:
-    """Return True if the frame is a reply of the drive with its mode."""
+    """Return True if the frame is a reply in which the drive reports its mode."""
     return frame.can_id == codec.reply_id(drive.node_id) and frame.data[:2] == MODE_REPLY
 
 

@@ -52,7 +52,7 @@ from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
-"""Phases of a drive as names of the module, for speed.
+"""Phases of a drive as constants of this module, for speed.
 
 Reading a phase from the enumeration takes longer than comparing two phases.
 """
@@ -164,7 +164,7 @@ class MoteusDrive:
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the identifiers of requests from any host to this drive and to all drives."""
+        """Return the identifiers of requests from any host that are addressed to this drive or to all drives."""
         return frozenset(
             codec.request_id(node, source)
             for node in (self.node_id, codec.BROADCAST)
@@ -178,12 +178,12 @@ class MoteusDrive:
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return an empty tuple, because the host reads back every setting of the drive."""
+        """Return no unverified protections, because the host reads back every setting of the drive."""
         return ()
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return an empty mapping, because handctl can check every property of the drive."""
+        """Return no unchecked properties, because handctl can check every property of the drive."""
         return {}
 
     @property
@@ -193,12 +193,12 @@ class MoteusDrive:
 
     @property
     def position_step(self) -> float:
-        """Return 0 (unknown), because the drive does not report the resolution of its encoder."""
+        """Return 0 (unknown resolution), because the drive does not report the resolution of its encoder."""
         return 0.0
 
     @property
     def feedback_period_s(self) -> float:
-        """Return 0, because the drive sends feedback only as the reply to a request."""
+        """Return 0 (no unrequested feedback), because the drive sends feedback only in reply to a request."""
         return 0.0
 
     @property
@@ -219,7 +219,7 @@ class MoteusDrive:
 
     @property
     def rechecks(self) -> tuple[SettingRecheck, ...]:
-        """Return an empty tuple, because the read-back of a setting over the text channel needs several frames."""
+        """Return no settings for compiled code, because each read-back over the text channel needs several frames."""
         return ()
 
     def steady_status(self, state: DriveState) -> int:
@@ -527,7 +527,7 @@ class MoteusDrive:
             raise ValueError(f"{self.name}: {error}") from None
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return no frames, because every torque command enables the drive."""
+        """Return no torque command for a disabled drive, because every torque command enables the drive."""
         return ()
 
     def torque_cut_frames(self) -> tuple[Frame, ...]:
@@ -548,7 +548,7 @@ class MoteusDrive:
         return fresh_state, self.torque_cut_frames()
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return no frames, because the watchdog of a stopped drive is not active."""
+        """Return no release frames, because the watchdog of a stopped drive is not active."""
         return ()
 
     def identity(self, state: DriveState) -> str:

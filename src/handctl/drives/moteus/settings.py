@@ -74,8 +74,9 @@ def position_configuration(gains: codec.PositionGains) -> tuple[MoteusSetting, .
     The host reads the configuration items again while the drive is enabled. With a limit of
     velocity or acceleration, the drive would plan its own trajectory to the commanded position.
     With a finite limit of the position slip, the drive would move the commanded position towards
-    the position of a motor that lags behind. The items are ordered so that the default of every
-    second item differs from the required value, see ``REQUIRED_CONFIGURATION``.
+    the position of a motor that lags behind. In the order of the items, at least one of two
+    consecutive items has a required value that differs from the default, see
+    ``REQUIRED_CONFIGURATION``.
     """
     min_position_key, fixed_voltage, timeout_mode, max_position_key = REQUIRED_CONFIGURATION
     return (
@@ -94,7 +95,7 @@ def position_configuration(gains: codec.PositionGains) -> tuple[MoteusSetting, .
 def gain_per_turn(gain: float) -> float:
     """Convert a gain per radian to a gain per turn, rounded up to six digits and six decimals.
 
-    Both the texts to and from the drive and a float32 keep all digits of the rounded gain.
+    The rounded gain loses no digit in the texts to and from the drive, and no digit as a float32.
     """
     exact_gain = math.tau * gain
     step = 10.0 ** max(-6, math.floor(math.log10(exact_gain)) - 5) if exact_gain else 1.0
@@ -161,8 +162,8 @@ class DiagnosticChannel(NamedTuple):
     def next_request_payload(self, command: bytes, t_ns: int) -> tuple["DiagnosticChannel", bytes]:
         """Return the next state of the text channel, and the payload to send.
 
-        The payload is the request ``command``. If text of an earlier request can still arrive, the
-        payload is a read that empties the text channel.
+        If text of an earlier request can still arrive, the payload is a read that empties the text
+        channel. Otherwise, the payload is the request ``command``.
         """
         if not self.is_drained:
             return DiagnosticChannel(), codec.TEXT_REQUEST

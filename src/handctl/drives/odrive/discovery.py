@@ -52,8 +52,8 @@ def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Fram
     """Return the requests that the scan sends in a round.
 
     In round 1, the scan requests the message Address from all nodes. In round 2, the scan requests
-    the version of the discovered drives. In round 3, the scan requests the version again from each
-    drive that has not reported a version, and two messages of firmware 0.5.
+    the version of the discovered drives. In round 3, the scan sends requests to each drive that has
+    not reported a version: the version again, and two messages of firmware 0.5.
     """
     if scan_round == 1:
         return (Frame(codec.message_id(BROADCAST, ADDRESS) | REMOTE_FLAG, b""),)

@@ -199,7 +199,7 @@ class OdriveDrive:
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return one line for each protection of the drive that handctl cannot verify."""
+        """Return one line for each of the drive's protections that handctl cannot verify."""
         return endpoints.unverified_protections(self.settings, self.firmware_05)
 
     @property
@@ -214,7 +214,7 @@ class OdriveDrive:
 
     @property
     def position_step(self) -> float:
-        """Return 0 (unknown), because the drive does not report the resolution of its encoder."""
+        """Return 0 (unknown resolution), because the drive does not report the resolution of its encoder."""
         return 0.0
 
     @property
@@ -237,7 +237,7 @@ class OdriveDrive:
         )
 
     def steady_status(self, state: DriveState) -> int:
-        """Return 0, because the frames with positions and torques contain no status.
+        """Return the status 0, because the frames with positions and torques contain no status.
 
         Only a heartbeat reports the state of the drive.
         """
@@ -487,8 +487,8 @@ class OdriveDrive:
         """Return the next drive state, and the requests for feedback of a drive that has sent feedback before.
 
         Before each enable command, the host verifies the settings of the drive again. Other drives
-        may be enabled during this verification, so missing feedback of the drive would count as a
-        fault.
+        may be enabled at that time. The host also requests feedback from the present drive, because
+        missing feedback would count as a fault.
         """
         return self._feedback_requests(state, t_ns) if state.feedback_count else (state, ())
 
@@ -557,7 +557,7 @@ class OdriveDrive:
         return state, tuple(frames)
 
     def _command_frame(self, command: float) -> Frame:
-        """Return the frame of a command, in the unit of ``command_limit``."""
+        """Return the frame of a command, which is given in the unit of ``command_limit``."""
         try:
             return Frame(self.command.message.can_id, self.command.pack(command), 0, self.bus)
         except ValueError as error:
@@ -568,7 +568,7 @@ class OdriveDrive:
         return 0.0
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return no frames, because the watchdog of a disabled drive is not active."""
+        """Return no release frames, because the watchdog of a disabled drive is not active."""
         return ()
 
     def identity(self, state: DriveState) -> str:

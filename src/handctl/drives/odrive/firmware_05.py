@@ -30,7 +30,7 @@ ERROR_TEXTS = {
 def decode_heartbeat(data: bytes) -> Heartbeat:
     """Decode the 8 bytes of a heartbeat.
 
-    The error flags of motor, encoder, and controller become error bits of the axis.
+    Each error flag of motor, encoder, and controller is converted to an error bit of the axis.
     """
     flags = (
         (MOTOR_ERROR * (data[5] & 1))

@@ -67,7 +67,7 @@ class OdriveModeDrive(OdriveDrive):
 def make_mode_drive(
     motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits
 ) -> OdriveModeDrive:
-    """Return the object of a drive in the given mode, for a motor description.
+    """Create the drive object for a control mode, from a motor description.
 
     Raises:
         ConfigError: an option is unknown or wrong, or an ODrive does not have the mode.

@@ -66,7 +66,7 @@ class OdriveOptions(NamedTuple):
 
 
 def pop_options(options: MutableMapping[str, Any], key_path: str) -> OdriveOptions:
-    """Remove the known options except the endpoint numbers from ``options``, and return their values.
+    """Remove the known options except the endpoint numbers from ``options``, and return the removed values.
 
     Args:
         options: options of the motor, modified in place.

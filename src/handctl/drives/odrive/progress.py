@@ -54,8 +54,9 @@ class OdriveProgress(NamedTuple):
     Attributes:
         version: True if the drive has reported the protocol version supported by handctl.
         serial: serial number of the drive, 0 if the serial number is unknown.
-        serial_requests: number of requests for the serial number. With ``SERIAL_NUMBER_TRIES``, the
-            host sends no more requests, because the drive has answered or does not answer.
+        serial_requests: number of requests for the serial number. If the number equals
+            ``SERIAL_NUMBER_TRIES``, the host sends no more requests, because the drive has answered
+            or does not answer.
         cursor: position in the list of endpoints to read back.
         is_configured: True if the host has sent control mode and limits.
         axis: axis state in the latest heartbeat.
@@ -213,7 +214,8 @@ def _state_when_enable_failed(
 ) -> DriveState:
     """Return the drive state after a heartbeat that reports idle although an enable command was sent.
 
-    The drive has refused the command, the command was lost, or the drive has restarted.
+    Such a heartbeat has three possible causes: the drive has refused the command, the command was
+    lost, or the drive has restarted.
 
     Because the host has no other sign of a restart, it verifies and writes all settings again
     before the next enable command.

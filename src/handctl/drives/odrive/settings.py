@@ -84,7 +84,7 @@ def pop_settings(
 def unverified_protections(
     settings: tuple[OdriveSetting, ...], firmware_05: bool
 ) -> tuple[str, ...]:
-    """Return one line for each protection of the drive that handctl cannot verify."""
+    """Return one line for each of the drive's protections that handctl cannot verify."""
     names = {setting.name for setting in settings}
     protections = []
     if "watchdog_timeout" not in names:
@@ -107,10 +107,10 @@ def unverified_protections(
 def unchecked_properties(
     settings: tuple[OdriveSetting, ...], firmware_05: bool
 ) -> dict[DriveProperty, str]:
-    """Return the reason for each property of the drive that handctl cannot check.
+    """Return a reason for each of the drive's properties that handctl cannot check.
 
-    The reason names the missing options of the motor. The watchdog of firmware 0.5 can be checked,
-    because the operator sets this watchdog over USB before the check.
+    The reason names the missing options of the motor. With firmware 0.5, the operator sets the
+    watchdog over USB, so handctl can check that the watchdog works.
     """
     if firmware_05:
         return {DriveProperty.READBACK: "firmware 0.5 has no message that reads its settings"}
@@ -129,7 +129,9 @@ def unchecked_properties(
 def on_reply(
     cursor: ReadbackCursor, settings: tuple[OdriveSetting, ...], data: bytes
 ) -> tuple[ReadbackCursor, str]:
-    """Return the position in the read-back after a TxSdo. A TxSdo that answers another request has no effect.
+    """Return the new position in the read-back, after the host has received a TxSdo.
+
+    A TxSdo that answers another request has no effect.
 
     Returns:
         The new position in the read-back, and the problem in words (empty if there is no problem).

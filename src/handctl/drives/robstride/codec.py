@@ -169,8 +169,8 @@ def reply_id(frame_type: int, node_id: int, host: int, data_field: int = 0) -> i
 def motor_ids(node_id: int, host: int) -> frozenset[int]:
     """Return the identifiers of all frames from a motor to a host.
 
-    A motor sends its identity, feedback with any mode and fault, replies to reads, and the fault
-    report.
+    A motor sends four kinds of frames: its identity, feedback with any mode and fault, replies to
+    read requests, and fault reports.
     """
     feedback = {reply_id(FEEDBACK, node_id, host, data) for data in range(0x100)}
     read_reply_ids = {reply_id(READ, node_id, host, failed) for failed in (0, 1)}
@@ -189,7 +189,7 @@ def command_message(
     """Return the signal table of the torque command. The identifier of a torque command contains the torque.
 
     The torque field cannot represent exactly 0 N m. For 0 N m, the host sends the nearest count,
-    which is half a count away from 0 N m.
+    whose torque differs from 0 N m by half a count.
 
     Args:
         node_id: number of the motor.

@@ -60,7 +60,10 @@ def discovered_motors(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, 
 
 
 def _describe_motor(node_number: int, serials: set[bytes]) -> DiscoveredNode:
-    """Return the description of a discovered motor, with the serial numbers received from its motor number."""
+    """Return the description of a discovered motor.
+
+    The argument ``serials`` contains all serial numbers that were received from the motor number.
+    """
     is_number_used_twice = len(serials) > 1
     notes = (DUPLICATE_NODE_WARNING,) * is_number_used_twice + (
         "does not report its model: give motor_type in the hand file",

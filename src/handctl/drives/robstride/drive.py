@@ -2,10 +2,10 @@
 
 A motor answers requests, and sends fault reports without a request. The identifier of feedback
 contains mode and faults, so that all feedback of a running motor without a fault has the same
-identifier. The state machine processes feedback with another identifier. A stop command without
-data stops the motor, but does not clear faults. The host also sends the stop command without data
-to request feedback from a disabled motor. A disabled motor sends feedback only as the answer to a
-stop command.
+identifier. Feedback with any other identifier reports another mode or a fault, and is processed by
+the state machine. A stop command without data stops the motor, but does not clear faults. The host
+also sends the stop command without data to request feedback from a disabled motor. A disabled motor
+sends feedback only as the answer to a stop command.
 """
 
 import struct
@@ -59,7 +59,7 @@ from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
-"""Phases of a drive as names of the module, for speed.
+"""Phases of a drive as constants of this module, for speed.
 
 Reading a phase from the enumeration takes longer than comparing two phases.
 """
@@ -185,12 +185,12 @@ class RobstrideDrive:
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return an empty tuple, because the host reads back torque limit and watchdog."""
+        """Return no unverified protections, because the host reads back torque limit and watchdog."""
         return ()
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return an empty mapping, because handctl can check every property of the drive."""
+        """Return no unchecked properties, because handctl can check every property of the drive."""
         return {}
 
     @property
@@ -200,12 +200,15 @@ class RobstrideDrive:
 
     @property
     def position_step(self) -> float:
-        """Return the change of the position per count [rad]. The 16 bits of the position field cover 8 pi."""
+        """Return the change of the position per count [rad].
+
+        The 16 bits of the position field cover a range of 8 pi rad.
+        """
         return 2 * codec.POSITION_RANGE_RAD / codec.MAX_COUNT
 
     @property
     def feedback_period_s(self) -> float:
-        """Return 0, because the motor sends feedback only as the answer to a command."""
+        """Return 0 (no unrequested feedback), because the motor sends feedback only in answer to a command."""
         return 0.0
 
     @property
@@ -236,7 +239,7 @@ class RobstrideDrive:
         )
 
     def steady_status(self, state: DriveState) -> int:
-        """Return 0 for an enabled motor.
+        """Return the status 0 for an enabled motor.
 
         The status of the motor is in the identifier of feedback, not in the payload.
         """
@@ -245,7 +248,7 @@ class RobstrideDrive:
         return 0
 
     def due_ns(self, state: DriveState) -> int:
-        """Return MAX_TIME_NS, because the state machine of an enabled motor has no schedule."""
+        """Return MAX_TIME_NS, because no call of the state machine of an enabled motor is scheduled."""
         return MAX_TIME_NS
 
     def initial_state(self) -> DriveState:
@@ -470,7 +473,7 @@ class RobstrideDrive:
         return fresh_state, (self._request_frame(codec.STOP, codec.CLEAR_FAULT_DATA),)
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return no frames, because the watchdog of a stopped motor is not active."""
+        """Return no release frames, because the watchdog of a stopped motor is not active."""
         return ()
 
     def identity(self, state: DriveState) -> str:

@@ -2,8 +2,8 @@
 
 In MIT mode, the motor has 11-bit identifiers, the command frame of MIT motors, and no registers.
 Commands and special commands have the motor's number as identifier, and the layout of
-``mit.codec``. Byte 6 of a special command contains a second code. The second code is FF in all
-special commands that handctl uses, except in the request to read the faults:
+``mit.codec``. Byte 6 of a special command contains FF in all special commands that handctl uses,
+except in the request to read the faults:
 
     bytes 0..5          byte 6   byte 7   effect
     FF FF FF FF FF FF   FF       FC       enable
@@ -181,12 +181,12 @@ class RobstrideMitDrive(CubemarsDrive):
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
-        """Return one line for each protection of the drive that handctl cannot verify."""
+        """Return one line for each of the drive's protections that handctl cannot verify."""
         return UNVERIFIED_PROTECTIONS
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return the reason for each property of the drive that handctl cannot check."""
+        """Return a reason for each of the drive's properties that handctl cannot check."""
         return UNCHECKED_PROPERTIES
 
     def steady_status(self, state: DriveState) -> int:
@@ -249,7 +249,7 @@ class RobstrideMitDrive(CubemarsDrive):
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the drive state and the frames that clear the faults.
 
-        After the faults are cleared, the host starts again with stop commands to the motor.
+        After the faults are cleared, the host sends stop commands to the motor again.
         """
         cleared_state, stop = CubemarsDrive.clear(self, state)
         return cleared_state, (self._frame_to_motor(mit.special_command(mit.CLEAR_ERROR)), *stop)

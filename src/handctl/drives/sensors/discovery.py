@@ -3,9 +3,10 @@
 An answer of the sensor node contains the low four bits of the counter in the SYNC.
 
 SYNC does not move a motor that handctl has set up. A CANopen drive that handctl has not set up may
-obey stored PDOs at SYNC. A scan sends no SYNC on a bus with a CANopen drive or an ODrive with node
-number 4. The function ``command_ids`` of these drives returns the identifier of SYNC. Source:
-``sensor_node``.
+obey stored PDOs at SYNC. A scan sends no SYNC on a bus with a CANopen drive. A scan also sends no
+SYNC on a bus with an ODrive whose node number is 4, because the identifier of SYNC is then an
+identifier of this ODrive. The function ``command_ids`` of each protocol tells the scan if a drive
+uses the identifier of SYNC. Source: ``sensor_node``.
 """
 
 from handctl.drives.discovery import DiscoveredNode, ProtocolDiscovery, ReceivedFrames
@@ -77,12 +78,12 @@ def _describe_node(can_id: int, received_frames: ReceivedFrames) -> DiscoveredNo
 
 
 def command_ids(node: DiscoveredNode) -> frozenset[int]:
-    """Return an empty set, because SYNC moves no motor. SYNC only makes the sensor node take a sample."""
+    """Return no identifiers of commands, because SYNC only makes the sensor node take a sample."""
     return frozenset()
 
 
 def other_host_frames(received_frames: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return an empty tuple of frames.
+    """Return no frames of other hosts.
 
     The discovery of CANopen drives already reports the SYNC of another host.
     """

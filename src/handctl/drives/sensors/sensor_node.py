@@ -196,17 +196,17 @@ class SensorNode:
 
     @property
     def amplifiers(self) -> tuple[LoadCellAmplifier, ...]:
-        """Return an empty tuple, because the node has no amplifiers that need a set-up."""
+        """Return no amplifiers, because no amplifier of the node needs a set-up."""
         return ()
 
     @property
     def amplifier_frame_ranges(self) -> tuple[range, ...]:
-        """Return an empty tuple, because the node has no amplifiers."""
+        """Return no ranges of frames, because the node has no amplifiers."""
         return ()
 
     @property
     def service_ids(self) -> frozenset[int]:
-        """Return an empty set, because the node sends only cyclic frames."""
+        """Return no identifiers of other frames, because the node sends only cyclic frames."""
         return frozenset()
 
     @property
@@ -219,7 +219,7 @@ class SensorNode:
 
     @property
     def background_frames(self) -> tuple[tuple[int, float], ...]:
-        """Return an empty tuple, because the node sends only answers to SYNC."""
+        """Return no background frames, because the node sends only answers to SYNC."""
         return ()
 
     @property
@@ -235,7 +235,7 @@ class SensorNode:
         return True
 
     def earliest_answer_time_ns(self, sync_ns: int) -> int:
-        """Return ``NO_EARLIEST_ARRIVAL_NS``, because the counter in an answer shows which SYNC it answers."""
+        """Return ``NO_EARLIEST_ARRIVAL_NS``, because the counter in an answer identifies the SYNC."""
         return NO_EARLIEST_ARRIVAL_NS
 
     def answers(self, data: bytes, counter: int) -> bool:
@@ -354,8 +354,8 @@ def sync_counters(decimation: int) -> bytes:
 
     The node sends angle frames if the counter is a multiple of ``decimation``. Therefore counter
     and tick have the same remainder modulo ``decimation``. If ``decimation`` is a multiple of 8,
-    the remainder leaves at most two values for the low four bits. Ticks at a small distance can
-    then have the same low four bits.
+    the remainder leaves at most two values for the low four bits. With such a ``decimation``, the
+    low four bits can be equal for two ticks that are less than ``DISTINCT_COUNTER_TICKS`` apart.
     """
     counters_by_remainder = [range(remainder, 256, decimation) for remainder in range(decimation)]
     byte_by_nibble = [{byte & 0xF: byte for byte in row} for row in counters_by_remainder]
