@@ -33,7 +33,7 @@ def test_a_motion_depends_on_the_time_since_its_start_only(
 
 
 def required_tensions_by_digit(model: HandModel, joint_motion: np.ndarray) -> np.ndarray:
-    """Compute the tensions (N,) [N] that a motion requires, for each digit separately and without optimisations."""
+    """Compute the tensions (N,) [N] that a motion requires, for one digit after the other."""
     required_tensions = np.zeros(model.tendon_count)
     q, dq, ddq = joint_motion.tolist()
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
@@ -55,7 +55,8 @@ def test_the_load_of_each_digit_is_limited_separately(
 ) -> None:
     """In this test, the required tensions of some digits are at their bound, and those of other digits are not.
 
-    A digit whose required tension is at its bound does not change the tensions of other digits.
+    If the required tension of one digit reaches the bound, the tensions of other digits do not
+    change.
     """
     model: HandModel = request.getfixturevalue(hand_name)
     goals, rng = motion_goals(model, 0.0, (0.5, 0.4, 0.5, 0.6)), np.random.default_rng(4)

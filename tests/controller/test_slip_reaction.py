@@ -69,7 +69,7 @@ class GripRun:
     def estimate_after_winding(
         self, extra_travel_m: float, digit_index: int = 0
     ) -> SyntheticEstimate:
-        """Return the estimate after the motors have wound up ``extra_travel_m`` [m] more of a digit's tendons."""
+        """Return an estimate in which the motors have wound up a length ``extra_travel_m`` [m] of a digit's tendons."""
         travel = self.resting_estimate.travel.copy()
         travel[self.model.digit_tendons[digit_index]] += extra_travel_m
         return self.resting_estimate._replace(travel=travel)

@@ -1,4 +1,4 @@
-"""Test the schema of a state block, the views of a state block that kernels use, and the digest of a state block.
+"""Test the schema of a state block, the array views that compiled kernels use, and the digest of the block.
 
 The digest of a state block depends on every field of the block.
 """
@@ -406,7 +406,9 @@ def goal_variants() -> Iterator[tuple[str, DigitGoal]]:
 
 
 def progress_variants(progress: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]:
-    """Yield copies of a program's progress. Each copy differs from the original in one attribute.
+    """Yield copies of the object that stores the progress of a program.
+
+    Each copy differs from the original in one attribute.
 
     For the attribute ``goals``, each copy has one changed goal.
     """

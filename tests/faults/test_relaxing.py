@@ -84,10 +84,10 @@ def tension_bound(
     """Return an upper bound of each tension (N,) [N].
 
     The bound of a tension follows from the motion of the rotors and the stretch of the tendons.
-    Seen at the tendon, a rotor has the mass m and the speed v. A force of at most F pulls the rotor
-    against the stiffness k of the tendon. From a tension T, the tension rises to at most F +
-    sqrt((F - T)^2 + k m v^2). While the finger of the tendon moves freely, the force F also
-    increases the speed of the rotor.
+    Converted to the tendon, the inertia of a rotor is the mass m, and its speed is v. A force of at
+    most F pulls the rotor against the stiffness k of the tendon. From a tension T, the tension
+    rises to at most F + sqrt((F - T)^2 + k m v^2). While the finger of the tendon moves freely, the
+    force F also increases the speed of the rotor.
     """
     space = simulation.controller.model.tendon_constants
     largest = np.maximum(motor_force, 0.0)
@@ -181,9 +181,9 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
 ) -> None:
     """Reproduce a defect.
 
-    In an earlier version, the tension loop of the hand was unstable. The hand began to relax from
-    the last command of the unstable tension loop, which was 160 N. During the relaxing, the tension
-    of a tendon that had been slack reached 317 N.
+    A drive that reacted late made the tension loop oscillate, up to a command of 160 N for a slack
+    tendon. The hand relaxed from this last command, instead of from the true tension. During the
+    relaxing, the tension of a tendon that had been slack reached 317 N.
     """
     hand = hand_with_protocol("jamia", "odrive")
     with homed_run(hand, 400.0, seed, task=hidden_faults.rising_hold_task()) as simulation:

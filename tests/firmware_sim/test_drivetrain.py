@@ -35,7 +35,7 @@ def closing_hand(hand_name: str, uses_mj_step: bool = True, is_compiled: bool = 
 
 
 def state_as_hex(plant: Plant) -> list[str]:
-    """Return texts of all numbers that describe the motion of the simulated hand, exact to the last bit."""
+    """Return all numbers that describe the motion of the simulated hand, as hexadecimal texts without rounding."""
     motors = [(m.theta, m.omega, m.torque, m.velocity, m.heat) for m in plant.motors.values()]
     tendons = [(tendon.tension, tendon.speed, tendon.slope) for tendon, _ in plant.tendons]
     engine = plant.engine
