@@ -170,7 +170,7 @@ class KillTestSetup:
         )
 
     def now_ns(self) -> tuple[int, int]:
-        """Return the time of the simulator, and the total delay that the simulator will never make up [ns]."""
+        """Return the simulated time [ns], and the total delay that the simulator will not catch up [ns]."""
         reply_path = run_dir() / f"kills-{os.getpid()}"
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
             link.bind(str(reply_path))

@@ -317,9 +317,10 @@ def test_a_time_is_rounded_to_ticks(
 def fault_trace(fault_id: str) -> list[tuple[SafetyAction, int]]:
     """Return the action and the number of findings of one fault in each tick.
 
-    The first ticks of the trace are before the onset of the fault.
+    In the first tick, the input is just below the limit of the fault. In the following ticks, the
+    fault is present. In the last tick, the hand is at rest without the fault.
 
-    In this test, interpreted code debounces the fault.
+    Interpreted code debounces the fault: a fault counts only after some ticks in a row.
     """
     case, monitor, actions_and_counts = CASE_BY_FAULT[fault_id], monitor_at_rest(), []
     rows_of_fault = {row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == fault_id}
