@@ -73,7 +73,7 @@ class DurationRecorder:
     """
 
     def __init__(self, path: Path) -> None:
-        """Open the file for appending. All processes of pytest-xdist write to this file."""
+        """Open the file for appending. All processes of pytest-xdist write to the same file."""
         self.path = path
         self._elapsed_s: defaultdict[str, float] = defaultdict(float)
 

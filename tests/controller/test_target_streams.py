@@ -148,8 +148,8 @@ def true_angle(run: SimulatedRun) -> float:
 def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None:
     """In this test, the client knows the motion in advance.
 
-    Because the client knows the motion, it sends the angle that the hand should have after the
-    delay of the stream (``horizon_s``).
+    A stream has a delay (``horizon_s``). The client knows the motion, so it sends the angle that
+    the hand should have at the end of this delay.
     """
     errors = {}
     for interpolation in ("linear", "minimum_jerk"):
@@ -184,7 +184,7 @@ def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None
 
 
 def rms_error_of_trajectory(model: HandModel) -> float:
-    """Return the RMS tracking error [deg] of a hand that follows the test sine as a trajectory of a task."""
+    """Return the RMS tracking error [deg] of a hand that follows the test sine from a trajectory in a task file."""
     times = np.arange(0.0, 3.001, 0.02)
     hold_phase = {
         "kind": "move",
@@ -798,8 +798,8 @@ def test_targets_that_tendons_cannot_hold_are_moved_to_the_nearest_posture(
 ) -> None:
     """The outer joint of a finger cannot bend alone, because a tendon of an inner joint would have to push.
 
-    Earlier defect: the safety monitor reported the tendon that would have to push as slack, and
-    relaxed the hand.
+    Earlier defect: the safety monitor reported the tendon of the inner joint as slack, and relaxed
+    the hand.
     """
     digit = jamia11.digits[0]
     floor = jamia11.floor[digit.tendons]

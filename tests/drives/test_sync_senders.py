@@ -49,8 +49,8 @@ def hand_without_sensors() -> Hand:
 def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
     """Reproduce a defect.
 
-    On a bus without a sensor node, no node sent a SYNC frame. For this reason, a hand with CiA 402
-    drives on such a bus was never armed.
+    On a bus without a sensor node, the host sent no SYNC frame. Therefore a hand with CiA 402
+    drives on a bus without a sensor node was never armed.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
     hand = load_hand(str(path))

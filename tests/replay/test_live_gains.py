@@ -52,7 +52,7 @@ def test_a_run_whose_gains_were_set_repeats(tmp_path: Path) -> None:
 
 
 def identified_calibration(hand: Hand, torque_gain: float) -> Calibration:
-    """Return the calibration of a hand with known motor zeros.
+    """Return the calibration of a hand whose motor zeros are known.
 
     The calibration states that the drives make only the fraction ``torque_gain`` of a commanded
     torque.

@@ -145,7 +145,7 @@ def test_both_tendons_of_a_pair_balance_its_joint(passes_wrist: float) -> None:
     """Two antagonistic tendons share one motor in this test.
 
     At the joint, friction lowers the tension of one tendon and raises the tension of the other
-    tendon. The difference of both tensions turns the joint.
+    tendon. The difference between the two tensions turns the joint.
     """
     net_tensions = np.linspace(-40.0, 40.0, 81)
     spool = spool_pair_tension(net_tensions, 10.0, np.full(81, passes_wrist))
@@ -211,7 +211,7 @@ def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
     """Reproduce a defect.
 
     While a fault holds the hand, the identification makes no progress. The run had no time limit,
-    so a run with a held hand never ended.
+    so a run in which a fault held the hand never ended.
     """
     limit = HoldTimeout()
 
