@@ -175,7 +175,7 @@ def grasp_program(slip_limit_text: str) -> TaskProgram:
 def test_a_growing_load_removes_the_object_only_without_slip_reaction(
     hand_name: str, object_friction: float, load_rate: float, tmp_path: Path
 ) -> None:
-    """In this test, a run with slip reaction and a run without it have the same load, hand and seed.
+    """In this test, a run with slip reaction and a run without slip reaction have the same load, hand and seed.
 
     The two runs of this test differ only in the task key that permits a higher grip force.
     """

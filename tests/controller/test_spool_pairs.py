@@ -127,7 +127,9 @@ def begin_run(
     calibration: Calibration | None,
     first_tick: int,
 ) -> SimulatedRun:
-    """Begin a run at tick ``first_tick``, in which a program controls a simulated hand.
+    """Begin a run in which a program controls a simulated hand.
+
+    The run begins at tick ``first_tick``.
 
     An earlier run can have moved the simulated hand.
     """
@@ -226,9 +228,8 @@ class PullProgram:
 def test_it_pulls_both_ways_and_never_above_the_limit(tension: float) -> None:
     """When a joint rests at its mechanical stop, the net tension of the spool pair reaches the commanded net tension.
 
-    If the commanded net tension is above the tension limit of the hand, the controller commands
-    less. It commands the tension limit minus a margin for the standard deviation of the estimated
-    tension.
+    The controller limits the commanded net tension to the tension limit of the hand minus a margin.
+    The margin allows for the standard deviation of the estimated tension.
     """
     hand = spool_finger()
     limit = hand.tendon[0].tension_max_N

@@ -149,7 +149,7 @@ def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None
     """In this test, the client knows the motion in advance.
 
     A stream has a delay (``horizon_s``). The client knows the motion, so it sends the angle that
-    the hand should have at the end of this delay.
+    the hand should have after the delay of the stream.
     """
     errors = {}
     for interpolation in ("linear", "minimum_jerk"):
@@ -343,8 +343,8 @@ def test_a_stale_stream_holds_then_relaxes(jamia: HandModel) -> None:
 def test_a_late_target_waits_at_the_last_one(jamia: HandModel) -> None:
     """While a target is late, the controller does not extrapolate the stream.
 
-    The reference angle brakes only after it has reached the last target. It overshoots the last
-    target by at most the braking distance, and then returns to this target.
+    The reference angle brakes only after it has reached the last target. The reference angle
+    overshoots the last target by at most the braking distance, and then returns to the last target.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -465,8 +465,8 @@ def test_targets_between_the_deadline_and_a_late_tick_are_in_order(jamia: HandMo
     """If a tick is late, a client can send a target after the scheduled time of the tick.
 
     A target that was sent after the scheduled time of its tick counts as sent at the scheduled
-    time. Earlier defect: the controller refused the next target, because it treated this target as
-    older than the previous target.
+    time. Earlier defect: the controller refused the target after a target of this kind, because its
+    time stamp seemed to be the earlier one.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -636,8 +636,8 @@ def test_streams_that_do_not_suit_the_hand_are_refused(jamia: HandModel) -> None
 def test_joint_angles_become_coordinates(model: HandModel) -> None:
     """A stream can contain the angles of single joints instead of one angle for each digit.
 
-    The target angles of coupled joints can violate the coupling. In this case, the joints turn to
-    the nearest angles that satisfy the coupling.
+    If the target angles of coupled joints violate the coupling, the joints turn to the nearest
+    angles that satisfy it.
     """
     names = model.hand.joints
     where = mapping_of_stream(model, "joint", names)

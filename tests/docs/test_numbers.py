@@ -1,7 +1,7 @@
 """Test that the results in the README and on the site agree with the output of ``handctl demo``.
 
-The permitted difference is 15 % and a rounding error, because processors give slightly different
-results.
+Processors give slightly different results, so the test permits a difference of 15 % plus a rounding
+error.
 """
 
 import json

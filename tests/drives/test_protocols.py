@@ -119,7 +119,8 @@ def test_an_enabled_drive_is_cut_as_soon_as_a_repeated_read_back_fails(
 ) -> None:
     """When the repeated read-back of an enabled drive fails, the drive gets frames that cut its torque.
 
-    Without these frames, the drive could still make torque, because its feedback shows no error.
+    The feedback of the drive shows no error, so the drive could still make torque without the
+    frames that cut it.
     """
     bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     t_ns = bench.k * bench.period_ns

@@ -103,7 +103,7 @@ def test_no_age_of_a_frame_makes_it_fresh(joint_decimation: int) -> None:
     """A frame that is up to 7 ticks old never counts as a new frame.
 
     A frame that is more than 7 ticks old can count as new by chance. Of 100 frames that are more
-    than 7 ticks old, more than 40 still count as lost. A loss of more than 40 frames causes the
+    than 7 ticks old, more than 40 still count as lost. More than 40 lost frames of 100 cause the
     fault B03b (many replies are being lost).
     """
     counter_nibbles = [counter & 0xF for counter in sync_counters(joint_decimation)]

@@ -97,10 +97,10 @@ def test_the_report_has_its_sections(campaign_report):
 
 
 def test_fault_free_run_alone_continues_its_seeds():
-    """A campaign without fault scenarios can continue the seeds of an earlier campaign.
+    """A campaign that simulates only runs without faults can continue the seeds of an earlier campaign.
 
-    Such a campaign simulates only runs without faults. Its first seed can be the one after the last
-    seed of the earlier campaign. In this way, several short campaigns can replace a long campaign.
+    The first seed of the new campaign can follow the last seed of the earlier campaign. Therefore
+    several short campaigns can replace one long campaign.
     """
     seeds = []
 
@@ -282,8 +282,8 @@ def test_the_offset_of_a_load_cell_exceeds_the_limits_of_its_tendon():
 def test_silent_joint_encoders_are_detected(joint):
     """Four successive missing frames of a joint encoder cause the fault N02b (the joint encoders are silent).
 
-    Three successive missing frames cause no fault. In particular, they cause neither N06 (encoder
-    drift or slip) nor T08 (a tendon left its pulley).
+    Three successive missing frames cause no fault. In particular, the missing frames cause neither
+    N06 (encoder drift or slip) nor T08 (a tendon left its pulley).
     """
     joint_decimation = hand_with_protocol("jamia11", "mit").sensor_node.joint_decimation
     for frames, detected_fault in ((3, ""), (4, f"N02b {joint}")):
@@ -389,8 +389,8 @@ def test_faults_of_a_hand_without_load_cells_are_found_in_a_grasp():
 def test_a_torn_tendon_without_load_cell_is_reported_in_free_motion():
     """The campaign also accepts the fault T08 (a tendon left its pulley) as the detection of a torn tendon.
 
-    Reproduce a defect: the controller reported T08 for a torn tendon after 190 ms, but the campaign
-    did not accept T08.
+    Reproduce a defect: the controller reported the torn tendon as T08 after 190 ms, but the
+    campaign did not accept T08.
     """
     results = results_of_hand(
         "orca_like", 1, {FREE_MOTION_STAGE: ("snap", "stuck encoder", "reorder")}
@@ -403,9 +403,10 @@ def test_a_torn_tendon_without_load_cell_is_reported_in_free_motion():
 def test_faults_of_an_extensor_with_a_small_tension_are_found_in_time(seed):
     """The extensor of the thumb pulls with 9 N in a grasp.
 
-    Reproduce two defects. First, a torn extensor was reported only after 11 ticks, because the
-    tension loop damps the spool. Second, the campaign counted the reaction time for a stuck load
-    cell too early. A stuck load cell can be detected only after the motor force has changed.
+    Reproduce two defects. Earlier defect: a torn extensor was reported only after 11 ticks, because
+    the tension loop damps the spool. Earlier defect: the campaign began to count the reaction time
+    for a stuck load cell too early. A stuck load cell can be detected only after the motor force
+    has changed.
     """
     results = results_of_hand("n_plus_1", seed, {GRASP_STAGE: ("snap", "slack", "stuck cell")})
     assert len(results) == 6
@@ -555,7 +556,7 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
     drive pulls its rotor against the tendon with at most the force F. Converted to the tendon, the
     inertia of the rotor is the mass m, and the initial speed is v. The tendon has the stiffness k
     and the initial tension T. Without friction, the tension rises to F + sqrt((F - T)^2 + k m v^2).
-    The reaction of the controller can only make the final tension smaller than this bound.
+    The reaction of the controller can only make the tension smaller than the bound.
     """
     hand = hand_with_protocol("jamia", "mit")
     with homed_run(hand, RATE_HZ, 0) as simulation:
@@ -583,8 +584,8 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
 def test_a_drive_that_does_not_relax_is_cut_although_its_load_cell_is_saturated():
     """The drive in this test is an ODrive without torque feedback.
 
-    At a certain tension, the controller disables all drives at once. The load cell of the tendon
-    saturates below this tension.
+    The load cell of the tendon saturates at a lower tension than the one at which the controller
+    disables all drives at once.
     """
     hand = hand_with_protocol("jamia_bench", "odrive")
     row = next(row for row in FAULT_MATRIX if row.fault == "runaway node={node} size=1 seed=1")

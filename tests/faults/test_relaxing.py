@@ -182,8 +182,8 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
     """Reproduce a defect.
 
     A drive that reacted late made the tension loop oscillate, up to a command of 160 N for a slack
-    tendon. The hand relaxed from this last command, instead of from the true tension. During the
-    relaxing, the tension of a tendon that had been slack reached 317 N.
+    tendon. The hand began to relax from the command of 160 N, instead of from the true tension.
+    During the relaxing, the tension of a tendon that had been slack reached 317 N.
     """
     hand = hand_with_protocol("jamia", "odrive")
     with homed_run(hand, 400.0, seed, task=hidden_faults.rising_hold_task()) as simulation:

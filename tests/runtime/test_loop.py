@@ -344,7 +344,8 @@ def test_an_error_after_the_commands_disables_from_the_state_with_these_commands
     """Reproduce a defect.
 
     To disable the drives after an error, the loop used the state from before the failed tick. In
-    this state, a drive that the failed tick had enabled counted as disabled.
+    the state from before the failed tick, a drive that the failed tick had enabled counted as
+    disabled.
     """
     bus = FakeBus()
     run = RecordedControlLoop(5, buses=[bus], frames=(Frame(9, b"enable"),))

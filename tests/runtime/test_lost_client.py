@@ -1,6 +1,6 @@
 """Test a client that dies or hangs while the hand holds a tension that this client has requested.
 
-A client must regularly renew its lease of the hand, a right with a time limit. The hand must relax
+A client must regularly renew the lease of the hand, a right with a time limit. The hand must relax
 when the lease of the lost client has ended. The test checks the tensions in the truth file of the
 simulator.
 """
@@ -151,7 +151,7 @@ def test_a_wrong_lease_is_one_line(request_options, expected_message):
 def test_a_watchdog_stops_the_signs_of_life(work_folder):
     """If a program does not call its client for too long, a watchdog in the client ends the signs of life.
 
-    When the program calls its client again, the client resumes the signs of life.
+    The next call of the client by the program starts the signs of life again.
     """
     box = Mailbox("local:beats")
     heartbeat_sender = Heartbeat("local:beats", "one", 0.01, 0.15)

@@ -334,8 +334,8 @@ def add_reading(
 ) -> tuple[int, float, float]:
     """Run a tick with an encoder reading, a target and a tension.
 
-    Return three values: the number of ticks since the encoder reading last changed, and the changes
-    of target and tension since then.
+    Return three values: the number of ticks since the last change of the encoder reading, and the
+    changes of target and tension since that tick.
     """
     rows: StateValues = {
         "measured_position": motor_position,

@@ -234,8 +234,8 @@ def test_a_tendon_still_pulled_by_its_motor_is_detected(
 ):
     """The detector compares a tendon's tension with the tension before the motors were disabled.
 
-    If there is no reading from before that time, the detector compares the tension with the first
-    later reading.
+    If there is no reading from before the motors were disabled, the detector compares with the
+    first reading after that.
     """
     tendons = FilteredTensionMonitor(
         2, cut_ticks=ticks_after_cut - 1, cut_from=[0.0, tension_before_cut], cut_bears=NAN
