@@ -1,7 +1,7 @@
 """Test trajectory files.
 
 The curve of a trajectory file passes through all points of the file, and begins and ends at rest.
-The command refuses a wrong trajectory file before any motion.
+handctl refuses a wrong trajectory file when the file is loaded, before any motion.
 """
 
 import math

@@ -240,7 +240,7 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
 
 
 def test_a_reaction_to_another_fault_does_not_count():
-    """A run that ends because a drive is silent does not show that faults of load cells are detected."""
+    """A run that ends because of a drive error does not show that a stuck load cell (T05) is detected."""
     row = FaultMatrixRow(
         "T05", "error node=index_motor", SafetyAction.RELAX, 3, accepted_faults=("T05",)
     )

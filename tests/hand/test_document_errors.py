@@ -1,6 +1,6 @@
 """Test the errors for documents with mistakes, such as hand files.
 
-For each kind of mistake, the test compares the complete error line.
+For each kind of mistake, the test compares the complete error line with the expected line.
 """
 
 import datetime

@@ -1,6 +1,6 @@
 """Compare the errata of the paper with equations that sympy derives, and with numbers from separate arithmetic.
 
-The tests also check that no known misprint is missing in the errata.
+The tests also check that the errata contain every known misprint.
 """
 
 from functools import cache

@@ -251,7 +251,10 @@ class SyncListener:
     """
 
     def __init__(self) -> None:
-        """Join the bus, with an empty list of SYNC frames."""
+        """Create a listener that has not read any SYNC frame.
+
+        The listener connects to the bus when its ``with`` block begins.
+        """
         self.syncs = bytearray()
         self._partial = b""
 

@@ -90,7 +90,7 @@ def folder_of_nobody(shared_tmp: Path) -> Path:
 
 
 def check_refusals(expected_word: str) -> None:
-    """Check that controller, simulator and all requests refuse the run directory.
+    """Check that handctl and the simulator refuse the run directory, and that a request is not confirmed.
 
     Check that the reason of each refusal contains ``expected_word``.
     """

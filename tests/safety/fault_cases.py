@@ -49,9 +49,9 @@ LOAD_CELLS_NODE = TENDON_COUNT
 class TickInput(NamedTuple):
     """Input of the safety monitor for one tick.
 
-    ``state_values`` contains the values of the state that differ from a hand at rest. The keys of
-    ``state_values`` are the name of a field and an index. The input contains events of the buses
-    and of the host, too.
+    ``state_values`` contains the values of the state that differ from a hand at rest. It maps the
+    name of a field to a dictionary from an index to a number. The input contains events of the
+    buses and of the host, too.
     """
 
     state_values: Mapping[str, dict[object, float]] = MappingProxyType({})

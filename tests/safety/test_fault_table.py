@@ -287,7 +287,7 @@ def test_the_safety_page_lists_how_each_fault_relaxes() -> None:
 def test_a_fault_is_either_found_or_reported() -> None:
     """Each fault is either found by a detector, or reported by a bus or the host.
 
-    The fault table has one row for each detector and kind of part.
+    A detector has one row in the fault table for each kind of part in which it can find the fault.
     """
     for fault in FAULT_TABLE:
         assert bool(fault.fault_places) != bool(fault.reports), fault.id
