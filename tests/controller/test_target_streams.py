@@ -771,7 +771,7 @@ def test_a_softer_stream_is_still_followed_and_stable(
 
 
 PUSH_FORCE_N = 1.5
-"""Force against flexion on the last link of the index finger, along +y of the palm frame [N]."""
+"""Force that pushes the last link of the index finger against flexion, along +y of the palm frame [N]."""
 
 
 def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:

@@ -27,7 +27,7 @@ GUARDS_BY_PROTOCOL = {
     },
     "robstride": {0x7005: "run_mode", 0x700B: "limit_torque", 0x7028: "canTimeout"},
 }  # fmt: skip
-"""For each drive protocol, the settings that protect the hand, with their names in the refusal to arm."""
+"""For each drive protocol, the settings that protect the hand, and their names in the message that refuses to arm."""
 PROTOCOLS_AND_GUARDS = [
     (protocol, guard, name)
     for protocol, guards in GUARDS_BY_PROTOCOL.items()

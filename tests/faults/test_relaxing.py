@@ -46,7 +46,7 @@ FAULT_COMMANDS = (
 )  # fmt: skip
 RATE_HZ_BY_HAND = {"jamia": 500.0, "jamia11": 250.0}
 COMMAND_DELAY_S = 0.06
-"""Longest time between a command and its execution by a motor with the fault of a delay [s]."""
+"""Longest time from a command to its execution by a drive whose injected fault is a late reaction [s]."""
 COMMAND_ROUNDING_N = 0.05
 """Largest increase of a commanded tendon force because a command has only twelve bits for the torque [N]."""
 TENSION_BOUND_MARGIN_N = 3.0
@@ -131,8 +131,8 @@ def check_relaxing(
     simulation: SimulatedRun, stop_tick: int, window_ticks: int, fault_command: str
 ) -> None:
     recent: list[TrueTendonState] = [true_tendon_state(simulation)]
-    # A drive with a delay can still execute commands from before the stop request. For this reason,
-    # the largest command includes commands from before the stop request.
+    # A drive that reacts late can still execute commands that were sent before the stop request.
+    # Therefore the largest command includes the commands that were sent before the stop request.
     commanded = [simulation.state.view("asked").copy()]
     while simulation.state.mode == HandMode.ACTIVE:
         simulation.run_tick(requests=(STOP_REQUEST,) if simulation.k == stop_tick else ())
