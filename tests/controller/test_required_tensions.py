@@ -23,7 +23,7 @@ def motion_goals(
 def test_a_motion_depends_on_the_time_since_its_start_only(
     hand_name: str, durations_s: tuple[float, ...], request: pytest.FixtureRequest
 ) -> None:
-    """Test one motion in which all digits have the same duration, and one motion in which their durations differ."""
+    """Test one motion with equal durations for all digits, and one motion with different durations."""
     model: HandModel = request.getfixturevalue(hand_name)
     first_goals, later_goals = (motion_goals(model, since, durations_s) for since in (0.0, 2.0))
     motion = joint_motion_at(model, first_goals, 0.1)
@@ -33,7 +33,7 @@ def test_a_motion_depends_on_the_time_since_its_start_only(
 
 
 def required_tensions_by_digit(model: HandModel, joint_motion: np.ndarray) -> np.ndarray:
-    """Compute the tensions (N,) [N] that a motion requires, for each digit separately and without optimisations."""
+    """Compute the tensions (N,) [N] that a motion requires, for one digit after the other."""
     required_tensions = np.zeros(model.tendon_count)
     q, dq, ddq = joint_motion.tolist()
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
@@ -53,9 +53,10 @@ def required_tensions_by_digit(model: HandModel, joint_motion: np.ndarray) -> np
 def test_the_load_of_each_digit_is_limited_separately(
     hand_name: str, request: pytest.FixtureRequest
 ) -> None:
-    """In this test, the required tensions of some digits are at their bound, and those of other digits are not.
+    """In this test, the required tensions of some digits reach a bound. Those of other digits reach no bound.
 
-    A digit whose required tension is at its bound does not change the tensions of other digits.
+    If the required tension of one digit reaches the bound, the tensions of other digits do not
+    change.
     """
     model: HandModel = request.getfixturevalue(hand_name)
     goals, rng = motion_goals(model, 0.0, (0.5, 0.4, 0.5, 0.6)), np.random.default_rng(4)

@@ -69,7 +69,7 @@ class GripRun:
     def estimate_after_winding(
         self, extra_travel_m: float, digit_index: int = 0
     ) -> SyntheticEstimate:
-        """Return the estimate after the motors have wound up ``extra_travel_m`` [m] more of a digit's tendons."""
+        """Return an estimate in which the motors have wound up a length ``extra_travel_m`` [m] of a digit's tendons."""
         travel = self.resting_estimate.travel.copy()
         travel[self.model.digit_tendons[digit_index]] += extra_travel_m
         return self.resting_estimate._replace(travel=travel)
@@ -175,9 +175,9 @@ def grasp_program(slip_limit_text: str) -> TaskProgram:
 def test_a_growing_load_removes_the_object_only_without_slip_reaction(
     hand_name: str, object_friction: float, load_rate: float, tmp_path: Path
 ) -> None:
-    """The two runs of this test, with and without slip reaction, have the same load, hand and seed.
+    """In this test, a run with slip reaction and a run without slip reaction have the same load, hand and seed.
 
-    The only difference between both runs is the task key that permits a higher grip force.
+    The two runs of this test differ only in the task key that permits a higher grip force.
     """
     scene, motion, tension = (
         PULLED_CYLINDER_SCENE.format(friction=object_friction, rate=load_rate),

@@ -127,7 +127,9 @@ def begin_run(
     calibration: Calibration | None,
     first_tick: int,
 ) -> SimulatedRun:
-    """Begin a run of a program on a simulated hand at tick ``first_tick``.
+    """Begin a run in which a program controls a simulated hand.
+
+    The run begins at tick ``first_tick``.
 
     An earlier run can have moved the simulated hand.
     """
@@ -224,10 +226,10 @@ class PullProgram:
 
 @pytest.mark.parametrize("tension", [-200.0, -40.0, 12.0, 40.0, 200.0])
 def test_it_pulls_both_ways_and_never_above_the_limit(tension: float) -> None:
-    """When a joint rests at its mechanical stop, the net tension of its spool pair reaches its goal.
+    """When a joint rests at its mechanical stop, the net tension of the spool pair reaches the commanded net tension.
 
-    The controller lowers a goal above the tension limit of the hand. The new goal is the tension
-    limit minus a margin for the standard deviation of the estimated tension.
+    The controller limits the commanded net tension to the tension limit of the hand minus a margin.
+    The margin allows for the standard deviation of the estimated tension.
     """
     hand = spool_finger()
     limit = hand.tendon[0].tension_max_N
@@ -265,13 +267,13 @@ def test_a_tendon_that_snaps_under_load_is_found(tension: float, tendon: str) ->
 
 
 def content_with_tendon(**tendon_fields: object) -> dict[str, object]:
-    """Return the content of the finger's hand file, with ``tendon_fields`` as new values of the first tendon."""
+    """Return the content of the finger's hand file, in which ``tendon_fields`` replace values of the first tendon."""
     content = hand_content(SPOOL_FINGER_FILE)
     return content | {"tendon": [content["tendon"][0] | tendon_fields, *content["tendon"][1:]]}
 
 
 def content_with_digit(**digit_fields: object) -> dict[str, object]:
-    """Return the content of the finger's hand file, with ``digit_fields`` as new values of the digit."""
+    """Return the content of the finger's hand file, in which ``digit_fields`` replace values of the digit."""
     content = hand_content(SPOOL_FINGER_FILE)
     return content | {"digit": [content["digit"][0] | digit_fields]}
 

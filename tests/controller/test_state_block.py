@@ -1,4 +1,4 @@
-"""Test the schema of a state block, the views of a state block that kernels use, and the digest of a state block.
+"""Test the schema of a state block, the array views that compiled kernels use, and the digest of the block.
 
 The digest of a state block depends on every field of the block.
 """
@@ -145,7 +145,7 @@ def state(request: pytest.FixtureRequest) -> ControllerState:
 
 
 def constants_by_field(constant_module: Any) -> dict[str, str]:
-    """Return the name of a module constant for each field.
+    """Return a dictionary from the name of a field to the name of its module constant.
 
     The module constant of a field contains the index of the first row of this field in its table.
     The function reads the names of the constants from the source text of a module.
@@ -299,7 +299,7 @@ def _randomised_section(section: dict[str, Any], rng: random.Random) -> dict[str
 def packed_constants(
     model: HandModel, monkeypatch: pytest.MonkeyPatch
 ) -> tuple[HandConstants, dict[str, object]]:
-    """Return the block of constants of a hand model, and a dictionary of the values in the block, by field."""
+    """Return the block of constants of a hand model, and a dictionary from each field to its values in the block."""
     values: dict[str, object] = {"design": hand_constants.filter_design_array(model)}
     for group_name in (
         "_motor_constants",
@@ -406,7 +406,9 @@ def goal_variants() -> Iterator[tuple[str, DigitGoal]]:
 
 
 def progress_variants(progress: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]:
-    """Yield copies of a program's progress. Each copy differs from the original in one attribute.
+    """Yield copies of the object that stores the progress of a program.
+
+    Each copy differs from the original in one attribute.
 
     For the attribute ``goals``, each copy has one changed goal.
     """

@@ -1,7 +1,7 @@
 """Test the static forces of a hand model.
 
-Static forces along the tendons must agree with the potential energy of the hand. Static forces at
-the fingertips must agree with the principle of virtual work.
+Static forces along the tendons must equal the derivatives of the potential energy. Static forces at
+the fingertips must satisfy the principle of virtual work.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Test streamed targets in lockstep: interpolation, limits, late targets, faulty clients, and the right to command."""
+"""Test streamed targets in lockstep: interpolation, limits, late targets, faulty clients, and permission to command."""
 
 import json
 import math
@@ -65,7 +65,7 @@ class StreamClient:
         return self.tick_outputs[-1]
 
     def wait(self, duration_s: float) -> None:
-        """Run ticks in which no requests arrive, for ``duration_s``."""
+        """Run ticks for ``duration_s`` seconds, without any request to the controller."""
         for _ in range(round(duration_s / self.model.period)):
             self.tick()
 
@@ -148,8 +148,8 @@ def true_angle(run: SimulatedRun) -> float:
 def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None:
     """In this test, the client knows the motion in advance.
 
-    Because the client knows the motion, it sends the angle that the hand should have after the
-    delay of the stream (``horizon_s``).
+    A stream has a delay (``horizon_s``). The client knows the motion, so it sends the angle that
+    the hand should have after the delay of the stream.
     """
     errors = {}
     for interpolation in ("linear", "minimum_jerk"):
@@ -184,7 +184,7 @@ def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None
 
 
 def rms_error_of_trajectory(model: HandModel) -> float:
-    """Return the RMS tracking error [deg] of a hand that follows the test sine as a trajectory of a task."""
+    """Return the RMS tracking error [deg] of a hand that follows the test sine from a trajectory in a task file."""
     times = np.arange(0.0, 3.001, 0.02)
     hold_phase = {
         "kind": "move",
@@ -343,8 +343,8 @@ def test_a_stale_stream_holds_then_relaxes(jamia: HandModel) -> None:
 def test_a_late_target_waits_at_the_last_one(jamia: HandModel) -> None:
     """While a target is late, the controller does not extrapolate the stream.
 
-    The reference angle brakes behind the last target, so it passes the last target by the braking
-    distance.
+    The reference angle brakes only after it has reached the last target. The reference angle
+    overshoots the last target by at most the braking distance, and then returns to the last target.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -404,8 +404,8 @@ def test_a_text_that_is_no_target_is_counted(target_text: str) -> None:
 def test_a_target_survives_the_log(target_value: float) -> None:
     """The controller receives streamed targets in decoded form.
 
-    A re-execution of the run decodes the targets from the texts in the log. In the run and in its
-    re-execution, a target must be equal to the last bit.
+    A re-execution of the run decodes the targets from the texts in the log. A target in the
+    re-execution must have exactly the same bits as in the run.
     """
     target = StreamTarget("17-3", 2**62, -(2**40), (target_value, 1.0 / 3.0))
     repeated_target = parse_target(target_request_text(target))
@@ -422,8 +422,8 @@ def test_integers_beyond_64_bits_do_not_end_the_run(
 ) -> None:
     """Reproduce a defect.
 
-    An integer of more than 64 bits in the text of a target raised OverflowError in the tick. After
-    the exception, the controller disabled all motors.
+    If the text of a target contained an integer of more than 64 bits, the tick raised
+    OverflowError. After the exception, the controller disabled all motors.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -465,8 +465,9 @@ def test_targets_between_the_deadline_and_a_late_tick_are_in_order(jamia: HandMo
     """If a tick is late, a client can send a target after the scheduled time of the tick.
 
     A target that was sent after the scheduled time of its tick counts as sent at the scheduled
-    time. Earlier defect: the controller refused the next target, because the time stamp of the late
-    tick's target seemed to be later.
+    time. Two targets in the same late tick therefore have equal times. Earlier defect: the
+    controller refused the second target, because the time of the second target was not later than
+    the time of the first.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -549,8 +550,8 @@ def test_goals_with_a_long_horizon_move_the_hand(jamia: HandModel) -> None:
 def test_a_long_move_of_a_fast_digit_stays_within_the_range() -> None:
     """A digit that is already fast when it gets a new target stays within the joint range.
 
-    A quintic polynomial that starts at 300 deg/s and lasts five seconds would pass its target by
-    280 degrees.
+    A quintic polynomial that starts at 300 deg/s and lasts five seconds would overshoot its target
+    by 280 degrees.
     """
     reference = np.radians([[90.0], [300.0], [0.0]])
     reach = np.radians([0.0]), np.radians([100.0])
@@ -636,8 +637,8 @@ def test_streams_that_do_not_suit_the_hand_are_refused(jamia: HandModel) -> None
 def test_joint_angles_become_coordinates(model: HandModel) -> None:
     """A stream can contain the angles of single joints instead of one angle for each digit.
 
-    Of the angles that satisfy the coupling, coupled joints turn to the angles that are nearest to
-    the target angles.
+    If the target angles of coupled joints violate the coupling, the joints turn to the nearest
+    angles that satisfy it.
     """
     names = model.hand.joints
     where = mapping_of_stream(model, "joint", names)
@@ -770,7 +771,7 @@ def test_a_softer_stream_is_still_followed_and_stable(
 
 
 PUSH_FORCE_N = 1.5
-"""Force against flexion on the last link of the index finger, along +y of the palm frame [N]."""
+"""Force that pushes the last link of the index finger against flexion, along +y of the palm frame [N]."""
 
 
 def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
@@ -798,8 +799,8 @@ def test_targets_that_tendons_cannot_hold_are_moved_to_the_nearest_posture(
 ) -> None:
     """The outer joint of a finger cannot bend alone, because a tendon of an inner joint would have to push.
 
-    Earlier defect: the safety monitor reported the tendon that would have to push as slack, and
-    relaxed the hand.
+    Earlier defect: the safety monitor reported the tendon of the inner joint as slack, and relaxed
+    the hand.
     """
     digit = jamia11.digits[0]
     floor = jamia11.floor[digit.tendons]

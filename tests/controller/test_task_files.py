@@ -38,7 +38,7 @@ tension_N = { index = 20.0 }
 
 @pytest.fixture
 def refusal(tmp_path: Path):  # type: ignore[no-untyped-def]
-    """Return a function that loads a wrong task file with a given text, and that returns the error line."""
+    """Return a function that writes a wrong task text to a file, loads the file, and returns the error line."""
 
     def refuse(
         text: str, digits: tuple[str, ...] = ("index", "thumb"), ceiling: float = 110.0

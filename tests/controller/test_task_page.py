@@ -1,7 +1,7 @@
 """Test the page docs/reference/tasks.md.
 
 The examples of a task and of a scene on the page docs/reference/tasks.md are valid. The tables of
-this page contain only keys that exist.
+the page docs/reference/tasks.md contain only keys that exist.
 """
 
 import re

@@ -1,7 +1,7 @@
 """Test trajectory files.
 
 The curve of a trajectory file passes through all points of the file, and begins and ends at rest.
-The command refuses a wrong trajectory file before any motion.
+The function that loads a trajectory file refuses a wrong file, before any motion.
 """
 
 import math
@@ -103,8 +103,8 @@ def test_radians_are_not_degrees(tmp_path: Path) -> None:
 def test_very_close_times_do_not_bypass_the_speed_limit(time_gap_s, recwarn):
     """If the times of two points of a trajectory are very close, the coefficients of the spline overflow.
 
-    After the overflow, the computed speed is NaN. handctl refuses a NaN speed in the same way as a
-    speed above the limit.
+    After the overflow, the computed speed is NaN. A NaN speed is refused in the same way as a speed
+    above the limit.
     """
     angles = {"index": (0.0, 1.0, 0.0)}
     with pytest.raises(ValueError, match="at most 700 deg/s"):

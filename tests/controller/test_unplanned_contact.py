@@ -29,9 +29,9 @@ from tests.controller.synthetic_states import (
 def estimate_with_unexplained_tension(
     model: HandModel, unexplained_tension: float
 ) -> SyntheticEstimate:
-    """Return the estimate of a hand at rest with the same external tension [N] in every tendon.
+    """Return the estimate of a resting hand in which every tendon has the same external tension [N].
 
-    In a real hand, an object that pushes the digits would cause this external tension.
+    In a real hand, an object that pushes the digits would cause an external tension.
     """
     return estimate_from_states(model, balanced_state(model, 0.5))._replace(
         external_tension=np.full(model.tendon_count, unexplained_tension)

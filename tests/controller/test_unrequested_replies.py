@@ -117,12 +117,12 @@ def is_load_cell_frame(active_bench: ControllerBench, frame: Frame) -> bool:
 
 
 def frame_with_older_counter(cell_frame: Frame) -> Frame:
-    """Return a copy of a load-cell frame with the counter of another SYNC frame."""
+    """Copy a load-cell frame, and replace its counter by the counter of another SYNC frame."""
     return cell_frame._replace(data=bytes([cell_frame.data[0] ^ 1]) + cell_frame.data[1:])
 
 
 def frame_with_other_tension(cell_frame: Frame) -> Frame:
-    """Return a copy of a load-cell frame with the same counter, but with another tension."""
+    """Copy a load-cell frame, and change its tension, but not its counter."""
     return cell_frame._replace(data=bytes([cell_frame.data[0] ^ 0x10]) + cell_frame.data[1:])
 
 
@@ -147,10 +147,10 @@ def test_only_replies_in_excess_are_compared_with_the_expected_reply(
 
 
 def copies_of_motor_reply(motor_reply: Frame, reply_variants: str) -> list[Frame]:
-    """Return one copy of a motor's reply for each letter of ``reply_variants``.
+    """Copy a reply of motor 1 once for each letter in ``reply_variants``.
 
     The letter A stands for an unchanged copy, and the letter B for a copy with another temperature.
-    For a reply of another motor, return only this reply, unchanged.
+    A reply of any other motor is returned once, without a change.
     """
     if motor_reply.can_id != 0x11:
         return [motor_reply]

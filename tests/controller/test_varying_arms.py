@@ -184,8 +184,8 @@ def tracking_error_deg(model: HandModel, hand: Hand, seed: int) -> float:
 def test_arms_by_angle_track_better_than_constant_arms(hand_name: str, seed: int) -> None:
     """The moment arms in the simulator vary by 30 % with the joint angle.
 
-    The controller for comparison uses the mean moment arms R. With the joint angles q, it computes
-    the tendon excursions as R q.
+    A second controller, for comparison, uses the mean moment arms R. The second controller computes
+    the tendon excursions as R q from the joint angles q.
     """
     hand = hand_with_varying_arms(hand_name, 0.3, with_joint_encoders=False)
     constant_hand = hand_with_varying_arms(hand_name, 0.0, with_joint_encoders=False)

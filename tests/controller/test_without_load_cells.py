@@ -105,7 +105,10 @@ class RunWithoutCells:
     object_height: float = 0.0
 
     def normalized_errors(self, *phase_names: str) -> np.ndarray:
-        """Return the tension errors in the phases ``phase_names``, divided by their estimated standard deviation."""
+        """Return the tension errors in the phases ``phase_names``.
+
+        Each error is divided by the standard deviation that the filter has estimated.
+        """
         rows = np.isin(self.phase_name, phase_names)
         return (np.array(self.tension)[rows] - np.array(self.true_tension)[rows]) / np.array(
             self.sigma
@@ -143,7 +146,7 @@ def run_without_sensors(
 
 
 def assert_no_check_of_a_missing_cell(hand: Hand, events: list[TickEvent]) -> None:
-    """Assert that the commissioning does not report a check that needs a load cell that the hand does not have.
+    """Assert that the commissioning reports no check of a missing load cell.
 
     Earlier defect: for a hand without load cells, the commissioning program printed "answers 2.99
     N, others 0.00 N".

@@ -48,9 +48,11 @@ the same commands on other pages.
 
 
 def page_test_cases() -> Iterator[Any]:
-    """Yield the pages that contain commands, with the markers of their tests.
+    """Yield a test case for each page that contains commands.
 
-    Pages that start a process in real time get the marker of the tests on the real clock.
+    Each test case has the pytest markers that the page needs.
+
+    A page that starts a process in real time gets the marker for tests on the real clock.
     """
     for page, blocks in EXECUTED_BLOCKS_BY_PAGE.items():
         if any(block.language == "sh" for block in blocks):

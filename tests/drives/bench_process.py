@@ -12,7 +12,7 @@ READY_TIMEOUT_S = 60.0
 
 @contextmanager
 def run_simulated_drives(bus_name: str, *drive_options: str) -> Iterator["subprocess.Popen[str]"]:
-    """Run simulated drives on a bus until the ``with`` block ends. After that, check the exit code of the drives.
+    """Run simulated drives on a bus until the ``with`` block ends, and then check the exit code of their process.
 
     Args:
         bus_name: specification of the bus on the command line.

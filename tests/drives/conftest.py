@@ -35,7 +35,10 @@ class MotorSection:
 
 @dataclass
 class MotorRig:
-    """A drive, its state, and the motor that it controls. Each tick advances the time by one control period."""
+    """A drive of handctl, the state of this drive, and the motor that the drive controls.
+
+    Each tick advances the time by one control period.
+    """
 
     drive: MitDrive
     motor: ScriptedMotor

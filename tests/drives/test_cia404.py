@@ -247,7 +247,7 @@ def test_nothing_but_sdo_nmt_and_sync_is_sent(bench: AmplifierBench) -> None:
 
 
 def ignore_unit_writes(node: Any) -> None:
-    """Make an amplifier confirm each write of its unit, but keep the old unit."""
+    """Make an amplifier confirm each command that sets its unit of measurement, but keep the old unit."""
     write = node.objects.write
     node.objects.write = lambda key, raw: None if key == (0x6131, 2) else write(key, raw)
 
@@ -294,9 +294,9 @@ def test_a_missing_amplifier_is_named() -> None:
 
 
 def test_frames_before_the_set_up_are_not_used() -> None:
-    """In this test, the amplifiers already send tensions before their set-up, in the unit of a new amplifier.
+    """In this test, the amplifiers already send readings before their set-up, in the unit of the manufacturer.
 
-    In the unit of a new amplifier, the numbers in the frames are 100 times the tension in newtons.
+    Numbers in the unit of the manufacturer are 100 times the tension in newtons.
     """
     with homed_run(hand_with_amplifiers(), 500.0, 0) as simulation:
         for node in simulated_nodes(simulation):

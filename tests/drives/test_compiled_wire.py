@@ -91,10 +91,10 @@ def random_frame(
 
 
 def are_states_equal(first_state: DriveState, second_state: DriveState, drive: Drive) -> bool:
-    """Return True if two states of a drive are equal.
+    """Return True if two states of a drive are equal, apart from a difference that has no effect.
 
-    Two equal states of a CiA 402 drive can differ in the time of the last sign of life, if the last
-    feedback is later than both times.
+    The time of the last sign of life of a CiA 402 drive has no effect if the last feedback is
+    later.
     """
     if isinstance(drive, Cia402Drive):
         first_state, second_state = (

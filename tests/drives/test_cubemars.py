@@ -114,8 +114,8 @@ def test_an_error_has_a_text_and_ends_only_by_a_clear(
 def test_missing_drive_limits_are_reported(tmp_path: Path) -> None:
     """An AK80-9 motor obeys commands up to 18 N m.
 
-    The motor itself has no smaller torque limit. Only the host can keep the torque below the torque
-    limit in the hand file.
+    A smaller torque limit cannot be set in the motor. Only the host can keep the torque below the
+    torque limit in the hand file.
     """
     protections = " ".join(
         ProtocolBench(hand_file(tmp_path, ["cubemars"])).drives[0].unverified_protections

@@ -41,8 +41,8 @@ def bench(
 def extended_ids(bench: ProtocolBench, random_source: random.Random) -> set[int]:
     """Return random 29-bit identifiers, and at most four 29-bit identifiers that the drive or its host uses.
 
-    The result also contains every identifier that differs in one bit from a returned identifier of
-    the drive or its host.
+    Each returned identifier of the drive or its host is also returned 29 times more, with one of
+    its 29 bits changed.
     """
     own_ids = sorted(
         identifier

@@ -27,7 +27,7 @@ GUARDS_BY_PROTOCOL = {
     },
     "robstride": {0x7005: "run_mode", 0x700B: "limit_torque", 0x7028: "canTimeout"},
 }  # fmt: skip
-"""For each drive protocol, the settings that protect the hand, with their names in the refusal to arm."""
+"""For each drive protocol, the settings that protect the hand, and their names in the message that refuses to arm."""
 PROTOCOLS_AND_GUARDS = [
     (protocol, guard, name)
     for protocol, guards in GUARDS_BY_PROTOCOL.items()
@@ -131,8 +131,9 @@ def test_an_unverifiable_guard_is_shown(tmp_path, capsys):
 def test_drives_with_the_same_caution_share_a_line_and_the_watchdog_is_first(tmp_path, capsys):
     """Reproduce a defect.
 
-    For four CubeMars drives, handctl printed 20 lines of cautions, five for each drive. One of the
-    five cautions for a drive was only a hint about the temperature.
+    For four CubeMars drives, handctl printed 20 lines of cautions, five for each drive, instead of
+    one line for equal cautions. One of the five cautions for a drive was only a hint about the
+    temperature.
     """
     path = hand_file(tmp_path, ["odrive", "cubemars"])
     path.write_text(path.read_text().replace(OPTIONS_TEXT_BY_PROTOCOL["odrive"], ""))

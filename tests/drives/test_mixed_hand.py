@@ -49,10 +49,9 @@ def test_two_buses_and_three_protocols_work_as_one_hand(tmp_path: Path) -> None:
 
 
 def test_no_drive_is_silent_while_the_others_are_enabled(tmp_path: Path) -> None:
-    """Reproduce a defect: an ODrive verified its settings again before it was enabled.
+    """Reproduce a defect: handctl verified the settings of an ODrive again before it enabled the ODrive.
 
-    During the verification of its settings, the drive sent no feedback for five ticks, which
-    counted as a fault.
+    During the verification, the ODrive sent no feedback for five ticks, which counted as a fault.
     """
     bench = ProtocolBench(hand_file(tmp_path, ["mit", "odrive", "cubemars", "cia402"]))
     bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)

@@ -102,7 +102,7 @@ def _endpoints_file(firmware_version: str) -> dict[str, Any]:
 def _await_message(
     bus: can.BusABC, command_number: int, accepts_payload: Callable[[bytes], bool]
 ) -> bytes:
-    """Return the payload of the next message that has a given command number and an accepted payload."""
+    """Return the next payload that has a given command number, and for which ``accepts_payload`` returns True."""
     end_s = time.monotonic() + WAIT_TIMEOUT_S
     while time.monotonic() < end_s:
         message = bus.recv(0.1)

@@ -281,9 +281,9 @@ def test_a_bus_without_sync_is_reported(cia402_bench: ProtocolBench) -> None:
 
 
 def refuse_sync_counter(bench: ProtocolBench) -> ProtocolBench:
-    """Make the CiA 402 drives of a bench ignore every SYNC frame with data, and return the bench.
+    """Make the CiA 402 drives of a bench ignore every SYNC frame that contains data, and return the bench.
 
-    The CANopen stack CANopenNode ignores a SYNC frame with data while object 0x1019 is 0.
+    The CANopen stack CANopenNode ignores a SYNC frame that contains data while object 0x1019 is 0.
     """
     for node in bench.simulated_hand.world.nodes[0]:
         if isinstance(node, Cia402Node):

@@ -117,7 +117,11 @@ def test_disabling_is_not_confirmed_by_silence(bench: ProtocolBench) -> None:
 def test_an_enabled_drive_is_cut_as_soon_as_a_repeated_read_back_fails(
     bench: ProtocolBench, target: DriveTarget
 ) -> None:
-    """A drive that handctl has enabled can still make torque although its feedback shows no error."""
+    """When the repeated read-back of an enabled drive fails, the drive gets frames that cut its torque.
+
+    The feedback of the drive shows no error, so the drive could still make torque without the
+    frames that cut it.
+    """
     bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     t_ns = bench.k * bench.period_ns
     for drive, state in zip(bench.drives, bench.states, strict=True):

@@ -102,9 +102,9 @@ def test_counters_keep_the_turn_of_the_joints(joint_decimation: int) -> None:
 def test_no_age_of_a_frame_makes_it_fresh(joint_decimation: int) -> None:
     """A frame that is up to 7 ticks old never counts as a new frame.
 
-    A frame that is more than 7 ticks old can count as new by chance. Of 100 such frames, more than
-    40 still count as lost. This number of lost frames causes the fault B03b (many replies are being
-    lost).
+    A frame that is more than 7 ticks old can count as new by chance. Of 100 frames that are more
+    than 7 ticks old, more than 40 still count as lost. More than 40 lost frames of 100 cause the
+    fault B03b (many replies are being lost).
     """
     counter_nibbles = [counter & 0xF for counter in sync_counters(joint_decimation)]
     n = len(counter_nibbles)
@@ -164,8 +164,8 @@ def test_every_value_reads_as_the_dbc_says(
 def test_sensor_frames_are_decoded_to_known_values() -> None:
     """The codes in this test were computed by hand.
 
-    0 N has the code 96 = 0x060, 10 N has 256 = 0x100, the upper end of the range has 0xFFF, and 0
-    rad has 0x800. The counter in the frames of this test is 7.
+    The tension codes are 0x060 (96) for 0 N, 0x100 (256) for 10 N, and 0xFFF for the upper end of
+    the range. The angle code for 0 rad is 0x800. The counter in the frames of this test is 7.
     """
     node = SensorNode.from_description(
         SensorNodeSection(tendons=TENDON_NAMES[:3], joints=("j4",)), 0, TENDON_NAMES, JOINT_NAMES
@@ -276,7 +276,7 @@ def test_a_hand_without_load_cells_has_no_reading() -> None:
 
 
 def state_without_unknown_counters(wired_drives: WiredDrives) -> bytes:
-    """Return the bytes of the state block with the counters of unknown and malformed frames set to zero."""
+    """Return the bytes of the state block, in which the counters of unknown and malformed frames are zero."""
     block = wired_drives.block.copy()
     for name in ("strange", "misread_now"):
         wired_drives.layout.view(block, name)[...] = 0

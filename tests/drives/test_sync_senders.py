@@ -49,8 +49,8 @@ def hand_without_sensors() -> Hand:
 def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
     """Reproduce a defect.
 
-    On a bus without a sensor node, no node sent a SYNC frame. For this reason, a hand with CiA 402
-    drives on such a bus was never armed.
+    On a bus without a sensor node, the host sent no SYNC frame. Therefore a hand with CiA 402
+    drives on a bus without a sensor node was never armed.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
     hand = load_hand(str(path))
@@ -116,9 +116,9 @@ def test_the_packaged_hand_on_two_buses_has_sync_on_both() -> None:
 def test_one_drive_of_a_bus_sends_sync(
     original_text: str, replacement_text: str, expected_senders: list[str], tmp_path: Path
 ) -> None:
-    """If the request to the sensor node has another identifier than SYNC, one drive sends the SYNC frame.
+    """If the request to the sensor node has another identifier than SYNC, the host sends SYNC for one drive of the bus.
 
-    A drive with the option ``sync`` sends SYNC in any case.
+    For a drive with the option ``sync``, the host always sends SYNC.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
     text = path.read_text()

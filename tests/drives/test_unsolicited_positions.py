@@ -47,8 +47,7 @@ BEND_AND_OPEN_TASK = Task.model_validate(
 def test_the_tension_does_not_oscillate_by_late_positions(seed: int) -> None:
     """Reproduce a defect: the tensions of a hand without springs oscillated by 15 N RMS.
 
-    Because of these oscillations, the default task ended with the fault N14b (the tension
-    oscillates).
+    The oscillating tensions ended the default task with the fault N14b (the tension oscillates).
     """
     model = HandModel.from_hand(hand_with_protocol("n_plus_1", "odrive"), Gains(), RATE_HZ)
     with SimulatorSettings(model.hand, None, seed, homed=True).begin_run(

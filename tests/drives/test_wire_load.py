@@ -127,7 +127,7 @@ def test_the_same_wire_gives_the_same_answers(tmp_path: Path) -> None:
 def test_feedback_is_as_late_as_the_usb_frames_of_the_adapter(
     adapter_class: str, delay_ticks: int, tmp_path: Path
 ) -> None:
-    """With each class of USB adapter, the drives become ready at 250 Hz.
+    """At a control rate of 250 Hz, the drives become ready with each class of CAN adapter.
 
     Because of the latency of the adapter, some ticks get no drive feedback.
     """

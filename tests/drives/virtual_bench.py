@@ -54,7 +54,8 @@ class VirtualBench:
     def wait(self, k):
         """Advance the virtual time to tick ``k``, and return how late the host is [ns].
 
-        The host is late only if ``advance_time`` was called before.
+        The host is late only if a call of ``advance_time`` has already passed the time of tick
+        ``k``.
         """
         self.bench.advance(self.origin_ns + k * PERIOD_NS)
         self.largest_torque = max(self.largest_torque, abs(self.bench.motors[0].servo.torque))

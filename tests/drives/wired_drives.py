@@ -149,7 +149,7 @@ class WiredDrives:
         self.states[drive_index] = drive_state
 
     def drive_state(self, drive_index: int) -> DriveState:
-        """Return the state of the drive ``drive_index`` with its values from the state block."""
+        """Return the state of the drive ``drive_index``, filled with the values for this drive in the state block."""
         table, integers = (self.layout.table(self.block, name) for name in ("tendon", "tendon_int"))
         return self.states[drive_index].with_values(*drive_values(table, integers, drive_index))
 

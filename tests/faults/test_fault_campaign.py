@@ -1,7 +1,7 @@
 """Test the fault matrix in lockstep.
 
 Each injected fault has an effect, and all reactions of the controller are in time. No tension is
-larger than drives and rotors can cause.
+larger than the force limits of the drives and the momentum of the rotors can cause.
 """
 
 import contextlib
@@ -64,8 +64,8 @@ def campaign_report():
 def test_only_existing_load_cells_fail():
     """Reproduce a defect.
 
-    The campaign let a load cell of a spool pair saturate, although spool pairs have no load cells.
-    Because of the load cell that does not exist, the campaign ended with a traceback.
+    The campaign tried to saturate the load cell of a spool pair. A spool pair has no load cell, so
+    the campaign ended with a traceback.
     """
     for hand in (mount_on_wrist("jamia"), load_hand("orca_like")):
         cells = set(hand.sensor_node.tendons)
@@ -97,9 +97,10 @@ def test_the_report_has_its_sections(campaign_report):
 
 
 def test_fault_free_run_alone_continues_its_seeds():
-    """A campaign of only runs without faults can begin with the seed that follows the last seed of an earlier campaign.
+    """A campaign that simulates only runs without faults can continue the seeds of an earlier campaign.
 
-    With consecutive seeds, a long campaign can be divided into several short campaigns.
+    The first seed of the new campaign can follow the last seed of the earlier campaign. Therefore
+    several short campaigns can replace one long campaign.
     """
     seeds = []
 
@@ -161,8 +162,9 @@ def test_a_reaction_or_a_missing_grasp_without_fault_is_a_false_alarm():
 def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed: int) -> None:
     """Reproduce a defect.
 
-    The torque commands changed so much at the contact that the controller did not detect exchanged
-    drives for 2.3 s.
+    Two drives were exchanged: each drive reported the encoder and the current of the other drive.
+    The controller detected the exchange only after 2.3 s, because the torque commands changed so
+    much at the contact.
     """
     hand = hand_with_protocol("t42", "mit")
     with homed_run(hand, RATE_HZ, seed) as simulation:
@@ -192,8 +194,8 @@ def test_every_hand_with_every_protocol_has_a_rate_at_which_faults_are_found_in_
 def test_at_100_hz_noise_prevents_no_grasp():
     """In the run of this test, the noise of the load cells is three times as large as usual.
 
-    Without countermeasures against this noise, one of eleven taut tendons would look slack in every
-    fifth tick.
+    Without countermeasures, the tripled noise would make one of eleven taut tendons look slack in
+    every fifth tick.
     """
     assert (
         campaign.simulate_without_faults(
@@ -204,9 +206,9 @@ def test_at_100_hz_noise_prevents_no_grasp():
 
 
 def test_a_missing_reaction_counts_as_late(tmp_path):
-    """The fault campaign must report a fault that has no effect, and a fault that cannot be detected in time.
+    """The campaign must report that a scenario failed if the fault has no effect, or is detected too late.
 
-    This test shows that the fault campaign can report that a scenario failed.
+    One fault of this test has no effect, and the other fault cannot be detected in time.
     """
     hand = hand_with_protocol("jamia", "mit")
     row_without_reaction = FaultMatrixRow(
@@ -238,7 +240,7 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
 
 
 def test_a_reaction_to_another_fault_does_not_count():
-    """A run that ends because a drive is silent does not show that faults of load cells are detected."""
+    """A run that ends because of a drive error does not show that a stuck load cell (T05) is detected."""
     row = FaultMatrixRow(
         "T05", "error node=index_motor", SafetyAction.RELAX, 3, accepted_faults=("T05",)
     )
@@ -280,8 +282,8 @@ def test_the_offset_of_a_load_cell_exceeds_the_limits_of_its_tendon():
 def test_silent_joint_encoders_are_detected(joint):
     """Four successive missing frames of a joint encoder cause the fault N02b (the joint encoders are silent).
 
-    Three successive missing frames of a joint encoder cause no fault: neither N06 (encoder drift or
-    slip) nor T08 (a tendon left its pulley).
+    Three successive missing frames cause no fault. In particular, the missing frames cause neither
+    N06 (encoder drift or slip) nor T08 (a tendon left its pulley).
     """
     joint_decimation = hand_with_protocol("jamia11", "mit").sensor_node.joint_decimation
     for frames, detected_fault in ((3, ""), (4, f"N02b {joint}")):
@@ -343,7 +345,7 @@ def test_exchanged_power_stages_without_torque_feedback_are_found_at_a_small_ten
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_drive_without_torque_feedback_that_switches_off_is_reported_by_its_own_error(seed: int):
-    """The fast filter of T04b finds only tensions that are too high.
+    """The fast filter of the fault T04b (a load cell is wrong) finds only tensions that are too high.
 
     If a drive makes no torque, the tension becomes lower, so the fast filter does not find the
     drive.
@@ -355,7 +357,7 @@ def test_a_drive_without_torque_feedback_that_switches_off_is_reported_by_its_ow
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
-    """Check that tensions stay below 40 N if drives are exchanged or late in a hand without load cells.
+    """Check that tensions stay below 40 N if drives of a hand without load cells are exchanged or react late.
 
     Earlier defect: when drives of the thumb were exchanged or reacted late, the speed of the
     thumb's spools grew without limit, and the tensions reached 208 to 230 N.
@@ -370,10 +372,9 @@ def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
 def test_faults_of_a_hand_without_load_cells_are_found_in_a_grasp():
     """A tendon that tears while it pulls is detected within 75 ms.
 
-    A drive without torque is detected within 22 ticks. Earlier defect: the controller detected a
-    torn
-    tendon and a drive without torque too late. Earlier defect: a drive that kept its torque was not
-    reported.
+    A drive that makes no torque is detected within 22 ticks. Earlier defect: the controller
+    detected a torn tendon and a drive that makes no torque too late. Earlier defect: the controller
+    did not report a drive that kept its torque after it was disabled.
     """
     results = results_of_hand(
         "orca_like", 1, {GRASP_STAGE: ("snap", "slack", "disobey", "ripple", "hold_on", "reorder")}
@@ -386,9 +387,10 @@ def test_faults_of_a_hand_without_load_cells_are_found_in_a_grasp():
 
 
 def test_a_torn_tendon_without_load_cell_is_reported_in_free_motion():
-    """For a torn tendon, T08 (a tendon left its pulley) is accepted as well.
+    """The campaign also accepts the fault T08 (a tendon left its pulley) as the detection of a torn tendon.
 
-    Reproduce a defect: T08 was reported after 190 ms, but the campaign did not accept T08.
+    Reproduce a defect: the controller reported the torn tendon as T08 after 190 ms, but the
+    campaign did not accept T08.
     """
     results = results_of_hand(
         "orca_like", 1, {FREE_MOTION_STAGE: ("snap", "stuck encoder", "reorder")}
@@ -401,9 +403,10 @@ def test_a_torn_tendon_without_load_cell_is_reported_in_free_motion():
 def test_faults_of_an_extensor_with_a_small_tension_are_found_in_time(seed):
     """The extensor of the thumb pulls with 9 N in a grasp.
 
-    Reproduce two defects. The fault of a torn extensor was reported only after 11 ticks, because
-    the tension loop damps the spool. The campaign reported that a stuck load cell was detected too
-    late, although the motor force had not changed.
+    Reproduce two defects. Earlier defect: a torn extensor was reported only after 11 ticks, because
+    the tension loop damps the spool. Earlier defect: the campaign began to count the reaction time
+    for a stuck load cell too early. A stuck load cell can be detected only after the motor force
+    has changed.
     """
     results = results_of_hand("n_plus_1", seed, {GRASP_STAGE: ("snap", "slack", "stuck cell")})
     assert len(results) == 6
@@ -434,10 +437,7 @@ def test_an_odrive_that_does_not_release_is_found_although_it_reports_rarely(see
 
 
 def test_only_missing_sensors_extend_a_time_limit():
-    """Compare the time limits of faults for hands with and without load cells.
-
-    For hands with load cells, the time limits of the fault catalogue apply.
-    """
+    """Only for a hand without load cells, the campaign adds ticks to the time limits of the fault matrix."""
     for name, some in (
         ("jamia", False),
         ("jamia11", False),
@@ -451,7 +451,7 @@ def test_only_missing_sensors_extend_a_time_limit():
 
 @pytest.mark.parametrize(("protocol", "is_judged"), [("mit", True), ("odrive", False)])
 def test_torque_after_a_cut_needs_a_load_cell_or_torque_in_each_reply(protocol, is_judged):
-    """For the fault N16 (a drive does not release), the campaign and `config check` agree.
+    """Either the campaign tests the fault N16 (a drive does not release), or `config check` warns about N16.
 
     An ODrive sends its torque in a separate frame. After the action CUT, an ODrive sends no more
     torque frames.
@@ -466,8 +466,8 @@ def test_a_stall_of_the_host_is_a_stall_at_every_control_rate():
     """The scenario of the fault H03 (the host stalled) misses more ticks at a faster control rate.
 
     Reproduce a defect: the scenario of H03 missed 14 ticks at every control rate. At 1 kHz, 14
-    missed ticks last 14 ms, which is no stall of the host. At 200 Hz, 14 missed ticks last longer
-    than the watchdog time of the drives.
+    missed ticks last 14 ms, which is too short to count as a stall of the host. At 200 Hz, 14
+    missed ticks last 70 ms, which is longer than the watchdog time of the drives.
     """
     hand = hand_with_protocol("t42", "mit")
     watchdog_s = min(motor.watchdog_ms for motor in hand.motor) * 1e-3
@@ -480,9 +480,9 @@ def test_a_stall_of_the_host_is_a_stall_at_every_control_rate():
 
 
 def test_a_time_limit_of_a_filter_stays_the_same_time_at_a_fast_control_rate():
-    """The reaction limit is ``max_ticks`` at 500 Hz and below.
+    """At control rates up to 500 Hz, the time limit for the reaction to a fault is ``max_ticks`` ticks.
 
-    At 1 kHz, the limit of a fault with ``scales_with_period`` is twice as many ticks.
+    At 1 kHz, the time limit is twice as many ticks if ``scales_with_period`` is True for the fault.
     """
     for row in FAULT_MATRIX:
         fixed_row = row._replace(max_extra_ms=0.0, extra_ms_by_protocol={}, extra_ticks={})
@@ -497,7 +497,8 @@ def test_a_time_limit_of_a_filter_stays_the_same_time_at_a_fast_control_rate():
 def test_faults_of_a_hand_at_1_khz_are_found_in_the_time_of_500_hz(seed):
     """Reproduce a defect: at 1 kHz, the controller needed more ticks to detect two faults than at 500 Hz.
 
-    The late detection had two reasons: the low-pass filter of the fault N14, and a delayed frame.
+    One fault was detected late because of the low-pass filter of N14 (a command is not obeyed). The
+    other fault was detected late because of a delayed frame.
     """
     assert default_control_rate(hand_with_protocol("t42", "cia402")) == 1000.0
     faults = {FREE_MOTION_STAGE: ("host skip", "delay"), GRASP_STAGE: ("disobey", "delay")}
@@ -513,8 +514,8 @@ def test_a_drive_of_a_weak_hand_that_does_not_obey_is_found_as_soon_as_one_of_a_
     """Compare drives with torque limits of 110 N and 160 N.
 
     Reproduce two defects in which a weak hand had the fault threshold of a strong hand. The
-    controller found a drive without torque after 23 ticks, but the limit is 22 ticks. At 1 kHz, the
-    controller found a drive that runs away after 11 ticks, but the limit is 10 ticks.
+    controller found a drive that makes no torque after 23 ticks, but the time limit is 22 ticks. At
+    1 kHz, the controller found a runaway drive after 11 ticks, but the time limit is 10 ticks.
     """
     faults = {FREE_MOTION_STAGE: ("runaway",), GRASP_STAGE: ("disobey",)}
     for seed in (0, 12):
@@ -525,10 +526,10 @@ def test_a_drive_of_a_weak_hand_that_does_not_obey_is_found_as_soon_as_one_of_a_
 
 @pytest.mark.parametrize("seed", [6, 13])
 def test_a_slack_tendon_of_a_drive_that_forgot_its_limits_counts_as_found(seed):
-    """Reproduce a defect: the campaign did not accept the fault T01.
+    """Reproduce a defect: the campaign did not accept the fault T01 (a tendon snapped) as a detection.
 
-    The hand correctly relaxed with the fault T01 after 26 ticks, but the campaign expected other
-    faults.
+    The controller correctly relaxed the hand after 26 ticks because of T01, but the campaign
+    expected other faults.
     """
     results = results_of_hand("t42", seed, {GRASP_STAGE: ("forget",)}, "moteus")
     assert len(results) == 2
@@ -552,10 +553,10 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
     """If a drive runs away against a grasped object, the tension has an upper bound.
 
     The bound of the tension follows from the force limit and the momentum of the drive. The runaway
-    drive pulls its rotor against the tendon with at most the force F. Seen at the tendon, the rotor
-    has the mass m and the initial speed v. The tendon has the stiffness k and the initial tension
-    T. Without friction, the tension rises to F + sqrt((F - T)^2 + k m v^2). The reaction of the
-    controller can only lower the final tension.
+    drive pulls its rotor against the tendon with at most the force F. Converted to the tendon, the
+    inertia of the rotor is the mass m, and the initial speed is v. The tendon has the stiffness k
+    and the initial tension T. Without friction, the tension rises to F + sqrt((F - T)^2 + k m v^2).
+    The reaction of the controller can only make the tension smaller than the bound.
     """
     hand = hand_with_protocol("jamia", "mit")
     with homed_run(hand, RATE_HZ, 0) as simulation:
@@ -583,8 +584,8 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
 def test_a_drive_that_does_not_relax_is_cut_although_its_load_cell_is_saturated():
     """The drive in this test is an ODrive without torque feedback.
 
-    The load cell of its tendon saturates below the tension at which all drives would be disabled at
-    once.
+    The load cell of the tendon saturates at a lower tension than the one at which the controller
+    disables all drives at once.
     """
     hand = hand_with_protocol("jamia_bench", "odrive")
     row = next(row for row in FAULT_MATRIX if row.fault == "runaway node={node} size=1 seed=1")

@@ -163,7 +163,7 @@ def test_a_tick_with_another_result_is_found(copy_of_arming_simulation):
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 @pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
 def test_random_sequences_violate_no_rule(hand, protocol):
-    """With each hand and each drive protocol, 334 random sequences of faults violate no rule."""
+    """For each hand and each drive protocol, none of 334 random fault sequences violates a safety rule."""
     hand_description = hand_with_protocol(hand, protocol)
     results = run_sequences(
         hand_description,

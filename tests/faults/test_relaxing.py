@@ -46,7 +46,7 @@ FAULT_COMMANDS = (
 )  # fmt: skip
 RATE_HZ_BY_HAND = {"jamia": 500.0, "jamia11": 250.0}
 COMMAND_DELAY_S = 0.06
-"""Longest time between a command and its execution by a motor with the fault of a delay [s]."""
+"""Longest time from a command to its execution by a drive whose injected fault is a late reaction [s]."""
 COMMAND_ROUNDING_N = 0.05
 """Largest increase of a commanded tendon force because a command has only twelve bits for the torque [N]."""
 TENSION_BOUND_MARGIN_N = 3.0
@@ -84,10 +84,10 @@ def tension_bound(
     """Return an upper bound of each tension (N,) [N].
 
     The bound of a tension follows from the motion of the rotors and the stretch of the tendons.
-    Seen at the tendon, a rotor has the mass m and the speed v. A force of at most F pulls the rotor
-    against the stiffness k of the tendon. From a tension T, the tension rises to at most F +
-    sqrt((F - T)^2 + k m v^2). While the finger of the tendon moves freely, the force F also
-    increases the speed of the rotor.
+    Converted to the tendon, the inertia of a rotor is the mass m, and its speed is v. A force of at
+    most F pulls the rotor against the stiffness k of the tendon. From a tension T, the tension
+    rises to at most F + sqrt((F - T)^2 + k m v^2). While the finger of the tendon moves freely, the
+    force F also increases the speed of the rotor.
     """
     space = simulation.controller.model.tendon_constants
     largest = np.maximum(motor_force, 0.0)
@@ -131,8 +131,8 @@ def check_relaxing(
     simulation: SimulatedRun, stop_tick: int, window_ticks: int, fault_command: str
 ) -> None:
     recent: list[TrueTendonState] = [true_tendon_state(simulation)]
-    # A drive with a delay can still execute commands from before the stop request. For this reason,
-    # the largest command includes commands from before the stop request.
+    # A drive that reacts late can still execute commands that were sent before the stop request.
+    # Therefore the largest command includes the commands that were sent before the stop request.
     commanded = [simulation.state.view("asked").copy()]
     while simulation.state.mode == HandMode.ACTIVE:
         simulation.run_tick(requests=(STOP_REQUEST,) if simulation.k == stop_tick else ())
@@ -181,9 +181,9 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
 ) -> None:
     """Reproduce a defect.
 
-    In an earlier version, the tension loop of the hand was unstable. The hand began to relax from
-    the last command of the unstable tension loop, which was 160 N. During the relaxing, the tension
-    of a tendon that had been slack reached 317 N.
+    A drive that reacted late made the tension loop oscillate, up to a command of 160 N for a slack
+    tendon. The hand began to relax from the command of 160 N, instead of from the true tension.
+    During the relaxing, the tension of a tendon that had been slack reached 317 N.
     """
     hand = hand_with_protocol("jamia", "odrive")
     with homed_run(hand, 400.0, seed, task=hidden_faults.rising_hold_task()) as simulation:

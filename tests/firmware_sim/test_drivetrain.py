@@ -35,7 +35,7 @@ def closing_hand(hand_name: str, uses_mj_step: bool = True, is_compiled: bool = 
 
 
 def state_as_hex(plant: Plant) -> list[str]:
-    """Return texts of all numbers that describe the motion of the simulated hand, exact to the last bit."""
+    """Return all numbers that describe the motion of the simulated hand, as hexadecimal texts without rounding."""
     motors = [(m.theta, m.omega, m.torque, m.velocity, m.heat) for m in plant.motors.values()]
     tendons = [(tendon.tension, tendon.speed, tendon.slope) for tendon, _ in plant.tendons]
     engine = plant.engine
@@ -164,8 +164,8 @@ def test_a_divided_step_ends_where_the_whole_step_ends() -> None:
 def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: str) -> None:
     """The simulated encoder readings have no jitter, even if the control period is no multiple of the simulation step.
 
-    If the simulator read the encoder only at the end of whole simulation steps, a reading would be
-    wrong by 5 counts. This error applies to a spool speed of 3 rad/s.
+    In this test, the spool speed is 3 rad/s. If the simulator read the encoder only at the end of
+    whole simulation steps, a reading would be wrong by 5 counts.
     """
     for rate_hz in (300.0, 333.0, 450.0, 640.0):
         world = SimulatedWorld(load_hand(hand), load_scene(None), seed=2)

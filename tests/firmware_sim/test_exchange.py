@@ -33,7 +33,7 @@ OPTIONS_BY_PROTOCOL = {
 
 
 def hand_file(hand_folder: Path, protocols: tuple[str, ...], bus_count: int = 1) -> str:
-    """Write the hand file of a packaged hand with drives of other protocols, and return the path of the hand file.
+    """Write the hand file of the packaged hand jamia with other drive protocols, and return the path of the file.
 
     If ``bus_count`` is 2, two drives of the hand are on the second bus.
     """

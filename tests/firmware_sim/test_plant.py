@@ -60,8 +60,8 @@ def test_the_springs_hold_the_free_hand_open() -> None:
 def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
     """Without friction, the tension f and the angle q of each joint obey r f = k (q + q0).
 
-    The moment arm r, the stiffness k and the preload angle q0 of all joints are equal. For this
-    reason, all joint angles are equal.
+    All joints have the same moment arm r, stiffness k and preload angle q0, and therefore the same
+    angle q.
 
     Gravity has no effect on the joints, because it is parallel to the hinges.
     """

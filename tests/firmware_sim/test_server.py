@@ -69,7 +69,7 @@ class SimulatorServerBench:
         self.server = BusServer(self.world, [self.wire], self.clock)
 
     def turn(self, t_ms: float, *received_frames: Frame) -> list[Frame]:
-        """Set the clock, run the server's loop once with received frames, and return the frames that it sends."""
+        """Set the clock, let the server process received frames in one pass of its loop, and return the sent frames."""
         self.clock.t_ns = START_NS + round(t_ms * NS_PER_MS)
         self.wire.coming, self.wire.sent = list(received_frames), []
         self.server.turn()
@@ -178,9 +178,9 @@ def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
 
 
 def test_an_answer_waits_for_one_stride_at_most(bench: SimulatorServerBench) -> None:
-    """Reproduce a defect: a server that was 10 ms behind its clock simulated these 10 ms before it replied.
+    """Reproduce a defect: a server that was 10 ms behind its clock first simulated the whole 10 ms, and then replied.
 
-    The simulation of the 10 ms took 2 ms, so the reply came after the next SYNC frame.
+    The simulation of 10 ms took 2 ms of real time, so the reply came after the next SYNC frame.
     """
     sent = bench.turn(30, Frame(0x80, b"\x05"))
     assert [frame.can_id for frame in sent] == [0x1A0]

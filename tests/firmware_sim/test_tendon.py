@@ -43,8 +43,8 @@ class TendonOnSpool:
     ) -> float:
         """Compute one simulation step of the tendon, and return its tension.
 
-        Write the torques of the pulleys to ``torque``. The function leaves out the torque term that
-        compensates the damping.
+        Write the torques of the pulleys to ``torque``. The simulator adds a torque that compensates
+        the damping of the physics engine. The function subtracts this torque.
         """
         self.motor.theta, self.motor.omega = theta, omega
         self.motor.steps_alone, total = True, [0.0] * 3
@@ -138,7 +138,7 @@ def test_friction_dissipates_energy_and_the_slope_matches(
 ) -> None:
     """The friction of a tendon never adds power to its motion.
 
-    The tension that friction takes at a pulley is at most ``slope`` times the spool speed.
+    At each pulley, friction changes the tension by at most ``slope`` times the spool speed.
     """
     dq = [spool_speed / 0.009] * 3
     torque = [0.0] * 3

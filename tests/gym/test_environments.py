@@ -49,7 +49,7 @@ def action_towards_reference(environment: Any, observation: Any) -> Any:
     """Return the action that makes the hand follow the reference angles in an observation.
 
     The hand reaches the targets of an action only after a delay. The observation contains the
-    reference angles at the end of this delay, and the action has these angles as its targets.
+    reference angles at the end of the delay, and the action contains the same angles as targets.
     """
     first_element = environment.layout.names.index(f"reference_ahead_rad[{environment.names[0]}]")
     return environment.action_for(

@@ -35,7 +35,7 @@ def fifteen_motor_hand() -> dict[str, Any]:
 
 
 def _renamed_section(section: Any, finger_name: str) -> Any:
-    """Copy a section of a hand file, with the name of another finger in place of index."""
+    """Copy a section of a hand file, and replace the finger name "index" by another finger name."""
     if isinstance(section, dict):
         return {
             _renamed_section(key, finger_name): _renamed_section(value, finger_name)

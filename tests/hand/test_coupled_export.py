@@ -15,7 +15,7 @@ SHADOW_LIKE_HAND = load_hand(REPOSITORY_ROOT / "examples" / "hands" / "shadow_li
 DRIVER_BY_COUPLED_JOINT = {
     "index_j4": "index_j3", "middle_j4": "middle_j3", "ring_j4": "ring_j3", "little_j5": "little_j4",
 }  # fmt: skip
-"""For each coupled joint of ``shadow_like``, the joint whose angle it follows with the ratio 1."""
+"""For each coupled joint of ``shadow_like``, the joint whose angle the coupled joint follows with the ratio 1."""
 
 
 def test_the_urdf_has_a_mimic_for_each_rigidly_coupled_joint() -> None:

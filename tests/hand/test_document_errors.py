@@ -1,6 +1,6 @@
 """Test the errors for documents with mistakes, such as hand files.
 
-For each kind of mistake, the test compares the complete error line.
+For each kind of mistake, the test compares the complete error line with the expected line.
 """
 
 import datetime
@@ -14,14 +14,14 @@ from handctl.errors import ConfigError
 
 
 class ExampleMoveStep(Document):
-    """Step of an example plan. The step has a speed."""
+    """Step of an example plan: a move with a speed."""
 
     kind: Literal["move"]
     speed_deg_s: float = Field(gt=0)
 
 
 class ExampleHoldStep(Document):
-    """Step of an example plan. The step has a tension, and can contain a further step."""
+    """Step of an example plan: a hold with a tension, and possibly a further step."""
 
     kind: Literal["hold"]
     tension_N: float

@@ -84,8 +84,8 @@ axes and inertias.
 def first_case_per_key(cases: list[ParameterSet]) -> list[ParameterSet]:
     """Return one test case for each key of a hand file.
 
-    A key occurs in several hands and list entries. The returned case of the key is the first case
-    in ``cases``. In a nightly test run, return all test cases.
+    The same key occurs in several hands and in several entries of a list. For each key, the
+    function returns the first case in ``cases``. In a nightly test run, return all test cases.
     """
     case_by_key = {re.sub(r"^\w+-|\[[^]]*\]", "", str(case.id)): case for case in reversed(cases)}
     return cases if NIGHTLY else list(case_by_key.values())
@@ -191,7 +191,7 @@ def test_a_misspelt_key_is_reported_with_the_right_one(refusal, hand_name):
 
 
 def test_random_change_is_read_or_refused_in_one_line():
-    """Any wrong value, of any type and in any place of the content, raises ConfigError."""
+    """A wrong value of any type, at any place in a hand file, gives a usable hand or one error line."""
     content = CONTENT_BY_HAND_NAME["jamia"]
     for path, _ in [*content_leaves(content), *content_tables(content)]:
         if len(path) > 1 and path[1] in (1, 2):

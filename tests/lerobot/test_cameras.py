@@ -67,7 +67,7 @@ def write_video(video_path, duration_s, width_px=IMAGE_WIDTH_PX):
 def active_time_range(run_log):
     """Return the first and the last time [s] at which the hand is active in a log.
 
-    The export of the log makes an episode from the time between both times.
+    The export makes an episode from the part of the log between the first and the last time.
     """
     active = run_log.t_ns[run_log.mode == int(HandMode.ACTIVE)] / 1e9
     return active[0], active[-1]

@@ -39,7 +39,7 @@ def log_with_changed_metadata(
 
 
 def write_log_with_run_metadata(log_path: Path, out: Path, **json_by_key: str) -> Path:
-    """Write a copy of a log to `out`, with other JSON texts in its metadata record `handctl.run`.
+    """Write a copy of a log to `out`, and replace JSON texts in the metadata record `handctl.run` of the copy.
 
     Return the path of the copied log.
     """

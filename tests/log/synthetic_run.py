@@ -218,7 +218,7 @@ def write_synthetic_run(
 
 
 def main() -> None:
-    """Write the log of a synthetic run with the options of the command line."""
+    """Write the log of the synthetic run that the options on the command line describe."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("path", type=Path, help="log to write")
     parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")

@@ -86,7 +86,8 @@ def log_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def _refusal_line(capsys: pytest.CaptureFixture[str], *command_words: str) -> str:
     """Return the error line that a command prints when it refuses a log.
 
-    For `log check`, return the finding on standard output. The exit code of `log check` must be 1.
+    For the command `log check`, return the finding on standard output instead, and check that the
+    exit code is 1.
     """
     checks = command_words[:2] == ("log", "check")
     assert main(command_words) == (1 if checks else 2), command_words

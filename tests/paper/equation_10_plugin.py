@@ -20,7 +20,7 @@ HANDCTL_TORQUE_FUNCTION = dynamics._rigid_body_torque
 
 
 def torque_from_equation_10(digit, gravity, q, dq, ddq):
-    """Return the joint torques of a digit, with the torque of the first joint from Eq. 10.
+    """Return the joint torques of a digit, and compute the torque of the first joint with Eq. 10.
 
     Eq. 10 of the paper gives the torque T_1 of the first joint. The torques of the other joints
     come from the dynamic model of handctl.

@@ -1,6 +1,6 @@
 """Compare the errata of the paper with equations that sympy derives, and with numbers from separate arithmetic.
 
-The tests also check that no known misprint is missing in the errata.
+The tests also check that the errata contain every known misprint.
 """
 
 from functools import cache
@@ -87,7 +87,7 @@ def test_corrected_torques_follow_from_the_lagrangian(link_index: int) -> None:
 
 
 def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
-    """With mass m3 = 0 and inertia I3 = 0 of the third link, the finger equations describe a thumb with two links.
+    """If the third link has no mass and no inertia (m3 = I3 = 0), the finger equations describe a thumb with two links.
 
     The test compares the finger equations with m3 = I3 = 0 with the thumb equations.
     """
@@ -282,8 +282,8 @@ def test_no_erratum_denies_a_statement_that_the_paper_makes() -> None:
 def test_torques_convert_between_relative_and_absolute_angles() -> None:
     """The page about the paper states two correct conversions: tau = S^T T and M_q = S^T M_theta S.
 
-    tau and M_q are torques and mass matrix for relative joint angles, and T and M_theta those for
-    absolute angles. S is the lower triangular matrix of ones.
+    The torques tau and the mass matrix M_q belong to relative joint angles. The torques T and the
+    mass matrix M_theta belong to absolute angles. S is the lower triangular matrix of ones.
     """
     digit = lagrange.paper_finger()
     states = lagrange.finger_states(digit)

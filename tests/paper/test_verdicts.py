@@ -1,4 +1,7 @@
-"""Test the verdict on a printed number (equal, rounded, truncated, wrong): it depends on decimals and exact value."""
+"""Test the verdict on a printed number: equal, rounded, truncated or wrong.
+
+The verdict depends on the exact value, and on the number of decimals that the paper prints.
+"""
 
 from decimal import ROUND_DOWN, ROUND_HALF_EVEN, Decimal
 from fractions import Fraction

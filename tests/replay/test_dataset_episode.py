@@ -41,7 +41,7 @@ def exported_dataset(tmp_path: Path) -> Path:
 
 
 def episode_actions(exported_dataset: Path, episode_index: int) -> np.ndarray:
-    """Return the joint angles (frames, J) in the actions of an episode [rad]."""
+    """Return the joint angles in the actions of an episode, with the shape (frames, joints) [rad]."""
     table = pq.read_table(exported_dataset / "data" / "chunk-000" / "file-000.parquet").to_pylist()
     return np.array(
         [
@@ -69,7 +69,7 @@ def change_action(
 def sine_dataset(exported_dataset: Path) -> np.ndarray:
     """Replace the actions of the first episode by a smooth motion.
 
-    Return the joint angles of the smooth motion (frames, J) [rad].
+    Return the joint angles of the smooth motion, with the shape (frames, joints) [rad].
     """
     path = exported_dataset / "data" / "chunk-000" / "file-000.parquet"
     table = pq.read_table(path)

@@ -122,11 +122,11 @@ def run_with_repetition(run_folder: Path, request: pytest.FixtureRequest) -> Run
 def test_second_replay_gives_the_same_log(run_with_repetition: RunWithRepetition) -> None:
     """If a replay repeats only the tensions, no control loop corrects the angle of a moving digit.
 
-    Without an angle control loop, a tension error of half a newton turns the digit against its
-    springs by six degrees.
+    Without a control loop for the angle, a tension error of half a newton turns a digit by six
+    degrees against its springs.
 
-    When a digit makes its first contact, a tension error of one newton changes the estimated angles
-    of its joints by two more degrees.
+    At the first contact of a digit, a tension error of one newton changes the estimated joint
+    angles by two more degrees.
     """
     comparison = run_with_repetition.compare_replay()
     worst = (

@@ -1,6 +1,7 @@
 """Re-execute all golden logs.
 
-A change of the code for other hands must not change any bit in the telemetry of the golden logs.
+A golden log is a recorded run whose telemetry must stay equal to the last bit. A code change for
+other hands must not change this telemetry.
 
 Earlier defect: with the matrix kernels for AVX-512, the last bits of the telemetry differed from
 those of other processors. Another defect: a changed order of a sum of products changed the last

@@ -52,7 +52,7 @@ def test_a_run_whose_gains_were_set_repeats(tmp_path: Path) -> None:
 
 
 def identified_calibration(hand: Hand, torque_gain: float) -> Calibration:
-    """Return the calibration of a hand with known motor zeros.
+    """Return the calibration of a hand whose motor zeros are known.
 
     The calibration states that the drives make only the fraction ``torque_gain`` of a commanded
     torque.
@@ -106,8 +106,9 @@ def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(
 def test_a_drive_with_identified_torque_error_is_no_fault(torque_gain: float) -> None:
     """A drive with a torque error reports the torque that it would make without the error.
 
-    Earlier defect: the reported torque differs from the torque that the controller requires.
-    Because of this difference, the controller reported the fault N14 (a command is not obeyed).
+    Earlier defect: the controller compared the reported torque with the torque that the motor must
+    make. The two torques differ, so the controller reported the fault N14 (a command is not
+    obeyed).
     """
     hand = load_hand("jamia")
     plan = RunPlan(hand, Gains(), 500.0, ())

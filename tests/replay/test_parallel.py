@@ -35,10 +35,10 @@ ExecuteSerialAndParallel = Callable[..., tuple[LogExecution, LogExecution]]
 def execute_serial_and_parallel(
     recorded_grasp_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> ExecuteSerialAndParallel:
-    """Return a function that executes a log with one process and with three processes.
+    """Return a function that executes the ticks of a log twice: in one process, and in three processes.
 
-    The only argument of the returned function is None, or a function that makes a number in the
-    controller state wrong.
+    The only argument of the returned function is None, or a function that falsifies a number in the
+    controller state.
     """
 
     def run(change: StateChange | None = None) -> tuple[LogExecution, LogExecution]:

@@ -170,7 +170,7 @@ class KillTestSetup:
         )
 
     def now_ns(self) -> tuple[int, int]:
-        """Return the time of the simulator, and the total delay that the simulator will never make up [ns]."""
+        """Return the simulated time [ns], and the total delay that the simulator will not catch up [ns]."""
         reply_path = run_dir() / f"kills-{os.getpid()}"
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
             link.bind(str(reply_path))
@@ -251,7 +251,10 @@ class SyncListener:
     """
 
     def __init__(self) -> None:
-        """Join the bus, with an empty list of SYNC frames."""
+        """Create a listener that has not read any SYNC frame.
+
+        The listener connects to the bus when its ``with`` block begins.
+        """
         self.syncs = bytearray()
         self._partial = b""
 

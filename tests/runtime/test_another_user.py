@@ -90,7 +90,7 @@ def folder_of_nobody(shared_tmp: Path) -> Path:
 
 
 def check_refusals(expected_word: str) -> None:
-    """Check that controller, simulator and all requests refuse the run directory.
+    """Check that handctl and the simulator refuse the run directory, and that a request is not confirmed.
 
     Check that the reason of each refusal contains ``expected_word``.
     """
@@ -178,7 +178,7 @@ def test_a_new_or_readable_folder_is_made_private(shared_tmp, make_folder):
 
 @pytest.mark.parametrize("has_run_folder", [False, True])
 def test_a_link_is_refused(shared_tmp, has_run_folder):
-    """If the run directory is a symbolic link, handctl refuses it, with any target and any owner of the link."""
+    """If the run directory is a symbolic link, handctl refuses the link, whatever its target and its owner are."""
     target = shared_tmp / "elsewhere"
     target.mkdir(mode=0o700)
     if has_run_folder:

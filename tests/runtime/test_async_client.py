@@ -14,10 +14,10 @@ REALTIME_MARK = pytest.mark.realtime
 
 
 async def use_hand_as_client(*connect_options):
-    """Move, stream, observe and cancel with a client.
+    """Use a client to move a hand, to stream targets, to observe the hand, and to cancel a motion.
 
-    At the same time, another asyncio task counts loops. The count shows that the client does not
-    block the event loop.
+    At the same time, another asyncio task counts how often it runs. The count shows that the client
+    does not block the event loop.
     """
     loop_count = 0
 

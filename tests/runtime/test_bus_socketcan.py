@@ -168,7 +168,7 @@ def test_stamps_are_right_although_the_wall_clock_was_set(
 def overflow_socket(bus: SocketCanBus, peer_socket: socket.socket) -> None:
     """Send more frames than a small buffer can store.
 
-    After these frames, send a frame that carries the number of dropped frames.
+    Finally, send one more frame, which carries the number of dropped frames.
     """
     with socket.socket(fileno=bus.fileno()) as link:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)

@@ -122,7 +122,7 @@ def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
     """Reproduce a defect.
 
     A user called ``move`` or ``hold`` with a mapping of digits as the first argument. The client
-    used this mapping as the duration, and raised the error "no digit".
+    took the mapping for the duration of the motion, and raised the error "no digit".
     """
     requests = []
     monkeypatch.setattr(unserved_client, "_set_goal", requests.append)

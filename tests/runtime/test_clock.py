@@ -116,7 +116,9 @@ def test_the_granted_priority_is_described() -> None:
 
 
 class FakeLockstepSimulator:
-    """A fake simulator for the lockstep clock, which records its steps.
+    """A fake simulator that records each of its steps.
+
+    A lockstep clock advances the fake simulator.
 
     The simulator replies to each frame. The identifier of the reply is the identifier of the frame
     plus 0x10.
@@ -184,7 +186,10 @@ def test_a_second_run_continues_the_peers_time_from_its_own_zero() -> None:
 
 
 class FakePackedSimulator(FakeLockstepSimulator):
-    """A fake simulator for the lockstep clock, which exchanges frames as packed records instead of objects."""
+    """A fake simulator that exchanges frames as packed records instead of objects.
+
+    A lockstep clock advances the fake simulator.
+    """
 
     def exchange(self, t_ns: int, records: RecordArray) -> RecordArray:
         self.steps.append((t_ns, list(Frames(records))))

@@ -164,9 +164,10 @@ def test_each_defect_is_found_or_not_as_the_documentation_says(
 ):
     """Reproduce three defects.
 
-    First, a CubeMars drive that ignores commands passed all checks. Second, an ODrive without
-    endpoint options passed although the read-back of its settings was wrong. Third, an ODrive
-    without endpoint options failed the watchdog check although its watchdog worked.
+    Earlier defect: a CubeMars drive that ignores commands passed all checks. Earlier defect: an
+    ODrive without endpoint options passed although the read-back of its settings was wrong. Earlier
+    defect: an ODrive without endpoint options failed the watchdog check although its watchdog
+    worked.
     """
     protocol = protocol_column.split()[0]
     options = OPTIONS_WITHOUT_ENDPOINTS if "without" in protocol_column else None
@@ -219,7 +220,10 @@ def test_an_odrive_of_firmware_05_is_judged_without_torque_reports(drive_fault):
 
 
 def test_a_second_drive_never_turns(protocol):
-    """The checks stop at the first reply of a second drive with the same number, so this drive is never enabled."""
+    """If two drives have the same node number, the checks stop before any drive is enabled.
+
+    The checks detect the second drive by its first reply.
+    """
     _, virtual_bench, _ = check_results(protocol, "twin")
     assert virtual_bench.largest_torque == 0.0
 

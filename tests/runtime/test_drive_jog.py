@@ -296,8 +296,8 @@ def test_a_ramp_keeps_its_time_although_ticks_are_missed(drive_mode, stall_time_
 def test_a_host_that_misses_too_many_ticks_ends_the_jog(protocol, drive_mode):
     """The jog ends because of the missed ticks.
 
-    The watchdog of the drive cannot be the reason for the end, because the drive gets commands
-    during the stall of the host.
+    The watchdog of the drive cannot be the reason, because the drive gets commands during the stall
+    of the host.
     """
     virtual_bench, rig, _ = make_jog_bench(protocol, drive_mode)
     commands = stall_host(virtual_bench, rig, 0.5, MAX_MISSED_TICKS + 1)

@@ -54,7 +54,7 @@ def test_missed_ticks_are_skipped_and_not_executed_later(protocol: str, missed_t
 def test_a_drive_that_was_never_heard_is_not_confirmed_off(protocol: str) -> None:
     """Reproduce a defect: a drive counted as disabled although none of its replies had arrived.
 
-    Another host can have enabled such a drive.
+    Another host can have enabled a drive whose replies do not arrive.
     """
     virtual_bench = VirtualBench(protocol, "mute")
     rig = make_drive_rig(virtual_bench, protocol, 0.1)
@@ -95,7 +95,7 @@ def test_the_velocity_after_missed_ticks_is_that_of_the_shaft(
     """Reproduce a defect.
 
     The rig computed the velocity as if the ticks before and after a stall of the host were
-    adjacent. Because of the defect, the shaft seemed to turn too fast.
+    adjacent. Therefore the shaft seemed to turn too fast after the stall.
     """
     virtual_bench = VirtualBench("mit", delay_ticks=delay_ticks)
     motor = virtual_bench.bench.motors[0]

@@ -92,8 +92,8 @@ def test_missing_fd_is_found_where_the_hand_needs_it():
 def test_the_set_up_of_a_finding_is_that_of_bus_up(data_bitrate):
     """Reproduce a defect.
 
-    The repair command of one finding did not contain ``restart-ms``. After the user had executed
-    the repair command, another finding demanded ``restart-ms``.
+    The command that handctl proposed for a finding did not set ``restart-ms``. After the user had
+    executed this command, another finding demanded ``restart-ms``.
     """
     (finding, *_) = failed_findings(link_json(link={"flags": ["NOARP"]}), data_bitrate)
     commands = interface_setup_commands("can0", MEGABIT_PER_S, data_bitrate, interface_exists=True)
@@ -116,9 +116,9 @@ def test_invalid_output_of_ip_is_no_link(ip_output):
 
 
 def usb_interface(folder, driver_name="gs_usb", usb_speed="12", serial_number="0042"):
-    """Make a folder like /sys/class/net.
+    """Make a folder that imitates /sys/class/net, and return the path of this folder.
 
-    The folder contains only the interface can0, which belongs to a USB adapter.
+    The imitated folder contains only the interface can0, which belongs to a USB adapter.
     """
     usb = folder / "usb1" / "1-1"
     (usb / "1-1:1.0").mkdir(parents=True)

@@ -343,8 +343,9 @@ def test_an_error_after_the_commands_disables_from_the_state_with_these_commands
 ) -> None:
     """Reproduce a defect.
 
-    After an error, the loop used the state before the tick to disable the drives. A drive that was
-    enabled in the failed tick counted as disabled in the state before the tick.
+    To disable the drives after an error, the loop used the state from before the failed tick. In
+    the state from before the failed tick, a drive that the failed tick had enabled counted as
+    disabled.
     """
     bus = FakeBus()
     run = RecordedControlLoop(5, buses=[bus], frames=(Frame(9, b"enable"),))
@@ -453,10 +454,9 @@ def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
 def test_a_bus_that_refuses_every_cut_delays_no_other(
     refusing_bus: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """If a bus refuses the disabling frames, the loop sends them again for a limited time.
+    """If a bus refuses the frames that disable the drives, the loop repeats these frames for a limited time.
 
-    The loop sends the disabling frames on the other bus first, and then tries the refusing bus
-    again.
+    Before the loop repeats the frames, it sends the disabling frames of every other bus.
     """
     pauses: list[float] = []
     monkeypatch.setattr(loop.time, "sleep", pauses.append)

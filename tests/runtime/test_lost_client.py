@@ -1,7 +1,8 @@
-"""Test a client that dies or hangs while the hand holds a tension for it.
+"""Test a client that dies or hangs while the hand holds a tension that this client has requested.
 
-The hand must relax when the lease of the lost client has ended. The test checks the tensions in the
-truth file of the simulator.
+A client must regularly renew the lease of the hand, a right with a time limit. The hand must relax
+when the lease of the lost client has ended. The test checks the tensions in the truth file of the
+simulator.
 """
 
 import re
@@ -113,7 +114,7 @@ def test_a_lost_client_makes_the_hand_relax(
 def test_a_program_that_waits_keeps_its_hold(
     work_folder, hand_truth_file, calibration_options, time_scale_options
 ):
-    """A thread of the client renews the lease of the client while the program waits.
+    """While a program waits, a thread of the client renews the lease of the hand (a right with a time limit).
 
     A client that has no lease sends no signs of life to the controller.
     """
@@ -150,7 +151,7 @@ def test_a_wrong_lease_is_one_line(request_options, expected_message):
 def test_a_watchdog_stops_the_signs_of_life(work_folder):
     """If a program does not call its client for too long, a watchdog in the client ends the signs of life.
 
-    The next call of the client starts the signs of life again.
+    The next call of the client by the program starts the signs of life again.
     """
     box = Mailbox("local:beats")
     heartbeat_sender = Heartbeat("local:beats", "one", 0.01, 0.15)

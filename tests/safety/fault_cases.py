@@ -49,9 +49,9 @@ LOAD_CELLS_NODE = TENDON_COUNT
 class TickInput(NamedTuple):
     """Input of the safety monitor for one tick.
 
-    ``state_values`` contains the values of the state that differ from a hand at rest. The keys of
-    ``state_values`` are the name of a field and an index. The input contains events of the buses
-    and of the host, too.
+    ``state_values`` contains the values of the state that differ from a hand at rest. It maps the
+    name of a field to a dictionary from an index to a number. The input contains events of the
+    buses and of the host, too.
     """
 
     state_values: Mapping[str, dict[object, float]] = MappingProxyType({})
@@ -84,7 +84,7 @@ class FaultCase(NamedTuple):
 
 
 def state_input(**values_by_field: object) -> TickInput:
-    """Return an input of the safety monitor with given values of the state.
+    """Return an input of the safety monitor in which the state has given values.
 
     If a field of the state applies to the whole run, its value is a single number. The value of any
     other field is a dictionary from an index to a number.
@@ -145,7 +145,7 @@ def malformed_frames(node_index: int, earlier_frames: int) -> TickInput:
 
 
 def filtered_residuals(residual_kind: int, **residual_by_part: float) -> TickInput:
-    """Return an input with given values of one kind of filtered residual, for the named tendons or motors."""
+    """Return an input in which one kind of filtered residual has given values at the named tendons or motors."""
     return state_input(
         residual={(residual_kind, int(name[1:])): value for name, value in residual_by_part.items()}
     )
@@ -195,7 +195,7 @@ def merge_inputs(*tick_input: TickInput) -> TickInput:
 
 
 def input_without_torque(tick_input: TickInput) -> TickInput:
-    """Return a copy of an input with the mode READY. In the mode READY, the hand can be armed."""
+    """Return a copy of an input in which the mode is READY. In the mode READY, the hand can be armed."""
     return TickInput(
         {**tick_input.state_values, "mode": {...: int(HandMode.READY)}}, tick_input.reports
     )

@@ -189,7 +189,8 @@ class SyntheticMonitor:
     ) -> dict[str, dict[str, float]]:
         """Set values of the state, and run the fault detectors for one tick.
 
-        Return the value of each finding of the detectors, by fault and by part of the hand.
+        Return, for each fault, a dictionary from the affected part of the hand to the value that
+        the detector has found.
         """
         self.set_state_values({**(value_by_field or {}), **more_values})
         self.demanded_action = tick_stages.find_faults(

@@ -287,7 +287,7 @@ def test_the_safety_page_lists_how_each_fault_relaxes() -> None:
 def test_a_fault_is_either_found_or_reported() -> None:
     """Each fault is either found by a detector, or reported by a bus or the host.
 
-    The fault table has one row for each detector and kind of part.
+    A detector has one row in the fault table for each kind of part in which it can find the fault.
     """
     for fault in FAULT_TABLE:
         assert bool(fault.fault_places) != bool(fault.reports), fault.id
@@ -317,9 +317,10 @@ def test_a_time_is_rounded_to_ticks(
 def fault_trace(fault_id: str) -> list[tuple[SafetyAction, int]]:
     """Return the action and the number of findings of one fault in each tick.
 
-    The first ticks of the trace are before the onset of the fault.
+    In the first tick, the input is just below the limit of the fault. In the following ticks, the
+    fault is present. In the last tick, the hand is at rest without the fault.
 
-    In this test, interpreted code debounces the fault.
+    Interpreted code debounces the fault: a fault counts only after some ticks in a row.
     """
     case, monitor, actions_and_counts = CASE_BY_FAULT[fault_id], monitor_at_rest(), []
     rows_of_fault = {row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == fault_id}

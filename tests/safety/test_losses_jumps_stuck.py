@@ -301,9 +301,10 @@ def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
     (1, (1.0, 2.0, 1.1), (0, 0, 1)), (4, (5.0, 5.0), (0, 0)), (4, (5.1, 0.0), (1, 0)), (4, (5.0, 5.1), (0, 1)),
 ])  # fmt: skip
 def test_allowed_step_grows_over_skipped_ticks(missed_ticks, position_steps, allowed_steps):
-    """In one run of this test, the position of the second motor is known.
+    """The check of the first motor does not depend on the position of the second motor.
 
-    In another run of this test, the position of the second motor has never been read.
+    The test runs once with a known position of the second motor, and once with a position that has
+    never been read.
     """
     for other_position in (0.0, NAN):
         positions, at, jump_flags = (
@@ -333,9 +334,8 @@ def add_reading(
 ) -> tuple[int, float, float]:
     """Run a tick with an encoder reading, a target and a tension.
 
-    Return three values. The first value is the number of ticks in which the encoder reading has not
-    changed. The second and the third value are the changes of target and tension since the encoder
-    reading last changed.
+    Return three values: the number of ticks since the last change of the encoder reading, and the
+    changes of target and tension since that tick.
     """
     rows: StateValues = {
         "measured_position": motor_position,

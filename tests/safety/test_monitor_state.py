@@ -193,8 +193,8 @@ def unexplained_tensions(monitor: SyntheticMonitor) -> list[float]:
 def test_lasting_residual_is_a_fault(tension, expected_residual):
     """The residual is the measured tension minus the tension that the model explains.
 
-    In this test, friction explains a residual of up to 3 N. The torque constant has a tolerance
-    of 10 %, so that it explains 2 N more at a tension of 20 N.
+    In this test, friction can cause a residual of up to 3 N. At a tension of 20 N, the 10 %
+    tolerance of the torque constant can cause 2 N more.
     """
     monitor, findings = run_ticks(1200, tension=tension)
     assert unexplained_tensions(monitor) == pytest.approx([expected_residual] * 2, abs=0.05)
@@ -226,10 +226,10 @@ def test_missing_torque_is_a_fault(commanded_force_N, reported_force_N, is_repor
 
 @pytest.mark.parametrize(("excess_friction_N", "is_reported"), [(5.8, False), (6.1, True)])
 def test_friction_above_the_hand_file_is_a_fault(excess_friction_N, is_reported):
-    """Friction is a fault if it exceeds the modelled friction by more than a limit for some seconds of motion.
+    """The monitor reports a fault if the friction exceeds the modelled friction by more than a limit for some seconds.
 
-    In this test, the limit of additional friction is 3 N plus a tenth of the force of 29 N. A tenth
-    of the force is the tolerance of the torque constant.
+    In this test, the limit is 3 N plus 2.9 N. The 2.9 N are the tolerance of the torque constant:
+    10 % of the motor force of 29 N.
     """
     monitor = run_ticks(30)[0]
     monitor.set_state_values({"residual": {EXCESS_FRICTION: excess_friction_N, MOTOR_FORCE: 29.0}})
@@ -358,7 +358,7 @@ def test_good_reading_restarts_the_count_of_derailed_readings():
 def test_the_joint_spool_filter_has_one_time_constant_at_any_joint_rate():
     """After an input step to 3.5 deg, a filter with a time constant of 0.3 s needs 0.58 s to reach 3 deg.
 
-    The time of 0.58 s is 0.3 s ln 7.
+    The time of 0.58 s is the time constant of 0.3 s times ln 7.
     """
     for ticks_per_reading in (1, TICKS_PER_JOINT_READING):
         monitor = monitor_at_20_newton(make_monitor(joint_period=ticks_per_reading * PERIOD_S))
@@ -524,7 +524,7 @@ def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(reply_late_
     """After a gap of missing readings, one reading contains the motion of five ticks.
 
     The reading with the motion of five ticks arrives in the first tick after the gap. If the reply
-    is late by a tick, the reading arrives in the second tick.
+    of the drive is one tick late, this reading arrives in the second tick after the gap.
     """
 
     def noise_and_balance_after_gap(missed_ticks):

@@ -186,7 +186,8 @@ def test_a_motor_force_that_rises_and_then_falls_shows_a_stuck_load_cell() -> No
     At the end of the test, the motor force has its first value again.
 
     Reproduce a defect: the detector used only the difference between the present motor force and
-    its start value. On ``n_plus_1``, a stuck load cell of an extensor was reported only after 5 s.
+    its start value. The stuck load cell of an extensor in the hand ``n_plus_1`` was therefore
+    reported only after 5 s.
     """
     monitor = make_monitor(SOFT_STIFFNESS)
     monitor.set_state_values({"asked": 20.0, "wanted": 20.0, "followed": 0.0})

@@ -35,9 +35,10 @@ def noisy_readings(seed: int, tick_count: int, noise_N: float, cell_count: int =
 
 
 def first_repetition_tick(cell_readings: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
-    """Return the first tick in which repeated readings are detected, or -1.
+    """Return the first tick in which repeated readings are detected, and the index of each affected tendon.
 
-    Return the affected tendons, too, each with the age of its repeated readings.
+    If no repeated readings are detected, the tick is -1. The index of a tendon is paired with the
+    age of its repeated readings [ticks].
     """
     monitor = SyntheticMonitor(synthetic_limits(cell_readings.shape[1]))
     for k, row in enumerate(cell_readings):

@@ -234,7 +234,8 @@ def test_a_tendon_still_pulled_by_its_motor_is_detected(
 ):
     """The detector compares a tendon's tension with the tension before the motors were disabled.
 
-    If there is no such earlier reading, the detector compares the tension with the first reading.
+    If there is no reading from before the motors were disabled, the detector compares with the
+    first reading after that.
     """
     tendons = FilteredTensionMonitor(
         2, cut_ticks=ticks_after_cut - 1, cut_from=[0.0, tension_before_cut], cut_bears=NAN
@@ -256,11 +257,11 @@ def test_a_tendon_still_pulled_by_its_motor_is_detected(
 def test_a_spool_that_has_paid_out_is_released(paid_out_m, is_detected):
     """Reproduce two defects.
 
-    On jamia11, the controller reported the fault N16 at the end of a run although every drive had
-    released. The springs of a digit accelerated the rotor of a released tendon, and the tension
-    stayed at 10 N during the acceleration. The first correction of the detector used the estimated
-    speed of the spool. On t42 with ODrive drives, the speed estimate hid a motor that did not
-    release.
+    With the hand jamia11, the controller reported the fault N16 (a drive does not release) at the
+    end of a run although every drive had released. The springs of a digit accelerated the rotor of
+    a released tendon, and the tension stayed at 10 N during the acceleration. An earlier version of
+    the detector used the estimated speed of the spool to avoid this false alarm. With the hand t42
+    and ODrive drives, the speed estimate hid a motor that did not release.
     """
     position = 1.0 - paid_out_m / SPOOL_RADIUS_M
     tendons = FilteredTensionMonitor(

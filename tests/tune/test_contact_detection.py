@@ -119,7 +119,8 @@ def test_parameters_of_a_digit_without_contact_are_kept(
 def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
     """The true springs are stiffer than in the hand file, and the controller has detuned gains.
 
-    Although the springs are stiffer, the fit reports no contact, and identifies the springs.
+    Although the true springs are stiffer, the fit reports no contact, and identifies the true
+    spring stiffness.
     """
     results, row = excite_and_fit(
         "jamia", "index", 8, draw_plant(8), draw_gains(Gains(), 8), tmp_path

@@ -56,9 +56,9 @@ def test_the_packaged_gains_keep_their_margins(hand_name: str) -> None:
 
 
 def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
-    """A heavy digit can need a low force weight to keep its stability margins.
+    """The design can lower the force weight of a heavy digit so that its control loop stays stable.
 
-    The low force weight of the heavy digit does not change the force weights of other digits.
+    The force weight of the heavy digit does not change the force weights of other digits.
     """
     hand = load_hand("t42")
     left_digit, right_digit = hand.digit
@@ -96,7 +96,10 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
 
 
 def stiffness_of_motion_loop(model: HandModel, gains: Gains) -> float:
-    """Return the stiffness of the second tendon's motion loop with given gains [1/s^2]."""
+    """Return the stiffness of the second tendon's motion loop: acceleration per excursion error [1/s^2].
+
+    The function designs the motion loop with the weights in ``gains``.
+    """
     return float(model_with_gains(model, gains).motion_design.stiffness[1])
 
 

@@ -223,9 +223,10 @@ def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
 
 
 def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
-    """The hand model and the centre of the ensemble use the identified parameters.
+    """The hand model, and the centre of the ensemble of simulated hands, use the identified parameters.
 
-    The hand identity in the gain file is still that of the hand file.
+    The tuned gains keep the identity of the hand file. It differs from the identity of a hand with
+    identified parameters.
     """
     hand, path = load_hand("jamia"), tmp_path / "c.toml"
     rows = dict.fromkeys(
@@ -273,7 +274,11 @@ def test_delay_is_judged_by_an_absolute_limit() -> None:
 
 @pytest.mark.parametrize("parameter_name", ["jamia", "jamia11"])
 def test_each_parameter_has_one_row_with_its_value_or_the_reason(parameter_name: str) -> None:
-    """Reproduce a defect: a parameter without a value had two rows in the report. The unit "1" looked like a value."""
+    """Reproduce two defects.
+
+    Earlier defect: a parameter without a value had two rows in the report. Earlier defect: in a row
+    without a value, the unit "1" looked like a value.
+    """
     hand = load_hand(parameter_name)
     with RunLog(GOLDEN_LOGS / f"{parameter_name}-grasp.mcap") as log:
         results = identify_tendons(log, hand)
@@ -295,7 +300,11 @@ def test_each_parameter_has_one_row_with_its_value_or_the_reason(parameter_name:
 def test_springs_of_a_digit_with_several_tendons_need_joint_encoders(
     with_joint_encoders: bool,
 ) -> None:
-    """Reproduce a defect: for spring parameters, the reason in the report was "no data depend on this parameter"."""
+    """Reproduce a defect: the report gave the wrong reason why spring parameters were not identified.
+
+    The report stated "no data depend on this parameter". The true reason is that a digit with
+    several tendons needs joint encoders.
+    """
     content = hand_content("jamia11")
     node = content["sensor_node"]
     content["sensor_node"] = node | {"joints": node["joints"] if with_joint_encoders else []}

@@ -1,8 +1,7 @@
 """Test the identification of digits without springs.
 
-There are two kinds of such digits. A digit of the first kind has n + 1 tendons for n joints. A
-digit of the second kind has pairs of tendons: the two tendons of a pair share one motor and have no
-load cells.
+A digit without springs has either n + 1 tendons for n joints, or pairs of tendons. The two tendons
+of a pair share one motor and have no load cells.
 """
 
 from pathlib import Path
@@ -133,7 +132,7 @@ def test_the_excitation_of_antagonists_keeps_within_the_limits(hand_name: str) -
 
 
 def test_a_stretched_tendon_does_not_lift_its_digit_off_the_stops() -> None:
-    """While a tendon is stretched, the net torque at each joint of its digit opens the joint."""
+    """While the identification stretches a tendon, the net torque at each joint of the digit opens the joint."""
     hand = load_hand("n_plus_1")
     for step in excitation_steps(hand, hand.digit_names):
         if step.name == "stretch":
@@ -146,7 +145,7 @@ def test_both_tendons_of_a_pair_balance_its_joint(passes_wrist: float) -> None:
     """Two antagonistic tendons share one motor in this test.
 
     At the joint, friction lowers the tension of one tendon and raises the tension of the other
-    tendon. The difference of both tensions turns the joint.
+    tendon. The difference between the two tensions turns the joint.
     """
     net_tensions = np.linspace(-40.0, 40.0, 81)
     spool = spool_pair_tension(net_tensions, 10.0, np.full(81, passes_wrist))
@@ -163,7 +162,7 @@ def test_both_tendons_of_a_pair_balance_its_joint(passes_wrist: float) -> None:
 def test_the_stretch_of_a_pair_makes_its_net_tension(knee_N: float, factor: float) -> None:
     """The first tendon is stretched by s + x, and the second by s - x, where s is the stretch by the pretension.
 
-    A factor of the stiffness divides all stretches.
+    If the stiffness is multiplied by a factor, all stretches are divided by this factor.
     """
     elasticity = TendonElasticity(5e4, 1.5 * 5e4, knee_N, 1e-4, 20.0)
     net_tensions = np.linspace(-50.0, 50.0, 101)
@@ -181,7 +180,11 @@ def test_the_stretch_of_a_pair_makes_its_net_tension(knee_N: float, factor: floa
 def test_the_stiffness_of_a_tendon_is_that_below_its_knee(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Reproduce a defect: the fit ignored the knee, so that a knee at 8 N made the stiffness 18 % too large."""
+    """Reproduce a defect: the fit ignored the knee of a stiffness curve.
+
+    In the hand file, the stiffness of a tendon changes at a certain tension (the knee). A knee at 8
+    N made the identified stiffness 18 % too large.
+    """
     monkeypatch.chdir(tmp_path)
     text = hand_path("n_plus_1").read_text()
     for line, new_line in (
@@ -208,7 +211,7 @@ def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
     """Reproduce a defect.
 
     While a fault holds the hand, the identification makes no progress. The run had no time limit,
-    so a run with a held hand never ended.
+    so a run in which a fault held the hand never ended.
     """
     limit = HoldTimeout()
 

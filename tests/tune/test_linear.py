@@ -110,7 +110,7 @@ def test_the_gain_margin_is_where_the_loop_becomes_unstable(
 ) -> None:
     """A control loop is unstable if the torque is multiplied by slightly more than the gain margin.
 
-    The loop is stable if the factor of the torque is slightly smaller than the gain margin.
+    A control loop is stable if the torque is multiplied by slightly less than the gain margin.
     """
     margin = 10.0 ** (margins_of_loop(open_loop(jamia, 0, loop_kind)).gain_db / 20.0)
     assert margins_of_loop(
