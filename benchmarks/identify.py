@@ -307,7 +307,7 @@ def collect_rows(args: argparse.Namespace) -> list[FitResultRow]:
 
 
 def main() -> int:
-    """Measure the identification for all requested seeds, and print the summary as a table or as JSON."""
+    """Identify the parameters of all random hands, and print a summary of the errors as a table or as JSON."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")
     parser.add_argument("--seeds", type=int, default=4, help="number of random hands (default: 4)")

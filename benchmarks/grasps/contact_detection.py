@@ -34,7 +34,7 @@ drop_when = "never"
 
 
 def program_of_phases(phases: list[dict[str, Any]]) -> TaskProgram:
-    """Return the program of a task with the given phases."""
+    """Return the controller program for a task that has the given phases."""
     return TaskProgram(
         Task.model_validate_json(json.dumps({"schema": 1, "name": "contact", "phase": phases}))
     )

@@ -27,7 +27,7 @@ DEFAULT_GAINS = Gains()
 
 @cache
 def hand_model(hand_name: str, gains: Gains = DEFAULT_GAINS) -> tuple[HandModel, float]:
-    """Return the model of a hand at its default rate.
+    """Return the controller's model of a hand, and the default control rate of the hand [Hz].
 
     Each process computes the model of a hand only once.
     """
@@ -78,7 +78,9 @@ class GraspRun:
 
 
 def task_program(task_name: str, hand_name: str, hold_s: float | None = None) -> TaskProgram:
-    """Return the program of a packaged task or a task file for a hand.
+    """Return the controller program for a hand and a task.
+
+    The task is a packaged task or a task file.
 
     ``hold_s`` replaces the duration of each hold phase [s].
     """
@@ -104,7 +106,7 @@ def simulate_grasp(
     timeout_s: float = TIMEOUT_S,
     retry_timeout_s: float = TIMEOUT_S,
 ) -> GraspRun:
-    """Run a program on a simulated hand whose motor zeros are known.
+    """Run a controller program on a simulated hand. The motor zeros of the hand are known.
 
     Args:
         hand_name: name of a packaged hand.

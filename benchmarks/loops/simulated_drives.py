@@ -37,8 +37,8 @@ class CachedReplies:
     """Cache of the replies of the simulated nodes.
 
     A reply that was computed once is not computed again. Only the torque in the reply of a drive
-    follows the commands. With a constant torque, the controller would report that the drive does
-    not obey (fault N14).
+    follows the commands. If the reported torque were constant, the controller would report that the
+    drive does not obey (fault N14).
     """
 
     def __init__(self, hand_name: str) -> None:
@@ -80,7 +80,8 @@ class CachedReplies:
     def pull_tendon(self, node_id: int) -> None:
         """Turn a motor until the tension of its tendon is ``HOLD_TENSION_N``.
 
-        With slack tendons, the controller would take up the slack, and detect that the tension does
+        If the tendons were slack, the controller would turn the motors to take up the slack. The
+        controller would then report a fault, because the tensions of simulated drives at rest do
         not rise.
         """
         plant = self.rig.world.plant
@@ -94,7 +95,7 @@ class CachedReplies:
 
 
 def with_torque_of_command(reply: bytes, command: bytes) -> bytes:
-    """Return the stored reply of a drive with the torque of a command.
+    """Copy the torque of a command into the stored reply of a drive, and return the changed reply.
 
     The lowest 12 bits of the command contain the torque. In the reply, 4 bits of byte 4 and all
     bits of byte 5 contain the torque. Both have the same scale.
