@@ -66,7 +66,7 @@ def run_gravity_trial(job: tuple) -> dict[str, dict[str, float]]:
 def measure_gravity_compensation(seed_count: int, plan: JobPlan) -> dict:
     """Measure the tracking errors with and without gravity compensation, for each hand, control law and speed.
 
-    Return the mean and the range of the tracking errors over the seeds.
+    Return the mean and the standard deviation of the tracking errors over the seeds.
     """
     jobs = [
         (hand, law, k)
