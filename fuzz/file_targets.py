@@ -38,7 +38,7 @@ TASKS_FOLDER = PACKAGED_HANDS_FOLDER.parents[1] / "tasks"
 
 
 def construct_hand_parts(hand: Hand) -> None:
-    """Construct all objects that a run needs from a hand before the run opens a bus."""
+    """Construct from a hand all objects that a run constructs before it opens a bus."""
     for name in hand.digit_names:
         DigitModel.from_hand(hand, name)
     for motor in hand.motor:

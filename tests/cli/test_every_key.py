@@ -125,7 +125,7 @@ def _table_lines(table_name, table_content):
 
 
 def content_without_key(file_content, key_path, renamed_value=None):
-    """Return a copy of the content of a file without one key.
+    """Return a copy of a file's content in which one key is missing.
 
     If ``renamed_value`` is given, the copy contains ``renamed_value`` under a new key. The new key
     is the removed key with the suffix ``_x``.

@@ -327,7 +327,7 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, ca
 
 
 def result_of_digit(digit_name, spring_stiffness, blocked="", met="", names=("tendon_stiffness",)):
-    """Return an invented result for the identification of the parameters of a tendon.
+    """Return an invented result, as if the parameters of a tendon were identified.
 
     ``blocked`` is the text about a blocked digit, and ``met`` is the text about a contact of the
     digit during its sweeps.

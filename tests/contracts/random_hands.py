@@ -141,7 +141,10 @@ def _motors_with_position_loop(hand: Hand, rng: RandomGenerator) -> set[str]:
 
 
 def _moment_arm_kinds(joints: list[str], radii: np.ndarray) -> Iterator[list[dict[str, float]]]:
-    """Yield a list for each kind of digit. The list contains the moment arms of each tendon, by joint."""
+    """Yield a list for each kind of digit.
+
+    The list contains a dictionary for each tendon: from each joint to the moment arm of the tendon.
+    """
     first_radius = float(radii[0])
     yield [dict.fromkeys(joints, first_radius)]
     closing_arms = [
@@ -167,10 +170,10 @@ def _random_digit(
 def _message_payload(
     message: CyclicMessage, given_quantities: dict[SignalQuantity, Any], rng: RandomGenerator
 ) -> bytes:
-    """Return the payload of a message with given values.
+    """Encode given values as the payload of a message, and return the payload.
 
-    If several status signals of a message share the drive status, the first status signal contains
-    the highest bits.
+    If the drive status is divided among several signals of the message, the first of these signals
+    contains the highest bits.
     """
     values, remaining_bits = (
         [],

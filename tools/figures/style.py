@@ -92,7 +92,7 @@ def stamp_picture(source: Path, path: Path) -> None:
 
 
 def drawn_by(path: Path) -> str:
-    """Return the program name and version in the metadata of a figure, or an empty text."""
+    """Return the program name and version that are stored in the metadata of a figure, or an empty text."""
     if path.suffix == ".svg":
         text = path.read_text(encoding="utf-8")
         match = re.search(r"<dc:title>(.*?)</dc:title>", text)

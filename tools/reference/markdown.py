@@ -16,8 +16,8 @@ ENTRY_PATTERN = re.compile(r"^    (\*{0,2}[\w, ]+): (.*)$")
 def table_cell(text: object) -> str:
     """Return a text as the content of a cell in a Markdown table.
 
-    Code with a vertical bar is written in HTML. In Markdown, the bar would need a backslash, and
-    the page would show this backslash.
+    Code with a vertical bar is written in HTML. In a Markdown table, the bar would need a
+    backslash, and the page would show the backslash.
     """
     plain = " ".join(str(text).split())
     return re.sub(r"`([^`]*\|[^`]*)`", _code_with_bars, plain).replace("|", "\\|")
