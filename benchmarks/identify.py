@@ -139,8 +139,8 @@ def excite_and_fit(
         hand_name: name of a packaged hand or path of a hand file. Controller and simulator use the
             same hand file.
         digit_name: name of the digit.
-        seed: seed of the simulated noise, slack and offsets. factors: factors that multiply
-            parameters of the simulated hand.
+        seed: seed of the simulated noise, slack and offsets.
+        plant_factors: factors that multiply parameters of the simulated hand.
         gains: gains of the controller.
         log_folder: folder for the log.
     """

@@ -145,9 +145,10 @@ class AblationLaw:
     """One of the control laws that the tracking benchmark compares.
 
     Attributes:
-        inverse_dynamics: function that returns the feedforward joint torque. motion: gains of the motion
-            loop that differ from the default gains. raw: True if the input of the tension loop is the
-            raw load cell, False if it is the estimated tension.
+        inverse_dynamics: function that returns the feedforward joint torque.
+        motion_gains: gains of the motion loop that differ from the default gains.
+        with_raw_tension: True if the input of the tension loop is the raw load cell. False if the
+            input is the estimated tension.
     """
 
     inverse_dynamics: InverseDynamics

@@ -173,8 +173,8 @@ def _filtered_tension(
 
     Args:
         filter_design: design of the filter.
-        filter_inputs: (N, 2) inputs of the filter in the tick. after: state of the controller after the
-            tick.
+        filter_inputs: (N, 2) inputs of the filter in the tick.
+        controller_state: state of the controller after the tick.
     """
     result = []
     states = controller_state.tendon[s.SPOOL_TRAVEL : s.STRETCH_OFFSET + 1].T

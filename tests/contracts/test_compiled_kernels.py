@@ -196,7 +196,7 @@ def test_interpreted_kernels_begin_the_same_motions() -> None:
 
 
 def test_a_prepared_kernel_refuses_other_argument_types() -> None:
-    """A prepared kernel raises an exception if one of its arguments has another array type.
+    """A kernel that is already compiled raises an exception if one of its arguments has another array type.
 
     Without this exception, a call with a new array type would compile the kernel in the middle of a
     tick. The compilation would take a second.

@@ -166,7 +166,7 @@ def _pack_channels(
 def uncommissioned_controller(
     model: HandModel, program: Program, arms_at_start: bool = True
 ) -> Controller:
-    """Return a controller for all tendons of a hand that has not been commissioned."""
+    """Return a controller of a hand that has not been commissioned."""
     hand, n = model.hand, model.tendon_count
     buses = hand.bus_names
     motors = [hand.motor_of_tendon(name) for name in hand.tendon_names]

@@ -60,7 +60,10 @@ class FilterState(NamedTuple):
 
     @staticmethod
     def tendons_in_regime(x: np.ndarray, regime: TendonRegime, stopped: bool) -> "FilterState":
-        """Return a filter state with given tendon states (7N,) and all tendons in one regime."""
+        """Return a filter state with given tendon states (7 * tendons,).
+
+        All tendons are in one regime.
+        """
         n = len(x) // STATE_COUNT
         zero_vector = np.zeros(n)
         no = (False,) * n
@@ -153,8 +156,9 @@ def run_filter_tick(
     The function calls the same stages of the filter as a tick of the controller.
 
     Args:
-        model: model of the hand. state: state of the filter after the last tick. measured: readings
-            that the sensors took at the last tick.
+        model: model of the hand.
+        state: state of the filter after the last tick.
+        measured: readings that the sensors took at the last tick.
         motor_force: (N,) motor force on each tendon since the last tick, with motor friction already subtracted [N].
         planned_rate: (N,) planned rate of change of the tension of each tendon [N/s].
         digit_contact: for each digit, True if the digit is known to touch an object.
@@ -186,7 +190,7 @@ def run_filter_tick(
 def state_at_rest(
     model: HandModel, tension: float, joint_angle: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the states (N, 7) and the motor forces (N,) of a hand at rest with all joints at ``joint_angle`` [rad]."""
+    """Return the filter states (tendons, 7) and motor forces (tendons,) of joints that rest at ``joint_angle`` [rad]."""
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), joint_angle)
     x[:, X] = x[:, S] + tension / model.tendon_constants.stiffness
@@ -209,7 +213,7 @@ def run_filter_tick_without_plan(
 def noiseless_readings(
     model: HandModel, x: np.ndarray, tension: np.ndarray, excursion: bool = False
 ) -> SensorReadings:
-    """Return readings without noise, for a hand with given filter states (N, 7) and tensions (N,) [N].
+    """Return readings without noise, for given filter states (tendons, 7) and tensions (tendons,) [N].
 
     If ``excursion`` is True, the readings include tendon excursions from the joint encoders.
     """
@@ -279,7 +283,10 @@ def state_with_filter(model: HandModel, filter_state: FilterState) -> Controller
 def design_arrays_by_tendon(
     model: HandModel, regime_by_tendon: tuple[int, ...], array_name: str
 ) -> np.ndarray:
-    """Return the array ``array_name`` of the filter design of each tendon in its regime, stacked (N, ...)."""
+    """Return the array ``array_name`` of the filter design for each tendon, stacked along a new first axis.
+
+    The filter design of a tendon belongs to the regime of the tendon in ``regime_by_tendon``.
+    """
     return np.array(
         [
             getattr(designs_of_tendon[kind], array_name)
