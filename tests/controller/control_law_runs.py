@@ -235,7 +235,10 @@ def required_tensions_of(
 
 
 def joint_motion_at(model: HandModel, goals: tuple[DigitGoal, ...], t: float) -> np.ndarray:
-    """Return the angle, rate and acceleration of each joint at time t [s] of the trajectories, as an array (3, joints)."""
+    """Return the angle, rate and acceleration of each joint on its trajectory at time t [s].
+
+    The result is an array (3, joints).
+    """
     state = active_state(model)
     run_control_law(model, state, goals, t, SafetyAction.PASS)
     return tick_stages.joint_motion(state.block, state.layout.offsets, *constant_args_of(model))

@@ -190,7 +190,7 @@ def run_filter_tick(
 def state_at_rest(
     model: HandModel, tension: float, joint_angle: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the filter states (tendons, 7) and motor forces (tendons,) of joints that rest at ``joint_angle`` [rad]."""
+    """Return the filter states (tendons, 7) and motor forces (tendons,) for joints at rest at ``joint_angle`` [rad]."""
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), joint_angle)
     x[:, X] = x[:, S] + tension / model.tendon_constants.stiffness

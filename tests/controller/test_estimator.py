@@ -316,7 +316,7 @@ def test_joint_encoders_distinguish_excursion_from_offset(jamia11: HandModel) ->
 
 
 def excursion_of(model: HandModel, joint_angles: np.ndarray) -> np.ndarray:
-    """Return tendon excursions (N,), computed from joint encoder readings (J,) [rad].
+    """Compute the excursion of each tendon [m] from the joint-encoder readings [rad], and return the excursions.
 
     The excursion of a tendon is NaN if the reading of one of its joint encoders is missing.
     """

@@ -254,7 +254,7 @@ def begin_closing(model: HandModel, taut_estimate: SyntheticEstimate) -> Program
 
 
 def tip_forces_while_closing(model: HandModel, estimate: SyntheticEstimate) -> np.ndarray:
-    """Return the unfiltered forces at the tips of all digits (D,) [N] while they close."""
+    """Return the unfiltered force at the tip of each digit [N] while the digits close."""
     state = active_state(model)
     state.view("closing")[...] = 1
     detect_contacts(model, state, estimate)

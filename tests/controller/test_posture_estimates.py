@@ -174,9 +174,9 @@ def angles_of_tick(
     external_tension: np.ndarray,
     tick_index: int,
 ) -> JointAngles:
-    """Return the joint angles that are estimated in tick k with external tensions (D,) [N].
+    """Return the joint angles that are estimated in tick ``tick_index`` if each digit has a given external tension [N].
 
-    The function also writes the values of tick k into the state.
+    The function also writes the values of this tick into the state.
     """
     state.view("touch")[...] = external_tension
     state.set_run_table_integer(s.K, tick_index)
