@@ -194,8 +194,9 @@ def results_table(results: list[dict[str, Any]]) -> str:
     """Make a table with a row for each fault and stage.
 
     The column "relaxed or cut" contains the number of runs in which the controller relaxed the hand
-    or disabled the motors. The columns after it are the reported faults, the longest delay of a
-    reaction [ms], and two largest true tensions [N]: in the whole run, and after a stop.
+    or disabled the motors. The next columns are the reported faults, the longest delay of a
+    reaction [ms], and the largest true tension [N] in the whole run. The last column is the largest
+    true tension [N] after a stop.
     """
     lines = ["| fault | stage | relaxed or cut | by (runs) | at the latest, ms | true tension, N | after a stop, N |",
              "|---|---|---|---|---|---|---|"]  # fmt: skip

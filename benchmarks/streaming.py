@@ -263,7 +263,7 @@ def run_client(
 
 
 class HandProcess:
-    """Simulated hand in a separate process that stores its files in a folder.
+    """Simulated hand that runs in a separate process and stores its files in a folder.
 
     Attributes:
         work_folder: folder in which the simulated hand stores its files.

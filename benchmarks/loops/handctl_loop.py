@@ -136,8 +136,8 @@ def run_loop(
 class TimedTick:
     """A tick of the controller that measures its own wall time.
 
-    The wall time of a tick is the sum of the wall times of its four methods: begin, decide, command
-    and conclude [ns].
+    The wall time of a tick [ns] is the sum of the wall times of four methods: begin, decide,
+    command and conclude.
     """
 
     def __init__(self, controller, state, entry, tick_times_ns) -> None:

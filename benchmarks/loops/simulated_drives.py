@@ -4,7 +4,7 @@ The replies of the nodes are stored, and each drive reports the torque of the pr
 Tendons and digits do not move. The drives are Damiao motors in MIT mode.
 
 ``python benchmarks/loops/simulated_drives.py HAND NAME`` serves ``local:NAME`` and prints a line
-when it is ready.
+when the drives are ready.
 """
 
 import select

@@ -14,8 +14,8 @@ pair of ``WEIGHT_CANDIDATES`` with the smallest error in a fast motion of the no
 results are measured with other seeds than the selection of the LQR weights. ``--tune`` repeats the
 selection of the LQR weights. With the selected LQR weights, the control loops have hardly any
 stability margin. A second comparison uses the best LQR weights with sufficient stability margins.
-handctl requires stability margins of 6 dB and 45 degrees for random hands whose parameters are
-close to the hand file.
+Margins of 6 dB and 45 degrees are sufficient, if random hands with parameters close to the hand
+file also keep these margins.
 """
 
 import argparse

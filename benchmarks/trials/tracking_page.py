@@ -146,7 +146,7 @@ def _comparison_with_pd(ratio: float) -> str:
 
 
 def _error_reduction_text(error_reduction: float, seed_range: float, seeds: int) -> str:
-    """Return a text that divides a reduction of the tracking error by its standard deviation over the seeds.
+    """Return a text that gives a reduction of the tracking error as a number of standard deviations over the seeds.
 
     With a single seed, there is no standard deviation.
     """

@@ -1,7 +1,7 @@
 """Test ``handctl config init --urdf`` and ``--mjcf``.
 
-Both options import the links from a robot description. handctl refuses the resulting hand file
-until a user has filled in its missing values.
+Both options import the links from a robot description. In the resulting hand file, some values are
+missing. Until a user has added these values, handctl refuses the hand file.
 """
 
 import itertools

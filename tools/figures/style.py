@@ -77,7 +77,10 @@ def save_figure(figure: Any, name: str, folder: Path = FIGURES_FOLDER) -> list[P
 
 
 def without_blanks(content: bytes) -> bytes:
-    """Remove the blanks at the line ends of an SVG file that matplotlib has written. git would report these blanks."""
+    """Remove the blanks at the line ends of an SVG file that matplotlib has written.
+
+    The program git would report these blanks.
+    """
     return b"\n".join(map(bytes.rstrip, content.split(b"\n")))
 
 
