@@ -105,7 +105,7 @@ def _mean_over_seeds(errors: list[float]) -> dict[str, float]:
 
 
 def page_section(result: dict) -> str:
-    """Return the section on gravity compensation of the page as Markdown."""
+    """Return the page section on gravity compensation, as Markdown."""
     column_titles = [
         "hand, law",
         *(f"{speed}, {name} [deg]" for speed in MEASURED_SPEEDS for name in FIGURE_LABELS.values()),

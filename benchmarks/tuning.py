@@ -244,7 +244,7 @@ def _evaluation_job(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
 def _with_model(hand: Hand, model: HandModel) -> GainScore:
     """Score gains on the true plant, and compute their stability margins.
 
-    The controller uses ``model``, the model of the identified hand with the gains.
+    The controller uses ``model``, which was made from the identified hand and the gains.
     """
     margins = worst_margins(model, (linear_factors(dict.fromkeys(TRUE_PLANT_FACTORS, 1.0)),))
     return replace(

@@ -253,7 +253,7 @@ def count_ratios(tally: FolderTally) -> dict[str, float]:
     """Divide each count by its quantity, and return the ratios, rounded up to a multiple of one half.
 
     ``QUANTITY_PER_COUNT`` names the quantity of each count, such as the number of words. A count is
-    left out if this quantity is zero in the folder.
+    left out if the quantity of the count is zero in the folder.
     """
     measured = [
         count

@@ -87,10 +87,10 @@ def _detection_latencies(run: GraspRun, digit_names: tuple[str, ...]) -> list[fl
 
 
 def measure_false_contacts(job: tuple[str, float, int]) -> dict[str, float]:
-    """Measure false contact events in free motion, for a hand, a time [s] and a seed.
+    """Measure false contact events in free motion.
 
-    Return the number of false contact events, and the simulated time in which the digits moved
-    [min].
+    The argument ``job`` contains the hand, the simulated time [s] and the seed. Return the number
+    of false contact events, and the simulated time in which the digits moved [min].
     """
     hand, seconds, seed = job
     random_source = random.Random(f"free {seed}")

@@ -35,7 +35,7 @@ class JobPlan:
 
 
 def collect_results(run_job: JobFunction, jobs: list[Any], plan: JobPlan) -> dict[Any, Any]:
-    """Return the result of each job that is stored or that the time limit permits.
+    """Return the result of each job, either from a file or from a new computation.
 
     The function reads the stored results from the folder of ``plan``, and computes the missing
     results. After the time limit of ``plan``, no further job starts.

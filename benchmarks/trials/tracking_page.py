@@ -158,7 +158,7 @@ def _error_reduction_text(error_reduction: float, seed_range: float, seeds: int)
 
 
 def _gain_by_law(laws: dict) -> str:
-    """Return a text that states the tracking error of each control law minus the error of the preceding law [deg].
+    """Return a text that states the error of the preceding control law minus the error of each control law [deg].
 
     The text states whether a change of the error is larger than two standard deviations of this
     change over the seeds.

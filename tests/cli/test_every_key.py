@@ -28,7 +28,7 @@ SAMPLE_STEP = 1 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 199
 
 
 class UnrepresentableNumber(float):
-    """Represent a number that is valid in a TOML file, but too large for a float."""
+    """Number that is valid in a TOML file, but too large for a float."""
 
     def __repr__(self):
         return "1e400"

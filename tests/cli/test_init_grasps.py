@@ -268,7 +268,7 @@ def test_the_default_force_leaves_the_gain_margin(hand_file: str, rate_hz: float
 
 
 def gains_with_force(force_N: float) -> Gains:
-    """Return the packaged gains with another ``motion.force_N`` [N]."""
+    """Return the packaged gains, but with ``motion.force_N`` = ``force_N`` [N]."""
     return Gains(motion=MotionGains(force_N=force_N))
 
 

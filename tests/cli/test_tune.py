@@ -664,7 +664,7 @@ def test_parameters_identified_in_lockstep_are_tuned_verified_and_applied_in_loc
 ):
     """Each command of this test was proposed in the output of the previous command.
 
-    The test changes only the number of trials of the search for gains in the proposed commands.
+    In the proposed commands, the test changes only the number of trials of the search for gains.
     """
     words = "identify --lockstep --digits index --seed 7 --perturb stiffness=0.8 friction=1.2 --log id.mcap"
     assert main(words.split()) == 0

@@ -127,8 +127,8 @@ def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
 def _motors_with_position_loop(hand: Hand, rng: RandomGenerator) -> set[str]:
     """Return the motors whose drives close a position loop.
 
-    The function selects about half of the allowed motors at random. A motor is allowed if its digit
-    has no antagonistic tendons.
+    The function selects about half of the possible motors at random. A motor can be selected if its
+    digit has no antagonistic tendons.
     """
     if hand.motor[0].protocol not in ("mit", "robstride", "moteus"):
         return set()
@@ -200,8 +200,8 @@ def _message_payload(
 class RandomHand:
     """A random hand, and random frames from the nodes of this hand.
 
-    The motors of the random hand make torque. The nodes of the random hand could send the random
-    frames.
+    The motors of the random hand make torque. Each random frame is a frame that a node of the
+    random hand could send.
     """
 
     def __init__(self, tendons: int, seed: int) -> None:

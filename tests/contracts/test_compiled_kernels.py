@@ -326,7 +326,10 @@ def test_a_constant_changed_in_another_file_compiles_again(
 def test_two_installations_of_one_version_store_their_code_apart(
     package_copy: Path, tmp_path: Path
 ) -> None:
-    """Two installations of handctl must not share a cache folder, because each could load machine code that the other has compiled."""
+    """Two installations of handctl must not share a cache folder.
+
+    One installation could load machine code that the other installation has compiled.
+    """
     cache_folder, other_copy = tmp_path / "cache", tmp_path / "other" / package_copy.name
     shutil.copytree(package_copy, other_copy)
     for package in (package_copy, other_copy):

@@ -246,7 +246,7 @@ def winding_efficiency_of(model: HandModel, q: np.ndarray) -> np.ndarray:
 
 
 def estimate_from_states(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
-    """Return an estimate that corresponds exactly to filter states (N, 7).
+    """Return an estimate that corresponds exactly to filter states (tendons, 7).
 
     In the returned estimate, all tendons are taut and no digit touches an object.
     """
@@ -282,7 +282,7 @@ def estimate_from_states(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
 
 
 def balanced_state(model: HandModel, joint_angle: float) -> np.ndarray:
-    """Return filter states (N, 7) in which the tensions balance springs and weight.
+    """Return filter states (tendons, 7) in which the tensions balance springs and weight.
 
     In the returned filter states, all joints are at ``joint_angle`` [rad].
     """

@@ -57,7 +57,7 @@ def hand_without_encoders() -> Hand:
 def two_n_hand() -> Hand:
     """Return the packaged hand ``n_plus_1`` with another thumb.
 
-    Each joint of the other thumb has two tendons: a flexor and an extensor.
+    Each joint of this thumb has two tendons: a flexor and an extensor.
     """
     content = hand_content("n_plus_1")
     base = content["tendon"][-1]

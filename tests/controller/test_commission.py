@@ -256,7 +256,7 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
     """In this test, the tension of a tendon falls slowly after the pull of this tendon, by 2 N/s.
 
     Just before the pull of the next tendon, the load cell of the first tendon still reads 1.4 N.
-    During the pull of the next tendon, this load cell reads 0 N.
+    During the pull of the next tendon, the load cell of the first tendon reads 0 N.
     """
     tension_held_by_friction = np.zeros(jamia.tendon_count)
 

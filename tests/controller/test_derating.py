@@ -110,7 +110,7 @@ def test_a_goal_has_no_speed_while_its_time_is_stopped(jamia: HandModel) -> None
 
 @pytest.fixture(scope="module")
 def warm_grasp():
-    """Return a hand that holds a cylinder, with drives in MIT mode."""
+    """Yield the run of a hand with drives in MIT mode. The hand holds a cylinder."""
     with homed_run(hand_with_protocol("jamia", "mit"), 250.0, 0) as run:
         advance_to_stage(run, GRASP_STAGE)
         run.run_until(lambda out: False, 0.6)  # the tensions settle

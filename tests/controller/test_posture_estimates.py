@@ -114,8 +114,8 @@ def test_the_truth_is_within_two_sigma_in_a_grasp(task_name: str, scene_name: st
     While a hand holds an object, the error of each joint angle is nearly constant. For this reason,
     a run of the hand with eleven joints is a sample of only eleven errors. One error above two
     standard deviations does not show that a standard deviation is wrong. The limit of 95 % applies
-    to the runs with all seeds together. In a single run, one joint is allowed to have a larger
-    error.
+    to the runs with all seeds together. In a single run, the error of one joint is allowed to
+    exceed two standard deviations.
 
     During the hold of an object, joint angles that are computed without regard to the contact have
     larger errors.

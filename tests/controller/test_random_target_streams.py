@@ -168,8 +168,8 @@ def test_random_targets_cause_no_fault(
     the tension. While a digit was in contact, the reference angle was far ahead of the joint angle.
 
     Reproduce another defect: faults ended 12 of 60 streams of tensions to n_plus_1. The faults were
-    T01, T02b (a tendon stays slack) and N14b (a tension oscillates). The integral of the tension
-    error moved the free finger, and slack tendons were taken up too slowly.
+    T01 (a tendon snapped), T02b (a tendon stays slack) and N14b (a tension oscillates). The
+    integral of the tension error moved the free finger, and slack tendons were taken up too slowly.
     """
     model = model_of(hand_name)
     digit = model.hand.digit_names[0]

@@ -34,7 +34,7 @@ PACKAGED_HANDS = ("jamia", "jamia11", "t42", "n_plus_1", "orca_like")
 
 
 def picture_of(hand_name: str) -> Callable[[Path], Path]:
-    """Return a function that runs the demo of a hand in a folder and draws its picture."""
+    """Return a function that runs the demo of a hand in a folder, and draws a picture of the hand."""
 
     def draw(folder: Path) -> Path:
         os.environ.setdefault("MUJOCO_GL", "egl")

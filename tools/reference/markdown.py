@@ -29,7 +29,10 @@ def _code_with_bars(match: re.Match[str]) -> str:
 
 
 def quoted_code(text: object) -> str:
-    """Return a text as quoted code. For a table, ``table_cell`` must escape the result."""
+    """Return a text as quoted code.
+
+    Before the result is put into a table, ``table_cell`` must escape it.
+    """
     return "`" + " ".join(str(text).split()) + "`"
 
 

@@ -74,7 +74,7 @@ PRINTED_TYPES = ("handctl_msgs/", "sensor_msgs/JointState", "pal_statistics_msgs
 
 
 def packaged_hand_topics() -> dict[str, tuple[str, str]]:
-    """Return the message type and the note in the log's metadata for each topic of the packaged hands.
+    """Return the message type of each topic of the packaged hands, and the note that a log stores with the topic.
 
     In the names of the topics, placeholders replace the names of digits and motors.
     """
