@@ -45,13 +45,13 @@ class GraspRun:
         phase: (ticks,) name of the phase of the task.
         stage: (ticks,) number of the stage of the scene.
         object_position: (ticks, 3) position of the object [m].
-        force: (ticks, D) true contact force on each digit [N].
-        contact: (ticks, D) True if the controller reports contact of the digit.
-        tension: (ticks, N) tension that the controller estimates [N].
-        external_tension: (ticks, N) external tension that the controller estimates [N].
-        excursion: (ticks, N) tendon excursion that the controller reports [m].
-        q: (ticks, J) true joint angles [rad].
-        contact_normal: (ticks, D) sum of the normal forces on each digit [N]. The array
+        force: (ticks, digits) true contact force on each digit [N].
+        contact: (ticks, digits) True if the controller reports contact of the digit.
+        tension: (ticks, tendons) tension that the controller estimates [N].
+        external_tension: (ticks, tendons) external tension that the controller estimates [N].
+        excursion: (ticks, tendons) tendon excursion that the controller reports [m].
+        q: (ticks, joints) true joint angles [rad].
+        contact_normal: (ticks, digits) sum of the normal forces on each digit [N]. The array
             ``contact_normal`` exists only in scenes with a load.
         events: every event of the controller, with the index of its tick.
         failure: reason why the controller ended the run.

@@ -34,7 +34,7 @@ HIGH_TENSION_N = 40.0
 STEP_RATE_N_PER_S = 5000.0
 HOLD_DURATION_S = 0.6
 STEADY_S, BAND_N = 0.2, 2.0
-"""Last part of a hold, in which the steady error is measured [s], and largest error of a settled force [N]."""
+"""Time at the end of a hold in which the steady error is measured [s], and largest error of a settled tension [N]."""
 FORCE_TASK = {
     "schema": 1,
     "name": "force",

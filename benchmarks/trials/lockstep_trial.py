@@ -32,7 +32,7 @@ DEFAULT_GAINS = Gains()
 FloatArray = NDArray[np.float64]
 ControllerChange = Callable[[Controller], Controller]
 TickRow = tuple[TickIn, TickOut, FloatArray, ControllerState]
-"""Record of a tick: its input and output, the filter inputs (N, 2), and the controller state after the tick."""
+"""Record of a tick: its input and output, the filter inputs (tendons, 2), and the controller state after the tick."""
 
 
 def unchanged_controller(controller: Controller) -> Controller:
@@ -78,10 +78,10 @@ class TrialRecord:
         controller: controller of the run.
         t_ns: (ticks,) time of each tick [ns].
         phase: (ticks,) name of the phase of the program.
-        telemetry: telemetry by name of the field, each array (ticks, ..).
-        force: (ticks, N) motor force before each tick, an input of the filter [N].
-        filtered_tension: (ticks, N) estimated tension at the time of the load-cell readings, one period
-            before the tick [N].
+        telemetry: dictionary from the name of each telemetry field to an array (ticks, ..).
+        force: (ticks, tendons) motor force before each tick, an input of the filter [N].
+        filtered_tension: (ticks, tendons) estimated tension at the time of the load-cell readings,
+            one period before the tick [N].
         truth_record: true values of the simulator.
         failure: reason why the run ended early.
         events: events as (t [s], name, where, text).
@@ -173,7 +173,7 @@ def _filtered_tension(
 
     Args:
         filter_design: design of the filter.
-        filter_inputs: (N, 2) inputs of the filter in the tick.
+        filter_inputs: (tendons, 2) inputs of the filter in the tick.
         controller_state: state of the controller after the tick.
     """
     result = []

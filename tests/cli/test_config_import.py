@@ -351,7 +351,7 @@ COUPLED_JOINTS_URDF = (
     f'<link name="c">{INERTIAL_URDF}</link><link name="c_tip"/>'
     '<joint name="t" type="fixed"><parent link="c"/><child link="c_tip"/><origin xyz="0.02 0 0"/></joint>'
 )
-"""Two joints of a URDF: k turns against j with half its angle, and m turns against k with twice the angle of k.
+"""Two joints of a URDF: k turns against j by half the angle of j, and m turns against k by twice the angle of k.
 
 The joint k flexes towards negative angles, so that its axis is reversed in the hand file.
 """

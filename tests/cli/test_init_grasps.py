@@ -57,10 +57,10 @@ SAMPLE_CASES = [
 ]
 """Reproduce defects of four hands. Two of the four dropped the cylinder, and two reported a fault (N04 or T02b).
 
-The first two hands dropped the cylinder because its size did not depend on the hand, so the
-fingertips touched each other. In the third hand, friction held a motor at rest, while the motor of
-another tendon changed the tension (fault N04). In the last hand, the position feedback paid out a
-slack tendon while the hand opened (fault T02b).
+The first two hands dropped the cylinder, because the size of the cylinder did not depend on the
+hand, and the fingertips touched each other. In the third hand, friction held a motor at rest, while
+the motor of another tendon changed the tension (fault N04). In the last hand, the position feedback
+paid out a slack tendon while the hand opened (fault T02b).
 """
 MAX_SLIP_MM = 5.0
 

@@ -133,8 +133,8 @@ def run_control_law_tick(
         estimate: estimate of the hand at time t.
         goals: one goal for each digit.
         t: time [s].
-        temperature_limit_N: (N,) tension limit that the temperature of each drive causes [N].
-        held_limit_N: (N,) tension limit while the safety monitor holds the hand [N].
+        temperature_limit_N: (tendons,) tension limit that the temperature of each drive causes [N].
+        held_limit_N: (tendons,) tension limit while the safety monitor holds the hand [N].
     """
     state = state_with_estimate(model, estimate)
     for name in ("setpoint", "integral", "force", "planned", "rate"):
@@ -216,7 +216,7 @@ def required_tensions_of(
 ) -> np.ndarray:
     """Return the tension [N] that each tendon of the moving digits needs for a motion.
 
-    The rows of ``motion`` (3, J) are the angle, the rate and the acceleration of each joint.
+    The rows of ``motion`` (3, joints) are the angle, the rate and the acceleration of each joint.
     """
     state = active_state(model)
     write_goals(model, state.layout, state.block, goals)

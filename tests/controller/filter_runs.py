@@ -29,7 +29,7 @@ class FilterState(NamedTuple):
     """State of the tension filter between two ticks. Each attribute has one entry per tendon.
 
     Attributes:
-        filter_states: (7N,) the seven filter states of each tendon, tendon after tendon.
+        filter_states: (7 * tendons,) the seven filter states of each tendon, tendon after tendon.
         regimes: members of ``TendonRegime``.
         stopped: True if the tendon's digit is fully open and rests at its mechanical stop.
         regime_change_evidence: evidence that a slack tendon becomes taut, or that a taut tendon becomes
@@ -40,8 +40,8 @@ class FilterState(NamedTuple):
         is_doubtful: True if the innovations are too large for the model of the tendon, so the
             filter trusts this model less.
         doubt_time_s: remaining time for which the filter trusts its model of the tendon less [s].
-        covariance: (N, 7, 7) covariance of the filter states while measurements are missing. The
-            value is None if the covariance is the steady-state covariance.
+        covariance: (tendons, 7, 7) covariance of the filter states while measurements are missing.
+            The value is None if the covariance is the steady-state covariance.
         started: True if every sensor has been read once.
     """
 
@@ -159,10 +159,11 @@ def run_filter_tick(
         model: model of the hand.
         state: state of the filter after the last tick.
         measured: readings that the sensors took at the last tick.
-        motor_force: (N,) motor force on each tendon since the last tick, with motor friction already subtracted [N].
-        planned_rate: (N,) planned rate of change of the tension of each tendon [N/s].
+        motor_force: (tendons,) motor force on each tendon since the last tick, with motor friction
+            already subtracted [N].
+        planned_rate: (tendons,) planned rate of change of the tension of each tendon [N/s].
         digit_contact: for each digit, True if the digit is known to touch an object.
-        friction_state: (N,) friction of each tendon as a fraction of its full amount, from 1
+        friction_state: (tendons,) friction of each tendon as a fraction of its full amount, from 1
             (winding up) to -1 (paying out). NaN if the fraction is unknown.
         missed_ticks: number of ticks that were missed since the last tick.
     """

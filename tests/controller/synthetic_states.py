@@ -34,13 +34,15 @@ SLACK_REGIME = 2
 
 
 class SensorReadings(NamedTuple):
-    """Measurements of one tick, with one value for each tendon (N,). A missing measurement is NaN.
+    """Measurements of one tick. A missing measurement is NaN.
+
+    Each array whose shape is not stated has one value for each tendon.
 
     Attributes:
         travel: spool travel, from the motor encoder [m].
         tension: load-cell reading minus the tare of the load cell [N].
         excursion: tendon excursion, from the joint encoders [m].
-        joints: (J,) joint angles, read by the joint encoders [rad].
+        joints: (joints,) joint angles, read by the joint encoders [rad].
         saturated_tendons: tendons whose load cell is at an end of its range.
     """
 

@@ -56,7 +56,7 @@ CELL_BIAS_N, TAUT_TRAVEL_M = 0.7, 1.2e-3
 NOISE_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 4)
 
 TensionsDuringPull = Callable[[int], np.ndarray]
-"""Function of the index i that returns the tension at each load cell while tendon i is pulled.
+"""Function that takes the index i of a tendon, and returns the tension at each load cell while this tendon is pulled.
 
 For i = -1, the function returns the tensions while no tendon is pulled.
 """

@@ -246,7 +246,7 @@ class ClosedLoopPlant:
     The control law under test gets the exact state of this simulation instead of an estimate.
 
     Attributes:
-        tendon_states: (N, 7) true states of the tendons.
+        tendon_states: (tendons, 7) true states of the tendons.
         digits_fixed: True if the digits of the simulation cannot move.
     """
 

@@ -48,7 +48,7 @@ HELD_PHASES, FREE_PHASES = ("close", "hold", "release"), ("tighten", "home")
 
 
 class GraspPostureSample(NamedTuple):
-    """Values of one tick of a grasp: the phase, joint angles (J,) [rad], and the contact force on each digit [N].
+    """Values of one tick of a grasp: the phase, the angle of each joint [rad], and the contact force on each digit [N].
 
     The joint angles are the true angles, the estimated angles with their standard deviations, and
     ``angles_of_free_hand``. ``angles_of_free_hand`` are the angles that the digits would have
@@ -161,7 +161,7 @@ def test_joint_encoders_measure_the_angles_of_a_held_digit(tmp_path: Path, seed:
 
 
 class JointAngles(NamedTuple):
-    """Joint angles and their standard deviations, (J,) [rad]."""
+    """Angle of each joint, and the standard deviation of each angle [rad]."""
 
     q: np.ndarray
     sigma: np.ndarray
@@ -260,9 +260,9 @@ def state_after_fusion(
     """Return the state after the filter has fused readings of joint encoders with the estimate.
 
     The estimated covariance before the fusion follows from two arrays of deviations [rad]. The rows
-    of ``covariance_columns`` (C, J) are C independent deviations of the joint angles.
-    ``angle_deviations`` (J, N) are the angle errors that the excursion errors of the N tendons
-    cause.
+    of ``covariance_columns`` (deviations, joints) are independent deviations of the joint angles.
+    ``angle_deviations`` (joints, tendons) contains the error of each joint angle that the excursion
+    error of each tendon causes.
     """
     state_after = state.copy()
     _fuse_encoders(
