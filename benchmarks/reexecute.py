@@ -73,9 +73,9 @@ def measure_log(log_path: Path, pass_count: int) -> dict:
 def execute_once(log: RunLog, controller: Controller) -> dict:
     """Re-execute all ticks of a log once.
 
-    The returned dictionary contains three kinds of CPU times [s]: the time for reading the log, a
-    list with the time of each tick, and the time for comparing the outputs. The dictionary also
-    contains the number of ticks whose outputs equal those in the log.
+    The returned dictionary contains three CPU times [s]: for reading the log, for each tick (a
+    list), and for comparing the outputs. The dictionary also contains the number of ticks whose
+    outputs equal those in the log.
     """
     cpu = time.process_time
     start_cpu_s = cpu()

@@ -98,7 +98,7 @@ def print_score(folder: Path, part: str, numbers: Sequence[int]) -> None:
 
 
 def our_files(with_documents: bool) -> dict[str, list[Path]]:
-    """Return a dictionary from each subfolder of this repository to the files in the subfolder."""
+    """Return a dictionary from each folder of this repository to the files of the folder."""
     groups: dict[str, list[Path]] = {}
     for folder in OUR_FOLDERS:
         for path in sorted((REPOSITORY / folder).rglob("*.py")):
