@@ -25,7 +25,8 @@ class AdapterRunOutcome(NamedTuple):
     """Outcome of one run of the demo at one control rate.
 
     ``is_rate_held`` is True if the control rate is possible. The other fields are the tracking
-    error [deg], the tension error in the hold [N], and the reason for which the run ended.
+    error [deg], the tension error while the hand holds the object [N], and the reason why the run
+    ended.
     """
 
     is_rate_held: bool
@@ -37,7 +38,7 @@ class AdapterRunOutcome(NamedTuple):
 def run_demo_with_adapter(
     hand_name: str, adapter_class: str, rate_hz: float, seed: int
 ) -> AdapterRunOutcome:
-    """Run the demo of a hand through a simulated adapter at a control rate [Hz]."""
+    """Run ``handctl demo`` for a hand at a control rate [Hz], with a simulated CAN adapter on the bus."""
     original_run = demo.run
 
     def run_at_rate(args: argparse.Namespace) -> int:

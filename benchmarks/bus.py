@@ -2,18 +2,18 @@
 
 The benchmark measures the CPU time and the wall time of the exchange.
 
-``python benchmarks/bus.py [--quick] [--json]``. The benchmark uses four and eleven MIT motors, on
-the local bus and on vcan. If the Linux of the machine itself has no vcan, the benchmark uses vcan
-in user-mode Linux. The simulated motors run in the process of the benchmark, and the benchmark
-subtracts the time of the motors. An exchange converts torques to payloads, sends the frames,
-receives the reply frames of the motors, and converts their payloads to values. As in a tick of the
-controller, handctl also updates the state of each drive. Only ratios between results of the same
-run are comparable.
+``python benchmarks/bus.py [--quick] [--json]``. The benchmark runs with four and with eleven motors
+in MIT mode, on handctl's local bus (a Unix socket) and on vcan. If the kernel of the machine does
+not support vcan, the benchmark uses vcan in user-mode Linux. The simulated motors run in the
+process of the benchmark. The reported times do not include the time of the simulated motors. An
+exchange converts torques to payloads, sends the frames, receives the reply frames of the motors,
+and converts their payloads to values. As in a tick of the controller, handctl also updates the
+state of each drive. Only ratios between results of the same run are comparable.
 
-The lower bound is the time of a C program that makes the same system calls as handctl and encodes
-the same frames. On the local bus, handctl sends all frames of a tick in one packet, so that the
-lower bound hardly grows with the number of motors. For comparison, another C program sends one
-packet per frame (sendmmsg, recvmmsg), as a CAN socket does.
+A C program makes the same system calls as handctl and encodes the same frames. The time of the C
+program is the lower bound for all alternatives. On the local bus, handctl sends all frames of a
+tick in one packet, so that the lower bound hardly grows with the number of motors. For comparison,
+another C program sends one packet per frame (sendmmsg, recvmmsg), as a CAN socket does.
 """
 
 import argparse
@@ -116,7 +116,7 @@ def measure_vcan(c_program: str, tick_count: int) -> dict:
 
 
 def measure_bus(bus_kind: str, c_program: str, tick_count: int) -> dict:
-    """Measure wall time and CPU time of each alternative, for each number of motors [us].
+    """Measure the wall time [us] and the CPU time [us] of each alternative, for each number of motors.
 
     For an alternative that cannot run, the result contains the reason why the alternative cannot
     run.
@@ -192,14 +192,14 @@ def measure_round(bus_kind: str, c_program: str, motor_count: int, tick_count: i
 def measure_c_program(
     c_program: str, bus_kind: str, channel: str, motor_count: int, tick_count: int
 ) -> dict:
-    """Measure the wall time and CPU time of a tick of the C program on a bus [us]."""
+    """Measure the wall time [us] and the CPU time [us] that the C program needs for one tick on a bus."""
     words = [c_program, bus_kind, channel, str(motor_count), str(tick_count)]
     output_text = subprocess.run(words, capture_output=True, text=True, check=True).stdout.split()
     return {"wall_us": int(output_text[0]) / 1e3, "cpu_us": int(output_text[1]) / 1e3}
 
 
 def measure_client(client, simulated_motors, motor_count: int, tick_count: int) -> dict:
-    """Measure how long a client takes to send and to receive the frames of a tick [us].
+    """Measure the time that a client needs to send and to receive the frames of one tick [us].
 
     Return the median wall time and the mean CPU time. Python's garbage collection is off during the
     measurement.
@@ -207,9 +207,10 @@ def measure_client(client, simulated_motors, motor_count: int, tick_count: int) 
     torques = [0.01 * i for i in range(motor_count)]
 
     def measure_ticks(clock, count: int) -> list[int]:
-        """Measure the time of each of ``count`` ticks, minus the time for reading the clock.
+        """Measure how long each of ``count`` ticks takes [ns].
 
-        In user-mode Linux, a reading of the clock takes as long as sending a frame.
+        The readings of the clock are not included in the time. In user-mode Linux, a reading of the
+        clock takes as long as sending a frame.
         """
         times = []
         clock_read_ns = statistics.median(-clock() + clock() for _ in range(100))
@@ -240,8 +241,8 @@ def measure_client(client, simulated_motors, motor_count: int, tick_count: int) 
 def add_ratios(row_by_name: dict) -> dict:
     """Add ratios to each row.
 
-    One ratio is the wall time of the alternative divided by the wall time of each C program. The
-    other ratio is the wall time of python-can divided by the wall time of the alternative.
+    Two ratios are the wall time of the alternative divided by the wall times of the two C programs.
+    The third ratio is the wall time of python-can divided by the wall time of the alternative.
     """
     reference = row_by_name[REFERENCE_LABEL]
     for row in row_by_name.values():

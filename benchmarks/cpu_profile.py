@@ -60,10 +60,10 @@ def cpu_time_fractions(profiled_work: Callable[[], None]) -> dict[str, float]:
 def _parts_of_function(
     profile_stats: dict, function: ProfiledFunction, depth: int
 ) -> Iterator[tuple[str, float]]:
-    """Yield the parts of the program to which the time of a function belongs, each with its fraction.
+    """Yield the parts of the program that share the time of a function, and the fraction for each part.
 
     If no part contains the function, the time of the function is divided among the parts that
-    contain the callers. Each caller counts in proportion to its time.
+    contain the callers. Each caller counts in proportion to the time of the caller.
     """
     name = f"{function[0]}/{function[2]}"
     code_part = next(

@@ -4,14 +4,14 @@ The other estimators are the raw load cell, simpler filters, and a reference fil
 
 ``python benchmarks/estimation.py [--quick] [--json] [--seeds N] [--keep FOLDER] [--page]``. Two
 simulated hands move freely, grasp a cylinder and slacken their tendons. The controller and the
-simulated hands run in lockstep over a simulated bus. The hand `jamia_bench` also pulls above the
-knee, the tension at which the stiffness of its tendons changes. The simulation includes capstan and
-motor friction, tendon damping, the current loop, encoder and load-cell resolution, noise, drift,
-and one period of bus delay. The factors in this module change parameters of the simulated hand. The
-controller does not know the factors that change the simulated hand. A load-cell reading is one
-control period old when the filter receives it. The outputs of the filter and of the raw load cell
-are compared with the true tension at two times: the time of the reading, and the present. The
-control loop uses the estimate of the present tension.
+simulated hands run in lockstep over a simulated bus. The stiffness of a tendon changes at one
+tension, the knee. The hand `jamia_bench` also holds an object with tensions above the knee. The
+simulation includes capstan and motor friction, tendon damping, the current loop, encoder and
+load-cell resolution, noise, drift, and one period of bus delay. The factors in this module change
+parameters of the simulated hand. The controller does not know the factors that change the simulated
+hand. A load-cell reading is one control period old when the filter receives it. The benchmark
+compares the filter and the raw load cell with the true tension at the time of the reading, and with
+the present true tension. The control loop uses the estimate of the present tension.
 """
 
 import argparse
@@ -147,7 +147,7 @@ def _sum_and_count(values: np.ndarray, is_selected: np.ndarray) -> list[float]:
 
 
 def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarray]:
-    """Return the squared errors and further quantities of a tendon regime, each of shape (ticks, N).
+    """Return the squared errors and further quantities for a tendon regime, each as an array (ticks, tendons).
 
     The quantities are the squared error of each estimator, the variance of the reference filter
     [N^2], the NIS, and the innovations.
@@ -197,10 +197,10 @@ def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarra
 
 @cache
 def _reference_sigmas(hand_name: str, is_digit_held: bool) -> np.ndarray:
-    """Return two standard deviations of the reference filter for each tendon (N, 2) [N].
+    """Return two standard deviations of the reference filter for each tendon, as an array (tendons, 2) [N].
 
-    The first standard deviation is that of the tension at the last load-cell reading. The second
-    standard deviation is that of the present tension.
+    The first standard deviation belongs to the tension at the time of the last load-cell reading.
+    The second standard deviation belongs to the present tension.
     """
     name = hand_name.removesuffix(SPACED_HAND_SUFFIX)
     model = HandModel.from_hand(hand_by_name(name), Gains(), RATES_HZ[name])
@@ -210,8 +210,9 @@ def _reference_sigmas(hand_name: str, is_digit_held: bool) -> np.ndarray:
 def tabulate_regimes(results: list[dict]) -> dict[str, dict[str, float]]:
     """Make a table of the results for each tendon regime.
 
-    The columns are the RMSE of each estimator [N], the range of the RMSE of the tension estimate
-    over the seeds, ratios of RMSEs, NIS, and whiteness.
+    The columns are the RMSE of each estimator [N], ratios of RMSEs, the NIS, and the whiteness of
+    the innovations. One column is the standard deviation of the tension estimate's RMSE over the
+    seeds [N].
     """
     table = {}
     for regime in REGIME_NAMES:
@@ -263,10 +264,10 @@ def _means_of_quantities(sums: dict[str, list[float]]) -> dict[str, float]:
 def measure_estimators(
     seed_count: int, mismatch_seed_count: int, plant_names: list[str], plan: JobPlan
 ) -> dict:
-    """Measure the results of all tables.
+    """Measure the errors of the tension estimators, and return the tables of all hands and simulated plants.
 
-    In the result, ``seed_count`` is the number of seeds of each case that were computed within the
-    time limit of the plan.
+    The entry ``seeds`` of the result contains, for each case, the number of seeds that were
+    computed before the time limit of ``plan``.
     """
     cases = [(hand, plant) for plant in plant_names for hand in MEASURED_HANDS]
     cases.insert(len(MEASURED_HANDS), ("jamia_bench", "as known"))

@@ -128,9 +128,9 @@ def _measure_contact_detection(
 ) -> list[dict[str, Any]]:
     """Measure contact detection for each hand.
 
-    The results are contacts with walls, and false contacts in free motion. In a run of free motion,
-    the digits also rest between motions. The reported time of free motion includes only the time in
-    which the digits move.
+    The results are the delays of contact events at walls, and the numbers of false contact events
+    in free motion. In a run of free motion, the digits also rest between motions. The reported time
+    of free motion includes only the time in which the digits move.
     """
     results = collect_results(
         contact_detection.find_contacts,

@@ -66,7 +66,7 @@ def run_gravity_trial(job: tuple) -> dict[str, dict[str, float]]:
 def measure_gravity_compensation(seed_count: int, plan: JobPlan) -> dict:
     """Measure the tracking errors with and without gravity compensation, for each hand, control law and speed.
 
-    Return the mean of the tracking errors over the seeds, and their range.
+    Return the mean and the standard deviation of the tracking errors over the seeds.
     """
     jobs = [
         (hand, law, k)
@@ -105,7 +105,7 @@ def _mean_over_seeds(errors: list[float]) -> dict[str, float]:
 
 
 def page_section(result: dict) -> str:
-    """Return the section on gravity compensation of the page as Markdown."""
+    """Return the page section on gravity compensation, as Markdown."""
     column_titles = [
         "hand, law",
         *(f"{speed}, {name} [deg]" for speed in MEASURED_SPEEDS for name in FIGURE_LABELS.values()),
@@ -148,7 +148,7 @@ error is the difference of the mean joint angle of a digit from its setpoint, me
 
 
 def _compensation_benefit_text(result: dict) -> str:
-    """Describe the benefit of gravity compensation for each hand, pair of laws and speed."""
+    """Return a text on the benefit of gravity compensation for each hand, pair of control laws and speed."""
     hand_texts = []
     for hand, laws in result.items():
         names = list(laws)

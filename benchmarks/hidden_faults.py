@@ -62,7 +62,7 @@ HIDDEN_FAULTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
 
 
 def rising_hold_task() -> dict[str, Any]:
-    """Return the task of the fault campaign, with an additional phase.
+    """Return the task of ``handctl campaign`` (``CAMPAIGN_TASK``) with an additional hold phase.
 
     In the additional phase, the tension rises to 90 N and stays at 90 N.
     """
@@ -193,9 +193,10 @@ def fault_rows(
 def results_table(results: list[dict[str, Any]]) -> str:
     """Make a table with a row for each fault and stage.
 
-    The column after the stage contains the number of runs in which the controller relaxed the hand
-    or disabled the motors. The other columns are the reported faults, the longest delay of a
-    reaction, and the largest true tensions.
+    The column "relaxed or cut" contains the number of runs in which the controller relaxed the hand
+    or disabled the motors. The next columns are the reported faults, the longest delay of a
+    reaction [ms], and the largest true tension [N] in the whole run. The last column is the largest
+    true tension [N] after a stop.
     """
     lines = ["| fault | stage | relaxed or cut | by (runs) | at the latest, ms | true tension, N | after a stop, N |",
              "|---|---|---|---|---|---|---|"]  # fmt: skip

@@ -139,8 +139,8 @@ def excite_and_fit(
         hand_name: name of a packaged hand or path of a hand file. Controller and simulator use the
             same hand file.
         digit_name: name of the digit.
-        seed: seed of the simulated noise, slack and offsets. factors: factors that multiply
-            parameters of the simulated hand.
+        seed: seed of the simulated noise, slack and offsets.
+        plant_factors: factors that multiply parameters of the simulated hand.
         gains: gains of the controller.
         log_folder: folder for the log.
     """
@@ -307,7 +307,7 @@ def collect_rows(args: argparse.Namespace) -> list[FitResultRow]:
 
 
 def main() -> int:
-    """Measure the identification for all requested seeds, and print the summary as a table or as JSON."""
+    """Identify the parameters of all random hands, and print a summary of the errors as a table or as JSON."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")
     parser.add_argument("--seeds", type=int, default=4, help="number of random hands (default: 4)")

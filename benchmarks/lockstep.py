@@ -3,10 +3,11 @@
 For comparison, the benchmark runs MuJoCo's ``mj_step`` alone with the same motion.
 
 ``python benchmarks/lockstep.py [--quick] [--json]``. A first run of controller and simulator
-records the torques on the joints in each simulation step. ``mj_step`` alone is then called with the
-recorded torques, and must end at bit-identical positions. Several further runs are timed, and one
-further run is profiled. All runs are bit-identical. The benchmark uses the shortest time of each
-tick and of each simulation step. Other load on the processor core affects the shortest time least.
+records the torques that the tendons apply to the joints in each simulation step. ``mj_step`` alone
+is then called with the recorded torques, and must end at bit-identical positions. Several further
+runs are timed, and one further run is profiled. All runs are bit-identical. For each tick and each
+simulation step, the benchmark uses the shortest time over all runs. Other load on the processor
+core affects the shortest time least.
 """
 
 import argparse
@@ -25,7 +26,7 @@ RUNS_PER_CASE = 4
 
 
 class BodyRollout(NamedTuple):
-    """Record of a run: forces on the rigid bodies in each simulation step, and final joint angles.
+    """Record of a run: the inputs of MuJoCo in each simulation step, and the final joint angles.
 
     Attributes:
         torque: (steps, joints) torque that tendons apply to each joint [N m].
@@ -100,15 +101,15 @@ def measure_lockstep_speed(
 
 
 def sum_of_shortest(times_by_run: Iterable[list[float]]) -> float:
-    """Return the sum of the shortest times of all ticks or simulation steps [s].
+    """Find the shortest time of each tick or simulation step, and return the sum of these times [s].
 
-    The shortest time of a step is the minimum over several bit-identical runs.
+    The shortest time is the minimum over several bit-identical runs.
     """
     return sum(map(min, zip(*times_by_run, strict=True)))
 
 
 def record_rollout(lockstep_stack: LockstepStack, simulated_s: float) -> BodyRollout:
-    """Run controller and simulator, and record the forces on the bodies."""
+    """Run controller and simulator, and record the inputs of MuJoCo in each simulation step."""
     engine = lockstep_stack.engine
     plant = lockstep_stack.peer.world.plant
     advance = plant.advance

@@ -96,9 +96,9 @@ def measure_loops(duration_s: float, quick: bool) -> dict:
 def measure_max_rates(
     loop_name: str, hand_name: str, bus_name: str, duration_s: float, quick: bool
 ) -> dict:
-    """Measure the ticks per second of a control loop without deadlines, and its highest rate with deadlines.
+    """Measure the highest rate of a control loop [Hz], without deadlines and with deadlines.
 
-    At the highest rate, the control loop misses less than 1 % of the deadlines.
+    With deadlines, a rate is possible if the control loop misses less than 1 % of the deadlines.
     """
     unlimited_rate = measure_in_child_process(loop_name, hand_name, bus_name, duration_s, 0.0)["hz"]
     rate = (0.6 if quick else 0.9) * unlimited_rate

@@ -1,10 +1,10 @@
-"""Measure and profile the re-execution of a log.
+"""Measure how long the controller needs to re-execute the ticks of a log, and profile the controller.
 
 For each tick, the benchmark measures the time of three steps: read the tick from the log, compute
-the tick, and compare the outputs.
+the tick, and compare the outputs with the log.
 
 ``python benchmarks/reexecute.py [LOG ...] [--quick] [--json]``, by default the logs in
-``logs/golden``. Each log is executed several times. The benchmark uses the shortest time of each
+``logs/golden``. Each log is re-executed several times. The benchmark uses the shortest time of each
 tick, because other load on the processor core affects the shortest time least.
 """
 
@@ -31,7 +31,7 @@ GOLDEN_FOLDER = Path(__file__).resolve().parent.parent / "logs" / "golden"
 
 
 def main() -> None:
-    """Measure the re-execution of all logs and print the results."""
+    """Measure the CPU time to re-execute each log, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "logs",
@@ -49,7 +49,7 @@ def main() -> None:
 
 
 def measure_log(log_path: Path, pass_count: int) -> dict:
-    """Measure the re-execution of one log."""
+    """Measure the CPU time to read, compute and compare the ticks of one log."""
     with RunLog(log_path) as log:
         controller = rebuild_controller(log)
         gc.disable()  # In a run, the control loop also disables the garbage collector.
@@ -73,9 +73,9 @@ def measure_log(log_path: Path, pass_count: int) -> dict:
 def execute_once(log: RunLog, controller: Controller) -> dict:
     """Re-execute all ticks of a log once.
 
-    The returned dictionary contains three kinds of CPU times [s]: the time for reading the log, a
-    list with the time of each tick, and the time for comparing the outputs. The dictionary also
-    contains the number of ticks whose outputs equal those in the log.
+    The returned dictionary contains three CPU times [s]: for reading the log, for each tick (a
+    list), and for comparing the outputs. The dictionary also contains the number of ticks whose
+    outputs equal those in the log.
     """
     cpu = time.process_time
     start_cpu_s = cpu()

@@ -101,7 +101,7 @@ def failure_reason(run_errors: dict[str, Any], run_result: dict[str, Any]) -> st
 def results_table(results: list[dict[str, Any]]) -> str:
     """Make a Markdown table with a row for each hand and protocol.
 
-    Below the table, describe each run that does not pass in one line.
+    Below the table, add one line for each run that does not pass.
     """
     rows = [
         "| hand | protocol | seeds passed | tracking error [deg] | tension error [N] | object motion [mm] |",

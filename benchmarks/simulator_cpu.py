@@ -1,11 +1,11 @@
 """Measure the CPU time of the simulator in lockstep, without MuJoCo's ``mj_step``.
 
 ``python benchmarks/simulator_cpu.py [--quick] [--json]``. The measured runs include the controller,
-because the controller displaces code and data of the simulator from the processor caches. The
-controller displaces the simulator from the caches in every run in lockstep. The benchmark measures
-the CPU time of ``LockstepHand.exchange`` in each tick, and subtracts the CPU time of ``mj_step``
-alone for the same motion. The benchmark runs the same motion several times and uses the shortest
-time of each tick, because all runs are bit-identical.
+as every run in lockstep does. The controller displaces code and data of the simulator from the
+processor caches, and thus slows down the simulator. The benchmark measures the CPU time of
+``LockstepHand.exchange`` in each tick, and subtracts the CPU time of ``mj_step`` alone for the same
+motion. The benchmark runs the same motion several times. Because all runs are bit-identical, the
+benchmark uses the shortest time of each tick.
 """
 
 import argparse

@@ -4,8 +4,9 @@ The benchmark measures the effects of misbehaving clients, the tracking error of
 and the latency.
 
 ``python benchmarks/streaming.py [clients|tracking|latency ...] [--only CLIENT ...] [--time-scale X]
-[--bus BUS]``. Clients, controller and simulated hand run as separate processes. The latency is
-measured in wall time, without a time scale.
+[--bus BUS]``. Clients, controller and simulated hand run as separate processes. With
+``--time-scale``, the clock of the simulated hand runs X times as fast as wall time. Latencies are
+always measured with X = 1, in wall time.
 """
 
 import argparse
@@ -262,7 +263,7 @@ def run_client(
 
 
 class HandProcess:
-    """Simulated hand in a separate process that stores its files in a folder.
+    """Simulated hand that runs in a separate process and stores its files in a folder.
 
     Attributes:
         work_folder: folder in which the simulated hand stores its files.
@@ -313,7 +314,7 @@ class HandProcess:
         )
 
     def connect(self) -> HandClient:
-        """Return a client of the simulated hand that has not connected yet.
+        """Return a client for the simulated hand. The client is not connected yet.
 
         The client starts the controller when the caller opens the client.
         """
@@ -328,7 +329,11 @@ class HandProcess:
         return round((monotonic_ns - paused_ns) * self.scale)
 
     def close(self) -> None:
-        """End the process of the simulated hand, which completes its truth file before it ends."""
+        """End the process of the simulated hand.
+
+        Before the process ends, it writes the rest of the file with the true values of the
+        simulator.
+        """
         if self._process.poll() is None:
             self._process.terminate()
         self._process.communicate(timeout=READY_TIMEOUT_S)
@@ -461,9 +466,9 @@ def _run_one_client(
 def run_start_ns(hand: HandClient | None, hand_process_run: HandProcess) -> int:
     """Return the start time of the run (t = 0) on the clock of the simulated hand [ns].
 
-    An observation is published only at the end of a tick. A start time that is computed from an
-    observation is too late by the duration of the tick. The function uses the shortest of many
-    ticks, which lasts about 0.1 ms.
+    The function computes the start time of the run from an observation. The computed time is too
+    late by the duration of the tick, because an observation is published at the end of the tick.
+    The function therefore uses the shortest of many ticks, which lasts about 0.1 ms.
     """
     assert hand is not None
     starts_ns = list[int]()
@@ -480,7 +485,11 @@ def run_start_ns(hand: HandClient | None, hand_process_run: HandProcess) -> int:
 def _client_row(
     log: RunLog, truth: TruthRecord, misbehaviour: dict[str, Any], start_ns: int
 ) -> dict[str, Any]:
-    """Return the table row of a client: mode, faults, largest true tension and largest speeds in its misbehaviour."""
+    """Return the table row of a client.
+
+    The row contains the mode, the faults, the largest true tension and the largest true speeds
+    during the misbehaviour of the client.
+    """
     last_tick = int(log.k[-1]) if misbehaviour["to"] is None else misbehaviour["to"]
     is_inside = (log.k >= misbehaviour["from"]) & (log.k <= last_tick)
     inside_start_ns, last_ns = log.t_ns[is_inside][[0, -1]]
@@ -513,7 +522,7 @@ def _client_row(
 def measure_tracking(
     bus_name: str, time_scale: float, commissioned_hand: CommissionedHand | None = None
 ) -> dict[str, Any]:
-    """Compare the tracking error of a streamed sine with that of the same motion in a task.
+    """Compare the tracking errors of two equal motions: a streamed sine, and a task that follows the same sine.
 
     A tracking error is the RMS of the difference between the true angle and the intended angle
     [deg]. The returned dictionary also contains the lateness of the ticks, because late ticks show
@@ -588,7 +597,8 @@ def _tracking_error(truth: TruthRecord, motion_start_ns: int) -> float:
 def measure_latency(bus_name: str, duration_s: float) -> dict[str, Any]:
     """Measure the delays of observations and targets.
 
-    Return the percentiles p50 and p99 of the delays in wall time, without a time scale [ms].
+    Return the percentiles p50 and p99 of the delays [ms]. The clock of the simulated hand runs as
+    fast as wall time.
     """
     with hand_process(bus_name, 1.0) as process, process.connect() as hand:
         rows = {
@@ -638,9 +648,9 @@ def _status_ages_ms(hand: HandClient, duration_s: float) -> list[float]:
 
 
 def _target_delays_ms(hand: HandClient, duration_s: float) -> list[float]:
-    """Measure the delay from the sending of each target to the frames that depend on it [ms].
+    """Measure the delay from the time when the client sends a target to the first command frames with this target [ms].
 
-    The delay of a target ends when the next tick has sent its frames.
+    The delay ends when the first tick that uses the target has sent its command frames.
     """
     delays: list[float] = []
     random_source = random.Random(0)

@@ -1,11 +1,12 @@
 """Measure how much tuning helps if the real hand differs from its hand file.
 
-A simulated hand, the true plant, replaces the real hand. The parameters of the true plant differ from
-the hand file by up to 30 %. The initial gains are wrong by a factor of 3. One search tries gains on an
-ensemble of hands near the hand file, and another search tries gains on the true plant. With ``--fit``,
-an additional search tries gains on a hand with the identified parameters. The best gains of each
-search are finally tried on the true plant. The ratio of the costs of these gains shows the
-disadvantage of a search that does not know the true parameters.
+A simulated hand, the true plant, replaces the real hand. The parameters of the true plant differ
+from the hand file by up to 30 %. The initial gains are wrong by a factor of 3. One search tries
+gains on an ensemble of hands whose parameters are close to the hand file. Another search tries
+gains on the true plant. With ``--fit``, an additional search tries gains on a hand with the
+identified parameters. The best gains of each search are finally tried on the true plant. The ratio
+of the costs of these gains shows the disadvantage of a search that does not know the true
+parameters.
 
     python benchmarks/tuning.py [--quick] [--json] [--trials N] [--plants N] [--workers N]
     python benchmarks/tuning.py --trials 96 --into studies    # continues an interrupted run, or adds trials
@@ -114,7 +115,11 @@ def compare_searches(
     study_folder: Path | None,
     calibration_file: Path | None,
 ) -> dict[str, Any]:
-    """Run all searches and compare their best gains on the true plant. Store the studies if a folder is given."""
+    """Run all searches and compare their best gains on the true plant.
+
+    If ``study_folder`` is given, store the study (the trials and scores) of each search in this
+    folder.
+    """
     hand, identified_hand, spread = load_tuned_hand(hand_name, calibration_file)
     packaged = Gains()
     detuned = detuned_gains()
@@ -239,7 +244,7 @@ def _evaluation_job(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
 def _with_model(hand: Hand, model: HandModel) -> GainScore:
     """Score gains on the true plant, and compute their stability margins.
 
-    The controller with the gains is made for the identified hand.
+    The controller uses ``model``, which was made from the identified hand and the gains.
     """
     margins = worst_margins(model, (linear_factors(dict.fromkeys(TRUE_PLANT_FACTORS, 1.0)),))
     return replace(

@@ -44,7 +44,7 @@ class ByteSource:
         self.at = 0
 
     def take_bytes(self, byte_count: int) -> bytes:
-        """Consume and return a number of bytes."""
+        """Consume ``byte_count`` bytes, and return these bytes."""
         self.at += byte_count
         return self.data[self.at - byte_count : self.at].ljust(byte_count, b"\0")
 

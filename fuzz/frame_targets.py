@@ -139,7 +139,7 @@ def selectable_identifiers(motor: Drive, recorded_states: Sequence[RecordedState
 
 
 def _payload_header(payload: bytes) -> tuple[int, int]:
-    """Return the last two bytes of the frame header of a payload: shape byte and control byte.
+    """Return two bytes that precede a payload in an input of the fuzzer: shape byte and control byte.
 
     With a shape byte of 0, the control byte is the length of the payload.
     """

@@ -14,8 +14,8 @@ class FuzzedDrive(NamedTuple):
 
     Attributes:
         protocol: name of the drive protocol.
-        options: lines with options of the drive, which are added to the hand file. without: prefix
-            of the lines that are removed from the hand file.
+        options: lines with options of the drive, which are added to the hand file.
+        skipped_option: prefix of the lines that are removed from the hand file.
     """
 
     protocol: str

@@ -56,7 +56,10 @@ class MemorySampler:
 
 
 def main() -> int:
-    """Run controller and recorder in lockstep. Return 1 if their memory grows or the run fails."""
+    """Run controller and recorder in lockstep.
+
+    Return 1 if the memory of controller or recorder grows, or if the run fails.
+    """
     parser = argparse.ArgumentParser(prog="python -m fuzz.memory_growth", description=__doc__)
     parser.add_argument(
         "--hours",

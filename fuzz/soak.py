@@ -198,7 +198,7 @@ class SoakTest:
             remaining_file.unlink()
 
     def ensure_controller(self) -> None:
-        """Ensure that a controller runs and holds the hand.
+        """Ensure that a controller runs and holds the fingers of the hand bent.
 
         If no controller can arm the hand, start a new simulator.
         """

@@ -3,7 +3,7 @@
 A host sometimes pauses a virtual machine for tens of milliseconds. If the machine stalls, a
 controller rightly ends its run. In this case, a test in real time fails because of the stall, and
 not because of a defect in the code. To detect stalls independently of the tested processes, one
-process on each core sleeps and checks when it wakes up.
+process on each core sleeps again and again, and measures how late it wakes up.
 """
 
 import contextlib

@@ -119,7 +119,7 @@ class RepeatAfterStallPlugin:
     """
 
     def __init__(self) -> None:
-        """Leave out the stall meter at first, because most test runs contain no test in real time."""
+        """Create the plugin without a stall meter, because most test runs contain no test in real time."""
         self.stalls: list[tuple[str, float]] = []
         self.pause_meter: ComputerPauseMeter | None = None
         self._test = ""
@@ -147,9 +147,10 @@ class RepeatAfterStallPlugin:
         return longest > 0.0
 
     def wait_without_stall(self) -> None:
-        """Wait until the machine has had no stall for ``STALL_FREE_TIME_S``, but for at most ``MAX_STALL_WAIT_S``.
+        """Wait until the machine has run for ``STALL_FREE_TIME_S`` without a stall.
 
-        After a stall of the machine, other stalls often follow.
+        The wait ends after ``MAX_STALL_WAIT_S`` at the latest. After a stall of the machine, other
+        stalls often follow.
         """
         assert self.pause_meter
         until = time.monotonic() + MAX_STALL_WAIT_S

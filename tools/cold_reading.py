@@ -32,7 +32,7 @@ SENTENCE_WORDS = range(6, 45)
 
 
 class Line(NamedTuple):
-    """Line of a sample of names or sentences.
+    """One line of a sample: a name or a sentence.
 
     Attributes:
         text: name with its kind, or sentence.
@@ -98,7 +98,7 @@ def print_score(folder: Path, part: str, numbers: Sequence[int]) -> None:
 
 
 def our_files(with_documents: bool) -> dict[str, list[Path]]:
-    """Return the files of each group of this repository, by the name of the group."""
+    """Return a dictionary from each folder of this repository to the files of the folder."""
     groups: dict[str, list[Path]] = {}
     for folder in OUR_FOLDERS:
         for path in sorted((REPOSITORY / folder).rglob("*.py")):
@@ -112,7 +112,7 @@ def our_files(with_documents: bool) -> dict[str, list[Path]]:
 
 
 def other_files() -> dict[str, list[Path]]:
-    """Return the files of each installed package of another project, by the name of the package."""
+    """Return a dictionary from each installed package of another project to the files of the package."""
     packages = Path(sysconfig.get_path("purelib"))
     paths_of_project = {name: sorted((packages / name).rglob("*.py")) for name in OTHER_PROJECTS}
     return {name: paths for name, paths in paths_of_project.items() if paths}

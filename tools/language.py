@@ -250,9 +250,10 @@ def count_all_folders(repository_folder: Path) -> dict[str, FolderTally]:
 
 
 def count_ratios(tally: FolderTally) -> dict[str, float]:
-    """Return the ratio of each count, rounded up to a multiple of one half.
+    """Divide each count by its quantity, and return the ratios, rounded up to a multiple of one half.
 
-    Leave out a count if its quantity in ``QUANTITY_PER_COUNT`` is zero in the folder.
+    ``QUANTITY_PER_COUNT`` names the quantity of each count, such as the number of words. A count is
+    left out if the quantity of the count is zero in the folder.
     """
     measured = [
         count

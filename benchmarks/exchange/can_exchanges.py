@@ -1,7 +1,7 @@
 """Define the ways to exchange frames that the benchmark ``bus.py`` compares.
 
-``send(torques)`` sends a torque to each MIT motor, and ``receive()`` reads the reply frames of the
-motors. Clients from PyPI are in the module ``pypi_clients``.
+``send(torques)`` sends a torque to each motor in MIT mode, and ``receive()`` reads the reply frames
+of the motors. Clients from PyPI are in the module ``pypi_clients``.
 """
 
 from functools import cache
@@ -45,7 +45,7 @@ RATE_HZ = 200.0
 
 @cache
 def enabled_controller(motor_count):
-    """Return the controller of a packaged hand with ``motor_count`` MIT motors.
+    """Return the controller of the packaged hand that has ``motor_count`` motors in MIT mode.
 
     Also return a state of the controller in which all motors are enabled.
     """

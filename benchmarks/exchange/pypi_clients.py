@@ -89,8 +89,8 @@ class TMotorClient:
     """Client TMotorCANControl for a CubeMars AK80-9.
 
     The class calls the functions that the notifier thread of TMotorCANControl would call.
-    TMotorCANControl supports only the interface can0. The benchmark leaves out its command ``sudo
-    ip link set can0``.
+    TMotorCANControl supports only the interface can0. TMotorCANControl would run the command ``sudo
+    ip link set can0``, which the benchmark leaves out.
     """
 
     def __init__(self, interface, channel, motor_count):

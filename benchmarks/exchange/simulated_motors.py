@@ -22,7 +22,7 @@ The motors are numbered from 1.
 
 
 class LocalMotors:
-    """Simulated motors that reply on a Unix socket, as the hub of a local bus does."""
+    """Simulated motors that reply on a Unix socket, in place of the hub process of a local bus."""
 
     def __init__(self, bus_name: str) -> None:
         self.path = Path(os.environ["HANDCTL_RUN_DIR"]) / f"{bus_name}.bus"
@@ -86,7 +86,8 @@ BUS_SETTINGS_BY_KIND = {
 def open_simulated_motors(bus_kind: str):
     """Start simulated motors on a bus.
 
-    Yield the simulated motors, and the interface and channel of python-can for the bus.
+    Yield the simulated motors, and the two arguments with which python-can opens the bus: interface
+    and channel.
     """
     motors_class, interface, channel = BUS_SETTINGS_BY_KIND[bus_kind]
     motors = motors_class(channel)

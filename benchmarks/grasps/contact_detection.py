@@ -34,7 +34,7 @@ drop_when = "never"
 
 
 def program_of_phases(phases: list[dict[str, Any]]) -> TaskProgram:
-    """Return the program of a task with the given phases."""
+    """Return the controller program for a task that has the given phases."""
     return TaskProgram(
         Task.model_validate_json(json.dumps({"schema": 1, "name": "contact", "phase": phases}))
     )
@@ -87,10 +87,10 @@ def _detection_latencies(run: GraspRun, digit_names: tuple[str, ...]) -> list[fl
 
 
 def measure_false_contacts(job: tuple[str, float, int]) -> dict[str, float]:
-    """Measure false contact events in free motion, for a hand, a time [s] and a seed.
+    """Measure false contact events in free motion.
 
-    Return the number of false contact events, and the simulated time in which the digits moved
-    [min].
+    The argument ``job`` contains the hand, the simulated time [s] and the seed. Return the number
+    of false contact events, and the simulated time in which the digits moved [min].
     """
     hand, seconds, seed = job
     random_source = random.Random(f"free {seed}")

@@ -27,7 +27,7 @@ DEFAULT_GAINS = Gains()
 
 @cache
 def hand_model(hand_name: str, gains: Gains = DEFAULT_GAINS) -> tuple[HandModel, float]:
-    """Return the model of a hand at its default rate.
+    """Return the controller's model of a hand, and the default control rate of the hand [Hz].
 
     Each process computes the model of a hand only once.
     """
@@ -45,13 +45,13 @@ class GraspRun:
         phase: (ticks,) name of the phase of the task.
         stage: (ticks,) number of the stage of the scene.
         object_position: (ticks, 3) position of the object [m].
-        force: (ticks, D) true contact force on each digit [N].
-        contact: (ticks, D) True if the controller reports contact of the digit.
-        tension: (ticks, N) tension that the controller estimates [N].
-        external_tension: (ticks, N) external tension that the controller estimates [N].
-        excursion: (ticks, N) tendon excursion that the controller reports [m].
-        q: (ticks, J) true joint angles [rad].
-        contact_normal: (ticks, D) sum of the normal forces on each digit [N]. The array
+        force: (ticks, digits) true contact force on each digit [N].
+        contact: (ticks, digits) True if the controller reports contact of the digit.
+        tension: (ticks, tendons) tension that the controller estimates [N].
+        external_tension: (ticks, tendons) external tension that the controller estimates [N].
+        excursion: (ticks, tendons) tendon excursion that the controller reports [m].
+        q: (ticks, joints) true joint angles [rad].
+        contact_normal: (ticks, digits) sum of the normal forces on each digit [N]. The array
             ``contact_normal`` exists only in scenes with a load.
         events: every event of the controller, with the index of its tick.
         failure: reason why the controller ended the run.
@@ -78,7 +78,9 @@ class GraspRun:
 
 
 def task_program(task_name: str, hand_name: str, hold_s: float | None = None) -> TaskProgram:
-    """Return the program of a packaged task or a task file for a hand.
+    """Return the controller program for a hand and a task.
+
+    The task is a packaged task or a task file.
 
     ``hold_s`` replaces the duration of each hold phase [s].
     """
@@ -104,7 +106,7 @@ def simulate_grasp(
     timeout_s: float = TIMEOUT_S,
     retry_timeout_s: float = TIMEOUT_S,
 ) -> GraspRun:
-    """Run a program on a simulated hand whose motor zeros are known.
+    """Run a controller program on a simulated hand. The motor zeros of the hand are known.
 
     Args:
         hand_name: name of a packaged hand.

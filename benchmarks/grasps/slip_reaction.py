@@ -26,8 +26,8 @@ OBJECT_LOSS_DISTANCE_M = 10e-3
 def measure_slip(job: tuple[str, bool, int]) -> dict[str, Any]:
     """Measure the motion of the cylinder while the load on the cylinder grows [mm].
 
-    Also measure the load at which the hand loses the cylinder [N]. The argument ``job`` consists of
-    the hand, whether the hand reacts to slip, and the seed.
+    Also measure the load at which the hand loses the cylinder [N]. The argument ``job`` contains
+    the name of the hand, a bool that is True if the hand reacts to slip, and the seed.
     """
     hand, has_slip_reaction, seed = job
     scene = (

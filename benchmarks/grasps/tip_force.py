@@ -2,9 +2,9 @@
 
 In a hold phase with ``tip_force_N``, the digits press with their last links on a wall. No other
 link touches the wall. For `jamia11`, which has joint encoders, the controller computes the tensions
-from the Jacobian. For `jamia`, whose digits have one tendon each, the controller uses an
-approximation. handctl refuses a task file that commands a tip force for `jamia`, because the error
-that this benchmark measures for `jamia` is too large.
+from the Jacobian. Each digit of `jamia` has only one tendon, and the controller approximates the
+tension that causes the commanded force. For `jamia`, handctl refuses a task file that commands a
+tip force, because the error that this benchmark measures is too large.
 """
 
 import random

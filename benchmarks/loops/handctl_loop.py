@@ -47,8 +47,8 @@ class HoldPositionProgram:
 class ReplyDrivenClock:
     """Clock without deadlines.
 
-    The next tick begins as soon as a reply frame to the frames of the last tick has arrived, or
-    after 2 ms.
+    The next tick begins when the first reply to the last tick has arrived, and after 2 ms at the
+    latest.
     """
 
     fd: int
@@ -136,8 +136,8 @@ def run_loop(
 class TimedTick:
     """A tick of the controller that measures its own wall time.
 
-    The wall time of a tick is the sum of the wall times of its four methods: begin, decide, command
-    and conclude [ns].
+    The wall time of a tick [ns] is the sum of the wall times of four methods: begin, decide,
+    command and conclude.
     """
 
     def __init__(self, controller, state, entry, tick_times_ns) -> None:
@@ -171,8 +171,8 @@ class TimedTick:
 class ActiveTickCounter:
     """Observer that counts the ticks with an active hand and ends the run after the requested time.
 
-    Ticks before and after the requested time run the state machines of all drives, and are not
-    counted.
+    The observer does not count ticks before and after the requested time, because these ticks also
+    run the state machines of the drives.
     """
 
     def __init__(self, duration_s: float, all_times_ns: list[int]) -> None:

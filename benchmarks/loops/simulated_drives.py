@@ -4,7 +4,7 @@ The replies of the nodes are stored, and each drive reports the torque of the pr
 Tendons and digits do not move. The drives are Damiao motors in MIT mode.
 
 ``python benchmarks/loops/simulated_drives.py HAND NAME`` serves ``local:NAME`` and prints a line
-when it is ready.
+when the drives are ready.
 """
 
 import select
@@ -82,8 +82,8 @@ class CachedReplies:
     """Cache of the replies of the simulated nodes.
 
     A reply that was computed once is not computed again. Only the torque in the reply of a drive
-    follows the commands. With a constant torque, the controller would report that the drive does
-    not obey (fault N14).
+    follows the commands. If the reported torque were constant, the controller would report that the
+    drive does not obey (fault N14).
 
     A control loop can send the commands of a tick together. To such a batch, the nodes reply
     together, as drives on a real bus compute their replies at the same time.
@@ -154,7 +154,8 @@ class CachedReplies:
     def pull_tendon(self, node_id: int) -> None:
         """Turn a motor until the tension of its tendon is ``HOLD_TENSION_N``.
 
-        With slack tendons, the controller would take up the slack, and detect that the tension does
+        If the tendons were slack, the controller would turn the motors to take up the slack. The
+        controller would then report a fault, because the tensions of simulated drives at rest do
         not rise.
         """
         plant = self.rig.world.plant
@@ -168,7 +169,7 @@ class CachedReplies:
 
 
 def with_torque_of_command(reply: bytes, command: bytes) -> bytes:
-    """Return a reply that reports the torque of a command. The other values are those of a stored reply.
+    """Copy the torque of a command into the stored reply of a drive, and return the changed reply.
 
     The lowest 12 bits of the command contain the torque. In the reply, 4 bits of byte 4 and all
     bits of byte 5 contain the torque. Both have the same scale.

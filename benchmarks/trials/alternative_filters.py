@@ -18,7 +18,10 @@ The benchmark uses the candidate that gives the smallest true error of the tensi
 
 
 def exponential_average(raw_tension: FloatArray, sample_weight: float) -> FloatArray:
-    """Return the exponential average of the samples (ticks, N) [N]. Missing samples are skipped."""
+    """Return the exponential average of load-cell samples [N].
+
+    The average skips missing samples. The result is an array (ticks, tendons).
+    """
     smoothed_tension = np.empty_like(raw_tension)
     last_tension = np.nan_to_num(raw_tension[0])
     for k, sample in enumerate(raw_tension):
@@ -34,11 +37,11 @@ def cell_only_estimate(
 ) -> FloatArray:
     """Run a Kalman filter of tension and tension rate, whose only measurement is the load cell.
 
-    Return the prediction of the filter for the present tension. The shape is (ticks, N), and the
-    unit is N.
+    Return the tension [N] that the filter predicts for the present, as an array (ticks, tendons).
 
     Args:
-        raw_tension: (ticks, N) load-cell samples, which are one control period old [N].
+        raw_tension: load-cell samples [N], an array (ticks, tendons). The samples are one control
+            period old.
         period_s: control period [s].
         cell_noise: standard deviation of the noise of a load-cell sample [N].
         tension_rate_noise: square root of the spectral density of the noise of the tension rate [N/s^1.5].

@@ -18,17 +18,19 @@ FREE_MOTION_SCENE = "no_palm"
 """Scene for the trials with variants of the packaged hands.
 
 The simulator places the palm behind the mounts of the digits, at any distance between the mounts.
-Digits can touch the palm, however far they are apart.
+Digits can touch the palm even if the distance between the digits is large.
 """
 SIDEWAYS_HAND_SUFFIX = ".side"
-"""Suffix in the names of the variants whose digits are farther apart and which lie on their side.
+"""Suffix in the names of the variants that lie on their side.
 
-If a hand lies on its side, gravity acts in the plane in which the digits flex.
+The digits of these variants are also farther apart. If a hand lies on its side, gravity acts in the
+plane in which the digits flex.
 """
 SIDE_GRAVITY_M_S2 = [0.0, -9.81, 0.0]
-"""Gravity of a hand that lies on its side, in the frame of the palm [m/s2], from the fingers to the thumb.
+"""Gravity in the palm frame of a hand that lies on its side [m/s2].
 
-On a hand that lies on its side, gravity closes the fingers and opens the thumb.
+The direction of gravity is from the fingers to the thumb. On a hand that lies on its side, gravity
+closes the fingers and opens the thumb.
 """
 FINGERTIP_LOAD = 10.0
 """Factor that multiplies mass and inertia of the last links, for a hand that lies on its side.

@@ -60,12 +60,12 @@ def torque_without_gravity(
 def misprinted_torque(
     digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues
 ) -> tuple[float, ...]:
-    """Return the joint torque of the paper's Eq. 10 to 12, with their misprints.
+    """Return the joint torque from Eq. 10 to 12 of the source paper, including the misprints in these equations.
 
     The torques in Eq. 10 to 12 belong to absolute angles of the links. The function converts the
     torques of the equations to joint torques, and adds the torques of springs and damping. The
-    paper describes neither the conversion nor the springs and the damping. For a digit with fewer
-    links than in the paper, the terms of the missing links are left out.
+    conversion, the springs and the damping are not part of the paper. For a digit with fewer links
+    than in the paper, the terms of the missing links are left out.
     """
     names = {}
     for order, values in (("", q), ("d", dq), ("dd", ddq)):
@@ -103,10 +103,10 @@ weights.
 
 
 def force_scale(rate_hz: float) -> float:
-    """Return the factor that restores the full weight of the motor force at a low control rate.
+    """Return the factor by which the benchmark multiplies the motor force in the LQR cost at a control rate.
 
-    Without this factor, the controller reduces the weight of the motor force in the LQR cost at a
-    low control rate.
+    At a low control rate, the controller reduces the weight of the motor force in the LQR cost. The
+    factor cancels this reduction.
     """
     return 1.0 / force_weight_at_period(1.0, 1.0 / rate_hz)
 
@@ -145,9 +145,10 @@ class AblationLaw:
     """One of the control laws that the tracking benchmark compares.
 
     Attributes:
-        inverse_dynamics: function that returns the feedforward joint torque. motion: gains of the motion
-            loop that differ from the default gains. raw: True if the input of the tension loop is the
-            raw load cell, False if it is the estimated tension.
+        inverse_dynamics: function that returns the feedforward joint torque.
+        motion_gains: gains of the motion loop that differ from the default gains.
+        with_raw_tension: True if the input of the tension loop is the raw load cell. False if the
+            input is the estimated tension.
     """
 
     inverse_dynamics: InverseDynamics

@@ -202,7 +202,11 @@ def _regimes_worse_than_raw(result: dict, ratio_name: str) -> str:
 
 
 def _plant_mismatch_text(result: dict) -> str:
-    """List the regimes in which the raw load cell is better, for hands with a wrong parameter other than stiffness."""
+    """List the tendon regimes in which the raw load cell is better than the filter.
+
+    The list covers hands in which a parameter other than the tendon stiffness differs from the hand
+    file.
+    """
     rows = [
         (row["estimate / raw now"], row["nis"], f"{hand} {regime}, {plant}")
         for hand, plants in result["hands"].items()

@@ -34,7 +34,7 @@ HIGH_TENSION_N = 40.0
 STEP_RATE_N_PER_S = 5000.0
 HOLD_DURATION_S = 0.6
 STEADY_S, BAND_N = 0.2, 2.0
-"""Last part of a hold, in which the steady error is measured [s], and largest error of a settled force [N]."""
+"""Time at the end of a hold in which the steady error is measured [s], and largest error of a settled tension [N]."""
 FORCE_TASK = {
     "schema": 1,
     "name": "force",
@@ -67,8 +67,8 @@ The gains of the force loops were not tuned.
 class ForceLoop:
     """Configuration of a force loop.
 
-    The configuration contains the gains that differ from the default gains. The input of the force
-    loop is the raw load cell or the estimated tension.
+    The configuration contains only the gains that differ from the default gains. The input of the
+    force loop is either the raw load cell or the estimated tension.
     """
 
     motion_gains: dict[str, float] = field(default_factory=dict)
@@ -122,7 +122,7 @@ def force_trial(hand_name: str, loop_name: str, seed: int, plant_name: str) -> L
 
 
 def force_figures(record: TrialRecord) -> dict[str, float]:
-    """Return the errors of the tension after its step up and after its step down, as means over the tendons.
+    """Return the errors of the tension after the step up and after the step down, as means over the tendons.
 
     The results are overshoot [N], settling time [s], steady error [N], ripple [N], and RMSE [N].
     """
@@ -165,7 +165,8 @@ def measure_force(
 ) -> dict[str, Any]:
     """Measure the errors of the tension for each hand, set of simulated parameters and force loop.
 
-    Return the means of the errors over the seeds, and the range of the RMSE over the seeds.
+    Return the mean of each error over the seeds, and the standard deviation of the RMSE over the
+    seeds.
     """
     cases = [
         (hand, law, plant)

@@ -35,10 +35,10 @@ class JobPlan:
 
 
 def collect_results(run_job: JobFunction, jobs: list[Any], plan: JobPlan) -> dict[Any, Any]:
-    """Return the result of each job.
+    """Return the result of each job, either from a file or from a new computation.
 
-    Results are read from the folder of the plan, or computed as long as the time limit of the plan
-    permits.
+    The function reads the stored results from the folder of ``plan``, and computes the missing
+    results. After the time limit of ``plan``, no further job starts.
 
     Args:
         run_job: top-level function that computes one job. The result of this function consists of JSON
@@ -145,5 +145,5 @@ def add_job_options(parser: Any) -> None:
 
 
 def job_plan_of(args: Any) -> JobPlan:
-    """Return the plan for running jobs that the command-line options describe."""
+    """Return the ``JobPlan`` for the command-line options of a benchmark."""
     return JobPlan(args.keep, args.minutes, args.jobs)

@@ -32,7 +32,7 @@ DEFAULT_GAINS = Gains()
 FloatArray = NDArray[np.float64]
 ControllerChange = Callable[[Controller], Controller]
 TickRow = tuple[TickIn, TickOut, FloatArray, ControllerState]
-"""Record of a tick: its input and output, the filter inputs (N, 2), and the controller state after the tick."""
+"""Record of a tick: its input and output, the filter inputs (tendons, 2), and the controller state after the tick."""
 
 
 def unchanged_controller(controller: Controller) -> Controller:
@@ -45,7 +45,7 @@ class LockstepTrial:
     """Configuration of a trial.
 
     Attributes:
-        hand: name for ``hands.hand_by_name``.
+        hand: name of the hand, an argument of ``benchmark_hands.hand_by_name``.
         program: program that the controller runs.
         seed: seed of the simulated noise, drift and encoder offsets.
         scene: scene of the simulator, or None for a hand without an object.
@@ -78,10 +78,10 @@ class TrialRecord:
         controller: controller of the run.
         t_ns: (ticks,) time of each tick [ns].
         phase: (ticks,) name of the phase of the program.
-        telemetry: telemetry by name of the field, each array (ticks, ..).
-        force: (ticks, N) motor force before each tick, an input of the filter [N].
-        filtered_tension: (ticks, N) estimated tension at the time of the load-cell readings, one period
-            before the tick [N].
+        telemetry: dictionary from the name of each telemetry field to an array (ticks, ..).
+        force: (ticks, tendons) motor force before each tick, an input of the filter [N].
+        filtered_tension: (ticks, tendons) estimated tension at the time of the load-cell readings,
+            one period before the tick [N].
         truth_record: true values of the simulator.
         failure: reason why the run ended early.
         events: events as (t [s], name, where, text).
@@ -104,19 +104,22 @@ class TrialRecord:
         return self.t_ns / 1e9
 
     def truth(self, names: Iterable[str], delay_ns: int = 0) -> FloatArray:
-        """Return true values, ``delay_ns`` [ns] before each tick, as an array (ticks, names)."""
+        """Return the true values of the named quantities at the time ``delay_ns`` [ns] before each tick.
+
+        The result is an array (ticks, names).
+        """
         return self.truth_record.interpolated_columns(list(names), self.t_ns - delay_ns)
 
     def tension(self, delay_ns: int = 0) -> FloatArray:
-        """Return the true tension (ticks, N) [N]."""
+        """Return the true tension of each tendon [N], as an array (ticks, tendons)."""
         return self.truth((f"tension/{name}" for name in self.hand.tendon_names), delay_ns)
 
     def q(self) -> FloatArray:
-        """Return the true joint angles (ticks, J) [rad]."""
+        """Return the true joint angles [rad], as an array (ticks, joints)."""
         return self.truth(f"q/{name}" for name in self.hand.joints)
 
     def contact_force(self) -> FloatArray:
-        """Return the true contact force on each digit (ticks, D) [N]."""
+        """Return the true contact force on each digit [N], as an array (ticks, digits)."""
         axes = [
             self.truth(f"contact_force/{name}/{axis}" for name in self.hand.digit_names)
             for axis in "xyz"
@@ -124,7 +127,7 @@ class TrialRecord:
         return np.sqrt(sum(axis**2 for axis in axes))
 
     def expand_to_tendons(self, values_by_digit: NDArray[Any]) -> NDArray[Any]:
-        """Convert values per digit (ticks, D) to values per tendon (ticks, N)."""
+        """Convert values per digit (ticks, digits) to values per tendon (ticks, tendons)."""
         slices = [self.hand.digit_tendons[name] for name in self.hand.digit_names]
         index = np.repeat(np.arange(len(slices)), [s.stop - s.start for s in slices])
         return values_by_digit[:, index]
@@ -164,14 +167,14 @@ def run_trial(trial: LockstepTrial) -> TrialRecord:
 def _filtered_tension(
     filter_design: FilterDesign, filter_inputs: FloatArray, controller_state: ControllerState
 ) -> list[float]:
-    """Return the estimated tensions (N,) at the time of the load-cell readings [N].
+    """Return the estimated tension of each tendon at the time of the load-cell readings [N].
 
     The function undoes the prediction of the filter from the time of the readings to the present.
 
     Args:
         filter_design: design of the filter.
-        filter_inputs: (N, 2) inputs of the filter in the tick. after: state of the controller after the
-            tick.
+        filter_inputs: (tendons, 2) inputs of the filter in the tick.
+        controller_state: state of the controller after the tick.
     """
     result = []
     states = controller_state.tendon[s.SPOOL_TRAVEL : s.STRETCH_OFFSET + 1].T

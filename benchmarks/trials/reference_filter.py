@@ -3,8 +3,9 @@
 The error of the reference filter is not a lower bound. A filter that is made for a hand with less
 noise, or that has more inputs, can have a smaller error.
 
-The state of each tendon consists of tendon travel and speed, excursion and its rate, Gauss-Markov
-forces on motor and joint, and the stretch offset. The measurements are load cell and encoder.
+The filter has seven states per tendon. Four states are the travel and speed of the tendon at the
+spool, and the excursion and its rate at the joints. The other states are random forces on motor and
+joint (Gauss-Markov processes), and the stretch offset. The measurements are load cell and encoder.
 Constants of this module describe the disturbances. The digit of a tendon moves freely against its
 springs, or presses on a stiff object. ``scipy`` computes the reference filter, independently of the
 filter design in the controller.
@@ -37,10 +38,12 @@ STATE_SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
 def reference_sigma(
     model: HandModel, tendon_index: int, is_digit_held: bool, with_joint_encoder: bool = True
 ) -> tuple[float, float]:
-    """Return the standard deviations of the tension of a tendon at the last load-cell reading and at present [N].
+    """Return two standard deviations of the tension of a tendon [N].
 
-    The controller estimates the present tension, one control period after the load-cell reading.
-    The benchmark compares the error of this estimate with both standard deviations.
+    The first standard deviation belongs to the time of the last load-cell reading, and the second
+    to the present. The controller estimates the present tension, one control period after the
+    load-cell reading. The benchmark compares the error of this estimate with both standard
+    deviations.
 
     Args:
         model: hand and control rate.

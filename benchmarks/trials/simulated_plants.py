@@ -18,7 +18,7 @@ FURTHER_PLANT_FACTORS: dict[str, dict[str, float]] = {
     "stiffness -50 %": {"stiffness": 0.5},
     "friction +100 %": {"friction": 2.0},
 }
-"""Further simulated hands. Only the benchmark of the tension estimate uses them."""
+"""Further simulated hands. Only the benchmark of the tension estimate uses these hands."""
 PHASES_TO_CONTACT = (
     {"kind": "move", "name": "preshape", "angle_deg": {"index": 18.0, "middle": 18.0, "ring": 18.0, "thumb": 3.0},
      "duration_s": 0.4},

@@ -24,7 +24,7 @@ MaskArray = NDArray[np.bool_]
 
 
 def regime_masks(record: TrialRecord) -> dict[str, MaskArray]:
-    """Return a mask (ticks, N) for each tendon regime. At each tick, a tendon is in at most one regime."""
+    """Return a mask (ticks, tendons) for each tendon regime. At each tick, a tendon is in at most one regime."""
     tension = record.tension()
     t = record.times
     is_touched = record.expand_to_tendons(record.contact_force() > TOUCH_FORCE_N)
@@ -44,7 +44,7 @@ def regime_masks(record: TrialRecord) -> dict[str, MaskArray]:
 
 
 def _time_since_rise(signals: MaskArray, times: FloatArray) -> FloatArray:
-    """Return the time since each signal last became true (ticks, N) [s].
+    """Return the time since each signal last became true [s], as an array (ticks, tendons).
 
     Pauses of a signal that are shorter than ``SETTLING_TIME_S`` are ignored.
     """
@@ -66,7 +66,7 @@ def _time_since_rise(signals: MaskArray, times: FloatArray) -> FloatArray:
 
 
 def _reversal_mask(record: TrialRecord) -> MaskArray:
-    """Return a mask (ticks, N) that is True in ticks in which the spool changes its direction of rotation."""
+    """Return a mask (ticks, tendons) that is True in ticks in which the spool changes its direction of rotation."""
     period = record.t_ns[1] - record.t_ns[0]
     angle = [
         record.truth((f"motor/{tendon.motor}" for tendon in record.hand.tendon), delay)
@@ -82,7 +82,7 @@ def _reversal_mask(record: TrialRecord) -> MaskArray:
 
 
 def _widened_mask(signals: MaskArray, times: FloatArray, max_time_difference: float) -> MaskArray:
-    """Return a mask (ticks, N) that is also True near the ticks in which a signal is True.
+    """Return a mask (ticks, tendons) that is also True near the ticks in which a signal is True.
 
     Two ticks are near each other if the time between them is at most ``max_time_difference`` [s].
     """

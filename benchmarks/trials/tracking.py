@@ -14,7 +14,8 @@ pair of ``WEIGHT_CANDIDATES`` with the smallest error in a fast motion of the no
 results are measured with other seeds than the selection of the LQR weights. ``--tune`` repeats the
 selection of the LQR weights. With the selected LQR weights, the control loops have hardly any
 stability margin. A second comparison uses the best LQR weights with sufficient stability margins.
-handctl requires stability margins of 6 dB and 45 degrees, on random hands near the hand file.
+Margins of 6 dB and 45 degrees are sufficient, if random hands with parameters close to the hand
+file also keep these margins.
 """
 
 import argparse
@@ -181,7 +182,7 @@ def run_tracking_trial(job: tuple) -> dict[str, dict[str, float | str]]:
 def tune_weights(plan: JobPlan) -> None:
     """Try all ``WEIGHT_CANDIDATES`` for each control law on each hand.
 
-    Print the error of the fast motion for all weights, and the weights that keep the stability
+    For all weights, print the error of the fast motion and whether the weights keep the stability
     margins. After the last trial, write errors and weights into ``TUNED_WEIGHTS_FILE``.
     """
     jobs = [
@@ -210,7 +211,7 @@ def tune_weights(plan: JobPlan) -> None:
 def has_required_margins(hand_name: str, law_name: str, lqr_weights: tuple[float, float]) -> bool:
     """Return True if every motion loop has stability margins of 6 dB and 45 degrees.
 
-    The motion loops are tested with random hands near the hand file.
+    The motion loops are tested with random hands whose parameters are close to the hand file.
     """
     model = HandModel.from_hand(
         hand_by_name(hand_name),
@@ -227,8 +228,8 @@ def has_required_margins(hand_name: str, law_name: str, lqr_weights: tuple[float
 def tuned_weights(hand_name: str, law_name: str, with_margins: bool = False) -> tuple[float, float]:
     """Return the best LQR weights of a control law.
 
-    If ``with_margins`` is True, only weights that keep the stability margins are considered. If the
-    hand completes its motions with none of these weights, return the smallest weights.
+    If ``with_margins`` is True, only weights that keep the stability margins are considered. If no
+    weights let the hand complete all motions, return the smallest weights.
     """
     table = json.loads(TUNED_WEIGHTS_FILE.read_text("utf-8"))
     errors = table["rmse_deg"][hand_name][law_name]
@@ -254,9 +255,9 @@ def measure_tracking(
     plan: JobPlan,
     hand_names: tuple[str, ...] = MEASURED_HANDS,
 ) -> dict:
-    """Measure the tracking errors for as many seeds as the time of the plan permits.
+    """Measure the tracking errors for as many seeds as the time limit of ``plan`` permits.
 
-    Return the mean and the range of the tracking errors over the seeds.
+    Return the mean and the standard deviation of the tracking errors over the seeds.
     """
     cases = [(hand, law, "as known", False) for hand in hand_names for law in COMPARED_LAW_BY_NAME]
     cases += [(hand, law, "as known", True) for hand in hand_names for law in LAWS_WITH_MARGINS]
@@ -303,7 +304,7 @@ def measure_tracking(
 
 
 def _mean_over_seeds(run_rows: list[dict]) -> dict:
-    """Return the mean of each error and the range of the RMSE, over the runs that reached their end.
+    """Return the mean of each error and the standard deviation of the RMSE, over the runs that reached their end.
 
     The returned dictionary also contains the number of runs that ended early, and the reasons of
     their early ends.
@@ -364,7 +365,10 @@ def print_results(result: dict) -> None:
 
 
 def main() -> None:
-    """Measure all cases and print the results. If the options request it, write the weights or the page."""
+    """Measure all cases and print the results.
+
+    With the option ``--tune`` or ``--page``, also write the LQR weights or the page.
+    """
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "--quick", action="store_true", help="one seed, fast motion, one hand (less than a minute)"

@@ -136,7 +136,7 @@ def _comparison_of_laws(laws: dict, compared_laws: tuple[str, str, str, str]) ->
 
 
 def _comparison_with_pd(ratio: float) -> str:
-    """Describe the tracking error of the complete control law, compared with the tracking error of PD."""
+    """Return a text that compares the tracking error of the complete control law with the tracking error of PD."""
     if not np.isfinite(ratio):
         return "The motions follow each other, from slow to fast. With PD alone, no run completes the fast motion"
     return (
@@ -146,9 +146,9 @@ def _comparison_with_pd(ratio: float) -> str:
 
 
 def _error_reduction_text(error_reduction: float, seed_range: float, seeds: int) -> str:
-    """Describe the reduction of the tracking error as a multiple of its range over the seeds.
+    """Return a text that gives a reduction of the tracking error as a number of standard deviations over the seeds.
 
-    With a single seed, the reduction has no range.
+    With a single seed, there is no standard deviation.
     """
     return (
         f", which is {error_reduction / max(seed_range, 1e-9):.0f} times the spread"
@@ -158,9 +158,10 @@ def _error_reduction_text(error_reduction: float, seed_range: float, seeds: int)
 
 
 def _gain_by_law(laws: dict) -> str:
-    """Describe by how much each control law reduces the tracking error of the law before it [deg].
+    """Return a text that states the error of the preceding control law minus the error of each control law [deg].
 
-    Compare the reduction with twice its range over the seeds.
+    The text states whether a change of the error is larger than two standard deviations of this
+    change over the seeds.
     """
     texts = []
     old_row = laws[next(iter(laws))]["fast"]
@@ -193,7 +194,7 @@ def _gain_by_law(laws: dict) -> str:
 
 
 def _misprint_effect(misprinted_row: dict, best_row: dict) -> str:
-    """Describe by how much the misprinted equations raise the tracking error."""
+    """Return a text that states by how much the misprinted equations raise the tracking error."""
     if not misprinted_row["ended"]:
         return (
             f"Eq. 10-12 as printed: {misprinted_row['rmse_deg'] / best_row['rmse_deg']:.1f} "
@@ -210,7 +211,7 @@ def _misprint_effect(misprinted_row: dict, best_row: dict) -> str:
 def _plant_mismatch_table(
     hand_name: str, plants: dict, compared_laws: tuple[str, str, str, str]
 ) -> str:
-    """Describe the tracking of simulated hands that differ from the model."""
+    """Return a Markdown table of tracking errors for simulated hands that differ from the controller's model."""
     speeds = list(plants["as known"][compared_laws[2]])
     speed_columns = [f"{compared_laws[2]}, {speed}" for speed in speeds]
     column_titles = [

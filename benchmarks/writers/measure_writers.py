@@ -113,7 +113,10 @@ def _cpu_s(measured_work: Callable[[], object]) -> float:
 
 
 def measure_handctl(log_path: Path, run_header: Any, ticks: list[Any]) -> dict[str, float]:
-    """Measure handctl's work in the control loop (pack and send records), and its log writer in the same process."""
+    """Measure the CPU time of handctl to pack and send records in the control loop.
+
+    Also measure the CPU time of handctl's log writer, which runs in the same process here.
+    """
     records: list[bytes] = []
     packing_cpu_s = _cpu_s(lambda: records.extend(pack_tick_record(*tick) for tick in ticks))
     recorder = Recorder.start(log_path.with_suffix(".pipe.mcap"), run_header)
@@ -146,7 +149,7 @@ def measure_handctl(log_path: Path, run_header: Any, ticks: list[Any]) -> dict[s
 def measure_library(
     log_path: Path, make_writer: Any, messages: list[LogMessage], tick_count: int
 ) -> dict[str, float]:
-    """Measure a log writer: write each message in the control loop, and read all messages afterwards."""
+    """Measure the CPU times in which a log writer writes all messages and reads all messages."""
     writer = make_writer(log_path)
 
     def write() -> None:

@@ -2,10 +2,10 @@
 
 The results are the number of dropped ticks, and the effect of the recorder on the control loop.
 
-The control loop runs ticks that were computed before, so that only the recorder affects the timing.
-Control loop and recorder run on different cores. Before and after the measurement, the same control
-loop runs without a recorder. The runs without a recorder show the effect of other load on the
-computer.
+All ticks are computed before the measurement, so that only the recorder affects the timing of the
+control loop. Control loop and recorder run on different cores. Before and after the measurement,
+the same control loop runs without a recorder. The runs without a recorder show the effect of other
+load on the computer.
 """
 
 import os
@@ -112,7 +112,7 @@ def measure_sustained(log_path: Path, duration_s: float) -> dict[str, Any]:
 def packed_tick(tick_in: TickIn, tick_output: TickOut) -> TickInputAndOutput:
     """Convert the frames of a tick to frame records, and the telemetry of the tick to one array.
 
-    The control loop converts its ticks in the same way.
+    The control loop of a real run does the same.
     """
     telemetry_slices = TelemetrySlices()
     at = 0
@@ -141,7 +141,10 @@ def _on_separate_cores(recorder_pid: int) -> Iterator[bool]:
 
 
 class _SyntheticBus:
-    """A bus that delivers the frames of a run that was computed before the measurement."""
+    """A bus that delivers stored frames.
+
+    The frames belong to a run that was computed before the measurement.
+    """
 
     def __init__(self, ticks: list[TickInputAndOutput]) -> None:
         self._ticks = ticks

@@ -12,7 +12,7 @@ from tests.drives.protocol_bench import hand_file, move_to_second_bus
 
 
 def message_names(dbc_file):
-    """Return the names of the messages in a DBC file. cantools reads the file in strict mode."""
+    """Read a DBC file with cantools in strict mode, and return the names of the messages."""
     return {message.name for message in cantools.database.load_file(dbc_file, strict=True).messages}
 
 

@@ -1,7 +1,7 @@
 """Test ``handctl config init --urdf`` and ``--mjcf``.
 
-Both options import the links from a robot description. handctl refuses the resulting hand file
-until a user has filled in its missing values.
+Both options import the links from a robot description. In the resulting hand file, some values are
+missing. Until a user has added these values, handctl refuses the hand file.
 """
 
 import itertools
@@ -363,7 +363,7 @@ COUPLED_JOINTS_URDF = (
     f'<link name="c">{INERTIAL_URDF}</link><link name="c_tip"/>'
     '<joint name="t" type="fixed"><parent link="c"/><child link="c_tip"/><origin xyz="0.02 0 0"/></joint>'
 )
-"""Two joints of a URDF: k turns against j with half its angle, and m turns against k with twice the angle of k.
+"""Two joints of a URDF: k turns against j by half the angle of j, and m turns against k by twice the angle of k.
 
 The joint k flexes towards negative angles, so that its axis is reversed in the hand file.
 """

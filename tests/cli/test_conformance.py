@@ -122,11 +122,11 @@ def test_a_broken_drive_fails_and_its_line_says_why():
 
 @pytest.mark.realtime
 def test_a_new_robstride_motor_in_mit_mode_needs_no_host_number():
-    """Reproduce a defect: ``conformance`` expected replies of RobStride motors with the identifier 0x11.
+    """Reproduce a defect: ``conformance`` expected that the replies of a RobStride motor have the CAN identifier 0x11.
 
-    In a new RobStride motor, the identifier of the host is 0. The simulated motor had no fault, but
-    the motor failed the first check. For this reason, ``conformance`` did not check the motion of
-    the motor.
+    A new RobStride motor replies with the identifier 0 (its setting for the identifier of the
+    host). The simulated motor had no fault, but failed the first check, so ``conformance`` did not
+    check the motion of the motor.
     """
     words = ["--protocol", "robstride_mit", "--node", "1", "--option", "motor_type=rs05", "--yes"]
     with run_simulated_drives("local:c", "robstride_mit", "--ids", "1"):

@@ -28,7 +28,7 @@ SAMPLE_STEP = 1 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 199
 
 
 class UnrepresentableNumber(float):
-    """Represent a number that is valid in a TOML file, but too large for a float."""
+    """Number that is valid in a TOML file, but too large for a float."""
 
     def __repr__(self):
         return "1e400"
@@ -125,7 +125,7 @@ def _table_lines(table_name, table_content):
 
 
 def content_without_key(file_content, key_path, renamed_value=None):
-    """Return a copy of the content of a file without one key.
+    """Return a copy of a file's content in which one key is missing.
 
     If ``renamed_value`` is given, the copy contains ``renamed_value`` under a new key. The new key
     is the removed key with the suffix ``_x``.

@@ -36,7 +36,7 @@ def sub_parsers(parser: VerbParser) -> dict[str, VerbParser]:
 
 
 def leaf_parsers() -> dict[str, VerbParser]:
-    """Return each parser that has no sub-commands, by the words of its command."""
+    """Return a dictionary from the words of each command without sub-commands to the parser of the command."""
     parser_by_words = {}
     for verb in VERB_HELP:
         parser = verb_parser(verb)

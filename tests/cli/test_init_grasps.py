@@ -57,10 +57,10 @@ SAMPLE_CASES = [
 ]
 """Reproduce defects of four hands. Two of the four dropped the cylinder, and two reported a fault (N04 or T02b).
 
-The first two hands dropped the cylinder because its size did not depend on the hand, so the
-fingertips touched each other. In the third hand, friction held a motor at rest, while the motor of
-another tendon changed the tension (fault N04). In the last hand, the position feedback paid out a
-slack tendon while the hand opened (fault T02b).
+The first two hands dropped the cylinder, because the size of the cylinder did not depend on the
+hand, and the fingertips touched each other. In the third hand, friction held a motor at rest, while
+the motor of another tendon changed the tension (fault N04). In the last hand, the position feedback
+paid out a slack tendon while the hand opened (fault T02b).
 """
 MAX_SLIP_MM = 5.0
 
@@ -197,7 +197,7 @@ def test_no_bus_is_slower_than_250_hz(
 @pytest.mark.parametrize("cells", ["all", "none"])
 @pytest.mark.parametrize("protocol", VERIFIABLE_PROTOCOLS)
 def test_a_hand_of_any_protocol_is_valid(work_folder: Path, protocol: str, cells: str) -> None:
-    """In a hand file without load cells, the drives have the options with which they report their torque."""
+    """Each hand file without load cells contains the drive options with which the drives report their torque."""
     write_initial_hand("--protocol", protocol, "--cells", cells)
     assert main(["config", "check", "--hand", "mine.toml"]) == 0
 
@@ -251,7 +251,10 @@ def test_gains_that_leave_no_margin_without_load_cells_are_a_warning(
 @pytest.mark.parametrize("rate_hz", [500.0, 200.0, 100.0])
 @pytest.mark.parametrize("hand_file", ["pairs_and_springs.toml", "mixed_gripper.toml"])
 def test_the_default_force_leaves_the_gain_margin(hand_file: str, rate_hz: float) -> None:
-    """The default is the largest candidate: the next larger force leaves a smaller margin."""
+    """The default ``motion.force_N`` is the largest candidate with the required gain margin.
+
+    With the next larger candidate, the gain margin is too small.
+    """
     hand = load_hand(Path(__file__).parents[1] / "hand" / hand_file)
     force = default_gains(hand, rate_hz).motion.force_N
     margin = smallest_gain_margin(hand, gains_with_force(force), rate_hz)[1]
@@ -265,7 +268,7 @@ def test_the_default_force_leaves_the_gain_margin(hand_file: str, rate_hz: float
 
 
 def gains_with_force(force_N: float) -> Gains:
-    """Return the packaged gains with another ``motion.force_N`` [N]."""
+    """Return the packaged gains, but with ``motion.force_N`` = ``force_N`` [N]."""
     return Gains(motion=MotionGains(force_N=force_N))
 
 

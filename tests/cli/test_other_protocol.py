@@ -1,8 +1,8 @@
 """Test the option --protocol.
 
 With the option ``--protocol``, a simulated hand has drives of another protocol. The option
-``--protocol`` works in ``handctl demo``. The option also works if simulator and controller are two
-processes.
+``--protocol`` works in ``handctl demo``. The option ``--protocol`` also works if simulator and
+controller are two processes.
 """
 
 import argparse

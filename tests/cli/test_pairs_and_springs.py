@@ -1,7 +1,8 @@
-"""Test a hand of three different fingers: spool pairs and abduction, springs with and without a load cell.
+"""Test a hand with three different fingers.
 
-A new user wrote the hand file of this hand, and read only the page *Describe a hand*. Most tests of
-this module reproduce a defect that the new user found.
+The hand has spool pairs, an abduction joint, and fingers with springs: one finger with a load cell,
+and one finger without a load cell. A new user wrote the hand file of this hand, and read only the
+page *Describe a hand*. Most tests of this module reproduce a defect that the new user found.
 """
 
 import copy
@@ -184,7 +185,7 @@ def check_grasp(capsys: pytest.CaptureFixture[str], seed: int) -> None:
 def test_a_mistake_is_one_line(
     work_folder: Path, capsys: pytest.CaptureFixture[str], mistake_name: str
 ) -> None:
-    """Reproduce defects: `config check` accepted values in ``HAND_FILE_MISTAKES``, or named a correct key."""
+    """Reproduce defects: `config check` accepted mistakes in ``HAND_FILE_MISTAKES``, or blamed a correct key."""
     old_text, new_text, expected_start = HAND_FILE_MISTAKES[mistake_name]
     write_hand(old_text, new_text)
     assert main(["config", "check", "--hand", "mine.toml"]) == 2
@@ -221,7 +222,7 @@ def test_a_usual_hand_has_no_such_warning(work_folder: Path) -> None:
 def test_all_missing_keys_of_the_sensor_node_come_at_once(
     work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Reproduce a defect: the keys of the protocol were reported only after all other mistakes were gone."""
+    """Reproduce a defect: missing sensor-node keys were reported only after all other mistakes were gone."""
     write_hand("sync_id = 0x80\nbase_id = 0x200\n", "")
     text = Path("mine.toml").read_text().replace("link_radius_m = 0.007\n", "")
     text = text.replace("joint_decimation = 1\njoint_noise_rad = 0.001\n", "")
@@ -253,7 +254,7 @@ def test_the_first_demo_grasps_in_every_direction_of_gravity(
 def test_a_run_that_a_fault_holds_prints_json(
     work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Reproduce a defect: with ``--json``, a command printed nothing if a fault held the hand for too long."""
+    """Reproduce a defect: with ``--json``, a command printed nothing if a fault held the hand until the timeout."""
     write_hand()
     words = ["identify", "--lockstep", "--hand", "mine.toml", "--digits", "opposer", "--json"]
     assert main([*words, "--gain", "motion.force_N=13"]) == 1
@@ -294,7 +295,7 @@ def test_identified_spool_pairs_are_those_of_the_plant(
 
 
 def test_a_rollback_to_the_default_gains_keeps_the_gain_margin(work_folder: Path) -> None:
-    """A rollback to gains 0 restores the default force weight of this hand.
+    """The command ``gains rollback --to 0`` restores the default force weight of this hand.
 
     With the force weight of the packaged gains, this hand would oscillate.
     """

@@ -327,7 +327,7 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, ca
 
 
 def result_of_digit(digit_name, spring_stiffness, blocked="", met="", names=("tendon_stiffness",)):
-    """Return an invented result for the identification of the parameters of a tendon.
+    """Return an invented result, as if the parameters of a tendon were identified.
 
     ``blocked`` is the text about a blocked digit, and ``met`` is the text about a contact of the
     digit during its sweeps.
@@ -664,7 +664,7 @@ def test_parameters_identified_in_lockstep_are_tuned_verified_and_applied_in_loc
 ):
     """Each command of this test was proposed in the output of the previous command.
 
-    The test changes only the number of trials of the search for gains in the proposed commands.
+    In the proposed commands, the test changes only the number of trials of the search for gains.
     """
     words = "identify --lockstep --digits index --seed 7 --perturb stiffness=0.8 friction=1.2 --log id.mcap"
     assert main(words.split()) == 0

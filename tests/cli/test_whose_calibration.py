@@ -164,8 +164,8 @@ def test_a_calibration_of_an_earlier_version_is_accepted_with_a_notice(work_fold
 def test_a_calibration_is_used_for_a_day(work_folder, hours, reason):
     """Reproduce a defect.
 
-    If the clock of a computer is wrong, the date of a calibration can be in the future. handctl
-    never refused a calibration with a future date.
+    If the clock of a computer is wrong, the date of a calibration can be in the future. No command
+    refused such a calibration.
     """
     bench = CalibratedBench(work_folder, "jamia")
     path = work_folder / "c.toml"

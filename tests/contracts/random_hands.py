@@ -127,8 +127,8 @@ def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
 def _motors_with_position_loop(hand: Hand, rng: RandomGenerator) -> set[str]:
     """Return the motors whose drives close a position loop.
 
-    The function selects about half of the allowed motors at random. A motor is allowed if its digit
-    has no antagonistic tendons.
+    The function selects about half of the possible motors at random. A motor can be selected if its
+    digit has no antagonistic tendons.
     """
     if hand.motor[0].protocol not in ("mit", "robstride", "moteus"):
         return set()
@@ -141,7 +141,10 @@ def _motors_with_position_loop(hand: Hand, rng: RandomGenerator) -> set[str]:
 
 
 def _moment_arm_kinds(joints: list[str], radii: np.ndarray) -> Iterator[list[dict[str, float]]]:
-    """Yield a list for each kind of digit. The list contains the moment arms of each tendon, by joint."""
+    """Yield a list for each kind of digit.
+
+    The list contains a dictionary for each tendon: from each joint to the moment arm of the tendon.
+    """
     first_radius = float(radii[0])
     yield [dict.fromkeys(joints, first_radius)]
     closing_arms = [
@@ -167,10 +170,10 @@ def _random_digit(
 def _message_payload(
     message: CyclicMessage, given_quantities: dict[SignalQuantity, Any], rng: RandomGenerator
 ) -> bytes:
-    """Return the payload of a message with given values.
+    """Encode given values as the payload of a message, and return the payload.
 
-    If several status signals of a message share the drive status, the first status signal contains
-    the highest bits.
+    If the drive status is divided among several signals of the message, the first of these signals
+    contains the highest bits.
     """
     values, remaining_bits = (
         [],
@@ -197,8 +200,8 @@ def _message_payload(
 class RandomHand:
     """A random hand, and random frames from the nodes of this hand.
 
-    The motors of the random hand make torque. The nodes of the random hand could send the random
-    frames.
+    The motors of the random hand make torque. Each random frame is a frame that a node of the
+    random hand could send.
     """
 
     def __init__(self, tendons: int, seed: int) -> None:

@@ -196,7 +196,7 @@ def test_interpreted_kernels_begin_the_same_motions() -> None:
 
 
 def test_a_prepared_kernel_refuses_other_argument_types() -> None:
-    """A prepared kernel raises an exception if one of its arguments has another array type.
+    """A kernel that is already compiled raises an exception if one of its arguments has another array type.
 
     Without this exception, a call with a new array type would compile the kernel in the middle of a
     tick. The compilation would take a second.
@@ -214,7 +214,10 @@ def test_a_prepared_kernel_refuses_other_argument_types() -> None:
 
 
 def test_only_a_contiguous_array_can_be_borrowed() -> None:
-    """A kernel refuses a non-contiguous array, because the kernel would also read the gaps between its elements."""
+    """A kernel refuses a non-contiguous array,
+
+    because the kernel would also read the gaps between the elements.
+    """
 
     @njit
     def third_value(values: np.ndarray) -> float:
@@ -298,8 +301,8 @@ def test_a_constant_changed_in_another_file_compiles_again(
 ) -> None:
     """A kernel is compiled again if a constant in another source file changes.
 
-    The cache of numba alone would not notice a changed constant, because it checks only the source
-    file of the kernel.
+    The cache of numba alone would not notice a changed constant, because this cache checks only the
+    source file of the kernel.
     """
     cache_folder = tmp_path / "cache"
     assert run_copied_kernel(package_copy, cache_folder) == (True, False, True)
@@ -323,7 +326,10 @@ def test_a_constant_changed_in_another_file_compiles_again(
 def test_two_installations_of_one_version_store_their_code_apart(
     package_copy: Path, tmp_path: Path
 ) -> None:
-    """Two installations must not share a cache folder, because one could load the machine code of the other one."""
+    """Two installations of handctl must not share a cache folder.
+
+    One installation could load machine code that the other installation has compiled.
+    """
     cache_folder, other_copy = tmp_path / "cache", tmp_path / "other" / package_copy.name
     shutil.copytree(package_copy, other_copy)
     for package in (package_copy, other_copy):

@@ -1,4 +1,4 @@
-"""Test packages whose modules are imported only when one of their names is used."""
+"""Test library modules that handctl imports only when one of the functions in the module is used."""
 
 import subprocess
 import sys

@@ -13,18 +13,21 @@ from handctl.programs.live_session import LiveProgram
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 DEFAULT_RATES = {"jamia": 500.0, "jamia11": 200.0}
-"""Default control rate of each hand [Hz]. At this rate, the bus of the hand can carry all of its frames."""
+"""Default control rate of each hand [Hz].
+
+At this rate, the bus of the hand can carry all of its frames.
+"""
 
 
 @pytest.fixture(scope="session")
 def jamia() -> HandModel:
-    """Return the model of ``jamia``, a hand with one tendon per digit, at its default rate."""
+    """Return the model of ``jamia``, a hand with one tendon per digit, at the default control rate."""
     return HandModel.from_hand(load_hand("jamia"), Gains(), DEFAULT_RATES["jamia"])
 
 
 @pytest.fixture(scope="session")
 def jamia11() -> HandModel:
-    """Return the model of ``jamia11`` at its default rate.
+    """Return the model of ``jamia11`` at the default control rate of this hand.
 
     The hand ``jamia11`` has a tendon and an encoder at each joint.
     """
@@ -43,7 +46,10 @@ def model(request: pytest.FixtureRequest) -> HandModel:
 
 @pytest.fixture(scope="module")
 def active_bench() -> ControllerBench:
-    """Return a bench of a controller and a simple hand. The hand is active and holds a tension."""
+    """Return a test bench: a controller that runs with a simple simulated hand.
+
+    The hand is active and holds a tension.
+    """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()
     )

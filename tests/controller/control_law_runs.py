@@ -32,13 +32,14 @@ from tests.controller.synthetic_states import (
 
 
 class ControlLawState(NamedTuple):
-    """State of the control law between two ticks. Each attribute has one value per tendon (N,).
+    """State of the control law between two ticks. Each attribute is an array (tendons,).
 
     Attributes:
-        setpoint: setpoint of the tension loop [N]. integral: integral part of the tension loop [N].
-            force: commanded motor force, without friction [N].
-        planned: tension that is planned for the next tick, for tendons of moving digits [N]. rate:
-            planned rate of change of the tension until the next tick [N/s].
+        setpoint: setpoint of the tension loop [N].
+        integral: integral part of the tension loop [N].
+        force: commanded motor force, without friction [N].
+        planned: tension that is planned for the next tick, for tendons of moving digits [N].
+        rate: planned rate of change of the tension until the next tick [N/s].
         trim: force that compensates the step of the command at a change of gains [N]. The value is
             None after the force has decayed.
         held: tension limit while the safety monitor holds the hand [N]. None at other times.
@@ -61,21 +62,24 @@ class ControlLawState(NamedTuple):
 
     @staticmethod
     def initial_state(n: int) -> "ControlLawState":
-        """Return the state of the control law of N tendons before its first command."""
+        """Return the state that the control law of ``n`` tendons has before the first command."""
         return ControlLawState.initial_state_at_tensions(np.zeros(n))
 
     @staticmethod
     def initial_state_at_tensions(tension: np.ndarray) -> "ControlLawState":
-        """Return the state of the control law before its first command, with given tensions (N,) [N] as setpoints."""
+        """Return the state that the control law has before the first command.
+
+        The setpoint of each tendon is its element of ``tension`` [N].
+        """
         return ControlLawState(tension, *np.zeros((4, len(tension))))
 
 
 class ControlLawCommand(NamedTuple):
     """Output of the control law.
 
-    For each tendon (N,), a command contains a motor torque [N m] and a tension goal [N]. For each
-    joint (J,), a command contains a torque [N m], a goal of the angle [rad] and a goal of the rate
-    [rad/s].
+    The arrays ``torque`` and ``tension`` contain the motor torque [N m] and the tension goal [N] of
+    each tendon. The other arrays contain the torque [N m], the angle goal [rad] and the rate goal
+    [rad/s] of each joint.
     """
 
     torque: np.ndarray
@@ -86,7 +90,7 @@ class ControlLawCommand(NamedTuple):
 
 
 def temperatures_for_limits(model: HandModel, tension_limit: np.ndarray) -> np.ndarray:
-    """Return the drive temperatures (N,) [degC] at which the tension limits are ``tension_limit`` [N].
+    """Return the temperature of each drive [degC] at which the tension limits are ``tension_limit`` [N].
 
     Each tension limit must be between the lowest and the highest tension that the hand allows.
     """
@@ -102,7 +106,10 @@ def run_control_law(
     t: float,
     action: SafetyAction,
 ) -> None:
-    """Run the control law for one tick on a controller's state. The goals are evaluated at time t [s]."""
+    """Run the control law for one tick on a controller's state.
+
+    The goals are evaluated at time t [s].
+    """
     write_goals(model, state.layout, state.block, goals)
     state.decide(progress=replace(state.progress, goals=goals))
     state.goal_time = t
@@ -121,10 +128,13 @@ def run_control_law_tick(
     """Run one tick of the control law for all digits of a hand.
 
     Args:
-        model: model of the hand. law: state of the control law after the last tick. estimate:
-            estimate of the hand at time t. goals: one per digit. t: time [s].
-        temperature_limit_N: (N,) tension limit that the temperature of each drive causes [N].
-        held_limit_N: (N,) tension limit while the safety monitor holds the hand [N].
+        model: model of the hand.
+        law: state of the control law after the last tick.
+        estimate: estimate of the hand at time t.
+        goals: one goal for each digit.
+        t: time [s].
+        temperature_limit_N: (tendons,) tension limit that the temperature of each drive causes [N].
+        held_limit_N: (tendons,) tension limit while the safety monitor holds the hand [N].
     """
     state = state_with_estimate(model, estimate)
     for name in ("setpoint", "integral", "force", "planned", "rate"):
@@ -148,7 +158,7 @@ def run_control_law_tick(
 
 
 def control_law_state_of(state: ControllerState) -> ControlLawState:
-    """Return the state of the control law from a controller's state after a tick."""
+    """Extract the state of the control law from a controller's state after a tick."""
     block_values = {
         name: state.view(name).copy()
         for name in ControlLawState._fields
@@ -180,7 +190,7 @@ def _tension_limits(
 
 
 def tension_limits_of(model: HandModel, state: ControllerState) -> np.ndarray:
-    """Return the tension limits (N,) [N] that a controller's state contains.
+    """Return the tension limit of each tendon [N] that a controller's state contains.
 
     For a tendon without a tension limit, the returned value is infinity. The tension limits of the
     hand file are not a part of the returned limits.
@@ -204,9 +214,9 @@ def _required_tensions(
 def required_tensions_of(
     model: HandModel, goals: tuple[DigitGoal, ...], motion: np.ndarray
 ) -> np.ndarray:
-    """Return the tensions (N,) [N] that moving digits need for a motion.
+    """Return the tension [N] that each tendon of the moving digits needs for a motion.
 
-    The rows of ``motion`` (3, J) are the angle, the rate and the acceleration of each joint.
+    The rows of ``motion`` (3, joints) are the angle, the rate and the acceleration of each joint.
     """
     state = active_state(model)
     write_goals(model, state.layout, state.block, goals)
@@ -225,7 +235,10 @@ def required_tensions_of(
 
 
 def joint_motion_at(model: HandModel, goals: tuple[DigitGoal, ...], t: float) -> np.ndarray:
-    """Return the angle, rate and acceleration (3, J) of each joint on its trajectory at time t [s]."""
+    """Return the angle, rate and acceleration of each joint on its trajectory at time t [s].
+
+    The result is an array (3, joints).
+    """
     state = active_state(model)
     run_control_law(model, state, goals, t, SafetyAction.PASS)
     return tick_stages.joint_motion(state.block, state.layout.offsets, *constant_args_of(model))

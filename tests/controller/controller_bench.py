@@ -31,8 +31,8 @@ class ToyHand:
 
     Attributes:
         motors: the scripted motors, one per tendon.
-        tension: (N,) true tension of each tendon [N].
-        cell_bias: (N,) error that each load cell adds to the tension [N].
+        tension: (tendons,) true tension of each tendon [N].
+        cell_bias: (tendons,) error that each load cell adds to the tension [N].
         tendon_of_channel: index of the tendon whose tension each load-cell channel measures.
         silent_sensors: True if the sensor node sends no frames.
         locked_when_disabled: True if the rotor of a disabled motor cannot turn.
@@ -166,7 +166,7 @@ def _pack_channels(
 def uncommissioned_controller(
     model: HandModel, program: Program, arms_at_start: bool = True
 ) -> Controller:
-    """Return a controller for all tendons of a hand that has not been commissioned."""
+    """Return a controller of a hand that has not been commissioned."""
     hand, n = model.hand, model.tendon_count
     buses = hand.bus_names
     motors = [hand.motor_of_tendon(name) for name in hand.tendon_names]

@@ -188,7 +188,8 @@ def joseph_update(
     ``is_missing`` (2,) marks missing readings of encoder and load cell.
 
     The filter can distinguish a load-cell error from tension only in a slack tendon. In a taut
-    tendon, the filter does not correct the estimated load-cell error, but uses its variance.
+    tendon, the filter does not correct the estimated load-cell error, but uses the variance of this
+    estimate.
     """
     H, R = block.H[:2].copy(), np.diag(block.R * np.where(is_missing, 1e12, 1.0))
     H[1, E] = float(block.is_cell_error_observable)

@@ -29,7 +29,7 @@ class FilterState(NamedTuple):
     """State of the tension filter between two ticks. Each attribute has one entry per tendon.
 
     Attributes:
-        filter_states: (7N,) the seven filter states of each tendon, tendon after tendon.
+        filter_states: (7 * tendons,) the seven filter states of each tendon, tendon after tendon.
         regimes: members of ``TendonRegime``.
         stopped: True if the tendon's digit is fully open and rests at its mechanical stop.
         regime_change_evidence: evidence that a slack tendon becomes taut, or that a taut tendon becomes
@@ -40,8 +40,8 @@ class FilterState(NamedTuple):
         is_doubtful: True if the innovations are too large for the model of the tendon, so the
             filter trusts this model less.
         doubt_time_s: remaining time for which the filter trusts its model of the tendon less [s].
-        covariance: (N, 7, 7) covariance of the filter states while measurements are missing. The
-            value is None if the covariance is the steady-state covariance.
+        covariance: (tendons, 7, 7) covariance of the filter states while measurements are missing.
+            The value is None if the covariance is the steady-state covariance.
         started: True if every sensor has been read once.
     """
 
@@ -60,7 +60,10 @@ class FilterState(NamedTuple):
 
     @staticmethod
     def tendons_in_regime(x: np.ndarray, regime: TendonRegime, stopped: bool) -> "FilterState":
-        """Return a filter state with given tendon states (7N,) and all tendons in one regime."""
+        """Return a filter state with given tendon states (7 * tendons,).
+
+        All tendons are in one regime.
+        """
         n = len(x) // STATE_COUNT
         zero_vector = np.zeros(n)
         no = (False,) * n
@@ -153,12 +156,14 @@ def run_filter_tick(
     The function calls the same stages of the filter as a tick of the controller.
 
     Args:
-        model: model of the hand. state: state of the filter after the last tick. measured: readings
-            that the sensors took at the last tick.
-        motor_force: (N,) motor force on each tendon since the last tick, with motor friction already subtracted [N].
-        planned_rate: (N,) planned rate of change of the tension of each tendon [N/s].
+        model: model of the hand.
+        state: state of the filter after the last tick.
+        measured: readings that the sensors took at the last tick.
+        motor_force: (tendons,) motor force on each tendon since the last tick, with motor friction
+            already subtracted [N].
+        planned_rate: (tendons,) planned rate of change of the tension of each tendon [N/s].
         digit_contact: for each digit, True if the digit is known to touch an object.
-        friction_state: (N,) friction of each tendon as a fraction of its full amount, from 1
+        friction_state: (tendons,) friction of each tendon as a fraction of its full amount, from 1
             (winding up) to -1 (paying out). NaN if the fraction is unknown.
         missed_ticks: number of ticks that were missed since the last tick.
     """
@@ -186,7 +191,7 @@ def run_filter_tick(
 def state_at_rest(
     model: HandModel, tension: float, joint_angle: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the states (N, 7) and the motor forces (N,) of a hand at rest with all joints at ``joint_angle`` [rad]."""
+    """Return the filter states (tendons, 7) and motor forces (tendons,) for joints at rest at ``joint_angle`` [rad]."""
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), joint_angle)
     x[:, X] = x[:, S] + tension / model.tendon_constants.stiffness
@@ -209,7 +214,7 @@ def run_filter_tick_without_plan(
 def noiseless_readings(
     model: HandModel, x: np.ndarray, tension: np.ndarray, excursion: bool = False
 ) -> SensorReadings:
-    """Return readings without noise, for a hand with given filter states (N, 7) and tensions (N,) [N].
+    """Return readings without noise, for given filter states (tendons, 7) and tensions (tendons,) [N].
 
     If ``excursion`` is True, the readings include tendon excursions from the joint encoders.
     """
@@ -279,7 +284,10 @@ def state_with_filter(model: HandModel, filter_state: FilterState) -> Controller
 def design_arrays_by_tendon(
     model: HandModel, regime_by_tendon: tuple[int, ...], array_name: str
 ) -> np.ndarray:
-    """Return the array ``array_name`` of the filter design of each tendon in its regime, stacked (N, ...)."""
+    """Return the array ``array_name`` of the filter design for each tendon, stacked along a new first axis.
+
+    The filter design of a tendon belongs to the regime of the tendon in ``regime_by_tendon``.
+    """
     return np.array(
         [
             getattr(designs_of_tendon[kind], array_name)

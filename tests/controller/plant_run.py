@@ -61,10 +61,12 @@ def run_on_plant(
     """Run a program on a simulated hand whose motor zeros are known.
 
     Args:
-        hand_name: name of a packaged hand. program: the program to run. scene: text of a scene file.
-            scene_folder: folder in which the scene file is written.
-        duration_s: simulated time [s]. The run ends earlier if the object is lost. seed: seed of the
-            simulator.
+        hand_name: name of a packaged hand.
+        program: the program to run.
+        scene: text of a scene file.
+        scene_folder: folder in which the scene file is written.
+        duration_s: simulated time [s]. The run ends earlier if the object is lost.
+        seed: seed of the simulator.
         plant_factors: factors that multiply parameters of the simulated hand. The controller does
             not know these factors.
     """

@@ -34,13 +34,16 @@ SLACK_REGIME = 2
 
 
 class SensorReadings(NamedTuple):
-    """Measurements of one tick, with one value for each tendon (N,). A missing measurement is NaN.
+    """Measurements of one tick. A missing measurement is NaN.
+
+    Each array whose shape is not stated has one value for each tendon.
 
     Attributes:
-        travel: spool travel, from the motor encoder [m]. tension: load-cell reading minus the tare
-            of the load cell [N]. excursion: tendon excursion, from the joint encoders [m].
-        joints: (J,) joint angles, read by the joint encoders [rad]. saturated_tendons: tendons whose load
-            cell is at an end of its range.
+        travel: spool travel, from the motor encoder [m].
+        tension: load-cell reading minus the tare of the load cell [N].
+        excursion: tendon excursion, from the joint encoders [m].
+        joints: (joints,) joint angles, read by the joint encoders [rad].
+        saturated_tendons: tendons whose load cell is at an end of its range.
     """
 
     travel: np.ndarray
@@ -80,7 +83,7 @@ class SyntheticEstimate(NamedTuple):
     def largest_grip_opening(
         self, closing_sign: np.ndarray, held_tension: np.ndarray
     ) -> tuple[int, float]:
-        """Return the index of the tendon with the largest grip opening, and this grip opening."""
+        """Find the tendon with the largest grip opening, and return its index and its grip opening."""
         openings = np.where(np.isnan(held_tension), 0.0, closing_sign * self.grip_opening).clip(0.0)
         worst_tendon = int(openings.argmax())
         return worst_tendon, float(openings[worst_tendon])
@@ -171,7 +174,7 @@ def estimate_of(state: ControllerState) -> SyntheticEstimate:
 
 
 class StaticTendonForces(NamedTuple):
-    """Forces along each tendon (N,) that the filter knows [N].
+    """Known forces along each tendon in the model of the filter [N], as arrays (tendons,).
 
     Attributes:
         resistance: tension that balances springs and gravity.
@@ -204,7 +207,7 @@ def static_tendon_forces(
     tension: np.ndarray,
     friction_state: np.ndarray | None = None,
 ) -> StaticTendonForces:
-    """Return the known forces that the filter assumes for states (N, 7) with given tensions [N].
+    """Return the forces that the filter computes for filter states (tendons, 7) and given tensions [N].
 
     The function chooses the stretch offset of each tendon so that the tendon has its given tension.
     """
@@ -232,7 +235,7 @@ def _winding_efficiency(
 
 
 def winding_efficiency_of(model: HandModel, q: np.ndarray) -> np.ndarray:
-    """Return the fractions (N,) of the tensions that reach the joints at the angles ``q`` (J,) [rad].
+    """Return the fraction of each tendon's tension that reaches the joints at the angles ``q`` [rad].
 
     Friction takes the rest of each tension. The fractions apply while the motors wind up the
     tendons.
@@ -245,7 +248,7 @@ def winding_efficiency_of(model: HandModel, q: np.ndarray) -> np.ndarray:
 
 
 def estimate_from_states(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
-    """Return an estimate that corresponds exactly to filter states (N, 7).
+    """Return an estimate that corresponds exactly to filter states (tendons, 7).
 
     In the returned estimate, all tendons are taut and no digit touches an object.
     """
@@ -281,7 +284,7 @@ def estimate_from_states(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
 
 
 def balanced_state(model: HandModel, joint_angle: float) -> np.ndarray:
-    """Return filter states (N, 7) in which the tensions balance springs and weight.
+    """Return filter states (tendons, 7) in which the tensions balance springs and weight.
 
     In the returned filter states, all joints are at ``joint_angle`` [rad].
     """
@@ -328,8 +331,10 @@ def detect_contacts(
     The function also marks each closing digit in the state with a flag.
 
     Args:
-        model: model of the hand. state: state of the last tick. The function writes the values of
-            the present tick into this state. estimate: estimate of the present tick.
+        model: model of the hand.
+        state: state of the last tick. The function writes the values of the present tick into this
+            state.
+        estimate: estimate of the present tick.
     """
     for name, value in estimate._asdict().items():
         if name not in (*DERIVED_ATTRIBUTES, "grown"):

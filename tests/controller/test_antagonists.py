@@ -43,7 +43,10 @@ def n_plus_1_hand() -> Hand:
 
 @cache
 def hand_without_encoders() -> Hand:
-    """Return the hand n_plus_1 without joint encoders. The motor zeros of this hand refer to the lower joint limits."""
+    """Return the packaged hand ``n_plus_1``, but without joint encoders.
+
+    The motor zeros of this hand refer to the lower joint limits.
+    """
     content = hand_content("n_plus_1")
     return hand_from_content(
         content | {"sensor_node": content["sensor_node"] | {"joints": []}}, "no encoders"
@@ -52,9 +55,9 @@ def hand_without_encoders() -> Hand:
 
 @cache
 def two_n_hand() -> Hand:
-    """Return the hand with n + 1 tendons per finger, but with another thumb.
+    """Return the packaged hand ``n_plus_1`` with another thumb.
 
-    Each joint of the other thumb has two tendons: a flexor and an extensor.
+    Each joint of this thumb has two tendons: a flexor and an extensor.
     """
     content = hand_content("n_plus_1")
     base = content["tendon"][-1]

@@ -56,7 +56,7 @@ CELL_BIAS_N, TAUT_TRAVEL_M = 0.7, 1.2e-3
 NOISE_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 4)
 
 TensionsDuringPull = Callable[[int], np.ndarray]
-"""Function of the index i that returns the tension at each load cell while tendon i is pulled.
+"""Function that takes the index i of a tendon, and returns the tension at each load cell while this tendon is pulled.
 
 For i = -1, the function returns the tensions while no tendon is pulled.
 """
@@ -256,7 +256,7 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
     """In this test, the tension of a tendon falls slowly after the pull of this tendon, by 2 N/s.
 
     Just before the pull of the next tendon, the load cell of the first tendon still reads 1.4 N.
-    During the pull of the next tendon, this load cell reads 0 N.
+    During the pull of the next tendon, the load cell of the first tendon reads 0 N.
     """
     tension_held_by_friction = np.zeros(jamia.tendon_count)
 

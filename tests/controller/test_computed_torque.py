@@ -246,7 +246,7 @@ class ClosedLoopPlant:
     The control law under test gets the exact state of this simulation instead of an estimate.
 
     Attributes:
-        tendon_states: (N, 7) true states of the tendons.
+        tendon_states: (tendons, 7) true states of the tendons.
         digits_fixed: True if the digits of the simulation cannot move.
     """
 
@@ -307,8 +307,8 @@ def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> Non
     """The filter gets the motor force minus the mean friction over the control period.
 
     The test integrates the motion of the rotor in small steps to find the expected mean friction.
-    At a slow control rate, friction stops the rotor within one control period. If the filter
-    assumed constant friction over the period, it would predict that the rotor reverses.
+    At a low control rate, friction stops the rotor within one control period. If the filter assumed
+    constant friction over the period, it would predict that the rotor reverses.
     """
     rng, n, steps = np.random.default_rng(8), model.tendon_count, 400
     space, dt = model.tendon_constants, model.period / 400

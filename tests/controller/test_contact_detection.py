@@ -150,7 +150,10 @@ FREE_MOTION_CASES = [
     for hand in ("jamia", "jamia11")
     for seed in range(10)
 ]
-"""Hands and seeds of 20 runs with one minute of free motion each. One of these runs has a false contact."""
+"""Hands and seeds of 20 runs with one minute of free motion each.
+
+One of these runs has a false contact.
+"""
 
 
 @pytest.mark.nightly
@@ -217,10 +220,10 @@ def test_drift_of_all_closing_digits_is_no_contact_force(jamia: HandModel) -> No
 
 
 def test_means_of_a_closing_digit_follow_with_their_time_constants(jamia: HandModel) -> None:
-    """Test two averages of the force at the tip of a closing digit.
+    """Test two moving averages of the force at the tip of a closing digit.
 
-    The first average is the mean of the tip force, and the second average is its drift. Each
-    average has its own time constant. A digit that does not close has no mean tip force.
+    Tip-force mean and tip-force drift are moving averages with different time constants. A digit
+    that does not close has no mean tip force.
     """
     state = closing_hand(
         jamia,

@@ -272,7 +272,7 @@ random_frames = st.builds(
 def test_no_frame_can_stop_the_tick(
     active_bench: ControllerBench, frames_by_tick: list[list[Frame]]
 ) -> None:
-    """No received frame makes a tick of an active hand raise an exception.
+    """A tick of an active hand raises no exception, whatever frames the controller receives.
 
     With any received frames, all commanded torques are finite and within their limits.
     """

@@ -28,7 +28,7 @@ from tests.controller.synthetic_states import active_state, estimate_under_tensi
 
 
 def tension_limits_at(model: HandModel, temperatures_degC: tuple[float, ...]) -> np.ndarray:
-    """Return the tension limits (N,) [N] of drives that have given temperatures [degC].
+    """Return the tension limit of each tendon [N] if the drives have given temperatures [degC].
 
     The tension limit of a drive that is not warm is infinite.
     """
@@ -110,7 +110,7 @@ def test_a_goal_has_no_speed_while_its_time_is_stopped(jamia: HandModel) -> None
 
 @pytest.fixture(scope="module")
 def warm_grasp():
-    """Return a hand with MIT drives that holds a cylinder."""
+    """Yield the run of a hand with drives in MIT mode. The hand holds a cylinder."""
     with homed_run(hand_with_protocol("jamia", "mit"), 250.0, 0) as run:
         advance_to_stage(run, GRASP_STAGE)
         run.run_until(lambda out: False, 0.6)  # the tensions settle

@@ -164,7 +164,8 @@ def test_slack_ends_by_tension_and_not_by_noise(model: HandModel) -> None:
 def test_a_small_tension_ends_slack_after_a_few_ticks(model: HandModel) -> None:
     """A slowly wound tendon counts as taut before its tension reaches five standard deviations of the load-cell noise.
 
-    The filter needs a few ticks to detect a tension below five standard deviations.
+    The filter needs a few ticks to detect a tension below five standard deviations of the load-cell
+    noise.
     """
     regimes_by_tick = regimes_of_readings(model, [0.2, 0.9, 1.2, 1.6, 1.7, 1.7])
     assert regimes_by_tick[2] == {TendonRegime.SLACK}
@@ -316,7 +317,7 @@ def test_joint_encoders_distinguish_excursion_from_offset(jamia11: HandModel) ->
 
 
 def excursion_of(model: HandModel, joint_angles: np.ndarray) -> np.ndarray:
-    """Return tendon excursions (N,), computed from joint encoder readings (J,) [rad].
+    """Compute the excursion of each tendon [m] from the joint-encoder readings [rad], and return the excursions.
 
     The excursion of a tendon is NaN if the reading of one of its joint encoders is missing.
     """

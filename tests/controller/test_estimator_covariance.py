@@ -83,7 +83,7 @@ MissingMeasurements = Callable[[int, np.random.Generator], np.ndarray]
 class FilterRun(NamedTuple):
     """Errors of a settled filter's estimates, and the standard deviations that the filter computes.
 
-    Each array of errors or standard deviations has the shape (ticks, N).
+    Each array of errors or standard deviations has the shape (ticks, tendons).
     """
 
     estimate_error: np.ndarray
@@ -100,10 +100,13 @@ def run_monte_carlo(
     seed: int,
     missing_measurements: MissingMeasurements | None = None,
 ) -> FilterRun:
-    """Draw a random true trajectory from the filter's model in one tendon regime, and run the filter on it.
+    """Draw a random true trajectory from the filter's model in one tendon regime.
 
-    ``missing_measurements`` is a function that returns a mask (2, N) for each tick. The first row
-    of the mask marks missing encoder readings, and the second row marks missing load-cell readings.
+    Then run the filter with measurements of this trajectory.
+
+    ``missing_measurements`` is a function that returns a mask (2, tendons) for each tick. The first
+    row of the mask marks missing encoder readings, and the second row marks missing load-cell
+    readings.
     """
     rng, n = np.random.default_rng(seed), model.tendon_count
     design_arrays_by_tendon = [integrate_one_period(model, i, regime) for i in range(n)]

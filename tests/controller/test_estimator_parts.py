@@ -75,7 +75,7 @@ def filter_state(model: HandModel, regime: TendonRegime, **state_values: float) 
 def tension_explained_by_contact(
     model: HandModel, regime: TendonRegime, tendon_speed: float
 ) -> np.ndarray:
-    """Return the part of each tension that a contact explains [N].
+    """Return the part of each tension [N] that the filter explains with a contact.
 
     All tendons have a tension of 20 N and move with the speed ``tendon_speed`` [m/s]. The filter
     gets no sensor readings.
@@ -106,7 +106,7 @@ def test_a_slack_tendon_bears_no_contact_wherever_its_digit_is(model: HandModel)
 
 
 def used_measurements(model: HandModel, state: FilterState, measured: SensorReadings) -> np.ndarray:
-    """Return the measurements (N, 3) that the filter uses in a given state.
+    """Return the measurements that the filter uses in a given state, as an array (tendons, 3).
 
     A measurement that the filter does not use is NaN.
     """

@@ -101,7 +101,7 @@ def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
 def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
     """After large innovations, the filter assumes more noise. With more noise, the same innovations look normal.
 
-    For this reason, the filter decides about the warning with the noise that it assumed before the
+    For the warning, the filter compares the innovations with the noise that was assumed before the
     large innovations.
     """
     model = model_of(hand)
@@ -143,7 +143,7 @@ def _judge_innovations(
 def nis_average_and_doubt_time(
     model: HandModel, recent_nis: np.ndarray, doubt_time_s: np.ndarray, nis: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the average NIS and the remaining doubt time of each tendon (N,) after one tick.
+    """Return the average NIS and the remaining doubt time of each tendon after one tick, as arrays (tendons,).
 
     The average NIS is the average of the normalised innovation squared that the filter computes.
     The doubt time is the time for which the filter still assumes additional noise [s].

@@ -67,7 +67,7 @@ def test_only_digits_without_springs_close_with_a_slow_rise(hand_name: str) -> N
 
     When the tension rose, a digit that friction had stopped early closed so fast that the fault T01
     (a tendon snapped) ended the run. During a hold of the exercise program, tensions change at the
-    default rate.
+    default rate of change.
     """
     model = HandModel.from_hand(load_hand(hand_name), packaged_gains(hand_name), 400.0)
     default_rate = model.gains.tension.rate_N_per_s

@@ -25,7 +25,7 @@ TIME_AROUND_REVERSAL_S = 0.05
 def tensions_at_speeds(
     model: HandModel, winding_speeds: list[float], initial_tension: float
 ) -> np.ndarray:
-    """Return the expected tensions (ticks, N) at given winding speeds.
+    """Return the expected tensions [N] at given winding speeds, as an array (ticks, tendons).
 
     The commanded tension is 12 N, and friction takes 20 % of the tension.
     """

@@ -1,4 +1,8 @@
-"""Test that handctl designs a controller for any gains within bounds, or states in one error line why it cannot."""
+"""Test the controller design for any gains within bounds.
+
+For such gains, handctl either designs a controller, or prints one error line with the reason why no
+design exists.
+"""
 
 import math
 from contextlib import suppress

@@ -254,7 +254,7 @@ def begin_closing(model: HandModel, taut_estimate: SyntheticEstimate) -> Program
 
 
 def tip_forces_while_closing(model: HandModel, estimate: SyntheticEstimate) -> np.ndarray:
-    """Return the unfiltered forces at the tips of all digits (D,) [N] while they close."""
+    """Return the unfiltered force at the tip of each digit [N] while the digits close."""
     state = active_state(model)
     state.view("closing")[...] = 1
     detect_contacts(model, state, estimate)
@@ -353,9 +353,9 @@ def test_a_digit_that_touches_later_joins_the_grasp(
 def test_a_wrist_never_touches_and_keeps_its_motion(hand_name: str, wrist_force: float) -> None:
     """Reproduce a defect: a heavy wrist counted as a digit in contact.
 
-    A wrist that counted as in contact got a constant tension instead of its motion, and left its
-    angle. In this test, the force along the wrist tendon has the same sign as the moment arm of
-    this tendon.
+    Because the wrist counted as in contact, a constant tension replaced the motion of the wrist.
+    This tension moved the wrist away from its commanded angle. In this test, the force along the
+    wrist tendon has the same sign as the moment arm of this tendon.
     """
     hand = load_hand(hand_name) if hand_name == "orca_like" else mount_on_wrist(hand_name)
     model = HandModel.from_hand(hand, Gains(), 500.0)

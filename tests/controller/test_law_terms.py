@@ -39,7 +39,7 @@ At ``EVALUATION_TIME_S``, the motion of one second still accelerates.
 def motor_force_of(
     model: HandModel, estimate: SyntheticEstimate, goals: tuple[DigitGoal, ...]
 ) -> np.ndarray:
-    """Return the motor force (N,) [N] that the control law commands for an estimate and for goals."""
+    """Return the force of each motor [N] that the control law commands for an estimate and for goals."""
     state = ControlLawState.initial_state_at_tensions(estimate.tension)
     return (
         run_control_law_tick(model, state, estimate, goals, EVALUATION_TIME_S)[1].torque

@@ -35,11 +35,11 @@ class ControlErrors(NamedTuple):
     """Errors of the controller in a simulated run.
 
     Attributes:
-        tracking_deg: RMSE between commanded and true angle of the digits [deg]. The angle of a
+        tracking_error_deg: RMSE between commanded and true angle of the digits [deg]. The angle of a
             digit is the mean of its joint angles along a tendon.
-        wrist_deg: RMSE between commanded and true angle of the wrist [deg].
-        external_N: mean of that part of the tension of the wrist's tendon that the model does not
-            explain [N].
+        wrist_error_deg: RMSE between commanded and true angle of the wrist [deg].
+        unexplained_tension_N: mean of that part of the tension of the wrist's tendon that the model
+            does not explain [N].
     """
 
     tracking_error_deg: float

@@ -125,7 +125,7 @@ def sent_stiffness(run: SimulatedRun) -> np.ndarray:
 
 
 def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
-    """Return the RMS error along each tendon (N,) [deg], and the largest true tension [N].
+    """Return the RMS angle error along each tendon [deg], and the largest true tension [N].
 
     The RMS error and the largest tension are measured while the hand moves. The error along a
     tendon is the error of the mean angle of the joints that the tendon passes. In the hand
@@ -593,8 +593,8 @@ def test_a_hand_without_position_loops_has_no_servo_table_and_keeps_its_identity
 def print_tracking_errors(protocol: str, seed_count: int) -> None:
     """Print a line for each hand and each control mode of the drives.
 
-    Each printed line contains the mean tracking error, the range of the tracking error over the
-    seeds, and the largest tension.
+    Each printed line contains the mean tracking error, the smallest and the largest tracking error
+    of all seeds, and the largest tension.
     """
     for name in LARGEST_ERROR_RATIO:
         hands = {

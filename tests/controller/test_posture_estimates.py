@@ -48,7 +48,7 @@ HELD_PHASES, FREE_PHASES = ("close", "hold", "release"), ("tighten", "home")
 
 
 class GraspPostureSample(NamedTuple):
-    """Values of one tick of a grasp: the phase, joint angles (J,) [rad], and the contact force on each digit [N].
+    """Values of one tick of a grasp: the phase, the angle of each joint [rad], and the contact force on each digit [N].
 
     The joint angles are the true angles, the estimated angles with their standard deviations, and
     ``angles_of_free_hand``. ``angles_of_free_hand`` are the angles that the digits would have
@@ -114,8 +114,8 @@ def test_the_truth_is_within_two_sigma_in_a_grasp(task_name: str, scene_name: st
     While a hand holds an object, the error of each joint angle is nearly constant. For this reason,
     a run of the hand with eleven joints is a sample of only eleven errors. One error above two
     standard deviations does not show that a standard deviation is wrong. The limit of 95 % applies
-    to the runs with all seeds together. In a single run, one joint is allowed to have a larger
-    error.
+    to the runs with all seeds together. In a single run, the error of one joint is allowed to
+    exceed two standard deviations.
 
     During the hold of an object, joint angles that are computed without regard to the contact have
     larger errors.
@@ -161,7 +161,7 @@ def test_joint_encoders_measure_the_angles_of_a_held_digit(tmp_path: Path, seed:
 
 
 class JointAngles(NamedTuple):
-    """Joint angles and their standard deviations, (J,) [rad]."""
+    """Angle of each joint, and the standard deviation of each angle [rad]."""
 
     q: np.ndarray
     sigma: np.ndarray
@@ -174,9 +174,9 @@ def angles_of_tick(
     external_tension: np.ndarray,
     tick_index: int,
 ) -> JointAngles:
-    """Return the joint angles that are estimated in tick k with external tensions (D,) [N].
+    """Return the joint angles that are estimated in tick ``tick_index`` if each digit has a given external tension [N].
 
-    The function also writes the values of tick k into the state.
+    The function also writes the values of this tick into the state.
     """
     state.view("touch")[...] = external_tension
     state.set_run_table_integer(s.K, tick_index)
@@ -260,9 +260,9 @@ def state_after_fusion(
     """Return the state after the filter has fused readings of joint encoders with the estimate.
 
     The estimated covariance before the fusion follows from two arrays of deviations [rad]. The rows
-    of ``covariance_columns`` (C, J) are C independent deviations of the joint angles.
-    ``angle_deviations`` (J, N) are the angle errors that the excursion errors of the N tendons
-    cause.
+    of ``covariance_columns`` (deviations, joints) are independent deviations of the joint angles.
+    ``angle_deviations`` (joints, tendons) contains the error of each joint angle that the excursion
+    error of each tendon causes.
     """
     state_after = state.copy()
     _fuse_encoders(

@@ -27,12 +27,15 @@ FloatArray = NDArray[np.float64]
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 STREAM_DURATION_S = 3.0
 STREAM_RATE_HZ = 100.0
-"""Rate of the streamed targets [Hz]. If the control rate is lower, the controller gets one target per tick."""
+"""Rate of the streamed targets [Hz].
+
+If the control rate is lower, the controller gets one target per tick.
+"""
 
 
 @cache
 def model_of(hand_name: str) -> HandModel:
-    """Return the model of a packaged hand at its default rate."""
+    """Return the model of a packaged hand at the default control rate of the hand."""
     hand = load_hand(hand_name)
     return HandModel.from_hand(hand, Gains(), min(default_control_rate(hand), 500.0))
 
@@ -164,9 +167,9 @@ def test_random_targets_cause_no_fault(
     The fault T01 had two causes. While a digit moved freely, the tension setpoint was far ahead of
     the tension. While a digit was in contact, the reference angle was far ahead of the joint angle.
 
-    Reproduce another defect: 12 of 60 streams of tensions to n_plus_1 ended with the faults T01, T02b
-    or N14b. The integral of the tension error moved the free finger, and slack tendons were taken up
-    too slowly.
+    Reproduce another defect: faults ended 12 of 60 streams of tensions to n_plus_1. The faults were
+    T01 (a tendon snapped), T02b (a tendon stays slack) and N14b (a tension oscillates). The
+    integral of the tension error moved the free finger, and slack tendons were taken up too slowly.
     """
     model = model_of(hand_name)
     digit = model.hand.digit_names[0]

@@ -99,10 +99,9 @@ def fastest_setpoint_fall(bench: ControllerBench, tendon_index: int = 0) -> floa
 def test_over_tension_is_relaxed_four_times_as_fast(
     jamia_at_low_rate: HandModel, was_relaxing_before: bool
 ) -> None:
-    """From the tick in which a load cell reads a tension that is too high, the tension falls four times as fast.
+    """If a load cell reads a tension above the limit, the hand relaxes four times as fast from this tick on.
 
-    The tension also falls faster if the hand was already relaxing before the high load-cell
-    reading.
+    The hand also relaxes faster if it was already relaxing before the high load-cell reading.
     """
     run = bench_holding_hand(jamia_at_low_rate)
     run.tick('{"do": "hold", "tension_N": {"index": 60}, "rate_N_per_s": 1000}')

@@ -34,7 +34,7 @@ PACKAGED_HANDS = ("jamia", "jamia11", "t42", "n_plus_1", "orca_like")
 
 
 def picture_of(hand_name: str) -> Callable[[Path], Path]:
-    """Return a function that runs the demo of a hand in a folder and draws its picture."""
+    """Return a function that runs the demo of a hand in a folder, and draws a picture of the hand."""
 
     def draw(folder: Path) -> Path:
         os.environ.setdefault("MUJOCO_GL", "egl")
@@ -56,8 +56,8 @@ def picture_of(hand_name: str) -> Callable[[Path], Path]:
 def save_still(hand_file: str) -> None:
     """Render a hand during its hold phase, and save the picture as ``hand.png``.
 
-    The current folder has the log and the truth file of the run. ``hand_file`` is the name of a
-    packaged hand, or a file in the current folder.
+    The current folder contains the log of the run, and the file with the true values of the
+    simulator. ``hand_file`` is the name of a packaged hand, or a file in the current folder.
     """
     import mujoco  # type: ignore[import-untyped,unused-ignore]
     from PIL import Image

@@ -77,7 +77,10 @@ def save_figure(figure: Any, name: str, folder: Path = FIGURES_FOLDER) -> list[P
 
 
 def without_blanks(content: bytes) -> bytes:
-    """Remove the blanks at the line ends of an SVG file that matplotlib has written. git would report these blanks."""
+    """Remove the blanks at the line ends of an SVG file that matplotlib has written.
+
+    The program git would report these blanks.
+    """
     return b"\n".join(map(bytes.rstrip, content.split(b"\n")))
 
 
@@ -92,7 +95,7 @@ def stamp_picture(source: Path, path: Path) -> None:
 
 
 def drawn_by(path: Path) -> str:
-    """Return the program name and version in the metadata of a figure, or an empty text."""
+    """Return the program name and version that are stored in the metadata of a figure, or an empty text."""
     if path.suffix == ".svg":
         text = path.read_text(encoding="utf-8")
         match = re.search(r"<dc:title>(.*?)</dc:title>", text)

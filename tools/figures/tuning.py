@@ -1,4 +1,4 @@
-"""Make the pictures of the tuning of gains and of a report.
+"""Make pictures that show how gains are tuned, and a picture of a report.
 
 Commands of handctl draw the pictures. Pages of the documentation site show the same commands.
 """
@@ -58,7 +58,7 @@ def call_handctl(folder: Path, *words: str, codes: tuple[int, ...] = (0,)) -> No
 
 @contextlib.contextmanager
 def empty_folder(folder: Path, name: str) -> Iterator[Path]:
-    """Yield the folder of a run without the files of earlier runs.
+    """Yield a folder for a run.
 
     The folder contains only two gains files, and no files of earlier runs.
     """
@@ -163,7 +163,7 @@ def pair_picture(folder: Path) -> Path:
 
 
 def mesh_picture(folder: Path) -> Path:
-    """Draw the view of a hand with meshes while it holds an object.
+    """Draw how the viewer shows a hand that has meshes and holds an object.
 
     The viewer needs a Vulkan driver.
     """

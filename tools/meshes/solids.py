@@ -13,7 +13,7 @@ STL_HEADER = b"made by python -m tools.meshes"
 
 
 def disc_outline(centre: tuple[float, float], radius: float, sides: int = 24) -> Array:
-    """Return the corners of a regular polygon in counter-clockwise order, (sides, 2)."""
+    """Return the corners of a regular polygon in counter-clockwise order, as an array (sides, 2)."""
     angles = 2.0 * math.pi * np.arange(sides) / sides
     return np.asarray(np.array(centre) + radius * np.column_stack((np.cos(angles), np.sin(angles))))
 
@@ -21,7 +21,7 @@ def disc_outline(centre: tuple[float, float], radius: float, sides: int = 24) ->
 def prism_triangles(
     outline: Sequence[Sequence[float]] | Array, low: float, high: float, chamfer: float
 ) -> Array:
-    """Return the triangles of a prism along z with chamfered ends, (n, 3, 3).
+    """Return the triangles of a prism along z with chamfered ends, as an array (triangles, 3, 3).
 
     Args:
         outline: corners of a convex polygon in x and y, (m, 2), counter-clockwise.
@@ -58,7 +58,7 @@ def along_x(triangles: Array) -> Array:
 
 
 def stl(triangles: Array) -> bytes:
-    """Return triangles (n, 3, 3) as a binary STL."""
+    """Convert an array of triangles (triangles, 3, 3) to a binary STL."""
     records = np.zeros(
         len(triangles), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
     )

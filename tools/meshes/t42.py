@@ -1,7 +1,7 @@
 """Compute the meshes of the hand t42 in millimetres: palm, inner link and outer link.
 
-The lengths of the links, the distance of the fingers and the cross-section of 16 x 18 mm come from
-t42.toml. All other dimensions were chosen freely.
+Three kinds of dimensions come from t42.toml: the lengths of the links, the distance between the
+fingers, and the cross-section of 16 x 18 mm. All other dimensions were chosen freely.
 """
 
 import numpy as np

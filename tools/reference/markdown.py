@@ -16,8 +16,8 @@ ENTRY_PATTERN = re.compile(r"^    (\*{0,2}[\w, ]+): (.*)$")
 def table_cell(text: object) -> str:
     """Return a text as the content of a cell in a Markdown table.
 
-    Code with a vertical bar is written in HTML. In Markdown, the bar would need a backslash, and
-    the page would show this backslash.
+    Code with a vertical bar is written in HTML. In a Markdown table, the bar would need a
+    backslash, and the page would show the backslash.
     """
     plain = " ".join(str(text).split())
     return re.sub(r"`([^`]*\|[^`]*)`", _code_with_bars, plain).replace("|", "\\|")
@@ -29,7 +29,10 @@ def _code_with_bars(match: re.Match[str]) -> str:
 
 
 def quoted_code(text: object) -> str:
-    """Return a text as quoted code. For a table, ``table_cell`` must escape the result."""
+    """Return a text as quoted code.
+
+    Before the result is put into a table, ``table_cell`` must escape it.
+    """
     return "`" + " ".join(str(text).split()) + "`"
 
 

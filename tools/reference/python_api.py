@@ -86,7 +86,7 @@ def _signature_block(function: object) -> str:
 
 
 def _rejoin_brackets(text: str) -> str:
-    """Join the lines of a signature that were divided inside brackets."""
+    """Join lines of a signature again if the signature was divided between an opening and a closing bracket."""
     lines: list[str] = []
     for line in text.split(",\n    "):
         if lines and lines[-1].count("[") > lines[-1].count("]"):

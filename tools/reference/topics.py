@@ -1,6 +1,6 @@
 """Generate the blocks about the topics of a log.
 
-The runs of the packaged hands register these topics.
+The program takes the topics from the packaged hands.
 """
 
 import re
@@ -74,7 +74,7 @@ PRINTED_TYPES = ("handctl_msgs/", "sensor_msgs/JointState", "pal_statistics_msgs
 
 
 def packaged_hand_topics() -> dict[str, tuple[str, str]]:
-    """Return message type and note of each topic of the packaged hands.
+    """Return the message type of each topic of the packaged hands, and the note that a log stores with the topic.
 
     In the names of the topics, placeholders replace the names of digits and motors.
     """
@@ -96,9 +96,10 @@ def _topic_with_placeholder(topic: str, header: RunHeader) -> str:
 
 
 def topic_table() -> str:
-    """Return a table of all topics. Its columns are the topic, message type, rate and content.
+    """Return a table of all topics.
 
-    The column with the content also contains the units.
+    The columns are topic, message type, rate and content. The column with the content also contains
+    the units.
     """
     topic_types = sorted(packaged_hand_topics().items())
     rows = (
