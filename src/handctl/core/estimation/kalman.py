@@ -334,7 +334,7 @@ def _update_consistency(
     c: ConstantTables,
     innovations: Matrix,
     information: Matrix,
-    has_all_readings: bool,
+    propagates_covariance: bool,
 ) -> None:
     """Average the normalised innovations squared (NIS), and judge if each tendon's model is consistent.
 
@@ -350,7 +350,7 @@ def _update_consistency(
         x.tendon[s.NIS, n] = nis
         x.tendon[s.INNOVATION, n] = innovations[n, 1]
         kind = x.tendon_int[s.FILTER_KIND, n]
-        if kind >= 3 and not has_all_readings:
+        if kind >= 3 and not propagates_covariance:
             for i in range(3):
                 nominal[i] = c.design[n, kind - 3, h.INFORMATION_OFFSET + i]
             nis = _normalised_innovation_squared(innovations[n], nominal, has_no_cell)
