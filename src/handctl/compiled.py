@@ -123,7 +123,7 @@ def kernel(*arguments: str) -> Callable[[F], F]:
 
 
 def kernel_helper(function: F) -> F:
-    """Mark a function that only kernels call.
+    """Mark a function as a helper that is called only by kernels.
 
     The function is compiled into the kernels that call it.
 

@@ -124,7 +124,7 @@ class FaultMatrixRow(NamedTuple):
         )
 
     def missing_sensor_ticks(self, hand: Hand, fault: str, period_ms: float) -> int:
-        """Return the additional ticks that a hand with missing sensors is allowed for the reaction to a fault.
+        """Return by how many ticks later a hand that lacks sensors is allowed to react to a fault.
 
         Args:
             hand: description of the simulated hand.

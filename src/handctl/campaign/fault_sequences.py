@@ -322,8 +322,9 @@ def violations_on_replay(
 ) -> list[str]:
     """Execute the ticks of a simulated run again, with the same inputs.
 
-    Return a text about the first tick whose state, frames or events differ from the first
-    execution. If no tick differs from the first execution, the list is empty.
+    If a tick has another state, other frames or other events than in the first execution, return a
+    list with one text. The text names the first such tick. If all ticks are equal to the first
+    execution, return an empty list.
     """
     for entry, tick_output in simulation.recorded_ticks[first_tick:]:
         state, replayed = simulation.controller.tick(state, entry)

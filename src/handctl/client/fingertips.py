@@ -130,7 +130,7 @@ class Fingertips:
 
 
 class FingertipStream(TargetStream):
-    """Open stream of fingertip positions, as the method ``HandClient.stream`` returns it.
+    """Stream of fingertip positions. The method ``HandClient.stream`` returns such a stream.
 
     The client computes joint angles from the positions. The controller receives the joint angles,
     and limits them as in every stream.

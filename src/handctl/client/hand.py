@@ -472,9 +472,9 @@ class HandClient:
         self._set_goal({"do": "stream_end", "stream": name})
 
     def take_over(self) -> None:
-        """Take the right to move the hand from the client that has this right.
+        """Take over the right to move the hand from another client.
 
-        All digits come to rest. An open stream of the client that loses the right ends.
+        All digits come to rest. If the other client has an open stream, the stream ends.
 
         Raises:
             DriveError, BusError: see ``move``.
@@ -837,7 +837,8 @@ class HandClient:
     def _collect_result(self) -> None:
         """End the controller by closing its standard input, and read the result of the run.
 
-        If a second thread already does the same, wait until the second thread has read the result.
+        If another thread is already ending the controller, wait until that thread has read the
+        result.
         """
         with self._output_lock:
             if self.child is None or self.child.stdout is None or self.child.stdout.closed:

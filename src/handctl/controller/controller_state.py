@@ -184,7 +184,7 @@ class ControllerState:
     def __init__(
         self, layout: BlockLayout, block: BlockArray, decisions: ControllerDecisions
     ) -> None:
-        """Store a block of numbers without a copy, and create views of the tables in the block.
+        """Store a block of numbers without copying the block, and create views of the tables in the block.
 
         Args:
             layout: layout of the state block.
@@ -219,7 +219,7 @@ class ControllerState:
 
     @property
     def tendon_int(self) -> NDArray[np.int64]:
-        """Return the table (rows, N) of the integers per tendon, a view of the block."""
+        """Return the table of integers with one column per tendon (rows, N). The table is a view of the state block."""
         return self.layout.table(self.block, "tendon_int")
 
     def view(self, name: str) -> NDArray[Any]:
@@ -269,7 +269,8 @@ class ControllerState:
     def goal_time(self) -> float:
         """Return the time since the start of the program [s].
 
-        The time of the program stops while the safety monitor makes the hand hold its position.
+        The program time does not increase while the safety monitor makes the hand hold its
+        position.
         """
         return self.run_table_real(s.GOAL_TIME)
 

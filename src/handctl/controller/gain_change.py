@@ -116,7 +116,7 @@ class DesignCache:
     def _design_missing_loops(
         self, model: HandModel, gains: Gains, loop_count: int
     ) -> list[Vector]:
-        """Design those of the first ``loop_count`` loops that are not designed yet, and return all designed loops."""
+        """Design loops until the first ``loop_count`` loops are designed, and return all designed loops."""
         loop_designs = self.loop_designs.setdefault(gains, [])
         if len(self.loop_designs) > MAX_CACHED_DESIGNS:
             # A dictionary keeps the order of insertion, so the first entry is the oldest entry. The

@@ -215,7 +215,7 @@ def _overriding_mode(state: ControllerState, inputs: ModeInputs) -> NextMode | N
 
 
 def _next_mode_before_arming(state: ControllerState, inputs: ModeInputs) -> NextMode | None:
-    """Return the mode DONE, with the reason, if a run must end before any motor makes torque.
+    """Return the mode DONE and the reason for the end, if a run must end before any motor makes torque.
 
     Return None if the run continues.
     """
@@ -327,7 +327,7 @@ def _silent_sensors(state: ControllerState) -> list[str]:
 
 
 def _missing_inputs(state: ControllerState, inputs: ModeInputs) -> list[str]:
-    """Return a text with the motors whose drives are ready, but have not sent a position yet.
+    """Return a text that lists the motors whose drives are ready, but have not sent a position yet.
 
     The tension filter needs the position of every motor.
     """
@@ -356,7 +356,7 @@ def _next_mode_after_ready(state: ControllerState, inputs: ModeInputs) -> NextMo
 
 
 def _other_drives(state: ControllerState, inputs: ModeInputs) -> str:
-    """Return a text with the drives whose identity differs from the identity in the calibration.
+    """Return a text that lists the drives whose identity differs from the identity in the calibration.
 
     Returns:
         The result has one phrase per drive. The text is empty if all identities are equal, or if
@@ -450,9 +450,9 @@ def _named_drives(state: ControllerState, inputs: ModeInputs) -> Iterator[tuple[
 def motors_not_confirmed_off(
     state: ControllerState, motor_names: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return the names of motors that could still be enabled.
+    """Return the names of motors that are possibly still enabled.
 
-    A motor could be enabled if its drive has not confirmed the disabled state. Before arming,
+    A motor is possibly enabled if its drive has not confirmed the disabled state. Before arming,
     handctl has not enabled any motor, so a motor without a confirmation is not in the result. After
     the end of a run, the result contains only motors that had no confirmation at the end of the
     run. A motor whose drive reports that it is enabled is always in the result.
@@ -489,7 +489,7 @@ def _pulling_motors(
 def _motors_possibly_with_torque(
     model: HandModel, state: ControllerState, motor_names: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return the names of motors that could still make torque at the end of a run.
+    """Return the names of motors that possibly still make torque at the end of a run.
 
     If the run ends before arming, the tensions of the tendons are ignored. Before arming, a tendon
     can have tension although its motor makes no torque.

@@ -130,7 +130,7 @@ class DerivedConstants:
     fault_evidence: EvidenceTable
 
     def with_constants(self, limits: SafetyLimits, constants: HandConstants) -> "DerivedConstants":
-        """Return a copy with other limits and constants, after a change of gains."""
+        """Return a copy of these constants for new gains, with the given limits and the given constants of the hand."""
         args = (constants.block, constants.layout.offsets)
         return replace(self, limits=limits, constants=constants, kernel_constants=args)
 
@@ -170,7 +170,7 @@ class DerivedConstants:
 
 @dataclass(frozen=True, slots=True)
 class Controller:
-    """Constants of a run, from which ``tick`` computes each new state.
+    """Constants of a run. The method ``tick`` uses the constants to compute each new state from the last state.
 
     ``tick`` is a pure function of the controller, the state, and a ``TickIn``.
 
@@ -190,7 +190,7 @@ class Controller:
         reusable_constants: constants of a controller that differs from the new controller only in
             its gains. After a change of gains during a run, the new controller uses the tables of
             ``reusable_constants``. If the value is None, all tables are computed.
-        derived_constants: constants that follow from the other attributes.
+        derived_constants: constants that are computed from the other attributes of the controller.
     """
 
     model: HandModel
@@ -209,7 +209,7 @@ class Controller:
     derived_constants: DerivedConstants = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Compute the constants that follow from the other attributes."""
+        """Compute ``derived_constants`` from the other attributes of the controller."""
         if self.reusable_constants is None:
             compile_kernels()
         limits = self.replacement_limits or safety_limits(self.model, self.drives, self.sensors)
@@ -274,7 +274,7 @@ class Controller:
         return step.conclude()
 
     def begin_tick(self, last_state: ControllerState, tick_input: TickIn) -> "TickInProgress":
-        """Process the received frames, and correct and predict the tension filter.
+        """Process the received frames, and run the correction and the prediction of the tension filter.
 
         Args:
             last_state: state after the previous tick.
@@ -388,7 +388,7 @@ class Controller:
         tick_input: TickIn,
         frames: Frames,
     ) -> tuple[str, ...]:
-        """Process received frames, and correct and predict the filter that estimates tensions.
+        """Process received frames, and run the correction and the prediction of the filter that estimates tensions.
 
         Return texts that describe signs of a second controller on the bus.
         """
@@ -466,9 +466,10 @@ class Controller:
             next_row += 1
 
     def _groups_not_ready(self, amplifiers: tuple[AmplifierState, ...]) -> tuple[int, ...]:
-        """Return the frame groups of all amplifiers whose set-up is not complete.
+        """Return the groups of load-cell frames from all amplifiers whose set-up is not complete.
 
-        The values in the frames of an incomplete amplifier set-up are not used.
+        The controller does not use the values that an amplifier sends before its set-up is
+        complete.
         """
         pairs = zip(amplifiers, self.sensors.amplifier_frame_ranges, strict=True)
         return tuple(
@@ -534,8 +535,8 @@ class Controller:
     ) -> None:
         """Count the refused requests of the present tick, and the malformed requests of the last second.
 
-        A client can find out by a refused request whether a value is in range, so a refused request
-        is no fault. Only malformed requests show that a client is faulty.
+        A client is allowed to send a request to find out whether a value is in range, so a refused
+        request does not count as a fault. Only malformed requests show that a client is faulty.
         """
         refused_texts = [event.text for event in request_events if event.level == "warn"]
         malformed_count = sum(not text.startswith(REFUSAL_EVENT_PREFIX) for text in refused_texts)
@@ -616,7 +617,8 @@ class Controller:
     ) -> tuple[TickEvent, ...]:
         """Advance the program while the hand is active.
 
-        While the safety monitor holds the hand, the time of the program does not advance.
+        While the safety monitor makes the hand hold its position, the program time does not
+        increase.
         """
         if state.mode != ACTIVE or action >= SafetyAction.HOLD:
             return ()
@@ -763,7 +765,8 @@ class Controller:
     ) -> Frames:
         """Write the commands of the drives into ``frame_words``, after the SYNC frame.
 
-        If a drive is not steady, its state machine computes the frames.
+        While the state machine of a drive has something to do, such as to enable the drive, the
+        state machine computes the frames.
 
         Args:
             state: state of the tick, modified in place.

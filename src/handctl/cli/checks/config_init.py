@@ -29,7 +29,7 @@ from handctl.programs.default_task import grasp_warnings
 
 
 def lengths_from_text(text: str) -> tuple[float, ...]:
-    """Return the lengths [mm] in a list such as ``40,30``."""
+    """Parse a text such as ``40,30``, and return the lengths [mm]."""
     return tuple(float(length_text) for length_text in text.replace(",", " ").split())
 
 

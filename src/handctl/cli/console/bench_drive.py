@@ -103,7 +103,7 @@ def describe_drive(
     node: DiscoveredNode | None,
     make_drive: Callable[[Motor], Drive] = _drive_in_torque_mode,
 ) -> Drive:
-    """Return a drive, described by the values that the drive reports.
+    """Return a drive that is constructed from the values that the real drive reports.
 
     If the command line gives a value that the drive also reports, the value of the command line is
     used.

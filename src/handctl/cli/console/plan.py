@@ -213,10 +213,10 @@ def check_perturb(args: argparse.Namespace, is_simulated: bool) -> dict[str, flo
 
 
 def refuse_bus_options(args: argparse.Namespace) -> None:
-    """Raise an error if the user gives an option that has no effect without a bus.
+    """Raise an error if a command line without ``--bus`` contains an option that needs a bus.
 
     Raises:
-        ConfigError: an option that needs a bus is given.
+        ConfigError: the command line contains an option that needs a bus.
     """
     for option, is_set in (("--clear", args.clear), ("--time-scale", args.time_scale is not None)):
         if is_set:

@@ -1,4 +1,4 @@
-"""``handctl replay safety``: list the stops of a recorded run that other safety limits would have caused.
+"""``handctl replay safety``: list the stops that other safety limits would have caused in a recorded run.
 
 The command ``handctl replay safety`` uses no bus.
 """

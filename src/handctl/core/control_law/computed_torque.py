@@ -581,7 +581,7 @@ def _tendon_motion_on_trajectory(
 def _tendon_motion_by_carriers(
     c: ConstantTables, n: int, trajectory: Matrix
 ) -> tuple[float, float]:
-    """Return the rate [m/s] and acceleration [m/s2] of a tendon caused by the motion of digits that carry its digit."""
+    """Return a tendon's rate [m/s] and acceleration [m/s2] due to the motion of the digits that carry its digit."""
     if not c.run_int[h.HAS_CARRIER_ARMS]:
         return 0.0, 0.0
     return carrier_excursion(c, n, trajectory[1]), carrier_excursion(c, n, trajectory[2])
@@ -591,7 +591,7 @@ def _tendon_motion_by_carriers(
 def _carrier_feedforward_force(
     c: ConstantTables, n: int, rate: float, acceleration: float
 ) -> float:
-    """Return the feedforward motor force for the motion of carrying digits [N].
+    """Return the feedforward motor force for the motion of the digits that carry a tendon's digit [N].
 
     The feedforward force makes a tension-controlled tendon follow the digits that carry the
     tendon's digit.
@@ -725,10 +725,7 @@ def _tension_integral(x: StateTables, c: ConstantTables, n: int, error: float) -
 
 @kernel_helper
 def _feedforward_force(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the feedforward motor force of a tension-controlled tendon [N].
-
-    The digit of the tendon is expected to move along a trajectory.
-    """
+    """Return the feedforward motor force of a tension-controlled tendon whose digit should follow a trajectory [N]."""
     speed = 0.0
     acceleration = 0.0
     for k in range(x.coordinate.shape[1]):

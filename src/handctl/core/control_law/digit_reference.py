@@ -76,9 +76,9 @@ def follow_trajectories(x: StateTables, c: ConstantTables, is_time_frozen: bool)
 
 @kernel_helper
 def _add_blend(x: StateTables, k: int, elapsed: float, blend_duration: float) -> None:
-    """Add the part of a minimum-jerk move that continues an earlier motion.
+    """Add the blend of a minimum-jerk move. In the blend, the earlier motion of the digit fades out.
 
-    ``trajectory.MinimumJerk`` explains how a minimum-jerk move continues an earlier motion.
+    ``trajectory.BlendTrajectory`` describes the polynomials of the blend.
 
     Args:
         x: state tables.

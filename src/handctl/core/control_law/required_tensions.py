@@ -60,7 +60,7 @@ def write_goal_torques(
 def _evaluate_goals_of_experiment(
     model: HandModel, layout: BlockLayout, constants: HandConstants, block: BlockArray, action: int
 ) -> int:
-    """Evaluate the goals with the inverse dynamics of an experiment, as ``tick_stages.evaluate_goals`` does."""
+    """Evaluate the goals like ``tick_stages.evaluate_goals``, but with the inverse dynamics of an experiment."""
     kernel_args = block, layout.offsets, constants.block, constants.layout.offsets
     tick_stages.evaluate_goals(*kernel_args, action)
     required = layout.view(block, "joint_required")

@@ -103,7 +103,7 @@ def _write_tip_levers(x: StateTables, c: ConstantTables, lever: Vector) -> None:
 
 @kernel_helper
 def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> float:
-    """Return the force at the tip that best explains the tensions which the model does not explain [N].
+    """Return the force at the tip that best explains the external tensions (tensions beyond those of the model) [N].
 
     The force is a least-squares solution. The result is 0 if a force at the tip does not load any
     tendon of the digit.
@@ -151,7 +151,7 @@ def update_grip_travel(x: StateTables, c: ConstantTables) -> None:
 def largest_grip_opening(
     block: BlockArray, at: TableOffsets, closing_sign: Vector, held_tension: Vector
 ) -> tuple[int, float]:
-    """Return the tendon with the largest recent opening of a digit that holds an object, and the opening [m].
+    """Find the largest recent opening of a digit that holds an object, and return the tendon and the opening [m].
 
     The opening is a length along the tendon. If no digit that holds an object has opened, the
     result is (0, 0.0).
