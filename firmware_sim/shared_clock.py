@@ -46,8 +46,8 @@ class SharedClock:
 
     The class ``bus_server.ServerClock`` describes the methods.
 
-    Before ``create_file``, no controller shares the clock, and the time of the clock is CLOCK_MONOTONIC
-    times the scale.
+    Until ``create_file`` is called, no controller shares the clock, and the time of the clock is
+    CLOCK_MONOTONIC times the scale.
 
     Attributes:
         scale: ratio of plant time to wall time.
@@ -105,11 +105,11 @@ class SharedClock:
         return self._numbers[SENT_INDEX]
 
     def publish_answered_ticks(self, ticks: int) -> None:
-        """Report the number of ticks for which the nodes have answered all frames."""
+        """Tell the controller the number of ticks for which the nodes have answered all frames."""
         self._numbers[ANSWERED_INDEX] = ticks
 
     def publish_reached_time(self, t_ns: int) -> None:
-        """Report the time that the plant has reached [ns]."""
+        """Tell the controller the time that the plant has reached [ns]."""
         self._numbers[REACHED_INDEX] = int(t_ns / self.scale)
 
     def close(self) -> None:

@@ -296,7 +296,7 @@ class SimulatedWorld:
             self.compiled_nodes.refresh_identifiers()
 
     def advance(self, t_ns: int, row_wake_ns: int | None = None) -> None:
-        """Advance the plant and the nodes by whole time steps, as far as the time ``t_ns`` permits.
+        """Advance the plant and the nodes by whole time steps, but not beyond the time ``t_ns``.
 
         The remaining time, which is less than a time step, is left for the next call.
 

@@ -114,7 +114,7 @@ class PaceMeter:
         self._slips = self._lost_ns = 0
 
     def report(self, plant_ns: int) -> dict[str, float | None]:
-        """Return the requested pace, the advised pace, and the plant time per computing time since the start."""
+        """Return the requested pace, the advised pace, and the ratio of plant time to computing time."""
         max_pace = _pace_ratio(self._start, self._read_clocks(plant_ns))
         return {
             "time_scale": self._time_scale,

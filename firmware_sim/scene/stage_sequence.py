@@ -123,7 +123,7 @@ class StageSequence:
     def state_at(self, time: float) -> SceneState:
         """Return the state of the scene at a given time.
 
-        The argument ``time`` counts from the start of the sinking of the table [s]. After the last
+        The argument ``time`` is the time since the table started to sink [s]. After the last
         stage, the state of the scene no longer changes.
         """
         start = 0.0

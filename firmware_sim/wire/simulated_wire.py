@@ -205,7 +205,7 @@ class SimulatedWire:
             self._destroy_frame(senders, t_ns)
 
     def _deliver_frame(self, senders: list[CanController], t_ns: int) -> None:
-        """Deliver the frame of the senders to all other controllers."""
+        """Deliver the sent frame to all controllers except the senders of this frame."""
         self.frames += 1
         can_id, data, flags, bus, _ = senders[0].queue[0][2]
         frame = Frame(can_id, data, flags, bus, t_ns)

@@ -421,9 +421,9 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenar
 
     All scenarios with two faults happen during a grasp. The fault with the more severe reaction
     comes first. The second fault starts a few ticks later. The first fault affects the first
-    possible part of the hand, such as the first motor, and the second fault the last possible part.
-    If a hand has no part that a fault can affect, such as a load cell, there are no pairs with this
-    fault. `period_ms` is the control period [ms].
+    possible part of the hand, such as the first motor, and the second fault affects the last
+    possible part. Some faults can affect only parts that the hand does not have, for example load
+    cells. There are no pairs with such a fault. `period_ms` is the control period [ms].
     """
     rows = [
         next(row for row in FAULT_MATRIX if row.id == id_ and protocol in row.protocols)

@@ -230,8 +230,9 @@ def run_sequence(simulation: SimulatedRun, sequence: FaultSequence) -> ScenarioR
 def _sequence_ticks(simulation: SimulatedRun, sequence: FaultSequence) -> Iterator[dict[str, Any]]:
     """Yield the inputs of each tick of a sequence.
 
-    Before a planned tick, inject the fault that the simulator has to cause in this tick. After the
-    last tick of the sequence, the inputs contain a stop request.
+    Faults of the host are part of the inputs of a tick. The function injects all other faults into
+    the simulated hand before the planned tick. After the last tick of the sequence, the inputs
+    contain a stop request.
     """
     host_faults: list[tuple[int, HostFault]] = []
     for i in range(SEQUENCE_TICKS + round(SHUTDOWN_TIMEOUT_S * 1e9 / simulation.period_ns)):

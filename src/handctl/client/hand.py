@@ -152,7 +152,7 @@ def connect(
 
 
 def _check_lease(lease_s: float | None, watchdog_s: float | None) -> None:
-    """Check the lease and the watchdog time, after which the controller treats a client as lost.
+    """Check the lease time and the watchdog time of a client.
 
     Raises:
         ConfigError: a time is not a number within its limits, or there is a watchdog but no lease.

@@ -53,7 +53,7 @@ RELEASE_DETECTION_TICKS = 2
 
 @dataclass(frozen=True, slots=True)
 class OperatorRequests:
-    """Stop and cut requests from the operator in a tick."""
+    """Requests from the operator in a tick: to stop the run, or to cut the torque."""
 
     is_stop_requested: bool = False
     is_cut_requested: bool = False

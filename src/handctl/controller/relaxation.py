@@ -11,11 +11,11 @@ Here, u is the commanded motor force at the tendon [N], and T is the control per
 pair, u is the absolute value of the force, and the force keeps its direction.
 
 The envelope begins at the last motor command, but not above a limit. The limit is the present
-tension plus ``MAX_SETPOINT_EXCESS_N`` plus the friction of the motor. If the load cell of a tendon
-in the tension loop could be wrong, the setpoint can replace the first two terms of the limit. The
-setpoint does so if it is higher than the sum of the two terms. The tension loop cannot command more
-force than the envelope. After a fault of the tension loop (``RelaxMethod.OPEN_LOOP``), the command
-u[k] equals the envelope e[k]. If a motor brakes when relaxing begins, its command goes to zero.
+tension plus ``MAX_SETPOINT_EXCESS_N`` plus the friction of the motor. Some tendons are controlled
+by the tension loop, and have a load cell that could be wrong. For such a tendon, the limit is at
+least the setpoint plus the friction of the motor. The tension loop cannot command more force than
+the envelope. After a fault of the tension loop (``RelaxMethod.OPEN_LOOP``), the command u[k] equals
+the envelope e[k]. If a motor brakes when relaxing begins, its command goes to zero.
 """
 
 from dataclasses import replace

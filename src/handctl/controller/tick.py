@@ -3,10 +3,10 @@
 A tick receives frames and computes the frames to send. A ``TickIn`` contains all inputs of a tick,
 so that a tick from a log can be executed again. The control loop calls the four methods of a tick
 (its steps) one by one. The step ``begin_tick`` processes the received frames. The step ``decide``
-applies requests and chooses the goals. The step ``command`` computes the frames to send from
-streamed targets and goals. The step ``conclude`` completes the output. Because of the four steps,
-the control loop can read requests and streamed targets as late as possible, and can send the
-commands as early as possible. The method ``tick`` executes all four steps of a tick.
+applies requests and chooses the goals. The step ``command`` uses streamed targets and goals to
+compute the frames that will be sent. The step ``conclude`` completes the output. Because of the
+four steps, the control loop can read requests and streamed targets as late as possible, and can
+send the commands as early as possible. The method ``tick`` executes all four steps of a tick.
 
 receive   frames -> values of drives and sensors
 estimate  values -> tension, excursion, contact
@@ -634,7 +634,7 @@ class Controller:
     def _write_progress(
         self, state: ControllerState, old_progress: ProgramProgress | None = None
     ) -> None:
-        """Write the goals that the program has changed into the state block.
+        """Update the goals in the state block if the program has changed its goals.
 
         Args:
             state: state of the tick, modified in place.

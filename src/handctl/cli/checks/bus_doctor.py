@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
 def _expected_buses(
     args: argparse.Namespace, hand: Hand | None
 ) -> Sequence[tuple[str, BusSection]]:
-    """Return each bus that the command line names, with its expected name and bit rates."""
+    """Return each bus that the command line names, with the name and the bit rates that the bus should have."""
     if hand is not None:
         from handctl.session.run_plan import bus_specs
 

@@ -193,7 +193,7 @@ def add_perturb_option(parser: argparse.ArgumentParser) -> None:
     """Declare --perturb.
 
     With ``--perturb``, values of the hand file are multiplied by factors, and the simulated hand
-    uses the results.
+    uses the products.
     """
     text = "change parameters of the simulated hand, e.g. stiffness=0.8 friction=1.3 (python -m firmware_sim --help)"
     parser.add_argument(

@@ -65,7 +65,7 @@ def print_summary(run_result: dict[str, Any], plan: RunPlan) -> None:
 def _no_reply_text(silent_ticks: int) -> str:
     """Return a text with the number of ticks in which no node answered.
 
-    Ticks without an answer are a reason for late frames.
+    Ticks in which no node answered can explain why frames were late.
     """
     return (
         f", bus silent for {silent_ticks} tick{'s' if silent_ticks > 1 else ''}"

@@ -95,7 +95,7 @@ def write_gains(
 
 
 class TunedHand(NamedTuple):
-    """Hand to tune, as described by the hand file and as identified.
+    """Hand to tune: with the parameters of the hand file, and with the identified parameters.
 
     Attributes:
         hand: hand with the parameters of the hand file. A gains file contains the name and the

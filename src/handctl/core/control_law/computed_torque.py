@@ -140,7 +140,7 @@ def command_zero_torque(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def update_hold_limits(x: StateTables, c: ConstantTables, hold: bool) -> None:
-    """Begin or end the hold of the present position that the safety monitor demands.
+    """Begin a hold of the hand when the safety monitor demands a hold, and end the hold afterwards.
 
     During a hold, the limit of each tension is the tension at the beginning of the hold plus
     ``HOLD_MARGIN_N``.

@@ -179,8 +179,8 @@ class CurveTrajectory:
 class SampledTrajectory:
     """Motion of a digit at a single instant.
 
-    Position, velocity and acceleration come from another source than a trajectory, for example from
-    a log.
+    The position, the velocity and the acceleration do not come from a trajectory, but for example
+    from a log.
 
     Attributes:
         position: (n,) coordinates [rad].

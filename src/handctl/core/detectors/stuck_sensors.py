@@ -164,8 +164,9 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
     distance of the motor from the goal, because friction can stop the motor before the goal. When a
     motor has reached its goal, the filtered goal is set to the estimated excursion. The jump of the
     filtered goal to the estimated excursion does not count as a motion of the motor's goal. A
-    client that does not know an object can send targets that the object makes unreachable. The
-    motion of the goal therefore does not count while a streamed digit presses on an object.
+    client that does not know an object can send targets that the object makes unreachable.
+    Therefore, the detector ignores the motion of the goal while a digit that follows streamed
+    targets presses on an object.
     """
     fraction = 1.0 - math.exp(-c.run[h.CONTROL_PERIOD] / MOTOR_FOLLOWING_TIME_CONSTANT_S)
     min_step = MAX_UNDELAYED_GOAL_SPEED_M_S * c.run[h.CONTROL_PERIOD]
@@ -200,7 +201,7 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def _is_digit_pressing(x: StateTables, c: ConstantTables, n: int) -> bool:
-    """Return True if a tendon's tension shows that a streamed digit presses on an object.
+    """Return True if a tendon's tension shows that a digit presses on an object while it follows streamed targets.
 
     The tension of a digit that presses on an object is much larger than the tension goal.
     """

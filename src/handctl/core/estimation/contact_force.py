@@ -89,7 +89,7 @@ def update_tip_forces(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def _write_tip_levers(x: StateTables, c: ConstantTables, lever: Vector) -> None:
-    """Write the levers (J,) of a force at the tip of each digit about its joints [m].
+    """Write the lever about each joint (J,) of a force at the tip of the joint's digit [m].
 
     The function assumes that the digits have the joint angles of free digits. A digit that closes
     counts as free until its contact is found.
