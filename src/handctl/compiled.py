@@ -362,7 +362,7 @@ def _compile_together(
 ) -> None:
     """Compile kernels into a folder, with one process for each processor core.
 
-    During the compilation, a lock makes other users of the folder wait.
+    During the compilation, a lock makes other processes wait before they use the folder.
 
     If a kernel cannot be compiled, ``compile_kernels`` raises the error later.
 

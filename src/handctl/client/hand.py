@@ -174,12 +174,12 @@ class HandClient:
     Use the client as a context manager. Several threads of a program can share a client.
 
     At any time, only one client is allowed to move the hand. Any number of clients can observe the
-    hand. The first client that moves the hand gets the right to move the hand. The client has this
-    right until the client closes, or until a second client calls ``take_over``.
+    hand. The first client that moves the hand gets the right to move the hand. The client keeps the
+    right to move the hand until the client closes, or until another client calls ``take_over``.
 
     If the client has started the controller, the hand is relaxed and disarmed when the client
     closes. If another process has started the controller, the hand stays armed. If the client was
-    moving the hand when it closed, the hand comes to rest.
+    moving the hand when the client closed, the hand comes to rest.
 
     Attributes:
         bus: bus of the controller.
@@ -876,7 +876,7 @@ class HandClient:
 
 
 def _values_by_digit(do: str, goals: object, keyword_goals: Mapping[str, Any]) -> dict[str, Any]:
-    """Combine the values of a mapping and of keyword arguments, and return them by name of the digit.
+    """Combine the values of a mapping and of keyword arguments, and return all values by the name of the digit.
 
     Raises:
         ConfigError: the goals are not a mapping, contain no digit, or contain a digit twice.

@@ -92,8 +92,8 @@ class ControllerDecisions(NamedTuple):
 def _serialized_part(state_part: object) -> bytes:
     """Return the serialized form of a part of the decisions.
 
-    While a digit closes, the progress of the program changes in every tick. The goals in the
-    progress of the program stay the same objects, so the bytes of the goals are cached.
+    While a digit closes, the progress of the program changes in every tick. The progress keeps
+    references to the same goal objects, so the bytes of the goals are cached.
     """
     if isinstance(state_part, ProgramProgress):
         return join_serialized_fields(state_part, _serialized_field_cache)

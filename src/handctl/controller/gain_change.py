@@ -89,9 +89,9 @@ class DesignCache:
         )
 
     def controller(self, controller: ControllerT, gains: Gains) -> ControllerT:
-        """Return a copy of a controller with other gains.
+        """Return a copy of a controller in which ``gains`` replace the present gains.
 
-        The design for the other gains stays in the cache.
+        The design for ``gains`` stays in the cache.
         """
         self.gains_in_use = gains
         if gains not in self.controllers:

@@ -290,8 +290,8 @@ def _with_host_frames(drives: tuple[Drive, ...], sensors: SensorInterface) -> tu
     same SYNC frames. The last CiA 402 drive on a bus is selected, so that the SYNC frame comes
     after all commands. The heartbeat has the shortest period that any drive on the bus needs.
 
-    The host adds no SYNC frames to a bus on which the sensor node uses the identifier 0x080, or for
-    which the hand file sets the option ``sync`` of a drive.
+    The host adds no SYNC frames to a bus in two cases. The sensor node on the bus uses the
+    identifier 0x080, or the hand file sets the option ``sync`` of a drive on the bus.
     """
     completed_drives = list(drives)
     drives_by_bus = dict[int, dict[int, Cia402Drive]]()

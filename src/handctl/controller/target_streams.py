@@ -88,7 +88,7 @@ def open_stream(model: HandModel, state: ControllerState, request: OpenStreamReq
 
 
 def _prepare_motion(model: HandModel, state: ControllerState, digits: tuple[int, ...]) -> None:
-    """Start a stream of joint angles at the present motion reference of its digits."""
+    """Start a stream of joint angles at the present motion reference of the digits that belong to the stream."""
     rows = state.layout.table(state.block, "coordinate")
     reference = present_references(model, state)
     for d in digits:

@@ -1,12 +1,13 @@
 """One tick of the controller, as a pure function.
 
 A tick receives frames and computes the frames to send. A ``TickIn`` contains all inputs of a tick,
-so that a tick from a log can be executed again. The control loop calls the four methods of a tick
-(its steps) one by one. The step ``begin_tick`` processes the received frames. The step ``decide``
-applies requests and chooses the goals. The step ``command`` uses streamed targets and goals to
-compute the frames that will be sent. The step ``conclude`` completes the output. Because of the
-four steps, the control loop can read requests and streamed targets as late as possible, and can
-send the commands as early as possible. The method ``tick`` executes all four steps of a tick.
+so that a tick from a log can be executed again. A tick has four steps. Each step is a method, and
+the control loop calls the four methods one by one. The step ``begin_tick`` processes the received
+frames. The step ``decide`` applies requests and chooses the goals. The step ``command`` uses
+streamed targets and goals to compute the frames that will be sent. The step ``conclude`` completes
+the output. Because of the four steps, the control loop can read requests and streamed targets as
+late as possible, and can send the commands as early as possible. The method ``tick`` executes all
+four steps of a tick.
 
 receive   frames -> values of drives and sensors
 estimate  values -> tension, excursion, contact
@@ -510,8 +511,8 @@ class Controller:
     def store_drive_state(self, state: ControllerState, n: int, drive_state: DriveState) -> None:
         """Store the state of a drive after a step of its state machine.
 
-        The numbers of the drive are stored in the state block, and its other values in the
-        decisions.
+        The numbers of the drive are stored in the state block. All other values of the drive are
+        stored in the decisions.
         """
         drive_state_before = state.decisions.drives[n]
         drive = self.drives[n]

@@ -1,7 +1,8 @@
 """Calibration of a hand.
 
-A calibration contains the tares of the load cells, the zero angles of the motors, the response of
-the load cells to a pull of each motor, and the identified parameters of the tendons.
+A calibration contains the tares of the load cells, the zero angles of the motors, and the
+identified parameters of the tendons. A calibration also contains the response of the load cells to
+a pull of each motor.
 """
 
 import datetime

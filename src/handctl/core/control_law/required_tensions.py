@@ -123,7 +123,7 @@ def _tensions_with_friction(
     """Return the tensions (n_t,) at the joints for a digit with antagonistic tendons, with friction [N].
 
     Each pulley of a tendon has its own friction. In a digit without springs, the torques of all
-    tendons must be in balance at each joint, so the moment arms of the least-squares problem
+    tendons must be in balance at each joint. The moment arms of the least-squares problem therefore
     include the friction of each pulley.
 
     Args:

@@ -30,9 +30,10 @@ command to a drive with a moving commanded position also contains a torque limit
 predicted torque.
 
 In commands for a digit that moves freely on its trajectory, kp and kd are above 0. In commands for
-any other digit, kp and kd are 0, and t is the whole torque. Such torque commands are sent while the
-digit touches an object or relaxes, and while the tendon takes up slack. Torque commands are also
-sent while the safety monitor holds the hand, and in a tick without a measured motor position.
+any other digit, kp and kd are 0, and t is the whole torque. Commands with kp = kd = 0 are torque
+commands. Torque commands are sent while the digit touches an object or relaxes, and while the
+tendon takes up slack. Torque commands are also sent while the safety monitor makes the hand hold
+its position, and in a tick without a measured motor position.
 """
 
 import math

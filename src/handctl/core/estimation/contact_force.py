@@ -3,8 +3,8 @@
 The force at the tip of a closing digit is a sign of contact. The opening of a digit that holds an
 object is a sign of slip. While a digit closes, the part of its tensions that the model does not
 explain is converted into a force at the tip. The weight of a tendon in the conversion to a tip
-force is the tension that a force of 1 N at the tip causes in the tendon. A proximal tendon bears
-the largest tension and has the least friction, so its weight is the largest. The tip force is
+force is the tension that a force of 1 N at the tip causes in the tendon. A proximal tendon has the
+largest weight, because it bears the largest tension and has the least friction. The tip force is
 averaged over a few milliseconds by a low-pass filter. The force of a contact remains after the
 low-pass filter. The alternating force of a chattering tendon cancels out in the low-pass filter.
 
