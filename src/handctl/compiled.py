@@ -71,7 +71,7 @@ COMPILER_POLL_PERIOD_S = 0.1
 _KERNEL_DISPATCHERS: dict[str, tuple[Any, tuple[Any, ...]]] = {}
 """Dispatcher and argument types of each kernel, by name of the kernel."""
 _INNER_DISPATCHERS: list[Any] = []
-"""Numba dispatchers of all functions that only kernels call."""
+"""Numba dispatchers of all functions that are called only by kernels."""
 KERNEL_FUNCTIONS: list[Callable[..., Any]] = []
 """Python functions of all kernels and of all functions that kernels call."""
 if NUMBA_INSTALLED:

@@ -93,9 +93,10 @@ class FaultMatrixRow(NamedTuple):
         force_change_N: variation of the motor force that the detection of the fault needs [N]. The
             time limit counts from the instant at which the motor force has varied by this force
             since the fault. If the motor force never varies by this force, no reaction is required.
-        scales_with_period: True if the detection waits for a time constant or a delay in milliseconds. At a
-            control period below ``TIME_LIMIT_PERIOD_MS``, ``max_ticks`` then stands for the same
-            time in more ticks.
+        scales_with_period: True if the detection waits for a time constant or a delay in
+            milliseconds. For such a row, the time limit at a control period below
+            ``TIME_LIMIT_PERIOD_MS`` is as long as ``max_ticks`` periods of
+            ``TIME_LIMIT_PERIOD_MS``.
     """
 
     id: str

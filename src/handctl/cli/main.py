@@ -60,7 +60,8 @@ ERROR_EXIT_CODES: tuple[tuple[type[BaseException], ExitCode, str], ...] = (
 )
 """Exit code of each kind of error, and the text of an error without a message.
 
-The first kind that matches an error counts, so that a base class comes after its subclasses.
+The first kind in the list that matches an error is used, so a base class must come after its
+subclasses.
 """
 
 

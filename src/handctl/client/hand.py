@@ -57,13 +57,13 @@ from handctl.session.task_loading import load_task_for_hand
 StreamSpace = Literal["joint", "digit", "tension", "tip_force", "fingertip"]
 """Meaning of the values of a target, see ``HandClient.stream``."""
 START_TIMEOUT_S = 300.0
-"""Longest wait until a controller that the client has started accepts goals [s].
+"""Longest time until a controller accepts goals, if the client has started the controller [s].
 
 The start timeout is enough for commissioning on a slow machine. If a controller cannot start, its
 process ends much earlier, which ends the wait.
 """
 ATTACH_TIMEOUT_S = 60.0
-"""Longest wait until a controller that another process has started accepts goals [s]."""
+"""Longest time until a controller accepts goals, if another process has started the controller [s]."""
 OBSERVATION_POLL_PERIOD_S = 50e-6
 """Pause between two reads of the shared memory that contains the observations [s]."""
 STATE_POLL_PERIOD_S = 0.2
@@ -76,7 +76,8 @@ SENDER_NAME_BYTES = 64
 DEFAULT_LEASE_S = 2.0
 """Default lease [s].
 
-The default lease is longer than the delays, on a busy machine, of the thread that renews the lease.
+On a busy machine, the thread that renews the lease can be late. The default lease is longer than
+such a delay.
 """
 SHUTDOWN_MODE_NAMES = {mode.name for mode in SHUTDOWN_MODES}
 """Modes of the hand in which the controller follows no goals."""

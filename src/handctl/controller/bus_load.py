@@ -207,7 +207,7 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
     for drive in make_drives(hand):
         listens_to_sync = isinstance(drive, Cia402Drive)
         # Any drive can become the drive after whose command the host sends its heartbeat.
-        # ``sync_load`` has the SYNC frame.
+        # ``sync_load`` contains the load of the SYNC frame.
         if isinstance(drive, Cia402Drive):
             drive = replace(drive, sync=False, sends_heartbeat=True)
         load = BusLoad("", 1, drive_rows(drive, first_bus)).load_at_rate(rate_hz)

@@ -67,7 +67,7 @@ class ModeInputs(NamedTuple):
         drives: drives of all motors.
         time_in_mode: time since the present mode began [s].
         action: reaction that the safety monitor demands.
-        operator_requests: stop and cut requests from the operator.
+        operator_requests: requests from the operator to stop the run, or to cut the torque.
         other_host_signs: signs that a second controller uses the bus. Signs are frames that only a host
             sends, and replies of motors to which this host has sent no request.
         identities: identities that the drives had when the hand was calibrated, see
@@ -142,7 +142,7 @@ def next_mode(
         drives: drives of all motors.
         state: state with the drive and filter values of the tick, modified in place.
         action: reaction that the safety monitor demands.
-        operator_requests: stop and cut requests from the operator.
+        operator_requests: requests from the operator to stop the run, or to cut the torque.
         other_host_signs: texts that describe signs of a second controller on the bus.
         time_s: time of the tick [s].
         calibrated_identities: identities of the drives in the calibration. The tuple can be empty.

@@ -33,7 +33,10 @@ from handctl.safety.safety_action import RelaxMethod
 RELAX_RATE_N_PER_S = 500.0
 OVER_TENSION_RATE_N_PER_S = 2000.0
 MAX_START_FORCE_EXCESS_N = 15.0
-"""Largest allowed excess of the first relaxing setpoint over the last commanded force [N], for friction and motion."""
+"""Largest allowed excess of the first relaxing setpoint over the last commanded force [N].
+
+Friction and motion can make the tension larger than the commanded force.
+"""
 
 RELAXED_TOLERANCE_N = 3.0
 """Distance above the tension of a relaxed tendon within which a tendon counts as relaxed [N]."""

@@ -34,10 +34,10 @@ MAX_TARGET_INTERVAL_PERIODS = 2.5
 MAX_SETPOINT_LEAD_N = 6.0
 """Largest distance of a streamed setpoint above the estimated tension [N].
 
-The tendon of a free digit bears no more than the digit's springs and friction. A setpoint far above
-the tension of a free digit would spin the motor, which resembles a snapped tendon (T01) or an
-oscillation (N14b). Setpoints also stay ``MAX_SETPOINT_LEAD_N`` below the largest allowed tension,
-because the tension can overshoot.
+The tension of a free digit's tendon is not larger than the force of the digit's springs and
+friction. A setpoint far above the tension of a free digit would spin the motor, which resembles a
+snapped tendon (T01) or an oscillation (N14b). Setpoints also stay ``MAX_SETPOINT_LEAD_N`` below the
+largest allowed tension, because the tension can overshoot.
 """
 
 

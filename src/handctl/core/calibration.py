@@ -55,7 +55,8 @@ class Calibration(Document):
     simulated: bool = False
     """True if the calibration belongs to a simulated hand.
 
-    The controller does not arm a hand with real motors with the calibration of a simulated hand.
+    With the calibration of a simulated hand, the controller does not arm a hand that has real
+    motors.
     """
     tendon: dict[str, TendonCalibration]
     drive: dict[str, str] = Field(default_factory=dict)

@@ -16,7 +16,7 @@ MIN_UNCHECKED_RATE_HZ = 250.0
 All packaged hands and the hands of ``config init`` run at this rate.
 """
 MIN_UNCHECKED_RATE_WITHOUT_CELLS_HZ = 500.0
-"""The rate MIN_UNCHECKED_RATE_HZ for a hand with tendons that have neither load cells nor springs to act against [Hz].
+"""Value of MIN_UNCHECKED_RATE_HZ for a hand whose tendons have neither load cells nor springs [Hz].
 
 Tendons without springs hold each other, and the filter without load cells has a larger phase lag.
 In simulation at 250 Hz, the tensions of tendons without springs and load cells oscillated, and the

@@ -34,7 +34,8 @@ TYPICAL_ACCELERATION_FRACTION = 0.1
 """RMS acceleration of a healthy motor over 100 ms, as a fraction of the bare rotor's acceleration at full torque.
 
 A motor in a hand accelerates its rotor and a digit, and does not make its full torque for long. In
-the golden logs of jamia and jamia11, the fraction of the bare rotor's acceleration is at most 0.02.
+the reference logs of the hands jamia and jamia11, the fraction of the bare rotor's acceleration is
+at most 0.02.
 """
 
 

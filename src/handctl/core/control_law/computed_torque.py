@@ -105,7 +105,7 @@ tendon.
 """
 MAX_INTEGRATION_SPEED_M_S = 0.005
 INTEGRAL_DECAY_S = 0.02
-"""Tendon speed above which a stream does not integrate the tension error [m/s], and decay time of its integral [s]."""
+"""Tendon speed above which a stream does not integrate the tension error [m/s], and decay time of the integral [s]."""
 SLACK_TAKE_UP_SPEED_M_S = 0.02
 """Speed of a spool that takes up the slack of its tendon during a motion [m/s].
 

@@ -36,8 +36,8 @@ def follow_trajectories(x: StateTables, c: ConstantTables, is_time_frozen: bool)
     Args:
         x: state tables.
         c: constants of the hand.
-        is_time_frozen: True while the safety monitor holds the hand. While the monitor holds the
-            hand, the digits rest at their present positions on the trajectories.
+        is_time_frozen: True while the safety monitor makes the hand hold its position. During such
+            a hold, the digits rest at their present positions on the trajectories.
 
     Source: Flash & Hogan (1985), with the position 10 s^3 - 15 s^4 + 6 s^5, where s is the fraction
         of the duration.

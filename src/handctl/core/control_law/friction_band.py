@@ -25,7 +25,7 @@ from handctl.core.state_block import StateTables
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
 
 MIN_SLIDING_SPEED_M_S = 1.3 * CAPSTAN_FRICTION_SPEED_M_S
-"""Speed from which the viscous slider has full friction [m/s].
+"""Speed at and above which the viscous slider has full friction [m/s].
 
 Below the sliding speed, friction is proportional to the speed. The proportional friction
 approximates the tanh of the friction model.

@@ -230,7 +230,7 @@ def _allowed_rates(
         d: index of the digit.
         k: index of the coordinate.
         period: time since the last tick [s].
-        scale: motion of the coordinate to which the limits for 1 rad apply, see
+        scale: factor that converts a limit in rad to the unit of the coordinate, see
             ``coordinate_scale``.
         gain: largest change of the rate within the period [rad/s].
     """

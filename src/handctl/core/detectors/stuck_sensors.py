@@ -32,7 +32,7 @@ ARRIVAL_DISTANCE_M = 0.2e-3
 MIN_GOAL_JUMP_M = 2.0 * ARRIVAL_DISTANCE_M
 """Step of the filtered goal in a tick above which the step counts as a jump, and not as a motion of the digit [m]."""
 MIN_PRESSING_TENSION_N = 8.0
-"""Excess of a tension over its goal above which a streamed digit counts as held by an object [N]."""
+"""Excess of a tension over its goal above which a digit with streamed targets counts as held by an object [N]."""
 
 
 @kernel_helper
