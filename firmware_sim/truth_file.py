@@ -152,7 +152,7 @@ class TruthWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Write the collected rows to the file, unless the file or the disk is full."""
+        """Write the collected rows to the file, unless the disk is full or the file has its largest size."""
         data = b"".join(self._buffered)
         self._buffered.clear()
         disk = os.fstatvfs(self._file.fileno())

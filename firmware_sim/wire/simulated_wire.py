@@ -178,7 +178,7 @@ class SimulatedWire:
         self._end_ns = t_ns + frame_duration_ns
 
     def _has_receiver(self) -> bool:
-        """Return True if any controller except the senders is on the bus."""
+        """Return True if at least one controller that does not send the present frame is on the bus."""
         for controller in self._controllers:
             if controller.state != CanErrorState.BUS_OFF and controller not in self._senders:
                 return True

@@ -267,7 +267,7 @@ def _generate_borrowed_array(typing_context: Any, flat: Any, first_index: Any, s
 def borrowed_array(
     flat_array: NDArray[Any], first_element: int, shape: tuple[int, ...]
 ) -> NDArray[Any]:
-    """Return a part of a contiguous array in another shape.
+    """Return a part of a contiguous array as an array with another shape.
 
     Numba does not count the references to the returned array. If a function is called with an
     array, numba counts the references to the array with atomic operations. Kernels pass dozens of
@@ -405,7 +405,7 @@ def _compile_together(
 
 
 def _try_file_lock(lock_file: IO[str]) -> bool:
-    """Try to lock the folder with the compiled code, and return True on success."""
+    """Try to lock the folder that contains the compiled code, and return True on success."""
     try:
         fcntl.flock(lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

@@ -568,7 +568,7 @@ class HandClient:
         phase: str | None = None,
         timeout_s: float = 10.0,
     ) -> Observation:
-        """Wait until digits are in contact or the hand is in a phase, and return the observation at that time.
+        """Wait until digits are in contact or the hand is in a given phase, and return the observation at that time.
 
         If contacts and a phase are both given, the wait ends at a tick in which the digits are in
         contact and the hand is in the phase.
@@ -692,7 +692,7 @@ class HandClient:
     def stop(self) -> None:
         """Relax and disarm the hand, and end the run.
 
-        The run also ends if another process has started the controller.
+        The run ends even if another process has started the controller.
 
         Raises:
             UnconfirmedError: the controller has not confirmed the request.

@@ -1,4 +1,4 @@
-"""Observation of a hand in one tick, with the age of its values.
+"""Observation of a hand in one tick, with the age of the observed values.
 
 The observation is a numpy record. The names of the record's fields contain the units.
 """
@@ -22,8 +22,9 @@ class Observation:
     """State of the hand at one tick. Unknown numbers are NaN.
 
     Every field of ``record`` is also an attribute of the observation. The name of an attribute ends
-    with the unit. The shapes of the attributes use J joints, N tendons, M motors and D digits, in
-    the order of the hand file. The method ``named`` returns the values of a field as a dict.
+    with the unit. In the shapes of the attributes, J, N, M and D are the numbers of joints,
+    tendons, motors and digits. The values are in the order of the hand file. The method ``named``
+    returns the values of a field as a dict.
 
     Attributes:
         record: all values of the observation, as a numpy record of shape ().

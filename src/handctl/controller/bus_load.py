@@ -78,7 +78,7 @@ class BusLoad:
     def highest_rate_hz(self, load_limit: float) -> float:
         """Return the control rate [Hz] at which the bus load reaches ``load_limit``.
 
-        If no frame is sent in every tick, return infinity.
+        If the bus has no frames that are sent once per tick, return infinity.
         """
         return (
             max(0.0, load_limit - self.periodic_load_fraction) / self.frame_time_per_tick_s
@@ -184,7 +184,7 @@ def _load_of_bus(hand: Hand, bus_index: int, bus: Bus, drives: tuple[Drive, ...]
 
 
 def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
-    """Distribute the motors over the smallest number of buses that allows a control rate [Hz].
+    """Distribute the motors over the smallest number of buses that allows the given control rate [Hz].
 
     All buses have the bit rates of the first bus in the hand file. The load cells stay on the first
     bus of the hand.
@@ -225,7 +225,7 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
 
 
 def with_more_buses(hand: Hand, rate_hz: float) -> Hand:
-    """Return a copy of a hand with the smallest number of buses that allows a control rate [Hz].
+    """Return a copy of a hand, in which the number of buses is the smallest that allows the given control rate [Hz].
 
     The motors are distributed over the buses of the copy. The load cells stay on the first bus of
     the hand. All buses have the bit rates of the first bus. If a single motor already overloads a

@@ -1,6 +1,7 @@
 """State of a controller.
 
-The state consists of a block of numbers, and of decisions that are not numbers.
+The state consists of a block of numbers, and of an object that contains the values that are not
+numbers. The values in this object are called the decisions.
 """
 
 from typing import Any, NamedTuple
@@ -50,7 +51,7 @@ class ClientLease(NamedTuple):
 class ControllerDecisions(NamedTuple):
     """Part of the controller's state that changes only at events.
 
-    The decisions are not in the state block.
+    The decisions are the values that are not in the state block.
 
     Attributes:
         drives: state of each drive, without the numbers. The numbers of the drives are in the state

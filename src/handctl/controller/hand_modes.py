@@ -238,7 +238,7 @@ follows.
 
 
 def _latched_faults(state: ControllerState) -> str:
-    """Return the latched faults as text, for the reason of a failure.
+    """Return a text that names the latched faults, as the reason of a failure.
 
     The text is empty if no fault is latched.
     """
@@ -473,7 +473,7 @@ def motors_not_confirmed_off(
 def _pulling_motors(
     model: HandModel, state: ControllerState, motor_names: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return the names of motors with a tendon that still has tension after the torque was cut (N16)."""
+    """Return the names of motors whose tendon still has tension after the torque was cut (fault N16)."""
     tendons = {
         latched_fault.part_name
         for latched_fault in state.latched_faults

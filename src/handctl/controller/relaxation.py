@@ -98,7 +98,7 @@ def start_relaxation(model: HandModel, state: ControllerState) -> None:
 
 
 def _relaxed_goal(model: HandModel, start_tensions: Vector) -> Vector:
-    """Return the tension goals (N,) of relaxing [N].
+    """Return the tension [N] that relaxing should reach in each tendon, shape (N,).
 
     The goals are the tensions of a relaxed hand, limited to the setpoints (N,) at the start of
     relaxing.
@@ -109,7 +109,7 @@ def _relaxed_goal(model: HandModel, start_tensions: Vector) -> Vector:
 def _envelope_start(
     model: HandModel, state: ControllerState, sign: Vector, plausible_tension: Vector
 ) -> Vector:
-    """Return the motor force (N,) at which the envelope of each tendon starts [N].
+    """Return the motor force [N] at which the envelope of each tendon starts, shape (N,).
 
     Usually, the envelope starts at the last commanded force. If the last commanded force is much
     larger than the present tension, the envelope starts at the present tension plus the friction of
@@ -148,7 +148,7 @@ def are_tensions_relaxed(model: HandModel, state: ControllerState) -> bool:
 
 
 def _force_magnitudes(model: HandModel, forces: Vector) -> Vector:
-    """Return the absolute values (N,) of forces or tensions [N].
+    """Return the absolute values of forces or tensions [N], shape (N,).
 
     Only a spool pair can have a negative force.
     """

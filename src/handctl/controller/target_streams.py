@@ -117,7 +117,7 @@ def bring_to_rest(
 ) -> ProgramProgress:
     """Replace the goals of all moving digits by goals at which the digits come to rest.
 
-    Return the progress of the program with the new goals.
+    Return the progress of the program after the goals are replaced.
     """
     reach_by_digit = tuple(digit.coordinate_limits for digit in model.digits)
     setpoints = present_setpoints(model, state)
@@ -233,7 +233,7 @@ def _begin_segment(
     sent_ns: int,
     t_ns: int,
 ) -> bool:
-    """Begin the motion of the references to the values of a target.
+    """Begin to move the motion references to the values of a target.
 
     Return True if the values were clipped.
 

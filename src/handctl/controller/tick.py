@@ -354,7 +354,7 @@ class Controller:
         tick_in_progress.sent_frames = self._encode_frames(state, tick_input.t_ns)
 
     def _conclude_tick(self, tick_in_progress: "TickInProgress") -> tuple[ControllerState, TickOut]:
-        """Design pending gains, and complete state and output, see ``TickInProgress.conclude``."""
+        """Design a control loop for pending gains, and complete state and output, see ``TickInProgress.conclude``."""
         state = tick_in_progress.state
         if tick_in_progress.state_before_torques:
             tick_in_progress.events += self._design_pending_gains(

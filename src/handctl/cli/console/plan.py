@@ -117,7 +117,7 @@ def gains_with_sources(args: argparse.Namespace, hand: Hand) -> gains.GainsWithS
 def default_gains(
     hand: Hand, requested_rate_hz: float | None = None, show_force: bool = False
 ) -> Gains:
-    """Return the gains of a hand without a gains file.
+    """Return the gains that a hand uses if there is no gains file.
 
     Args:
         hand: description of the hand.

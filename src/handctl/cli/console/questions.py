@@ -16,7 +16,7 @@ SCHEMA_FILE = "hand.schema.json"
 
 
 class HandQuestion(NamedTuple):
-    """Question about a new hand, for the operator.
+    """Question that the operator is asked about a new hand.
 
     Attributes:
         answer_field: name of the field in the answers.

@@ -161,7 +161,7 @@ def update_hold_limits(x: StateTables, c: ConstantTables, hold: bool) -> None:
 
 @kernel_helper
 def temporary_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
-    """Return the temporary tension limits (N,) [N].
+    """Return the temporary tension limit of each tendon [N], shape (N,).
 
     The temporary limits apply in addition to the limits of the hand file. At the soft temperature
     limit of a drive, the tension limit is the tension ceiling. At the hard temperature limit of a
@@ -284,7 +284,7 @@ def write_motor_torques(
 
 @kernel_helper
 def _limited_force(c: ConstantTables, n: int, force: float, limit: float) -> float:
-    """Return a motor force, limited by the range of the motor force and by the tension limit [N].
+    """Limit a motor force to the range of the motor and by the tension limit, and return the limited force [N].
 
     Args:
         c: constants of the hand.
@@ -460,7 +460,7 @@ def _motion_force_terms(
 
 @kernel_helper
 def _takes_up_slack(x: StateTables, c: ConstantTables, n: int) -> bool:
-    """Return True for a slack tendon whose digit follows streamed angles.
+    """Return True if a tendon is slack and the digit of the tendon follows streamed angles.
 
     A spool pair is never slack.
     """

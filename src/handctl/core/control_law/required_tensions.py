@@ -120,7 +120,7 @@ def _with_present_moment_arms(digit: DigitModel, constants: HandConstants) -> Di
 def _tensions_with_friction(
     model: HandModel, digit: DigitModel, required: Vector, trajectory: Vector
 ) -> Vector:
-    """Return the tensions (n_t,) at the joints for a digit with antagonistic tendons, with friction [N].
+    """Return the tensions (n_t,) at the joints of a digit that has antagonistic tendons and friction [N].
 
     Each pulley of a tendon has its own friction. In a digit without springs, the torques of all
     tendons must be in balance at each joint. The moment arms of the least-squares problem therefore

@@ -121,7 +121,7 @@ def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> 
 
 @kernel_helper
 def update_grip_travel(x: StateTables, c: ConstantTables) -> None:
-    """Update the fast and the slow average of the length on each spool minus the stretch of the tendon.
+    """Update the fast and the slow average of each tendon's excursion (length on the spool minus stretch).
 
     The fast and the slow average are equal until the detection of slip begins.
     """
