@@ -66,7 +66,7 @@ class SharedClock:
         )
 
     def create_file(self, path: Path) -> None:
-        """Create the file of the clock, for sharing with a controller.
+        """Create the file through which a controller shares the clock.
 
         Args:
             path: path of the file. If an earlier simulator was killed and has left a clock file at

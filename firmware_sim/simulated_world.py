@@ -49,9 +49,9 @@ class SimulatedWorld:
     a tendon is just taut.
 
     At theta = 0, the encoder of a motor reads ``zero_rad`` with an error of at most 0.5 rad. A
-    spool that a person has clamped by hand has an error of this size. The slack and the encoder
-    error are random numbers that depend on a seed. A homed world starts with taut tendons and
-    without encoder errors.
+    spool that a person has clamped by hand can have an error of up to 0.5 rad. The slack and the
+    encoder error are random numbers that depend on a seed. A homed world starts with taut tendons
+    and without encoder errors.
 
     Attributes:
         hand: description of the hand.

@@ -84,11 +84,10 @@ class PaceMeter:
         self._last_report = self._start = self._read_clocks(plant_ns)
 
     def count_slip(self, behind_ns: int, plant_ns: int) -> None:
-        """Count a slip of the clock.
+        """Count a slip of the clock, at which the plant skips the time by which the plant is late.
 
-        At a slip, the plant skips the time by which the plant is late. The plant never simulates
-        the skipped time. The method reports the slip if the last report is at least
-        ``REPORT_PERIOD_S`` old.
+        The plant never simulates the skipped time. The method reports the slip if the last report
+        is at least ``REPORT_PERIOD_S`` old.
 
         Args:
             behind_ns: plant time that was lost by the slip [ns].

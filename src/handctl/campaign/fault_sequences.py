@@ -324,8 +324,8 @@ def violations_on_replay(
     """Execute the ticks of a simulated run again, with the same inputs.
 
     If a tick has another state, other frames or other events than in the first execution, return a
-    list with one text. The text names the first such tick. If all ticks are equal to the first
-    execution, return an empty list.
+    list with one text. The text names the first tick that differs. If all ticks are equal to the
+    first execution, return an empty list.
     """
     for entry, tick_output in simulation.recorded_ticks[first_tick:]:
         state, replayed = simulation.controller.tick(state, entry)

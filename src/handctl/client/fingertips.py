@@ -81,7 +81,7 @@ class Fingertips:
         )
 
     def angles_deg(self, positions: TipPositions) -> dict[str, float]:
-        """Return the joint angles [deg] for positions of fingertips, by name of the joint, e.g. for ``hand.move``.
+        """Return the joint angles [deg] for positions of fingertips, by name of the joint, as ``hand.move`` needs them.
 
         Args:
             positions: goal positions of the fingertips. If a mapping does not contain a digit, the

@@ -275,7 +275,7 @@ class HandClient:
         self, goals: Mapping[str, float] | None = None, /, duration_s: float = 1.0, wait: bool = True,
         **angle_deg: float,
     ) -> None:  # fmt: skip
-        """Move digits or joints to angles [deg], e.g. ``hand.move(index=30, thumb_j1=10)``.
+        """Move digits or joints to angles [deg], as in ``hand.move(index=30, thumb_j1=10)``.
 
         A digit that is already moving continues smoothly from its present speed.
 

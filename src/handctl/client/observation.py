@@ -111,12 +111,12 @@ class Observation:
 
     @property
     def mode(self) -> str:
-        """Return the mode of the hand, e.g. ``"ACTIVE"``."""
+        """Return the mode of the hand, such as ``"ACTIVE"``."""
         return HandMode(int(self.record["mode"])).name
 
     @property
     def phase(self) -> str:
-        """Return the phase of the program, e.g. ``"live"``."""
+        """Return the phase of the program, such as ``"live"``."""
         return bytes(self.record["phase"].item()).decode("utf-8", "replace")
 
     @property
@@ -144,7 +144,7 @@ class Observation:
         return axes[AXIS_BY_FIELD[field]]
 
     def named(self, field: str) -> dict[str, float]:
-        """Return the values of a field by name, e.g. ``observation.named("q_rad")["index_j1"]``."""
+        """Return the values of a field by name, as in ``observation.named("q_rad")["index_j1"]``."""
         return dict(zip(self.names(field), self.record[field].tolist(), strict=True))
 
     def __repr__(self) -> str:

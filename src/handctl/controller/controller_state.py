@@ -49,7 +49,7 @@ class ClientLease(NamedTuple):
 
 
 class ControllerDecisions(NamedTuple):
-    """Part of the controller's state that changes only at events.
+    """Values in the controller's state that change only at events.
 
     The decisions are the values that are not in the state block.
 

@@ -581,7 +581,7 @@ def _tendon_motion_on_trajectory(
 def _tendon_motion_by_carriers(
     c: ConstantTables, n: int, trajectory: Matrix
 ) -> tuple[float, float]:
-    """Return a tendon's rate [m/s] and acceleration [m/s2] due to the motion of the digits that carry its digit."""
+    """Return a tendon's rate [m/s] and acceleration [m/s2] caused by the digits that carry the tendon's digit."""
     if not c.run_int[h.HAS_CARRIER_ARMS]:
         return 0.0, 0.0
     return carrier_excursion(c, n, trajectory[1]), carrier_excursion(c, n, trajectory[2])
