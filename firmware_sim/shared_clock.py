@@ -4,16 +4,17 @@ The clock pauses while the machine is too slow.
 
 If the operating system stops the simulator for many milliseconds, the answers of the simulator
 arrive late, although the simulated hand has no fault. A controller that uses the shared clock waits
-for late answers of the simulator. In every tick, the controller sets the gate, a time at which the
-simulator waits for at most ``MAX_GATE_WAIT_NS``.
+for late answers of the simulator. In every tick, the controller sets the gate. The gate is the time
+beyond which the clock does not advance until the controller moves the gate. The simulator waits at
+the gate for at most ``MAX_GATE_WAIT_NS``.
 
 The clock is a file with six 64-bit integers. Both processes map the file into memory:
 
     version | gate [ns] | sum of the pauses [ns] | ticks sent | ticks answered | reached [ns]
 
 The simulator writes the version and the last two integers. The controller writes the other
-integers. All times in the file are CLOCK_MONOTONIC minus the sum of the pauses, without the time
-scale.
+integers. All times in the file are CLOCK_MONOTONIC minus the sum of the pauses. These times are not
+multiplied by the time scale.
 """
 
 import mmap
@@ -41,12 +42,12 @@ longest pause of the clock for a late controller is shorter than the longest wai
 
 
 class SharedClock:
-    """The clock of a simulator, with the pauses and the gate (time limit) that a controller sets.
+    """The clock of a simulator. A controller can pause the clock, and can set the gate (a time limit for the clock).
 
     The class ``bus_server.ServerClock`` describes the methods.
 
-    Before ``create_file``, no controller shares the clock, and the time of the clock is CLOCK_MONOTONIC
-    times the scale.
+    Until ``create_file`` is called, no controller shares the clock, and the time of the clock is
+    CLOCK_MONOTONIC times the scale.
 
     Attributes:
         scale: ratio of plant time to wall time.
@@ -65,7 +66,7 @@ class SharedClock:
         )
 
     def create_file(self, path: Path) -> None:
-        """Create the file of the clock, for sharing with a controller.
+        """Create the file through which a controller shares the clock.
 
         Args:
             path: path of the file. If an earlier simulator was killed and has left a clock file at
@@ -91,8 +92,8 @@ class SharedClock:
     def now_ns(self) -> int:
         """Return the present time [ns].
 
-        If the gate (time limit of the controller) is earlier than the present time by at most
-        ``MAX_GATE_WAIT_NS``, return the gate.
+        If the present time is past the gate by at most ``MAX_GATE_WAIT_NS``, return the time of the
+        gate. The controller sets the gate as a time limit for the clock.
         """
         now, gate = time.monotonic_ns() - self._numbers[PAUSED_INDEX], self._numbers[GATE_INDEX]
         if gate < now <= gate + MAX_GATE_WAIT_NS:
@@ -104,17 +105,18 @@ class SharedClock:
         return self._numbers[SENT_INDEX]
 
     def publish_answered_ticks(self, ticks: int) -> None:
-        """Report the number of ticks for which the nodes have answered all frames."""
+        """Tell the controller the number of ticks for which the nodes have answered all frames."""
         self._numbers[ANSWERED_INDEX] = ticks
 
     def publish_reached_time(self, t_ns: int) -> None:
-        """Report the time that the plant has reached [ns]."""
+        """Tell the controller the time that the plant has reached [ns]."""
         self._numbers[REACHED_INDEX] = int(t_ns / self.scale)
 
     def close(self) -> None:
         """Remove the file of the clock.
 
-        A controller that still maps the file into memory waits, as for a stopped simulator.
+        A controller that still maps the file into memory then waits for the simulator, as if the
+        simulator were stopped.
         """
         if self._path:
             self._path.unlink(missing_ok=True)

@@ -48,9 +48,10 @@ class SimulatedWorld:
     1 to 3 mm, because the motors were off. At the spool angle theta = 0 and the joint angles q = 0,
     a tendon is just taut.
 
-    At theta = 0, the encoder of a motor reads ``zero_rad`` with an error of at most 0.5 rad, as
-    after a person has clamped the spool by hand. The slack and the encoder error are random numbers
-    that depend on a seed. A homed world starts with taut tendons and without encoder errors.
+    At theta = 0, the encoder of a motor reads ``zero_rad`` with an error of at most 0.5 rad. A
+    spool that a person has clamped by hand can have an error of up to 0.5 rad. The slack and the
+    encoder error are random numbers that depend on a seed. A homed world starts with taut tendons
+    and without encoder errors.
 
     Attributes:
         hand: description of the hand.
@@ -188,7 +189,7 @@ class SimulatedWorld:
     ) -> SensorNode | LoadCellAmplifiers:
         """Build the sensor node, or the load-cell amplifiers.
 
-        For compiled kernels, the state of the sensor node is in an array row.
+        If compiled kernels are used, the state of the sensor node is stored in a row of an array.
         """
         plant = self.plant
         joints = self.hand.joints
@@ -222,7 +223,7 @@ class SimulatedWorld:
         return self._motor_nodes[name]
 
     def host_frame(self, name: str) -> Frame:
-        """Build a frame without effect that only the host of a motor would send."""
+        """Build a frame that has no effect on a motor, and that only the host of the motor would send."""
         spec = self.motor_spec(name)
         can_id, data = PROTOCOL_SPECS[spec.protocol].host_frame(spec.node_id)
         return Frame(can_id, data, 0, self._bus_index(spec.bus), self.t_ns)
@@ -295,7 +296,7 @@ class SimulatedWorld:
             self.compiled_nodes.refresh_identifiers()
 
     def advance(self, t_ns: int, row_wake_ns: int | None = None) -> None:
-        """Advance the plant and the nodes by whole time steps, as far as the time ``t_ns`` permits.
+        """Advance the plant and the nodes by whole time steps, but not beyond the time ``t_ns``.
 
         The remaining time, which is less than a time step, is left for the next call.
 
@@ -461,7 +462,7 @@ def make_world(
     origin_ns: int = 0,
     compiled: bool = True,
 ) -> SimulatedWorld:
-    """Build the world of a hand that was read from a file, and report wrong values as SimulatorError.
+    """Build the world of a hand that was read from a file, and raise SimulatorError if the file contains wrong values.
 
     Args:
         hand: description of the hand.

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 REPORT_PERIOD_S = 1.0
 """Minimum time between two reports of slips [s]."""
 SLOW_MACHINE_SLIP_COUNT = 3
-"""Number of clock slips within a report period from which on a machine counts as too slow.
+"""Number of clock slips in a report period that shows that a machine is too slow.
 
 With fewer clock slips, the operating system has only stopped the process for a moment.
 """
@@ -39,7 +39,7 @@ class ClockReadings:
 
 
 class PaceMeter:
-    """Counter of the slips of the clock.
+    """Counter of the slips of the clock. At a slip, the plant skips the time by which the plant is late.
 
     The counter measures and reports the pace of the simulation, which is plant time per wall time.
 
@@ -84,10 +84,10 @@ class PaceMeter:
         self._last_report = self._start = self._read_clocks(plant_ns)
 
     def count_slip(self, behind_ns: int, plant_ns: int) -> None:
-        """Count a slip of the clock.
+        """Count a slip of the clock, at which the plant skips the time by which the plant is late.
 
-        The plant never makes up the time that a slip has skipped. If the last report of a slip is
-        at least a second old, report the slip.
+        The plant never simulates the skipped time. The method reports the slip if the last report
+        is at least ``REPORT_PERIOD_S`` old.
 
         Args:
             behind_ns: plant time that was lost by the slip [ns].
@@ -113,7 +113,7 @@ class PaceMeter:
         self._slips = self._lost_ns = 0
 
     def report(self, plant_ns: int) -> dict[str, float | None]:
-        """Return the requested pace, the advised pace, and the plant time per computing time since the start."""
+        """Return the requested pace, the advised pace, and the ratio of plant time to computing time."""
         max_pace = _pace_ratio(self._start, self._read_clocks(plant_ns))
         return {
             "time_scale": self._time_scale,
@@ -122,7 +122,7 @@ class PaceMeter:
         }
 
     def _slow_machine_text(self, seconds: float) -> str:
-        """Return a message for the user that the machine is too slow."""
+        """Return the message that tells the user that the machine is too slow."""
         slip_text = f"clock slipped {self._slips} times in {seconds:.1f} s, {self._lost_ns / 1e6:.0f} ms given up"
         return f"firmware_sim: {slip_text}: this machine is fast enough for --time-scale {self.advice:g}"
 

@@ -47,11 +47,12 @@ def run_dir() -> Path:
 
 
 def _parent_dir(folder: Path, path_parts: int) -> Path:
-    """Return the directory that contains the private part of the run directory's path.
+    """Return the directory above the private directories in the path of the run directory.
 
     The last ``path_parts`` directories of the path ``folder`` are private.
 
-    In the path of the returned parent, only symbolic links that belong to root are allowed.
+    The path of the returned directory can contain symbolic links, but only links that belong to
+    root.
 
     Raises:
         SimulatorError: a directory in the path is a link that belongs to a user.
@@ -115,7 +116,7 @@ def bus_path(name: str) -> Path:
 def faults_path(spec: str) -> Path:
     """Return the path of the fault socket of the simulator on a given bus.
 
-    ``join:NAME`` has the same path as ``local:NAME``.
+    The path is the same for the buses ``join:NAME`` and ``local:NAME``.
     """
     return truth_path(spec).with_suffix(".faults")
 
@@ -123,7 +124,7 @@ def faults_path(spec: str) -> Path:
 def truth_path(spec: str) -> Path:
     """Return the default path of the truth file of the simulator on a given bus.
 
-    ``join:NAME`` has the path of ``local:NAME``.
+    The path is the same for the buses ``join:NAME`` and ``local:NAME``.
     """
     name = spec.replace("join:", "local:", 1) if spec.startswith("join:") else spec
     return run_dir() / (name.replace(":", "_").replace("/", "_") + ".truth")

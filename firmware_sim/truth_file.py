@@ -86,8 +86,8 @@ def truth_columns(plant: Plant) -> list[tuple[str, str]]:
 class TruthWriter:
     """Writer of a truth file.
 
-    The values of a row belong to the time of the row, except the contact forces. The contact forces
-    belong to the previous step of the plant, 0.5 ms earlier.
+    All values of a row except the contact forces are the values at the time of the row. The contact
+    forces are those of the previous step of the plant, 0.5 ms earlier.
 
     Attributes:
         due_ns: plant time when the next row must be written [ns].
@@ -152,7 +152,7 @@ class TruthWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Write the collected rows to the file, unless the file or the disk is full."""
+        """Write the collected rows to the file, unless the disk is full or the file has its largest size."""
         data = b"".join(self._buffered)
         self._buffered.clear()
         disk = os.fstatvfs(self._file.fileno())

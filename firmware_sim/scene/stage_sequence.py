@@ -86,7 +86,7 @@ def _parse_vector(raw_vector: Any, key_path: str) -> Vector:
 
 @dataclass(frozen=True, slots=True)
 class SceneState:
-    """State of a scene with stages at a given time.
+    """State of a scene at a given time: stage, gravity, push and friction.
 
     Attributes:
         stage: index of the present stage, or -1 in a scene without stages.
@@ -103,7 +103,7 @@ class SceneState:
 
 
 class StageSequence:
-    """All stages of a scene, as a function of time.
+    """The stages of a scene, one after the other. The method ``state_at`` returns the scene's state at a given time.
 
     Attributes:
         duration: total duration of all stages [s].
@@ -123,7 +123,7 @@ class StageSequence:
     def state_at(self, time: float) -> SceneState:
         """Return the state of the scene at a given time.
 
-        The argument ``time`` counts from the start of the sinking of the table [s]. After the last
+        The argument ``time`` is the time since the table started to sink [s]. After the last
         stage, the state of the scene no longer changes.
         """
         start = 0.0
@@ -167,7 +167,8 @@ def _scaled_vector(vector: Vector, factor: float) -> Vector:
 def _rotated_vector(start: Vector, end: Vector, fraction: float) -> Vector:
     """Interpolate between two vectors along a great circle.
 
-    Between opposite vectors, the direction does not turn, but changes its sign halfway.
+    If the two vectors are opposite, the result does not turn. The sign of the result changes
+    halfway.
 
     Args:
         start: vector at fraction 0.

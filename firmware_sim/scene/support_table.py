@@ -99,7 +99,7 @@ class SupportTable:
         return self.depth >= self._support.sink_depth
 
     def update(self, time: float, forces: Any) -> float:
-        """Update the depth of the table, and return the depth.
+        """Update how far the table has sunk, and return the depth.
 
         Args:
             time: present time of the plant [s].

@@ -3,8 +3,8 @@
 The USB controller of a host transfers data only at the start of a USB frame. For a full-speed
 device, a USB frame starts every 1 ms. For a high-speed device, a USB frame starts every 125 us. In
 both directions, a CAN frame must wait for the start of the next USB frame. A serial bus inside an
-adapter transfers one CAN frame after the other. Source of the USB times: USB 2.0 specification,
-5.3.3 (frames and microframes).
+adapter transfers one CAN frame at a time. Source of the USB times: USB 2.0 specification, 5.3.3
+(frames and microframes).
 """
 
 import random

@@ -4,9 +4,9 @@ Source: ISO 11898-1:2015, frame formats and bit stuffing.
 
 In a classical frame, stuff bits are inserted into the following fields: start of frame, identifier,
 RTR, IDE, reserved bit, DLC, data, and CRC. No stuff bits are inserted after the CRC of a classical
-frame. In an FD frame, stuff bits are inserted in the same way from the start of frame to the end of
-the data. The stuff count and the CRC of an FD frame have fixed stuff bits, one before every four
-bits.
+frame. In an FD frame, stuff bits are inserted from the start of frame to the end of the data, as in
+a classical frame. The stuff count and the CRC of an FD frame have fixed stuff bits, one before
+every four bits.
 """
 
 from dataclasses import dataclass
@@ -157,8 +157,8 @@ def _identifier_bits(can_id: int) -> str:
 def _stuff_bit_count(bit_string: str) -> int:
     """Count the stuff bits of a bit string.
 
-    After five equal bits, the sender inserts the opposite bit. The count of equal bits continues
-    with the inserted bit.
+    After five equal bits, the sender inserts the opposite bit. The inserted bit is the first bit of
+    the next run of equal bits.
     """
     last_bit = ""
     equal_bits = 0

@@ -16,13 +16,13 @@ from firmware_sim.wire.frame_bits import BitRates
 NEVER_NS = 1 << 62
 """Time of an event that will not happen [ns]."""
 DEFAULT_QUEUE_DEPTH = 128
-"""Default capacity of a controller's queue [frames], as ``ip link set can0 txqueuelen 128``."""
+"""Default capacity of a controller's queue [frames], as set by ``ip link set can0 txqueuelen 128``."""
 ERROR_FLAGS_BITS = 12 + 8
 """Number of bits of the superposed error flags of several controllers, plus the bits of the error delimiter."""
 ERROR_FLAG_BITS = 6 + 8
 """Number of bits of the error flag of a sender that is alone on the bus, plus the bits of the error delimiter."""
 END_OF_FRAME_BITS = 1 + 7
-"""Number of the last bits of a frame that a destroyed frame does not reach: acknowledge delimiter and end of frame."""
+"""Number of bits that a destroyed frame lacks at its end: acknowledge delimiter and end of frame."""
 SUSPEND_BITS = 8
 """Number of bits for which an error-passive sender must wait after a frame."""
 RECOVERY_BITS = 128 * 11
@@ -56,8 +56,8 @@ class SimulatedWire:
         busy_ns: time during which frames and errors have occupied the wire [ns].
         frames: number of frames sent successfully.
         errors: number of frames that were destroyed or not acknowledged.
-        disturbed: number of the next frames that the wire will destroy. Only tests set this number
-            of frames.
+        disturbed: how many frames the wire will destroy, beginning with the next frame. Only tests
+            set this number.
     """
 
     def __init__(self, rate: BitRates, options: WireOptions = WireOptions()) -> None:
@@ -178,7 +178,7 @@ class SimulatedWire:
         self._end_ns = t_ns + frame_duration_ns
 
     def _has_receiver(self) -> bool:
-        """Return True if any controller except the senders is on the bus."""
+        """Return True if at least one controller that does not send the present frame is on the bus."""
         for controller in self._controllers:
             if controller.state != CanErrorState.BUS_OFF and controller not in self._senders:
                 return True
@@ -205,7 +205,7 @@ class SimulatedWire:
             self._destroy_frame(senders, t_ns)
 
     def _deliver_frame(self, senders: list[CanController], t_ns: int) -> None:
-        """Deliver the frame of the senders to all other controllers."""
+        """Deliver the sent frame to all controllers except the senders of this frame."""
         self.frames += 1
         can_id, data, flags, bus, _ = senders[0].queue[0][2]
         frame = Frame(can_id, data, flags, bus, t_ns)

@@ -22,7 +22,7 @@ OPENBLAS_THREADS_VARIABLE = "OPENBLAS_NUM_THREADS"
 """Environment variable with the number of threads that OpenBLAS uses."""
 PORTABLE_MATRIX_KERNELS = "Haswell"
 REQUIRED_CPU_FEATURES = frozenset({"avx2", "fma"})
-"""Features of a processor that can execute the portable kernels."""
+"""Features of a processor that can execute the kernels for Haswell."""
 CPU_INFO_PATH = Path("/proc/cpuinfo")
 
 
@@ -39,7 +39,7 @@ def configure_openblas() -> None:
 
 
 def can_run_portable_kernels() -> bool:
-    """Return True if the processor has the features that the portable kernels need."""
+    """Return True if the processor has the features that the kernels for Haswell need."""
     try:
         with CPU_INFO_PATH.open() as lines:
             return cpu_features(lines) >= REQUIRED_CPU_FEATURES

@@ -71,7 +71,7 @@ COMPILER_POLL_PERIOD_S = 0.1
 _KERNEL_DISPATCHERS: dict[str, tuple[Any, tuple[Any, ...]]] = {}
 """Dispatcher and argument types of each kernel, by name of the kernel."""
 _INNER_DISPATCHERS: list[Any] = []
-"""Numba dispatchers of all functions that only kernels call."""
+"""Numba dispatchers of all functions that are called only by kernels."""
 KERNEL_FUNCTIONS: list[Callable[..., Any]] = []
 """Python functions of all kernels and of all functions that kernels call."""
 if NUMBA_INSTALLED:
@@ -123,7 +123,7 @@ def kernel(*arguments: str) -> Callable[[F], F]:
 
 
 def kernel_helper(function: F) -> F:
-    """Mark a function that only kernels call.
+    """Mark a function as a helper that is called only by kernels.
 
     The function is compiled into the kernels that call it.
 
@@ -267,7 +267,7 @@ def _generate_borrowed_array(typing_context: Any, flat: Any, first_index: Any, s
 def borrowed_array(
     flat_array: NDArray[Any], first_element: int, shape: tuple[int, ...]
 ) -> NDArray[Any]:
-    """Return a part of a contiguous array in another shape.
+    """Return a part of a contiguous array as an array with another shape.
 
     Numba does not count the references to the returned array. If a function is called with an
     array, numba counts the references to the array with atomic operations. Kernels pass dozens of
@@ -362,7 +362,7 @@ def _compile_together(
 ) -> None:
     """Compile kernels into a folder, with one process for each processor core.
 
-    During the compilation, a lock makes other users of the folder wait.
+    During the compilation, a lock makes other processes wait before they use the folder.
 
     If a kernel cannot be compiled, ``compile_kernels`` raises the error later.
 
@@ -405,7 +405,7 @@ def _compile_together(
 
 
 def _try_file_lock(lock_file: IO[str]) -> bool:
-    """Try to lock the folder with the compiled code, and return True on success."""
+    """Try to lock the folder that contains the compiled code, and return True on success."""
     try:
         fcntl.flock(lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

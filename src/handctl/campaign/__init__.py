@@ -1,4 +1,5 @@
 """Fault campaign.
 
-The campaign injects all faults of the fault matrix into a simulated hand in lockstep.
+The campaign injects all faults of the fault matrix into a simulated hand. The controller and the
+simulated hand run in lockstep.
 """

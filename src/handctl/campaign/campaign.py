@@ -97,8 +97,8 @@ def campaign_scenarios(
 
     A full campaign runs all scenarios. If `row_ids` is not empty, the campaign runs only the
     scenarios of the named rows of the fault matrix. A quick campaign runs every seventh scenario.
-    The seed determines with which scenario a quick campaign begins, so that each seed gives a
-    different sample.
+    The seed determines the first scenario of a quick campaign, so that each seed gives a different
+    sample.
     """
     period_ms = 1e3 / rate_hz
     selected_scenarios = scenarios_of_hand(hand, protocol, period_ms)

@@ -93,9 +93,10 @@ class FaultMatrixRow(NamedTuple):
         force_change_N: variation of the motor force that the detection of the fault needs [N]. The
             time limit counts from the instant at which the motor force has varied by this force
             since the fault. If the motor force never varies by this force, no reaction is required.
-        scales_with_period: True if the detection waits for a time constant or a delay in milliseconds. At a
-            control period below ``TIME_LIMIT_PERIOD_MS``, ``max_ticks`` then stands for the same
-            time in more ticks.
+        scales_with_period: True if the detection waits for a time constant or a delay in
+            milliseconds. For such a row, the time limit at a control period below
+            ``TIME_LIMIT_PERIOD_MS`` is as long as ``max_ticks`` periods of
+            ``TIME_LIMIT_PERIOD_MS``.
     """
 
     id: str
@@ -124,7 +125,7 @@ class FaultMatrixRow(NamedTuple):
         )
 
     def missing_sensor_ticks(self, hand: Hand, fault: str, period_ms: float) -> int:
-        """Return the additional ticks that a hand with missing sensors is allowed for the reaction to a fault.
+        """Return by how many ticks later a hand that lacks sensors is allowed to react to a fault.
 
         Args:
             hand: description of the simulated hand.
@@ -421,9 +422,9 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenar
 
     All scenarios with two faults happen during a grasp. The fault with the more severe reaction
     comes first. The second fault starts a few ticks later. The first fault affects the first
-    possible part of the hand, such as the first motor, and the second fault the last possible part.
-    If a hand has no part that a fault can affect, such as a load cell, there are no pairs with this
-    fault. `period_ms` is the control period [ms].
+    possible part of the hand, such as the first motor, and the second fault affects the last
+    possible part. Some faults can affect only parts that the hand does not have, for example load
+    cells. There are no pairs with such a fault. `period_ms` is the control period [ms].
     """
     rows = [
         next(row for row in FAULT_MATRIX if row.id == id_ and protocol in row.protocols)

@@ -230,8 +230,9 @@ def run_sequence(simulation: SimulatedRun, sequence: FaultSequence) -> ScenarioR
 def _sequence_ticks(simulation: SimulatedRun, sequence: FaultSequence) -> Iterator[dict[str, Any]]:
     """Yield the inputs of each tick of a sequence.
 
-    Before a planned tick, inject the fault that the simulator has to cause in this tick. After the
-    last tick of the sequence, the inputs contain a stop request.
+    Faults of the host are part of the inputs of a tick. The function injects all other faults into
+    the simulated hand before the planned tick. After the last tick of the sequence, the inputs
+    contain a stop request.
     """
     host_faults: list[tuple[int, HostFault]] = []
     for i in range(SEQUENCE_TICKS + round(SHUTDOWN_TIMEOUT_S * 1e9 / simulation.period_ns)):
@@ -322,8 +323,9 @@ def violations_on_replay(
 ) -> list[str]:
     """Execute the ticks of a simulated run again, with the same inputs.
 
-    Return a text about the first tick whose state, frames or events differ from the first
-    execution. If no tick differs from the first execution, the list is empty.
+    If a tick has another state, other frames or other events than in the first execution, return a
+    list with one text. The text names the first tick that differs. If all ticks are equal to the
+    first execution, return an empty list.
     """
     for entry, tick_output in simulation.recorded_ticks[first_tick:]:
         state, replayed = simulation.controller.tick(state, entry)

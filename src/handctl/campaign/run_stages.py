@@ -121,7 +121,7 @@ def homed_run(
     perturb: dict[str, float] | None = None,
     task: dict[str, Any] = CAMPAIGN_TASK,
 ) -> Iterator[SimulatedRun]:
-    """Yield a simulated run at its start.
+    """Yield a simulated run that has not executed any tick yet.
 
     The hand is homed, and the scene contains a cylinder.
 

@@ -188,8 +188,8 @@ def tension_bound(
     """Return the largest tension that the drives and the momentum of the rotors can cause in a scenario [N].
 
     Only the fault `runaway` makes a drive pull harder than commanded. For every other fault, the
-    result is the largest trip tension or start tension. A single reading above the trip tension
-    makes the hand relax.
+    result is the largest of all trip tensions and start tensions. A single reading above the trip
+    tension makes the hand relax.
 
     Args:
         simulation: simulation of the run.
@@ -405,7 +405,7 @@ class HostFault:
         self.kind, *self.words = fault_text.split()
 
     def tick_arguments(self, i: int, simulation: SimulatedRun) -> dict[str, Any]:
-        """Return the arguments for the i-th tick of the simulation after the start of the fault."""
+        """Return the arguments with which the simulation has to execute the i-th tick after the start of the fault."""
         is_first = i == 0
         if self.kind == "io":
             if not is_first and "lasting" not in self.words:

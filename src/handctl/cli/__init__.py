@@ -1,5 +1,5 @@
 """Command line of handctl.
 
-The first word after ``handctl`` names the command. The modules call the name of the command the
-verb. In ``handctl run``, the verb is ``run``.
+The first word after ``handctl`` names the command, such as ``run`` in ``handctl run``. In the
+modules of the command line, the word *verb* means the name of a command.
 """

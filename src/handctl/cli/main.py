@@ -2,10 +2,10 @@
 # contain this mark
 """Entry point of the command line, and the table of all commands.
 
-In this module, a *verb* is a command such as ``run``.
+In this module, the word *verb* means the name of a command, such as ``run``.
 
-The module ``arguments`` of a folder declares the arguments of all verbs in the folder. The code of
-a verb is in the module with the name of the verb.
+The module ``arguments`` of a folder declares the arguments of all commands in the folder. The code
+of a command is in the module with the name of the command.
 
 To print a help text, or an error in the arguments, handctl imports only the module ``arguments``.
 Because few modules are imported, help texts and errors appear fast.
@@ -60,16 +60,17 @@ ERROR_EXIT_CODES: tuple[tuple[type[BaseException], ExitCode, str], ...] = (
 )
 """Exit code of each kind of error, and the text of an error without a message.
 
-The first kind that matches an error counts, so that a base class comes after its subclasses.
+The first kind in the list that matches an error is used, so a base class must come after its
+subclasses.
 """
 
 
 class VerbGroup(NamedTuple):
-    """Group of verbs with the same purpose.
+    """Group of commands with the same purpose.
 
     Attributes:
-        title: common purpose of the verbs, printed as a heading in the help text.
-        verbs: one line of help for each verb, by the name of the verb.
+        title: common purpose of the commands, printed as a heading in the help text.
+        verbs: one line of help for each command, by the name of the command.
     """
 
     title: str
@@ -124,15 +125,15 @@ VERB_GROUPS = {
         },
     ),
 }
-"""Groups of verbs by the folder of their modules."""
+"""Groups of commands, by the folder that contains the modules of the group."""
 VERB_HELP = {name: text for group in VERB_GROUPS.values() for name, text in group.verbs.items()}
-"""One line of help for each verb, by name."""
+"""One line of help for each command, by the name of the command."""
 VERBS_BY_FOLDER = {folder: tuple(group.verbs) for folder, group in VERB_GROUPS.items()}
-"""Names of the verbs in each group, by the folder of their modules."""
+"""Names of the commands in each group, by the folder that contains the modules of the group."""
 RECORDING_VERBS = ("run", "commission", "demo")
-"""Verbs that record a run, unless ``--dry-run`` is given."""
+"""Commands that record a run, unless ``--dry-run`` is given."""
 VERBOSITY_OPTIONS = {"-v", "--verbose", "-q", "--quiet"}
-"""Options that are allowed before the verb of a command line, and after it."""
+"""Options that are allowed both before and after the name of the command."""
 
 HELP_EPILOG = """exit codes:
   0 done, 1 failed, 2 bad input, 3 lossy log, 4 not comparable, 70 internal error, 71 remove power,
@@ -235,7 +236,7 @@ def _error_text_and_exit_code(error: BaseException) -> tuple[str, ExitCode]:
 def _run_command_line(command_words: list[str]) -> int:
     """Run a command line, and return the exit code.
 
-    Exceptions of the verb are not caught.
+    The function does not catch the exceptions that the command raises.
     """
     while (
         command_words[1:]
@@ -268,7 +269,7 @@ def _run_command_line(command_words: list[str]) -> int:
 
 
 def _verb_table() -> str:
-    """Return the part of the help that lists the verbs of each group."""
+    """Return the part of the help text that lists the commands of each group."""
     lines: list[str] = []
     for group in VERB_GROUPS.values():
         lines.append(f"{group.title}:")
@@ -284,17 +285,17 @@ def _version_text() -> str:
 
 
 def _folder_of_verb(name: str) -> str:
-    """Return the folder that contains the module of a verb."""
+    """Return the folder that contains the module of a command."""
     return next(folder for folder, verbs in VERBS_BY_FOLDER.items() if name in verbs)
 
 
 def _import_arguments(name: str) -> Any:
-    """Import the module that declares the arguments of a verb."""
+    """Import the module that declares the arguments of a command."""
     return importlib.import_module(f"handctl.cli.{_folder_of_verb(name)}.arguments")
 
 
 def verb_parser(name: str) -> VerbParser:
-    """Return the parser of a verb."""
+    """Return the argument parser of a command."""
     text = VERB_HELP[name]
     example = _import_arguments(name).COMMAND_EXAMPLES[name]
     parser = VerbParser(
@@ -307,7 +308,7 @@ def verb_parser(name: str) -> VerbParser:
 
 
 def parser_of_all_verbs() -> VerbParser:
-    """Return one parser for all verbs, for shell completion."""
+    """Return one argument parser for all commands. Shell completion uses this parser."""
     parser = VerbParser(prog="handctl")
     parser.add_argument("--version", action="store_true")
     verbs = parser.add_subparsers()
@@ -317,7 +318,7 @@ def parser_of_all_verbs() -> VerbParser:
 
 
 def _run_verb(name: str, command_words: list[str]) -> int:
-    """Run one verb, and return the exit code."""
+    """Run one command, and return the exit code."""
     args = verb_parser(name).parse_args(command_words)
     with apply_verbosity(args):
         require_extra(name, *optional_packages(name, args))
@@ -357,13 +358,13 @@ def _start_recorder_early() -> AbstractContextManager[None]:
     """
     from handctl.log.write.recorder_start import (
         prestarted_recorder_process,
-    )  # a verb that records no run does not need the module subprocess
+    )  # a command that records no run does not need the module subprocess
 
     return prestarted_recorder_process()
 
 
 def _import_verb(name: str) -> Any:
-    """Import and return the module of a verb."""
+    """Import and return the module of a command."""
     module = f"handctl.cli.{_folder_of_verb(name)}.{name}"
     if module in sys.modules:
         return sys.modules[module]

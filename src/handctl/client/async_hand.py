@@ -126,7 +126,7 @@ class AsyncHandClient:
         await asyncio.to_thread(self.client.release, wait, timeout_s)
 
     async def take_over(self) -> None:
-        """Take the right to move the hand from the client that has this right, see ``HandClient.take_over``."""
+        """Take over the right to move the hand from another client, see ``HandClient.take_over``."""
         await asyncio.to_thread(self.client.take_over)
 
     async def stop(self) -> None:
@@ -184,7 +184,7 @@ class AsyncHandClient:
 
 
 class AsyncTargetStream:
-    """Open stream of targets for asyncio. Use the stream with ``async with``.
+    """Stream of targets, for programs that use asyncio. Use the stream with ``async with``.
 
     Attributes:
         stream: the ``TargetStream`` that does the work. The stream has attributes such as

@@ -81,7 +81,7 @@ class Fingertips:
         )
 
     def angles_deg(self, positions: TipPositions) -> dict[str, float]:
-        """Return the joint angles [deg] for positions of fingertips, by name of the joint, e.g. for ``hand.move``.
+        """Return the joint angles [deg] for positions of fingertips, by name of the joint, as ``hand.move`` needs them.
 
         Args:
             positions: goal positions of the fingertips. If a mapping does not contain a digit, the
@@ -130,7 +130,7 @@ class Fingertips:
 
 
 class FingertipStream(TargetStream):
-    """Open stream of fingertip positions, as the method ``HandClient.stream`` returns it.
+    """Stream of fingertip positions. The method ``HandClient.stream`` returns such a stream.
 
     The client computes joint angles from the positions. The controller receives the joint angles,
     and limits them as in every stream.

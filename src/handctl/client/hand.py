@@ -57,13 +57,13 @@ from handctl.session.task_loading import load_task_for_hand
 StreamSpace = Literal["joint", "digit", "tension", "tip_force", "fingertip"]
 """Meaning of the values of a target, see ``HandClient.stream``."""
 START_TIMEOUT_S = 300.0
-"""Longest wait until a controller that the client has started accepts goals [s].
+"""Longest time until a controller accepts goals, if the client has started the controller [s].
 
 The start timeout is enough for commissioning on a slow machine. If a controller cannot start, its
 process ends much earlier, which ends the wait.
 """
 ATTACH_TIMEOUT_S = 60.0
-"""Longest wait until a controller that another process has started accepts goals [s]."""
+"""Longest time until a controller accepts goals, if another process has started the controller [s]."""
 OBSERVATION_POLL_PERIOD_S = 50e-6
 """Pause between two reads of the shared memory that contains the observations [s]."""
 STATE_POLL_PERIOD_S = 0.2
@@ -76,7 +76,8 @@ SENDER_NAME_BYTES = 64
 DEFAULT_LEASE_S = 2.0
 """Default lease [s].
 
-The default lease is longer than the delays, on a busy machine, of the thread that renews the lease.
+On a busy machine, the thread that renews the lease can be late. The default lease is longer than
+such a delay.
 """
 SHUTDOWN_MODE_NAMES = {mode.name for mode in SHUTDOWN_MODES}
 """Modes of the hand in which the controller follows no goals."""
@@ -152,7 +153,7 @@ def connect(
 
 
 def _check_lease(lease_s: float | None, watchdog_s: float | None) -> None:
-    """Check the lease and the watchdog time, after which the controller treats a client as lost.
+    """Check the lease time and the watchdog time of a client.
 
     Raises:
         ConfigError: a time is not a number within its limits, or there is a watchdog but no lease.
@@ -174,12 +175,12 @@ class HandClient:
     Use the client as a context manager. Several threads of a program can share a client.
 
     At any time, only one client is allowed to move the hand. Any number of clients can observe the
-    hand. The first client that moves the hand gets the right to move the hand. The client has this
-    right until the client closes, or until a second client calls ``take_over``.
+    hand. The first client that moves the hand gets the right to move the hand. The client keeps the
+    right to move the hand until the client closes, or until another client calls ``take_over``.
 
     If the client has started the controller, the hand is relaxed and disarmed when the client
     closes. If another process has started the controller, the hand stays armed. If the client was
-    moving the hand when it closed, the hand comes to rest.
+    moving the hand when the client closed, the hand comes to rest.
 
     Attributes:
         bus: bus of the controller.
@@ -274,7 +275,7 @@ class HandClient:
         self, goals: Mapping[str, float] | None = None, /, duration_s: float = 1.0, wait: bool = True,
         **angle_deg: float,
     ) -> None:  # fmt: skip
-        """Move digits or joints to angles [deg], e.g. ``hand.move(index=30, thumb_j1=10)``.
+        """Move digits or joints to angles [deg], as in ``hand.move(index=30, thumb_j1=10)``.
 
         A digit that is already moving continues smoothly from its present speed.
 
@@ -472,9 +473,9 @@ class HandClient:
         self._set_goal({"do": "stream_end", "stream": name})
 
     def take_over(self) -> None:
-        """Take the right to move the hand from the client that has this right.
+        """Take over the right to move the hand from another client.
 
-        All digits come to rest. An open stream of the client that loses the right ends.
+        All digits come to rest. If the other client has an open stream, the stream ends.
 
         Raises:
             DriveError, BusError: see ``move``.
@@ -567,7 +568,7 @@ class HandClient:
         phase: str | None = None,
         timeout_s: float = 10.0,
     ) -> Observation:
-        """Wait until digits are in contact or the hand is in a phase, and return the observation at that time.
+        """Wait until digits are in contact or the hand is in a given phase, and return the observation at that time.
 
         If contacts and a phase are both given, the wait ends at a tick in which the digits are in
         contact and the hand is in the phase.
@@ -691,7 +692,7 @@ class HandClient:
     def stop(self) -> None:
         """Relax and disarm the hand, and end the run.
 
-        The run also ends if another process has started the controller.
+        The run ends even if another process has started the controller.
 
         Raises:
             UnconfirmedError: the controller has not confirmed the request.
@@ -837,7 +838,8 @@ class HandClient:
     def _collect_result(self) -> None:
         """End the controller by closing its standard input, and read the result of the run.
 
-        If a second thread already does the same, wait until the second thread has read the result.
+        If another thread is already ending the controller, wait until that thread has read the
+        result.
         """
         with self._output_lock:
             if self.child is None or self.child.stdout is None or self.child.stdout.closed:
@@ -875,7 +877,7 @@ class HandClient:
 
 
 def _values_by_digit(do: str, goals: object, keyword_goals: Mapping[str, Any]) -> dict[str, Any]:
-    """Combine the values of a mapping and of keyword arguments, and return them by name of the digit.
+    """Combine the values of a mapping and of keyword arguments, and return all values by the name of the digit.
 
     Raises:
         ConfigError: the goals are not a mapping, contain no digit, or contain a digit twice.

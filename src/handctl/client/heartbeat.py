@@ -1,4 +1,4 @@
-"""Signs of life that a client sends to the controller.
+"""Signs of life that a client sends to the controller. A sign of life is a request that renews the client's lease.
 
 A thread of the client sends signs of life while the program runs.
 """

@@ -1,4 +1,4 @@
-"""Observation of a hand in one tick, with the age of its values.
+"""Observation of a hand in one tick, with the age of the observed values.
 
 The observation is a numpy record. The names of the record's fields contain the units.
 """
@@ -22,8 +22,9 @@ class Observation:
     """State of the hand at one tick. Unknown numbers are NaN.
 
     Every field of ``record`` is also an attribute of the observation. The name of an attribute ends
-    with the unit. The shapes of the attributes use J joints, N tendons, M motors and D digits, in
-    the order of the hand file. The method ``named`` returns the values of a field as a dict.
+    with the unit. In the shapes of the attributes, J, N, M and D are the numbers of joints,
+    tendons, motors and digits. The values are in the order of the hand file. The method ``named``
+    returns the values of a field as a dict.
 
     Attributes:
         record: all values of the observation, as a numpy record of shape ().
@@ -110,12 +111,12 @@ class Observation:
 
     @property
     def mode(self) -> str:
-        """Return the mode of the hand, e.g. ``"ACTIVE"``."""
+        """Return the mode of the hand, such as ``"ACTIVE"``."""
         return HandMode(int(self.record["mode"])).name
 
     @property
     def phase(self) -> str:
-        """Return the phase of the program, e.g. ``"live"``."""
+        """Return the phase of the program, such as ``"live"``."""
         return bytes(self.record["phase"].item()).decode("utf-8", "replace")
 
     @property
@@ -143,7 +144,7 @@ class Observation:
         return axes[AXIS_BY_FIELD[field]]
 
     def named(self, field: str) -> dict[str, float]:
-        """Return the values of a field by name, e.g. ``observation.named("q_rad")["index_j1"]``."""
+        """Return the values of a field by name, as in ``observation.named("q_rad")["index_j1"]``."""
         return dict(zip(self.names(field), self.record[field].tolist(), strict=True))
 
     def __repr__(self) -> str:

@@ -54,7 +54,7 @@ class StreamOwner(Protocol):
 
 
 class TargetStream:
-    """Open stream of targets to a hand. Use the stream as a context manager.
+    """Stream of targets that a program sends to a hand. Use the stream as a context manager.
 
     The hand reaches a target ``horizon_s`` after the target was sent, and then continues to the
     next target. A program that knows the trajectory in advance should send each target
@@ -144,7 +144,7 @@ class TargetStream:
         """Sleep until the next target is due.
 
         If the program is late, the method returns at once. The next targets are due at the rate of
-        the stream. The program does not send targets that were due earlier.
+        the stream. The program should not send the targets for which it is late.
         """
         time.sleep(max(0.0, self.next_due_s() - time.monotonic()))
 

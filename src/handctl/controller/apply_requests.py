@@ -74,7 +74,8 @@ def apply_requests(
         request_texts: requests as JSON texts.
 
     Returns:
-        The stop and cut requests among the given requests, and the events that the requests cause.
+        The requests to stop the run or to cut the torque, and the events that the given requests
+        cause.
     """
     operator_requests = OperatorRequests()
     events = list[TickEvent]()

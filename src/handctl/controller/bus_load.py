@@ -78,7 +78,7 @@ class BusLoad:
     def highest_rate_hz(self, load_limit: float) -> float:
         """Return the control rate [Hz] at which the bus load reaches ``load_limit``.
 
-        If no frame is sent in every tick, return infinity.
+        If the bus has no frames that are sent once per tick, return infinity.
         """
         return (
             max(0.0, load_limit - self.periodic_load_fraction) / self.frame_time_per_tick_s
@@ -184,7 +184,7 @@ def _load_of_bus(hand: Hand, bus_index: int, bus: Bus, drives: tuple[Drive, ...]
 
 
 def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
-    """Distribute the motors over the smallest number of buses that allows a control rate [Hz].
+    """Distribute the motors over the smallest number of buses that allows the given control rate [Hz].
 
     All buses have the bit rates of the first bus in the hand file. The load cells stay on the first
     bus of the hand.
@@ -207,7 +207,7 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
     for drive in make_drives(hand):
         listens_to_sync = isinstance(drive, Cia402Drive)
         # Any drive can become the drive after whose command the host sends its heartbeat.
-        # ``sync_load`` has the SYNC frame.
+        # ``sync_load`` contains the load of the SYNC frame.
         if isinstance(drive, Cia402Drive):
             drive = replace(drive, sync=False, sends_heartbeat=True)
         load = BusLoad("", 1, drive_rows(drive, first_bus)).load_at_rate(rate_hz)
@@ -225,7 +225,7 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
 
 
 def with_more_buses(hand: Hand, rate_hz: float) -> Hand:
-    """Return a copy of a hand with the smallest number of buses that allows a control rate [Hz].
+    """Return a copy of a hand, in which the number of buses is the smallest that allows the given control rate [Hz].
 
     The motors are distributed over the buses of the copy. The load cells stay on the first bus of
     the hand. All buses have the bit rates of the first bus. If a single motor already overloads a

@@ -1,6 +1,7 @@
 """State of a controller.
 
-The state consists of a block of numbers, and of decisions that are not numbers.
+The state consists of a block of numbers, and of an object that contains the values that are not
+numbers. The values in this object are called the decisions.
 """
 
 from typing import Any, NamedTuple
@@ -48,9 +49,9 @@ class ClientLease(NamedTuple):
 
 
 class ControllerDecisions(NamedTuple):
-    """Part of the controller's state that changes only at events.
+    """Values in the controller's state that change only at events.
 
-    The decisions are not in the state block.
+    The decisions are the values that are not in the state block.
 
     Attributes:
         drives: state of each drive, without the numbers. The numbers of the drives are in the state
@@ -92,8 +93,8 @@ class ControllerDecisions(NamedTuple):
 def _serialized_part(state_part: object) -> bytes:
     """Return the serialized form of a part of the decisions.
 
-    While a digit closes, the progress of the program changes in every tick. The goals in the
-    progress of the program stay the same objects, so the bytes of the goals are cached.
+    While a digit closes, the progress of the program changes in every tick. The progress keeps
+    references to the same goal objects, so the bytes of the goals are cached.
     """
     if isinstance(state_part, ProgramProgress):
         return join_serialized_fields(state_part, _serialized_field_cache)
@@ -184,7 +185,7 @@ class ControllerState:
     def __init__(
         self, layout: BlockLayout, block: BlockArray, decisions: ControllerDecisions
     ) -> None:
-        """Store a block of numbers without a copy, and create views of the tables in the block.
+        """Store a block of numbers without copying the block, and create views of the tables in the block.
 
         Args:
             layout: layout of the state block.
@@ -219,7 +220,7 @@ class ControllerState:
 
     @property
     def tendon_int(self) -> NDArray[np.int64]:
-        """Return the table (rows, N) of the integers per tendon, a view of the block."""
+        """Return the table of integers with one column per tendon (rows, N). The table is a view of the state block."""
         return self.layout.table(self.block, "tendon_int")
 
     def view(self, name: str) -> NDArray[Any]:
@@ -269,7 +270,8 @@ class ControllerState:
     def goal_time(self) -> float:
         """Return the time since the start of the program [s].
 
-        The time of the program stops while the safety monitor makes the hand hold its position.
+        The program time does not increase while the safety monitor makes the hand hold its
+        position.
         """
         return self.run_table_real(s.GOAL_TIME)
 

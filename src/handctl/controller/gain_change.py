@@ -89,9 +89,9 @@ class DesignCache:
         )
 
     def controller(self, controller: ControllerT, gains: Gains) -> ControllerT:
-        """Return a copy of a controller with other gains.
+        """Return a copy of a controller in which ``gains`` replace the present gains.
 
-        The design for the other gains stays in the cache.
+        The design for ``gains`` stays in the cache.
         """
         self.gains_in_use = gains
         if gains not in self.controllers:
@@ -116,7 +116,7 @@ class DesignCache:
     def _design_missing_loops(
         self, model: HandModel, gains: Gains, loop_count: int
     ) -> list[Vector]:
-        """Design those of the first ``loop_count`` loops that are not designed yet, and return all designed loops."""
+        """Design loops until the first ``loop_count`` loops are designed, and return all designed loops."""
         loop_designs = self.loop_designs.setdefault(gains, [])
         if len(self.loop_designs) > MAX_CACHED_DESIGNS:
             # A dictionary keeps the order of insertion, so the first entry is the oldest entry. The

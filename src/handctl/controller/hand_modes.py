@@ -53,7 +53,7 @@ RELEASE_DETECTION_TICKS = 2
 
 @dataclass(frozen=True, slots=True)
 class OperatorRequests:
-    """Stop and cut requests from the operator in a tick."""
+    """Requests from the operator in a tick: to stop the run, or to cut the torque."""
 
     is_stop_requested: bool = False
     is_cut_requested: bool = False
@@ -67,7 +67,7 @@ class ModeInputs(NamedTuple):
         drives: drives of all motors.
         time_in_mode: time since the present mode began [s].
         action: reaction that the safety monitor demands.
-        operator_requests: stop and cut requests from the operator.
+        operator_requests: requests from the operator to stop the run, or to cut the torque.
         other_host_signs: signs that a second controller uses the bus. Signs are frames that only a host
             sends, and replies of motors to which this host has sent no request.
         identities: identities that the drives had when the hand was calibrated, see
@@ -142,7 +142,7 @@ def next_mode(
         drives: drives of all motors.
         state: state with the drive and filter values of the tick, modified in place.
         action: reaction that the safety monitor demands.
-        operator_requests: stop and cut requests from the operator.
+        operator_requests: requests from the operator to stop the run, or to cut the torque.
         other_host_signs: texts that describe signs of a second controller on the bus.
         time_s: time of the tick [s].
         calibrated_identities: identities of the drives in the calibration. The tuple can be empty.
@@ -215,7 +215,7 @@ def _overriding_mode(state: ControllerState, inputs: ModeInputs) -> NextMode | N
 
 
 def _next_mode_before_arming(state: ControllerState, inputs: ModeInputs) -> NextMode | None:
-    """Return the mode DONE, with the reason, if a run must end before any motor makes torque.
+    """Return the mode DONE and the reason for the end, if a run must end before any motor makes torque.
 
     Return None if the run continues.
     """
@@ -238,7 +238,7 @@ follows.
 
 
 def _latched_faults(state: ControllerState) -> str:
-    """Return the latched faults as text, for the reason of a failure.
+    """Return a text that names the latched faults, as the reason of a failure.
 
     The text is empty if no fault is latched.
     """
@@ -327,7 +327,7 @@ def _silent_sensors(state: ControllerState) -> list[str]:
 
 
 def _missing_inputs(state: ControllerState, inputs: ModeInputs) -> list[str]:
-    """Return a text with the motors whose drives are ready, but have not sent a position yet.
+    """Return a text that lists the motors whose drives are ready, but have not sent a position yet.
 
     The tension filter needs the position of every motor.
     """
@@ -356,7 +356,7 @@ def _next_mode_after_ready(state: ControllerState, inputs: ModeInputs) -> NextMo
 
 
 def _other_drives(state: ControllerState, inputs: ModeInputs) -> str:
-    """Return a text with the drives whose identity differs from the identity in the calibration.
+    """Return a text that lists the drives whose identity differs from the identity in the calibration.
 
     Returns:
         The result has one phrase per drive. The text is empty if all identities are equal, or if
@@ -450,9 +450,9 @@ def _named_drives(state: ControllerState, inputs: ModeInputs) -> Iterator[tuple[
 def motors_not_confirmed_off(
     state: ControllerState, motor_names: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return the names of motors that could still be enabled.
+    """Return the names of motors that are possibly still enabled.
 
-    A motor could be enabled if its drive has not confirmed the disabled state. Before arming,
+    A motor is possibly enabled if its drive has not confirmed the disabled state. Before arming,
     handctl has not enabled any motor, so a motor without a confirmation is not in the result. After
     the end of a run, the result contains only motors that had no confirmation at the end of the
     run. A motor whose drive reports that it is enabled is always in the result.
@@ -473,7 +473,7 @@ def motors_not_confirmed_off(
 def _pulling_motors(
     model: HandModel, state: ControllerState, motor_names: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return the names of motors with a tendon that still has tension after the torque was cut (N16)."""
+    """Return the names of motors whose tendon still has tension after the torque was cut (fault N16)."""
     tendons = {
         latched_fault.part_name
         for latched_fault in state.latched_faults
@@ -489,7 +489,7 @@ def _pulling_motors(
 def _motors_possibly_with_torque(
     model: HandModel, state: ControllerState, motor_names: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return the names of motors that could still make torque at the end of a run.
+    """Return the names of motors that possibly still make torque at the end of a run.
 
     If the run ends before arming, the tensions of the tendons are ignored. Before arming, a tendon
     can have tension although its motor makes no torque.

@@ -11,11 +11,11 @@ Here, u is the commanded motor force at the tendon [N], and T is the control per
 pair, u is the absolute value of the force, and the force keeps its direction.
 
 The envelope begins at the last motor command, but not above a limit. The limit is the present
-tension plus ``MAX_SETPOINT_EXCESS_N`` plus the friction of the motor. If the load cell of a tendon
-in the tension loop could be wrong, and the setpoint is higher than the first two terms, the
-setpoint replaces them. The tension loop cannot command more force than the envelope. After a fault
-of the tension loop (``RelaxMethod.OPEN_LOOP``), the command u[k] equals e[k]. If a motor brakes
-when relaxing begins, its command goes to zero.
+tension plus ``MAX_SETPOINT_EXCESS_N`` plus the friction of the motor. Some tendons are controlled
+by the tension loop, and have a load cell that could be wrong. For such a tendon, the limit is at
+least the setpoint plus the friction of the motor. The tension loop cannot command more force than
+the envelope. After a fault of the tension loop (``RelaxMethod.OPEN_LOOP``), the command u[k] equals
+the envelope e[k]. If a motor brakes when relaxing begins, its command goes to zero.
 """
 
 from dataclasses import replace
@@ -33,7 +33,10 @@ from handctl.safety.safety_action import RelaxMethod
 RELAX_RATE_N_PER_S = 500.0
 OVER_TENSION_RATE_N_PER_S = 2000.0
 MAX_START_FORCE_EXCESS_N = 15.0
-"""Largest allowed excess of the first relaxing setpoint over the last commanded force [N], for friction and motion."""
+"""Largest allowed excess of the first relaxing setpoint over the last commanded force [N].
+
+Friction and motion can make the tension larger than the commanded force.
+"""
 
 RELAXED_TOLERANCE_N = 3.0
 """Distance above the tension of a relaxed tendon within which a tendon counts as relaxed [N]."""
@@ -95,7 +98,7 @@ def start_relaxation(model: HandModel, state: ControllerState) -> None:
 
 
 def _relaxed_goal(model: HandModel, start_tensions: Vector) -> Vector:
-    """Return the tension goals (N,) of relaxing [N].
+    """Return the tension [N] that relaxing should reach in each tendon, shape (N,).
 
     The goals are the tensions of a relaxed hand, limited to the setpoints (N,) at the start of
     relaxing.
@@ -106,7 +109,7 @@ def _relaxed_goal(model: HandModel, start_tensions: Vector) -> Vector:
 def _envelope_start(
     model: HandModel, state: ControllerState, sign: Vector, plausible_tension: Vector
 ) -> Vector:
-    """Return the motor force (N,) at which the envelope of each tendon starts [N].
+    """Return the motor force [N] at which the envelope of each tendon starts, shape (N,).
 
     Usually, the envelope starts at the last commanded force. If the last commanded force is much
     larger than the present tension, the envelope starts at the present tension plus the friction of
@@ -145,7 +148,7 @@ def are_tensions_relaxed(model: HandModel, state: ControllerState) -> bool:
 
 
 def _force_magnitudes(model: HandModel, forces: Vector) -> Vector:
-    """Return the absolute values (N,) of forces or tensions [N].
+    """Return the absolute values of forces or tensions [N], shape (N,).
 
     Only a spool pair can have a negative force.
     """

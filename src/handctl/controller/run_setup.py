@@ -179,7 +179,7 @@ class RunSetup(Document):
 
 
 def unverified_protections(drives: Iterable[Drive]) -> tuple[str, ...]:
-    """Return a line for each protection of a drive that the host cannot verify."""
+    """Return one line, with the name of the drive, for each protection that the host cannot verify."""
     return tuple(
         f"{drive.name}: {text}" for drive in drives for text in drive.unverified_protections
     )
@@ -243,7 +243,7 @@ def _check_torque_report(motor: Motor, tendon: str) -> None:
 
 
 def _check_position_loop(motor: Motor, drive: Drive) -> None:
-    """Check that the commands of a drive can contain the position loop's values in the hand file.
+    """Check that the hand file gives a position loop whose values fit into the commands of the drive.
 
     The commands must contain a position setpoint. The stiffness and damping in the hand file must
     be within the range of the commands.
@@ -282,16 +282,16 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
 
 
 def _with_host_frames(drives: tuple[Drive, ...], sensors: SensorInterface) -> tuple[Drive, ...]:
-    """Add heartbeat and necessary SYNC frames of the host to one CiA 402 drive per bus, and return all drives.
+    """Let the host send heartbeat and SYNC after the command of one CiA 402 drive per bus, and return all drives.
 
-    The host sends its heartbeat after the command of the selected CiA 402 drive. If the bus has no
-    other SYNC frames, the host also sends SYNC after the command of the selected CiA 402 drive. All
-    CiA 402 drives on a bus receive the same heartbeat and the same SYNC frames. The last CiA 402
-    drive on a bus is selected, so that the SYNC frame comes after all commands. The heartbeat has
-    the shortest period that any drive on the bus needs.
+    One CiA 402 drive per bus is selected. The host sends its heartbeat after the command of the
+    selected drive. If the bus has no other SYNC frames, the host also sends SYNC after the command
+    of the selected CiA 402 drive. All CiA 402 drives on a bus receive the same heartbeat and the
+    same SYNC frames. The last CiA 402 drive on a bus is selected, so that the SYNC frame comes
+    after all commands. The heartbeat has the shortest period that any drive on the bus needs.
 
-    The host adds no SYNC frames to a bus on which the sensor node uses the identifier 0x080, or for
-    which the hand file sets the option ``sync`` of a drive.
+    The host adds no SYNC frames to a bus in two cases. The sensor node on the bus uses the
+    identifier 0x080, or the hand file sets the option ``sync`` of a drive on the bus.
     """
     completed_drives = list(drives)
     drives_by_bus = dict[int, dict[int, Cia402Drive]]()

@@ -20,7 +20,7 @@ class ShutdownStep(NamedTuple):
     Attributes:
         state: state with the latest replies of the drives.
         frames: frames to send.
-        enabled: names of motors that could be enabled, see
+        enabled: names of motors that are possibly still enabled, see
             ``hand_modes.motors_not_confirmed_off``.
     """
 

@@ -69,7 +69,7 @@ def snapshot_bytes(state: ControllerState) -> bytes:
 
 
 def _json_value_of_bytes(value: object) -> tuple[str, str]:
-    """Return bytes as a mark and a hexadecimal text, because JSON has no type for bytes."""
+    """Return the text ``BYTES_MARK`` and the bytes as a hexadecimal text, because JSON has no type for bytes."""
     assert isinstance(value, bytes)
     return BYTES_MARK, value.hex()
 

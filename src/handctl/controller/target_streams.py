@@ -34,10 +34,10 @@ MAX_TARGET_INTERVAL_PERIODS = 2.5
 MAX_SETPOINT_LEAD_N = 6.0
 """Largest distance of a streamed setpoint above the estimated tension [N].
 
-The tendon of a free digit bears no more than the digit's springs and friction. A setpoint far above
-the tension of a free digit would spin the motor, which resembles a snapped tendon (T01) or an
-oscillation (N14b). Setpoints also stay ``MAX_SETPOINT_LEAD_N`` below the largest allowed tension,
-because the tension can overshoot.
+The tension of a free digit's tendon is not larger than the force of the digit's springs and
+friction. A setpoint far above the tension of a free digit would spin the motor, which resembles a
+snapped tendon (T01) or an oscillation (N14b). Setpoints also stay ``MAX_SETPOINT_LEAD_N`` below the
+largest allowed tension, because the tension can overshoot.
 """
 
 
@@ -88,7 +88,7 @@ def open_stream(model: HandModel, state: ControllerState, request: OpenStreamReq
 
 
 def _prepare_motion(model: HandModel, state: ControllerState, digits: tuple[int, ...]) -> None:
-    """Start a stream of joint angles at the present motion reference of its digits."""
+    """Start a stream of joint angles at the present motion reference of the digits that belong to the stream."""
     rows = state.layout.table(state.block, "coordinate")
     reference = present_references(model, state)
     for d in digits:
@@ -117,7 +117,7 @@ def bring_to_rest(
 ) -> ProgramProgress:
     """Replace the goals of all moving digits by goals at which the digits come to rest.
 
-    Return the progress of the program with the new goals.
+    Return the progress of the program after the goals are replaced.
     """
     reach_by_digit = tuple(digit.coordinate_limits for digit in model.digits)
     setpoints = present_setpoints(model, state)
@@ -233,7 +233,7 @@ def _begin_segment(
     sent_ns: int,
     t_ns: int,
 ) -> bool:
-    """Begin the motion of the references to the values of a target.
+    """Begin to move the motion references to the values of a target.
 
     Return True if the values were clipped.
 

@@ -1,12 +1,13 @@
 """One tick of the controller, as a pure function.
 
 A tick receives frames and computes the frames to send. A ``TickIn`` contains all inputs of a tick,
-so that a tick from a log can be executed again. The control loop calls the four methods of a tick
-(its steps) one by one. The step ``begin_tick`` processes the received frames. The step ``decide``
-applies requests and chooses the goals. The step ``command`` computes the frames to send from
-streamed targets and goals. The step ``conclude`` completes the output. Because of the four steps,
-the control loop can read requests and streamed targets as late as possible, and can send the
-commands as early as possible. The method ``tick`` executes all four steps of a tick.
+so that a tick from a log can be executed again. A tick has four steps. Each step is a method, and
+the control loop calls the four methods one by one. The step ``begin_tick`` processes the received
+frames. The step ``decide`` applies requests and chooses the goals. The step ``command`` uses
+streamed targets and goals to compute the frames that will be sent. The step ``conclude`` completes
+the output. Because of the four steps, the control loop can read requests and streamed targets as
+late as possible, and can send the commands as early as possible. The method ``tick`` executes all
+four steps of a tick.
 
 receive   frames -> values of drives and sensors
 estimate  values -> tension, excursion, contact
@@ -130,7 +131,7 @@ class DerivedConstants:
     fault_evidence: EvidenceTable
 
     def with_constants(self, limits: SafetyLimits, constants: HandConstants) -> "DerivedConstants":
-        """Return a copy with other limits and constants, after a change of gains."""
+        """Return a copy of these constants for new gains, with the given limits and the given constants of the hand."""
         args = (constants.block, constants.layout.offsets)
         return replace(self, limits=limits, constants=constants, kernel_constants=args)
 
@@ -170,7 +171,7 @@ class DerivedConstants:
 
 @dataclass(frozen=True, slots=True)
 class Controller:
-    """Constants of a run, from which ``tick`` computes each new state.
+    """Constants of a run. The method ``tick`` uses the constants to compute each new state from the last state.
 
     ``tick`` is a pure function of the controller, the state, and a ``TickIn``.
 
@@ -190,7 +191,7 @@ class Controller:
         reusable_constants: constants of a controller that differs from the new controller only in
             its gains. After a change of gains during a run, the new controller uses the tables of
             ``reusable_constants``. If the value is None, all tables are computed.
-        derived_constants: constants that follow from the other attributes.
+        derived_constants: constants that are computed from the other attributes of the controller.
     """
 
     model: HandModel
@@ -209,7 +210,7 @@ class Controller:
     derived_constants: DerivedConstants = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Compute the constants that follow from the other attributes."""
+        """Compute ``derived_constants`` from the other attributes of the controller."""
         if self.reusable_constants is None:
             compile_kernels()
         limits = self.replacement_limits or safety_limits(self.model, self.drives, self.sensors)
@@ -274,7 +275,7 @@ class Controller:
         return step.conclude()
 
     def begin_tick(self, last_state: ControllerState, tick_input: TickIn) -> "TickInProgress":
-        """Process the received frames, and correct and predict the tension filter.
+        """Process the received frames, and run the correction and the prediction of the tension filter.
 
         Args:
             last_state: state after the previous tick.
@@ -353,7 +354,7 @@ class Controller:
         tick_in_progress.sent_frames = self._encode_frames(state, tick_input.t_ns)
 
     def _conclude_tick(self, tick_in_progress: "TickInProgress") -> tuple[ControllerState, TickOut]:
-        """Design pending gains, and complete state and output, see ``TickInProgress.conclude``."""
+        """Design a control loop for pending gains, and complete state and output, see ``TickInProgress.conclude``."""
         state = tick_in_progress.state
         if tick_in_progress.state_before_torques:
             tick_in_progress.events += self._design_pending_gains(
@@ -388,7 +389,7 @@ class Controller:
         tick_input: TickIn,
         frames: Frames,
     ) -> tuple[str, ...]:
-        """Process received frames, and correct and predict the filter that estimates tensions.
+        """Process received frames, and run the correction and the prediction of the filter that estimates tensions.
 
         Return texts that describe signs of a second controller on the bus.
         """
@@ -466,9 +467,10 @@ class Controller:
             next_row += 1
 
     def _groups_not_ready(self, amplifiers: tuple[AmplifierState, ...]) -> tuple[int, ...]:
-        """Return the frame groups of all amplifiers whose set-up is not complete.
+        """Return the groups of load-cell frames from all amplifiers whose set-up is not complete.
 
-        The values in the frames of an incomplete amplifier set-up are not used.
+        The controller does not use the values that an amplifier sends before its set-up is
+        complete.
         """
         pairs = zip(amplifiers, self.sensors.amplifier_frame_ranges, strict=True)
         return tuple(
@@ -509,8 +511,8 @@ class Controller:
     def store_drive_state(self, state: ControllerState, n: int, drive_state: DriveState) -> None:
         """Store the state of a drive after a step of its state machine.
 
-        The numbers of the drive are stored in the state block, and its other values in the
-        decisions.
+        The numbers of the drive are stored in the state block. All other values of the drive are
+        stored in the decisions.
         """
         drive_state_before = state.decisions.drives[n]
         drive = self.drives[n]
@@ -534,8 +536,8 @@ class Controller:
     ) -> None:
         """Count the refused requests of the present tick, and the malformed requests of the last second.
 
-        A client can find out by a refused request whether a value is in range, so a refused request
-        is no fault. Only malformed requests show that a client is faulty.
+        A client is allowed to send a request to find out whether a value is in range, so a refused
+        request does not count as a fault. Only malformed requests show that a client is faulty.
         """
         refused_texts = [event.text for event in request_events if event.level == "warn"]
         malformed_count = sum(not text.startswith(REFUSAL_EVENT_PREFIX) for text in refused_texts)
@@ -616,7 +618,8 @@ class Controller:
     ) -> tuple[TickEvent, ...]:
         """Advance the program while the hand is active.
 
-        While the safety monitor holds the hand, the time of the program does not advance.
+        While the safety monitor makes the hand hold its position, the program time does not
+        increase.
         """
         if state.mode != ACTIVE or action >= SafetyAction.HOLD:
             return ()
@@ -632,7 +635,7 @@ class Controller:
     def _write_progress(
         self, state: ControllerState, old_progress: ProgramProgress | None = None
     ) -> None:
-        """Write the goals that the program has changed into the state block.
+        """Update the goals in the state block if the program has changed its goals.
 
         Args:
             state: state of the tick, modified in place.
@@ -763,7 +766,8 @@ class Controller:
     ) -> Frames:
         """Write the commands of the drives into ``frame_words``, after the SYNC frame.
 
-        If a drive is not steady, its state machine computes the frames.
+        While the state machine of a drive has something to do, such as to enable the drive, the
+        state machine computes the frames.
 
         Args:
             state: state of the tick, modified in place.

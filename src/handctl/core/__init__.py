@@ -1,5 +1,5 @@
 """Computations of a control tick.
 
-The computations are the state estimation, the detection of faults, and the control law. The state
-estimation, the detection of faults and the control law use a model of the hand.
+The package contains the state estimation, the detection of faults, and the control law. All three
+parts use a model of the hand.
 """

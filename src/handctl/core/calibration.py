@@ -1,7 +1,8 @@
 """Calibration of a hand.
 
-A calibration contains the tares of the load cells, the zero angles of the motors, the response of
-the load cells to a pull of each motor, and the identified parameters of the tendons.
+A calibration contains the tares of the load cells, the zero angles of the motors, and the
+identified parameters of the tendons. A calibration also contains the response of the load cells to
+a pull of each motor.
 """
 
 import datetime
@@ -54,7 +55,8 @@ class Calibration(Document):
     simulated: bool = False
     """True if the calibration belongs to a simulated hand.
 
-    The controller does not arm a hand with real motors with the calibration of a simulated hand.
+    With the calibration of a simulated hand, the controller does not arm a hand that has real
+    motors.
     """
     tendon: dict[str, TendonCalibration]
     drive: dict[str, str] = Field(default_factory=dict)

@@ -43,7 +43,8 @@ class _DeferredAttribute:
     def _apply_to_real_object(self, operation: Callable[[Any], Any]) -> Any:
         """Import the module, and apply ``operation`` to its real function or distribution.
 
-        filterpy makes one trial call while it is imported. The result of the trial call is None.
+        While filterpy is imported, it calls one function once as a trial. The result of this trial
+        call is None.
         """
         module: Any = importlib.import_module(self._module)
         imported_object = getattr(module, self._name)
@@ -66,7 +67,7 @@ class _StandInModule(ModuleType):
 def deferred_imports() -> Iterator[None]:
     """Replace the modules in ``DEFERRED_MODULES`` by stand-ins, for the duration of a ``with`` block.
 
-    Each stand-in also becomes an attribute of the package that contains its module.
+    Each stand-in also becomes an attribute of the package that contains the replaced module.
     """
     module_names = [name.rpartition(".") for name in DEFERRED_MODULES if name not in sys.modules]
     packages_and_modules = [

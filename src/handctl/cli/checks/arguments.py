@@ -210,7 +210,7 @@ def _add_init_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _parse_lengths(text: str) -> tuple[float, ...]:
-    """Return the lengths [mm] in a list such as ``40,30``."""
+    """Parse a text such as ``40,30``, and return the lengths [mm]."""
     return tuple(float(length_text) for length_text in text.split(","))
 
 

@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
 def _expected_buses(
     args: argparse.Namespace, hand: Hand | None
 ) -> Sequence[tuple[str, BusSection]]:
-    """Return each bus that the command line names, with its expected name and bit rates."""
+    """Return each bus that the command line names, with the name and the bit rates that the bus should have."""
     if hand is not None:
         from handctl.session.run_plan import bus_specs
 
@@ -167,7 +167,7 @@ def _check_node_round_trips(
 def _duplicate_nodes(
     result: BusScan, node_round_trips: list[tuple[DiscoveredNode, RoundTrip]]
 ) -> list[DiscoveredNode]:
-    """Return the nodes with a node number that two or more drives share."""
+    """Return the nodes whose node number is used by two or more drives."""
     shared_nodes = [node for node, trip in node_round_trips if trip.is_node_number_shared]
     return [node for node in result.found_nodes if node.twins or node in shared_nodes]
 
@@ -229,7 +229,7 @@ def _missing_motors(hand: Hand, bus: str, result: BusScan) -> list[LinkFinding]:
 
 
 def _trip_fields(trip: RoundTrip) -> dict[str, Any]:
-    """Return the fields of the JSON output for a measured round-trip time [s]."""
+    """Return the fields that describe a measured round-trip time [s] in the JSON output."""
     return {
         "answers": trip.answers,
         "asked": trip.requests,

@@ -172,7 +172,7 @@ def _joint_reading(hand: Hand, joint_index: int, value: float) -> dict[str, floa
 def _drive_fields(
     hand: Hand, tendon: str, drive: Drive, state: DriveState, age_s: float
 ) -> dict[str, Any]:
-    """Return the readings of a drive, with the position and the velocity converted to the spool.
+    """Return the readings of a drive. The position and the velocity are those of the spool.
 
     Position and velocity are positive for a motion that winds up the tendon.
     """

@@ -258,7 +258,7 @@ def _show_or_check_hand(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _gains_text(sourced_gains: GainsWithSources) -> str:
-    """Return the path of the gains file, or without a gains file, each gain that differs from the packaged gains."""
+    """Return the path of the gains file, or a list of the gains that differ from the packaged gains."""
     if sourced_gains.file:
         return str(sourced_gains.file)
     values = values_by_key(sourced_gains.gains)

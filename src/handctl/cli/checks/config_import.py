@@ -163,7 +163,7 @@ def read_hand_description(
 def _mesh_of_link(
     link_name: str, meshes: Sequence[Mapping[str, Any]], output_path: Path, notes: list[str]
 ) -> ModelMesh | None:
-    """Return the largest mesh of a link that a hand file can contain, or None if the link has no such mesh.
+    """Return the largest of a link's meshes that are allowed in a hand file, or None if no mesh is allowed.
 
     For each mesh that is left out, add a line to the list ``notes``.
     """

@@ -29,7 +29,7 @@ from handctl.programs.default_task import grasp_warnings
 
 
 def lengths_from_text(text: str) -> tuple[float, ...]:
-    """Return the lengths [mm] in a list such as ``40,30``."""
+    """Parse a text such as ``40,30``, and return the lengths [mm]."""
     return tuple(float(length_text) for length_text in text.replace(",", " ").split())
 
 
@@ -57,7 +57,7 @@ If an option already answers a question, the question is skipped.
 OPTIONS_WITH_DESCRIPTION = ("first_node",)
 """Options that are valid only for a hand imported from a robot description."""
 SCALED_DEFAULT_BY_KEY = {"palm_mm": "palm", "pulley_mm": "joint_moment_arm_mm"}
-"""Attribute of the answers that computes the default of each of these fields.
+"""Fields whose default is computed, each with the attribute of the answers that computes the default.
 
 The computed default is proportional to other answers.
 """

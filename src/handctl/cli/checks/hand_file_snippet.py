@@ -49,7 +49,7 @@ def hand_file_snippet(
 
 
 def _amplifier_section(bus: str, amplifiers: Sequence[DiscoveredNode]) -> list[str]:
-    """Return the section of a hand file for the load cells on the measuring amplifiers of a bus."""
+    """Return the section of a hand file that describes the load cells of the measuring amplifiers on a bus."""
     channels = min(int(node.options.get("channels_per_node", 1)) for node in amplifiers)
     entries: list[SnippetEntry] = [
         ("protocol", CIA404_PROTOCOL, ""),

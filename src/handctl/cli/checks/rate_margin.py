@@ -1,4 +1,4 @@
-"""Warnings about a control rate or about gains with which the motion loops have too small a gain margin.
+"""Warnings about a motion loop whose gain margin is too small at the control rate or with the gains of a run.
 
 A hand with too small a gain margin can oscillate, even if its buses can carry all frames.
 """
@@ -16,7 +16,7 @@ MIN_UNCHECKED_RATE_HZ = 250.0
 All packaged hands and the hands of ``config init`` run at this rate.
 """
 MIN_UNCHECKED_RATE_WITHOUT_CELLS_HZ = 500.0
-"""The rate MIN_UNCHECKED_RATE_HZ for a hand with tendons that have neither load cells nor springs to act against [Hz].
+"""Value of MIN_UNCHECKED_RATE_HZ for a hand whose tendons have neither load cells nor springs [Hz].
 
 Tendons without springs hold each other, and the filter without load cells has a larger phase lag.
 In simulation at 250 Hz, the tensions of tendons without springs and load cells oscillated, and the
@@ -62,9 +62,9 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
 
 
 def force_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
-    """Return a warning if the chosen gains leave the motion loop of a tendon a gain margin that is too small.
+    """Return a warning if the gain margin of a tendon's motion loop is too small with the chosen gains.
 
-    The default gains of a hand leave a sufficient gain margin where this is possible, see
+    With the default gains of a hand, the gain margin is sufficient where this is possible, see
     ``default_gains``. Gains from a file or from the command line can be too large.
 
     Args:
@@ -105,7 +105,7 @@ def _has_tendon_without_cell(hand: Hand, digit: str) -> bool:
 
 
 def _min_unchecked_rate(hand: Hand) -> float:
-    """Return the control rate from which on no check of the motion loops is necessary for a hand [Hz]."""
+    """Return the lowest control rate at which the motion loops of a hand need no check [Hz]."""
     for digit in hand.digit:
         tendons = hand.digit_tendons[digit.name]
         coordinates = len(digit.joints) if digit.coupling is None else len(digit.coupling[0])

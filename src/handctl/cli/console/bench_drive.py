@@ -63,7 +63,7 @@ drive, and refuses the drive.
 
 
 def parse_options(option_words: list[str]) -> dict[str, Any]:
-    """Return the options of a drive from words with the form KEY=VALUE.
+    """Parse words of the form KEY=VALUE, and return the options of a drive.
 
     A value is written as in TOML, but quotes around a text are optional.
 
@@ -103,7 +103,7 @@ def describe_drive(
     node: DiscoveredNode | None,
     make_drive: Callable[[Motor], Drive] = _drive_in_torque_mode,
 ) -> Drive:
-    """Return a drive, described by the values that the drive reports.
+    """Return a drive that is constructed from the values that the real drive reports.
 
     If the command line gives a value that the drive also reports, the value of the command line is
     used.
@@ -209,11 +209,12 @@ def find_drive(args: argparse.Namespace) -> DiscoveredNode:
 
 
 def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> BusScan:
-    """Listen on the bus of a drive that a scan cannot find, and return a result like the result of a scan.
+    """Listen on the bus of a drive that a scan cannot find, and describe the drive in the form of a scan result.
 
-    A drive that a scan cannot find only answers commands. The function itself sends nothing. If a
-    frame with the identifier of the drive arrives, another host must be sending commands to the
-    drive. The first check of the conformance test shows whether the drive is present.
+    A drive that a scan cannot find sends frames only as answers to commands. The function itself
+    sends nothing. If a frame with the identifier of the drive arrives, another host must be sending
+    commands to the drive. The first check of the conformance test shows whether the drive is
+    present.
     """
     seen_frames: list[Frame] = []
     collect_frames(bus, SCAN_LISTEN_S, seen_frames)

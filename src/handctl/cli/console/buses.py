@@ -15,7 +15,7 @@ def controller_bus(args: argparse.Namespace) -> str:
 
 
 def simulator_command(args: argparse.Namespace) -> str:
-    """Return the command that starts a simulator for the hand or the drive on the buses of a command line."""
+    """Return the command that starts a simulator of the hand or drive, on the buses that a command line names."""
     bus_names = parse_bus_arguments([args.bus] if isinstance(args.bus, str) else args.bus)
     buses = (
         [f"{name}={spec}" for name, spec in bus_names.items()]

@@ -17,7 +17,7 @@ from handctl.session.exit_codes import ExitCode
 
 
 class _StoreHandAction(argparse.Action):
-    """Argparse action for the option ``--hand``, which also stores that the operator has named a hand."""
+    """Argparse action for the option ``--hand``. The action also stores that the operator has named a hand."""
 
     def __call__(
         self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None
@@ -193,7 +193,7 @@ def add_perturb_option(parser: argparse.ArgumentParser) -> None:
     """Declare --perturb.
 
     With ``--perturb``, values of the hand file are multiplied by factors, and the simulated hand
-    uses the results.
+    uses the products.
     """
     text = "change parameters of the simulated hand, e.g. stiffness=0.8 friction=1.3 (python -m firmware_sim --help)"
     parser.add_argument(
@@ -202,7 +202,7 @@ def add_perturb_option(parser: argparse.ArgumentParser) -> None:
 
 
 def perturb_arguments(args: argparse.Namespace) -> list[str]:
-    """Return the command-line words that give the simulator the factors of --perturb."""
+    """Return the command-line words that pass the factors of --perturb to the simulator."""
     return ["--perturb", *args.perturb] if args.perturb else []
 
 
@@ -269,7 +269,7 @@ def add_wire_option(parser: argparse.ArgumentParser) -> None:
 
 
 def wire_arguments(args: argparse.Namespace) -> list[str]:
-    """Return the command-line words that give the simulator the values of --wire."""
+    """Return the command-line words that pass the values of --wire to the simulator."""
     return [] if args.wire is None else ["--wire", *args.wire]
 
 

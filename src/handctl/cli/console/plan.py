@@ -117,7 +117,7 @@ def gains_with_sources(args: argparse.Namespace, hand: Hand) -> gains.GainsWithS
 def default_gains(
     hand: Hand, requested_rate_hz: float | None = None, show_force: bool = False
 ) -> Gains:
-    """Return the gains of a hand without a gains file.
+    """Return the gains that a hand uses if there is no gains file.
 
     Args:
         hand: description of the hand.
@@ -213,10 +213,10 @@ def check_perturb(args: argparse.Namespace, is_simulated: bool) -> dict[str, flo
 
 
 def refuse_bus_options(args: argparse.Namespace) -> None:
-    """Raise an error if the user gives an option that has no effect without a bus.
+    """Raise an error if a command line without ``--bus`` contains an option that needs a bus.
 
     Raises:
-        ConfigError: an option that needs a bus is given.
+        ConfigError: the command line contains an option that needs a bus.
     """
     for option, is_set in (("--clear", args.clear), ("--time-scale", args.time_scale is not None)):
         if is_set:

@@ -19,9 +19,9 @@ from handctl.signal_handlers import installed_handler
 
 
 class TerminationRequested(KeyboardInterrupt):
-    """Exception that SIGTERM raises.
+    """Exception that is raised in a command when this process receives SIGTERM or SIGHUP.
 
-    SIGHUP, which the system sends when a terminal is closed, also raises this exception.
+    The system sends SIGHUP when a terminal is closed.
     """
 
 

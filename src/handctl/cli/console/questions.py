@@ -16,7 +16,7 @@ SCHEMA_FILE = "hand.schema.json"
 
 
 class HandQuestion(NamedTuple):
-    """Question about a new hand, for the operator.
+    """Question that the operator is asked about a new hand.
 
     Attributes:
         answer_field: name of the field in the answers.
@@ -118,7 +118,7 @@ def ask_question(question: HandQuestion, default_text: str, default_answer: Any)
 
 
 def ask_motor_type(protocol: str | None, answer: str | None) -> str | None:
-    """Ask for the type of the motors, unless the type is known or the protocol needs none.
+    """Ask for the type of the motors, unless the type is known or the protocol does not need the type.
 
     Args:
         protocol: protocol of the drives. None if the protocol is unknown.

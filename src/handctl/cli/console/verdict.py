@@ -65,7 +65,7 @@ def print_summary(run_result: dict[str, Any], plan: RunPlan) -> None:
 def _no_reply_text(silent_ticks: int) -> str:
     """Return a text with the number of ticks in which no node answered.
 
-    Ticks without an answer are a reason for late frames.
+    Ticks in which no node answered can explain why frames were late.
     """
     return (
         f", bus silent for {silent_ticks} tick{'s' if silent_ticks > 1 else ''}"
@@ -100,9 +100,9 @@ def _value_with_unit(value: float, display_factor: float, unit: str, digits: int
 
 
 def _lift_text(run_result: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return a table row with two distances: how far the table sank, and how far the object then moved.
+    """Return a row of results that states how far the support of the object sank, and how far the object then moved.
 
-    If the table did not sink, return no row.
+    If the support did not sink, return no row.
     """
     table_sunk_mm = run_result["table_sunk_mm"]
     object_slid_mm = run_result["object_slid_mm"]

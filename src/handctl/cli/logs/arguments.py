@@ -19,7 +19,7 @@ from handctl.cli.parsing.parser import CommandExample, VerbParser, add_sub_verb
 def _example_with_log(command: str) -> CommandExample:
     """Return an example of a command that reads a log.
 
-    If the log ``run.mcap`` does not exist, the example records this log before the command.
+    If the log ``run.mcap`` does not exist, the example first records this log.
     """
     return CommandExample(f"[ -e run.mcap ] || handctl demo --lockstep --log run.mcap; {command}")
 

@@ -80,8 +80,9 @@ def _print_info(args: argparse.Namespace) -> int:
 def _value_text(value: object) -> str:
     """Return a value as text.
 
-    The text is yes or no, a number with 9 significant digits, or ``-`` for no value. In the header
-    of a run in lockstep, the priority is ``None``.
+    The text is yes or no, a number with 9 significant digits, or ``-`` for no value. The text
+    ``None`` also counts as no value, because it is the priority in the log header of a run in
+    lockstep.
     """
     if isinstance(value, bool):
         return "yes" if value else "no"

@@ -140,7 +140,7 @@ def _difference_line(difference: Any) -> str:
 
 
 def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:
-    """Execute the controller with the inputs of the log and other gains, and draw the resulting commands.
+    """Execute the controller with the inputs of the log, but with other gains, and draw the resulting commands.
 
     Always return True.
     """

@@ -1,4 +1,4 @@
-"""``handctl replay safety``: list the stops of a recorded run that other safety limits would have caused.
+"""``handctl replay safety``: list the stops that other safety limits would have caused in a recorded run.
 
 The command ``handctl replay safety`` uses no bus.
 """
@@ -13,14 +13,14 @@ from handctl.replay.limits_judgement import StoppingFault, judge_by_limits
 
 
 def _stop_fields(stop: StoppingFault) -> dict[str, Any]:
-    """Return the fields of the JSON output for a stop of the hand."""
+    """Return the fields that describe a stop of the hand in the JSON output."""
     fields = stop._asdict()
     fields["logged"] = fields.pop("occurs_in_logged_run")
     return fields
 
 
 def run(args: argparse.Namespace) -> int:
-    """Judge a recorded run by the limits of a file, print the stops, and return the exit code."""
+    """Apply the safety limits of a file to a recorded run, print the resulting stops, and return the exit code."""
     with RunLog(args.recorded) as log:
         with progress_bar("judging", len(log), args.json) as update_progress:
             judgement = judge_by_limits(log, args.limits, update_progress)

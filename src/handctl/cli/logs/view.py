@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _picture_time_s(args: argparse.Namespace, log: Any) -> float:
-    """Return the time [s] within the run for which the picture is drawn.
+    """Return the instant of the run that the picture shows [s].
 
     Raises:
         ConfigError: the time given by ``--at`` is not within the run.

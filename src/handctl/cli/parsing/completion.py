@@ -31,7 +31,7 @@ def print_completions(parser: VerbParser) -> None:
 
 
 def hand_names(prefix: str, **context: Any) -> list[str]:
-    """Return the names that begin with a prefix, among the packaged hands and the TOML files of the present folder."""
+    """Return the names that begin with a prefix: names of packaged hands, and of TOML files in the present folder."""
     files = [path for path in Path().glob("*.toml") if path.is_file()]
     return [name for name in (*sorted(path.stem for path in HANDS_FOLDER.glob("*.toml")), *map(str, files))
             if name.startswith(prefix)]  # fmt: skip

@@ -38,7 +38,7 @@ def optional_packages(verb: str, args: argparse.Namespace) -> tuple[str, ...]:
 
 
 def _needs_controller(verb: str, args: argparse.Namespace) -> bool:
-    """Return True if a command line needs the extra ``controller``."""
+    """Return True if a command line needs the optional packages of the controller (the extra ``controller``)."""
     if verb == "bus":
         return args.what in ("plan", "watch")
     return verb not in VERBS_WITHOUT_CONTROLLER

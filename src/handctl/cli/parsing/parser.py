@@ -38,7 +38,7 @@ class CommandExample(NamedTuple):
     parallel_commands: tuple[str, ...] = ()
 
     def help_epilog(self) -> str:
-        """Return the end of a help text with the example.
+        """Return the last lines of a help text, which contain the example.
 
         The last line of the text is the command line of the example.
         """
@@ -177,7 +177,7 @@ def _quote_word(word: str) -> str:
 
 
 def did_you_mean(unknown_word: str, known_words: Iterable[str]) -> str:
-    """Return a question that suggests the known name most similar to a word.
+    """Return the text ``, did you mean NAME?``, where NAME is the known name that is most similar to an unknown word.
 
     If no known name is similar enough, the returned text is empty.
     """

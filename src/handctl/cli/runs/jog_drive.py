@@ -140,7 +140,7 @@ def _describe_motion(
 
 
 def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor:
-    """Return the description of a Damiao motor with a torque limit in its commands.
+    """Return the description of a Damiao motor whose commands contain the given torque limit.
 
     A command to a Damiao motor contains the torque limit as a fraction of the full scale.
 

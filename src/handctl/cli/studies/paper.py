@@ -40,7 +40,7 @@ VERDICT_COLOURS = {
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compute the items about the paper again, run the requested experiments, and print all items and results.
+    """Recompute each equation and number of the paper, run the requested experiments, and print all results.
 
     Return the exit code.
     """
@@ -63,8 +63,8 @@ def run(args: argparse.Namespace) -> int:
 def _load_or_measure_results(path: Path | None, worker_count: int) -> dict[str, Any]:
     """Return the results of the experiments.
 
-    If the file of results exists, read the results from this file. If it does not exist, run the
-    experiments, and save their results in this file.
+    If the file of results exists, read the results from this file. If the file does not exist, run
+    the experiments, and save their results in this file.
 
     Raises:
         ConfigError: the file contains no results, or the file cannot be written.
@@ -131,7 +131,7 @@ def _measure_all_results(jobs: int) -> dict[str, Any]:
 
 
 def _print_table(shown_sections: tuple[PageSection, ...]) -> None:
-    """Print the items about the paper as tables, and then the number of items with each verdict on the paper."""
+    """Print a table of the items of each section, and then how many items have each verdict."""
     from rich.table import Table
     from rich.text import Text
 

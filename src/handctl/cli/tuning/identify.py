@@ -355,7 +355,7 @@ def _print_rejected_parameters(
 def _search_command(args: argparse.Namespace, path: Path) -> str:
     """Return the command line that tunes gains for the identified hand.
 
-    The options of the returned command line select the same hand.
+    The options of the returned command line select the same hand as the present command.
     """
     words = ["handctl", "tune", "search", "--hand", str(args.hand), "--calibration", str(path)]
     return shlex.join(words + hand_arguments(args))

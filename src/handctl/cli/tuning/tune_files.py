@@ -69,7 +69,7 @@ def ensemble_of_tuned_hand(
 def verify_command(args: argparse.Namespace, gains_path: Path) -> str:
     """Return the command line that verifies new gains in simulation.
 
-    The options of the returned command line select the same hand.
+    The options of the returned command line select the same hand as the present command.
     """
     words = ["handctl", "tune", "verify", str(gains_path), "--lockstep", "--hand", str(args.hand)]
     words += ["--calibration", str(args.fit)] if args.fit else []
@@ -77,7 +77,7 @@ def verify_command(args: argparse.Namespace, gains_path: Path) -> str:
 
 
 def hand_arguments(args: argparse.Namespace) -> list[str]:
-    """Return the options that give a later command the same gains, control rate and simulated plant."""
+    """Return the options that let a later command use the gains, control rate and simulated plant of this command."""
     words = ["--gains", str(args.gains)] if args.gains else []
     words += [word for gain in args.gain or () for word in ("--gain", gain)]
     words += ["--rate", f"{args.rate:g}"] if args.rate else []
@@ -95,7 +95,7 @@ def write_gains(
 
 
 class TunedHand(NamedTuple):
-    """Hand to tune, as described by the hand file and as identified.
+    """Hand to tune: with the parameters of the hand file, and with the identified parameters.
 
     Attributes:
         hand: hand with the parameters of the hand file. A gains file contains the name and the

@@ -270,7 +270,7 @@ def _print_rounds(
 
 
 def rollback_text(rollback: dict[str, Any]) -> str:
-    """Return a line with the time and the cause of the return to the old gains."""
+    """Return a line that states when and why the controller went back to the old gains."""
     return (
         f"returned to the old gains at {rollback['t_s']:.3f} s (tick {rollback['k']}), "
         f"amplitude {rollback['amplitude']:g}: {rollback['why']}"

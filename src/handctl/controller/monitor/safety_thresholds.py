@@ -34,7 +34,8 @@ TYPICAL_ACCELERATION_FRACTION = 0.1
 """RMS acceleration of a healthy motor over 100 ms, as a fraction of the bare rotor's acceleration at full torque.
 
 A motor in a hand accelerates its rotor and a digit, and does not make its full torque for long. In
-the golden logs of jamia and jamia11, the fraction of the bare rotor's acceleration is at most 0.02.
+the reference logs of the hands jamia and jamia11, the fraction of the bare rotor's acceleration is
+at most 0.02.
 """
 
 
@@ -120,15 +121,15 @@ def compiled_constants(
 
 
 def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object]:
-    """Return the constants of the drives' position loops that depend on the coding of numbers in frames.
+    """Return the constants that describe how the frames of each drive encode the values of its position loop.
 
     For kp [N m/rad] and kd [N m s/rad], the constants are the value of one count, and the largest
     value that a frame can contain. A further constant is the force [N] that one count of the
-    feedback causes. The last constant of a drive is 1 if the drive moves its commanded position by
-    itself. If the commands of a drive contain no kp and kd, the value of one count is 1. The
-    feedback of a drive consists of its position and its speed. A drive rounds its position and its
-    speed to counts of the protocol. If the counts of the encoder are coarser, the drive rounds the
-    position to counts of the encoder.
+    feedback causes. The constant ``servo_moves`` of a drive is True if the drive itself changes the
+    commanded position between two commands, at the commanded velocity. If the commands of a drive
+    contain no kp and kd, the value of one count is 1. The feedback of a drive consists of its
+    position and its speed. A drive rounds its position and its speed to counts of the protocol. If
+    the counts of the encoder are coarser, the drive rounds the position to counts of the encoder.
     """
     gain = np.ones(len(drives)) if model.torque_gain is None else model.torque_gain
     loop = servo_constants(model)

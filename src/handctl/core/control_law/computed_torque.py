@@ -105,7 +105,7 @@ tendon.
 """
 MAX_INTEGRATION_SPEED_M_S = 0.005
 INTEGRAL_DECAY_S = 0.02
-"""Tendon speed above which a stream does not integrate the tension error [m/s], and decay time of its integral [s]."""
+"""Tendon speed above which a stream does not integrate the tension error [m/s], and decay time of the integral [s]."""
 SLACK_TAKE_UP_SPEED_M_S = 0.02
 """Speed of a spool that takes up the slack of its tendon during a motion [m/s].
 
@@ -140,7 +140,7 @@ def command_zero_torque(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def update_hold_limits(x: StateTables, c: ConstantTables, hold: bool) -> None:
-    """Begin or end the hold of the present position that the safety monitor demands.
+    """Begin a hold of the hand when the safety monitor demands a hold, and end the hold afterwards.
 
     During a hold, the limit of each tension is the tension at the beginning of the hold plus
     ``HOLD_MARGIN_N``.
@@ -161,7 +161,7 @@ def update_hold_limits(x: StateTables, c: ConstantTables, hold: bool) -> None:
 
 @kernel_helper
 def temporary_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
-    """Return the temporary tension limits (N,) [N].
+    """Return the temporary tension limit of each tendon [N], shape (N,).
 
     The temporary limits apply in addition to the limits of the hand file. At the soft temperature
     limit of a drive, the tension limit is the tension ceiling. At the hard temperature limit of a
@@ -284,7 +284,7 @@ def write_motor_torques(
 
 @kernel_helper
 def _limited_force(c: ConstantTables, n: int, force: float, limit: float) -> float:
-    """Return a motor force, limited by the range of the motor force and by the tension limit [N].
+    """Limit a motor force to the range of the motor and by the tension limit, and return the limited force [N].
 
     Args:
         c: constants of the hand.
@@ -460,7 +460,7 @@ def _motion_force_terms(
 
 @kernel_helper
 def _takes_up_slack(x: StateTables, c: ConstantTables, n: int) -> bool:
-    """Return True for a slack tendon whose digit follows streamed angles.
+    """Return True if a tendon is slack and the digit of the tendon follows streamed angles.
 
     A spool pair is never slack.
     """
@@ -581,7 +581,7 @@ def _tendon_motion_on_trajectory(
 def _tendon_motion_by_carriers(
     c: ConstantTables, n: int, trajectory: Matrix
 ) -> tuple[float, float]:
-    """Return the rate [m/s] and acceleration [m/s2] of a tendon caused by the motion of digits that carry its digit."""
+    """Return a tendon's rate [m/s] and acceleration [m/s2] caused by the digits that carry the tendon's digit."""
     if not c.run_int[h.HAS_CARRIER_ARMS]:
         return 0.0, 0.0
     return carrier_excursion(c, n, trajectory[1]), carrier_excursion(c, n, trajectory[2])
@@ -591,7 +591,7 @@ def _tendon_motion_by_carriers(
 def _carrier_feedforward_force(
     c: ConstantTables, n: int, rate: float, acceleration: float
 ) -> float:
-    """Return the feedforward motor force for the motion of carrying digits [N].
+    """Return the feedforward motor force for the motion of the digits that carry a tendon's digit [N].
 
     The feedforward force makes a tension-controlled tendon follow the digits that carry the
     tendon's digit.
@@ -725,10 +725,7 @@ def _tension_integral(x: StateTables, c: ConstantTables, n: int, error: float) -
 
 @kernel_helper
 def _feedforward_force(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the feedforward motor force of a tension-controlled tendon [N].
-
-    The digit of the tendon is expected to move along a trajectory.
-    """
+    """Return the feedforward motor force of a tension-controlled tendon whose digit should follow a trajectory [N]."""
     speed = 0.0
     acceleration = 0.0
     for k in range(x.coordinate.shape[1]):

@@ -36,8 +36,8 @@ def follow_trajectories(x: StateTables, c: ConstantTables, is_time_frozen: bool)
     Args:
         x: state tables.
         c: constants of the hand.
-        is_time_frozen: True while the safety monitor holds the hand. While the monitor holds the
-            hand, the digits rest at their present positions on the trajectories.
+        is_time_frozen: True while the safety monitor makes the hand hold its position. During such
+            a hold, the digits rest at their present positions on the trajectories.
 
     Source: Flash & Hogan (1985), with the position 10 s^3 - 15 s^4 + 6 s^5, where s is the fraction
         of the duration.
@@ -76,9 +76,9 @@ def follow_trajectories(x: StateTables, c: ConstantTables, is_time_frozen: bool)
 
 @kernel_helper
 def _add_blend(x: StateTables, k: int, elapsed: float, blend_duration: float) -> None:
-    """Add the part of a minimum-jerk move that continues an earlier motion.
+    """Add the blend of a minimum-jerk move. In the blend, the earlier motion of the digit fades out.
 
-    ``trajectory.MinimumJerk`` explains how a minimum-jerk move continues an earlier motion.
+    ``trajectory.BlendTrajectory`` describes the polynomials of the blend.
 
     Args:
         x: state tables.

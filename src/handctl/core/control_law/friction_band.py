@@ -25,7 +25,7 @@ from handctl.core.state_block import StateTables
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
 
 MIN_SLIDING_SPEED_M_S = 1.3 * CAPSTAN_FRICTION_SPEED_M_S
-"""Speed from which the viscous slider has full friction [m/s].
+"""Speed at and above which the viscous slider has full friction [m/s].
 
 Below the sliding speed, friction is proportional to the speed. The proportional friction
 approximates the tanh of the friction model.
@@ -94,8 +94,8 @@ def update_friction_state(x: StateTables, c: ConstantTables, n: int, efficiency:
     slider. The stretch of the spring is the travel of the spool minus the travel of the slider. The
     friction state is not computed from the planned tension. The planned tension is integrated from
     estimated speeds. Each newton of load-cell error makes an estimated speed wrong by 0.1 mm/s.
-    With a wrong friction state, the tension filter would expect a force on the motor that does not
-    exist. When the digit comes to rest, the unexplained tension would resemble a contact.
+    With a wrong friction state, the tension filter would expect a force that does not act on the
+    motor. When the digit comes to rest, the unexplained tension would resemble a contact.
 
     Args:
         x: state tables, with ``FRICTION_SLIDER`` of the last tick.

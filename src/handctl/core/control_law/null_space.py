@@ -1,10 +1,12 @@
 """Control of tensions that make no joint torque, in digits with more tendons than coordinates.
 
-Tensions in the null space of (R B)^T make no joint torque. The position feedback acts only on the
-coordinates of the digit. In the null space, the tensions are kept at their goals by a feedback of
-the tension error and of its integral. With the null-space feedback, neither motor friction nor a
-wrong tendon length can make a tendon slack. Source: Abdallah et al. (2010), tension and joint space
-of tendon-driven fingers.
+The matrix R B contains the moment arms of the tendons in the coordinates of the digit. Tensions in
+the null space of (R B)^T make no joint torque. The position feedback acts only on the coordinates
+of the digit. In the null space, the tensions are kept at their goals by a feedback of the tension
+error and of its integral. With the null-space feedback, neither motor friction nor a wrong tendon
+length can make a tendon slack.
+
+Source: Abdallah et al. (2010), tension and joint space of tendon-driven fingers.
 """
 
 import math

@@ -60,7 +60,7 @@ def write_goal_torques(
 def _evaluate_goals_of_experiment(
     model: HandModel, layout: BlockLayout, constants: HandConstants, block: BlockArray, action: int
 ) -> int:
-    """Evaluate the goals with the inverse dynamics of an experiment, as ``tick_stages.evaluate_goals`` does."""
+    """Evaluate the goals like ``tick_stages.evaluate_goals``, but with the inverse dynamics of an experiment."""
     kernel_args = block, layout.offsets, constants.block, constants.layout.offsets
     tick_stages.evaluate_goals(*kernel_args, action)
     required = layout.view(block, "joint_required")
@@ -120,10 +120,10 @@ def _with_present_moment_arms(digit: DigitModel, constants: HandConstants) -> Di
 def _tensions_with_friction(
     model: HandModel, digit: DigitModel, required: Vector, trajectory: Vector
 ) -> Vector:
-    """Return the tensions (n_t,) at the joints for a digit with antagonistic tendons, with friction [N].
+    """Return the tensions (n_t,) at the joints of a digit that has antagonistic tendons and friction [N].
 
     Each pulley of a tendon has its own friction. In a digit without springs, the torques of all
-    tendons must be in balance at each joint, so the moment arms of the least-squares problem
+    tendons must be in balance at each joint. The moment arms of the least-squares problem therefore
     include the friction of each pulley.
 
     Args:

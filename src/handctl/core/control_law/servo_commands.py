@@ -21,18 +21,19 @@ as a torque command. The controller chooses the commanded position with which th
 the limited torque. The torque limits of the controller limit not only the torque, but also the
 distance between the commanded position and the motor position.
 
-Most drives keep the commanded position unchanged until the next command. A command to a drive with
-a constant commanded position includes the planned motion of half a control period. Other drives
-change the commanded position continuously, at the commanded velocity. A command to a drive with a
-moving commanded position contains the position at the start of the control period. If the host
-fails, a moving commanded position continues to change until the watchdog of the drive fires. A
-command to a drive with a moving commanded position also contains a torque limit slightly above the
-predicted torque.
+Most drives keep the commanded position unchanged until the next command. If a drive keeps the
+commanded position unchanged, the commanded position includes the planned motion of half a control
+period. Other drives change the commanded position continuously, at the commanded velocity. If a
+drive changes the commanded position continuously, a command contains the commanded position at the
+start of the control period. If the host fails, a moving commanded position continues to change
+until the watchdog of the drive fires. If a drive changes the commanded position, the command also
+contains a torque limit slightly above the predicted torque.
 
 In commands for a digit that moves freely on its trajectory, kp and kd are above 0. In commands for
-any other digit, kp and kd are 0, and t is the whole torque. Such torque commands are sent while the
-digit touches an object or relaxes, and while the tendon takes up slack. Torque commands are also
-sent while the safety monitor holds the hand, and in a tick without a measured motor position.
+any other digit, kp and kd are 0, and t is the whole torque. Commands with kp = kd = 0 are torque
+commands. Torque commands are sent while the digit touches an object or relaxes, and while the
+tendon takes up slack. Torque commands are also sent while the safety monitor makes the hand hold
+its position, and in a tick without a measured motor position.
 """
 
 import math
@@ -132,7 +133,7 @@ def servo_damping(x: StateTables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def servo_speed_force(x: StateTables, c: ConstantTables, n: int, rate: float) -> float:
-    """Return the mean force of a drive's position loop that is caused by the speed error [N].
+    """Return the mean force that the speed error causes in a drive's position loop [N].
 
     The mean is taken over the coming control period. Within a control period, the speed error
     increases the position error, on average by the speed error times half a control period.

@@ -230,7 +230,7 @@ def _allowed_rates(
         d: index of the digit.
         k: index of the coordinate.
         period: time since the last tick [s].
-        scale: motion of the coordinate to which the limits for 1 rad apply, see
+        scale: factor that converts a limit in rad to the unit of the coordinate, see
             ``coordinate_scale``.
         gain: largest change of the rate within the period [rad/s].
     """
@@ -285,8 +285,9 @@ def _stoppable_speed_towards(distance: float, gain: float, period: float) -> flo
 def max_stoppable_speed(distance: float, gain: float, period: float) -> float:
     """Return the largest speed that still allows a stop within a distance [rad/s].
 
-    In each control period T, the speed falls by at most g. A motion with the speed w = n g + r,
-    with 0 <= r < g, covers the distance ((n + 1) w - g n (n + 1) / 2) T until it stops.
+    In each control period T, the speed falls by at most g. The present speed is written as w = n g
+    + r, where n is an integer and 0 <= r < g. Until the stop, the motion covers the distance ((n +
+    1) w - g n (n + 1) / 2) T.
 
     Args:
         distance: distance to the stop [rad]. A distance of 0 or less allows no speed.

@@ -1,10 +1,11 @@
 """Digits without return springs, and digits with more tendons than coordinates.
 
-In a digit without springs, antagonistic tendons open the digit. The balance tensions of a digit
-with more tendons than coordinates are tensions in the null space of (R B)^T. Balance tensions make
-no joint torque, although all of them are above the tension floor. A digit with n coordinates and n
-+ 1 tendons has a null space of one dimension. A digit with n coordinates and 2 n tendons has a null
-space of n dimensions. Source: Lee & Tsai (1991), Salisbury & Craig (1982).
+In a digit without springs, antagonistic tendons open the digit. The matrix R B contains the moment
+arms of the tendons in the coordinates of a digit. The balance tensions of a digit with more tendons
+than coordinates are tensions in the null space of (R B)^T. Balance tensions make no joint torque,
+although all of them are above the tension floor. A digit with n coordinates and n + 1 tendons has a
+null space of one dimension. A digit with n coordinates and 2 n tendons has a null space of n
+dimensions. Source: Lee & Tsai (1991), Salisbury & Craig (1982).
 """
 
 from dataclasses import dataclass

@@ -1,12 +1,12 @@
 """Conversion of joint torques to tendon tensions, by a bounded least-squares problem per digit.
 
-The least-squares problem, with the mean moment arm r, is: minimise |R^T f - tau|^2 / r^2 +
-regularisation |f - f_min|^2 subject to f_min <= f <= f_max. If the equations R^T f = tau have a
-unique solution, and the solution is within the bounds, the function returns it. If no tensions
-within the bounds make the required torque, the solution is the tensions with the closest possible
-torque. The torque errors of all coordinates have equal weights. ``tensions_for_torque`` returns the
-tensions, and the difference between the required and the possible torque. Source: Lee & Tsai
-(1991).
+The least-squares problem is: minimise |R^T f - tau|^2 / r^2 + regularisation |f - f_min|^2 subject
+to f_min <= f <= f_max. Here r is the mean moment arm. If the equations R^T f = tau have a unique
+solution, and the solution is within the bounds, the result is this solution. If no tensions within
+the bounds make the required torque, the result is the tensions whose torque is closest to the
+required torque. The torque errors of all coordinates have equal weights. ``tensions_for_torque``
+returns the tensions, and the part of the required torque that these tensions do not make. Source:
+Lee & Tsai (1991).
 """
 
 from typing import NamedTuple
@@ -26,7 +26,7 @@ The weight is so small that it only selects one of several solutions with equal 
 def tensions_for_torque(
     moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector
 ) -> tuple[Vector, Vector]:
-    """Return the tensions of a digit for a required torque, and the part of the torque that they cannot make.
+    """Return the tensions of a digit for a required torque, and the part of the torque that these tensions do not make.
 
     Args:
         moment_arms: (n_t, n_c) reduced moment arms [m].

@@ -29,10 +29,10 @@ class Trajectory(Protocol):
 class BlendTrajectory:
     """Blend: the part of a move in which the earlier motion of the digit fades out.
 
-    The position that the blend adds is the sum of two polynomials of degree 5. At the start of the
-    move, the first polynomial has a rate of 1, and the second polynomial has an acceleration of 1.
-    All other values, rates and accelerations of the two polynomials at the start and at the end are
-    0.
+    The blend adds the sum of two polynomials of degree 5 to the position of the move. At the start
+    of the move, the first polynomial has a rate of 1, and the second polynomial has an acceleration
+    of 1. At the start and at the end, all other values, rates and accelerations of the two
+    polynomials are 0.
 
     Attributes:
         speed: (n,) rate of the earlier motion at t = 0 [rad/s].
@@ -45,7 +45,7 @@ class BlendTrajectory:
     duration: float
 
     def motion_at(self, t: float) -> Vector:
-        """Return the added position [rad], velocity [rad/s] and acceleration [rad/s^2] at time t [s], (3, n)."""
+        """Return the blend's position [rad], velocity [rad/s] and acceleration [rad/s^2] at time t [s], (3, n)."""
         T = self.duration
         s = min(max(t / T, 0.0), 1.0)
         speed_basis = np.array((
@@ -179,8 +179,8 @@ class CurveTrajectory:
 class SampledTrajectory:
     """Motion of a digit at a single instant.
 
-    Position, velocity and acceleration come from another source than a trajectory, for example from
-    a log.
+    The position, the velocity and the acceleration do not come from a trajectory, but for example
+    from a log.
 
     Attributes:
         position: (n,) coordinates [rad].

@@ -97,7 +97,7 @@ def _detect_lost_replies(x: StateTables, evidence: EvidenceTable) -> None:
 
 @kernel_helper
 def _detect_bad_frames(x: StateTables, evidence: EvidenceTable) -> None:
-    """Find malformed frames, and duplicate replies with equal or different bytes."""
+    """Find malformed frames, duplicate replies with equal bytes, and duplicate replies with different bytes."""
     for node in range(x.node_int.shape[1]):
         if x.node_int[s.MALFORMED_FRAME_TICKS, node] & 1:
             number = count_set_bits(x.node_int[s.MALFORMED_FRAME_TICKS, node])

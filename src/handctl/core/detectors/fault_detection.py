@@ -57,7 +57,7 @@ def find_and_debounce_faults(
             is NaN.
 
     Returns:
-        The most severe action of all active faults.
+        The most severe reaction that an active fault demands.
     """
     mode = x.run_int[s.HAND_MODE]
     # Motors are allowed to make torque in the states from ARMING to RELAX, but not in DISARM and
@@ -109,7 +109,7 @@ def update_fault_memory(x: StateTables, c: ConstantTables) -> None:
 def debounce_faults(x: StateTables, evidence: EvidenceTable) -> int:
     """Count the consecutive ticks in which each fault is present.
 
-    Return the most severe action of the active faults.
+    Return the most severe reaction that an active fault demands.
     """
     action = 0
     new_fault_count = 0

@@ -55,7 +55,7 @@ def close_answered_requests(x: StateTables, c: ConstantTables) -> bool:
 
 @kernel_helper
 def add_requests(x: StateTables, k: int) -> None:
-    """Add an open request for every motor in tick k.
+    """Record that the host sends a request to every motor in tick k.
 
     A motor that was not ready before tick k does not answer older requests, so only its new request
     is open.

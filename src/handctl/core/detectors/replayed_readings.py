@@ -2,11 +2,11 @@
 
 The readings of a load cell vary by several counts, because of noise. Load-cell frames contain old
 readings if each reading of a load cell equals its reading a fixed number of ticks earlier. If the
-load cells begin to send each reading n ticks late, but still send one per tick, they send the last
-n readings twice. A load cell with a constant reading also repeats its readings. The readings of a
-load cell also repeat if the tension control of the tendon oscillates with an amplitude of a few
-counts. The detector of replayed readings does not regard repeated constant readings as a fault. The
-detector ``stuck_sensors`` tests for constant readings.
+load cells begin to send each reading n ticks late, but still send one reading per tick, they send
+the last n readings twice. A load cell with a constant reading also repeats its readings. The
+readings of a load cell also repeat if the tension control of the tendon oscillates with an
+amplitude of a few counts. The detector of replayed readings does not regard repeated constant
+readings as a fault. The detector ``stuck_sensors`` tests for constant readings.
 """
 
 import math

@@ -2,14 +2,14 @@
 
 The main residual is the motor force minus tension, inertial force and friction.
 
-The rotor of a motor obeys the equation m a = F - T - b v - c sign(v). m is the mass of the rotor, a
-is the acceleration at the spool, and v is the speed at the spool. F is the motor force, and T is
-the tension. b is the coefficient of viscous friction, and c is the Coulomb friction. If the
-measurements disagree with this equation for 0.2 s, the load cell, the motor or the friction does
-not behave as in the model. The thresholds of the residuals are far above the noise, and cause less
-than one false alarm in ten thousand hours. A second low-pass filter of the main residual has a time
-constant of 20 ms. The residual with the time constant of 20 ms shows a tension that is much larger
-than the commanded force of the motor.
+The rotor of a motor obeys the equation m a = F - T - b v - c sign(v). Here m is the mass of the
+rotor, a is the acceleration at the spool, and v is the speed at the spool. The force F is the motor
+force, and T is the tension. The friction consists of viscous friction with the coefficient b and of
+the Coulomb friction c. If the measurements disagree with this equation for 0.2 s, the load cell,
+the motor or the friction does not behave as in the model. The thresholds of the residuals are far
+above the noise, and cause less than one false alarm in ten thousand hours. A second low-pass filter
+of the main residual has a time constant of 20 ms. The residual with the time constant of 20 ms
+shows a tension that is much larger than the commanded force of the motor.
 """
 
 import math

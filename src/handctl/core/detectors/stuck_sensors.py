@@ -3,12 +3,13 @@
 A reading is stuck if it stays constant although another measurement shows that the measured
 quantity changes.
 
-The other measurement is called the reference of the sensor. A constant reading is no fault while
-the reference of the sensor is constant. The reading of a motor encoder is compared with two
-references: the goal of the tendon's excursion, and the tension of the tendon. The reference of a
-load cell is the range of the motor force since the last change of the reading. The range shows a
-change even if the tension loop first raises the motor force and then lowers it again. The reference
-of a joint encoder is the joint angle that is computed from the positions of the spools.
+The other measurement is called the reference of the sensor. While the reference of a sensor is
+constant, a constant reading of the sensor does not count as a fault. The reading of a motor encoder
+is compared with two references: the goal of the tendon's excursion, and the tension of the tendon.
+The reference of a load cell is the range of the motor force since the last change of the reading.
+The range shows a change even if the tension loop first raises the motor force and then lowers it
+again. The reference of a joint encoder is the joint angle that is computed from the positions of
+the spools.
 """
 
 import math
@@ -31,7 +32,7 @@ ARRIVAL_DISTANCE_M = 0.2e-3
 MIN_GOAL_JUMP_M = 2.0 * ARRIVAL_DISTANCE_M
 """Step of the filtered goal in a tick above which the step counts as a jump, and not as a motion of the digit [m]."""
 MIN_PRESSING_TENSION_N = 8.0
-"""Excess of a tension over its goal above which a streamed digit counts as held by an object [N]."""
+"""Excess of a tension over its goal above which a digit with streamed targets counts as held by an object [N]."""
 
 
 @kernel_helper
@@ -164,8 +165,9 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
     distance of the motor from the goal, because friction can stop the motor before the goal. When a
     motor has reached its goal, the filtered goal is set to the estimated excursion. The jump of the
     filtered goal to the estimated excursion does not count as a motion of the motor's goal. A
-    client that does not know an object can send targets that the object makes unreachable. The
-    motion of the goal therefore does not count while a streamed digit presses on an object.
+    client that does not know an object can send targets that the object makes unreachable.
+    Therefore, the detector ignores the motion of the goal while a digit that follows streamed
+    targets presses on an object.
     """
     fraction = 1.0 - math.exp(-c.run[h.CONTROL_PERIOD] / MOTOR_FOLLOWING_TIME_CONSTANT_S)
     min_step = MAX_UNDELAYED_GOAL_SPEED_M_S * c.run[h.CONTROL_PERIOD]
@@ -200,7 +202,7 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def _is_digit_pressing(x: StateTables, c: ConstantTables, n: int) -> bool:
-    """Return True if a tendon's tension shows that a streamed digit presses on an object.
+    """Return True if a tendon's tension shows that a digit presses on an object while it follows streamed targets.
 
     The tension of a digit that presses on an object is much larger than the tension goal.
     """

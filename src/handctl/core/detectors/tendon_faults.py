@@ -126,8 +126,9 @@ def _planned_speed(x: StateTables, c: ConstantTables, n: int) -> float:
 
     For a digit without a stream, the speed is 0. The detector subtracts the planned speed of a
     stream from the speed of the spool. The detector does not subtract the slow speed of a task's
-    move, because the spool of a torn tendon follows the move. With such a subtraction, a torn
-    tendon would be found half a second later, as a slack tendon (fault T02b).
+    move, because the spool of a torn tendon follows the move. If the speed of a task's move were
+    also subtracted, a torn tendon would be found half a second later, as a slack tendon (fault
+    T02b).
     """
     speed = 0.0
     if not follows_streamed_angles(x, c, n):
@@ -159,9 +160,9 @@ def _snapped_speed_threshold(
     change in every tick.
 
     For a tendon without load cell, the tension is an estimate that follows the commanded tension
-    with a delay. The threshold for a tendon without a load cell is larger, because two events look
-    like a torn tendon for some ticks: a joint overcomes its friction and slips, or a target
-    reverses the direction of a spool pair.
+    with a delay. The threshold for a tendon without a load cell is larger. Without a load cell, two
+    events look like a torn tendon for some ticks. A joint can overcome its friction and slip, or a
+    target can reverse the direction of a spool pair.
 
     Args:
         x: state tables.

@@ -1,17 +1,17 @@
-"""Test if a drive obeys its commands, by the correlation of reported and commanded torque.
+"""Test whether a drive obeys its commands, by the correlation of reported and commanded torque.
 
 If a drive obeys its commands, it reports the commanded torque. The report of the drive includes the
-small changes that noise adds to every command. The reported torque does not follow the changes of
-the command in three cases: the reports come from another drive, the torque acts on another joint,
-or the drive obeys late. The difference between commands and reports is visible even if all motors
-pull with equal force and no joint moves. From one tick to the next, a is the change of the command,
-and b is the change of the report, both as forces at the spool [N]. The test uses low-passed
-products S of a and b:
+small changes that noise adds to every command. The reported torque does not follow the command in
+three cases: the reports come from another drive, the torque acts on another joint, or the drive
+obeys late. The difference between commands and reports is visible even if all motors pull with
+equal force and no joint moves. The test compares the change a of the command from one tick to the
+next with the change b of the report. Both changes are forces at the spool [N]. The test uses
+low-passed products S of a and b:
 
     S_ab + 4 sqrt(S_aa S_bb / n) < 0.4 S_aa      n = 2 tau / T samples
 
 Here tau is the time constant of the low-pass filter, and T is the control period. A drive fails the
-test if it reports less than 0.4 of the changes in the command. The test has a margin of four
+test if it reports less than 40 % of the changes in the command. The test has a margin of four
 standard deviations of the estimated fraction. If the changes a and b are uncorrelated, their sample
 covariance has the variance S_aa S_bb / n. Source: Bartlett's formula for white noise.
 
@@ -154,7 +154,7 @@ def update_correlation(x: StateTables, c: ConstantTables, missed_ticks: int) -> 
 
 @kernel_helper
 def _smallest_increment(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the smallest change of a motor's torque that exceeds rounding, as a spool force [N]."""
+    """Return the smallest change of a motor's torque that is larger than rounding, as a force at the spool [N]."""
     rounding_step = max(
         MIN_INCREMENT_FRACTION * c.tendon[h.DRIVE_TENSION_LIMIT, n],
         0.5 * c.tendon[h.TORQUE_STEP, n],
@@ -233,19 +233,19 @@ def does_report_contradict_commands(x: StateTables, c: ConstantTables, n: int) -
     """Return True if the force that a motor reports is outside the range of its last three commands.
 
     A single report outside the range is not sufficient. The low-passed difference between command
-    and report must also be large, and must have the same sign. If a drive obeys its commands, it
-    reports one of the commands of the last three ticks, even after a lost frame. The report of a
-    drive that obeys is within the range of the commands, even if the command changes fast. The test
-    of the range finds some faults earlier than the low-passed difference alone, for example if two
-    drives are exchanged.
+    and report must also be large. The sign of the difference must agree with the side of the range
+    on which the report lies. If a drive obeys its commands, it reports one of the commands of the
+    last three ticks, even after a lost frame. The report of a drive that obeys is within the range
+    of the commands, even if the command changes fast. The test of the range finds some faults
+    earlier than the low-passed difference alone, for example if two drives are exchanged.
 
     The test covers only motors of tendons without a load cell. If a tendon has a load cell, another
     detector finds a wrong force. On a busy computer, a reply can be older than three ticks, so the
     test is used only if three ticks take at least ``MIN_COMMAND_WINDOW_S``.
 
-    A drive that closes its position loop is not tested, because it has no torque command. A drive
-    that sends its torque in a separate frame is not tested either, because the torque can be older
-    than the reply.
+    A drive that closes its position loop is not tested, because such a drive gets no torque
+    commands. A drive that sends its torque in a separate frame is not tested either, because the
+    torque can be older than the reply.
     """
     window = COMPARED_COMMAND_COUNT * c.run[h.CONTROL_PERIOD]
     if c.tendon_int[h.CELL_GROUP, n] >= 0 or window < MIN_COMMAND_WINDOW_S:

@@ -3,8 +3,8 @@
 The force at the tip of a closing digit is a sign of contact. The opening of a digit that holds an
 object is a sign of slip. While a digit closes, the part of its tensions that the model does not
 explain is converted into a force at the tip. The weight of a tendon in the conversion to a tip
-force is the tension that a force of 1 N at the tip causes in the tendon. A proximal tendon bears
-the largest tension and has the least friction, so its weight is the largest. The tip force is
+force is the tension that a force of 1 N at the tip causes in the tendon. A proximal tendon has the
+largest weight, because it bears the largest tension and has the least friction. The tip force is
 averaged over a few milliseconds by a low-pass filter. The force of a contact remains after the
 low-pass filter. The alternating force of a chattering tendon cancels out in the low-pass filter.
 
@@ -89,7 +89,7 @@ def update_tip_forces(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def _write_tip_levers(x: StateTables, c: ConstantTables, lever: Vector) -> None:
-    """Write the levers (J,) of a force at the tip of each digit about its joints [m].
+    """Write the lever about each joint (J,) of a force at the tip of the joint's digit [m].
 
     The function assumes that the digits have the joint angles of free digits. A digit that closes
     counts as free until its contact is found.
@@ -103,7 +103,7 @@ def _write_tip_levers(x: StateTables, c: ConstantTables, lever: Vector) -> None:
 
 @kernel_helper
 def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> float:
-    """Return the force at the tip that best explains the tensions which the model does not explain [N].
+    """Return the force at the tip that best explains the external tensions (tensions beyond those of the model) [N].
 
     The force is a least-squares solution. The result is 0 if a force at the tip does not load any
     tendon of the digit.
@@ -121,7 +121,7 @@ def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> 
 
 @kernel_helper
 def update_grip_travel(x: StateTables, c: ConstantTables) -> None:
-    """Update the fast and the slow average of the length on each spool minus the stretch of the tendon.
+    """Update the fast and the slow average of each tendon's excursion (length on the spool minus stretch).
 
     The fast and the slow average are equal until the detection of slip begins.
     """
@@ -151,7 +151,7 @@ def update_grip_travel(x: StateTables, c: ConstantTables) -> None:
 def largest_grip_opening(
     block: BlockArray, at: TableOffsets, closing_sign: Vector, held_tension: Vector
 ) -> tuple[int, float]:
-    """Return the tendon with the largest recent opening of a digit that holds an object, and the opening [m].
+    """Find the largest recent opening of a digit that holds an object, and return the tendon and the opening [m].
 
     The opening is a length along the tendon. If no digit that holds an object has opened, the
     result is (0, 0.0).

@@ -165,7 +165,7 @@ def ticks_to_predict(c: ConstantTables, missed_ticks: int) -> int:
 
 @kernel_helper
 def predicted_tension_sigma(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the standard deviation of a tendon's predicted tension, by the propagated covariance [N]."""
+    """Return the standard deviation of a tendon's predicted tension, computed from the propagated covariance [N]."""
     kind = x.tendon_int[s.FILTER_KIND, n]
     P = np.empty((STATE_COUNT, STATE_COUNT))
     for i in range(STATE_COUNT):
