@@ -78,7 +78,7 @@ class CompiledNodes:
         self._receivers: Any = None
 
     def refresh_identifiers(self) -> None:
-        """Delete the table of receivers, so that the next frame leads to a new table."""
+        """Delete the table of receivers, so that it is built again before the next frame."""
         self._table = None
 
     def answer(self, frames: Any, t_ns: int, last_ns: int) -> tuple[Any, bool]:
@@ -200,7 +200,8 @@ class CompiledNodes:
     def _accepted_identifiers(self) -> list[Any]:
         """Return the identifiers that each node accepts now.
 
-        When the identifiers of a node change, the node returns a new object.
+        Each element of the list is the object of one node that contains the identifiers of this
+        node. When the identifiers change, the node replaces this object by a new object.
         """
         return [
             getattr(node, "accepted_ids", node.ids) for nodes in self._world.nodes for node in nodes

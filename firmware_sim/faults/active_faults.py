@@ -64,7 +64,7 @@ class ActiveFaults:
 
     @property
     def t_ns(self) -> int:
-        """Return the present time of the truth file [ns].
+        """Return the present time of the truth file (the record of the true plant state) [ns].
 
         The time of the truth file is the time of the simulated world plus ``slip_ns``.
         """
@@ -72,7 +72,7 @@ class ActiveFaults:
 
     @property
     def slip_ns(self) -> int:
-        """Return the total time that the slips of the clock have skipped [ns]."""
+        """Return the total time that the simulation, when behind the clock, has skipped [ns]."""
         return int(self._world.slip_ns)
 
     def inject(self, fault_line: str) -> Fault:
@@ -237,7 +237,7 @@ class ActiveFaults:
         return wire_faults.frames_after_faults(node_faults, stamped_answers, t_ns)
 
     def frames_after_node_faults(self, node: Any, frames: list[Frame], t_ns: int) -> list[Frame]:
-        """Apply the faults that act on frames to unsolicited frames of a node."""
+        """Return the unsolicited frames of a node, as changed or removed by the injected faults."""
         node_faults = self.wire_faults_of.get(id(node))
         return wire_faults.frames_after_faults(node_faults, frames, t_ns) if node_faults else frames
 

@@ -42,10 +42,10 @@ class NormalNoise:
     """
 
     def __init__(self, seed: str) -> None:
-        """Start the stream with a seed.
+        """Start the sequence of random numbers with a seed.
 
         Args:
-            seed: seed of the stream.
+            seed: seed of the sequence.
         """
         _, words, _ = random.Random(seed).getstate()
         # Python and numpy both use the generator MT19937, and convert its integers to doubles in

@@ -3,10 +3,11 @@
 In compiled kernels, tendons and rotors are the rows of an array. In interpreted Python, tendons and
 rotors are objects in a list. The rows and the objects have the same attributes.
 
-Tendon damping and Coulomb-like capstan friction rise steeply with the speed of the tendon. The
-links are light, so an explicit step would be unstable. Therefore the engine integrates both forces
-implicitly. The engine gets the slope of the forces over the tendon speed as a damping of the
-tendon. The kernels then compensate the torque of the added damping at the links, so that only the
+The damping force of a tendon and the Coulomb-like capstan friction rise steeply with the speed of
+the tendon. The links are light, so an explicit integration step would be unstable. Therefore the
+rigid-body engine integrates both forces implicitly. For this purpose, the kernels compute the slope
+of the two forces over the tendon speed, and the engine uses this slope as a damping coefficient of
+the tendon. At the links, the kernels compensate the torque of this added damping, so that only the
 exact friction remains.
 """
 
@@ -231,10 +232,10 @@ def limit_torque_by_speed(
     slope: float,
     is_braking: bool,
 ) -> float:
-    """Limit a torque command to slope (-speed - omega) .. slope (speed - omega) [N m].
+    """Limit a torque command to a range that shifts with the rotor velocity omega [N m].
 
-    The velocity omega is the velocity of the rotor at the end of the step, as in
-    ``compute_command``.
+    The upper limit is slope * (speed - omega), and the lower limit is slope * (-speed - omega). The
+    velocity omega is the velocity of the rotor at the end of the step, as in ``compute_command``.
 
     Args:
         rotor: rotor whose torque is limited.
@@ -364,7 +365,9 @@ def step_drivetrain(
     damping: Any,
     all_rotors: bool,
 ) -> None:
-    """Compute a step of the tendons and the rotors, which MuJoCo does not compute.
+    """Compute one step of the tendons and the rotors.
+
+    MuJoCo does not compute these parts of the hand.
 
     The kernel ``_integrate_steps`` describes the whole step.
 

@@ -104,7 +104,7 @@ class Motor:
 
     @property
     def encoder_fault(self) -> Callable[[float], float] | None:
-        """Return the function that changes the measured angle, or None without a fault of the encoder."""
+        """Return the function that changes the measured angle, None if the encoder has no fault."""
         return self._encoder_fault
 
     @encoder_fault.setter
@@ -114,7 +114,7 @@ class Motor:
 
     @property
     def power_stage_fault(self) -> Callable[[float], float] | None:
-        """Return the function that changes the torque command, or None without a fault of the power stage."""
+        """Return the function that changes the torque command, None without a power-stage fault."""
         return self._power_stage_fault
 
     @power_stage_fault.setter

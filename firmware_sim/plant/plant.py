@@ -281,7 +281,8 @@ class Plant:
     def _steps_until_table_update(self) -> int:
         """Return the number of steps until the scene next acts on the plant.
 
-        The scene acts on the plant by its table, its load and its stages.
+        A scene acts on the plant by its table, its load on the object, and its stages (events after
+        the grasp).
         """
         if self.load:
             return 1

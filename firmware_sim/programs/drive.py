@@ -78,8 +78,8 @@ class SimulatedDriveBench:
     Attributes:
         motors: rotors of the drives, in the order of the drive descriptions.
         nodes: simulated nodes of the drives, in the order of the drive descriptions.
-        slip_ns: total time that the slips of the clock have skipped [ns].
-        step_progress_ns: completed time of the present time step [ns].
+        slip_ns: total time that the simulation has skipped because it was behind the clock [ns].
+        step_progress_ns: completed part of the present time step [ns].
         faults: faults injected while the bench runs.
     """
 

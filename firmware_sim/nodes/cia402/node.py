@@ -168,7 +168,7 @@ class Cia402Node:
             self._unsolicited.append(Frame(0x700 + self.node_id, b"\0"))
 
     def _initial_objects(self) -> tuple[ObjectDictionary, PowerStage]:
-        """Return the object dictionary and the power stage in the state after power-up."""
+        """Create the object dictionary and the power stage, both in the state after power-up."""
         objects = ObjectDictionary(self.node_id)
         self.values = objects.values
         return objects, PowerStage()
@@ -244,8 +244,9 @@ class Cia402Node:
     def _connection_lost(self, error_code: int) -> None:
         """React to a lost connection.
 
-        Object 0x6007 (abort connection option) selects the reaction: 0 none, 1 the fault state, any
-        other value power stage off.
+        Object 0x6007 (abort connection option) selects the reaction to a lost connection. The value
+        0 means no reaction, and 1 means the fault state. Any other value switches the power stage
+        off.
         """
         option = self.objects[0x6007, 0]
         if option == 1:

@@ -155,7 +155,7 @@ class AmplifierObjects:
         return self._values[key].to_bytes(self._sizes[key], "little")
 
     def write(self, key: ObjectKey, value_bytes: bytes) -> None:
-        """Write a value from a received frame, as bytes, to an object.
+        """Write the bytes of a value, as received in a frame, to an object.
 
         Raises:
             SdoAbort: the object does not exist, is read-only or has another length, or the mapping

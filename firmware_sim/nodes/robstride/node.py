@@ -15,7 +15,7 @@ Source: docs/facts/robstride.md.
     0x15   0                   motor   host     u32 faults, u32 warnings
     0x16   0                   host    motor    01 .. 08: save the parameters
 
-The motor answers the types 1, 3, 4, 6, 0x12 and 0x16 with a frame of type 2.
+The motor answers frames of the types 1, 3, 4, 6, 0x12 and 0x16 with a frame of type 2.
 
 Choices of this simulator where the fact sheet has only an assumption:
 
@@ -274,7 +274,10 @@ class RobstrideNode:
         self._schedule()
 
     def follow(self, torque: int, data: bytes) -> None:
-        """Set the servo to a control command: ``torque`` as a 16-bit code, all other values in a payload of 8 bytes."""
+        """Set the servo from a control command.
+
+        ``torque`` is a 16-bit code, and ``data`` (8 bytes) contains all other values.
+        """
         position, velocity, kp, kd = struct.unpack(">4H", data)
         servo = self.motor.servo
         sign = self._direction
