@@ -75,7 +75,7 @@ class BusNodes(Protocol):
 
     Attributes:
         t_ns: present time of the nodes [ns].
-        slip_ns: total time that the simulation has skipped because it was behind the clock [ns].
+        slip_ns: total plant time that was skipped because the plant was behind the clock [ns].
         foreign_frame_count: number of received frames that no node has handled.
     """
 
@@ -97,7 +97,7 @@ class BusNodes(Protocol):
         ...
 
     def advance(self, t_ns: int) -> None:
-        """Advance the nodes by whole time steps, as far as the time ``t_ns`` permits."""
+        """Advance the nodes by whole time steps, but not beyond the time ``t_ns``."""
         ...
 
     def advance_exactly(self, t_ns: int) -> None:

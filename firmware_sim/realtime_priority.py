@@ -95,7 +95,7 @@ class RealTimePriority:
             )  # after the system has refused the priority, the simulator does not request it in every turn
 
     def count_clock_slip(self) -> None:
-        """Count a slip of the clock: the plant was behind the clock, and time was skipped.
+        """Count a slip of the clock, which skips the time by which the plant is behind.
 
         After ``MAX_CLOCK_SLIPS`` slips within ``CLOCK_SLIP_WINDOW_S``, give the real-time priority
         back.

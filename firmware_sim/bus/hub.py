@@ -290,8 +290,8 @@ def _listening_socket(path: Path, name: str) -> socket.socket:
 def _locked_folder(folder: Path) -> Iterator[None]:
     """Lock a folder.
 
-    Only the hub that has the lock of a folder is allowed to remove and replace an unused socket in
-    this folder.
+    Only the hub that holds the lock of a folder is allowed to remove and replace an unused socket
+    in this folder.
     """
     descriptor = os.open(folder, os.O_RDONLY)
     try:

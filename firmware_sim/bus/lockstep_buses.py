@@ -61,7 +61,7 @@ class LockstepBuses:
         return receive
 
     def step(self, t_ns: int, frames: Iterable[Frame], end_ns: int) -> list[Frame]:
-        """Put the frames of the host into the send queues, and process all events of the tick on the wires.
+        """Queue the frames of the host, and process all wire events of the tick.
 
         Args:
             t_ns: start of the tick [ns].

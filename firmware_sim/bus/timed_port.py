@@ -88,7 +88,10 @@ class TimedPort:
         self._now_ns = now_ns
         self._clients: dict[HubConnection, CanController] = {}
         self._queues: dict[HubConnection, tuple[int, int]] = {}
-        """By client: count of received records, and count that had left the queue at the last report (-1 if none)."""
+        """For each client, the number of received records, and the number of records reported as sent.
+
+        The second number is -1 if no report has reached the client.
+        """
         self._nodes: dict[int, CanController] = {}
         self._received: deque[Frame] = deque()
         self._unreadable = self._refused = 0

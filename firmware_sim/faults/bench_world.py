@@ -22,7 +22,7 @@ class BenchInterface(Protocol):
     Attributes:
         motors: rotors of the drives, in the order of the drive descriptions.
         nodes: simulated nodes of the drives, in the order of the drive descriptions.
-        slip_ns: total time that the simulation has skipped because it was behind the clock [ns].
+        slip_ns: total plant time that was skipped because the plant was behind the clock [ns].
         step_progress_ns: completed part of the present plant step [ns].
     """
 
@@ -97,7 +97,7 @@ class BenchWorld:
 
     @property
     def slip_ns(self) -> int:
-        """Return the total time that the simulation, when behind the clock, has skipped [ns]."""
+        """Return the total plant time that was skipped to keep up with the clock [ns]."""
         return self._bench.slip_ns
 
     def node_of(self, name: str) -> Any:

@@ -90,7 +90,7 @@ class CubemarsNode:
     Attributes:
         enabled: True if the motor follows commands.
         error: present error of the motor.
-        offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
+        offset: angle that the motor reports when the spool angle theta is 0 [rad].
         thermal: temperatures of the motor.
         short: True if the feedback has six bytes, as in older firmware.
         ids: identifiers of the frames that the node answers.
@@ -105,7 +105,7 @@ class CubemarsNode:
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
+            offset: angle that the motor reports when the spool angle theta is 0 [rad].
         """
         self.motor = motor
         self.offset = offset

@@ -618,7 +618,7 @@ def answer(
     Args:
         frames: frames of the host.
         answer_frames: array for the answers, filled by the kernel.
-        at: address and length of each other array of ``_answer``, in the order of
+        at: address and length of each remaining array argument of ``_answer``, in the order of
             ``compiled_nodes.CompiledNodes``.
         t_ns: present time [ns].
         last_ns: largest delay of an answer after the start of the tick [ns].

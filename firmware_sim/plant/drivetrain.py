@@ -197,10 +197,10 @@ def _add_tendon_torques(
 
 @kernel_helper
 def _compensate_damping(tendon: Any, joints: Any, arms: Any, dq: Any, torque: Any) -> None:
-    """Compensate the torque of the tendon damping in MuJoCo.
+    """Add the damping torque of a tendon to ``torque``, because MuJoCo will subtract it [N m].
 
-    MuJoCo will subtract the damping torque. Therefore the kernel adds the damping torque to
-    ``torque`` [N m]. MuJoCo computes the damping torque with the mean moment arms.
+    The sum of the two torques is zero. MuJoCo computes the damping torque with the mean moment
+    arms, so the kernel also uses the mean moment arms.
     """
     speed = 0.0
     for i in range(tendon.first, tendon.end):
@@ -447,7 +447,7 @@ REAL_DTYPE = np.dtype(np.float64)
 COUNT_DTYPE = np.dtype(np.int64)
 TENDON_DTYPE = np.dtype(TendonStruct)
 ROTOR_DTYPE = np.dtype(RotorStruct)
-"""Dtype of an array that ``steps`` makes from an address, like the constants above."""
+"""This constant and the three above are dtypes of arrays that ``steps`` makes from addresses."""
 
 
 @compiled("count", "counts")

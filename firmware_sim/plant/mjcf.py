@@ -271,8 +271,8 @@ def find_links_at_palm(hand: Hand, digit: Digit) -> list[bool]:
     """Find the links of a digit that must not collide with the palm or with the carrier of the digit.
 
     The result has one value per link. The value is True if, while all joints are at zero, the link
-    overlaps the palm or the link that carries the digit. The hinge of a link that overlaps the palm
-    is close to the palm.
+    overlaps the palm or the link that carries the digit. A link overlaps the palm if its hinge is
+    close to the palm.
     """
     centre, half_sizes = palm_box(hand, digit.carrier)
     carriers = [
@@ -468,7 +468,11 @@ def _normal_force_sensor(hand: Hand, digit: Digit) -> str:
 
 
 def _touch_sensors(hand: Hand, digit: Digit) -> str:
-    """Return the bodies whose contacts a sensor measures: all links, or only the last link of a carrying digit."""
+    """Return the MJCF attribute that selects the bodies whose contacts a sensor measures.
+
+    The sensor measures the contacts of all links of a digit, but only of the last link if the digit
+    carries other digits.
+    """
     if hand.digits_on_carrier(digit.name):
         return f'body1="{digit.name}_link{len(digit.length)}"'
     return f'subtree1="{digit.name}_link1"'

@@ -51,7 +51,7 @@ class Plant:
             joint angles [rad], joint velocities [rad/s], and an array into which tensions are
             written [N].
         steps: number of completed steps.
-        step_progress_ns: completed time of the present time step [ns].
+        step_progress_ns: completed part of the present time step [ns].
     """
 
     def __init__(
@@ -383,7 +383,7 @@ class Plant:
                 self.engine.set_friction(scene_state.friction)
 
     def measured_grip_forces(self) -> list[float]:
-        """Return the load on the object, and the sum of the normal forces of each digit on the object [N].
+        """Return the load on the object, then the normal force of each digit on the object [N].
 
         If the scene has no load, the returned list is empty.
         """

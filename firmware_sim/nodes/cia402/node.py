@@ -23,9 +23,9 @@ download request, 0x60 download reply, 0x80 abort.
 Choices of this simulator where the fact sheet is not definite:
 
 - Object 0x6076 has the unit mN·m, unless the option ``rated_torque_unit`` is uN_m.
-- If object 0x6007 is 1, two events are faults: the node leaves the state operational while enabled,
-  or the master's heartbeat is lost. If 0x6007 is 2 or 3, each of these two events switches the
-  power stage off.
+- If the value of object 0x6007 is 1, two events are faults: the node leaves the state operational
+  while enabled, or the master's heartbeat is lost. If the value is 2 or 3, each of these two events
+  switches the power stage off.
 - A host can change PDOs only while the node is in the state pre-operational.
 """
 

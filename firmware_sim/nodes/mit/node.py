@@ -106,7 +106,7 @@ class MitNode:
     Attributes:
         state: state nibble of the motor.
         registers: registers of the motor.
-        offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
+        offset: angle that the motor reports when the spool angle theta is 0 [rad].
         thermal: temperatures of the motor and its drive.
         ids: identifiers of the frames that the node answers.
         malformed_frame_count: number of frames with an identifier of the node that the node could not decode.
@@ -133,7 +133,7 @@ class MitNode:
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
+            offset: angle that the motor reports when the spool angle theta is 0 [rad].
         """
         self.motor = motor
         self.offset = offset

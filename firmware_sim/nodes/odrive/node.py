@@ -207,8 +207,8 @@ class OdriveNode:
             self._numbers["torque_min"]: struct.pack("<f", -math.inf),
         }
         self.endpoints.pop(0, None)
-        # If the hand file gives the number of a default endpoint to another endpoint, the endpoint
-        # of the hand file has this number.
+        # If the hand file gives another endpoint the number of a default endpoint, the number
+        # stands for the endpoint of the hand file.
         defaults = {
             number: struct.pack("<f", value) for number, (_, value) in MOTION_ENDPOINTS.items()
         }
