@@ -1,6 +1,7 @@
 """Answers to the frames of one tick, where frames and answers are records in arrays.
 
-A compiled kernel answers the cyclic frames. The nodes answer all other frames.
+A compiled kernel answers the cyclic frames. The Python methods of the nodes answer all other
+frames.
 """
 
 from operator import is_not
@@ -200,8 +201,8 @@ class CompiledNodes:
     def _accepted_identifiers(self) -> list[Any]:
         """Return the identifiers that each node accepts now.
 
-        Each element of the list is the object of one node that contains the identifiers of this
-        node. When the identifiers change, the node replaces this object by a new object.
+        The returned list contains one object for each node, with the identifiers of the node. When
+        the identifiers of a node change, the node makes a new object.
         """
         return [
             getattr(node, "accepted_ids", node.ids) for nodes in self._world.nodes for node in nodes
@@ -216,14 +217,14 @@ class CompiledNodes:
 
     @property
     def wake_ns(self) -> int:
-        """Return the earliest wake time of the drives in array rows [ns].
+        """Return the earliest wake time of the drives whose states are in array rows [ns].
 
         The last call of ``answer`` or ``send_due_frames`` has stored the wake time.
         """
         return int(self._progress[WAKE_NS])
 
     def next_wake(self) -> int:
-        """Compute the earliest wake time of the drives in array rows from the present states of these drives [ns]."""
+        """Compute the earliest wake time from the present states of the drives in array rows [ns]."""
         if self._table is None:
             self._build_table()
         return int(self._kernels.next_wake(self._drive_rows, *self._drive_structs))

@@ -203,7 +203,7 @@ def _read_float(payload: Any) -> float:
 def _odrive_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
     """Return True if a frame to an ODrive must be processed in Python.
 
-    The frame is a torque setpoint or an encoder request.
+    The argument ``frame`` is a torque setpoint or an encoder request.
     """
     if frame.flags & FDF or rotor.faulty != 0 or node.motion_due_ns > 0:
         return True
@@ -242,7 +242,7 @@ def _answer_odrive(
 def _cia402_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
     """Return True if a frame to a CiA 402 drive must be processed in Python.
 
-    The frame is a SYNC, an RPDO or the master's heartbeat.
+    The argument ``frame`` is a SYNC, an RPDO or the master's heartbeat.
     """
     if frame.flags & FDF or rotor.faulty != 0 or node.thermal_ns < 0:
         return True
@@ -642,10 +642,10 @@ def answer(
 
 @kernel_helper
 def _must_wake_odrive(node: Any, rotor: Any, now_ns: int) -> bool:
-    """Return True if an ODrive must do other work than sending its two cyclic messages.
+    """Return True if an ODrive must do work other than sending its two cyclic messages.
 
-    Python must wake the drive for the other work: the update of temperatures, the watchdog, the end
-    of a calibration, the modes of ``odrive.motion_modes``, and the messages of firmware 0.5.
+    Python must wake the drive for this work: the update of temperatures, the watchdog, the end of a
+    calibration, the modes of ``odrive.motion_modes``, and the messages of firmware 0.5.
     """
     is_busy = node.busy_until_ns > 0 or node.motion_due_ns > 0
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= THERMAL_PERIOD_NS
@@ -655,9 +655,9 @@ def _must_wake_odrive(node: Any, rotor: Any, now_ns: int) -> bool:
 
 @kernel_helper
 def _must_wake_cia402(node: Any, now_ns: int) -> bool:
-    """Return True if a CiA 402 drive must do other work than sending its heartbeat.
+    """Return True if a CiA 402 drive must do work other than sending its heartbeat.
 
-    Python must wake the drive for the other work.
+    For such work, Python must wake the drive.
     """
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= CIA402_THERMAL_PERIOD_NS
     if node.motion_due_ns > 0:

@@ -82,7 +82,7 @@ class NormalNoise:
         return block
 
     def take(self, count: int) -> Any:
-        """Return the next numbers of mean 0 and standard deviation 1, shape (count,)."""
+        """Return the next ``count`` random numbers of mean 0 and standard deviation 1, shape (count,)."""
         self.draw(count)
         first_index = int(self.bounds[0])
         self.bounds[0] = first_index + count

@@ -57,7 +57,7 @@ JOINT_CODE = (0.0, JOINT_STEP_RAD, JOINT_ZERO_CODE)
 
 
 class SensorStruct(ctypes.Structure):
-    """State of a ``SensorNode``, as memory for compiled kernels."""
+    """Memory layout of the state of a ``SensorNode``, for compiled kernels."""
 
     _fields_ = [
         *((name, ctypes.c_double) for name in ("tension_noise", "bias_drift")),

@@ -1,7 +1,7 @@
 """Kernels that advance tendons, rotors and servos by a step, in scalar arithmetic.
 
 In compiled kernels, tendons and rotors are the rows of an array. In interpreted Python, tendons and
-rotors are objects in a list. The rows and the objects have the same attributes.
+rotors are objects in a list. The rows of the array and the objects have the same attributes.
 
 The damping force of a tendon and the Coulomb-like capstan friction rise steeply with the speed of
 the tendon. The links are light, so an explicit integration step would be unstable. Therefore the
@@ -137,8 +137,8 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
     The kernel also sets ``tendon.slope``: the damping, plus the friction force divided by the
     tendon speed [N s/m].
 
-    Friction at a pulley reduces the tension behind the pulley. The wrap angle at a pulley includes
-    the wrap of all pulleys nearer to the spool. Source: MODEL, section 3.
+    Friction at a pulley changes the tension beyond the pulley, seen from the spool. The wrap angle
+    at a pulley includes the wrap of all pulleys nearer to the spool. Source: MODEL, section 3.
     """
     tension = tendon.tension
     angle = tendon.wrap
@@ -150,7 +150,7 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
         if arms[PARAMETERS_PER_PULLEY * i + PRISMATIC_FLAG_INDEX] == 0.0:
             angle += q[joints[i]]
         # The lines below compute the capstan equation. If the tendon speed is positive, the tendon
-        # moves towards the spool, and friction reduces the tension behind a pulley.
+        # moves towards the spool, and friction reduces the tension beyond the pulley.
         local_tension = tension * math.exp(-rate * angle)
         torque[joints[i]] += _moment_arm_at(arms, i, q[joints[i]]) * local_tension
         if local_tension < min_tension:
@@ -197,10 +197,10 @@ def _add_tendon_torques(
 
 @kernel_helper
 def _compensate_damping(tendon: Any, joints: Any, arms: Any, dq: Any, torque: Any) -> None:
-    """Add the damping torque of a tendon to ``torque``, because MuJoCo will subtract it [N m].
+    """Compensate the damping torque of a tendon, which MuJoCo will subtract from ``torque`` [N m].
 
-    The sum of the two torques is zero. MuJoCo computes the damping torque with the mean moment
-    arms, so the kernel also uses the mean moment arms.
+    The kernel adds the damping torque that MuJoCo will subtract. MuJoCo and the kernel both compute
+    the damping torque with the mean moment arms.
     """
     speed = 0.0
     for i in range(tendon.first, tendon.end):

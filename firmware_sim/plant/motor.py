@@ -77,7 +77,7 @@ class Motor:
     _power_stage_fault: Callable[[float], float] | None
 
     def __init__(self, spec: MotorSpec, step_s: float) -> None:
-        """Set the parameters of the rotor, and its state at rest.
+        """Set the parameters of the rotor, and put the rotor at rest.
 
         Args:
             spec: description of the motor.
@@ -87,7 +87,7 @@ class Motor:
         self._set_parameters(spec, step_s)
 
     def _set_parameters(self, spec: MotorSpec, step_s: float) -> None:
-        """Set the parameters of the motor and a state at rest."""
+        """Set the parameters of the motor, and put the motor at rest."""
         self.theta = self.omega = self.torque = self.velocity = self.heat = 0.0
         self.inertia = spec.inertia
         self.viscous = spec.viscous

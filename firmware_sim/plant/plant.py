@@ -348,7 +348,7 @@ class Plant:
         """Return the four lists that the kernels need when they run as interpreted Python.
 
         The first two lists contain the joint angles and velocities. The other two lists contain
-        zeros, which the kernels replace by torques and damping.
+        zeros, which the kernels replace by the joint torques and the damping of the tendons.
         """
         q = self.engine.q.tolist()
         dq = self.engine.dq.tolist()

@@ -244,9 +244,9 @@ class Cia402Node:
     def _connection_lost(self, error_code: int) -> None:
         """React to a lost connection.
 
-        Object 0x6007 (abort connection option) selects the reaction to a lost connection. The value
-        0 means no reaction, and 1 means the fault state. Any other value switches the power stage
-        off.
+        Object 0x6007 (abort connection option) selects the reaction to a lost connection: no
+        reaction for the value 0, the fault state for 1, and switching the power stage off for any
+        other value.
         """
         option = self.objects[0x6007, 0]
         if option == 1:

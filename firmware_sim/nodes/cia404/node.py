@@ -46,7 +46,7 @@ _NEVER_NS = 1 << 62
 
 
 class LoadCellAmplifiers:
-    """The load cells of a hand that has amplifiers.
+    """The load cells of a hand, connected to CiA 404 amplifiers.
 
     The class simulates the noise, the bias and the faults of these load cells.
 

@@ -137,7 +137,7 @@ class MoteusNode:
         return [self._reply_frame(reply, number >> 8 & 0x7F, frame)]
 
     def _reply_frame(self, data: bytes, host: int, frame: Frame) -> Frame:
-        """Return the frame of a reply to a host.
+        """Build the frame that carries a reply to a host.
 
         If the reply is too long for the frame format of the request, the returned frame has the
         format CAN FD.

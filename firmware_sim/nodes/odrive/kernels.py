@@ -26,7 +26,7 @@ TURN_RAD = 2.0 * math.pi
 
 
 class OdriveStruct(ctypes.Structure):
-    """State of a simulated axis, as memory for compiled kernels.
+    """Memory layout of the state of a simulated axis, for compiled kernels.
 
     The class ``node.OdriveNode`` explains the fields.
 
