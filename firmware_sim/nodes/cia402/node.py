@@ -244,9 +244,9 @@ class Cia402Node:
     def _connection_lost(self, error_code: int) -> None:
         """React to a lost connection.
 
-        Object 0x6007 (abort connection option) selects the reaction to a lost connection: no
-        reaction for the value 0, the fault state for 1, and switching the power stage off for any
-        other value.
+        Object 0x6007 (abort connection option) selects the reaction to a lost connection. The drive
+        does not react if the value is 0, and enters the fault state if the value is 1. With any
+        other value, the drive switches the power stage off.
         """
         option = self.objects[0x6007, 0]
         if option == 1:
