@@ -527,8 +527,8 @@ def _tendon_values(model: Any, notes: list[str]) -> list[dict[str, Any]]:
 def _actuator_values(model: Any, motors: list[int]) -> dict[str, Any]:
     """Return the motor of a tendon, and the largest tension of the motor [N].
 
-    If the tendon does not have exactly one actuator, both values are None. If the actuator does not
-    command a force of limited range, the largest tension is None.
+    Both values are None unless the tendon has exactly one actuator. The largest tension is None
+    unless the actuator commands a force of limited range.
     """
     if len(motors) != 1:
         return {"motor": None, "tension_max": None}
