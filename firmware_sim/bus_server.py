@@ -43,7 +43,7 @@ answer could come later than the next SYNC.
 
 
 class ServerClock(Protocol):
-    """The clock that a simulator in real time follows."""
+    """The clock that determines the plant time of a simulator in real time."""
 
     @property
     def scale(self) -> float:
@@ -75,7 +75,7 @@ class BusNodes(Protocol):
 
     Attributes:
         t_ns: present time of the nodes [ns].
-        slip_ns: total time that the slips of the clock have skipped [ns].
+        slip_ns: total plant time that was skipped because the plant was behind the clock [ns].
         foreign_frame_count: number of received frames that no node has handled.
     """
 
@@ -97,7 +97,7 @@ class BusNodes(Protocol):
         ...
 
     def advance(self, t_ns: int) -> None:
-        """Advance the nodes by whole time steps, as far as the time ``t_ns`` permits."""
+        """Advance the nodes by whole time steps, but not beyond the time ``t_ns``."""
         ...
 
     def advance_exactly(self, t_ns: int) -> None:
@@ -190,7 +190,8 @@ class BusServer:
     def _register_host(self) -> None:
         """Request real-time priority for this process, because a host has sent frames.
 
-        When the first frame of a host arrives, restart the measurement of the pace.
+        When the first frame of a host arrives, also restart the measurement of the pace (plant time
+        per wall time).
         """
         if not self._has_host:
             self._has_host = True
@@ -242,7 +243,7 @@ class BusServer:
         advance_world(min(target_ns, world.t_ns + MAX_CATCH_UP_NS))
 
     def _skip_lost_time(self, behind_ns: int) -> None:
-        """Skip the time by which the plant is behind the clock.
+        """Skip the time by which the plant is behind the clock (a slip of the clock).
 
         The plant and the watchdogs of the drives do not advance by the skipped time.
         """
@@ -268,7 +269,8 @@ class BusServer:
     def summary(self) -> dict[str, object]:
         """Return the counts of a run, such as the number of overruns.
 
-        The truth file contains the counts. The program also prints the counts in its last line.
+        The program writes the counts into the truth file (the record of the true plant state), and
+        prints the counts in its last line.
         """
         return {
             "overruns": self.overruns,

@@ -1,4 +1,4 @@
-"""Functions for all programs of the simulator: one-line errors, checks of arguments, end after a signal."""
+"""Functions for all programs of the simulator: error lines, checks of arguments, and signal handlers."""
 
 import argparse
 import re

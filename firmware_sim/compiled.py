@@ -72,10 +72,10 @@ def call_c_function(function: int, first_argument: int, second_argument: int) ->
 
 
 def array_at(address: int, row_count: int, row_type: Any) -> Any:
-    """Return an array of the ``row_count`` numbers or rows at an address in memory.
+    """Return the memory at an address as an array of ``row_count`` numbers or rows.
 
-    An array that a kernel makes by ``array_at`` costs no time. An array that a Python caller passes
-    to a kernel costs 0.2 us per call.
+    If a kernel calls ``array_at``, the array costs no computing time. If a Python caller passes an
+    array to a kernel as an argument, the array costs 0.2 us per call.
 
     Args:
         address: address of the first row.
@@ -244,7 +244,7 @@ def array_addresses(arrays: Iterable[Any]) -> list[int]:
 
 
 def structure_array(memory: Any, structure: type[ctypes.Structure]) -> Any:
-    """Return the memory of an array of structures as a numpy array of rows."""
+    """Return a numpy array of rows that uses the memory of an array of structures."""
     return (
         np.frombuffer(memory, np.dtype(structure))
         if ctypes.sizeof(memory)

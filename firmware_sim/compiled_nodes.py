@@ -1,6 +1,7 @@
 """Answers to the frames of one tick, where frames and answers are records in arrays.
 
-A compiled kernel answers the cyclic frames. The nodes answer all other frames.
+A compiled kernel answers the cyclic frames. The Python methods of the nodes answer all other
+frames.
 """
 
 from operator import is_not
@@ -78,7 +79,7 @@ class CompiledNodes:
         self._receivers: Any = None
 
     def refresh_identifiers(self) -> None:
-        """Delete the table of receivers, so that the next frame leads to a new table."""
+        """Delete the table of receivers, so that it is built again before the next frame."""
         self._table = None
 
     def answer(self, frames: Any, t_ns: int, last_ns: int) -> tuple[Any, bool]:
@@ -200,7 +201,8 @@ class CompiledNodes:
     def _accepted_identifiers(self) -> list[Any]:
         """Return the identifiers that each node accepts now.
 
-        When the identifiers of a node change, the node returns a new object.
+        The returned list contains one object for each node, with the identifiers of the node. When
+        the identifiers of a node change, the node makes a new object.
         """
         return [
             getattr(node, "accepted_ids", node.ids) for nodes in self._world.nodes for node in nodes
@@ -215,14 +217,14 @@ class CompiledNodes:
 
     @property
     def wake_ns(self) -> int:
-        """Return the earliest wake time of the drives in array rows [ns].
+        """Return the earliest wake time of the drives whose states are in array rows [ns].
 
         The last call of ``answer`` or ``send_due_frames`` has stored the wake time.
         """
         return int(self._progress[WAKE_NS])
 
     def next_wake(self) -> int:
-        """Compute the earliest wake time of the drives in array rows from the present states of these drives [ns]."""
+        """Compute the earliest wake time from the present states of the drives in array rows [ns]."""
         if self._table is None:
             self._build_table()
         return int(self._kernels.next_wake(self._drive_rows, *self._drive_structs))

@@ -74,7 +74,7 @@ class LockstepHand:
             self.world.record(self._truth)
 
     def exchange(self, t_ns: int, frames: Any) -> Any:
-        """Answer the frames of the host in one tick, then advance the simulation to the next tick.
+        """Answer the host's frames of one tick, and advance the simulation to the next tick.
 
         Args:
             t_ns: start of the tick [ns], which must not be earlier than the previous tick.
@@ -102,7 +102,7 @@ class LockstepHand:
         )
 
     def step(self, t_ns: int, frames: Iterable[tuple[Any, ...]]) -> list[Frame]:
-        """Answer the frames of the host in one tick, and return the answers as objects.
+        """Answer the host's frames of one tick, and return the answers as objects.
 
         The method ``exchange`` explains the times of the answers.
 

@@ -204,7 +204,7 @@ def _compile_spec(model_spec: Any) -> Any:
     """Compile a model, and suppress the warnings of MuJoCo.
 
     MuJoCo warns about the dynamics of the model, but this module does not use the dynamics. The
-    warnings would appear beside an error message that must have a single line.
+    printed warnings would add lines to an error message that must have a single line.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -214,8 +214,8 @@ def _compile_spec(model_spec: Any) -> Any:
 def _parsed_spec(path: str) -> Any:
     """Parse a model file.
 
-    If the file has no suffix of ``MODEL_SUFFIXES``, MuJoCo receives the content of the file as
-    text.
+    If the suffix of the file is not in ``MODEL_SUFFIXES``, MuJoCo receives the content of the file
+    as text.
     """
     if Path(path).suffix in MODEL_SUFFIXES:
         return mujoco.MjSpec.from_file(path)
@@ -281,7 +281,7 @@ def _is_proportional_coupling(model: Any, equality: int) -> bool:
 
 
 def _coupled_joints(model: Any, xml_root: ET.Element) -> dict[str, tuple[str, float]]:
-    """Return the leading joint of each coupled joint, and the ratio of the two angles, by coupled joint.
+    """Return, for each coupled joint, the joint that it follows and the ratio of the two angles.
 
     The couplings come from equality constraints of an MJCF file, and from mimic joints of a URDF.
     """

@@ -13,7 +13,7 @@ OMISSION_MARK = " [...] "
 def printable_text(text: str) -> str:
     """Replace unprintable characters of a text by escape sequences.
 
-    Examples are line ends and terminal escapes.
+    Unprintable characters are, for example, line ends and the control characters of terminals.
     """
     if text.isprintable():
         return text

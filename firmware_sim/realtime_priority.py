@@ -58,8 +58,8 @@ class RealTimePriority:
     leave an importing controller almost no computing time. The simulator therefore takes the
     real-time priority only when the first frame of a host arrives. If the plant repeatedly falls
     behind the clock, the simulator gives the real-time priority back for
-    ``ORDINARY_PRIORITY_DURATION_S``. After a single stop of the machine, the simulator keeps the
-    real-time priority.
+    ``ORDINARY_PRIORITY_DURATION_S``. If the plant falls behind only once, because the machine has
+    paused, the simulator keeps the real-time priority.
 
     Attributes:
         active: True while the process has real-time priority.
@@ -95,7 +95,7 @@ class RealTimePriority:
             )  # after the system has refused the priority, the simulator does not request it in every turn
 
     def count_clock_slip(self) -> None:
-        """Count a slip of the clock.
+        """Count a slip of the clock, which skips the time by which the plant is behind.
 
         After ``MAX_CLOCK_SLIPS`` slips within ``CLOCK_SLIP_WINDOW_S``, give the real-time priority
         back.

@@ -106,7 +106,7 @@ def is_local_bus(spec: str) -> bool:
 
 
 def assign_buses(specs: list[str], buses: list[str]) -> list[str]:
-    """Assign each bus of a hand its specification, such as ``local:NAME``.
+    """Assign a specification, such as ``local:NAME``, to each bus of a hand.
 
     Args:
         specs: one text ``BUS=SPEC`` for each bus, or only ``SPEC`` for a hand with one bus.

@@ -52,7 +52,10 @@ class Frame(NamedTuple):
 
 
 def pack_record(frame: Frame) -> bytes:
-    """Pack a frame into a record of 72 bytes. The field for dropped records is zero."""
+    """Pack a frame into a record of 72 bytes.
+
+    In this record, the counter of dropped records is zero.
+    """
     return _FRAME_STRUCT.pack(frame.can_id, len(frame.data), frame.flags, 0, 0, frame.data)
 
 

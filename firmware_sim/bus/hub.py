@@ -204,7 +204,7 @@ class BusHub:
         return received_records
 
     def send(self, records: bytes) -> None:
-        """Send records of the hub's owner to every client."""
+        """Send records from the process that owns the hub to every client."""
         self._forward_records(records, None)
 
     def _accept_clients(self) -> None:
@@ -247,11 +247,11 @@ class BusHub:
 
 
 def _belongs_to_other_user(client_socket: socket.socket) -> bool:
-    """Return True if the process at the other end of a connection belongs to another user.
+    """Return True if the client process of a connection belongs to another user than the hub.
 
     Processes of root do not count as processes of another user.
 
-    The hub can find out the user of the other process only on Linux. On other operating systems,
+    The hub can find out the user of the client process only on Linux. On other operating systems,
     return False.
     """
     if not sys.platform.startswith("linux"):
@@ -290,8 +290,8 @@ def _listening_socket(path: Path, name: str) -> socket.socket:
 def _locked_folder(folder: Path) -> Iterator[None]:
     """Lock a folder.
 
-    Only the hub that has the lock of a folder is allowed to remove and replace an unused socket in
-    this folder.
+    Only the hub that holds the lock of a folder is allowed to remove and replace an unused socket
+    in this folder.
     """
     descriptor = os.open(folder, os.O_RDONLY)
     try:

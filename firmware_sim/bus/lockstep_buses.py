@@ -11,7 +11,9 @@ from firmware_sim.wire.wire_options import WireSpec
 
 
 class LockstepBuses:
-    """The buses of a hand in virtual time. Each bus is a simulated wire between the host and the nodes.
+    """The simulated buses of a hand, for a simulation in lockstep.
+
+    Each bus is a simulated wire between the host and the nodes.
 
     Attributes:
         wires: one simulated wire for each bus.
@@ -59,7 +61,7 @@ class LockstepBuses:
         return receive
 
     def step(self, t_ns: int, frames: Iterable[Frame], end_ns: int) -> list[Frame]:
-        """Put the frames of the host into the send queues, and process all events of the tick on the wires.
+        """Queue the frames of the host, and process all wire events of the tick.
 
         Args:
             t_ns: start of the tick [ns].
@@ -101,7 +103,7 @@ class LockstepBuses:
                 self._queue_node_frame(Frame(can_id, data, flags, bus, frame.t_ns))
 
     def _queue_node_frames(self, frames: Sequence[Frame]) -> bool:
-        """Put frames of nodes into the send queues of their CAN controllers.
+        """Put each frame that a node sends into the send queue of the frame's CAN controller.
 
         Returns:
             True if there was at least one frame.
@@ -111,10 +113,10 @@ class LockstepBuses:
         return bool(frames)
 
     def _queue_node_frame(self, frame: Frame) -> None:
-        """Put a frame of a node into the send queue of its CAN controller.
+        """Put a frame that a node sends into the send queue of the frame's CAN controller.
 
-        Each identifier has its own CAN controller, because real nodes send independently of each
-        other.
+        Each frame identifier has its own CAN controller. The frames of different nodes therefore do
+        not wait for each other in one queue.
         """
         key = frame.bus, frame.can_id
         if key not in self._nodes:

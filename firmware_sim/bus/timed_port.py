@@ -88,7 +88,10 @@ class TimedPort:
         self._now_ns = now_ns
         self._clients: dict[HubConnection, CanController] = {}
         self._queues: dict[HubConnection, tuple[int, int]] = {}
-        """By client: count of received records, and count that had left the queue at the last report (-1 if none)."""
+        """For each client, the number of received records, and the number of records reported as sent.
+
+        The second number is -1 if no report has reached the client.
+        """
         self._nodes: dict[int, CanController] = {}
         self._received: deque[Frame] = deque()
         self._unreadable = self._refused = 0
@@ -149,10 +152,10 @@ class TimedPort:
         return frames
 
     def _report_queues(self) -> None:
-        """Send each client the number of frames in its queue.
+        """Report to each client how many frames of the client have left the send queue.
 
-        A client that knows the number of frames in its queue can refuse to send a frame when this
-        queue is full.
+        From the report, a client computes the number of frames that are still in the queue. When
+        the queue is full, the client can refuse to send a frame.
         """
         for link, controller in self._clients.items():
             arrival_count, reported_count = self._queues[link]
@@ -175,7 +178,7 @@ class TimedPort:
                 )
 
     def _read_clients(self, ready_sockets: Collection[socket.socket], now_ns: int) -> None:
-        """Read frames from the clients, and queue them for sending at the present time.
+        """Read frames from the clients, and put the frames into the send queues of the clients.
 
         Args:
             ready_sockets: sockets that are ready for reading.

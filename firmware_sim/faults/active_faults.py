@@ -64,7 +64,7 @@ class ActiveFaults:
 
     @property
     def t_ns(self) -> int:
-        """Return the present time of the truth file [ns].
+        """Return the present time of the truth file (the record of the true plant state) [ns].
 
         The time of the truth file is the time of the simulated world plus ``slip_ns``.
         """
@@ -72,7 +72,7 @@ class ActiveFaults:
 
     @property
     def slip_ns(self) -> int:
-        """Return the total time that the slips of the clock have skipped [ns]."""
+        """Return the total plant time that was skipped to keep up with the clock [ns]."""
         return int(self._world.slip_ns)
 
     def inject(self, fault_line: str) -> Fault:
@@ -157,7 +157,7 @@ class ActiveFaults:
             t_ns >= self._turn_ns and (t_ns - self._turn_ns) % FAULT_FRAME_PERIOD_NS == 0
         ):
             # Frames that a fault generates are sent at the ends of whole steps of the plant. A
-            # fault can start within a step of the plant. So the already completed time of the
+            # fault can start within a step of the plant. So the already completed part of the
             # present plant step is subtracted.
             self._turn_ns = t_ns - self._world.plant.step_progress_ns + FAULT_FRAME_PERIOD_NS
             frames += self._generated_frames(t_ns)
@@ -176,7 +176,7 @@ class ActiveFaults:
         return min(due_times, default=FOREVER_NS)
 
     def _index_faults_by_node(self) -> None:
-        """Update the index of faults by node, and the identifiers of the nodes.
+        """Update the table that lists the faults of each node, and the identifiers of the nodes.
 
         After a reset, a node can have another identifier.
         """
@@ -237,7 +237,7 @@ class ActiveFaults:
         return wire_faults.frames_after_faults(node_faults, stamped_answers, t_ns)
 
     def frames_after_node_faults(self, node: Any, frames: list[Frame], t_ns: int) -> list[Frame]:
-        """Apply the faults that act on frames to unsolicited frames of a node."""
+        """Return the unsolicited frames of a node, as changed or removed by the injected faults."""
         node_faults = self.wire_faults_of.get(id(node))
         return wire_faults.frames_after_faults(node_faults, frames, t_ns) if node_faults else frames
 

@@ -22,8 +22,8 @@ class BenchInterface(Protocol):
     Attributes:
         motors: rotors of the drives, in the order of the drive descriptions.
         nodes: simulated nodes of the drives, in the order of the drive descriptions.
-        slip_ns: total time that the slips of the clock have skipped [ns].
-        step_progress_ns: completed time of the present plant step [ns].
+        slip_ns: total plant time that was skipped because the plant was behind the clock [ns].
+        step_progress_ns: completed part of the present plant step [ns].
     """
 
     motors: list[Motor]
@@ -46,7 +46,7 @@ class BenchPlant:
 
     Attributes:
         motors: mapping from the name of each drive to its rotor.
-        tendons: empty mapping, because a bench has no tendons.
+        tendons: empty sequence, because a bench has no tendons.
     """
 
     tendons: Sequence[Any] = ()
@@ -63,7 +63,7 @@ class BenchPlant:
 
     @property
     def step_progress_ns(self) -> int:
-        """Return the completed time of the present plant step [ns]."""
+        """Return the completed part of the present plant step [ns]."""
         return self._bench.step_progress_ns
 
 
@@ -82,7 +82,7 @@ class BenchWorld:
     sensor_node = None
 
     def __init__(self, bench: BenchInterface, specs: Sequence[MotorSpec]) -> None:
-        """Describe the drives of the bench as the motors of a hand."""
+        """Build the description of a hand that has the drives of the bench as its motors."""
         self._bench = bench
         motors = list(specs)
         self.hand = Hand("bench", (0.0, 0.0, 0.0), [BENCH_BUS], [(0, 0)], [], [], motors, None)
@@ -97,13 +97,13 @@ class BenchWorld:
 
     @property
     def slip_ns(self) -> int:
-        """Return the total time that the slips of the clock have skipped [ns]."""
+        """Return the total plant time that was skipped to keep up with the clock [ns]."""
         return self._bench.slip_ns
 
     def node_of(self, name: str) -> Any:
         """Return the simulated node of a drive.
 
-        If the node has a deliberate fault, return the node inside the wrapper.
+        If the node is wrapped by a ``FaultyDrive``, return the node without the wrapper.
         """
         node = self._nodes[name]
         return node.node if isinstance(node, FaultyDrive) else node
@@ -123,4 +123,4 @@ class BenchWorld:
         self._bench.queue_frames(frames)
 
     def refresh_identifiers(self) -> None:
-        """Do nothing, because a bench passes every frame to every node."""
+        """Do nothing: a bench needs no identifiers, because it passes every frame to every node."""

@@ -61,7 +61,7 @@ class FaultyDrive:
     """
 
     def __init__(self, node: DriveNode, fault: str, spec: ProtocolSpec) -> None:
-        """Wrap a simulated drive that has no fault.
+        """Wrap a simulated drive, and give the drive a deliberate fault.
 
         Args:
             node: simulated drive without the fault.

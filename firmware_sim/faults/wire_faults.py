@@ -43,7 +43,7 @@ class ActiveFault:
 
 
 def is_request_lost(active_faults: Sequence[ActiveFault], t_ns: int) -> bool:
-    """Return True if a frame from the host to the node is lost."""
+    """Return True if a fault makes the node lose a frame from the host."""
     for active in active_faults:
         if active.fault.kind in ("deaf", "off") and active.affects_frame():
             active.count_effect(t_ns)

@@ -12,9 +12,9 @@ Commands have the layout of ``mit.codec``. Feedback (8 bytes, highest byte and b
 
 Older firmware sends only the first six bytes. Source: fact sheet mit_damiao, section variants.
 
-The fact sheet does not determine the following behaviour. A disabled motor answers commands. An
-error of the motor removes the torque. The error ends when the cause of the error ends. The motor
-does not answer a special command (seven bytes FF and a code) with an unknown code.
+The fact sheet mit_damiao does not determine the following behaviour. A disabled motor answers
+commands. An error of the motor removes the torque. The error ends when the cause of the error ends.
+A special command has seven bytes FF and a code. If the code is unknown, the motor sends no answer.
 """
 
 import enum
@@ -90,7 +90,7 @@ class CubemarsNode:
     Attributes:
         enabled: True if the motor follows commands.
         error: present error of the motor.
-        offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
+        offset: angle that the motor reports when the spool angle theta is 0 [rad].
         thermal: temperatures of the motor.
         short: True if the feedback has six bytes, as in older firmware.
         ids: identifiers of the frames that the node answers.
@@ -105,7 +105,7 @@ class CubemarsNode:
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
+            offset: angle that the motor reports when the spool angle theta is 0 [rad].
         """
         self.motor = motor
         self.offset = offset
@@ -232,7 +232,7 @@ class CubemarsNode:
 
 
 def shaft_of_cubemars_motor(motor_type: str) -> ShaftSpec:
-    """Build the shaft of a motor model.
+    """Build the description of the shaft of a motor type.
 
     The inertia and the stall torque of the shaft are assumptions.
     """

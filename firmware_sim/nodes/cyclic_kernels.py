@@ -105,7 +105,7 @@ class ReceiverStruct(ctypes.Structure):
 
 
 def empty_table(buses: int) -> Any:
-    """Create an empty table of receivers, of shape (2 * 2048 * buses,)."""
+    """Create an empty table of receivers. The table has 2 * 2048 entries for each bus."""
     return np.full(buses * 2 * _STANDARD_ID_COUNT, -1, np.int64)
 
 
@@ -163,7 +163,7 @@ def _write_float(payload: Any, byte_offset: int, value: float) -> None:
 
 @kernel_helper
 def _mit_needs_python(node: Any, rotor: Any, frame: Any, t_ns: int) -> bool:
-    """Return True if Python must process a frame for an MIT drive."""
+    """Return True if a frame to an MIT drive must be processed in Python."""
     if frame.length != 8 or t_ns >= node.wake_ns or rotor.faulty != 0 or node.mode != MODE_MIT:
         return True
     # The code compares only the first seven bytes of the payload. The eighth byte is the code of
@@ -201,7 +201,10 @@ def _read_float(payload: Any) -> float:
 
 @kernel_helper
 def _odrive_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
-    """Return True if Python must process a frame for an ODrive: a torque setpoint or an encoder request."""
+    """Return True if a frame to an ODrive must be processed in Python.
+
+    The argument ``frame`` is a torque setpoint or an encoder request.
+    """
     if frame.flags & FDF or rotor.faulty != 0 or node.motion_due_ns > 0:
         return True
     return bool(
@@ -237,7 +240,10 @@ def _answer_odrive(
 
 @kernel_helper
 def _cia402_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
-    """Return True if Python must process a frame for a CiA 402 drive: a SYNC, an RPDO or the master's heartbeat."""
+    """Return True if a frame to a CiA 402 drive must be processed in Python.
+
+    The argument ``frame`` is a SYNC, an RPDO or the master's heartbeat.
+    """
     if frame.flags & FDF or rotor.faulty != 0 or node.thermal_ns < 0:
         return True
     if frame.can_id == node.sync_id:
@@ -414,7 +420,7 @@ DRIVE_ARGUMENTS = (ReceiverStruct, MitStruct, OdriveStruct, Cia402Struct)
 def _drive_needs_python(
     receiver_row: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, frame: Any, t_ns: int
 ) -> bool:
-    """Return True if Python must process a frame for a drive."""
+    """Return True if a frame to a drive must be processed in Python."""
     if receiver_row.kind == MIT_KIND:
         return _mit_needs_python(
             mit[receiver_row.number], rotors[mit[receiver_row.number].motor_number], frame, t_ns
@@ -607,12 +613,12 @@ def answer(
 ) -> None:
     """Answer the frames of the host. The caller gives most of the arrays by their memory addresses.
 
-    The kernel ``_answer`` explains the answers.
+    The docstring of the kernel ``_answer`` describes how frames are answered.
 
     Args:
         frames: frames of the host.
         answer_frames: array for the answers, filled by the kernel.
-        at: address and length of each other array of ``_answer``, in the order of
+        at: address and length of each remaining array argument of ``_answer``, in the order of
             ``compiled_nodes.CompiledNodes``.
         t_ns: present time [ns].
         last_ns: largest delay of an answer after the start of the tick [ns].
@@ -636,10 +642,10 @@ def answer(
 
 @kernel_helper
 def _must_wake_odrive(node: Any, rotor: Any, now_ns: int) -> bool:
-    """Return True if an ODrive must do other work than sending its two cyclic messages.
+    """Return True if an ODrive must do work other than sending its two cyclic messages.
 
-    Python must wake the drive for the other work: the update of temperatures, the watchdog, the end
-    of a calibration, the modes of ``odrive.motion_modes``, and the messages of firmware 0.5.
+    Python must wake the drive for this work: the update of temperatures, the watchdog, the end of a
+    calibration, the modes of ``odrive.motion_modes``, and the messages of firmware 0.5.
     """
     is_busy = node.busy_until_ns > 0 or node.motion_due_ns > 0
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= THERMAL_PERIOD_NS
@@ -649,9 +655,9 @@ def _must_wake_odrive(node: Any, rotor: Any, now_ns: int) -> bool:
 
 @kernel_helper
 def _must_wake_cia402(node: Any, now_ns: int) -> bool:
-    """Return True if a CiA 402 drive must do other work than sending its heartbeat.
+    """Return True if a CiA 402 drive must do work other than sending its heartbeat.
 
-    Python must wake the drive for the other work.
+    For such work, Python must wake the drive.
     """
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= CIA402_THERMAL_PERIOD_NS
     if node.motion_due_ns > 0:

@@ -7,7 +7,7 @@ which is integrated implicitly. The drives of all protocols use the same cascade
     velocity demand = position gain (position - angle) + velocity, within +-speed
     torque          = velocity gain (velocity demand - omega) + integral + feedforward, within +-limit
 
-Position, velocity and torque refer to the spool, and have the sign of the hand.
+Position, velocity and torque are values at the spool. A positive value winds the tendon up.
 """
 
 import math
@@ -58,7 +58,7 @@ def assumed_gains(inertia: float, position: float = POSITION_GAIN) -> LoopGains:
 
 
 class MotionSetpoint:
-    """The setpoint that a setpoint generator moves: position, velocity and acceleration.
+    """A setpoint of position, velocity and acceleration that changes from step to step.
 
     Attributes:
         position: position setpoint [rad].

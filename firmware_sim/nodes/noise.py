@@ -42,10 +42,10 @@ class NormalNoise:
     """
 
     def __init__(self, seed: str) -> None:
-        """Start the stream with a seed.
+        """Start the sequence of random numbers with a seed.
 
         Args:
-            seed: seed of the stream.
+            seed: seed of the sequence.
         """
         _, words, _ = random.Random(seed).getstate()
         # Python and numpy both use the generator MT19937, and convert its integers to doubles in
@@ -82,7 +82,7 @@ class NormalNoise:
         return block
 
     def take(self, count: int) -> Any:
-        """Return the next numbers of mean 0 and standard deviation 1, shape (count,)."""
+        """Return the next ``count`` random numbers of mean 0 and standard deviation 1, shape (count,)."""
         self.draw(count)
         first_index = int(self.bounds[0])
         self.bounds[0] = first_index + count

@@ -117,8 +117,8 @@ class ProtocolSpec(NamedTuple):
             angle when the spool angle theta is 0 [rad].
         numbers: valid node numbers of drives.
         shaft: shaft of the default motor on a test bench.
-        host_frame: function from a node number to the identifier and the payload of a frame that
-            only hosts send and that has no effect on the drive.
+        host_frame: function that takes a node number, and returns the identifier and the payload of
+            a frame. Only hosts send this frame, and it has no effect on the drive.
         make_ineffective_disable: function that makes the command *disable* ineffective, for a faulty drive.
         corrupt_reply: function that changes a value in the reply to a read request, for a faulty
             drive.

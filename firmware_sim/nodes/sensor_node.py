@@ -57,7 +57,7 @@ JOINT_CODE = (0.0, JOINT_STEP_RAD, JOINT_ZERO_CODE)
 
 
 class SensorStruct(ctypes.Structure):
-    """State of a ``SensorNode``, as memory for compiled kernels."""
+    """Memory layout of the state of a ``SensorNode``, for compiled kernels."""
 
     _fields_ = [
         *((name, ctypes.c_double) for name in ("tension_noise", "bias_drift")),
@@ -89,7 +89,7 @@ def payload_size(channels: int) -> int:
 
 @compiled("count", "counts", "counts")
 def _pack_codes(counter: int, codes: Any, words: Any) -> None:
-    """Pack a counter (low four bits) and up to five codes into each word.
+    """Pack the low four bits of a counter and up to five codes into each word.
 
     Args:
         counter: counter in the SYNC frame.
@@ -154,7 +154,7 @@ def read_cells(
 def bias_drift_deviation(node: Any, t_ns: int) -> float:
     """Return the standard deviation of the change of the load-cell bias since the last sample [N].
 
-    Store the time of the sample in the node.
+    The function also stores the time of the present sample in the node.
 
     After 100 s, the standard deviation of the bias is ``bias_drift``.
     """
@@ -197,7 +197,7 @@ class PayloadEncoder:
         self._sizes = [payload_size(channels - start) for start in start_indices]
 
     def encode_codes(self, counter: int, codes: Sequence[int]) -> list[bytes]:
-        """Pack a counter (low four bits) and codes into payloads of up to five codes.
+        """Pack the low four bits of a counter and up to five codes into each payload.
 
         Each payload is as short as possible.
         """
@@ -222,7 +222,7 @@ class PayloadEncoder:
 
 
 def pack(counter: int, codes: Sequence[int]) -> bytes:
-    """Pack a counter (low four bits) and up to five codes into a payload that is as short as possible."""
+    """Pack the low four bits of a counter and up to five codes into the shortest payload."""
     (payload,) = PayloadEncoder(len(codes)).encode_codes(counter, codes)
     return payload
 
@@ -281,7 +281,7 @@ class SensorNode:
 
     @property
     def nodes(self) -> list["SensorNode"]:
-        """Return the nodes on the bus. The sensor node is a single node."""
+        """Return a list with this node, which is the only node that reads the sensors."""
         return [self]
 
     def frame_id_of_cell(self, index: int) -> int:

@@ -104,7 +104,7 @@ class Camera:
         return np.ascontiguousarray(picture[::-1])
 
     def close(self) -> None:
-        """Free the graphics context. A second call has no effect."""
+        """Free the graphics context. A second call of this method has no effect."""
         if self._gl is not None:
             self._gl.make_current()
             self._context.free()

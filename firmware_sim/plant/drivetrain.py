@@ -1,12 +1,13 @@
 """Kernels that advance tendons, rotors and servos by a step, in scalar arithmetic.
 
 In compiled kernels, tendons and rotors are the rows of an array. In interpreted Python, tendons and
-rotors are objects in a list. The rows and the objects have the same attributes.
+rotors are objects in a list. The rows of the array and the objects have the same attributes.
 
-Tendon damping and Coulomb-like capstan friction rise steeply with the speed of the tendon. The
-links are light, so an explicit step would be unstable. Therefore the engine integrates both forces
-implicitly. The engine gets the slope of the forces over the tendon speed as a damping of the
-tendon. The kernels then compensate the torque of the added damping at the links, so that only the
+The damping force of a tendon and the Coulomb-like capstan friction rise steeply with the speed of
+the tendon. The links are light, so an explicit integration step would be unstable. Therefore the
+rigid-body engine integrates both forces implicitly. For this purpose, the kernels compute the slope
+of the two forces over the tendon speed, and the engine uses this slope as a damping coefficient of
+the tendon. At the links, the kernels compensate the torque of this added damping, so that only the
 exact friction remains.
 """
 
@@ -136,8 +137,8 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
     The kernel also sets ``tendon.slope``: the damping, plus the friction force divided by the
     tendon speed [N s/m].
 
-    Friction at a pulley reduces the tension behind the pulley. The wrap angle at a pulley includes
-    the wrap of all pulleys nearer to the spool. Source: MODEL, section 3.
+    Friction at a pulley changes the tension beyond the pulley, seen from the spool. The wrap angle
+    at a pulley includes the wrap of all pulleys nearer to the spool. Source: MODEL, section 3.
     """
     tension = tendon.tension
     angle = tendon.wrap
@@ -149,7 +150,7 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
         if arms[PARAMETERS_PER_PULLEY * i + PRISMATIC_FLAG_INDEX] == 0.0:
             angle += q[joints[i]]
         # The lines below compute the capstan equation. If the tendon speed is positive, the tendon
-        # moves towards the spool, and friction reduces the tension behind a pulley.
+        # moves towards the spool, and friction reduces the tension beyond the pulley.
         local_tension = tension * math.exp(-rate * angle)
         torque[joints[i]] += _moment_arm_at(arms, i, q[joints[i]]) * local_tension
         if local_tension < min_tension:
@@ -196,10 +197,10 @@ def _add_tendon_torques(
 
 @kernel_helper
 def _compensate_damping(tendon: Any, joints: Any, arms: Any, dq: Any, torque: Any) -> None:
-    """Compensate the torque of the tendon damping in MuJoCo.
+    """Compensate the damping torque of a tendon, which MuJoCo will subtract from ``torque`` [N m].
 
-    MuJoCo will subtract the damping torque. Therefore the kernel adds the damping torque to
-    ``torque`` [N m]. MuJoCo computes the damping torque with the mean moment arms.
+    The kernel adds the damping torque that MuJoCo will subtract. MuJoCo and the kernel both compute
+    the damping torque with the mean moment arms.
     """
     speed = 0.0
     for i in range(tendon.first, tendon.end):
@@ -231,10 +232,10 @@ def limit_torque_by_speed(
     slope: float,
     is_braking: bool,
 ) -> float:
-    """Limit a torque command to slope (-speed - omega) .. slope (speed - omega) [N m].
+    """Limit a torque command to a range that shifts with the rotor velocity omega [N m].
 
-    The velocity omega is the velocity of the rotor at the end of the step, as in
-    ``compute_command``.
+    The upper limit is slope * (speed - omega), and the lower limit is slope * (-speed - omega). The
+    velocity omega is the velocity of the rotor at the end of the step, as in ``compute_command``.
 
     Args:
         rotor: rotor whose torque is limited.
@@ -364,7 +365,9 @@ def step_drivetrain(
     damping: Any,
     all_rotors: bool,
 ) -> None:
-    """Compute a step of the tendons and the rotors, which MuJoCo does not compute.
+    """Compute one step of the tendons and the rotors.
+
+    MuJoCo does not compute these parts of the hand.
 
     The kernel ``_integrate_steps`` describes the whole step.
 
@@ -444,7 +447,7 @@ REAL_DTYPE = np.dtype(np.float64)
 COUNT_DTYPE = np.dtype(np.int64)
 TENDON_DTYPE = np.dtype(TendonStruct)
 ROTOR_DTYPE = np.dtype(RotorStruct)
-"""Dtype of an array that ``steps`` makes from an address, like the constants above."""
+"""This constant and the three above are dtypes of arrays that ``steps`` makes from addresses."""
 
 
 @compiled("count", "counts")

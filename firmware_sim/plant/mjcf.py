@@ -85,8 +85,8 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
 
     The joints in the model have the same order as in the hand. In qpos and qvel, the joints of the
     hand come first, and the free joint of the object follows. The contacts in the model are softer
-    than in section 6 of MODEL. Section 6 gives a solref of 0.002. With a solref of 0.002, the
-    penetration in a grasp would be less than the error of the collision detector, so that contacts
+    than in the source (MODEL, section 6), which gives a solref of 0.002. With a solref of 0.002,
+    the penetration in a grasp would be less than the error of the collision detector, so contacts
     would vanish for single steps. Source of the other settings: MODEL, section 6.
 
     Args:
@@ -127,9 +127,9 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
 
 
 def opposed_digits(hand: Hand) -> list[bool]:
-    """Return a boolean value for each digit, True for a digit that closes against the first closing digit.
+    """Return for each digit whether it closes against the first digit that can close.
 
-    For example, the thumb closes against the fingers.
+    For example, if the first digit is a finger, the value of the thumb is True.
     """
     first_closing_direction = _closing_direction(hand, hand.closing_digits[0])
     return [
@@ -271,8 +271,8 @@ def find_links_at_palm(hand: Hand, digit: Digit) -> list[bool]:
     """Find the links of a digit that must not collide with the palm or with the carrier of the digit.
 
     The result has one value per link. The value is True if, while all joints are at zero, the link
-    overlaps the palm or the link that carries the digit. The hinge of a link that overlaps the palm
-    is close to the palm.
+    overlaps the palm or the link that carries the digit. A link overlaps the palm if its hinge is
+    close to the palm.
     """
     centre, half_sizes = palm_box(hand, digit.carrier)
     carriers = [
@@ -380,7 +380,10 @@ def _joint_element(digit: Digit, i: int) -> str:
 def _link_geometry(
     digit: Digit, i: int, length: float, bits: tuple[int, int], has_mesh: bool
 ) -> str:
-    """Build inertia and collision shape of link ``i``: a capsule of a length [m], or a ball if the length is 0."""
+    """Build inertia and collision shape of link ``i``.
+
+    The shape is a capsule of the given length [m], or a ball if the length is 0.
+    """
     moments = digit.inertia[i]
     inertia = (
         f'fullinertia="{_numbers_text(moments)}"'
@@ -396,7 +399,7 @@ def _link_geometry(
 
 
 def _tendon_element(tendon: TendonSpec) -> str:
-    """Build the MuJoCo element of a tendon without stiffness.
+    """Build the MuJoCo element of a tendon. The element has no stiffness.
 
     The plant sets the damping of the tendon in each step, see ``drivetrain``.
     """
@@ -411,9 +414,9 @@ def _loopback_elements(hand: Hand, digit: Digit) -> dict[str, str]:
 
     A digit with spool pairs has no springs. If only the spool pairs held the digit, coupled joints
     could turn against each other. In a real hand, a loopback tendon or a bar couples the coupled
-    joints. For every vector c with B^T c = 0, the sum of the joint angles, each times its element
-    of c, is constant. In the model, each vector c is a tendon, and ``_equality_element`` keeps the
-    length of this tendon constant.
+    joints. Let c be a vector with B^T c = 0. The coupling keeps the sum of the joint angles,
+    weighted by the elements of c, constant. In the model, each vector c is a tendon, and
+    ``_equality_element`` keeps the length of this tendon constant.
 
     Returns:
         The loopback tendons by name. In the model, the loopback tendons come after the tendons of
@@ -465,7 +468,11 @@ def _normal_force_sensor(hand: Hand, digit: Digit) -> str:
 
 
 def _touch_sensors(hand: Hand, digit: Digit) -> str:
-    """Return the bodies whose contacts a sensor measures: all links, or only the last link of a carrying digit."""
+    """Return the MJCF attribute that selects the bodies whose contacts a sensor measures.
+
+    The sensor measures the contacts of all links of a digit, but only of the last link if the digit
+    carries other digits.
+    """
     if hand.digits_on_carrier(digit.name):
         return f'body1="{digit.name}_link{len(digit.length)}"'
     return f'subtree1="{digit.name}_link1"'
@@ -569,9 +576,10 @@ def sink_direction(gravity: Sequence[float]) -> tuple[float, float, float]:
 
 
 def _support_directions(gravity: Sequence[float]) -> list[tuple[int, float]]:
-    """Return the axes of the palm frame along which a plate supports the object, with the sign of gravity.
+    """Return the axes of the palm frame along which a plate supports the object.
 
-    The first axis is the axis along which gravity is largest.
+    Each axis has the sign of gravity along this axis. The first axis is the axis along which
+    gravity is largest.
     """
     direction = sink_direction(gravity)
     axes = sorted(range(3), key=lambda i: -abs(direction[i]))

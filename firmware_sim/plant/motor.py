@@ -77,7 +77,7 @@ class Motor:
     _power_stage_fault: Callable[[float], float] | None
 
     def __init__(self, spec: MotorSpec, step_s: float) -> None:
-        """Set the parameters of the rotor, and its state at rest.
+        """Set the parameters of the rotor, and put the rotor at rest.
 
         Args:
             spec: description of the motor.
@@ -87,7 +87,7 @@ class Motor:
         self._set_parameters(spec, step_s)
 
     def _set_parameters(self, spec: MotorSpec, step_s: float) -> None:
-        """Set the parameters of the motor and a state at rest."""
+        """Set the parameters of the motor, and put the motor at rest."""
         self.theta = self.omega = self.torque = self.velocity = self.heat = 0.0
         self.inertia = spec.inertia
         self.viscous = spec.viscous
@@ -104,7 +104,7 @@ class Motor:
 
     @property
     def encoder_fault(self) -> Callable[[float], float] | None:
-        """Return the function that changes the measured angle, or None without a fault of the encoder."""
+        """Return the function that changes the measured angle, None if the encoder has no fault."""
         return self._encoder_fault
 
     @encoder_fault.setter
@@ -114,7 +114,7 @@ class Motor:
 
     @property
     def power_stage_fault(self) -> Callable[[float], float] | None:
-        """Return the function that changes the torque command, or None without a fault of the power stage."""
+        """Return the function that changes the torque command, None without a power-stage fault."""
         return self._power_stage_fault
 
     @power_stage_fault.setter

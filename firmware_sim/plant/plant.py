@@ -51,7 +51,7 @@ class Plant:
             joint angles [rad], joint velocities [rad/s], and an array into which tensions are
             written [N].
         steps: number of completed steps.
-        step_progress_ns: completed time of the present time step [ns].
+        step_progress_ns: completed part of the present time step [ns].
     """
 
     def __init__(
@@ -281,7 +281,8 @@ class Plant:
     def _steps_until_table_update(self) -> int:
         """Return the number of steps until the scene next acts on the plant.
 
-        The scene acts on the plant by its table, its load and its stages.
+        A scene acts on the plant by its table, its load on the object, and its stages (events after
+        the grasp).
         """
         if self.load:
             return 1
@@ -347,7 +348,7 @@ class Plant:
         """Return the four lists that the kernels need when they run as interpreted Python.
 
         The first two lists contain the joint angles and velocities. The other two lists contain
-        zeros, which the kernels replace by torques and damping.
+        zeros, which the kernels replace by the joint torques and the damping of the tendons.
         """
         q = self.engine.q.tolist()
         dq = self.engine.dq.tolist()
@@ -382,7 +383,7 @@ class Plant:
                 self.engine.set_friction(scene_state.friction)
 
     def measured_grip_forces(self) -> list[float]:
-        """Return the load on the object, and the sum of the normal forces of each digit on the object [N].
+        """Return the load on the object, then the normal force of each digit on the object [N].
 
         If the scene has no load, the returned list is empty.
         """

@@ -44,7 +44,7 @@ class Servo:
 
 
 class ServoStruct(ctypes.Structure, Servo):
-    """State of a servo, as a field of ``RotorStruct``."""
+    """Memory layout of the state of a servo, a field of ``RotorStruct``."""
 
     _fields_ = [
         (name, ctypes.c_double)
@@ -63,7 +63,10 @@ class ServoStruct(ctypes.Structure, Servo):
 
 
 class RotorStruct(ctypes.Structure):
-    """State of a rotor, as memory for compiled kernels. The class ``motor.Motor`` explains the fields."""
+    """Memory layout of the state of a rotor, for compiled kernels.
+
+    The class ``motor.Motor`` explains the fields.
+    """
 
     _fields_ = [
         *((name, ctypes.c_double) for name in ("theta", "omega", "torque", "velocity", "heat")),
@@ -79,7 +82,10 @@ class RotorStruct(ctypes.Structure):
 
 
 class TendonStruct(ctypes.Structure):
-    """State of a tendon, as memory for compiled kernels. The class ``tendon.Tendon`` explains the fields."""
+    """Memory layout of the state of a tendon, for compiled kernels.
+
+    The class ``tendon.Tendon`` explains the fields.
+    """
 
     _fields_ = [
         *((name, ctypes.c_double) for name in ("tension", "speed", "slope", "extra_length")),

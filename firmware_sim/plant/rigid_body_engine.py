@@ -103,7 +103,7 @@ class RigidBodyEngine:
         return lambda: (-data[index]).tolist()  # type: ignore[no-any-return,unused-ignore]
 
     def force_indices(self, sensor_kind: str, digits: list[str]) -> list[int]:
-        """Return, for each digit, the index in ``sensed`` at which the force on this digit begins.
+        """Return, for each digit, the index in ``sensed`` of the first component of its force.
 
         The forces in ``sensed`` have the opposite sign of the forces on the digits. See
         ``make_force_reader``.
@@ -126,7 +126,7 @@ class RigidBodyEngine:
         return lambda: np.abs(data[index]).sum(axis=1).tolist()  # type: ignore[no-any-return,unused-ignore]
 
     def _sensor_index(self, name: str) -> int:
-        """Return the index in ``sensed`` at which the values of a sensor begin."""
+        """Return the index in ``sensed`` of the first value of a sensor."""
         return int(self._model.sensor_adr[self._model.sensor(name).id])
 
     def set_timestep(self, step_s: float) -> None:

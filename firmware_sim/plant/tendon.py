@@ -59,7 +59,7 @@ class Tendon:
     end: int
 
     def set_parameters(self, spec: TendonSpec, motor: int, spool_radius: float) -> None:
-        """Set the parameters of the tendon, and its state without tension.
+        """Set the parameters of the tendon. At first, the tendon has no tension.
 
         Args:
             spec: description of the tendon.

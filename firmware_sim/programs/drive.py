@@ -78,8 +78,8 @@ class SimulatedDriveBench:
     Attributes:
         motors: rotors of the drives, in the order of the drive descriptions.
         nodes: simulated nodes of the drives, in the order of the drive descriptions.
-        slip_ns: total time that the slips of the clock have skipped [ns].
-        step_progress_ns: completed time of the present time step [ns].
+        slip_ns: total plant time that was skipped because the plant was behind the clock [ns].
+        step_progress_ns: completed part of the present time step [ns].
         faults: faults injected while the bench runs.
     """
 
@@ -125,7 +125,7 @@ class SimulatedDriveBench:
         ]
 
     def advance(self, t_ns: int) -> None:
-        """Advance the drives by whole time steps, as far as the time ``t_ns`` permits."""
+        """Advance the drives by whole time steps, but not beyond the time ``t_ns``."""
         while self.t_ns - self.step_progress_ns + STEP_NS <= t_ns:
             self._advance_shafts(STEP_NS - self.step_progress_ns)
             self.step_progress_ns = 0

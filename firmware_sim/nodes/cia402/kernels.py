@@ -49,7 +49,7 @@ _MAX_INT32 = (1 << 31) - 1
 
 
 class Cia402Struct(ctypes.Structure):
-    """State of a simulated drive, as memory for compiled kernels.
+    """Memory layout of the state of a simulated drive, for compiled kernels.
 
     The class ``node.Cia402Node`` explains the fields.
 

@@ -19,7 +19,7 @@ object 0x6066. With the value 0xFFFFFFFF in object 0x6065, no following error ca
 Choices of this simulation:
 
 - When the drive is enabled or changes its mode, 0x607A and the demand become the present position.
-  Object 0x60FF is kept.
+  Object 0x60FF keeps its value.
 - In cyclic position mode, positions are interpolated over the period in object 0x60C2.
 - In profile position mode, the drive stores one set-point in addition to the active set-point.
 - After homing, the position at home equals the value of object 0x607C. The methods 33 and 34 move
@@ -44,7 +44,7 @@ PROFILE_POSITION = 1
 HOMING_MODE = 6
 CYCLIC_POSITION = 8
 CYCLIC_VELOCITY = 9
-"""Number of a mode of operation, as in object 0x6060, like the constants above."""
+"""This constant and the three constants above are modes of operation, as in object 0x6060."""
 MOTION_MODES = (PROFILE_POSITION, HOMING_MODE, CYCLIC_POSITION, CYCLIC_VELOCITY)
 FOLLOWING_ERROR = 0x8611
 """Emergency code: following error."""
@@ -52,7 +52,7 @@ TARGET_REACHED_BIT = 1 << 10
 INTERNAL_LIMIT_BIT = 1 << 11
 SETPOINT_FOLLOWED_BIT = 1 << 12
 FOLLOWING_ERROR_BIT = 1 << 13
-"""Bit of the status word, like the constants above.
+"""This constant and the three constants above are bits of the status word.
 
 SETPOINT_FOLLOWED_BIT also stands for *set-point acknowledged* and *homing attained*.
 """
@@ -60,7 +60,10 @@ NEW_SETPOINT_BIT = 1 << 4
 CHANGE_IMMEDIATELY_BIT = 1 << 5
 RELATIVE_BIT = 1 << 6
 HALT_BIT = 1 << 8
-"""Bit of the control word, like the constants above. In homing mode, NEW_SETPOINT_BIT starts homing."""
+"""This constant and the three constants above are bits of the control word.
+
+In homing mode, NEW_SETPOINT_BIT starts homing.
+"""
 INDEX_NEGATIVE, INDEX_POSITIVE = 33, 34
 """Homing methods that move to the next index pulse, in negative or positive direction."""
 HOMING_METHODS = (INDEX_NEGATIVE, INDEX_POSITIVE, 35, 37)

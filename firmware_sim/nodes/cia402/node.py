@@ -23,9 +23,9 @@ download request, 0x60 download reply, 0x80 abort.
 Choices of this simulator where the fact sheet is not definite:
 
 - Object 0x6076 has the unit mN·m, unless the option ``rated_torque_unit`` is uN_m.
-- If object 0x6007 is 1, two events are faults: the node leaves the state operational while enabled,
-  or the master's heartbeat is lost. If 0x6007 is 2 or 3, each of these two events switches the
-  power stage off.
+- If the value of object 0x6007 is 1, two events are faults: the node leaves the state operational
+  while enabled, or the master's heartbeat is lost. If the value is 2 or 3, each of these two events
+  switches the power stage off.
 - A host can change PDOs only while the node is in the state pre-operational.
 """
 
@@ -168,7 +168,7 @@ class Cia402Node:
             self._unsolicited.append(Frame(0x700 + self.node_id, b"\0"))
 
     def _initial_objects(self) -> tuple[ObjectDictionary, PowerStage]:
-        """Return the object dictionary and the power stage in the state after power-up."""
+        """Create the object dictionary and the power stage, both in the state after power-up."""
         objects = ObjectDictionary(self.node_id)
         self.values = objects.values
         return objects, PowerStage()
@@ -244,8 +244,9 @@ class Cia402Node:
     def _connection_lost(self, error_code: int) -> None:
         """React to a lost connection.
 
-        Object 0x6007 (abort connection option) selects the reaction: 0 none, 1 the fault state, any
-        other value power stage off.
+        Object 0x6007 (abort connection option) selects the reaction to a lost connection. The drive
+        does not react if the value is 0, and enters the fault state if the value is 1. With any
+        other value, the drive switches the power stage off.
         """
         option = self.objects[0x6007, 0]
         if option == 1:

@@ -177,7 +177,7 @@ class ObjectDictionary:
         return self[key].to_bytes(size, "little", signed=key in self._signed)
 
     def write(self, key: ObjectKey, value_bytes: bytes) -> None:
-        """Write a value from a received frame, as bytes, to an object.
+        """Write the bytes of a value, as received in a frame, to an object.
 
         Raises:
             SdoAbort: the object does not exist, is read-only, or has a different length.

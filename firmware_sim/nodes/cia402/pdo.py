@@ -69,7 +69,7 @@ class NodePdos:
             raise SdoAbort(ABORT_PDO_TOO_LONG)
 
     def _mapped_objects(self, mapping_index: int) -> Iterator[tuple[ObjectKey, int]]:
-        """Yield each object in a mapping, together with its size [bytes]."""
+        """Yield each object in the mapping of a PDO, together with the size of the object [bytes]."""
         for i in range(self._objects[mapping_index, 0]):
             entry = self._objects[mapping_index, i + 1]
             yield (entry >> 16, entry >> 8 & 0xFF), (entry & 0xFF) // 8

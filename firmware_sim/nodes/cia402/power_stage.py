@@ -5,10 +5,10 @@ The inputs of the state machine are control words. Source: fact sheet cia402.
 Bits of the control word: 0 switch on, 1 enable voltage, 2 quick stop (the value 0 stops), 3 enable
 operation, 7 fault reset (on its rising edge).
 
-The fact sheet does not determine the following behaviour. In the state *ready to switch on*, the
-control word 0x0F executes the transitions 3 and 4 together. After a quick stop, the drive changes
-to the state *switch on disabled* without a further command. The drive leaves the state *fault
-reaction active* within one step.
+The fact sheet cia402 does not determine the following behaviour. In the state *ready to switch on*,
+the control word 0x0F executes the transitions 3 and 4 together. After a quick stop, the drive
+changes to the state *switch on disabled* without a further command. The drive leaves the state
+*fault reaction active* within one step.
 """
 
 import ctypes
@@ -76,6 +76,6 @@ class PowerStage:
 
 
 class PowerStruct(ctypes.Structure, PowerStage):
-    """The state machine of a power stage, whose state is in the array row of a drive."""
+    """The state machine of a power stage. The state is stored in the array row of the drive."""
 
     _fields_ = [(name, ctypes.c_int64) for name in ("state", "reset_bit")]

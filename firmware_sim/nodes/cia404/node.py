@@ -9,10 +9,10 @@ Frames (COB-ID, payload little-endian):
     0x600+n       SDO request  u8 specifier, u16 index, u8 sub-index, u32 value
     0x700+n       heartbeat    u8 NMT state, 0 once after a restart
 
-The fact sheet does not determine the following behaviour. The node ignores a SYNC frame with a
-payload, because object 0x1019 does not exist. TPDOs of the types 254 and 255 (on a change) are sent
-only once, when the node becomes operational. The host can write communication objects only while
-the node is pre-operational. The node loses its settings at a restart.
+The fact sheet cia404 does not determine the following behaviour. The node ignores a SYNC frame with
+a payload, because object 0x1019 does not exist. TPDOs of the types 254 and 255 (on a change) are
+sent only once, when the node becomes operational. The host can write communication objects only
+while the node is pre-operational. The node loses its settings at a restart.
 """
 
 import math
@@ -46,7 +46,7 @@ _NEVER_NS = 1 << 62
 
 
 class LoadCellAmplifiers:
-    """The load cells of a hand that has amplifiers.
+    """The load cells of a hand, connected to CiA 404 amplifiers.
 
     The class simulates the noise, the bias and the faults of these load cells.
 

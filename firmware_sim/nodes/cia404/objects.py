@@ -1,7 +1,7 @@
 """The object dictionary of the simulated CiA 404 amplifier. Source: docs/facts/cia404.md.
 
-The list below gives the values of the objects as delivered. In the list, n is the node number, and
-c is a channel, counted from 1.
+The list below gives the values of the objects in a delivered amplifier. In the list, n is the node
+number, and c is a channel, counted from 1.
 
     1000:0  device type    0x00020194: analogue inputs, profile 404
     1005:0  SYNC           0x080
@@ -155,7 +155,7 @@ class AmplifierObjects:
         return self._values[key].to_bytes(self._sizes[key], "little")
 
     def write(self, key: ObjectKey, value_bytes: bytes) -> None:
-        """Write a value from a received frame, as bytes, to an object.
+        """Write the bytes of a value, as received in a frame, to an object.
 
         Raises:
             SdoAbort: the object does not exist, is read-only or has another length, or the mapping

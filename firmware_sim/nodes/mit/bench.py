@@ -119,7 +119,7 @@ A DM-J4310 with TMAX 10 N m has an inertia of 2e-3 kg m2.
 
 
 def shaft_of_mit_motor(motor_type: str, **options: object) -> ShaftSpec:
-    """Build the shaft of a motor type.
+    """Build the description of the shaft of a motor type.
 
     Args:
         motor_type: key of ``MOTOR_TYPE_RANGES``.

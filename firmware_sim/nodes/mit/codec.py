@@ -57,7 +57,7 @@ class MitRanges(NamedTuple):
 
 
 class MitStruct(ctypes.Structure):
-    """State of a simulated drive, as memory for compiled kernels. See ``node.MitNode``.
+    """Memory layout of the state of a simulated drive, for compiled kernels. See ``node.MitNode``.
 
     ``motor_number`` is the index of the drive's rotor in the array of rotors.
     """

@@ -76,7 +76,10 @@ class MotionModes:
         return float(self._node.direction * (position - self._node.offset))
 
     def _set_target(self, gains: LoopGains, target: float, speed: float, fraction: float) -> None:
-        """Store a target at the spool, its gains, the largest speed and the fraction of the largest torque."""
+        """Store the gains, a target at the spool, and the limits of the motion.
+
+        The limits are the largest speed and a fraction of the largest torque.
+        """
         self._gains = gains
         self._target = target
         self._speed = speed

@@ -84,7 +84,7 @@ CLEAR_COMMAND_ANSWERS = {
 class FeedbackState(enum.IntEnum):
     """State nibble in the feedback.
 
-    All states above ENABLED are errors. In an error state, the motor makes no torque.
+    Every state with a code above ENABLED is an error. In an error state, the motor makes no torque.
     """
 
     DISABLED = 0x0
@@ -106,7 +106,7 @@ class MitNode:
     Attributes:
         state: state nibble of the motor.
         registers: registers of the motor.
-        offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
+        offset: angle that the motor reports when the spool angle theta is 0 [rad].
         thermal: temperatures of the motor and its drive.
         ids: identifiers of the frames that the node answers.
         malformed_frame_count: number of frames with an identifier of the node that the node could not decode.
@@ -133,7 +133,7 @@ class MitNode:
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
+            offset: angle that the motor reports when the spool angle theta is 0 [rad].
         """
         self.motor = motor
         self.offset = offset
@@ -214,7 +214,10 @@ class MitNode:
         return [Frame(self.reply_id, answer, flags, bus, t_ns)]
 
     def _process_command(self, data: bytes, t_ns: int) -> bytes | None:
-        """Process a frame to ESC_ID, and return the payload of the answer, or None if the frame is malformed."""
+        """Process a frame with the identifier ESC_ID, and return the payload of the answer.
+
+        Return None if the frame is malformed.
+        """
         if len(data) != 8:
             return None
         # The code compares the last byte of the payload first, because this byte differs in most

@@ -114,7 +114,7 @@ class MitRegisters:
         )
 
     def write(self, register: int, value_bytes: bytes) -> None:
-        """Write a value from a received frame, as four bytes, to a register.
+        """Write the four bytes of a value, as received in a frame, to a register.
 
         The function ignores impossible values, and values for read-only registers.
         """

@@ -8,8 +8,8 @@ Source: docs/facts/moteus.md.
     0x40 text in, 0x41 text out: channel, length, text       0x42  poll for text: channel, longest length
 
 In the first byte of a register subframe, bits 3 and 2 give the type of the values: int8, int16,
-int32 or float32. Bits 1 and 0 contain the number of values. If bits 1 and 0 are 0, the number of
-values follows as a varuint. Numbers are little-endian.
+int32 or float32. Bits 1 and 0 of this byte contain the number of values. If these two bits are 0,
+the next bytes contain the number of values as a varuint. Numbers are little-endian.
 """
 
 import math
@@ -53,7 +53,7 @@ class PayloadReader:
     """Reader of a payload, from the first byte to the last byte."""
 
     def __init__(self, data: bytes) -> None:
-        """Start at the first byte of a payload."""
+        """Create a reader that starts at the first byte of a payload."""
         self._data = data
         self._at = 0
 
@@ -137,7 +137,7 @@ def subframe_head(base: int, value_type: int, register_count: int, first_registe
 
 
 def padded_payload(data: bytes) -> bytes:
-    """Return a payload, filled up to the next length of CAN FD."""
+    """Return a payload, padded to the next length that CAN FD allows."""
     return data + PADDING_SUBFRAME * (
         min(length for length in FD_LENGTHS if length >= len(data)) - len(data)
     )

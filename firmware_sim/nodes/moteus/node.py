@@ -34,7 +34,7 @@ from firmware_sim.plant.motor import Motor
 STOPPED, FAULT, ENABLING, CALIBRATING, CALIBRATED = range(5)
 POSITION, TIMEOUT, ZERO_VELOCITY, STAY_WITHIN_MODE = range(10, 14)
 BRAKE = 15
-"""Number of a mode, as in the mode register, like the constants above."""
+"""This constant and the constants above are the numbers of modes, as in the mode register."""
 COMMANDABLE_MODES = {STOPPED, POSITION, ZERO_VELOCITY, STAY_WITHIN_MODE, BRAKE}
 """Modes that a host can command in this simulation."""
 MAX_MODE_NUMBER = 16
@@ -76,7 +76,7 @@ class MoteusNode:
         command: values of the command registers.
         channel: text channel of the controller, which contains the configuration.
         thermal: temperatures of motor and drive.
-        offset: angle in the frames of the drive when the spool angle theta is 0 [rad].
+        offset: angle that the drive reports when the spool angle theta is 0 [rad].
         ids: None, because the node answers many identifiers.
         malformed_frame_count: number of frames that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
@@ -89,7 +89,7 @@ class MoteusNode:
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: angle in the frames of the drive when the spool angle theta is 0 [rad].
+            offset: angle that the drive reports when the spool angle theta is 0 [rad].
         """
         self.motor = motor
         self.offset = offset
@@ -137,7 +137,7 @@ class MoteusNode:
         return [self._reply_frame(reply, number >> 8 & 0x7F, frame)]
 
     def _reply_frame(self, data: bytes, host: int, frame: Frame) -> Frame:
-        """Return the frame of a reply to a host.
+        """Build the frame that carries a reply to a host.
 
         If the reply is too long for the frame format of the request, the returned frame has the
         format CAN FD.
@@ -303,12 +303,12 @@ class MoteusNode:
 
     @property
     def _position(self) -> float:
-        """Return the position as frames report it [turn]."""
+        """Return the position that the drive reports in frames [turn]."""
         return (self._direction * self.motor.encoder() + self.offset) / TURN_RAD
 
     @property
     def _target(self) -> float:
-        """Return the position that the drive approaches, in the unit of the frames [turn]."""
+        """Return the position that the drive approaches, in the unit of CAN frames [turn]."""
         return (self._direction * self.motor.servo.position + self.offset) / TURN_RAD
 
     @property

@@ -76,7 +76,7 @@ class TextChannel:
     def restore_saved(self) -> None:
         """Load the stored configuration, and delete all text in the channel.
 
-        A restart of the drive has the same effect.
+        The same happens when the drive restarts.
         """
         self.items = dict(self.saved)
         self.out = self._line = b""

@@ -28,7 +28,7 @@ FIRMWARE_OPTIONS: dict[str, dict[str, Any]] = {
 
 
 def shaft_of_odrive(firmware: str) -> ShaftSpec:
-    """Build the shaft of an ODrive with firmware 0.6 or 0.5."""
+    """Build the description of the shaft of a motor on an ODrive, for firmware 0.6 or 0.5."""
     limits = {"top_speed": TOP_SPEED, "stall_torque": 8.0}
     return ShaftSpec(2.0, 1e-4, TORQUE_CONSTANT, options=FIRMWARE_OPTIONS[firmware], **limits)
 

@@ -26,7 +26,7 @@ TURN_RAD = 2.0 * math.pi
 
 
 class OdriveStruct(ctypes.Structure):
-    """State of a simulated axis, as memory for compiled kernels.
+    """Memory layout of the state of a simulated axis, for compiled kernels.
 
     The class ``node.OdriveNode`` explains the fields.
 
@@ -111,12 +111,12 @@ def follow_torque(node: Any, servo: Any, torque: float) -> None:
 def trip_at_speed_limit(node: Any, servo: Any) -> None:
     """Set the speed limit of the servo, and the gain with which the limit acts.
 
-    Speed limit and gain act in every control mode of an ODrive.
+    The speed limit and its gain act in every control mode of an ODrive.
 
     In torque control, the drive brakes if the speed is above the speed limit
     (``enable_torque_mode_vel_limit``, on by default). In velocity control, the drive limits the
-    velocity setpoint. In both control modes, the torque is at most gain (limit - velocity). Source:
-    ODrive firmware 0.5.6, ``controller.cpp``, limitVel.
+    velocity setpoint. In torque control and in velocity control, the torque is at most gain *
+    (limit - velocity). Source: ODrive firmware 0.5.6, ``controller.cpp``, limitVel.
     """
     servo.speed_limit = node.velocity_limit * TURN_RAD / node.gear
     servo.speed_gain = node.velocity_gain / TURN_RAD * node.gear * node.gear

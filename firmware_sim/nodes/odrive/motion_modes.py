@@ -7,13 +7,13 @@ The inputs are the values of Set_Input_Pos, Set_Input_Vel and Set_Input_Torque. 
 messages sets its inputs in every mode. Each control mode uses only the inputs that it needs. Gains,
 filter, ramps and integrator are the same as in the ODrive firmware (MIT licence), controller.cpp.
 While the torque is limited, the integrator decays. In each step, the drive plans the rest of the
-trapezoid again. The trapezoid differs from trapTraj.cpp only if the target changes during the
-motion.
+trapezoid again. The simulated trapezoid differs from the trapezoid of the firmware (trapTraj.cpp)
+only if the target changes during the motion.
 
 The simulation differs from the firmware in the following points. A speed above the velocity limit
 is not an error, because the position controller limits the velocity demand. Input mode 0 (inactive)
-keeps the last setpoint. The two lists above contain all simulated modes. The firmware refuses other
-modes, but the simulation ignores commands in other modes.
+keeps the last setpoint. The simulation has only the control modes and input modes in the two lists
+above. The firmware refuses other modes, but the simulation ignores commands in other modes.
 """
 
 import math

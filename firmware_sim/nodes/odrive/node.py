@@ -207,8 +207,8 @@ class OdriveNode:
             self._numbers["torque_min"]: struct.pack("<f", -math.inf),
         }
         self.endpoints.pop(0, None)
-        # If the hand file gives the number of a default endpoint to another endpoint, the endpoint
-        # of the hand file has this number.
+        # If the hand file gives another endpoint the number of a default endpoint, the number
+        # stands for the endpoint of the hand file.
         defaults = {
             number: struct.pack("<f", value) for number, (_, value) in MOTION_ENDPOINTS.items()
         }
@@ -429,8 +429,8 @@ class OdriveNode:
     def endpoint_float(self, endpoint: int) -> float:
         """Return a setting of ``MOTION_ENDPOINTS``.
 
-        If the hand file uses the same number for another endpoint, return the default value of the
-        setting.
+        If the hand file assigns this endpoint number to another setting, return the default value
+        of the setting in ``MOTION_ENDPOINTS``.
         """
         if endpoint in self._numbers.values():
             return MOTION_ENDPOINTS[endpoint][1]
@@ -472,7 +472,7 @@ class OdriveNode:
             self.offset = position * TURN_RAD - self.direction * self.gear * self.motor.encoder()
 
     def _storable_settings(self) -> dict[str, Any]:
-        """Return the settings that Reboot(save) stores."""
+        """Return the settings that a Reboot command with the action *save* stores."""
         return {
             "endpoints": dict(self.endpoints),
             "modes": (self.control_mode, self.input_mode),
@@ -485,8 +485,8 @@ class OdriveNode:
     def _reboot(self, reboot_action: int) -> None:
         """Restart with the saved settings.
 
-        Before the restart, action 1 saves the present settings, and action 2 erases the saved
-        settings.
+        Before the restart, the Reboot action 1 saves the present settings, and the Reboot action 2
+        erases the saved settings.
         """
         self._saved = {1: self._storable_settings(), 2: self._factory}.get(
             reboot_action, self._saved

@@ -17,7 +17,7 @@ INERTIA_PER_TORQUE = 2e-4
 
 
 def shaft_of_robstride_motor(motor_type: str) -> ShaftSpec:
-    """Build the shaft of a motor model."""
+    """Build the description of the shaft of a motor type."""
     velocity, peak, _, _ = FULL_SCALE_BY_MOTOR_TYPE[motor_type]
     return ShaftSpec(
         peak, INERTIA_PER_TORQUE * peak, 1.0, POSITION_RANGE, velocity, {"motor_type": motor_type}

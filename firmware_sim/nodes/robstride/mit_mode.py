@@ -69,7 +69,7 @@ class RobstrideMitNode(RobstrideNode):
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
+            offset: angle that the motor reports when the spool angle theta is 0 [rad].
         """
         super().__init__(spec, motor, offset)
         self.host_id = int(spec.options.get("host_id", spec.node_id + HOST_ID_OFFSET))

@@ -15,7 +15,7 @@ Source: docs/facts/robstride.md.
     0x15   0                   motor   host     u32 faults, u32 warnings
     0x16   0                   host    motor    01 .. 08: save the parameters
 
-The motor answers the types 1, 3, 4, 6, 0x12 and 0x16 with a frame of type 2.
+The motor answers frames of the types 1, 3, 4, 6, 0x12 and 0x16 with a frame of type 2.
 
 Choices of this simulator where the fact sheet has only an assumption:
 
@@ -52,14 +52,14 @@ POSITION_RANGE = 4.0 * math.pi
 """Largest position in frames, for all motor models [rad]."""
 RESET_MODE = 0
 RUN_MODE = 2
-"""Mode of the motor, as in the identifier of the feedback, like the constants above."""
+"""This constant and the constant above are motor modes, as in the identifier of the feedback."""
 UNDER_VOLTAGE = 1 << 0
 OVER_CURRENT = 1 << 1
 OVER_TEMPERATURE_FAULT = 1 << 2
 ENCODER_FAULT = 1 << 3
 OVERLOAD_FAULT = 1 << 4
 UNCALIBRATED_FAULT = 1 << 5
-"""Bit of a fault in the identifier of the feedback, like the constants above."""
+"""This constant and the five constants above are fault bits in the identifier of the feedback."""
 FAULT_REPORT_BITS = {
     UNDER_VOLTAGE: 1 << 2, OVER_CURRENT: 1 << 4, OVER_TEMPERATURE_FAULT: 1 << 0, ENCODER_FAULT: 1 << 9,
     OVERLOAD_FAULT: 1 << 14, UNCALIBRATED_FAULT: 1 << 7,
@@ -118,7 +118,7 @@ class RobstrideNode:
         fault: bits of the present faults.
         parameters: bytes of each parameter that can be written, by the number of the parameter.
         thermal: temperatures of the motor and the drive.
-        offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
+        offset: angle that the motor reports when the spool angle theta is 0 [rad].
         ids: None, because the node answers many identifiers.
         malformed_frame_count: number of frames that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
@@ -131,7 +131,7 @@ class RobstrideNode:
         Args:
             spec: description of the motor.
             motor: rotor of the motor.
-            offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
+            offset: angle that the motor reports when the spool angle theta is 0 [rad].
         """
         self.motor = motor
         self.offset = offset
@@ -274,7 +274,10 @@ class RobstrideNode:
         self._schedule()
 
     def follow(self, torque: int, data: bytes) -> None:
-        """Set the servo to a control command: ``torque`` as a 16-bit code, all other values in a payload of 8 bytes."""
+        """Set the servo from a control command.
+
+        ``torque`` is a 16-bit code, and ``data`` (8 bytes) contains all other values.
+        """
         position, velocity, kp, kd = struct.unpack(">4H", data)
         servo = self.motor.servo
         sign = self._direction
