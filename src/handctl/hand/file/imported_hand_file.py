@@ -149,7 +149,7 @@ class _SectionLine:
 
 
 def usable_tendons(imported_hand: ImportedHand) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the described tendons that are possible in a hand file, and notes about all other tendons.
+    """Return the tendons of a robot description that a hand file can contain, and a note about each other tendon.
 
     The table of each tendon has ``digit``, ``name``, ``motor``, ``tension_max`` and ``arms``. The
     keys of ``arms`` are the short names of joints.
@@ -272,7 +272,7 @@ def imported_hand_text(
 def _placeholder_tendons(
     digit: ModelDigit, import_answers: ImportAnswers
 ) -> Iterable[dict[str, Any]]:
-    """Yield placeholder tendons for a digit, with moment arms if the user has answered the question about them."""
+    """Yield placeholder tendons for a digit. They have moment arms if the user has given a pulley radius."""
     joints = [f"j{i + 1}" for i in range(len(digit.joints))]
     prismatic_joints = _sliding_joints(digit)
     arm = None if import_answers.pulley_mm is None else 1e-3 * import_answers.pulley_mm
@@ -384,10 +384,9 @@ def _sensor_node(import_answers: ImportAnswers) -> str:
 
 
 def _common_lines(imported_hand: ImportedHand, import_answers: ImportAnswers) -> list[_SectionLine]:
-    """Return lines for the values of digits that the robot description does not contain.
+    """Return lines for the digit values that are missing in the robot description.
 
-    In the new hand file, one line for all digits stands for each value that the robot description
-    does not contain.
+    Each missing value has a single line in the new hand file, which applies to all digits.
     """
     all_links = [link for digit in imported_hand.digits for link in digit.links]
     is_known_by_key = {"link_radius_m": any(link.radius for link in all_links)}
@@ -408,7 +407,7 @@ def _common_lines(imported_hand: ImportedHand, import_answers: ImportAnswers) ->
 
 
 def _digit_lines(digit: ModelDigit, import_answers: ImportAnswers) -> list[_SectionLine]:
-    """Return lines for the values of a digit that the robot description contains."""
+    """Return lines for the values that the robot description gives for a digit."""
     links = digit.links
     lines = [_SectionLine("name", f'"{digit.name}"')]
     if digit.carrier is not None:
@@ -574,7 +573,7 @@ def _drive_lines(
 
 
 def _tendon_lines(import_answers: ImportAnswers) -> Iterable[_SectionLine]:
-    """Yield lines for the values of tendons that are the same for all tendons."""
+    """Yield lines for the values that all tendons have in common."""
     tension = import_answers.tension_N
     value_by_key: dict[str, float | None] = {
         "stiffness_N_per_m": None,
@@ -595,7 +594,7 @@ def _tendon_lines(import_answers: ImportAnswers) -> Iterable[_SectionLine]:
 
 
 def _motor_lines(import_answers: ImportAnswers) -> Iterable[_SectionLine]:
-    """Yield lines for the values of motors that are the same for all motors."""
+    """Yield lines for the values that all motors have in common."""
     torque = None
     if import_answers.tension_N is not None and import_answers.spool_mm is not None:
         torque = DRIVE_LIMIT_RATIO * import_answers.tension_N * 1e-3 * import_answers.spool_mm

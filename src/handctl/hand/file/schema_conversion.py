@@ -44,7 +44,7 @@ MIN_SECTIONS_TO_SHARE = 2
 class TomlEntry:
     """Line of a hand file.
 
-    A line contains a key with its value and a comment, or only a comment.
+    A line of a hand file contains either a key with its value and a comment, or only a comment.
 
     Attributes:
         key: key of the line, empty for a blank line and for a line with only a comment.
@@ -265,8 +265,8 @@ def _move_sections_into_digits(
 ) -> None:
     """Move each tendon or motor into its digit.
 
-    The name of each tendon or motor must begin with the name of its digit. If one name begins
-    otherwise, the function moves no tendon and no motor.
+    The name of each tendon or motor must begin with the name of its digit. If any name begins
+    differently, the function moves no tendon and no motor.
     """
     moved_tables: list[tuple[TomlTable, str, TomlTable]] = []
     digits = {block.values()["name"]: block for block in tables_of_kind["digit"]}
