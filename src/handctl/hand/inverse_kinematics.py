@@ -82,11 +82,12 @@ def inverse_kinematics(
 
 
 def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tuple[float, float]:
-    """Return the single coordinate theta of a coupled digit, q = B theta, at which the tip is closest to a point.
+    """Return the coordinate theta of a coupled digit at which its tip is closest to a point.
 
-    The tip of the digit moves on a curve. A scan finds all intervals of the curve that contain a
-    minimum of the distance. The closest point of the curve is one of the minima or one of the two
-    ends of the curve.
+    The digit has a single coordinate theta, and its joint angles are q = B theta. Its tip therefore
+    moves on a curve. A scan finds all intervals of the curve that contain a minimum of the
+    distance. The closest point of the curve is one of the minima or one of the two ends of the
+    curve.
 
     Args:
         digit: model of a digit that has a single coordinate.
@@ -154,15 +155,15 @@ def _is_planar(digit: DigitModel) -> bool:
 def _two_link_solutions(
     l1: float, l2: float, x: float, y: float
 ) -> tuple[tuple[float, float], ...]:
-    """Return the joint angles at which the end of two links is at a point.
+    """Return the joint angles at which the end of a chain of two links is at a point.
 
-    The number of solutions is two, one if the links are stretched or folded, and zero if the point
-    is out of reach.
+    In general, there are two solutions. There is one solution if the links are stretched or folded,
+    and none if the point is out of reach.
 
-    At the distance r of the point, the second joint has the angle 2 atan2(sqrt(a), sqrt(b)). Here,
-    a is (l1 + l2 - r)(l1 + l2 + r), and b is (r - |l1 - l2|)(r + |l1 - l2|). The products a and b
-    are accurate even near the stretched posture, where acos would lose half of the significant
-    digits.
+    Let r be the distance from the first joint to the point. The angle of the second joint is 2
+    atan2(sqrt(a), sqrt(b)). Here, a is (l1 + l2 - r)(l1 + l2 + r), and b is (r - |l1 - l2|)(r + |l1
+    - l2|). The products a and b are accurate even near the stretched posture, where acos would lose
+    half of the significant digits.
     """
     r = math.hypot(x, y)
     fold_margin = (r - abs(l1 - l2)) * (r + abs(l1 - l2))

@@ -53,7 +53,7 @@ def point_jacobian(
 ) -> Array:
     """Return the Jacobian (3, n) of a point on a link [m].
 
-    The Jacobian is the velocity of the point divided by the velocity of each joint.
+    Column j of the Jacobian is the velocity of the point for a unit velocity of joint j.
 
     Args:
         digit: model of the digit.
@@ -78,7 +78,7 @@ def point_jacobian(
 def tip_jacobian(digit: DigitModel, q: JointValues) -> Array:
     """Return the Jacobian (3, n) of the tip of a digit [m].
 
-    The Jacobian is the velocity of the tip divided by the velocity of each joint.
+    Column j of the Jacobian is the velocity of the tip for a unit velocity of joint j.
     """
     return point_jacobian(digit, q, digit.joint_count - 1, digit.lengths[-1])
 

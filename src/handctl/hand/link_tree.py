@@ -20,7 +20,7 @@ from handctl.hand.kinematics import joint_positions, link_rotations
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinkTree:
-    """All links of a hand in the order of its joints.
+    """Tree of all links of a hand, in the order of the joints.
 
     Attributes:
         digits: models of the digits, in the order of the hand file.

@@ -56,7 +56,7 @@ def moment_arm_table(arm: MomentArm) -> tuple[Array, Array]:
 
 
 def moment_arm_table_residual(arm: MomentArm) -> float:
-    """Return the largest difference between a table of moment arms and its polynomial [m].
+    """Return the largest difference [m] between a table of moment arms and the polynomial fitted to it.
 
     For a moment arm that is not a table, the difference is 0.
     """

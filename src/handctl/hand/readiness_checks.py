@@ -5,9 +5,8 @@ Tools and logs can use any hand file that is valid. For a run, a hand must fulfi
 - CAN controllers must support the bit rates.
 - Springs or antagonistic tendons must be able to open the digits, and tendons must be able to close
   the digits.
-- Positive coordinates must flex the digits.
-- The frames of the drives must be able to represent the travel of the spools.
-- Each digit must have a place of its own at the palm.
+- Positive coordinates must flex the digits. - The position values of the drives must cover the
+travel of the spools. - Each digit must have a place of its own at the palm.
 
 ``doubtful_values`` returns warnings about values that are possible, but hardly intended.
 """
@@ -109,10 +108,10 @@ def _check_direction(digit: Digit) -> Iterator[FileMistake]:
 
 
 def displayed_range(digit: Digit) -> tuple[Vector, Vector]:
-    """Return the smallest and the largest value (n_c,) of each coordinate of a digit [deg or mm].
+    """Return the smallest and the largest value of each coordinate of a digit, (n_c,) [deg or mm] each.
 
-    While one coordinate moves between its two values and the other coordinates are zero, all joints
-    stay within their limits.
+    All joints stay within their limits while one coordinate moves between its two values and the
+    other coordinates are zero.
     """
     limits = np.array(digit.displayed_joint_limits)
     if digit.coupling is None:
@@ -173,7 +172,7 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
 
 
 def _check_closing(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
-    """Check that a tendon can close each coordinate of a digit with springs, which only open the digit."""
+    """Check that a tendon can close each coordinate of a digit with springs. The springs only open the digit."""
     if not digit.has_springs:
         return
     coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
@@ -189,7 +188,7 @@ def _check_closing(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
 
 
 def _check_position_range(hand: Hand, tendon: Tendon) -> Iterator[FileMistake]:
-    """Check that the frames of a drive can represent the travel of its spool between the joint limits.
+    """Check that the position values of a drive cover the spool travel between the joint limits.
 
     The travel includes the stretch of the tendon at ``drive_limit_N``.
     """
@@ -287,9 +286,10 @@ def doubtful_values(hand: Hand) -> tuple[str, ...]:
 
 
 def _sagging_digit_lines(hand: Hand) -> Iterator[str]:
-    """Yield a line for each joint that its spring does not hold open against the weight of the links.
+    """Yield a line for each joint whose spring is too weak to hold the joint open.
 
-    The springs of coupled joints are not rigid, so that each spring must hold its own joint.
+    The spring works against the weight of the links and the tension floors of the tendons. Springs
+    couple joints elastically, so each joint needs a spring that can hold it alone.
     """
     tree = LinkTree.from_hand(hand)
     open_angles = hand.joint_limits[0]

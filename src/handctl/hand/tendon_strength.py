@@ -40,9 +40,9 @@ def largest_safe_force(breaking_force: float) -> float:
 
 
 def strength_warnings(hand: Hand) -> tuple[str, ...]:
-    """Return a line of text for each strength margin that is too small.
+    """Return a line of text for each tendon or joint whose strength margin is too small.
 
-    Tendons or joints with equal values share a line.
+    Tendons with the same text, or joints with the same text, share a line.
     """
     warnings_by_tendon: list[tuple[str, str]] = []
     for tendon in hand.tendon:
@@ -71,7 +71,7 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
 
 
 def _runaway_text(key: str, force: float, breaking_force: float, spool_radius: float) -> str:
-    """Describe a runaway with a given force, and the torque limit that the drive should have."""
+    """Return a text about a runaway drive with a given force, and about the torque limit that the drive needs."""
     peak = runaway_tension(force)
     safe_force = largest_safe_force(breaking_force)
     factor = breaking_force / peak

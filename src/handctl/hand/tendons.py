@@ -41,7 +41,7 @@ class TendonElasticity:
 
     @staticmethod
     def from_tendon(tendon: Tendon) -> "TendonElasticity":
-        """Return the elasticity of a tendon of a hand file."""
+        """Return the elasticity of a tendon that a hand file describes."""
         return TendonElasticity(
             stiffness=tendon.stiffness_N_per_m,
             stiffness_beyond_knee=tendon.stiffness_beyond_ratio * tendon.stiffness_N_per_m,
@@ -148,7 +148,7 @@ def pulley_factors(digit: DigitModel, q: JointValues, speed: JointValues) -> Arr
 
 
 def effective_moment_arms(digit: DigitModel, q: JointValues, speed: JointValues) -> Array:
-    """Return the moment arms R multiplied by the friction factors (n_t, n) [m].
+    """Return the effective moment arms (n_t, n) [m]: the moment arms R times the friction factors.
 
     The product of the transposed effective moment arms and the load-cell tensions is the vector of
     joint torques.
@@ -167,7 +167,8 @@ def excursions(digit: DigitModel, q: JointValues) -> Array:
 def reflected_inertia(digit: DigitModel) -> Array:
     """Return the inertia (n_c, n_c) of the rotors, converted to the coordinates of the digit [kg m2].
 
-    The computation assumes rigid tendons. The reflected inertia is (R B)^T (J_m / r_a^2) R B.
+    The computation assumes rigid tendons. The result is (R B)^T (J_m / r_a^2) R B, with the moment
+    arms R, the coupling B, the rotor inertias J_m and the spool radii r_a.
     """
     arms = digit.reduced_moment_arms
     return np.asarray(arms.T @ (digit.motor_mass[:, None] * arms))

@@ -60,9 +60,10 @@ KeyPathOrigins = dict[str, str]
 
 
 class ValueLayer(NamedTuple):
-    """Values for a section from a single table of the hand file, and the key path of the table.
+    """Layer of values for a section. All values of a layer come from one table of the hand file.
 
-    Values of a later layer replace values of an earlier layer.
+    Values of a later layer replace values of an earlier layer. ``path`` is the key path of the
+    table.
     """
 
     values: TableContent
@@ -133,10 +134,10 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
 
 
 class _TemplateResolver:
-    """Resolution of one hand file, with the content of the hand file and the sections resolved so far."""
+    """Resolver for one hand file. It stores the content of the file and the sections resolved so far."""
 
     def __init__(self, content: TableContent) -> None:
-        """Store the content of a hand file that is to be resolved."""
+        """Store the content of the hand file whose defaults and templates are to be replaced."""
         self.content = content
         self.origins: KeyPathOrigins = {}
         self.mistakes: list[FileMistake] = []
@@ -205,7 +206,7 @@ class _TemplateResolver:
     def shared_layers(
         self, section_kind: str, section_layers: Sequence[ValueLayer]
     ) -> Iterator[ValueLayer]:
-        """Yield the layers of the default for a kind of section, and of the template that the section names."""
+        """Yield the values that a section takes from the default of its kind, and from the template that it names."""
         default_section = self.content.get("default")
         default: TableContent = default_section if isinstance(default_section, Mapping) else {}
         for key, values in default.items():
@@ -284,7 +285,9 @@ class _TemplateResolver:
         section_layers: list[ValueLayer],
         motors: TableContent,
     ) -> dict[str, Any]:
-        """Return a tendon or motor that a digit contains, with the full names of itself, its motor and its joints.
+        """Return a tendon or motor of a digit.
+
+        Full names replace the short names of the section, its motor and its joints.
 
         Args:
             section_kind: kind of section.
@@ -314,7 +317,7 @@ class _TemplateResolver:
     def _write_full_joint_names(
         self, values: dict[str, Any], path: str, key: str, digit: str
     ) -> None:
-        """Replace short names of joints in a table of a tendon by full names.
+        """Replace the short joint names in a table of a tendon by full joint names.
 
         Args:
             values: values of the tendon, modified in place.
@@ -411,7 +414,7 @@ def _copy_of_lists(value: Any) -> Any:
 def _template_layers_by_name(
     layers: Sequence[ValueLayer], kind: str
 ) -> dict[str, list[ValueLayer]]:
-    """Return the layers of each tendon or motor that a digit contains, by the short name."""
+    """Return the value layers of each tendon or motor in a digit, by the short name of the tendon or motor."""
     layers_by_name: dict[str, list[ValueLayer]] = {}
     for layer in layers:
         tables = layer.values.get(kind)
@@ -453,6 +456,6 @@ def _list_of_tables(value: Any) -> list[TableContent]:
 
 
 def _section_label(section: TableContent, position: int) -> str:
-    """Return the name of a section for key paths, or its position if it has no name."""
+    """Return the name by which key paths identify a section, or the position of a section without a name."""
     name = section.get("name")
     return name if isinstance(name, str) and name else str(position)

@@ -211,8 +211,8 @@ def _add_tendons(model_root: ET.Element, hand: Hand) -> None:
     """Add two elements for each tendon: a fixed tendon of MuJoCo with constant moment arms, and a motor.
 
     The motor of a single tendon (not a spool pair) only pulls. The motor of a spool pair can pull
-    in both directions. If a moment arm depends on the joint angle, the fixed tendon has the mean of
-    the moment arm.
+    in both directions. If a moment arm depends on the joint angle, the fixed tendon of MuJoCo gets
+    the mean of this moment arm.
     """
     tendons = ET.SubElement(model_root, "tendon")
     actuators = ET.SubElement(model_root, "actuator")

@@ -85,8 +85,8 @@ class ModelMesh:
     def seen_from_frame(self, frame_rotation: Array, frame_origin: Array) -> "ModelMesh":
         """Return the mesh as seen from another frame of the link.
 
-        The arguments are the rotation (3, 3) and the origin (3,) [m] of the other frame, in the
-        present frame.
+        The arguments give the other frame relative to the present frame: rotation (3, 3) and origin
+        (3,) [m].
         """
         return replace(
             self,
@@ -204,7 +204,7 @@ class ModelLink:
 
 @dataclass(frozen=True, eq=False)
 class ModelDigit:
-    """Chain of links of a robot description, in the frames of a hand file.
+    """Digit of a hand, read from a chain of links of a robot description. Its frames follow the rules of hand files.
 
     Attributes:
         name: name of the digit.
@@ -237,7 +237,7 @@ class ModelDigit:
 
     @property
     def coupling(self) -> Array:
-        """Return the matrix (n, n_c) of joint angles per unit of each independent joint.
+        """Return the coupling matrix (n, n_c), which maps the angles of the independent joints to all joint angles.
 
         A joint that follows a joint of another digit counts as independent.
         """
@@ -280,14 +280,14 @@ class _LinkChain:
 def digits_from_links(
     links: Sequence[ModelLink], source_name: str
 ) -> tuple[tuple[ModelDigit, ...], Array, Array]:
-    """Return the digits of a robot description's tree of links, and the frame of the palm.
+    """Return the digits that the link tree of a robot description contains, and the frame of the palm.
 
     Each digit comes after the digit that carries it.
 
     The palm frame of the hand is the root frame of the description. If the digits do not point
-    along the x axis of the root frame, the palm frame is turned by multiples of 90 degrees. If the
-    foremost mount is far from the plane x = 0, the palm frame is also shifted, so that the foremost
-    mount lies in the plane.
+    along the x axis of the root frame, the palm frame is turned by multiples of 90 degrees. The
+    palm frame is also shifted if the foremost mount of a digit is far from the plane x = 0. After
+    the shift, this mount lies in the plane.
 
     Args:
         links: all links, where the parent of a link comes before the link.
@@ -402,9 +402,9 @@ def _digit_name(links: Sequence[ModelLink], used_names: set[str], digit_count: i
 def _link_frames(
     links: Sequence[ModelLink], chains: Sequence[_LinkChain], source_name: str
 ) -> dict[int, tuple[Array, float]]:
-    """Return the new frame (3, 3) and the length [m] of each link.
+    """Return the rotation (3, 3) of the new frame and the length [m] of each link.
 
-    The new frame of a link is given relative to the frame in the robot description.
+    The rotation is relative to the frame that the link has in the robot description.
     """
     frames = {}
     for chain in chains:

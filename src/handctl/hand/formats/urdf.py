@@ -92,8 +92,8 @@ def palm_box(hand: Hand, carrier: str | None) -> tuple[Array, Array]:
 def shape_length(hand: Hand, digit: Digit, i: int) -> float:
     """Return the length of the simple shape for link i [m].
 
-    If the link carries digits, its shape is shorter by its radius. With the shorter length, the
-    round end of the shape ends where the link ends.
+    If the link carries digits, its shape is shorter by the radius of the shape. The round end of
+    the shape then ends where the link ends.
     """
     length = digit.link_length_m[i]
     is_last = i == len(digit.link_length_m) - 1
@@ -180,9 +180,9 @@ def coupled_joints(hand: Hand, digit: Digit) -> dict[int, tuple[int, float]]:
 
     The keys of the result are the indices of the coupled joints. A value is the index of the
     leading joint, and the ratio. The coupling of a digit with spool pairs is rigid. In a digit
-    without spool pairs, the springs determine the coupling. Such a coupling is valid only in free
-    motion, so the joints count as independent. A joint that depends on several coordinates follows
-    no single joint, and is left out.
+    without spool pairs, the springs determine the coupling. A coupling by springs is valid only in
+    free motion, so the function returns no coupled joints for this digit. A joint that depends on
+    several coordinates follows no single joint, and is left out.
     """
     if digit.coupling is None or not hand.is_pair[hand.digit_tendons[digit.name]].any():
         return {}
