@@ -10,8 +10,8 @@ three steps. If numba must nevertheless compile a function, it registers the typ
 compilation begins. If a newly compiled kernel calls a stored kernel, the bitcode of the stored
 kernel is parsed when they are linked.
 
-The three slow steps are internal to numba. This module skips them only for the versions of numba in
-``TESTED_VERSIONS``.
+The three slow steps are internal to numba. This module skips the steps only for the versions of
+numba in ``TESTED_VERSIONS``.
 """
 
 from collections.abc import Iterator

@@ -84,7 +84,7 @@ def inverse_kinematics(
 def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tuple[float, float]:
     """Return the coordinate theta of a coupled digit at which its tip is closest to a point.
 
-    The digit has a single coordinate theta, and its joint angles are q = B theta. Its tip therefore
+    The digit has a single coordinate theta, and its joint angles are q = B theta. The tip therefore
     moves on a curve. A scan finds all intervals of the curve that contain a minimum of the
     distance. The closest point of the curve is one of the minima or one of the two ends of the
     curve.

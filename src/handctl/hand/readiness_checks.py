@@ -5,8 +5,9 @@ Tools and logs can use any hand file that is valid. For a run, a hand must fulfi
 - CAN controllers must support the bit rates.
 - Springs or antagonistic tendons must be able to open the digits, and tendons must be able to close
   the digits.
-- Positive coordinates must flex the digits. - The position values of the drives must cover the
-travel of the spools. - Each digit must have a place of its own at the palm.
+- Positive coordinates must flex the digits.
+- The position values of the drives must cover the travel of the spools.
+- Each digit must have a place of its own at the palm.
 
 ``doubtful_values`` returns warnings about values that are possible, but hardly intended.
 """

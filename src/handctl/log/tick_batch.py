@@ -106,14 +106,14 @@ def row_field_names(header: RunHeader, width: int) -> tuple[str, ...]:
 
 
 def column_count(header: RunHeader, fields: tuple[str, ...]) -> int:
-    """Return the number of columns that the given telemetry fields need."""
+    """Return the number of columns that the given telemetry fields have together."""
     return sum(len(header.axis_names(TELEMETRY_AXES[name])) for name in fields)
 
 
 def columns_of_fields(
     header: RunHeader, fields: tuple[str, ...] = TELEMETRY_FIELDS
 ) -> dict[str, slice]:
-    """Return the columns of each telemetry field in a row.
+    """Return, for each telemetry field, the columns that it has in a telemetry row.
 
     Args:
         header: header of the run.
@@ -235,8 +235,8 @@ class TickBatcher:
     def _add_phase_and_events(self, message: bytes, offset: int) -> None:
         """Add the grasp phase that a Tick message contains.
 
-        If the tick has events, requests or io events, also decode the Tick message and store the
-        result.
+        If the tick has events, requests or io events, the method also decodes the whole Tick
+        message and stores the result.
 
         Args:
             message: the Tick message.
@@ -244,7 +244,8 @@ class TickBatcher:
         """
         # Nearly all ticks have no events. The Tick message of a tick without events ends with the
         # phase and empty lists. The last bytes of the message are the same in all ticks of one
-        # grasp phase without events. Because of the cache, equal last bytes are decoded only once.
+        # grasp phase without events. The cache `_phase_of_tail` contains the phase of last bytes
+        # that have already been decoded.
         tail_bytes = message[offset:]
         phase = self._phase_of_tail.get(tail_bytes)
         if phase is None:

@@ -204,7 +204,7 @@ class ModelLink:
 
 @dataclass(frozen=True, eq=False)
 class ModelDigit:
-    """Digit of a hand, read from a chain of links of a robot description. Its frames follow the rules of hand files.
+    """Digit that was read from a chain of links of a robot description. The link frames are those of a hand file.
 
     Attributes:
         name: name of the digit.

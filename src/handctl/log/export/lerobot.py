@@ -212,7 +212,7 @@ def _video_statistics(episode_videos: Sequence[EpisodeVideo]) -> dict[str, list[
 
 
 def _video_feature(episode_videos: Sequence[EpisodeVideo], fps: int) -> dict[str, Any]:
-    """Return the declaration of a camera's images for `meta/info.json`."""
+    """Return the entry of `meta/info.json` that declares the images of a camera."""
     height, width = episode_videos[0].height, episode_videos[0].width
     encoding = {
         "codec": "h264",
@@ -350,7 +350,7 @@ def _scalar_features(
 
 
 def _task_description(log: RunLog) -> str:
-    """Return the description of the task that a log shows."""
+    """Return the description of the task that the recorded run carried out."""
     try:
         task = parse_toml(
             log.header.attachments.get("task.toml", b"").decode(), "task.toml in the log"
@@ -362,7 +362,7 @@ def _task_description(log: RunLog) -> str:
 
 
 def _frame_table(names: dict[str, list[str]], values: dict[str, NDArray[Any]]) -> pa.Table:
-    """Return the table of all frames. The features in `names` are vectors."""
+    """Return the table of all frames. The features that `names` contains are vectors, and all others are scalars."""
     columns = {}
     for name, table in values.items():
         flat_values = pa.array(
@@ -477,9 +477,9 @@ def _info_content(
 
 
 def _feature_statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
-    """Return the statistics of a feature of the dataset over all given frames.
+    """Return the statistics of a dataset feature, computed over all given frames.
 
-    LeRobot normalises a feature with the statistics of the feature.
+    LeRobot normalises each feature with its own statistics.
     """
     table = np.asarray(values, np.float64).reshape(len(values), -1)
     statistics = {

@@ -103,7 +103,10 @@ def wrench_template(frame_id: str) -> MessageTemplate:
 
 
 def statistics_values(number: int) -> MessageTemplate:
-    """Return the template of a pal_statistics_msgs/StatisticsValues with names_version 1 and `number` values."""
+    """Return the template of a pal_statistics_msgs/StatisticsValues message.
+
+    The message has `number` values and names_version 1.
+    """
     writer = TemplateWriter()
     writer.put_header()
     writer.put_float_sequence("values", number)
@@ -257,8 +260,8 @@ class StateTopics:
         """Return the joint torques R^T f (n, J) from the tensions f at joint angles q [N m].
 
         The sum is computed in a fixed order, so that the result of a tick does not depend on n. In
-        a matrix product, the order of the additions, and with the order the rounding, can depend on
-        n.
+        a matrix product, the order of the additions can depend on n, and a different order changes
+        the rounding.
         """
         torque = np.zeros((len(tension), self._arms.shape[1]))
         arms = (

@@ -102,7 +102,7 @@ def link_frames(hand_toml: str) -> list[LinkFrame]:
 def multiply_quaternions(
     left_quaternion: tuple[Any, ...], right_quaternion: tuple[Any, ...]
 ) -> tuple[Any, ...]:
-    """Return the product of two quaternions x, y, z, w, given as numbers or arrays."""
+    """Return the product of two quaternions (x, y, z, w). Each component is a number or an array."""
     a, b, c, d = left_quaternion
     x, y, z, w = right_quaternion
     return (
@@ -125,8 +125,8 @@ def link_quaternions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.floa
 def link_positions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the origin of a link in the frame of its parent (n, 3) [m].
 
-    The joint positions `q` (n,) are in rad or m. A hinge does not move the origin of its link. For
-    a hinge, the result has one row.
+    The joint positions `q` (n,) are in rad or m. A hinge does not move the origin of its link. The
+    result for a hinge therefore has a single row.
     """
     if not link.is_prismatic:
         return np.array([link.position])

@@ -108,7 +108,11 @@ class RecorderSession:
     """
 
     def __init__(self) -> None:
-        """Create a session without a log file. The first records name the log file and open this file."""
+        """Create a session without a log file.
+
+        The session opens the log file after it has received the path of the file and the run
+        header.
+        """
         self.path = Path()
         self._min_free_bytes = 0
         self._splitter = RecordSplitter()

@@ -82,7 +82,7 @@ def run_bench_task(
 
 @cache
 def _hand_model(hand_file: str) -> HandModel:
-    """Return the model of a hand, and design the gains for this hand.
+    """Return the model of a hand, including the gains that are designed for this hand.
 
     The function caches the model, because the design of the gains takes about a second.
     """

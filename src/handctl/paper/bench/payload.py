@@ -79,9 +79,9 @@ def search_grip_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
     """Return the tension of each digit for a grip with 6 N per finger, and the start time of the grip.
 
     The search increases the tension in steps. The returned tension is interpolated between the
-    tension steps. Because of friction, the normal force depends on the earlier tensions of the
-    grip. Therefore a second grip starts directly with the interpolated tension. With the normal
-    forces in the second grip, the function corrects the tension once. The thumb must balance the
+    tension steps. Because of friction, the normal force also depends on the earlier tension steps.
+    Therefore a second grip begins directly with the interpolated tension. From the normal forces in
+    the second grip, the function computes one correction of the tension. The thumb must balance the
     fingers. Therefore the tension of the thumb is the mean tension of the fingers. In all runs with
     the same diameter, the grip begins at the same time.
     """
@@ -136,7 +136,7 @@ def _tension_for_normal_forces(
 def load_until_slip(
     folder: Path, diameter_mm: float, load_axis: str, grip_result: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Grip the cylinder, load it with a force until it slips, and return the result as plain values."""
+    """Grip a cylinder, pull the cylinder with a growing force until it slips, and return the result as plain values."""
     tension = grip_result["tension_N"]
     hold_phase = _hold_phase("load", tension, GRIP_SETTLING_S + LOAD_DURATION_S)
     start = grip_result["began_s"] + GRIP_SETTLING_S
@@ -235,7 +235,7 @@ def _object_positions(truth: TruthRecord, t_ns: Any) -> Array:
 
 
 def _find_slip(truth: TruthRecord, first_row: int, end_row: int) -> tuple[int, str]:
-    """Return the row of the ground truth at which the object slips, and the name of the slip criterion."""
+    """Return the index of the ground-truth sample at which the object slips, and the name of the slip criterion."""
     positions = _object_positions(truth, truth.t_ns[first_row:end_row])
     window = round(SPEED_WINDOW_S * 1000)
     object_motion = np.linalg.norm(positions - positions[0], axis=1)
@@ -254,7 +254,7 @@ def _find_slip(truth: TruthRecord, first_row: int, end_row: int) -> tuple[int, s
 
 
 def friction_bound_kg(payload_result: Mapping[str, Any]) -> float:
-    """Return the largest mass that the hand can hold according to Coulomb friction [kg].
+    """Return the largest mass [kg] that the hand can hold according to Coulomb friction.
 
     The mass is computed from the measured normal forces of the digits and the palm on the object.
     """
@@ -263,7 +263,7 @@ def friction_bound_kg(payload_result: Mapping[str, Any]) -> float:
 
 
 def payload_errata(payload_results: Sequence[Mapping[str, Any]]) -> list[ErrataItem]:
-    """Return one item of the errata for each load case.
+    """Return one errata item for each load case.
 
     A load case is a combination of a diameter and an axis.
     """

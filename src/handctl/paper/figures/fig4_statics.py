@@ -1,6 +1,7 @@
 """Fig. 4 and 6 of the paper: moments at the joints of a straight digit.
 
-At each joint, the figures compare the moment of a force on the tip with the moment of the tendon.
+At each joint, the figures compare two moments: the moment of a force on the tip, and the moment of
+the tendon.
 """
 
 from typing import Any

@@ -1,6 +1,6 @@
-"""Assumptions of the model of the paper that the paper does not state.
+"""Assumptions that the model of the paper contains, but that the paper does not state.
 
-For each assumption, the module gives the effect on the numbers of the paper.
+For each assumption, the module computes its effect on the numbers of the paper.
 """
 
 from fractions import Fraction
@@ -39,7 +39,11 @@ def assumption_errata() -> list[ErrataItem]:
 
 
 def _check_one_tendon() -> list[ErrataItem]:
-    """Check whether T r_p = M can be true at every joint of a straight finger at the same time."""
+    """Check whether one tendon can balance the tip force at every joint of a straight finger.
+
+    The condition is T r_p = M at each joint, with the tension T, the pulley radius r_p and the
+    moment M of the tip force.
+    """
     tip_distances = src.tip_distances_mm(src.paper_finger())
     given_ratio = src.tension_per_newton(src.paper_finger()) * src.PULLEY_RADIUS_MM
     rows = []
@@ -143,7 +147,7 @@ def _check_bending() -> ErrataItem:
 
 
 def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_ANGLES_DEG) -> Array:
-    """Return the normal forces at the middles of three links (3,) [N].
+    """Return the normal forces (3,) [N] that act at the middles of three links.
 
     The normal forces balance the tendon, which runs over equal pulleys.
     """

@@ -68,7 +68,7 @@ def random_states() -> StateSamples:
 
 
 def finger_states(digit: DigitModel) -> StateSamples:
-    """Return random motions for the lengths, masses and inertias of the given digit."""
+    """Return random motions, combined with the lengths, masses and inertias of the given digit."""
     states = dict(random_states())
     for i in range(3):
         states |= {f"I{i + 1}": digit.inertias[i, 2, 2], f"m{i + 1}": digit.masses[i]}
@@ -160,7 +160,7 @@ def _term_item(term: EquationTerm) -> ErrataItem:
 
 
 def _wrong_dimensions_text(term: EquationTerm) -> str:
-    """Return the text "dimensions" if a reading of a term has wrong dimensions, and otherwise an empty text."""
+    """Return the text "dimensions" if a reading of a term has wrong dimensions. Otherwise, return an empty text."""
     for reading in term.readings:
         try:
             if reading.dimension(SYMBOL_DIMENSIONS) != ENERGY_DIMENSION:
@@ -171,10 +171,11 @@ def _wrong_dimensions_text(term: EquationTerm) -> str:
 
 
 def _asymmetry_text(term: EquationTerm) -> str:
-    """Compare the printed coefficient of a term with the printed coefficient of the mirror term.
+    """Compare the printed coefficients of two terms that must be equal because the inertia matrix is symmetric.
 
-    If the coefficients differ, return a text about the difference. If the coefficients are equal,
-    return an empty text.
+    The second term is the term whose identifier is ``mirror_id``. If the coefficients differ,
+    return a text about the difference. If they are equal, or if there is no second term, return an
+    empty text.
     """
     if not term.mirror_id:
         return ""
@@ -243,7 +244,8 @@ def _check_joint_torque(
 ) -> ErrataItem:
     """Check whether T_i in the paper is the torque at joint i.
 
-    In fact, the motors at the joints must produce the torques tau = S^T T.
+    T_i belongs to an absolute link angle. The torques at the joints are tau = S^T T, where S is a
+    lower triangular matrix of ones.
     """
     joints = joint_torques(digit, states)
     is_equal = relative_deviation(model[0], joints[:, 0]) < RELATIVE_TOLERANCE
@@ -284,9 +286,10 @@ def joint_torques(digit: DigitModel, states: StateSamples) -> Array:
 
 
 def model_torques(digit: DigitModel, states: StateSamples) -> list[Array]:
-    """Convert joint torques tau of handctl to torques T for absolute angles.
+    """Return the torques T for absolute link angles, computed from handctl's joint torques tau.
 
-    The equation is T = S^-T tau. Each torque has the shape (STATES,) and the unit N m.
+    The conversion is T_i = tau_i - tau_(i+1), and the last torque is unchanged. Each torque has the
+    shape (STATES,) and the unit N m.
     """
     tau = joint_torques(digit, states)
     return [tau[:, 0] - tau[:, 1], tau[:, 1] - tau[:, 2], tau[:, 2]]
