@@ -21,7 +21,7 @@ OMISSION_MARK = " [...] "
 
 
 def escape_text(text: str, kept_characters: str = "") -> str:
-    """Replace the characters of a text that are not printable by escape sequences.
+    """Replace each character that is not printable by an escape sequence.
 
     Args:
         text: text to escape.
@@ -35,7 +35,7 @@ def escape_text(text: str, kept_characters: str = "") -> str:
 
 
 def _escaped_character(character: str) -> str:
-    """Return a character as Python source would write it."""
+    """Return a character as it would appear in Python source."""
     return character.encode("unicode_escape", "replace").decode()
 
 

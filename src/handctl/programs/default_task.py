@@ -77,7 +77,7 @@ SAMPLES_PER_LINK = 9
 
 
 def default_task(hand: Hand) -> tuple[Task, str]:
-    """Return the default task of a hand, as an object and as the text of a task file.
+    """Return the default task of a hand in two forms: as an object, and as the text of a task file.
 
     Args:
         hand: hand that shall execute the task.
@@ -148,7 +148,7 @@ def _closed_angles_deg(hand: Hand, name: str) -> np.ndarray:
 
 
 def _tension_factors(hand: Hand) -> dict[str, float]:
-    """Return factors for the tensions of the digits in a hold.
+    """Return, for each digit, the factor by which the digit's tension in a hold is multiplied.
 
     The mean of the tension factors is 1. With the returned factors, the forces of the digits on an
     object balance each other. With equal factors, for example, two fingers would push a thumb open.
@@ -210,8 +210,8 @@ def _hold_tensions(hand: Hand, name: str, tension_fraction: float) -> float | li
 
     The tension of a tendon that extends the digit is just large enough to keep the tendon taut.
 
-    For a digit of spool pairs, the result is a single number: the largest net tension of its pairs
-    while the digit presses.
+    For a digit with spool pairs, the result is a single number: the largest net tension that a pair
+    has while the digit presses.
     """
     if hand.is_pair[hand.digit_tendons[name]].any():
         largest = min(tendon.tension_max_N for tendon in hand.tendon[hand.digit_tendons[name]])
@@ -237,7 +237,7 @@ def _hold_tensions(hand: Hand, name: str, tension_fraction: float) -> float | li
 
 
 def _pressing_tension(hand: Hand, name: str) -> float:
-    """Return the tension [N] of closing tendons at which a half-closed digit presses with PRESSING_FORCE_N."""
+    """Return the tension [N] with which the closing tendons make a half-closed digit press with PRESSING_FORCE_N."""
     digit = DigitModel.from_hand(hand, name)
     half_closed_angles = digit.coordinate_units.si(_closed_angles_deg(hand, name)) / 2
     q = digit.coupling @ half_closed_angles
@@ -255,7 +255,8 @@ def _pressing_tension(hand: Hand, name: str) -> float:
 def grasp_warnings(hand: Hand) -> tuple[str, ...]:
     """Return one line for each reason why a hand cannot lift the object of the default task.
 
-    Either no digit closes against another digit, or a digit is too weak.
+    A hand cannot lift the object if no digit closes against another digit, or if a digit is too
+    weak.
     """
     warnings = []
     is_opposed = _are_digits_opposed(hand)
@@ -310,9 +311,8 @@ def default_scene(hand: Hand) -> str:
 
     The scene contains a cylinder or a ball between the open digits. The diameter of the object is
     proportional to the length of the digits. On a thinner object, the tips of opposed digits would
-    touch each other. In some hands, such as an anthropomorphic hand, the digits cannot press
-    against each other. In a hand whose digits cannot press against each other, the object has a
-    diameter of 35 mm.
+    touch each other. If the digits of a hand cannot press against each other, as in an
+    anthropomorphic hand, the object has a diameter of 35 mm.
     """
     directions = _flexion_directions(hand)
     are_digits_parallel = all(

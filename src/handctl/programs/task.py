@@ -113,7 +113,8 @@ class HoldPhase(Document):
 class ReleasePhase(Document):
     """Lower the tensions.
 
-    From the next phase on, the digits count as free. To hold, they need a new contact.
+    After the release, all digits count as digits without contact. A later hold phase applies to a
+    digit only after a new contact.
     """
 
     kind: Literal["release"]
@@ -126,7 +127,7 @@ class ReleasePhase(Document):
 class FollowPhase(Document):
     """Follow a curve through given angles, from rest to rest.
 
-    The digits must already be at the start.
+    When the phase begins, the digits must already be at the first point of the curve.
     """
 
     kind: Literal["follow"]
@@ -176,10 +177,10 @@ def _peak_speed(times_s: tuple[float, ...], angles: tuple[float, ...]) -> float:
 
 @functools.lru_cache(maxsize=32)
 def interpolating_curve(times_s: tuple[float, ...], angles: tuple[float, ...]) -> CurveTrajectory:
-    """Return the curve of one coordinate through given angles [rad] at given times [s].
+    """Return the curve on which one coordinate has given angles [rad] at given times [s].
 
-    The check of a task computes the curves of its digits, which takes up to 1 ms per curve. A phase
-    that begins in a later tick gets the curves from the cache.
+    The computation of a curve takes up to 1 ms. The check of a task computes all curves, and a
+    phase that begins later takes the curves from the cache.
     """
     return CurveTrajectory.curve_through_points(times_s, angles, 1)
 
@@ -209,7 +210,7 @@ class Task(Document):
 
 
 class TrajectoryFile(Document):
-    """A motion from another program, given as positions at times."""
+    """A motion that another program has computed, given as positions at times."""
 
     schema_: int = Field(alias="schema", ge=1, le=1)
     name: str
@@ -268,7 +269,7 @@ def load_task(path: Path) -> Task:
 
 
 class DigitShape(NamedTuple):
-    """Number of angles and tensions that a task is allowed to give for a digit, and the names of the digit's joints.
+    """Number of angles and number of tensions that a task may give for a digit, and the names of the digit's joints.
 
     Attributes:
         coordinates: number of coordinates of the digit, each with an angle.
@@ -283,7 +284,7 @@ class DigitShape(NamedTuple):
 
 
 def shapes_of_digits(hand: Hand) -> dict[str, DigitShape]:
-    """Return for each digit the number of values that a task is allowed to give, by the name of the digit."""
+    """Return the number of values that a task may give for each digit, by the name of the digit."""
     counts = {
         name: tendon_slice.stop - tendon_slice.start
         for name, tendon_slice in hand.digit_tendons.items()
@@ -399,7 +400,7 @@ def joint_values(value: float | Mapping[str, Value], digit: "DigitModel") -> dic
 def end_angles(
     value: float | dict[str, DigitAnglesDeg], digit: "DigitModel", present_angles: Vector
 ) -> DigitAnglesDeg | Vector | None:
-    """Return the coordinates of a digit at the end of a phase [deg].
+    """Return the coordinates [deg] of a digit at the end of a phase.
 
     Return None if the phase contains no angle for the digit.
 

@@ -72,8 +72,8 @@ def blocked_hand(knee_tensions: tuple[float, ...]) -> Hand:
     """Return the hand of the test bench, with all joints clamped.
 
     The force-displacement curve of each tendon has a knee. ``knee_tensions`` contains the tension
-    at the knee [N] of the first tendon, the second tendon, and so on. Tendons for which it contains
-    no tension keep the knee of the hand file.
+    at the knee [N] of the first tendon, the second tendon, and so on. Tendons without a tension in
+    ``knee_tensions`` keep the knee that the hand file gives.
     """
     content = copy.deepcopy(load_hand(HAND_NAME).content)
     for digit in content["digit"]:
