@@ -8,7 +8,7 @@ function. The bitcode is needed only if the stored function is inlined into anot
 cache folder contains the code of all kernels, a program compiles nothing and needs none of the
 three steps. If numba must nevertheless compile a function, it registers the types when the
 compilation begins. If a newly compiled kernel calls a stored kernel, the bitcode of the stored
-kernel is parsed when they are linked.
+kernel is parsed during linking.
 
 The three slow steps are internal to numba. This module skips the steps only for the versions of
 numba in ``TESTED_VERSIONS``.

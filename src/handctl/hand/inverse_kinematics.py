@@ -30,7 +30,7 @@ START_COORDINATE_FRACTIONS = (0.5, 0.15, 0.85)
 
 
 class ClosestTip(NamedTuple):
-    """Posture of a digit in which its tip is as close to a given point as the joint limits allow.
+    """Posture of a digit in which the tip is as close to a given point as the joint limits allow.
 
     Attributes:
         coordinates: (n_c,) coordinates of the digit within the limits [rad].
@@ -82,7 +82,7 @@ def inverse_kinematics(
 
 
 def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tuple[float, float]:
-    """Return the coordinate theta of a coupled digit at which its tip is closest to a point.
+    """Return the coordinate theta at which the tip of a coupled digit is closest to a point.
 
     The digit has a single coordinate theta, and its joint angles are q = B theta. The tip therefore
     moves on a curve. A scan finds all intervals of the curve that contain a minimum of the

@@ -2,8 +2,8 @@
 
 All moment arms are stored as polynomials r(q) of the same fixed degree. The excursion of a tendon
 at a joint is the exact integral of r from 0 to q. Outside of the joint's range, the moment arm
-equals the moment arm at the nearer joint limit. A polynomial is thus evaluated only in the range
-for which it was given, so that the excursion is monotonic for all joint angles. A table of measured
+equals the moment arm at the nearer joint limit. A polynomial is thus evaluated only inside the
+range of the joint. The excursion is therefore monotonic for all joint angles. A table of measured
 moment arms becomes the least-squares polynomial of degree ``MOMENT_ARM_FIT_DEGREE``.
 """
 

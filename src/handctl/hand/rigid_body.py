@@ -6,10 +6,10 @@ palm. The origin of a link's frame is at the joint of the link, and its x axis i
 The tip of a link lies on the x axis, at the length of the link. Gravity and poses are given in the
 palm frame. The rates and forces in ``write_newton_euler`` are given in the frames of the links.
 
-A joint is a hinge, or it is prismatic, which means that its link slides along the axis. The
-position of a prismatic joint is in m, and not in rad. At a prismatic joint, a force along the axis
-[N] replaces the torque, and lever arms have no unit. The frame of a sliding link moves with the
-link.
+A joint is a hinge or a prismatic joint. The link of a prismatic joint slides along the joint axis.
+The position of a prismatic joint is in m, and not in rad. At a prismatic joint, a force along the
+axis [N] replaces the torque, and lever arms have no unit. The frame of a sliding link moves with
+the link.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms (2008), recursive Newton-Euler algorithm.
 """

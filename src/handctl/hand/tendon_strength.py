@@ -42,7 +42,7 @@ def largest_safe_force(breaking_force: float) -> float:
 def strength_warnings(hand: Hand) -> tuple[str, ...]:
     """Return a line of text for each tendon or joint whose strength margin is too small or unknown.
 
-    Tendons with the same text, or joints with the same text, share a line.
+    If several tendons or joints have the same text, the text appears in a single line.
     """
     warnings_by_tendon: list[tuple[str, str]] = []
     for tendon in hand.tendon:

@@ -125,7 +125,7 @@ _SHORT_DATA_LENGTHS = bytes(range(9))
 
 
 class TickRecord(NamedTuple):
-    """Tick from a log, without its telemetry.
+    """Tick that was read from a log, without telemetry.
 
     Attributes:
         tick_in: all inputs of the tick.

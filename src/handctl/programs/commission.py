@@ -2,22 +2,21 @@
 
 Commissioning finds the tares and the motor zeros, and proves that each motor pulls its own tendon.
 The motors gently pull one tendon after the other. The other tendons stay slack. During a pull, only
-the load cell of the pulled tendon and only the encoder of its motor are allowed to respond. The
-pull is too weak to move a digit against its springs, so the program does not test the joint
-encoders.
+the load cell and the motor encoder of the pulled tendon may respond. The pull is too weak to move a
+digit against its springs, so the program does not test the joint encoders.
 
-A tendon without a load cell has no tare. The program detects from the motor force when such a
-tendon becomes taut.
+A tendon without a load cell has no tare. For a tendon without a load cell, the motor force shows
+when the tendon becomes taut.
 
-In a digit without springs, a single tendon would move the digit. Therefore all tendons of such a
-digit first pull together, and press the joints against their lower limits. After all tendons of the
-digit have pulled together, the program increases the tension of one tendon after the other. At the
-lower joint limits, the tendon excursions are known, or joint encoders measure them. The program
-subtracts these excursions from the motor zeros.
+In a digit without springs, a single tendon would move the digit. Therefore all tendons of the digit
+first pull together, and press the joints against their lower limits. After all tendons of the digit
+have pulled together, the program increases the tension of one tendon after the other. At the lower
+joint limits, the tendon excursions are known, or joint encoders measure them. The program subtracts
+these excursions from the motor zeros.
 
 Load cells drift while many tendons are pulled one by one. Therefore, before each pull, no motor
-makes torque for a moment. The load-cell readings at this moment are the reference for the responses
-of all load cells. They also renew the tare of the next tendon.
+makes torque for a moment. The load-cell readings without torque are the reference for the responses
+of all load cells. From these readings, the program also renews the tare of the next tendon.
 """
 
 from collections.abc import Sequence
@@ -465,8 +464,8 @@ def _tare_text(model: HandModel) -> str:
 def _response_text(model: HandModel, i: int, answer: float, crosstalk: float) -> str:
     """Return the text of an accepted response to the pull of tendon i.
 
-    Only load cells can show that another tendon has responded. If the hand has no other load cells,
-    the text states that swapped tendons are not checked.
+    Only load cells can show that a wrong tendon was pulled. If the other tendons have no load
+    cells, the text states that swapped tendons are not checked.
 
     Args:
         model: model of the hand.
@@ -560,7 +559,7 @@ def _commissioning_table(progress: ProgramProgress) -> Vector:
 
 
 def _with_commissioning_table(progress: ProgramProgress, table: Vector) -> ProgramProgress:
-    """Return a copy of a commissioning progress with another table."""
+    """Return a copy of a commissioning progress in which the given table replaces the old table."""
     return replace(progress, record=tuple(table.ravel().tolist()))
 
 
@@ -578,7 +577,7 @@ def _with_new_tare(progress: ProgramProgress) -> ProgramProgress:
 
 
 def _table_with_pull_results(model: HandModel, table: Vector, i: int, samples: int) -> Vector:
-    """Return a copy of the commissioning table with the results for tendon i, and with all sums set to zero."""
+    """Return a copy of the commissioning table with the results for tendon i. All sums in the copy are zero."""
     rest_tensions = table[:, REST_SUM] / table[i, REST_SAMPLES]
     rise = table[:, PULL_SUM] / samples - rest_tensions
     if model.redundancy.has_return_springs[i]:
@@ -610,8 +609,8 @@ def _table_with_pull_results(model: HandModel, table: Vector, i: int, samples: i
 def _encoder_that_turned(model: HandModel, table: Vector, i: int, travel: Vector) -> int | None:
     """Return the tendon whose motor encoder turned instead of the encoder of tendon i, while tendon i was pulled.
 
-    Return None if no other encoder turned. The function does not test a digit without springs,
-    because the weight moves the digit while its motors make no torque.
+    Return None if no other encoder turned. The function ignores digits without springs, because the
+    weight moves such a digit when its motors make no torque.
 
     Args:
         model: model of the hand.
@@ -632,7 +631,7 @@ def idle_torque_warnings(hand: Hand, drives: Sequence[Drive]) -> tuple[str, ...]
     """Return warnings about motors that make too much torque for commissioning even when they are idle.
 
     A torque command contains an integer code. For some motors, none of the codes stands for exactly
-    zero torque. When such a motor is idle, it makes the torque of the code nearest to zero.
+    zero torque. An idle motor of this kind makes the torque of the code nearest to zero.
     Commissioning accepts a tension from an idle motor up to the fraction ``MAX_CROSSTALK_FRACTION``
     of the pull tension. In simulation with spools of 5 mm, idle AK80-9 motors make a tension of
     0.88 N and pass commissioning. Idle AK70-10 motors (1.2 N) and idle AK10-9 motors (3.2 N) do not

@@ -171,7 +171,7 @@ def _tension_factors(hand: Hand) -> dict[str, float]:
 
 
 def _force_balance_factors(hand: Hand) -> dict[str, float] | None:
-    """Return tension factors for which the forces of the digits on an object cancel each other.
+    """Return factors for the tensions of the digits, with which the digit forces on an object cancel each other.
 
     The factors have the mean 1, and are as near to 1 as possible. Return None if a factor is below
     ``MIN_FORCE_BALANCE_FACTOR``.
@@ -199,7 +199,7 @@ def _flexion_directions(hand: Hand) -> dict[str, Array]:
 
 
 def _are_digits_opposed(hand: Hand) -> dict[str, bool]:
-    """Return, for each closing digit, True if it closes against the first closing digit."""
+    """Return, for each closing digit, True if the digit closes in the direction opposite to the first closing digit."""
     directions = _flexion_directions(hand)
     first_direction = next(iter(directions.values()))
     return {name: bool(direction @ first_direction < 0.0) for name, direction in directions.items()}

@@ -1,7 +1,7 @@
 """Interface of all programs of the controller.
 
-A program sets the goals of all digits in every tick. The state of a program is stored in its
-progress.
+A program sets the goals of all digits in every tick. The progress of a program contains the state
+of the program.
 """
 
 from dataclasses import dataclass
@@ -128,7 +128,7 @@ def tightening_goals(model: HandModel) -> tuple[DigitGoal, ...]:
 
 
 def _tightening_tension(model: HandModel, tendons: slice) -> Vector:
-    """Return the tensions (n_t,) that take up the slack in the tendons of a digit [N].
+    """Return the tensions (n_t,) [N] with which the tendons of a digit become taut.
 
     If a digit has more tendons than coordinates, the tensions balance each other and make no
     torque.
@@ -143,12 +143,12 @@ def _tightening_tension(model: HandModel, tendons: slice) -> Vector:
 def pull_tensions(
     model: HandModel, d: int, tension: float | tuple[float, ...], estimate: HandEstimate
 ) -> Vector:
-    """Return the tensions (n_t,) for digit d under tension control [N].
+    """Return the tensions (n_t,) [N] for digit d under tension control.
 
     If a single tension is given, the closing tendons get the given tension, and their antagonists
-    get the tensions that balance the digit. For a digit of spool pairs, the given tension is the
-    largest net tension, and the digit presses with its tip. If a tension is given for each tendon,
-    the function returns the given tensions.
+    get the tensions that balance the digit. For a digit with spool pairs, the given tension is the
+    largest net tension of the pairs, and the digit presses with its tip. If a tension is given for
+    each tendon, the function returns the given tensions.
     """
     if isinstance(tension, tuple):
         return np.array(tension)
@@ -168,7 +168,7 @@ def tension_goal(
 ) -> DigitGoal:
     """Return the goal with which the tensions of digit d approach given tensions (n_t,) [N] at a given rate [N/s].
 
-    A spool pair that moves the digit sideways keeps its position.
+    The joints that spool pairs move sideways stay at their present angles.
     """
     if model.redundancy.closing_sign[model.digit_tendons[d]].all():
         return DigitGoal(GoalKind.TENSION, tension=tension, rate=rate)
@@ -182,7 +182,7 @@ def tension_goal(
 
 
 def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
-    """Return the tensions (n_t,) of a released digit d [N].
+    """Return the tensions (n_t,) [N] of digit d after a release.
 
     In a digit with antagonistic tendons, the returned tensions balance each other. In any other
     digit, each returned tension is the given tension. The net tension of a released spool pair is

@@ -3,9 +3,8 @@
 Each request is one JSON object in a datagram. This module checks the JSON object of a request.
 
 A request enters the tick as text, so that the same requests can be executed again from a log.
-Streamed targets are an exception, because they are frequent and must reach the drives quickly. A
-target arrives as a binary datagram, which is decoded before the target enters the tick. In the log,
-a target is text.
+Streamed targets are frequent and must reach the drives quickly. A target therefore arrives as a
+binary datagram, which is decoded before the target enters the tick. In the log, a target is text.
 """
 
 import json
@@ -138,7 +137,7 @@ class OpenStreamRequest(CommandRequestBase):
 
 
 class GraspRequest(CommandRequestBase):
-    """Carry out a task up to its first hold, and hold until the request ``release``."""
+    """Carry out a task up to its first hold phase, and hold until the request ``release`` arrives."""
 
     do: Literal["grasp"]
     task: Task
@@ -146,7 +145,7 @@ class GraspRequest(CommandRequestBase):
 
 
 class ReleaseGraspRequest(CommandRequestBase):
-    """End the hold of a task, and carry out the phases of the task after the hold."""
+    """End the hold phase of a task, and carry out the remaining phases of the task."""
 
     do: Literal["release"]
 
@@ -252,7 +251,8 @@ def requests_and_stream_targets(
 ) -> tuple[tuple[str, ...], tuple[TickRequest, ...]]:
     """Divide requests into targets of streams and other requests.
 
-    Return two tuples: the other requests, and the targets. Both tuples keep the original order.
+    Return two tuples: the other requests, and the targets. Requests and targets keep their original
+    order.
     """
     other_texts = list[str]()
     targets = list[TickRequest]()
@@ -284,7 +284,10 @@ def is_routine_request(request: TickRequest) -> bool:
 
 
 def parse_target(request: TickRequest) -> StreamTarget | None:
-    """Return the target in a request. Return None for another request, or for an integer beyond 64 bits."""
+    """Return the target in a request.
+
+    Return None if the request contains no target, or an integer of more than 64 bits.
+    """
     if isinstance(request, StreamTarget):
         return request
     try:

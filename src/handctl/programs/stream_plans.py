@@ -397,8 +397,8 @@ def blended_move(
     The move begins with the position, rate and acceleration of the reference. The initial rate and
     acceleration fade out during the first part of the move. If a fast motion faded out slowly, the
     joints would go far beyond the start and the end of the move. The function therefore starts with
-    a fade-out time that equals the duration of the move. It halves the fade-out time until the
-    joints stay within their range.
+    a fade-out time that equals the duration of the move. The function then halves the fade-out time
+    until the joints stay within their range.
 
     Args:
         reference: (3, n) position, rate and acceleration at the start [rad, s].

@@ -52,7 +52,7 @@ The controller uses the reserved names for the start of a program and for load c
 class MovePhase(Document):
     """Move to joint angles along a minimum-jerk path.
 
-    Digits without an angle keep their positions.
+    Digits for which the phase gives no angle keep their positions.
     """
 
     kind: Literal["move"]
@@ -81,9 +81,9 @@ class ClosePhase(Document):
 
 
 class HoldPhase(Document):
-    """Hold a tension or a tip force with the digits in contact.
+    """Hold a tension or a tip force in the digits that are in contact.
 
-    The other digits keep their present positions.
+    Digits without contact keep their present positions.
     """
 
     kind: Literal["hold"]
@@ -234,8 +234,8 @@ def load_trajectory(path: Path) -> Task:
 def phase_key(index: int, phase: TaskPhase) -> str:
     """Return the location of a phase in error messages, for example ``phase[grasp]``.
 
-    The location of a phase without a name contains its number, counted from 0. Messages about the
-    file format contain phase locations in the same form.
+    If a phase has no name, the location contains the number of the phase, counted from 0. Messages
+    about the file format contain phase locations in the same form.
     """
     return f"phase[{phase.name if 'name' in phase.model_fields_set else index}]"
 
@@ -375,7 +375,7 @@ def _check_count(
 
 
 def _digit_of_joint(digit_shapes: Mapping[str, DigitShape] | None) -> dict[str, str]:
-    """Return the name of the digit of each joint, by the name of the joint."""
+    """Return, for the name of each joint, the name of the digit to which the joint belongs."""
     return {joint: name for name, shape in (digit_shapes or {}).items() for joint in shape.joints}
 
 
@@ -391,7 +391,7 @@ def value_for_digit(value: float | dict[str, Value], digit: str) -> float | Valu
 
 
 def joint_values(value: float | Mapping[str, Value], digit: "DigitModel") -> dict[int, Value]:
-    """Return the values of a phase for joints of a digit, by the index of the joint."""
+    """Return the values that a phase gives for single joints of a digit, by the index of the joint in the digit."""
     if not isinstance(value, Mapping):
         return {}
     return {j: value[name] for j, name in enumerate(digit.joint_names) if name in value}

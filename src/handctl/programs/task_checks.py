@@ -265,8 +265,8 @@ def check_tip_force(task: Task, hand: Hand, task_name: str) -> None:
     """Check that a task requires no tip force from digits with fewer tendons than joints.
 
     In a digit with fewer tendons than joints, the tensions determine only combinations of joint
-    torques, but not the force at the tip. In a test with a required tip force of 4 N, fingers of
-    the hand `jamia` curled up on a wall and pressed with 23 to 56 N.
+    torques, but not the force at the tip. In a test, fingers of the hand `jamia` had to press on a
+    wall with 4 N. The fingers curled up and pressed with 23 to 56 N.
 
     Args:
         task: task that has passed ``check_task``.

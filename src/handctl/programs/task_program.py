@@ -285,7 +285,7 @@ class TaskProgram:
         """Detect the contact of closing digits, and make these digits hold their tension.
 
         For a digit that carries other digits, such as a wrist, the estimated tip force has no
-        meaning. Such a digit continues its motion.
+        meaning. A digit that carries other digits continues its motion.
         """
         phase = self.task.phase[progress.step - 1]
         if not isinstance(phase, ClosePhase):
@@ -381,7 +381,7 @@ def _closing_digits(
     phase: MovePhase | FollowPhase | ClosePhase | HoldPhase | ReleasePhase,
     progress: ProgramProgress,
 ) -> tuple[bool, ...]:
-    """Return a tuple that is True for each digit which is still closing and has no contact yet.
+    """Return, for each digit, True if the digit is still closing and has no contact yet.
 
     The tuple is empty in a phase that is not a close phase.
     """
@@ -461,8 +461,8 @@ def _curve_of_digit(
 ) -> CurveTrajectory | None:
     """Return the curve that a digit follows in a phase.
 
-    Return None if the phase contains no angles for the digit. Joints without angles keep their
-    positions.
+    Return None if the phase contains no angles for the digit. Joints for which the phase contains
+    no angles keep their positions.
     """
     count = digit.coupling.shape[1]
     if digit.name in phase.angle_deg:

@@ -220,7 +220,7 @@ def _joint_angles(
 
 
 def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Array:
-    """Return the angles (frames, J) after limiting them to the ranges of the joints.
+    """Limit angles (frames, J) to the ranges of the joints, and return the result.
 
     An angle up to ``MAX_CLIP_DISTANCE_DEG`` outside the range of its joint is set to the nearer
     limit of the range.
@@ -246,7 +246,7 @@ def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Ar
 
 
 def _limit_angle_steps(angles: Array, max_step: Array) -> Array:
-    """Limit the change of joint angles per frame.
+    """Limit the change of joint angles from frame to frame.
 
     The returned angles (frames, J) follow the given angles, but change by at most `max_step` (J,)
     [rad] per frame.

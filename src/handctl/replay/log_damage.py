@@ -78,7 +78,7 @@ def describe_damaged_log(path: Path) -> str:
 
 
 def _intact_content(file: LogFile, chunk: ChunkLocation) -> tuple[bytes, str]:
-    """Return the part of a chunk that can be decompressed, and a description of the defect of the chunk."""
+    """Return the part of a chunk that can be decompressed, and a text that describes the defect of the chunk."""
     try:
         return file.chunk_content(chunk), ""
     except LogError as error:

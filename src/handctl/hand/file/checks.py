@@ -180,7 +180,7 @@ def _check_unique(names: Iterable[str], key_path: str) -> MistakeIterator:
 
 
 def _check_digit(digit: Digit) -> MistakeIterator:
-    """Check a digit: the lengths of its lists, the order of its joint limits, and its links."""
+    """Check the list lengths, the joint limits and the links of a digit."""
     location = f"digit[{digit.name}]"
     links = len(digit.link_length_m)
     size_mistakes = [
@@ -268,7 +268,7 @@ def _check_coupled_types(
 def check_mesh_keys(
     section: Digit | Mount, mesh: str, keys: Iterable[str], key_path: str
 ) -> MistakeIterator:
-    """Check that a section which gives a mesh scale or a mesh pose also names a mesh, and that no scale is 0."""
+    """Check that a section with keys for mesh scale or mesh pose also names a mesh. A scale must not be 0."""
     for key in keys:
         if getattr(section, mesh) is None and getattr(section, key) is not None:
             yield FileMistake(
@@ -372,7 +372,7 @@ def _check_joint_type(hand: Hand, key: str, joint: str, key_path: str) -> Mistak
 
 
 def _check_motors(hand: Hand) -> MistakeIterator:
-    """Check that each tendon names an existing motor that no other tendon names, and that each motor has a tendon."""
+    """Check that each tendon has its own motor, that all named motors exist, and that each motor has a tendon."""
     tendon_by_motor: dict[str, str] = {}
     motor_mistakes: list[FileMistake] = []
     for tendon in hand.tendon:
@@ -406,8 +406,8 @@ def _check_name(key_path: str, name: str, valid_names: tuple[str, ...]) -> Mista
 def _check_mounts(hand: Hand) -> MistakeIterator:
     """Check that each digit comes later in the hand file than the digit on which it is mounted.
 
-    Between these two digits, the hand file may contain only digits that are also mounted on the
-    first one, directly or through other digits.
+    Between a digit and the digit that carries it, the hand file may contain only digits with the
+    same carrier, mounted directly or through other digits.
     """
     line: list[str] = []
     for digit in hand.digit:
@@ -430,8 +430,8 @@ def _check_mounts(hand: Hand) -> MistakeIterator:
 def _check_tendon_order(hand: Hand) -> MistakeIterator:
     """Check that each tendon moves a single digit, and that the tendons are in the order of the digits.
 
-    A tendon is allowed to cross only the joints of its digit, and the joints of digits that carry
-    its digit.
+    A tendon that moves a digit may cross the joints of this digit, and the joints of the digits
+    that carry it. It must not cross other joints.
     """
     last_digit_index = 0
     for tendon in hand.tendon:
@@ -529,7 +529,7 @@ def _check_moment_arm_range(hand: Hand, tendon: Tendon, joint: str) -> MistakeIt
 
 
 def _check_routing(hand: Hand, digit: Digit) -> MistakeIterator:
-    """Check that the tendons of a digit can move every coordinate, and that a tendon crosses every joint.
+    """Check that the tendons of a digit can move every coordinate, and that each joint is crossed by a tendon.
 
     The tendons can move every coordinate if the product R B of moment arms and coupling matrix has
     full column rank.

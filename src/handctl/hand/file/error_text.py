@@ -286,7 +286,7 @@ def shortened_list(section_names: Sequence[str]) -> str:
 def lines_by_text(name_text_pairs: Iterable[tuple[str, str]]) -> tuple[str, ...]:
     """Return one line for each distinct text. A line has the form "names: text".
 
-    The lines are ordered by the first occurrence of their texts in the pairs.
+    The texts keep the order in which they first occur in ``name_text_pairs``.
 
     Args:
         name_text_pairs: pairs of a name and its text.

@@ -272,7 +272,7 @@ def imported_hand_text(
 def _placeholder_tendons(
     digit: ModelDigit, import_answers: ImportAnswers
 ) -> Iterable[dict[str, Any]]:
-    """Yield placeholder tendons for a digit. They have moment arms if the user has given a pulley radius."""
+    """Yield placeholder tendons for a digit. The tendons have moment arms if the user has given a pulley radius."""
     joints = [f"j{i + 1}" for i in range(len(digit.joints))]
     prismatic_joints = _sliding_joints(digit)
     arm = None if import_answers.pulley_mm is None else 1e-3 * import_answers.pulley_mm
@@ -454,7 +454,7 @@ def _digit_lines(digit: ModelDigit, import_answers: ImportAnswers) -> list[_Sect
 
 
 def _palm_mesh_lines(mesh: ModelMesh | None) -> Iterable[_SectionLine]:
-    """Yield lines for the mesh of the palm. The lines omit keys with their default value."""
+    """Yield lines for the mesh of the palm. A key that has its default value gets no line."""
     if mesh is None:
         return
     yield _SectionLine("palm_mesh", quoted_string(mesh.file))
@@ -467,7 +467,7 @@ def _palm_mesh_lines(mesh: ModelMesh | None) -> Iterable[_SectionLine]:
 
 
 def _mesh_lines(link_meshes: Sequence[ModelMesh | None]) -> Iterable[_SectionLine]:
-    """Yield lines for the meshes of a digit. The lines omit keys with their default value."""
+    """Yield lines for the meshes of a digit. A key that has its default value gets no line."""
     if not any(link_meshes):
         return
     no_mesh = ModelMesh("", np.ones(3), np.zeros(3), np.eye(3))

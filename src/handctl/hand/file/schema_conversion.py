@@ -4,7 +4,7 @@ A hand file of schema 2 contains repeated values only once. The conversion keeps
 file.
 
 The conversion does not change the spelling of a value, for example ``0x1A0`` or ``6.384e-3``. A
-comment stays beside its value.
+comment stays on the same line as the value that it describes.
 """
 
 import re
@@ -169,7 +169,7 @@ def _parse_entry(key: str, item: Item) -> list[TomlEntry]:
 
 
 def _trailing_comments(block: TomlTable) -> list[str]:
-    """Remove the comment lines at the end of a table, and return them.
+    """Remove the comment lines at the end of a table, and return the removed lines.
 
     The comment lines at the end of a table belong to the next table.
     """
@@ -313,7 +313,7 @@ def _move_sections_into_digits(
 
 
 def _remove_values_to_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
-    """Remove the values that digits with equal links have in common, and return templates with these values."""
+    """Remove the values that digits with equal links have in common, and return templates that contain these values."""
     groups: dict[str, list[TomlTable]] = {}
     for block in digits:
         groups.setdefault(str(block.values().get("link_length_m")), []).append(block)

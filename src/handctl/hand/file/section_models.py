@@ -21,7 +21,7 @@ class Section(BaseModel):
         """Return a copy of the section with the given fields replaced.
 
         pydantic also copies the cached properties, which belong to the old fields. This method
-        deletes them in the copy, so that the copy computes its properties again.
+        deletes the cached properties in the copy, so that the copy computes new ones.
         """
         section_copy = super().model_copy(update=update, deep=deep)
         for name in section_copy.__dict__.keys() - type(self).model_fields.keys():
@@ -413,7 +413,10 @@ class Digit(Section):
 
     @property
     def axes(self) -> tuple[tuple[float, float, float], ...]:
-        """Return the axis of each joint in the frame of its link, from the hand file or by default."""
+        """Return the axis of each joint in the frame of the joint's link.
+
+        The default is y for prismatic joints and z for hinges.
+        """
         if self.joint_axis is not None:
             return self.joint_axis
         return tuple(

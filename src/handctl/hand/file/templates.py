@@ -88,10 +88,10 @@ class ResolvedContent(NamedTuple):
 def resolve_templates(content: TableContent) -> ResolvedContent:
     """Replace the defaults and templates of a hand file by the values for which they stand.
 
-    The function does not change content of schema 1.
+    The function does not change the content of a file with schema 1.
 
-    If the value of a section is not a table, the function does not change the value. The later
-    validation of the content reports such a value with a better message.
+    If the value of a section is not a table, the function does not change the value. A later
+    validation of the content reports the wrong value with a better message.
     """
     tables = [key for key in ("default", *TEMPLATE_KEYS.values()) if key in content]
     if content.get("schema") != SCHEMA_WITH_TEMPLATES and not tables:
@@ -134,7 +134,7 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
 
 
 class _TemplateResolver:
-    """Resolver for one hand file. It stores the content of the file and the sections resolved so far."""
+    """Resolver that stores the content of one hand file and the sections that have been resolved so far."""
 
     def __init__(self, content: TableContent) -> None:
         """Store the content of the hand file whose defaults and templates are to be replaced."""

@@ -83,10 +83,10 @@ class ModelMesh:
         )
 
     def seen_from_frame(self, frame_rotation: Array, frame_origin: Array) -> "ModelMesh":
-        """Return the mesh as seen from another frame of the link.
+        """Return a copy of the mesh whose pose is given in another frame of the link.
 
-        The arguments give the other frame relative to the present frame: rotation (3, 3) and origin
-        (3,) [m].
+        The arguments give the rotation (3, 3) and the origin (3,) [m] of the other frame in the
+        present frame.
         """
         return replace(
             self,
@@ -97,7 +97,9 @@ class ModelMesh:
 
 @dataclass(frozen=True, eq=False)
 class ModelLink:
-    """Link of a robot description, with the joint at its start. The origin of the link's frame is in this joint.
+    """Link of a robot description, together with the joint at the start of the link.
+
+    The origin of the link's frame is in this joint.
 
     Attributes:
         name: name of the link in the description.

@@ -109,7 +109,7 @@ def _add_palm(
 ) -> None:
     """Add a box behind all digits that a link carries.
 
-    The box behind the digits has no mass, because the palm does not move.
+    The box needs no mass, because the palm does not move.
     """
     centre, size = palm_box(hand, carrier)
     if mesh and carrier is None:

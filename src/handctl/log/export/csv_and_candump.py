@@ -133,7 +133,7 @@ def table_blocks(log: RunLog) -> Iterator[TableBlock]:
 def export_csv(log: RunLog, path: Path) -> int:
     """Write a log as CSV with one row for each tick, and return the number of rows.
 
-    Each number is written with enough digits to restore its exact value. NaN becomes an empty
+    Each number has enough digits to restore the exact value of the number. NaN becomes an empty
     field. The first row contains the titles of the columns with their units: `tension/index_tendon
     [N]`.
 
@@ -181,9 +181,9 @@ def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
     """Yield the time [ns], the direction (R or T) and the content of all CAN frames, in the order of their times.
 
     The time of a received frame is its arrival. The time of a sent frame is the start of its tick.
-    If a tick reads frames that arrived after its start, its sent frames get the time of the latest
-    arrival. On a local bus, every received frame arrives after the start of the tick, because a
-    frame arrives when the tick reads the bus.
+    If a tick has read frames that arrived after the start of the tick, its sent frames get the
+    latest arrival time. On a local bus, every received frame arrives after the start of the tick,
+    because a frame arrives when the tick reads the bus.
     """
     pending_frames: list[tuple[int, str, Frame]] = []
     complete_until_ns = 0

@@ -255,8 +255,8 @@ def _check_same_hand_and_rate(
 def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
     """Return, for each frame of the dataset, the index of the tick from which the frame takes its values.
 
-    A frame takes its values from the last tick at or before its time, even if ticks are missing in
-    the log.
+    A frame takes the values of the last tick at or before the time of the frame, even if ticks are
+    missing in the log.
 
     Raises:
         LogError: the hand was never active, or the ticks are out of order.
@@ -479,7 +479,7 @@ def _info_content(
 def _feature_statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
     """Return the statistics of a dataset feature, computed over all given frames.
 
-    LeRobot normalises each feature with its own statistics.
+    LeRobot normalises a feature with the statistics that this function returns.
     """
     table = np.asarray(values, np.float64).reshape(len(values), -1)
     statistics = {

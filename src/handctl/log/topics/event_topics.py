@@ -174,7 +174,7 @@ class EventTopics:
 
 
 def _index_array(values: list[int]) -> NDArray[np.intp]:
-    """Return a list of indices as an array of integers. numpy would convert an empty list to an array of floats."""
+    """Return a list of indices as an integer array. numpy would convert an empty list to a float array."""
     return np.array(values, np.intp)
 
 

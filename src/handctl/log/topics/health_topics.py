@@ -81,10 +81,10 @@ def temperature_template() -> MessageTemplate:
 
 
 class HealthTopics:
-    """Topics with the status of motors, buses and controller, and with the temperatures of the motors.
+    """Topics for the status of motors, buses and controller, and for the motor temperatures.
 
-    A status message is written every second. A status message is also written after a change of the
-    mode, of the safety action or of the state of a drive.
+    A status message is written every second. A status message is also written when the mode, the
+    safety action or the state of a drive changes.
     """
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:

@@ -1,6 +1,6 @@
 """Topics with the transforms between the frames of the hand's links.
 
-With these topics, a viewer can show the hand without knowing its kinematics.
+With the transforms, a viewer that knows nothing about the kinematics of the hand can show the hand.
 """
 
 import math
@@ -151,9 +151,9 @@ def _transform_stream(channel: int, link_frames: list[LinkFrame]) -> MessageStre
 
 
 class TfTopics:
-    """Topics /tf_static, with a single message, and /tf, with 50 messages per second.
+    """Topics /tf_static and /tf. The topic /tf_static has a single message, and /tf has 50 messages per second.
 
-    If a joint angle is not known, the rotation of its link is NaN.
+    If the angle of a joint is unknown, the rotation of the link at this joint is NaN.
     """
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:

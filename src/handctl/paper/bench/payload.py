@@ -291,7 +291,7 @@ def payload_errata(payload_results: Sequence[Mapping[str, Any]]) -> list[ErrataI
 
 
 def payload_table(payload_results: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, ...], ...]:
-    """Return a table that compares measured payloads with the formula of the paper and with the limits of friction.
+    """Return a table of three payloads: as measured, from the formula of the paper, and at the limit of friction.
 
     The first row contains the titles of the columns.
     """

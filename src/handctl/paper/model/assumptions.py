@@ -1,4 +1,4 @@
-"""Assumptions that the model of the paper contains, but that the paper does not state.
+"""Assumptions of the paper's model that the text of the paper does not mention.
 
 For each assumption, the module computes its effect on the numbers of the paper.
 """
@@ -97,7 +97,7 @@ def _check_coupling() -> list[ErrataItem]:
 
 
 def _check_grip_balance() -> list[ErrataItem]:
-    """Check whether three fingers with 6 N each and a thumb with 10 N are in balance."""
+    """Check whether the forces of three fingers (6 N each) and of the thumb (10 N) balance each other."""
     fingers = src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N
     tension = fingers * src.tension_per_newton(src.paper_thumb())
     torque = tension * src.SPOOL_RADIUS_MM / 1000
@@ -113,7 +113,7 @@ def _check_grip_balance() -> list[ErrataItem]:
 
 
 def _check_two_sided_payload() -> list[ErrataItem]:
-    """Calculate the payload with friction on both sides of the object, and compare it with the printed payload."""
+    """Compare the printed payload with the payload that friction on both sides of the object holds."""
     fingers = src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N
     two_sided_payload_kg = 2 * src.payload_kg(fingers)
     payload_limit = 2 * src.payload_kg(src.THUMB_GRIP_FORCE_N)

@@ -1,4 +1,4 @@
-"""Section 4 of the paper: checks of Eq. 1 and 2, of the angles in Eq. 1 and 2, and of the reach of a fingertip."""
+"""Checks of section 4 of the paper: Eq. 1 and 2, the angles in these equations, and the reach of a fingertip."""
 
 from collections.abc import Callable
 

@@ -54,7 +54,7 @@ class ClosingTorques:
 
 
 def upright_digit(name: str) -> DigitModel:
-    """Return a digit whose plane is vertical and whose weight opens it, as in Eq. 6."""
+    """Return a digit that moves in a vertical plane and is opened by its weight, as in Eq. 6."""
     model = DigitModel.from_hand(src.paper_hand(), name)
     return model.with_gravity(
         model.mount_rotation @ np.array([0.0, -float(src.GRAVITY_M_PER_S2), 0.0])
