@@ -129,7 +129,7 @@ def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tupl
 
 
 def coordinate_limits(digit: DigitModel) -> tuple[float, float]:
-    """Return the range of a coupled digit's single coordinate within all joint limits [rad]."""
+    """Return the range [rad] in which the single coordinate of a coupled digit satisfies all joint limits."""
     low, high = coordinate_range(digit.coupling, np.array([digit.joint_min, digit.joint_max]))[
         :, 0
     ].tolist()
@@ -224,7 +224,7 @@ def closest_tip(
 def _locally_closest_tip(
     digit: DigitModel, target_point: Array, start_coordinates: Array
 ) -> ClosestTip:
-    """Return the posture with a local minimum of the distance, found by a search from the start coordinates."""
+    """Search from the start coordinates for a posture with a local minimum of the distance, and return this posture."""
     low, high = digit.coordinate_limits
     theta = start_coordinates.copy()
     gap = joint_points(digit, digit.coupling @ theta)[-1] - target_point

@@ -33,13 +33,13 @@ def joint_rotations(digit: Digit) -> Array:
 
 
 def centre_of_mass(digit: Digit, i: int) -> Array:
-    """Return the centre of mass (3,) of link i in the frame of the link [m]."""
+    """Return the centre of mass (3,) [m] of link i in the frame of the link."""
     com = digit.link_com_m[i]
     return np.array([com, 0.0, 0.0] if isinstance(com, float) else com)
 
 
 def link_inertia(digit: Digit, i: int) -> Array:
-    """Return the inertia (3, 3) of link i about its centre of mass, in the frame of the link [kg m2]."""
+    """Return the inertia (3, 3) [kg m2] of link i about the centre of mass, in the frame of the link."""
     values = digit.link_inertia_kg_m2[i]
     if isinstance(values, float):
         # The inertia about the long axis of the link is that of a round bar. The triangle

@@ -74,7 +74,7 @@ def is_moment_arm_varying(arm: MomentArm) -> bool:
 
 
 def moment_arms_at(arm_polynomials: Array, joint_limits: Array, q: ArrayLike) -> Array:
-    """Return the moment arms R (..., n_t, n) at given joint angles [m].
+    """Return the moment arms R (..., n_t, n) [m] at given joint angles.
 
     Args:
         arm_polynomials: (n_t, n, POLYNOMIAL_COEFFICIENTS) moment arms as polynomials.
@@ -88,7 +88,7 @@ def moment_arms_at(arm_polynomials: Array, joint_limits: Array, q: ArrayLike) ->
 
 
 def joint_excursions(arm_polynomials: Array, joint_limits: Array, q: ArrayLike) -> Array:
-    """Return the excursion (..., n_t, n) of each tendon at each joint [m].
+    """Return the excursion (..., n_t, n) [m] of each tendon at each joint.
 
     The excursion is the integral of the moment arm over the joint angle.
 
@@ -108,7 +108,7 @@ def joint_excursions(arm_polynomials: Array, joint_limits: Array, q: ArrayLike) 
 
 
 def mean_moment_arm(arm: MomentArm, min_angle: float, max_angle: float) -> float:
-    """Return the mean of a moment arm over the range of the joint [m].
+    """Return the mean [m] of a moment arm over the range of the joint.
 
     For a constant moment arm, the mean is the moment arm itself.
 

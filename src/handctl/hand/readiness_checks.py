@@ -9,7 +9,7 @@ Tools and logs can use any hand file that is valid. For a run, a hand must fulfi
 - The position values of the drives must cover the travel of the spools.
 - Each digit must have a place of its own at the palm.
 
-``doubtful_values`` returns warnings about values that are possible, but hardly intended.
+``doubtful_values`` returns warnings about values that are possible, but probably not intended.
 """
 
 from collections.abc import Iterator
@@ -122,7 +122,7 @@ def displayed_range(digit: Digit) -> tuple[Vector, Vector]:
 
 
 def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
-    """Check that springs or antagonistic tendons can open a digit against the tension floor.
+    """Check that springs or antagonistic tendons can open a digit against the tension floor of the closing tendons.
 
     The function checks every coordinate of the digit.
     """
@@ -221,7 +221,7 @@ def _check_mount_positions(hand: Hand) -> Iterator[FileMistake]:
 
 
 def _mount_distance(digit: Digit, other_digit: Digit) -> float:
-    """Return the distance between the mount positions of two digits on the same carrier [m]."""
+    """Return the distance [m] between the mount positions of two digits on the same carrier."""
     return float(np.linalg.norm(np.subtract(digit.mount_position_m, other_digit.mount_position_m)))
 
 
@@ -289,8 +289,9 @@ def doubtful_values(hand: Hand) -> tuple[str, ...]:
 def _sagging_digit_lines(hand: Hand) -> Iterator[str]:
     """Yield a line for each joint whose spring is too weak to hold the joint open.
 
-    The spring works against the weight of the links and the tension floors of the tendons. Springs
-    couple joints elastically, so each joint needs a spring that can hold it alone.
+    The spring works against the weight of the links and the tension floors of the tendons. The
+    coupling of joints by springs is elastic, so each joint needs a spring that can hold this joint
+    alone.
     """
     tree = LinkTree.from_hand(hand)
     open_angles = hand.joint_limits[0]
@@ -325,7 +326,7 @@ def _far_mount_lines(hand: Hand) -> Iterator[str]:
 
 
 def moment_arm_fit_lines(hand: Hand) -> tuple[str, ...]:
-    """Return lines that report the differences between polynomials and tables of moment arms.
+    """Return lines about the differences between tables of moment arms and the polynomials that replace them.
 
     The text has one line for each tendon with a table of moment arms.
     """

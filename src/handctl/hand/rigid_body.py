@@ -178,7 +178,7 @@ def write_weight_torques(
     pose: Array,
     torque: Array,
 ) -> None:
-    """Write the joint torques (n,) that balance the weight of the links [N m], for given poses.
+    """Write the joint torques (n,) [N m] that balance the weight of the links, for given poses.
 
     Args:
         link_table: array with the table of links, see ``write_link_poses``.
@@ -286,7 +286,8 @@ def write_levers_after_turn(
     """Write the lever arms of a force on the last link of a chain, after one joint of the chain has turned.
 
     The docstring of ``write_levers`` defines the lever arms. The links beyond the turned joint turn
-    together with the force. The lever arms about the joints of these links therefore stay the same.
+    together with the force. The lever arms about joints beyond the turned joint therefore stay the
+    same.
 
     Args:
         pose: (n, POSE_COLUMN_COUNT) poses.
@@ -366,7 +367,7 @@ def write_newton_euler(
     ddq: Array,
     torque: Array,
 ) -> None:
-    """Write the joint torques (n,) that a motion requires because of inertia and weight, M q'' + C q' + g [N m].
+    """Write the joint torques (n,) [N m] that a motion requires because of inertia and weight, M q'' + C q' + g.
 
     Args:
         link_table: array with the table of links, see ``write_link_poses``.
@@ -612,7 +613,7 @@ def link_poses(link_table: Array, parent: IndexArray, q: Array) -> Array:
 
 @kernel("matrix", "counts", "vector", "vector")
 def weight_torques(link_table: Array, parent: IndexArray, gravity: Array, q: Array) -> Array:
-    """Return the joint torques (n,) that balance the weight of the links [N m], see ``write_weight_torques``."""
+    """Return the joint torques (n,) [N m] that balance the weight of the links, see ``write_weight_torques``."""
     pose = np.empty((len(q), POSE_COLUMN_COUNT))
     torque = np.empty(len(q))
     write_link_poses(link_table, 0, parent, q, pose)
@@ -624,7 +625,7 @@ def weight_torques(link_table: Array, parent: IndexArray, gravity: Array, q: Arr
 def rigid_body_torques(
     link_table: Array, parent: IndexArray, gravity: Array, q: Array, dq: Array, ddq: Array
 ) -> Array:
-    """Return the joint torques (n,) of inertia and weight [N m], see ``write_newton_euler``."""
+    """Return the joint torques (n,) [N m] that inertia and weight require, see ``write_newton_euler``."""
     torque = np.empty(len(q))
     write_newton_euler(link_table, 0, parent, gravity, q, dq, ddq, torque)
     return torque

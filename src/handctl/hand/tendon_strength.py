@@ -1,9 +1,9 @@
 """Comparison of the force of a runaway drive with the strength of its tendon.
 
-A runaway drive is a drive that makes its largest torque without a command. The tension of the
-tendon reaches its peak 5 to 15 ms after the motor current rises, and no host can react within 15
-ms. Only the current limit inside the drive protects the tendon. If a constant force F accelerates a
-rotor from rest against an elastic tendon, the tension overshoots to 2 F.
+A runaway drive is a drive that makes its largest torque without a command. The tendon tension
+reaches its peak 5 to 15 ms after the motor current rises. No host can react within 15 ms. Only the
+current limit inside the drive protects the tendon. If a constant force F accelerates a rotor from
+rest against an elastic tendon, the tension overshoots to 2 F.
 """
 
 from collections.abc import Iterable
@@ -26,7 +26,7 @@ The rotor starts at rest, and the elastic tendon is slack at the start and has n
 
 
 def runaway_tension(force: float) -> float:
-    """Return the peak tension [N] after a drive has run away from rest with a constant ``force`` on the tendon [N]."""
+    """Return the peak tension [N] when a drive at rest runs away and pulls the tendon with a constant ``force`` [N]."""
     return RUNAWAY_OVERSHOOT * force
 
 

@@ -132,7 +132,7 @@ class RunHeader:
 
     @property
     def truth_offset_ns(self) -> int:
-        """Return the time of the simulator when the time of the run was 0 [ns].
+        """Return the time of the simulator [ns] when the time of the run was 0.
 
         For a run that was not in lockstep, the result is 0.
 

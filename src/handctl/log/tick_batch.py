@@ -95,7 +95,7 @@ class TickBatch(NamedTuple):
 def row_field_names(header: RunHeader, width: int) -> tuple[str, ...]:
     """Return the telemetry fields that a row of `width` columns contains.
 
-    Logs of earlier versions of handctl do not contain the last fields.
+    Logs of earlier versions of handctl do not contain the last telemetry fields.
 
     Args:
         header: header of the run.
@@ -191,7 +191,7 @@ class TickBatcher:
         return len(self._messages)
 
     def add_tick(self, body: bytes) -> int:
-        """Add one tick, and return the time of the tick since the start of the run [ns].
+        """Add one tick, and return the time [ns] of the tick since the start of the run.
 
         If the telemetry has a wrong shape, all values of the telemetry become NaN, and
         `misshapen_ticks` counts the tick.
@@ -225,7 +225,7 @@ class TickBatcher:
         self._add_phase_and_events(message, message_slices.tail_offset)
 
     def _add_long_payloads(self, data: bytes) -> None:
-        """Add the payload bytes after the eighth byte of each frame to the received or the sent frames of a tick."""
+        """Add the payload bytes from the ninth byte on, for the received and for the sent frames of a tick."""
         lengths = np.frombuffer(self._received.parts[-1], FRAME_DTYPE)["length"].astype(int)
         # In the message, the bytes of all received frames come before the bytes of all sent frames.
         received_size = int(np.maximum(lengths - 8, 0).sum())

@@ -58,9 +58,10 @@ def exact_millimetres(lengths_m: tuple[float, ...]) -> tuple[Fraction, ...]:
 
 
 def tip_distances_mm(digit: Digit) -> tuple[Fraction, ...]:
-    """Return, for each joint of a straight digit, the distance between the joint and the tip [mm].
+    """Return, for each joint of a straight digit, the distance [mm] between the joint and the tip.
 
-    The distance in mm is also the moment at the joint in N mm for a force of 1 N at the tip.
+    For a force of 1 N at the tip, the moment at the joint [N mm] has the same number as the
+    distance [mm].
     """
     lengths = exact_millimetres(digit.link_length_m)
     return tuple(sum(lengths[i:], Fraction(0)) for i in range(len(lengths)))

@@ -14,9 +14,10 @@ have pulled together, the program increases the tension of one tendon after the 
 joint limits, the tendon excursions are known, or joint encoders measure them. The program subtracts
 these excursions from the motor zeros.
 
-Load cells drift while many tendons are pulled one by one. Therefore, before each pull, no motor
-makes torque for a moment. The load-cell readings without torque are the reference for the responses
-of all load cells. From these readings, the program also renews the tare of the next tendon.
+Load cells drift while many tendons are pulled one by one. Therefore all motors are without torque
+for a moment before each pull. The load-cell readings without torque are the reference for the
+responses of all load cells. From these readings, the program also renews the tare of the next
+tendon.
 """
 
 from collections.abc import Sequence
@@ -120,7 +121,10 @@ class CommissionProgram:
     """
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress at the start, with no torque and a table of zeros."""
+        """Return the progress at the start of the commissioning.
+
+        The motors make no torque, and all entries of the table are zero.
+        """
         empty_table = (0.0,) * (COLUMN_COUNT * model.tendon_count)
         return replace(
             ProgramProgress.initial(len(model.digits), TARE_PHASE), since=-1.0, record=empty_table
@@ -443,7 +447,7 @@ class CommissionProgram:
     def _refuse_tendon(
         self, model: HandModel, progress: ProgramProgress, i: int, reason: str
     ) -> ProgressAndEvents:
-        """End the commissioning because tendon i has failed."""
+        """End the commissioning because the pull of tendon i has failed."""
         name = model.hand.tendon_names[i]
         progress_after_failure = replace(
             progress,
@@ -510,7 +514,7 @@ def _pull_goal(tendons: slice, i: int) -> DigitGoal:
 def _measured_or_estimated_tensions(
     model: HandModel, measurements: TickMeasurements, estimate: HandEstimate | None = None
 ) -> Vector:
-    """Return the tensions (N,) in a tick [N].
+    """Return the tensions (N,) [N] of all tendons in a tick.
 
     The tension of a tendon with a load cell is the reading of the load cell. The tension of a
     tendon without a load cell is the estimated tension. If no estimate is given, a tendon without a
@@ -564,7 +568,7 @@ def _with_commissioning_table(progress: ProgramProgress, table: Vector) -> Progr
 
 
 def _tares_from_table(table: Vector) -> Vector:
-    """Return the tares (N,) in a commissioning table [N]."""
+    """Return the tares (N,) [N] that a commissioning table contains."""
     return np.asarray(table[:, TARE_SUM] / np.maximum(table[:, TARE_SAMPLES], 1.0))
 
 

@@ -138,7 +138,7 @@ def default_task(hand: Hand) -> tuple[Task, str]:
 
 
 def _closed_angles_deg(hand: Hand, name: str) -> np.ndarray:
-    """Return the coordinates (n_c,) of a closed digit [deg, or mm of prismatic joints]."""
+    """Return the coordinates (n_c,) of a closed digit, in deg, or in mm for prismatic joints."""
     _, high = displayed_range(hand.digit_named(name))
     is_sideways = DigitModel.from_hand(hand, name).sideways_coordinates
     closed_angles = np.where(
@@ -206,7 +206,7 @@ def _are_digits_opposed(hand: Hand) -> dict[str, bool]:
 
 
 def _hold_tensions(hand: Hand, name: str, tension_fraction: float) -> float | list[float]:
-    """Return the tension of each tendon of a digit during a hold [N].
+    """Return the tension [N] of each tendon of a digit during a hold.
 
     The tension of a tendon that extends the digit is just large enough to keep the tendon taut.
 
@@ -310,8 +310,8 @@ def default_scene(hand: Hand) -> str:
     """Return the scene for the default task of a hand.
 
     The scene contains a cylinder or a ball between the open digits. The diameter of the object is
-    proportional to the length of the digits. On a thinner object, the tips of opposed digits would
-    touch each other. If the digits of a hand cannot press against each other, as in an
+    proportional to the length of the digits. If the object were thinner, the tips of opposed digits
+    would touch each other. If the digits of a hand cannot press against each other, as in an
     anthropomorphic hand, the object has a diameter of 35 mm.
     """
     directions = _flexion_directions(hand)
@@ -337,7 +337,7 @@ def default_scene(hand: Hand) -> str:
 
 
 def _largest_object_diameter(hand: Hand, is_ball: bool) -> float:
-    """Return the diameter of the largest cylinder or ball between the open digits [m]."""
+    """Return the diameter [m] of the largest cylinder or ball that fits between the open digits."""
     tree = LinkTree.from_hand(hand)
     q = np.concatenate([np.maximum(digit.joint_min, 0.0) for digit in tree.digits])
     largest = 1.0

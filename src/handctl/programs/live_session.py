@@ -1,6 +1,7 @@
 """Programs that get their goals from requests.
 
-`LiveProgram` is a live session for `jog` or a client. `JogProgram` has one goal for a limited time.
+`LiveProgram` is a live session for `jog` or a client. `JogProgram` keeps one goal for a limited
+time.
 """
 
 from collections.abc import Mapping
@@ -46,8 +47,8 @@ from handctl.programs.task_program import TaskProgram
 def import_spline_functions() -> None:
     """Import the spline functions for the phase `follow` before a run.
 
-    The import takes 0.1 to 0.3 s. An import during a tick would delay the tick so much that a
-    real-time run would end at the client's first phase `follow`.
+    The import takes 0.1 to 0.3 s. If the first phase `follow` of a client started the import, the
+    tick would be so late that a real-time run would end.
     """
     import scipy.interpolate  # noqa: F401
 
@@ -125,7 +126,7 @@ def begin_task(
 ) -> ProgressAndEvents:
     """Begin a task.
 
-    The first hold phase of the task lasts until ``release_task`` is called, but at most one hour.
+    The first hold phase of the task ends when ``release_task`` is called, or after one hour.
 
     If the hand cannot execute the task, or if the first move of the task is too fast, the progress
     does not change.
@@ -344,7 +345,7 @@ def _move_goal(
     duration: float,
     t: float,
 ) -> DigitGoal:
-    """Return a move of a digit that begins at its present motion reference (3, n).
+    """Return a move of a digit that begins at the digit's present motion reference (3, n).
 
     Without a reference, the move begins at the estimated coordinates.
     """

@@ -52,7 +52,7 @@ class CutTorqueRequest(RequestBase):
 
 
 class ClearFaultsRequest(RequestBase):
-    """Clear latched faults. The request does not arm a hand that was disarmed because of a fault."""
+    """Clear latched faults. The request does not arm a hand that a fault has disarmed."""
 
     do: Literal["clear"]
 
@@ -193,8 +193,8 @@ REFUSAL_EVENT_PREFIX = "refused: "
 def describe_request(request: Request) -> str:
     """Return the event text of an accepted request.
 
-    In the list of events, the events of a request come after this text and before the text of the
-    next request.
+    In the list of events, the events of a request come after its event text, and before the event
+    text of the next request.
     """
     return f"{_ACCEPTED_PREFIX}{request.do}" + (f" by {request.by}" if request.by else "")
 

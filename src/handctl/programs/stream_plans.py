@@ -213,7 +213,7 @@ def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vect
 
     A tendon that flexes the outer joints also flexes the inner joints. To bend only the outer
     joints, an inner tendon would have to push, and would become slack. The safety monitor would
-    report a fault.
+    report a fault because of the slack tendon.
 
     Args:
         digit: model of the digit.
@@ -258,12 +258,12 @@ def streamed_digits(model: HandModel, stream: StreamPlan) -> tuple[int, ...]:
 
 
 def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector]:
-    """Return stiffness and damping of a stream's motion loop (N,), as fractions of the values in the gains.
+    """Return stiffness (N,) and damping (N,) of a stream's motion loop, as fractions of the values in the gains.
 
     The stiffness of a joint is the stiffness of the tendon's loop [N/m] times the square of the
     tendon's moment arm. If the damping is proportional to the square root of the stiffness, the
     damping ratio stays the same. The motion loop is stable with the values in the gains. Stiffness
-    and damping never exceed these values.
+    and damping never exceed the values in the gains.
     """
     stiffness = np.ones(model.tendon_count)
     damping = np.ones(model.tendon_count)

@@ -104,8 +104,8 @@ def draw_commands(
     """Draw the commanded tension and motor torque of each tendon as a PNG file.
 
     The figure shows the logged commands and the commands with other gains. After the first tick
-    with a different reaction to a fault, the commands cannot be compared. The figure shows this
-    part with a grey background.
+    with a different reaction to a fault, the commands cannot be compared. In the figure, a grey
+    background marks the ticks that cannot be compared.
 
     Args:
         path: PNG file to write.

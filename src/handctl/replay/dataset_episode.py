@@ -199,7 +199,7 @@ def _read_table(path: Path, columns: list[str]) -> pa.Table:
 def _joint_angles(
     actions: Array, dataset_info: Mapping[str, Any], hand: Hand, dataset_folder: Path
 ) -> Array:
-    """Return the joint angles (frames, J) in actions, in the order of the hand's joints [rad].
+    """Return the joint angles (frames, J) [rad] that the actions contain, in the order of the hand's joints.
 
     Raises:
         ConfigError: the actions lack a joint of the hand.

@@ -226,5 +226,5 @@ def _judge_ticks(
 
 
 def _fault_id_in_text(event: TickEvent) -> str:
-    """Return the id of the fault at the start of an event's text."""
+    """Return the fault id with which the text of an event begins."""
     return event.text.partition(" ")[0]

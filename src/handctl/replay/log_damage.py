@@ -39,7 +39,8 @@ def describe_damaged_log(path: Path) -> str:
 
     Even if somebody has changed a tick and adjusted the checksums of the file, the hash chain shows
     the change. If all hashes of the chain are right, the damage lies in topics that are computed
-    from the ticks. In this case, the result names the ticks of the damaged chunk.
+    from the ticks. If only computed topics are damaged, the result names the ticks of the damaged
+    chunk.
 
     Raises:
         LogError: the file is not a log of handctl.

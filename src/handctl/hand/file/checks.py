@@ -406,8 +406,8 @@ def _check_name(key_path: str, name: str, valid_names: tuple[str, ...]) -> Mista
 def _check_mounts(hand: Hand) -> MistakeIterator:
     """Check that each digit comes later in the hand file than the digit on which it is mounted.
 
-    Between a digit and the digit that carries it, the hand file may contain only digits with the
-    same carrier, mounted directly or through other digits.
+    All digits that a digit carries, directly or through other digits, must follow the carrying
+    digit without a gap.
     """
     line: list[str] = []
     for digit in hand.digit:
@@ -431,7 +431,7 @@ def _check_tendon_order(hand: Hand) -> MistakeIterator:
     """Check that each tendon moves a single digit, and that the tendons are in the order of the digits.
 
     A tendon that moves a digit may cross the joints of this digit, and the joints of the digits
-    that carry it. It must not cross other joints.
+    that carry it. The tendon must not cross other joints.
     """
     last_digit_index = 0
     for tendon in hand.tendon:
@@ -586,7 +586,7 @@ def _moment_arm_rank(arm_matrix: NDArray[np.float64]) -> int:
 
 
 def _check_limits(tendon: Tendon) -> MistakeIterator:
-    """Check that the tension limits of a tendon increase in the order from the floor to the breaking force."""
+    """Check that the tension limits of a tendon are in ascending order, from the floor to the breaking force."""
     values = {key: getattr(tendon, key) for key in TENSION_LIMIT_KEYS}
     breaking_force = tendon.rated_breaking_force_N
     is_too_high = False
@@ -756,8 +756,8 @@ def _check_identifiers(hand: Hand) -> MistakeIterator:
 def _frame_identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
     """Yield (bus, identifier, key path) for each CAN frame of a hand.
 
-    If the identifiers of a motor's protocol are not known here, a text with protocol and node
-    number replaces the identifier.
+    This module does not know the identifiers of some protocols. For a motor with such a protocol, a
+    text with protocol and node number replaces the identifier.
     """
     for protocol, identifier, use_text in IDS_SHARED_BY_MOTORS:
         for bus in {motor.bus for motor in hand.motor if motor.protocol == protocol}:

@@ -118,8 +118,8 @@ SECTIONS_ALLOWED_IN_DIGITS = ("tendon", "motor")
 def _meaning_of_missing_key(key_location: Sequence[str | int], model: type[BaseModel]) -> str:
     """Return a text about the value that the file should contain for a missing key.
 
-    The text says which form the section or value must have, such as "a list". The first sentence of
-    the key's description follows.
+    The text says which form the section or value must have, such as "a list", and adds the first
+    sentence of the key's description.
     """
     field = _field_of_key(key_location, model)
     if field is None:
@@ -316,7 +316,7 @@ def _path_in_file(path: str, origin_of_path: Mapping[str, str]) -> str:
 
 
 def key_path(content: Any, key_location: Sequence[str | int]) -> str:
-    """Return a readable key path such as ``digit[index].link_mass_kg[1]``, with the names of list entries."""
+    """Return a readable key path such as ``digit[index].link_mass_kg[1]``, in which list entries have names."""
     path = ""
     for key_or_index in key_location:
         try:

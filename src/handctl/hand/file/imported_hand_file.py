@@ -525,7 +525,7 @@ def _joint_lines(digit: ModelDigit, import_answers: ImportAnswers) -> Iterable[_
 
 
 def _key_for_joint_type(key: str, is_prismatic: bool) -> str:
-    """Return the key itself for a revolute joint, or the corresponding key for a prismatic joint."""
+    """Return a key for revolute joints, or the corresponding key for prismatic joints."""
     return PRISMATIC_KEYS[REVOLUTE_KEYS.index(key)] if is_prismatic else key
 
 
@@ -626,7 +626,7 @@ def _motor_lines(import_answers: ImportAnswers) -> Iterable[_SectionLine]:
 
 
 def _todo_line(section: type[Section], key: str) -> _SectionLine:
-    """Return the line for a key whose value is missing, with ``"TODO"`` as the value."""
+    """Return the line for a key without a known value. The value in the line is ``"TODO"``."""
     todo_verb = "set" if key in KEYS_CHOSEN_BY_USER else "measure"
     return _SectionLine(
         key,
@@ -667,7 +667,7 @@ def _inertia_moments(inertia: Array) -> Array:
 
 
 def _rpy_deg_text(rotation: Array) -> str:
-    """Return roll, pitch and yaw of a rotation (3, 3) as text [deg]."""
+    """Return a text with roll, pitch and yaw [deg] of a rotation (3, 3)."""
     return _number_list_text(np.degrees(rpy_of_rotation(rotation)))
 
 

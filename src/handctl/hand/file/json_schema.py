@@ -28,9 +28,9 @@ VALUE_DEFINITIONS = {kind: f"{name}Values" for kind, name in SECTION_DEFINITIONS
 
 
 def hand_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a hand file of schema 2.
+    """Return the JSON Schema of hand files with the format version ``schema = 2``.
 
-    Hand files of schema 1 also satisfy the JSON Schema.
+    Hand files with ``schema = 1`` also satisfy the JSON Schema.
 
     In the JSON Schema, every key of a digit, tendon or motor is optional, because a default or
     template can contain the value. ``handctl config check`` reports missing keys.

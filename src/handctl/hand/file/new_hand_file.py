@@ -1,6 +1,6 @@
 """Text of a new hand file from a few answers of the user.
 
-In the new hand file, a comment marks each assumed number.
+In the new hand file, a comment marks each number that is only an assumption.
 """
 
 import json
@@ -139,7 +139,7 @@ class NewHandAnswers:
 
     @property
     def joint_moment_arm_mm(self) -> float:
-        """Return the moment arm of the tendons at the joints [mm].
+        """Return the moment arm [mm] of the tendons at the joints.
 
         By default, the moment arm is in proportion to the length of the digits.
         """
@@ -177,7 +177,7 @@ def check_new_hand_answers(answers: NewHandAnswers) -> None:
 
 
 def check_springs(tendons: str | None, spring_torques_text: str | None) -> None:
-    """Check that each digit can be opened, either by springs or by a tendon.
+    """Check that springs or a tendon can open each digit.
 
     If a digit has a single tendon, the tendon only closes the digit, and springs must open the
     digit.
@@ -446,11 +446,11 @@ def _closing_tendons(answers: NewHandAnswers) -> list[int]:
 
 
 def _moment_arms(answers: NewHandAnswers, tendon: int) -> list[float]:
-    """Return the moment arm of a digit's tendon at each joint that the tendon crosses [m].
+    """Return the moment arm [m] of a digit's tendon at each joint that the tendon crosses.
 
     Closing tendon i crosses all joints up to joint i. If a digit has n joints, one tendon opens the
-    digit, and n tendons close it. If the tensions of the n closing tendons are equal, the opening
-    tendon balances them with n times the tension of one closing tendon. The moment arm of the
+    digit, and n tendons close it. If the n closing tendons have equal tensions, the opening tendon
+    needs n times the tension of one closing tendon to balance all of them. The moment arm of the
     opening tendon at a joint is in proportion to the number of tendons that close the joint.
 
     Args:

@@ -1,7 +1,7 @@
 """Types of the values in a hand file. Each type has a range of values that are plausible for a robot hand.
 
 The plausible ranges include the values of all usual hands, but not values in wrong units. For
-example, the length of a link is too large by a factor of 1000 if the user gives it in millimetres.
+example, a link length that the user gives in millimetres is too large by a factor of 1000.
 """
 
 import re

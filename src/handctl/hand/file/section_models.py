@@ -415,7 +415,7 @@ class Digit(Section):
     def axes(self) -> tuple[tuple[float, float, float], ...]:
         """Return the axis of each joint in the frame of the joint's link.
 
-        The default is y for prismatic joints and z for hinges.
+        The default axis is y for prismatic joints and z for hinges.
         """
         if self.joint_axis is not None:
             return self.joint_axis
@@ -447,7 +447,7 @@ class Digit(Section):
 
     @property
     def joint_limits(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return the smallest and the largest position of each joint [rad or m]."""
+        """Return the smallest and the largest position [rad or m] of each joint."""
         units = self.display_units
         low, high = (
             tuple(np.where(self.is_prismatic, values, units.si(values)).tolist())
@@ -457,7 +457,7 @@ class Digit(Section):
 
     @property
     def displayed_joint_limits(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return the smallest and the largest position of each joint in displayed units [deg or mm]."""
+        """Return the smallest and the largest position of each joint in the displayed units, deg or mm."""
         units = self.display_units
         low, high = (
             tuple(np.where(self.is_prismatic, units.to_display_units(values), values).tolist())
@@ -467,7 +467,7 @@ class Digit(Section):
 
     @property
     def rated_loads(self) -> tuple[float, ...] | None:
-        """Return the largest torque or force that each joint withstands [N m or N].
+        """Return the largest torque [N m] or force [N] that each joint withstands.
 
         Return None if the largest torque or force of a joint is not known.
         """
@@ -549,7 +549,7 @@ class Tendon(Section):
     @model_validator(mode="before")
     @classmethod
     def _add_default_tendon_keys(cls, section_content: Any) -> Any:
-        """Add the keys that a tendon in a hand file is allowed to omit.
+        """Add the keys that the hand file may omit for a tendon.
 
         A spool pair has a tension floor of 0, because its net tension can be positive or negative.
         A tendon that moves only prismatic joints has no moment arms.

@@ -13,7 +13,7 @@ from handctl.printing import escape_surrogates
 def toml_text(content: Mapping[str, Any]) -> str:
     """Write content as TOML text: first plain values, then tables and arrays of tables.
 
-    The text omits values that are None and empty inline tables.
+    The text omits empty inline tables, and values that are None.
     """
     lines = _value_lines(content)
     for key, value in content.items():

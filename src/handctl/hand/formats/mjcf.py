@@ -65,7 +65,7 @@ def mjcf_text(hand: Hand, mesh_of_link: Mapping[str, LinkMesh] = NO_MESHES) -> s
 def _add_palm(link_element: ET.Element, hand: Hand, carrier: str | None) -> None:
     """Add the digits that are mounted on a link, and a box behind these digits.
 
-    The digits do not collide with the box behind them.
+    A digit does not collide with the box behind the digits.
     """
     centre, size = palm_box(hand, carrier)
     name = "palm" if carrier is None else f"{carrier}_palm"

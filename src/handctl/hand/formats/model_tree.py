@@ -289,7 +289,7 @@ def digits_from_links(
     The palm frame of the hand is the root frame of the description. If the digits do not point
     along the x axis of the root frame, the palm frame is turned by multiples of 90 degrees. The
     palm frame is also shifted if the foremost mount of a digit is far from the plane x = 0. After
-    the shift, this mount lies in the plane.
+    the shift, the foremost mount lies in the plane x = 0.
 
     Args:
         links: all links, where the parent of a link comes before the link.
@@ -372,7 +372,7 @@ def _link_chains(links: Sequence[ModelLink]) -> Iterator[_LinkChain]:
 
 
 def _digit_name(links: Sequence[ModelLink], used_names: set[str], digit_count: int) -> str:
-    """Return an unused name for a digit.
+    """Return a name for a digit that no other digit has.
 
     The name is the common beginning of the names of all joints or links in the digit. If the names
     have no usable common beginning, the name of the digit contains a number.
@@ -448,7 +448,7 @@ def _link_frame(link: ModelLink, link_end: Array, is_last_link: bool) -> tuple[A
 
 
 def _link_end(links: Sequence[ModelLink], i: int, location: str) -> Array:
-    """Return the end (3,) of the last link of a digit, in the frame of the link [m].
+    """Return the end (3,) [m] of the last link of a digit, in the frame of this link.
 
     Raises:
         ConfigError: neither a named frame nor a shape shows where the link ends.

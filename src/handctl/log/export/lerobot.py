@@ -66,7 +66,7 @@ The first key is the name of the feature, and the second key is the name of the 
 
 
 class _Episode(NamedTuple):
-    """Frames of a dataset that are computed from one log.
+    """Frames that are computed from one log and form one episode of a dataset.
 
     Attributes:
         vector_features: names and values (frames, n) of each vector feature.
@@ -315,10 +315,10 @@ def _standard_deviation_name(name: str) -> str:
 
 
 def _fill_missing_values(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
-    """Return a telemetry field (frames, n) in which each NaN is replaced by a number.
+    """Return a telemetry field (frames, n) with a number in place of each NaN.
 
-    A NaN is replaced by the last number above it in the same column. If there is no number above
-    the NaN, the first number below the NaN replaces it. A column without any number becomes zero.
+    The last number above a NaN in the same column replaces the NaN. If there is no number above the
+    NaN, the first number below the NaN replaces it. A column without any number becomes zero.
     """
     values = log.field(name)[rows]
     for column in values.T:

@@ -32,9 +32,10 @@ ERRORS_OF_DAMAGED_FILES = (
 class LogErrorContext:
     """Context `with LogErrorContext(where)`.
 
-    If a bad file causes an exception in the context, the context raises a LogError with the
-    position in the file instead. A log is read in thousands of pieces, and each piece needs a
-    context. This class is faster than a generator function with `contextmanager`.
+    If a bad file causes an exception inside the context, the context replaces this exception by a
+    LogError. The LogError contains the position in the file. A log is read in thousands of pieces,
+    and each piece needs a context. This class is faster than a generator function with
+    `contextmanager`.
     """
 
     __slots__ = ("where",)

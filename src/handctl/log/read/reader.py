@@ -232,7 +232,7 @@ class RunLog:
 
     @property
     def _tick_heads(self) -> NDArray[np.void]:
-        """Return the start of each Tick message, which has a constant length (ticks,)."""
+        """Return the first part (ticks,) of each Tick message. The first part has a constant length."""
         return self._chunk_index.tick_heads
 
     def __len__(self) -> int:
@@ -246,22 +246,22 @@ class RunLog:
 
     @property
     def t_ns(self) -> NDArray[np.int64]:
-        """Return the time of each tick since the start of the run (ticks,) [ns]."""
+        """Return the time (ticks,) [ns] of each tick since the start of the run."""
         return self._tick_heads["t_ns"]
 
     @property
     def times(self) -> Array:
-        """Return the time of each tick since the start of the run (ticks,) [s]."""
+        """Return the time (ticks,) [s] of each tick since the start of the run."""
         return np.asarray(self.t_ns * 1e-9, np.float64)
 
     @property
     def late_ns(self) -> NDArray[np.int64]:
-        """Return the lateness of each tick (ticks,) [ns]."""
+        """Return the lateness (ticks,) [ns] of each tick."""
         return self._tick_heads["late_ns"]
 
     @property
     def state_hash(self) -> NDArray[np.void]:
-        """Return the 8-byte hash of the controller's state after each tick (ticks,)."""
+        """Return the 8-byte hashes (ticks,) of the controller's state after each tick."""
         return self._tick_heads["state_hash"]
 
     @property
@@ -448,7 +448,7 @@ class RunLog:
 
     @property
     def first_tick_of_chunk(self) -> NDArray[np.intp]:
-        """Return the index of the first tick in each chunk (chunks + 1,).
+        """Return the indices (chunks + 1,) of the first tick in each chunk.
 
         The last element is the number of all ticks.
         """

@@ -2,8 +2,8 @@
 
 The wall clock and the monotonic clock are read at the same moment, every ten seconds. The readings
 of both clocks show whether the wall clock was set during the run. The recorder, and not the
-controller, reads both clocks. All messages in the log of a lockstep run depend only on the ticks.
-The log therefore contains no readings of clocks.
+controller, reads both clocks. The log of a lockstep run contains no readings of clocks. In a
+lockstep run, every message of the log depends only on the ticks.
 """
 
 import struct

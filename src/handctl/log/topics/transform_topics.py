@@ -123,7 +123,7 @@ def link_quaternions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.floa
 
 
 def link_positions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the origin of a link in the frame of its parent (n, 3) [m].
+    """Return the origin (n, 3) [m] of a link in the frame of the parent link.
 
     The joint positions `q` (n,) are in rad or m. A hinge does not move the origin of its link. The
     result for a hinge therefore has a single row.

@@ -248,7 +248,7 @@ class LogWriter:
             self._close_after_failure(error)
 
     def _clock_pair(self, t_ns: int) -> list[MessageBlock]:
-        """Return a message with new readings of both clocks.
+        """Return a message with new readings of the wall clock and the monotonic clock.
 
         If less than CLOCK_PAIR_PERIOD_NS has passed since the last readings, return no message.
         """

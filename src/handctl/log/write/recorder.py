@@ -1,6 +1,6 @@
 """Connection between the controller and the recorder process, on the side of the controller.
 
-In real time, the controller sends a record without waiting.
+In a real-time run, the controller sends a record without waiting.
 """
 
 import fcntl

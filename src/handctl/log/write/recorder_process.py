@@ -66,7 +66,7 @@ def send_note(note: dict[str, object]) -> None:
 
 
 def report_event(event: str, number: int) -> None:
-    """Send an event of the log writer to the controller as a note."""
+    """Send a note to the controller about an event of the log writer."""
     send_note({"event": event, "number": number})
 
 

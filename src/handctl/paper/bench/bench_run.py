@@ -28,7 +28,7 @@ RATE_HZ = 500.0
 
 @dataclass
 class BenchRecording:
-    """Measurements in every tick of a run on the simulated test bench, and the phases of the task.
+    """Measurements and task phases of a run on the simulated test bench, for every tick.
 
     Attributes:
         t_ns: time of each tick [ns].

@@ -117,7 +117,7 @@ def search_grip_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
 def _tension_for_normal_forces(
     normal_forces_by_step: Array, target_normal_forces: Array
 ) -> dict[str, float]:
-    """Return the tension of each digit at which the fingers press with the given normal forces [N].
+    """Return the tension [N] of each digit at which the fingers press with the given normal forces [N].
 
     The tensions are interpolated between the tension steps of the search. The measured forces have
     the shape (steps, digits).
@@ -215,12 +215,12 @@ def _grip_cylinder(
 
 
 def _phase_end_ns(recording: BenchRecording, phase_name: str) -> int:
-    """Return the time of the last tick of a phase [ns]."""
+    """Return the time [ns] of the last tick of a phase."""
     return recording.t_ns[int(np.flatnonzero(recording.mask_of_phase(phase_name))[-1])]
 
 
 def _mean_normal_forces(truth: TruthRecord, until_ns: int) -> list[float]:
-    """Return the normal force of each digit, averaged over the rows before a given time [N]."""
+    """Return the normal force [N] of each digit, averaged over the ground-truth samples before a given time."""
     end = int(np.searchsorted(truth.t_ns, until_ns))
     times = truth.t_ns[end - AVERAGED_ROW_COUNT : end]
     return [
@@ -230,7 +230,7 @@ def _mean_normal_forces(truth: TruthRecord, until_ns: int) -> list[float]:
 
 
 def _object_positions(truth: TruthRecord, t_ns: Any) -> Array:
-    """Return the positions of the object at given times (times, 3) [m]."""
+    """Return the positions (times, 3) [m] of the object at given times."""
     return truth.interpolated_columns([f"object/{axis}" for axis in "xyz"], t_ns)
 
 
@@ -265,7 +265,7 @@ def friction_bound_kg(payload_result: Mapping[str, Any]) -> float:
 def payload_errata(payload_results: Sequence[Mapping[str, Any]]) -> list[ErrataItem]:
     """Return one errata item for each load case.
 
-    A load case is a combination of a diameter and an axis.
+    A load case is a combination of a cylinder diameter and a load axis.
     """
     rows = []
     for result in payload_results:
@@ -291,7 +291,9 @@ def payload_errata(payload_results: Sequence[Mapping[str, Any]]) -> list[ErrataI
 
 
 def payload_table(payload_results: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, ...], ...]:
-    """Return a table of three payloads: as measured, from the formula of the paper, and at the limit of friction.
+    """Return a table that compares measured with calculated payloads.
+
+    The calculated payloads come from the formula of the paper and from Coulomb friction.
 
     The first row contains the titles of the columns.
     """

@@ -25,7 +25,7 @@ def paper_digit(name: str) -> DigitModel:
 
 
 def points_in_plane(model: DigitModel, q: Array) -> Array:
-    """Return the positions of the joints and the tip in the plane of a digit, (n + 1, 2) [m]."""
+    """Return the positions (n + 1, 2) [m] of the joints and the tip in the plane of a digit."""
     return from_palm_frame(model, joint_points(model, q))[:, :2]
 
 
@@ -102,7 +102,7 @@ def _check_paths() -> list[ErrataItem]:
 
 
 def _lengths_text(name: str) -> list[str]:
-    """Return the lengths of a digit's links as text [mm]."""
+    """Return a text with the lengths [mm] of a digit's links."""
     return [
         str(length)
         for length in src.exact_millimetres(src.paper_hand().digit_named(name).link_length_m)

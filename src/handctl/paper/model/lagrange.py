@@ -2,8 +2,8 @@
 
 The correct terms follow from Lagrange's equations.
 
-All derivatives are calculated with complex steps. Derivatives with complex steps are exact except
-for rounding errors, and need no algebra by hand.
+All derivatives are calculated with complex steps. Complex-step derivatives are exact except for
+rounding errors. No derivative has to be derived by hand.
 """
 
 from collections.abc import Mapping, Sequence
@@ -82,7 +82,7 @@ def relative_deviation(printed_value: Any, correct_value: Any) -> float:
 
 
 def lagrange_torques(states: StateSamples) -> list[Array]:
-    """Return the torques T_i (3, STATES) that follow from the correct energies by Eq. 7 to 9 [N m].
+    """Return the torques T_i (3, STATES) [N m] that follow from the correct energies by Eq. 7 to 9.
 
     T_i = d/dt(∂L/∂θ̇_i) − ∂L/∂θ_i.
     """
@@ -174,8 +174,8 @@ def _asymmetry_text(term: EquationTerm) -> str:
     """Compare the printed coefficients of two terms that must be equal because the inertia matrix is symmetric.
 
     The second term is the term whose identifier is ``mirror_id``. If the coefficients differ,
-    return a text about the difference. If they are equal, or if there is no second term, return an
-    empty text.
+    return a text about the difference. If the coefficients are equal, or if there is no second
+    term, return an empty text.
     """
     if not term.mirror_id:
         return ""
@@ -279,7 +279,7 @@ def paper_finger() -> DigitModel:
 
 
 def joint_torques(digit: DigitModel, states: StateSamples) -> Array:
-    """Return the joint torques (STATES, 3) from the inverse dynamics of handctl [N m]."""
+    """Return the joint torques (STATES, 3) [N m] from the inverse dynamics of handctl."""
     q, dq, ddq = (_relative_from_absolute(states, "d" * order + "th") for order in (0, 1, 2))
     rows = zip(q.tolist(), dq.tolist(), ddq.tolist(), strict=True)
     return np.array([inverse_dynamics(digit, *row) for row in rows])

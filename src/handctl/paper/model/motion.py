@@ -30,7 +30,7 @@ TORQUE_CAUSES = ("inertia", "Coriolis", "gravity", "springs", "motor inertia")
 
 @dataclass(frozen=True, slots=True)
 class ClosingTorques:
-    """Torques that close a digit along a minimum-jerk path, while all joint angles are equal.
+    """Torques that close a digit along a minimum-jerk path on which all joints have the same angle.
 
     Attributes:
         digit: name of the digit.

@@ -1,6 +1,6 @@
 """Sections 5 and 6 of the paper: moments, tension, torque, payload and wire.
 
-All values of this module are calculated from numbers of the paper.
+This module calculates all values from numbers of the paper.
 """
 
 import math
