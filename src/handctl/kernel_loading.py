@@ -1,16 +1,17 @@
 """Fast loading of stored kernels.
 
-This module does not load the parts of numba that only a compilation needs. When numba loads a
-stored function, three steps take most of the time. First, numba registers all types and functions
-that can be compiled. Second, numba imports the modules of the numba functions that the stored
-function contains. Third, numba parses the intermediate code (bitcode) of the stored function. The
-bitcode is needed only if the stored function is inlined into another function. If the folder
-contains the code of all kernels, a program compiles nothing and needs none of these steps. If numba
-must compile a function in spite of the stored code, numba registers the types at that time. If
-another kernel calls a stored kernel, the bitcode of the stored kernel is parsed at that time.
+This module loads stored kernels without the parts of numba that only a compilation needs. When
+numba loads a stored function, three steps take most of the time. First, numba registers all types
+and functions that can be compiled. Second, numba imports the modules of the numba functions that
+the stored function contains. Third, numba parses the intermediate code (bitcode) of the stored
+function. The bitcode is needed only if the stored function is inlined into another function. If the
+cache folder contains the code of all kernels, a program compiles nothing and needs none of the
+three steps. If numba must nevertheless compile a function, it registers the types when the
+compilation begins. If a newly compiled kernel calls a stored kernel, the bitcode of the stored
+kernel is parsed during linking.
 
-The three slow steps are internal to numba. If the version of numba is not one of
-``TESTED_VERSIONS``, this module does not leave the three steps out.
+The three slow steps are internal to numba. This module skips the steps only for the versions of
+numba in ``TESTED_VERSIONS``.
 """
 
 from collections.abc import Iterator
@@ -83,8 +84,8 @@ def _do_nothing() -> None:
 def _load_environment(module: str, constants: list[Any], name: str) -> Any:
     """Return the constants that the code of a function uses.
 
-    The function of numba that this function replaces also imports the module of the code. Only
-    interpreted code needs the module of the code.
+    This function replaces a function of numba that also imports the Python module of the compiled
+    function. Compiled code does not need that module.
 
     Args:
         module: name of the module.
@@ -129,8 +130,8 @@ def _get_executable(
 ) -> Any:
     """Return the Python function that a code library contains.
 
-    The function of numba that this function replaces looks up the name of the Python function in
-    the parsed bitcode.
+    This function replaces a function of numba that looks up the name of the Python function in the
+    parsed bitcode.
     """
     library.codegen._engine._defined_symbols.add(function.llvm_cpython_wrapper_name)
     return original_get_executable(library, function, environment)

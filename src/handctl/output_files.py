@@ -97,7 +97,7 @@ def save_figure(figure: Any, path: Path, dpi: int = 110) -> None:
 
 
 def check_output_path(path: Path, output_name: str, *read_paths: Path | None) -> None:
-    """Check an output path by the rules of ``atomic_path``, before the work of the command begins.
+    """Check by the rules of ``atomic_path`` whether a command can write an output, before the command starts its work.
 
     Args:
         path: path of the output.
@@ -126,7 +126,7 @@ def _is_same_file(target: Path, other_path: Path) -> bool:
 def _resolve_target(path: Path, must_be_new: bool) -> Path:
     """Check the path of an output, and return the path of the target file.
 
-    If the path is a symbolic link, the link is followed.
+    For a symbolic link, the target file is the file to which the link leads.
     """
     target = Path(os.path.realpath(path))
     if not target.parent.is_dir():
@@ -142,10 +142,9 @@ def _resolve_target(path: Path, must_be_new: bool) -> Path:
 
 @contextmanager
 def _check_pipe_reader(target: Path, path: Path) -> Iterator[None]:
-    """Raise an error if a named pipe has no reader, because opening such a pipe would wait forever.
+    """Raise an error if a named pipe has no reader. Without a reader, the opening of the pipe would wait forever.
 
-    The pipe stays open during the block, because its reader would end if the function closed the
-    pipe.
+    The pipe stays open during the block. If the function closed the pipe, the reader would end.
     """
     if not target.is_fifo():
         yield
@@ -163,7 +162,7 @@ def _check_pipe_reader(target: Path, path: Path) -> Iterator[None]:
 
 
 def _is_log_file(path: Path) -> bool:
-    """Return True if a file of any name begins with the first bytes of a log."""
+    """Return True if the content of a file begins like a log, whatever the name of the file is."""
     with suppress(PermissionError), path.open("rb") as file:
         return file.read(len(LOG_MAGIC)) == LOG_MAGIC
     return False
@@ -184,7 +183,8 @@ def _error_with_user_path(path: Path, temporary_path: Path) -> Iterator[None]:
 def _move_into_place(temporary_path: Path, target: Path, must_be_new: bool) -> None:
     """Move a finished file to the path of the output.
 
-    If the output must be a new file, a file that another process has created is never replaced.
+    If the output must be a new file, the function does not replace a file that another process has
+    created in the meantime. Only file systems without hard links lack this protection.
     """
     if must_be_new and temporary_path.is_file():
         try:

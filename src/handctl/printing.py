@@ -21,7 +21,7 @@ OMISSION_MARK = " [...] "
 
 
 def escape_text(text: str, kept_characters: str = "") -> str:
-    """Replace the characters of a text that are not printable by escape sequences.
+    """Replace each character that is not printable by an escape sequence.
 
     Args:
         text: text to escape.
@@ -35,7 +35,7 @@ def escape_text(text: str, kept_characters: str = "") -> str:
 
 
 def _escaped_character(character: str) -> str:
-    """Return a character as Python source would write it."""
+    """Return a character as it would appear in Python source."""
     return character.encode("unicode_escape", "replace").decode()
 
 
@@ -68,8 +68,8 @@ def one_line_message(text: str, max_characters: int = MAX_MESSAGE_CHARACTERS) ->
 
     Line ends become spaces. If the text is too long, the middle of the text is left out.
 
-    Both ends of the text are kept, because a message begins with the mistake and ends with the
-    expected value.
+    The text keeps its beginning and its end, because a message begins with the mistake and ends
+    with the expected value.
     """
     # Escape sequences are never shorter than the characters that they replace.
     if len(text) > 4 * max_characters:

@@ -1,4 +1,4 @@
-"""Forked copies of this process for parallel work, and the number of available cores."""
+"""Functions that fork this process for parallel work, and that count the available cores."""
 
 import os
 import signal

@@ -1,6 +1,7 @@
 """Loading of packaged hands and hand files.
 
-The validation of each section of a hand file precedes the checks of all sections together.
+Each section of a hand file is first validated separately. Then the sections are checked against
+each other.
 """
 
 import re
@@ -125,8 +126,8 @@ def parse_toml(text: str, source_name: str) -> dict[str, Any]:
 def _single_bracket_error(text: str, source_name: str) -> ConfigError | None:
     """Return an error about the first line with single brackets, such as ``[digit]`` instead of ``[[digit]]``.
 
-    If a file contains ``[digit]`` and ``[[digit]]``, the error of the TOML parser names another
-    line.
+    If a file contains both ``[digit]`` and ``[[digit]]``, the TOML parser itself reports a line
+    that is not the line with the mistake.
     """
     for number, line in enumerate(text.splitlines(), 1):
         section = SINGLE_BRACKET_PATTERN.match(line)
@@ -260,7 +261,7 @@ def inspect_hand_content(content: Mapping[str, Any]) -> HandInspection:
 def _valid_sections(
     content: Mapping[str, Any], section_kind: str, model: type[ValidatedSection]
 ) -> Iterator[ValidatedSection]:
-    """Yield the sections of a kind that are valid without a check of other sections."""
+    """Yield the sections of a kind that are valid when each section is checked separately."""
     sections = content.get(section_kind)
     for section in sections if isinstance(sections, list | tuple) else ():
         with suppress(ValidationError):
@@ -268,5 +269,5 @@ def _valid_sections(
 
 
 def _valid_names_text(hand_names: tuple[str, ...]) -> str:
-    """Return the text for messages that lists the valid names of hands."""
+    """Return a text for messages, with the names of all packaged hands."""
     return "one of " + ", ".join(hand_names) + ", or the path of a hand file"

@@ -30,7 +30,7 @@ START_COORDINATE_FRACTIONS = (0.5, 0.15, 0.85)
 
 
 class ClosestTip(NamedTuple):
-    """Posture of a digit in which its tip is as close to a given point as the joint limits allow.
+    """Posture of a digit in which the tip is as close to a given point as the joint limits allow.
 
     Attributes:
         coordinates: (n_c,) coordinates of the digit within the limits [rad].
@@ -82,11 +82,12 @@ def inverse_kinematics(
 
 
 def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tuple[float, float]:
-    """Return the single coordinate theta of a coupled digit, q = B theta, at which the tip is closest to a point.
+    """Return the coordinate theta at which the tip of a coupled digit is closest to a point.
 
-    The tip of the digit moves on a curve. A scan finds all intervals of the curve that contain a
-    minimum of the distance. The closest point of the curve is one of the minima or one of the two
-    ends of the curve.
+    The digit has a single coordinate theta, and its joint angles are q = B theta. The tip therefore
+    moves on a curve. A scan finds all intervals of the curve that contain a minimum of the
+    distance. The closest point of the curve is one of the minima or one of the two ends of the
+    curve.
 
     Args:
         digit: model of a digit that has a single coordinate.
@@ -128,7 +129,7 @@ def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tupl
 
 
 def coordinate_limits(digit: DigitModel) -> tuple[float, float]:
-    """Return the range of a coupled digit's single coordinate within all joint limits [rad]."""
+    """Return the range [rad] in which the single coordinate of a coupled digit satisfies all joint limits."""
     low, high = coordinate_range(digit.coupling, np.array([digit.joint_min, digit.joint_max]))[
         :, 0
     ].tolist()
@@ -154,15 +155,15 @@ def _is_planar(digit: DigitModel) -> bool:
 def _two_link_solutions(
     l1: float, l2: float, x: float, y: float
 ) -> tuple[tuple[float, float], ...]:
-    """Return the joint angles at which the end of two links is at a point.
+    """Return the joint angles at which the end of a chain of two links is at a point.
 
-    The number of solutions is two, one if the links are stretched or folded, and zero if the point
-    is out of reach.
+    In general, there are two solutions. There is one solution if the links are stretched or folded,
+    and none if the point is out of reach.
 
-    At the distance r of the point, the second joint has the angle 2 atan2(sqrt(a), sqrt(b)). Here,
-    a is (l1 + l2 - r)(l1 + l2 + r), and b is (r - |l1 - l2|)(r + |l1 - l2|). The products a and b
-    are accurate even near the stretched posture, where acos would lose half of the significant
-    digits.
+    Let r be the distance from the first joint to the point. The angle of the second joint is 2
+    atan2(sqrt(a), sqrt(b)). Here, a is (l1 + l2 - r)(l1 + l2 + r), and b is (r - |l1 - l2|)(r + |l1
+    - l2|). The products a and b are accurate even near the stretched posture, where acos would lose
+    half of the significant digits.
     """
     r = math.hypot(x, y)
     fold_margin = (r - abs(l1 - l2)) * (r + abs(l1 - l2))
@@ -223,7 +224,7 @@ def closest_tip(
 def _locally_closest_tip(
     digit: DigitModel, target_point: Array, start_coordinates: Array
 ) -> ClosestTip:
-    """Return the posture with a local minimum of the distance, found by a search from the start coordinates."""
+    """Search from the start coordinates for a posture with a local minimum of the distance, and return this posture."""
     low, high = digit.coordinate_limits
     theta = start_coordinates.copy()
     gap = joint_points(digit, digit.coupling @ theta)[-1] - target_point

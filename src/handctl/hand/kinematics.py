@@ -32,12 +32,12 @@ def link_rotations(poses: Array) -> Array:
 
 
 def joint_positions(poses: Array) -> Array:
-    """Return the positions (n, 3) of the links' joints in the palm frame [m]."""
+    """Return the positions (n, 3) [m] of the links' joints in the palm frame."""
     return poses[:, rigid_body.POSE_POSITION_COLUMN : rigid_body.POSE_POSITION_COLUMN + 3]
 
 
 def joint_points(digit: DigitModel, q: JointValues) -> Array:
-    """Return the positions (n + 1, 3) of the joints and of the tip in the palm frame, from palm to tip [m]."""
+    """Return the positions (n + 1, 3) [m] of the joints and of the tip in the palm frame, in order from palm to tip."""
     poses = link_poses(digit, q)
     tip = joint_positions(poses)[-1] + digit.lengths[-1] * link_rotations(poses)[-1, :, 0]
     return np.vstack((joint_positions(poses), tip))
@@ -51,9 +51,9 @@ def forward_kinematics(digit: DigitModel, q: JointValues) -> TipPose:
 def point_jacobian(
     digit: DigitModel, q: JointValues, link: int, distance_from_joint: float
 ) -> Array:
-    """Return the Jacobian (3, n) of a point on a link [m].
+    """Return the Jacobian (3, n) [m] of a point on a link.
 
-    The Jacobian is the velocity of the point divided by the velocity of each joint.
+    Column j of the Jacobian is the velocity of the point for a unit velocity of joint j.
 
     Args:
         digit: model of the digit.
@@ -76,9 +76,9 @@ def point_jacobian(
 
 
 def tip_jacobian(digit: DigitModel, q: JointValues) -> Array:
-    """Return the Jacobian (3, n) of the tip of a digit [m].
+    """Return the Jacobian (3, n) [m] of the tip of a digit.
 
-    The Jacobian is the velocity of the tip divided by the velocity of each joint.
+    Column j of the Jacobian is the velocity of the tip for a unit velocity of joint j.
     """
     return point_jacobian(digit, q, digit.joint_count - 1, digit.lengths[-1])
 

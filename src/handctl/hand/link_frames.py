@@ -25,8 +25,8 @@ def link_transforms(digit: DigitModel, q: JointValues) -> tuple[FrameTransform, 
     """Return the frames of all links and of the tip of a digit, in the palm frame.
 
     The origin of the frame ``<digit>_link1`` is at the first joint, and its x axis is along the
-    first link. The frames of the other links are defined like the frame of the first link. The last
-    frame is ``<digit>_tip``.
+    first link. The frames of all further links are defined in the same way as the frame of the
+    first link. The last frame is ``<digit>_tip``.
     """
     poses = link_poses(digit, q)
     # The frame of the tip has the same rotation as the last link.

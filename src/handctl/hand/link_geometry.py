@@ -23,23 +23,23 @@ def joint_axes(digit: Digit) -> Array:
 
 
 def joint_rotations(digit: Digit) -> Array:
-    """Return the rotation (n, 3, 3) from the frame of each link to the frame before it.
+    """Return the rotation (n, 3, 3) from the frame of each link to the frame of the previous link.
 
-    The rotation of a link is valid at a joint angle of zero. The frame before the first link is the
-    frame of the mount.
+    The rotation of a link is valid at a joint angle of zero. The rotation of the first link is
+    relative to the frame of the mount.
     """
     turns = digit.joint_rpy_deg or [(0.0, 0.0, 0.0)] * len(digit.link_length_m)
     return np.array([rotation_of_rpy(*np.radians(turn)) for turn in turns])
 
 
 def centre_of_mass(digit: Digit, i: int) -> Array:
-    """Return the centre of mass (3,) of link i in the frame of the link [m]."""
+    """Return the centre of mass (3,) [m] of link i in the frame of the link."""
     com = digit.link_com_m[i]
     return np.array([com, 0.0, 0.0] if isinstance(com, float) else com)
 
 
 def link_inertia(digit: Digit, i: int) -> Array:
-    """Return the inertia (3, 3) of link i about its centre of mass, in the frame of the link [kg m2]."""
+    """Return the inertia (3, 3) [kg m2] of link i about the centre of mass, in the frame of the link."""
     values = digit.link_inertia_kg_m2[i]
     if isinstance(values, float):
         # The inertia about the long axis of the link is that of a round bar. The triangle
@@ -52,10 +52,10 @@ def link_inertia(digit: Digit, i: int) -> Array:
 
 
 def link_placement(digit: Digit, i: int) -> tuple[Array, Array]:
-    """Return the position (3,) [m] and the rotation (3, 3) of link i, in the frame before the link.
+    """Return the position (3,) [m] and the rotation (3, 3) of link i in the frame of the previous link.
 
-    Position and rotation are valid at a joint angle of zero. The frame before the first link
-    belongs to the palm, or to the link that carries the digit.
+    Position and rotation are valid at a joint angle of zero. The position of the first link is
+    relative to the palm, or to the link that carries the digit.
     """
     rotation = joint_rotations(digit)[i]
     if i > 0:

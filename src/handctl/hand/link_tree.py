@@ -20,7 +20,7 @@ from handctl.hand.kinematics import joint_positions, link_rotations
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinkTree:
-    """All links of a hand in the order of its joints.
+    """Tree of all links of a hand, in the order of the joints.
 
     Attributes:
         digits: models of the digits, in the order of the hand file.
@@ -82,16 +82,16 @@ class LinkTree:
         return tuple(result)
 
     def mass_matrix(self, q: JointValues) -> Array:
-        """Return the mass matrix (J, J) of all joints, including their armature [kg m2]."""
+        """Return the mass matrix (J, J) [kg m2] of all joints, including the armature inertias."""
         return rigid_body.inertia_matrix(self.table, self.parent, np.asarray(q, dtype=np.float64))
 
     def inverse_dynamics(self, q: JointValues, dq: JointValues, ddq: JointValues) -> Array:
-        """Return the joint torques (J,) that a motion requires because of inertia and weight [N m]."""
+        """Return the joint torques (J,) [N m] that a motion requires because of inertia and weight."""
         rows = (np.asarray(values, dtype=np.float64) for values in (q, dq, ddq))
         return rigid_body.rigid_body_torques(self.table, self.parent, self.gravity, *rows)
 
     def static_torque(self, q: JointValues) -> Array:
-        """Return the joint torques (J,) that hold the hand at rest against weight and return springs [N m]."""
+        """Return the joint torques (J,) [N m] that hold the hand at rest against weight and return springs."""
         angles = np.asarray(q, dtype=np.float64)
         gravity_torques = rigid_body.weight_torques(self.table, self.parent, self.gravity, angles)
         return np.asarray(gravity_torques + self.stiffness * (angles + self.preload))

@@ -2,8 +2,8 @@
 
 All moment arms are stored as polynomials r(q) of the same fixed degree. The excursion of a tendon
 at a joint is the exact integral of r from 0 to q. Outside of the joint's range, the moment arm
-equals the moment arm at the nearer joint limit. A polynomial is thus evaluated only in the range
-for which it was given, so that the excursion is monotonic for all joint angles. A table of measured
+equals the moment arm at the nearer joint limit. A polynomial is thus evaluated only inside the
+range of the joint. The excursion is therefore monotonic for all joint angles. A table of measured
 moment arms becomes the least-squares polynomial of degree ``MOMENT_ARM_FIT_DEGREE``.
 """
 
@@ -56,7 +56,7 @@ def moment_arm_table(arm: MomentArm) -> tuple[Array, Array]:
 
 
 def moment_arm_table_residual(arm: MomentArm) -> float:
-    """Return the largest difference between a table of moment arms and its polynomial [m].
+    """Return the largest difference [m] between a table of moment arms and the polynomial fitted to it.
 
     For a moment arm that is not a table, the difference is 0.
     """
@@ -74,7 +74,7 @@ def is_moment_arm_varying(arm: MomentArm) -> bool:
 
 
 def moment_arms_at(arm_polynomials: Array, joint_limits: Array, q: ArrayLike) -> Array:
-    """Return the moment arms R (..., n_t, n) at given joint angles [m].
+    """Return the moment arms R (..., n_t, n) [m] at given joint angles.
 
     Args:
         arm_polynomials: (n_t, n, POLYNOMIAL_COEFFICIENTS) moment arms as polynomials.
@@ -88,7 +88,7 @@ def moment_arms_at(arm_polynomials: Array, joint_limits: Array, q: ArrayLike) ->
 
 
 def joint_excursions(arm_polynomials: Array, joint_limits: Array, q: ArrayLike) -> Array:
-    """Return the excursion (..., n_t, n) of each tendon at each joint [m].
+    """Return the excursion (..., n_t, n) [m] of each tendon at each joint.
 
     The excursion is the integral of the moment arm over the joint angle.
 
@@ -108,7 +108,7 @@ def joint_excursions(arm_polynomials: Array, joint_limits: Array, q: ArrayLike) 
 
 
 def mean_moment_arm(arm: MomentArm, min_angle: float, max_angle: float) -> float:
-    """Return the mean of a moment arm over the range of the joint [m].
+    """Return the mean [m] of a moment arm over the range of the joint.
 
     For a constant moment arm, the mean is the moment arm itself.
 

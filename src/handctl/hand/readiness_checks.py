@@ -6,10 +6,10 @@ Tools and logs can use any hand file that is valid. For a run, a hand must fulfi
 - Springs or antagonistic tendons must be able to open the digits, and tendons must be able to close
   the digits.
 - Positive coordinates must flex the digits.
-- The frames of the drives must be able to represent the travel of the spools.
+- The position values of the drives must cover the travel of the spools.
 - Each digit must have a place of its own at the palm.
 
-``doubtful_values`` returns warnings about values that are possible, but hardly intended.
+``doubtful_values`` returns warnings about values that are possible, but probably not intended.
 """
 
 import math
@@ -116,10 +116,10 @@ def _check_direction(digit: Digit) -> Iterator[FileMistake]:
 
 
 def displayed_range(digit: Digit) -> tuple[Vector, Vector]:
-    """Return the smallest and the largest value (n_c,) of each coordinate of a digit [deg or mm].
+    """Return the smallest and the largest value of each coordinate of a digit, (n_c,) [deg or mm] each.
 
-    While one coordinate moves between its two values and the other coordinates are zero, all joints
-    stay within their limits.
+    All joints stay within their limits while one coordinate moves between its two values and the
+    other coordinates are zero.
     """
     limits = np.array(digit.displayed_joint_limits)
     if digit.coupling is None:
@@ -129,7 +129,7 @@ def displayed_range(digit: Digit) -> tuple[Vector, Vector]:
 
 
 def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
-    """Check that springs or antagonistic tendons can open a digit against the tension floor.
+    """Check that springs or antagonistic tendons can open a digit against the tension floor of the closing tendons.
 
     The function checks every coordinate of the digit.
     """
@@ -180,7 +180,7 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
 
 
 def _check_closing(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
-    """Check that a tendon can close each coordinate of a digit with springs, which only open the digit."""
+    """Check that a tendon can close each coordinate of a digit with springs. The springs only open the digit."""
     if not digit.has_springs:
         return
     coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
@@ -196,7 +196,7 @@ def _check_closing(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
 
 
 def _check_position_range(hand: Hand, tendon: Tendon) -> Iterator[FileMistake]:
-    """Check that the frames of a drive can represent the travel of its spool between the joint limits.
+    """Check that the position values of a drive cover the spool travel between the joint limits.
 
     The travel includes the stretch of the tendon at ``drive_limit_N``.
     """
@@ -228,7 +228,7 @@ def _check_mount_positions(hand: Hand) -> Iterator[FileMistake]:
 
 
 def _mount_distance(digit: Digit, other_digit: Digit) -> float:
-    """Return the distance between the mount positions of two digits on the same carrier [m]."""
+    """Return the distance [m] between the mount positions of two digits on the same carrier."""
     return float(np.linalg.norm(np.subtract(digit.mount_position_m, other_digit.mount_position_m)))
 
 
@@ -332,9 +332,11 @@ def _doubtful_inertia_lines(digit: Digit) -> Iterator[str]:
 
 
 def _sagging_digit_lines(hand: Hand) -> Iterator[str]:
-    """Yield a line for each joint that its spring does not hold open against the weight of the links.
+    """Yield a line for each joint whose spring is too weak to hold the joint open.
 
-    The springs of coupled joints are not rigid, so that each spring must hold its own joint.
+    The spring works against the weight of the links and the tension floors of the tendons. The
+    coupling of joints by springs is elastic, so each joint needs a spring that can hold this joint
+    alone.
     """
     tree = LinkTree.from_hand(hand)
     open_angles = hand.joint_limits[0]
@@ -369,7 +371,7 @@ def _far_mount_lines(hand: Hand) -> Iterator[str]:
 
 
 def moment_arm_fit_lines(hand: Hand) -> tuple[str, ...]:
-    """Return lines that report the differences between polynomials and tables of moment arms.
+    """Return lines about the differences between tables of moment arms and the polynomials that replace them.
 
     The text has one line for each tendon with a table of moment arms.
     """

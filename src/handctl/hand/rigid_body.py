@@ -6,9 +6,10 @@ palm. The origin of a link's frame is at the joint of the link, and its x axis i
 The tip of a link lies on the x axis, at the length of the link. Gravity and poses are given in the
 palm frame. The rates and forces in ``write_newton_euler`` are given in the frames of the links.
 
-A joint is a hinge, or it is prismatic, which means that its link slides along the axis. The
-position of a prismatic joint is in m, and not in rad. The torque of a prismatic joint is a force
-along the axis [N], and its levers have no unit. The frame of a sliding link moves with the link.
+A joint is a hinge or a prismatic joint. The link of a prismatic joint slides along the joint axis.
+The position of a prismatic joint is in m, and not in rad. At a prismatic joint, a force along the
+axis [N] replaces the torque, and lever arms have no unit. The frame of a sliding link moves with
+the link.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms (2008), recursive Newton-Euler algorithm.
 """
@@ -85,7 +86,7 @@ _WORK_TABLE_COLUMN_COUNT = 27
 def write_link_poses(
     link_table: Array, first_row: int, parent: IndexArray, q: Array, pose: Array
 ) -> None:
-    """Compute the poses of all links, and write the poses, but no carried masses, into ``pose``.
+    """Write the poses of all links into ``pose``. The columns for carried masses stay unchanged.
 
     Args:
         link_table: array that contains the table of links, see the docstring of the module.
@@ -138,7 +139,7 @@ def write_link_poses(
 def _palm_frame_component(
     link_table: Array, first_row: int, pose: Array, j: int, axis_index: int
 ) -> float:
-    """Return one component of a vector in the table, converted from the frame of link j to the palm frame."""
+    """Return one component, in the palm frame, of a vector that the table gives in the frame of link j."""
     x_product = pose[j, POSE_ROTATION_COLUMN + 3 * axis_index] * link_table[first_row, j]
     y_product = pose[j, POSE_ROTATION_COLUMN + 3 * axis_index + 1] * link_table[first_row + 1, j]
     z_product = pose[j, POSE_ROTATION_COLUMN + 3 * axis_index + 2] * link_table[first_row + 2, j]
@@ -177,7 +178,7 @@ def write_weight_torques(
     pose: Array,
     torque: Array,
 ) -> None:
-    """Write the joint torques (n,) that balance the weight of the links [N m], for given poses.
+    """Write the joint torques (n,) [N m] that balance the weight of the links, for given poses.
 
     Args:
         link_table: array with the table of links, see ``write_link_poses``.
@@ -213,7 +214,7 @@ def write_weight_torques(
 def write_levers(
     pose: Array, first_joint: int, touched_link: int, distance_from_joint: float, levers_m: Array
 ) -> None:
-    """Write the levers [m] of a force on a link, about all joints from ``first_joint`` to the joint of the link.
+    """Write the lever arms [m] of a force on a link, about each joint from ``first_joint`` to the joint of the link.
 
     The force on the link acts at a point on the link's x axis. The direction of the force is the
     link's y axis, which points in the direction of flexion.
@@ -223,7 +224,7 @@ def write_levers(
         first_joint: first joint of the chain.
         touched_link: index of the link on which the force acts.
         distance_from_joint: distance between the joint of the link and the point [m].
-        levers_m: (n,) array for the levers, from ``first_joint`` to ``touched_link``.
+        levers_m: (n,) array for the lever arms, from ``first_joint`` to ``touched_link``.
     """
     px = (
         pose[touched_link, POSE_POSITION_COLUMN]
@@ -250,9 +251,9 @@ def write_levers(
 def _lever_about_joint(
     pose: Array, j: int, px: float, py: float, pz: float, nx: float, ny: float, nz: float
 ) -> float:
-    """Return the lever about joint j of a force along a unit vector n at a point p [m].
+    """Return the lever arm about joint j of a force that acts at the point p [m] in the direction of the unit vector n.
 
-    The lever is axis . ((p - joint) x n), and axis . n for a prismatic joint.
+    The lever arm is axis . ((p - joint) x n), and axis . n for a prismatic joint.
     """
     if pose[j, POSE_PRISMATIC_COLUMN] != 0.0:
         return (
@@ -282,10 +283,11 @@ def write_levers_after_turn(
     angle: float,
     levers_m: Array,
 ) -> None:
-    """Write the levers of a force on the last link of a chain of links, after one joint has turned.
+    """Write the lever arms of a force on the last link of a chain, after one joint of the chain has turned.
 
-    The function ``write_levers`` explains the levers. The links beyond the turned joint turn
-    together with the force, so that the levers about the joints of these links stay the same.
+    The docstring of ``write_levers`` defines the lever arms. The links beyond the turned joint turn
+    together with the force. The lever arms about joints beyond the turned joint therefore stay the
+    same.
 
     Args:
         pose: (n, POSE_COLUMN_COUNT) poses.
@@ -295,7 +297,7 @@ def write_levers_after_turn(
         turning_joint: joint that turns.
         angle: angle of the turn [rad]. For a prismatic joint, the distance by which the joint
             slides [m].
-        levers_m: (n,) levers before the turn, modified in place up to the turned joint.
+        levers_m: (n,) lever arms before the turn, modified in place up to the turned joint.
     """
     ax, ay, az = (
         pose[turning_joint, POSE_AXIS_COLUMN],
@@ -365,7 +367,7 @@ def write_newton_euler(
     ddq: Array,
     torque: Array,
 ) -> None:
-    """Write the joint torques (n,) that a motion requires because of inertia and weight, M q'' + C q' + g [N m].
+    """Write the joint torques (n,) [N m] that a motion requires because of inertia and weight, M q'' + C q' + g.
 
     Args:
         link_table: array with the table of links, see ``write_link_poses``.
@@ -602,7 +604,7 @@ def _add_load_to_parent(work_table: Array, j: int, parent_link: int) -> None:
 
 @kernel("matrix", "counts", "vector")
 def link_poses(link_table: Array, parent: IndexArray, q: Array) -> Array:
-    """Return the poses (n, POSE_COLUMN_COUNT) of all links with carried masses, at joint angles q (n,) [rad]."""
+    """Return the poses and the carried masses (n, POSE_COLUMN_COUNT) of all links at joint angles q (n,) [rad]."""
     pose = np.empty((len(q), POSE_COLUMN_COUNT))
     write_link_poses(link_table, 0, parent, q, pose)
     write_carried_masses(link_table, 0, parent, pose)
@@ -611,7 +613,7 @@ def link_poses(link_table: Array, parent: IndexArray, q: Array) -> Array:
 
 @kernel("matrix", "counts", "vector", "vector")
 def weight_torques(link_table: Array, parent: IndexArray, gravity: Array, q: Array) -> Array:
-    """Return the joint torques (n,) that balance the weight of the links [N m], see ``write_weight_torques``."""
+    """Return the joint torques (n,) [N m] that balance the weight of the links, see ``write_weight_torques``."""
     pose = np.empty((len(q), POSE_COLUMN_COUNT))
     torque = np.empty(len(q))
     write_link_poses(link_table, 0, parent, q, pose)
@@ -623,7 +625,7 @@ def weight_torques(link_table: Array, parent: IndexArray, gravity: Array, q: Arr
 def rigid_body_torques(
     link_table: Array, parent: IndexArray, gravity: Array, q: Array, dq: Array, ddq: Array
 ) -> Array:
-    """Return the joint torques (n,) of inertia and weight [N m], see ``write_newton_euler``."""
+    """Return the joint torques (n,) [N m] that inertia and weight require, see ``write_newton_euler``."""
     torque = np.empty(len(q))
     write_newton_euler(link_table, 0, parent, gravity, q, dq, ddq, torque)
     return torque
@@ -655,9 +657,9 @@ def inertia_matrix(link_table: Array, parent: IndexArray, q: Array) -> Array:
 def tip_levers(
     link_table: Array, parent: IndexArray, q: Array, touched_link: int, distance_from_joint: float
 ) -> Array:
-    """Return the levers (n,) [m] of a force on a link about the joints of its chain, see ``write_levers``.
+    """Return the lever arms (n,) [m] of a force on a link about the joints of its chain, see ``write_levers``.
 
-    The levers about joints beyond the touched link are 0.
+    The lever arms about joints beyond the touched link are 0.
     """
     pose = np.empty((len(q), POSE_COLUMN_COUNT))
     lever = np.zeros(len(q))

@@ -1,9 +1,9 @@
 """Comparison of the force of a runaway drive with the strength of its tendon.
 
-A runaway drive is a drive that makes its largest torque without a command. The tension of the
-tendon reaches its peak 5 to 15 ms after the motor current rises, and no host can react within 15
-ms. Only the current limit inside the drive protects the tendon. If a constant force F accelerates a
-rotor from rest against an elastic tendon, the tension overshoots to 2 F.
+A runaway drive is a drive that makes its largest torque without a command. The tendon tension
+reaches its peak 5 to 15 ms after the motor current rises. No host can react within 15 ms. Only the
+current limit inside the drive protects the tendon. If a constant force F accelerates a rotor from
+rest against an elastic tendon, the tension overshoots to 2 F.
 """
 
 from collections.abc import Iterable
@@ -26,7 +26,7 @@ The rotor starts at rest, and the elastic tendon is slack at the start and has n
 
 
 def runaway_tension(force: float) -> float:
-    """Return the peak tension [N] after a drive has run away from rest with a constant ``force`` on the tendon [N]."""
+    """Return the peak tension [N] when a drive at rest runs away and pulls the tendon with a constant ``force`` [N]."""
     return RUNAWAY_OVERSHOOT * force
 
 
@@ -40,9 +40,9 @@ def largest_safe_force(breaking_force: float) -> float:
 
 
 def strength_warnings(hand: Hand) -> tuple[str, ...]:
-    """Return a line of text for each strength margin that is too small.
+    """Return a line of text for each tendon or joint whose strength margin is too small or unknown.
 
-    Tendons or joints with equal values share a line.
+    If several tendons or joints have the same text, the text appears in a single line.
     """
     warnings_by_tendon: list[tuple[str, str]] = []
     for tendon in hand.tendon:
@@ -71,7 +71,7 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
 
 
 def _runaway_text(key: str, force: float, breaking_force: float, spool_radius: float) -> str:
-    """Describe a runaway with a given force, and the torque limit that the drive should have."""
+    """Return a text about a runaway drive with a given force, and about the torque limit that the drive needs."""
     peak = runaway_tension(force)
     safe_force = largest_safe_force(breaking_force)
     factor = breaking_force / peak

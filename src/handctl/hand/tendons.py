@@ -41,7 +41,7 @@ class TendonElasticity:
 
     @staticmethod
     def from_tendon(tendon: Tendon) -> "TendonElasticity":
-        """Return the elasticity of a tendon of a hand file."""
+        """Return the elasticity of a tendon that a hand file describes."""
         return TendonElasticity(
             stiffness=tendon.stiffness_N_per_m,
             stiffness_beyond_knee=tendon.stiffness_beyond_ratio * tendon.stiffness_N_per_m,
@@ -51,14 +51,14 @@ class TendonElasticity:
         )
 
     def elastic_tension(self, stretch: float) -> float:
-        """Return the tension [N] at a constant stretch [m]."""
+        """Return the elastic tension [N] at a given constant stretch [m]."""
         excess = stretch - self.knee / self.stiffness
         if excess <= 0.0:
             return self.stiffness * max(stretch, 0.0)
         return self.knee + self._tension_above_knee(excess)
 
     def tension(self, stretch: float, stretch_rate: float) -> float:
-        """Return the tension of the tendon including the damping [N].
+        """Return the tension [N] of the tendon, including the damping.
 
         The tension of a slack tendon is 0. The tension is never below 0.
 
@@ -71,7 +71,7 @@ class TendonElasticity:
         return max(0.0, self.elastic_tension(stretch) + self.damping * stretch_rate)
 
     def tangent_stiffness(self, stretch: float) -> float:
-        """Return the derivative of the elastic tension with respect to the stretch [N/m].
+        """Return the derivative [N/m] of the elastic tension with respect to the stretch.
 
         The derivative is 0 for a slack tendon.
         """
@@ -81,9 +81,9 @@ class TendonElasticity:
         return self.stiffness if excess <= 0.0 else self._slope(excess)
 
     def stretch(self, tension: float) -> float:
-        """Return the stretch [m] at a constant tension.
+        """Return the stretch [m] at a given constant tension [N].
 
-        The method is the inverse of ``elastic_tension``.
+        This method is the inverse of the method ``elastic_tension``.
 
         Beyond the knee, Newton's method starts from the stretch of a linear tendon. The Newton
         steps approach the solution from one side, because the curvature of the tension has the same
@@ -106,7 +106,7 @@ class TendonElasticity:
         return self.knee / self.stiffness + excess
 
     def _tension_above_knee(self, x: float) -> float:
-        """Return the tension at the stretch x beyond the knee [m] minus the tension at the knee [N]."""
+        """Return the tension [N] at the stretch x [m] beyond the knee, minus the tension at the knee."""
         # The function expm1 is accurate even for x close to 0.
         stiffness_decrease = self.stiffness - self.stiffness_beyond_knee
         return self.stiffness_beyond_knee * x - stiffness_decrease * self.knee_width * math.expm1(
@@ -114,7 +114,7 @@ class TendonElasticity:
         )
 
     def _slope(self, x: float) -> float:
-        """Return the stiffness [N/m] at the stretch x beyond the knee [m]."""
+        """Return the stiffness [N/m] at the stretch x [m] beyond the knee."""
         return self.stiffness_beyond_knee + (
             self.stiffness - self.stiffness_beyond_knee
         ) * math.exp(-x / self.knee_width)
@@ -148,16 +148,15 @@ def pulley_factors(digit: DigitModel, q: JointValues, speed: JointValues) -> Arr
 
 
 def effective_moment_arms(digit: DigitModel, q: JointValues, speed: JointValues) -> Array:
-    """Return the moment arms R multiplied by the friction factors (n_t, n) [m].
+    """Return the effective moment arms (n_t, n) [m]: the moment arms R times the friction factors.
 
-    The product of the transposed effective moment arms and the load-cell tensions is the vector of
-    joint torques.
+    The joint torques are the transposed effective moment arms times the load-cell tensions.
     """
     return digit.moment_arms_at(q) * pulley_factors(digit, q, speed)
 
 
 def excursions(digit: DigitModel, q: JointValues) -> Array:
-    """Return the excursion (n_t,) of each tendon at given joint angles [m].
+    """Return the excursion (n_t,) [m] of each tendon at given joint angles.
 
     The excursion of a tendon is the integral of its moment arms over the joint angles.
     """
@@ -165,9 +164,10 @@ def excursions(digit: DigitModel, q: JointValues) -> Array:
 
 
 def reflected_inertia(digit: DigitModel) -> Array:
-    """Return the inertia (n_c, n_c) of the rotors, converted to the coordinates of the digit [kg m2].
+    """Return the inertia (n_c, n_c) [kg m2] of the rotors, converted to the coordinates of the digit.
 
-    The computation assumes rigid tendons. The reflected inertia is (R B)^T (J_m / r_a^2) R B.
+    The computation assumes rigid tendons. The result is (R B)^T (J_m / r_a^2) R B, with the moment
+    arms R, the coupling B, the rotor inertias J_m and the spool radii r_a.
     """
     arms = digit.reduced_moment_arms
     return np.asarray(arms.T @ (digit.motor_mass[:, None] * arms))

@@ -2,8 +2,8 @@
 
 A message begins with four bytes, called the encapsulation: 0x00, 0x01 for little-endian plain CDR,
 and two option bytes. After the encapsulation, the fields of the message follow in order. Numbers in
-a message are aligned. The distance from the end of the encapsulation to a number of n bytes is a
-multiple of n bytes. A string consists of its length (uint32, including the closing NUL), its bytes,
+a message are aligned. A number of n bytes begins at a multiple of n bytes, counted from the end of
+the encapsulation. A string consists of its length (uint32, including the closing NUL), its bytes,
 and the NUL. A sequence consists of its length (uint32) and its elements. An empty sequence consists
 only of its length.
 

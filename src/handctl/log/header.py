@@ -103,9 +103,9 @@ class RunHeader:
         metadata: Mapping[str, dict[str, str]],
         attachments: dict[str, bytes],
     ) -> Self:
-        """Return the header that the records of a log describe.
+        """Return the run header that is stored in the records of a log.
 
-        All values that are used in calculations are checked.
+        The function checks all values that are used in calculations.
 
         Args:
             record: metadata record `handctl.run`. The values of a metadata record are JSON texts.
@@ -132,7 +132,7 @@ class RunHeader:
 
     @property
     def truth_offset_ns(self) -> int:
-        """Return the simulator's time at the instant at which the time of the run is 0 [ns].
+        """Return the time of the simulator [ns] when the time of the run was 0.
 
         For a run that was not in lockstep, the result is 0.
 
@@ -151,7 +151,7 @@ class RunHeader:
         return int(text)
 
     def axis_names(self, name: str) -> tuple[str, ...]:
-        """Return the names of the elements along an axis of the telemetry: joint, tendon, motor or digit."""
+        """Return the names of all joints, tendons, motors or digits, depending on the telemetry axis `name`."""
         return {
             "joint": self.joints,
             "tendon": self.tendons,

@@ -1,8 +1,8 @@
 """Writer of files in the container format MCAP.
 
 The writer receives messages in blocks, because one Python call for each message would take too
-long. The package mcap encodes only the rare kinds of records. Chunks and message indexes are
-frequent. If the package mcap encoded the frequent records, the encoding would take most of the
+long. The package mcap encodes the records that are rare in a file. Chunks and message indexes are
+frequent. If the package also encoded the frequent records, their encoding would take most of the
 writing time. Therefore this module encodes chunks and message indexes itself. Chunks and message
 indexes have these layouts:
 
@@ -235,7 +235,7 @@ class McapContainer:
         )
 
     def _summary_section(self, start_offset: int) -> tuple[bytes, int]:
-        """Return the summary section, and the offset of the SummaryOffset records in the file.
+        """Return the summary section, and the position of its SummaryOffset records in the file [bytes].
 
         Args:
             start_offset: offset of the summary section in the file [bytes].
@@ -268,7 +268,7 @@ class McapContainer:
 def _message_indexes(
     blocks: Sequence[MessageBlock], first_message_offset: int
 ) -> tuple[bytes, dict[int, int]]:
-    """Return the message indexes that follow a chunk, and a dict with the offset of each index by channel id.
+    """Return the message indexes that follow a chunk, and the offset of each index by the id of its channel.
 
     Args:
         blocks: messages of the chunk.

@@ -95,7 +95,7 @@ class TickBatch(NamedTuple):
 def row_field_names(header: RunHeader, width: int) -> tuple[str, ...]:
     """Return the telemetry fields that a row of `width` columns contains.
 
-    Logs of earlier versions of handctl do not contain the last fields.
+    Logs of earlier versions of handctl do not contain the last telemetry fields.
 
     Args:
         header: header of the run.
@@ -106,14 +106,14 @@ def row_field_names(header: RunHeader, width: int) -> tuple[str, ...]:
 
 
 def column_count(header: RunHeader, fields: tuple[str, ...]) -> int:
-    """Return the number of columns that the given telemetry fields need."""
+    """Return the number of columns that the given telemetry fields have together."""
     return sum(len(header.axis_names(TELEMETRY_AXES[name])) for name in fields)
 
 
 def columns_of_fields(
     header: RunHeader, fields: tuple[str, ...] = TELEMETRY_FIELDS
 ) -> dict[str, slice]:
-    """Return the columns of each telemetry field in a row.
+    """Return, for each telemetry field, the columns that it has in a telemetry row.
 
     Args:
         header: header of the run.
@@ -191,7 +191,7 @@ class TickBatcher:
         return len(self._messages)
 
     def add_tick(self, body: bytes) -> int:
-        """Add one tick, and return the time of the tick since the start of the run [ns].
+        """Add one tick, and return the time [ns] of the tick since the start of the run.
 
         If the telemetry has a wrong shape, all values of the telemetry become NaN, and
         `misshapen_ticks` counts the tick.
@@ -225,7 +225,7 @@ class TickBatcher:
         self._add_phase_and_events(message, message_slices.tail_offset)
 
     def _add_long_payloads(self, data: bytes) -> None:
-        """Add the payload bytes after the eighth byte of each frame to the received or the sent frames of a tick."""
+        """Add the payload bytes from the ninth byte on, for the received and for the sent frames of a tick."""
         lengths = np.frombuffer(self._received.parts[-1], FRAME_DTYPE)["length"].astype(int)
         # In the message, the bytes of all received frames come before the bytes of all sent frames.
         received_size = int(np.maximum(lengths - 8, 0).sum())
@@ -235,8 +235,8 @@ class TickBatcher:
     def _add_phase_and_events(self, message: bytes, offset: int) -> None:
         """Add the grasp phase that a Tick message contains.
 
-        If the tick has events, requests or io events, also decode the Tick message and store the
-        result.
+        If the tick has events, requests or io events, the method also decodes the whole Tick
+        message and stores the result.
 
         Args:
             message: the Tick message.
@@ -244,7 +244,8 @@ class TickBatcher:
         """
         # Nearly all ticks have no events. The Tick message of a tick without events ends with the
         # phase and empty lists. The last bytes of the message are the same in all ticks of one
-        # grasp phase without events. Because of the cache, equal last bytes are decoded only once.
+        # grasp phase without events. The cache `_phase_of_tail` contains the phase of last bytes
+        # that have already been decoded.
         tail_bytes = message[offset:]
         phase = self._phase_of_tail.get(tail_bytes)
         if phase is None:

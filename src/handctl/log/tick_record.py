@@ -5,10 +5,11 @@ the same encoding in the pipe and in the log.
 
 All numbers are little-endian.
 
-Record: length of the body u32, kind u32, body.
+Record: length of the body (u32), kind (u32), body.
 
-Body of a tick: size of the Tick message u32, lengths of the telemetry axes joint, tendon, motor,
-digit u16 each, the Tick message, the telemetry as float64 in the order of the fields.
+Body of a tick: size of the Tick message (u32), numbers of joints, tendons, motors and digits (u16
+each), Tick message, telemetry. The telemetry consists of float64 numbers in the order of the
+fields.
 
 Tick message:
     CDR encapsulation, 4 bytes.
@@ -124,7 +125,7 @@ _SHORT_DATA_LENGTHS = bytes(range(9))
 
 
 class TickRecord(NamedTuple):
-    """Tick from a log, without its telemetry.
+    """Tick that was read from a log, without telemetry.
 
     Attributes:
         tick_in: all inputs of the tick.
@@ -147,10 +148,10 @@ def record_bytes(kind: int, body: bytes) -> bytes:
 
 
 def _long_data_mask(records: RecordArray) -> NDArray[np.bool_]:
-    """Return a mask (n, 56) for the data bytes after the eighth byte of n frames.
+    """Return a mask (n, 56) of the data bytes from the ninth byte on, for n frames.
 
-    The mask is True where the payload of a frame has a byte, and False after the end of the
-    payload.
+    The mask is True for bytes that belong to the payload of the frame, and False beyond the end of
+    the payload.
     """
     return np.asarray(records["length"][:, np.newaxis] > _LONG_DATA_INDEXES)
 
@@ -162,10 +163,10 @@ def _long_data(records: RecordArray) -> bytes:
 
 @functools.lru_cache(maxsize=64)
 def _eventless_message_tail(phase: str) -> bytes:
-    """Return the end of a Tick message without events: the phase and three empty sequences.
+    """Return the last bytes of a Tick message without events: the phase and three empty sequences.
 
-    If the end begins at a multiple of four bytes in the message, the bytes of the end depend only
-    on the phase. Therefore the function can cache the end of each phase.
+    If the last bytes begin at a multiple of four bytes in the message, they depend only on the
+    phase. Therefore the function can cache the last bytes for each phase.
     """
     writer = CdrWriter()
     writer.put_string(phase)
@@ -334,9 +335,9 @@ def message_layout(message: bytes) -> MessageLayout:
 
 
 def _decode_frames(frame_starts: bytes, long_data: bytes) -> tuple[Frames, bytes]:
-    """Return the decoded frames, and the bytes that remain in `long_data`.
+    """Return the decoded frames, and the bytes of `long_data` that these frames do not use.
 
-    The remaining bytes belong to later frames.
+    The unused bytes belong to later frames.
 
     Args:
         frame_starts: first FRAME_RECORD_BYTES bytes of each frame.

@@ -107,7 +107,7 @@ def _markdown_table(number_table: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _summary_text(errata_items: list[ErrataItem]) -> str:
-    """Return a text that states the number of errata items per verdict, and the command that generates the page."""
+    """Return a text with the number of errata items for each verdict, and with the command that generates the page."""
     counts = ", ".join(
         f"{count} {verdict}" for verdict, count in count_by_verdict(errata_items).items()
     )

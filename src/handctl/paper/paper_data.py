@@ -58,9 +58,10 @@ def exact_millimetres(lengths_m: tuple[float, ...]) -> tuple[Fraction, ...]:
 
 
 def tip_distances_mm(digit: Digit) -> tuple[Fraction, ...]:
-    """Return, for each joint of a straight digit, the distance between the joint and the tip [mm].
+    """Return, for each joint of a straight digit, the distance [mm] between the joint and the tip.
 
-    The distance in mm is also the moment at the joint in N mm for a force of 1 N at the tip.
+    For a force of 1 N at the tip, the moment at the joint [N mm] has the same number as the
+    distance [mm].
     """
     lengths = exact_millimetres(digit.link_length_m)
     return tuple(sum(lengths[i:], Fraction(0)) for i in range(len(lengths)))
@@ -69,15 +70,15 @@ def tip_distances_mm(digit: Digit) -> tuple[Fraction, ...]:
 def tension_per_newton(digit: Digit) -> Fraction:
     """Return the tendon tension that balances a force of 1 N at the tip of a straight digit [N/N].
 
-    The tension balances the force at joint 1.
+    At joint 1, the moment of the tendon equals the moment of the tip force.
     """
     return tip_distances_mm(digit)[0] / PULLEY_RADIUS_MM
 
 
 def tension_for_payload(mass: int) -> Fraction:
-    """Return the tension in each finger's tendon with which three fingers hold a mass [N].
+    """Return the tension [N] in the tendon of each finger when three fingers hold a mass.
 
-    Friction between the fingers and the object holds the mass [kg].
+    Friction between fingers and object carries the weight of the mass [kg].
     """
     return (
         mass
@@ -88,15 +89,15 @@ def tension_for_payload(mass: int) -> Fraction:
 
 
 def wire_diameter_mm(tension_n: Fraction | float) -> float:
-    """Return the diameter at which a wire has the allowable stress, for a given tension [mm]."""
+    """Return the diameter [mm] at which a wire under a given tension has the allowable stress."""
     return math.sqrt(4.0 * float(tension_n) / (math.pi * float(ALLOWABLE_STRESS_MPA)))
 
 
 def wire_stress_mpa(tension_n: Fraction | float, diameter_mm: float) -> float:
-    """Return the stress in a wire, for a given tension and diameter [MPa]."""
+    """Return the stress [MPa] in a wire of a given diameter under a given tension."""
     return 4.0 * float(tension_n) / (math.pi * diameter_mm**2)
 
 
 def payload_kg(normal_force_N: Fraction) -> Fraction:
-    """Return the mass that the friction of one contact holds, for a given normal force [kg]."""
+    """Return the mass [kg] that the friction of one contact holds at a given normal force."""
     return FRICTION_COEFFICIENT * normal_force_N / GRAVITY_M_PER_S2

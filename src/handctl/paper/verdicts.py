@@ -1,4 +1,7 @@
-"""Rules by which the verdict on a statement of the paper follows from the printed digits and the exact value."""
+"""Rules for the verdicts on statements of the paper.
+
+The verdict on a number compares the printed digits with the exact value.
+"""
 
 from collections.abc import Sequence
 from fractions import Fraction
@@ -60,9 +63,9 @@ def verdict_of_statement(is_true: bool) -> ErrataVerdict:
 def verdict_of_lower_bound(printed_number: str, value: float) -> ErrataVerdict:
     """Return the verdict on a lower bound that the paper states.
 
-    The argument `value` was reached in practice. The lower bound is judged like any printed number,
-    with one exception. If the verdict would be ``wrong`` and the value is above the printed bound,
-    the verdict is ``bound``.
+    `value` is a value of the same quantity that was reached in practice. The lower bound is judged
+    like any printed number, with one exception. If the verdict would be ``wrong`` and the value is
+    above the printed bound, the verdict is ``bound``.
     """
     verdict = verdict_of_number(printed_number, value)
     return (

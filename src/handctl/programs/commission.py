@@ -1,23 +1,23 @@
 """Program that commissions a hand.
 
 Commissioning finds the tares and the motor zeros, and proves that each motor pulls its own tendon.
-The motors pull one tendon after the other gently, while all other tendons are slack. During a pull,
-only the load cell of the pulled tendon and only the encoder of its motor are allowed to respond.
-The pull is too weak to move a digit against its springs, so the program does not test the joint
-encoders.
+The motors gently pull one tendon after the other. The other tendons stay slack. During a pull, only
+the load cell and the motor encoder of the pulled tendon may respond. The pull is too weak to move a
+digit against its springs, so the program does not test the joint encoders.
 
-A tendon without a load cell has no tare. The motor force shows when a tendon without a load cell
-becomes taut.
+A tendon without a load cell has no tare. For a tendon without a load cell, the motor force shows
+when the tendon becomes taut.
 
-Because a single tendon would move a digit without springs, all tendons of the digit first pull
-together, and press the digit against its lower joint limits. After all tendons of the digit have
-pulled together, the program increases the tension of one tendon after the other. At the lower joint
-limits, the excursion of the tendons is known, or joint encoders measure it. The program subtracts
-the excursion from the motor zeros.
+In a digit without springs, a single tendon would move the digit. Therefore all tendons of the digit
+first pull together, and press the joints against their lower limits. After all tendons of the digit
+have pulled together, the program increases the tension of one tendon after the other. At the lower
+joint limits, the tendon excursions are known, or joint encoders measure them. The program subtracts
+these excursions from the motor zeros.
 
-Because load cells drift while many tendons are pulled one by one, no motor makes torque for a
-moment before each pull. The load-cell readings without torque are the reference for the responses
-of all load cells, and renew the tare of the next tendon.
+Load cells drift while many tendons are pulled one by one. Therefore all motors are without torque
+for a moment before each pull. The load-cell readings without torque are the reference for the
+responses of all load cells. From these readings, the program also renews the tare of the next
+tendon.
 """
 
 from collections.abc import Sequence
@@ -113,13 +113,18 @@ class CommissionProgram:
     """Program that commissions a hand, with one step for the tares and one step for each tendon.
 
     Step 0 tares all load cells, and step i + 1 pulls tendon i. `ProgramProgress.record` is a table
-    with a row for each tendon. The first columns are sum and number of tare samples, motor zero
-    [rad], response [N], and crosstalk [N]. The other columns are sum of samples during the present
-    pull, sum and number of samples just before the pull, and travel at the start of the pull [m].
+    with a row for each tendon. The first five columns of the table are the sum of the tare samples,
+    the number of tare samples, the motor zero [rad], the response [N], and the crosstalk [N]. Three
+    further columns contain the sum of samples during the present pull, and the sum and the number
+    of samples just before the pull. The last column contains the travel at the start of the pull
+    [m].
     """
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress at the start, with no torque and a table of zeros."""
+        """Return the progress at the start of the commissioning.
+
+        The motors make no torque, and all entries of the table are zero.
+        """
         empty_table = (0.0,) * (COLUMN_COUNT * model.tendon_count)
         return replace(
             ProgramProgress.initial(len(model.digits), TARE_PHASE), since=-1.0, record=empty_table
@@ -179,7 +184,7 @@ class CommissionProgram:
     def _renew_tare(
         self, model: HandModel, progress: ProgramProgress, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
-        """Read all load cells without torque, and renew the tare of the present tendon.
+        """Read all load cells while no motor makes torque, and renew the tare of the present tendon.
 
         After the reading, the program pulls the present tendon. A tare is renewed only if the
         tendon has never been taut, because friction can hold tension in a tendon that was pulled
@@ -386,7 +391,7 @@ class CommissionProgram:
     def _judge_response(
         self, model: HandModel, progress: ProgramProgress, i: int, t: float
     ) -> ProgressAndEvents:
-        """Accept the measured response of tendon i, or refuse the hand."""
+        """Accept the measured response of tendon i, or end the commissioning with a failure."""
         answer, crosstalk = _commissioning_table(progress)[i, [ANSWER_COLUMN, CROSSTALK_COLUMN]]
         if answer < MIN_RESPONSE_FRACTION * PULL_TENSION_N:
             sensor = "load cell" if model.hand.has_cell[i] else "motor"
@@ -413,7 +418,8 @@ class CommissionProgram:
     ) -> ProgressAndEvents:
         """Release the present tendon.
 
-        After the release, the program waits before the pull of the next tendon, or finishes.
+        After the release, the program waits until the next tendon can be pulled. After the last
+        tendon, the program finishes.
         """
         step = progress.step + 1
         is_same_digit = (
@@ -441,7 +447,7 @@ class CommissionProgram:
     def _refuse_tendon(
         self, model: HandModel, progress: ProgramProgress, i: int, reason: str
     ) -> ProgressAndEvents:
-        """End the commissioning because tendon i has failed."""
+        """End the commissioning because the pull of tendon i has failed."""
         name = model.hand.tendon_names[i]
         progress_after_failure = replace(
             progress,
@@ -462,8 +468,8 @@ def _tare_text(model: HandModel) -> str:
 def _response_text(model: HandModel, i: int, answer: float, crosstalk: float) -> str:
     """Return the text of an accepted response to the pull of tendon i.
 
-    Only load cells can show that another tendon has responded. If the hand has no other load cells,
-    the text states that swapped tendons are not checked.
+    Only load cells can show that a wrong tendon was pulled. If the other tendons have no load
+    cells, the text states that swapped tendons are not checked.
 
     Args:
         model: model of the hand.
@@ -481,7 +487,7 @@ def _response_text(model: HandModel, i: int, answer: float, crosstalk: float) ->
 
 
 def _missing_response_reason(model: HandModel, measured: TickMeasurements) -> str:
-    """Return the reason why the load cell of the pulled tendon does not respond.
+    """Return a text with the probable reason why the load cell of the pulled tendon does not respond.
 
     If another load cell responds instead, the text names the tendon of that load cell.
     """
@@ -494,9 +500,9 @@ def _missing_response_reason(model: HandModel, measured: TickMeasurements) -> st
 
 
 def _pull_goal(tendons: slice, i: int) -> DigitGoal:
-    """Return the goal of a digit during the pull of tendon i.
+    """Return the goal of a digit while tendon i is pulled.
 
-    The goal of a digit to which tendon i does not belong is zero torque.
+    If tendon i belongs to another digit, the goal is zero torque.
     """
     if not tendons.start <= i < tendons.stop:
         return DigitGoal()
@@ -508,7 +514,7 @@ def _pull_goal(tendons: slice, i: int) -> DigitGoal:
 def _measured_or_estimated_tensions(
     model: HandModel, measurements: TickMeasurements, estimate: HandEstimate | None = None
 ) -> Vector:
-    """Return the tensions (N,) in a tick [N].
+    """Return the tensions (N,) [N] of all tendons in a tick.
 
     The tension of a tendon with a load cell is the reading of the load cell. The tension of a
     tendon without a load cell is the estimated tension. If no estimate is given, a tendon without a
@@ -520,7 +526,7 @@ def _measured_or_estimated_tensions(
 
 
 def _hold_phase(model: HandModel, i: int) -> str:
-    """Return the name of the phase in which the digit of tendon i is pulled by all of its tendons."""
+    """Return the name of the phase in which all tendons of tendon i's digit pull together."""
     return f"hold {model.hand.digit_names[model.digit_of_tendon[i]]}"
 
 
@@ -557,22 +563,25 @@ def _commissioning_table(progress: ProgramProgress) -> Vector:
 
 
 def _with_commissioning_table(progress: ProgramProgress, table: Vector) -> ProgramProgress:
-    """Return a copy of a commissioning progress with another table."""
+    """Return a copy of a commissioning progress in which the given table replaces the old table."""
     return replace(progress, record=tuple(table.ravel().tolist()))
 
 
 def _tares_from_table(table: Vector) -> Vector:
-    """Return the tares (N,) in a commissioning table [N]."""
+    """Return the tares (N,) [N] that a commissioning table contains."""
     return np.asarray(table[:, TARE_SUM] / np.maximum(table[:, TARE_SAMPLES], 1.0))
 
 
 def _with_new_tare(progress: ProgramProgress) -> ProgramProgress:
-    """Return a copy of a progress in which the tares of its table apply from the next reading on."""
+    """Return a copy of a progress with new load-cell tares, which are computed from the commissioning table.
+
+    The new tares apply from the next reading on.
+    """
     return replace(progress, tare=tuple(_tares_from_table(_commissioning_table(progress)).tolist()))
 
 
 def _table_with_pull_results(model: HandModel, table: Vector, i: int, samples: int) -> Vector:
-    """Return a copy of the commissioning table with the results for tendon i, and with all sums set to zero."""
+    """Return a copy of the commissioning table with the results for tendon i. All sums in the copy are zero."""
     rest_tensions = table[:, REST_SUM] / table[i, REST_SAMPLES]
     rise = table[:, PULL_SUM] / samples - rest_tensions
     if model.redundancy.has_return_springs[i]:
@@ -602,10 +611,10 @@ def _table_with_pull_results(model: HandModel, table: Vector, i: int, samples: i
 
 
 def _encoder_that_turned(model: HandModel, table: Vector, i: int, travel: Vector) -> int | None:
-    """Return the tendon whose motor encoder turned in place of the encoder of tendon i, during the pull of tendon i.
+    """Return the tendon whose motor encoder turned instead of the encoder of tendon i, while tendon i was pulled.
 
-    Return None if no other encoder turned. The function does not test a digit without springs,
-    because the weight moves the digit while its motors make no torque.
+    Return None if no other encoder turned. The function ignores digits without springs, because the
+    weight moves such a digit when its motors make no torque.
 
     Args:
         model: model of the hand.
@@ -623,14 +632,14 @@ def _encoder_that_turned(model: HandModel, table: Vector, i: int, travel: Vector
 
 
 def idle_torque_warnings(hand: Hand, drives: Sequence[Drive]) -> tuple[str, ...]:
-    """Return warnings about motors with which commissioning would fail, because no command makes their torque zero.
+    """Return warnings about motors that make too much torque for commissioning even when they are idle.
 
-    The torque command of some motors has no count for zero torque. When a motor without a count for
-    zero torque is idle, it makes the torque of the count nearest to zero. Commissioning accepts a
-    tension from an idle motor up to the fraction ``MAX_CROSSTALK_FRACTION`` of the pull tension. In
-    simulation with spools of 5 mm, idle AK80-9 motors make a tension of 0.88 N and pass
-    commissioning. Idle AK70-10 motors (1.2 N) and idle AK10-9 motors (3.2 N) do not pass
-    commissioning.
+    A torque command contains an integer code. For some motors, none of the codes stands for exactly
+    zero torque. An idle motor of this kind makes the torque of the code nearest to zero.
+    Commissioning accepts a tension from an idle motor up to the fraction ``MAX_CROSSTALK_FRACTION``
+    of the pull tension. In simulation with spools of 5 mm, idle AK80-9 motors make a tension of
+    0.88 N and pass commissioning. Idle AK70-10 motors (1.2 N) and idle AK10-9 motors (3.2 N) do not
+    pass commissioning.
 
     Args:
         hand: description of the hand.
@@ -654,7 +663,7 @@ def idle_torque_warnings(hand: Hand, drives: Sequence[Drive]) -> tuple[str, ...]
 
 
 def _idle_torque(drive: Drive) -> float:
-    """Return the smallest absolute torque that a torque command can contain [N m at the spool]."""
+    """Return the smallest absolute torque [N m at the spool] that a torque command can contain."""
     signals = [
         signal
         for message in drive.cyclic_messages.commands

@@ -77,7 +77,7 @@ SAMPLES_PER_LINK = 9
 
 
 def default_task(hand: Hand) -> tuple[Task, str]:
-    """Return the default task of a hand, as an object and as the text of a task file.
+    """Return the default task of a hand in two forms: as an object, and as the text of a task file.
 
     Args:
         hand: hand that shall execute the task.
@@ -138,7 +138,7 @@ def default_task(hand: Hand) -> tuple[Task, str]:
 
 
 def _closed_angles_deg(hand: Hand, name: str) -> np.ndarray:
-    """Return the coordinates (n_c,) of a closed digit [deg, or mm of prismatic joints]."""
+    """Return the coordinates (n_c,) of a closed digit, in deg, or in mm for prismatic joints."""
     _, high = displayed_range(hand.digit_named(name))
     is_sideways = DigitModel.from_hand(hand, name).sideways_coordinates
     closed_angles = np.where(
@@ -148,7 +148,7 @@ def _closed_angles_deg(hand: Hand, name: str) -> np.ndarray:
 
 
 def _tension_factors(hand: Hand) -> dict[str, float]:
-    """Return factors for the tensions of the digits in a hold.
+    """Return, for each digit, the factor by which the digit's tension in a hold is multiplied.
 
     The mean of the tension factors is 1. With the returned factors, the forces of the digits on an
     object balance each other. With equal factors, for example, two fingers would push a thumb open.
@@ -171,7 +171,7 @@ def _tension_factors(hand: Hand) -> dict[str, float]:
 
 
 def _force_balance_factors(hand: Hand) -> dict[str, float] | None:
-    """Return tension factors for which the forces of the digits on an object cancel each other.
+    """Return factors for the tensions of the digits, with which the digit forces on an object cancel each other.
 
     The factors have the mean 1, and are as near to 1 as possible. Return None if a factor is below
     ``MIN_FORCE_BALANCE_FACTOR``.
@@ -199,19 +199,19 @@ def _flexion_directions(hand: Hand) -> dict[str, Array]:
 
 
 def _are_digits_opposed(hand: Hand) -> dict[str, bool]:
-    """Return, for each closing digit, True if it closes against the first closing digit."""
+    """Return, for each closing digit, True if the digit closes in the direction opposite to the first closing digit."""
     directions = _flexion_directions(hand)
     first_direction = next(iter(directions.values()))
     return {name: bool(direction @ first_direction < 0.0) for name, direction in directions.items()}
 
 
 def _hold_tensions(hand: Hand, name: str, tension_fraction: float) -> float | list[float]:
-    """Return the tension of each tendon of a digit during a hold [N].
+    """Return the tension [N] of each tendon of a digit during a hold.
 
     The tension of a tendon that extends the digit is just large enough to keep the tendon taut.
 
-    For a digit of spool pairs, the result is a single number: the largest net tension of its pairs
-    while the digit presses.
+    For a digit with spool pairs, the result is a single number: the largest net tension that a pair
+    has while the digit presses.
     """
     if hand.is_pair[hand.digit_tendons[name]].any():
         largest = min(tendon.tension_max_N for tendon in hand.tendon[hand.digit_tendons[name]])
@@ -237,7 +237,7 @@ def _hold_tensions(hand: Hand, name: str, tension_fraction: float) -> float | li
 
 
 def _pressing_tension(hand: Hand, name: str) -> float:
-    """Return the tension [N] of closing tendons at which a half-closed digit presses with PRESSING_FORCE_N."""
+    """Return the tension [N] with which the closing tendons make a half-closed digit press with PRESSING_FORCE_N."""
     digit = DigitModel.from_hand(hand, name)
     half_closed_angles = digit.coordinate_units.si(_closed_angles_deg(hand, name)) / 2
     q = digit.coupling @ half_closed_angles
@@ -255,7 +255,8 @@ def _pressing_tension(hand: Hand, name: str) -> float:
 def grasp_warnings(hand: Hand) -> tuple[str, ...]:
     """Return one line for each reason why a hand cannot lift the object of the default task.
 
-    Either no digit closes against another digit, or a digit is too weak.
+    A hand cannot lift the object if no digit closes against another digit, or if a digit is too
+    weak.
     """
     warnings = []
     is_opposed = _are_digits_opposed(hand)
@@ -309,10 +310,9 @@ def default_scene(hand: Hand) -> str:
     """Return the scene for the default task of a hand.
 
     The scene contains a cylinder or a ball between the open digits. The diameter of the object is
-    proportional to the length of the digits. On a thinner object, the tips of opposed digits would
-    touch each other. In some hands, such as an anthropomorphic hand, the digits cannot press
-    against each other. In a hand whose digits cannot press against each other, the object has a
-    diameter of 35 mm.
+    proportional to the length of the digits. If the object were thinner, the tips of opposed digits
+    would touch each other. If the digits of a hand cannot press against each other, as in an
+    anthropomorphic hand, the object has a diameter of 35 mm.
     """
     directions = _flexion_directions(hand)
     are_digits_parallel = all(
@@ -337,7 +337,7 @@ def default_scene(hand: Hand) -> str:
 
 
 def _largest_object_diameter(hand: Hand, is_ball: bool) -> float:
-    """Return the diameter of the largest cylinder or ball between the open digits [m]."""
+    """Return the diameter [m] of the largest cylinder or ball that fits between the open digits."""
     tree = LinkTree.from_hand(hand)
     q = np.concatenate([np.maximum(digit.joint_min, 0.0) for digit in tree.digits])
     largest = 1.0

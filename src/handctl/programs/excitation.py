@@ -2,8 +2,8 @@
 
 One digit moves at a time, and the motors of all other digits make no torque.
 
-The identification chooses the steps of the excitation. The name of each phase in the log is `DIGIT
-STEP`, so that every tick of the log can be assigned to a step.
+The identification chooses the steps of the excitation. In the log, the name of each phase consists
+of the digit and the step. Therefore every tick of the log can be assigned to a step.
 """
 
 from dataclasses import dataclass, replace
@@ -61,7 +61,7 @@ class ExciteStep(Document):
 
 @dataclass(frozen=True, slots=True)
 class SwingTrajectory:
-    """Oscillation of all coordinates of a digit in phase.
+    """Oscillation of a digit, in which all coordinates move in phase.
 
     Each coordinate oscillates about its own mean angle.
 
@@ -81,7 +81,7 @@ class SwingTrajectory:
         return self.chirp.duration
 
     def motion_at(self, t: float) -> Vector:
-        """Return the motion at time t, (3, n), see ``Trajectory.motion_at``."""
+        """Return position, velocity and acceleration at time t, (3, n), see ``Trajectory.motion_at``."""
         motion = self.chirp.motion_at(t) * self.amplitude
         motion[0] += self.centre
         return motion

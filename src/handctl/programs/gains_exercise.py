@@ -51,7 +51,7 @@ GENTLE_RISE_DURATION_S = 1.3
 
 @dataclass(frozen=True, slots=True)
 class ExerciseStage:
-    """Stage of the exercise. In a stage, all digits do the same.
+    """Stage of the exercise. In each stage of the exercise, all digits do the same.
 
     Attributes:
         name: name of the phase in the log: `settle`, `move`, `close` or `hold`. Only the errors in
@@ -74,12 +74,15 @@ class ExerciseStage:
 
 
 def move_amplitude(angle: float) -> float:
-    """Return the amplitude at which the exercise moves the joints to a given angle [rad]."""
+    """Return the amplitude of the exercise that moves the joints to a given angle.
+
+    The angle is in rad. An amplitude of 1 is a full move.
+    """
     return (angle - HOME_ANGLE_RAD) / FULL_MOVE_RAD
 
 
 def _gentle_rise(stage: ExerciseStage) -> ExerciseStage:
-    """Return a copy of a stage with a slow rise of the tension, for digits without springs."""
+    """Return a copy of a stage in which the tension rises slowly. Digits without springs need a slow rise."""
     return replace(stage, duration=GENTLE_RISE_DURATION_S, tension_rate=GENTLE_TENSION_RATE_N_PER_S)
 
 
@@ -125,11 +128,11 @@ class ExerciseProgram:
         return tuple(stage for amplitude in self.amplitudes for stage in exercise_stages(amplitude))
 
     def stages_for_hand(self, model: HandModel) -> tuple[ExerciseStage, ...]:
-        """Return all stages for a hand. A digit that is opened by tendons closes gently before its tension rises."""
+        """Return all stages for a hand. A digit without springs closes gently before its tension rises."""
         return _stages_of_program(self, model.hand.has_springs)
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the first step of the program. The hand is not armed in the first step."""
+        """Return the progress at the start of the program, when the hand is not armed yet."""
         return LiveProgram().initial_progress(model)
 
     def advance(

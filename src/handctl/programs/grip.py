@@ -2,11 +2,11 @@
 
 The module applies the stiffness of the grip, detects slip, and raises the tension after slip.
 
-If an object slips, it pushes a digit open. The tension stays constant, but the spool unwinds the
-tendon. The excursion of a tendon (travel minus stretch) is known to a few micrometres. It thus
-shows a slip of a fraction of a millimetre at the object. A force F parallel to the hinge axes makes
-no joint torque (J^T F = 0). If a bar of constant thickness slides in this direction, neither
-tendons nor joint encoders show the slip.
+A slipping object pushes a digit open. The tension stays constant, but the spool unwinds the tendon.
+The excursion of a tendon (travel minus stretch) is known to a few micrometres. The excursion
+therefore shows when the object slips by a fraction of a millimetre. A force F parallel to the hinge
+axes makes no joint torque (J^T F = 0). If a bar of constant thickness slides parallel to the hinge
+axes, neither tendons nor joint encoders show the slip.
 """
 
 import math
@@ -84,7 +84,7 @@ class GripState(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class GripPlan:
-    """Stiffness and tension limit of the grip that a task requires.
+    """Stiffness and tension limits that a task requires for the grip.
 
     Attributes:
         stiffness: additional tension per metre that a tendon is pulled out [N/m]. With a stiffness
@@ -98,7 +98,10 @@ class GripPlan:
 
 
 def grip_excursions(model: HandModel, estimate: HandEstimate) -> Vector:
-    """Return the excursion (N,) of each tendon with a constant offset [m]: the wound length minus the stretch."""
+    """Return the excursion (N,) [m] of each tendon, up to a constant offset.
+
+    The result is the wound length minus the stretch of the tendon.
+    """
     return np.asarray(estimate.travel - estimate.tension / model.tendon_constants.stiffness)
 
 
@@ -185,7 +188,7 @@ def _goals_of_held_grip(
     goals: tuple[DigitGoal, ...],
     excursion: Vector,
 ) -> tuple[DigitGoal, ...]:
-    """Return the goals with the tensions that slip and grip stiffness require.
+    """Return the goals with new tensions, which depend on the detected slip and on the stiffness of the grip.
 
     No tension of the goals is below the tension floor.
     """

@@ -1,6 +1,7 @@
 """Programs that get their goals from requests.
 
-`LiveProgram` is a live session for `jog` or a client. `JogProgram` has one goal for a limited time.
+`LiveProgram` is a live session for `jog` or a client. `JogProgram` keeps one goal for a limited
+time.
 """
 
 from collections.abc import Mapping
@@ -46,8 +47,8 @@ from handctl.programs.task_program import TaskProgram
 def import_spline_functions() -> None:
     """Import the spline functions for the phase `follow` before a run.
 
-    The import takes 0.1 to 0.3 s. If a tick had to import the functions, a run in real time would
-    end at the first phase `follow` of a client.
+    The import takes 0.1 to 0.3 s. If the first phase `follow` of a client started the import, the
+    tick would be so late that a real-time run would end.
     """
     import scipy.interpolate  # noqa: F401
 
@@ -60,7 +61,7 @@ class LiveProgram:
     """
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the first step of the program. The hand is not armed in the first step."""
+        """Return the progress at the start of the program, when the hand is not armed yet."""
         return ProgramProgress.initial(len(model.digits), "start")
 
     def advance(
@@ -113,7 +114,7 @@ def _carry_out_task(
 
 
 def end_task(progress: ProgramProgress) -> ProgramProgress:
-    """Return the progress of a live session without its task. The digits keep their goals."""
+    """Return the progress of a live session after its task has been removed. The digits keep their goals."""
     return replace(
         progress, step=0, phase="live", finished=False, failure="", task=None, closing=(), grip=None,
         touching=(0,) * len(progress.touching),
@@ -125,7 +126,7 @@ def begin_task(
 ) -> ProgressAndEvents:
     """Begin a task.
 
-    The first hold phase of the task lasts until ``release_task`` is called, but at most one hour.
+    The first hold phase of the task ends when ``release_task`` is called, or after one hour.
 
     If the hand cannot execute the task, or if the first move of the task is too fast, the progress
     does not change.
@@ -178,7 +179,7 @@ def _refusal_of_fast_first_move(
 
 
 def release_task(progress: ProgramProgress) -> ProgressAndEvents:
-    """End the hold phase of a task, so that the phases after the hold follow."""
+    """End the hold phase of a task, so that the next phases of the task begin."""
     phase = progress.task.phase[progress.step - 1] if progress.task else None
     if not isinstance(phase, HoldPhase):
         return progress, (
@@ -190,7 +191,7 @@ def release_task(progress: ProgramProgress) -> ProgressAndEvents:
 
 @dataclass(frozen=True, slots=True)
 class JogProgram:
-    """Program with one goal for a limited time.
+    """Program that keeps one goal for a limited time.
 
     Attributes:
         request: request with the goal.
@@ -201,7 +202,7 @@ class JogProgram:
     duration: float
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the first step of the program. The hand is not armed in the first step."""
+        """Return the progress at the start of the program, when the hand is not armed yet."""
         return LiveProgram().initial_progress(model)
 
     def advance(
@@ -299,7 +300,7 @@ def apply_goal(
 def _end_coordinates_of_move(
     model: HandModel, d: int, angle_of_digit: Mapping[str, float], start: HandEstimate | Vector
 ) -> Vector | str | None:
-    """Return the coordinates at the end of a digit's move [deg].
+    """Return the coordinates [deg] at the end of a digit's move.
 
     Args:
         model: model of the hand.
@@ -344,7 +345,7 @@ def _move_goal(
     duration: float,
     t: float,
 ) -> DigitGoal:
-    """Return a move of a digit from its present reference (3, n).
+    """Return a move of a digit that begins at the digit's present motion reference (3, n).
 
     Without a reference, the move begins at the estimated coordinates.
     """

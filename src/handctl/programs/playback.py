@@ -29,7 +29,7 @@ The recorded tension setpoints already have a limited rate.
 
 @dataclass(frozen=True, slots=True)
 class RecordedGoals:
-    """Goals of all digits, from a recorded run.
+    """Goals of all digits over time, taken from a recorded run.
 
     The arrays have one row for each tick of the controller that repeats the run.
 
@@ -48,7 +48,7 @@ class RecordedGoals:
     def to_text(self) -> str:
         """Return the recording as text.
 
-        The function ``from_text`` reads exactly the same numbers from the text.
+        The text contains the exact numbers, so that ``from_text`` returns an equal recording.
         """
         table = np.hstack([self.q, self.dq, self.ddq, self.tension])
         # The numbers are little-endian float64, so that the text is the same on every machine.
@@ -86,7 +86,7 @@ class PlaybackProgram:
     raw: bool = False
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the first step of the program. The hand is not armed in the first step."""
+        """Return the progress at the start of the program, when the hand is not armed yet."""
         return LiveProgram().initial_progress(model)
 
     def advance(
@@ -143,7 +143,7 @@ class PlaybackProgram:
         return progress, (TickEvent("info", "phase", "", "approach: slowly to the first pose"),)
 
     def _follow_recording(self, model: HandModel, progress: ProgramProgress) -> ProgramProgress:
-        """Set the goals of the present tick from the row of the recording for this tick."""
+        """Set the goals of the present tick to the values in the corresponding row of the recording."""
         i = progress.step
         rows = self.recording
         goals = []

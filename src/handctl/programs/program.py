@@ -1,6 +1,7 @@
 """Interface of all programs of the controller.
 
-A program sets the goals of all digits in every tick. The progress of a program contains its state.
+A program sets the goals of all digits in every tick. The progress of a program contains the state
+of the program.
 """
 
 from dataclasses import dataclass
@@ -76,7 +77,7 @@ class Program(Protocol):
     """
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the first step of the program. The hand is not armed in the first step."""
+        """Return the progress at the start of the program, when the hand is not armed yet."""
         ...
 
     def advance(
@@ -119,7 +120,7 @@ TIGHTEN_TIMEOUT_S = 4.0
 
 
 def tightening_goals(model: HandModel) -> tuple[DigitGoal, ...]:
-    """Return goals that take up the slack of every tendon."""
+    """Return the goals with which all tendons become taut."""
     return tuple(
         DigitGoal(GoalKind.TENSION, tension=_tightening_tension(model, tendons), rate=40.0)
         for tendons in model.digit_tendons
@@ -127,7 +128,7 @@ def tightening_goals(model: HandModel) -> tuple[DigitGoal, ...]:
 
 
 def _tightening_tension(model: HandModel, tendons: slice) -> Vector:
-    """Return the tensions (n_t,) that take up the slack in the tendons of a digit [N].
+    """Return the tensions (n_t,) [N] with which the tendons of a digit become taut.
 
     If a digit has more tendons than coordinates, the tensions balance each other and make no
     torque.
@@ -142,12 +143,12 @@ def _tightening_tension(model: HandModel, tendons: slice) -> Vector:
 def pull_tensions(
     model: HandModel, d: int, tension: float | tuple[float, ...], estimate: HandEstimate
 ) -> Vector:
-    """Return the tensions (n_t,) for digit d under tension control [N].
+    """Return the tensions (n_t,) [N] for digit d under tension control.
 
     If a single tension is given, the closing tendons get the given tension, and their antagonists
-    get the tensions that balance the digit. For a digit of spool pairs, the given tension is the
-    largest net tension, and the digit presses with its tip. If a tension is given for each tendon,
-    the function returns the given tensions.
+    get the tensions that balance the digit. For a digit with spool pairs, the given tension is the
+    largest net tension of the pairs, and the digit presses with its tip. If a tension is given for
+    each tendon, the function returns the given tensions.
     """
     if isinstance(tension, tuple):
         return np.array(tension)
@@ -165,9 +166,9 @@ def pull_tensions(
 def tension_goal(
     model: HandModel, d: int, tension: Vector, rate: float, estimate: HandEstimate
 ) -> DigitGoal:
-    """Return the goal with which digit d approaches tensions (n_t,) [N] at a rate [N/s].
+    """Return the goal with which the tensions of digit d approach given tensions (n_t,) [N] at a given rate [N/s].
 
-    A spool pair that moves the digit sideways keeps its position.
+    The joints that spool pairs move sideways stay at their present angles.
     """
     if model.redundancy.closing_sign[model.digit_tendons[d]].all():
         return DigitGoal(GoalKind.TENSION, tension=tension, rate=rate)
@@ -181,10 +182,11 @@ def tension_goal(
 
 
 def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
-    """Return the tensions (n_t,) of a released digit d [N].
+    """Return the tensions (n_t,) [N] of digit d after a release.
 
-    In a digit with antagonists, the tensions balance each other. In a digit without antagonists,
-    each tension is the given tension. The net tension of a released spool pair is zero.
+    In a digit with antagonistic tendons, the returned tensions balance each other. In any other
+    digit, each returned tension is the given tension. The net tension of a released spool pair is
+    zero.
     """
     tendons = model.digit_tendons[d]
     balance = model.redundancy.balance_tension[tendons]
@@ -205,9 +207,10 @@ def slack_tendons(model: HandModel, estimate: HandEstimate) -> list[str]:
 
 
 def coordinates_from_excursion(digit: DigitModel, estimate: HandEstimate) -> Vector:
-    """Return the coordinates (n_c,) of a digit, computed from the excursions of its tendons [rad].
+    """Return the coordinates (n_c,) [rad] of a digit, computed from the excursions of its tendons.
 
-    During contact, the joints can turn further than the excursions show.
+    During contact, the true joint angles can be larger than the angles that follow from the
+    excursions.
     """
     return digit.coordinates_of_excursion(estimate.excursion[digit.tendons])
 

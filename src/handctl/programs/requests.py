@@ -3,9 +3,8 @@
 Each request is one JSON object in a datagram. This module checks the JSON object of a request.
 
 A request enters the tick as text, so that the same requests can be executed again from a log.
-Streamed targets are an exception, because they are frequent and must reach the drives quickly. A
-target arrives as a binary datagram, which is decoded before the target enters the tick. In the log,
-a target is text.
+Streamed targets are frequent and must reach the drives quickly. A target therefore arrives as a
+binary datagram, which is decoded before the target enters the tick. In the log, a target is text.
 """
 
 import json
@@ -53,7 +52,7 @@ class CutTorqueRequest(RequestBase):
 
 
 class ClearFaultsRequest(RequestBase):
-    """Clear latched faults. If these faults have disarmed the hand, the hand stays disarmed."""
+    """Clear latched faults. The request does not arm a hand that a fault has disarmed."""
 
     do: Literal["clear"]
 
@@ -76,9 +75,9 @@ class CommandRequestBase(RequestBase):
 
 
 class KeepAliveRequest(RequestBase):
-    """Send a sign of life of a client.
+    """Report that a client is still alive.
 
-    The request renews the `lease_s` of the client's last command.
+    The request restarts the time `lease_s` that the client's last command has set.
     """
 
     do: Literal["alive"]
@@ -105,13 +104,13 @@ class StopMotionRequest(CommandRequestBase):
 
 
 class GiveUpCommandRequest(CommandRequestBase):
-    """Give the command back. The digits come to rest, and another client may command."""
+    """Give the command back. The digits come to rest, and another client may then command the hand."""
 
     do: Literal["leave"]
 
 
 class OpenStreamRequest(CommandRequestBase):
-    """Begin a stream of targets. A stream that is already open ends."""
+    """Begin a stream of targets. If a stream is already open, the new stream replaces it."""
 
     do: Literal["stream"]
     stream: str = Field(min_length=1, max_length=40, pattern=r"^[\w.-]*$")
@@ -138,7 +137,7 @@ class OpenStreamRequest(CommandRequestBase):
 
 
 class GraspRequest(CommandRequestBase):
-    """Carry out a task up to its first hold, and hold until the request ``release``."""
+    """Carry out a task up to its first hold phase, and hold until the request ``release`` arrives."""
 
     do: Literal["grasp"]
     task: Task
@@ -146,7 +145,7 @@ class GraspRequest(CommandRequestBase):
 
 
 class ReleaseGraspRequest(CommandRequestBase):
-    """End the hold of a task, and carry out the phases of the task after the hold."""
+    """End the hold phase of a task, and carry out the remaining phases of the task."""
 
     do: Literal["release"]
 
@@ -194,7 +193,8 @@ REFUSAL_EVENT_PREFIX = "refused: "
 def describe_request(request: Request) -> str:
     """Return the event text of an accepted request.
 
-    The events of a request follow its event text, up to the event text of the next request.
+    In the list of events, the events of a request come after its event text, and before the event
+    text of the next request.
     """
     return f"{_ACCEPTED_PREFIX}{request.do}" + (f" by {request.by}" if request.by else "")
 
@@ -202,7 +202,7 @@ def describe_request(request: Request) -> str:
 def events_for_request(
     sender_name: str, event_lines: Iterable[Mapping[str, Any]]
 ) -> list[str] | None:
-    """Return the event texts of a sender's request.
+    """Return the texts of the events that a sender's request has caused.
 
     Return None if the tick has no request of the sender.
 
@@ -242,7 +242,7 @@ def request_text(request: TickRequest) -> str:
 
 
 def is_stream_target(text: str) -> bool:
-    """Return True if the text of a request is a target of a stream."""
+    """Return True if the text of a request contains a target of a stream."""
     return text.startswith(_TARGET_REQUEST_PREFIX)
 
 
@@ -251,7 +251,8 @@ def requests_and_stream_targets(
 ) -> tuple[tuple[str, ...], tuple[TickRequest, ...]]:
     """Divide requests into targets of streams and other requests.
 
-    Return the other requests and the targets, both in their original order.
+    Return two tuples: the other requests, and the targets. Requests and targets keep their original
+    order.
     """
     other_texts = list[str]()
     targets = list[TickRequest]()
@@ -275,7 +276,7 @@ def keep_alive_text(client: str) -> str:
 def is_routine_request(request: TickRequest) -> bool:
     """Return True for a request that clients send many times during a run.
 
-    Routine requests are streamed targets and signs of life.
+    Routine requests are streamed targets and the requests ``KeepAliveRequest``.
     """
     if isinstance(request, StreamTarget):
         return True
@@ -283,7 +284,10 @@ def is_routine_request(request: TickRequest) -> bool:
 
 
 def parse_target(request: TickRequest) -> StreamTarget | None:
-    """Return the target in a request. Return None for another request, or for an integer beyond 64 bits."""
+    """Return the target in a request.
+
+    Return None if the request contains no target, or an integer of more than 64 bits.
+    """
     if isinstance(request, StreamTarget):
         return request
     try:
@@ -297,7 +301,7 @@ def parse_target(request: TickRequest) -> StreamTarget | None:
 
 
 def _is_int64(value: object) -> bool:
-    """Return True if an integer fits into the 64 bits of the state block."""
+    """Return True for an integer of at most 64 bits. The state block of the controller has 64 bits for an integer."""
     return type(value) is int and -(2**63) <= value < 2**63
 
 

@@ -46,7 +46,7 @@ With less stiffness, friction would determine the position of a digit.
 
 @dataclass(frozen=True, slots=True)
 class StreamPlan:
-    """Stream of targets from a client, with its settings.
+    """Settings of a stream of targets that a client sends.
 
     Attributes:
         name: name of the stream, which every target of the stream repeats.
@@ -105,7 +105,7 @@ class StreamStatus(NamedTuple):
 
 
 def target_horizon_s(rate_Hz: float, period: float) -> float:
-    """Return the delay [s] from the sending of a target until the hand should reach the target.
+    """Return the time [s] in which the hand should reach a target, counted from the sending of the target.
 
     Args:
         rate_Hz: rate of the stream [Hz].
@@ -115,7 +115,7 @@ def target_horizon_s(rate_Hz: float, period: float) -> float:
 
 
 class TargetMapping(NamedTuple):
-    """Linear map from the values of a streamed target to the coordinates of the digits.
+    """Linear map that converts the values of a streamed target to coordinates of the digits.
 
     Attributes:
         matrix: (C, V) coordinate [rad] per target value [deg], or coordinate [m] per target value
@@ -136,7 +136,7 @@ class TargetMapping(NamedTuple):
 def mapping_of_stream(
     model: HandModel, space: str, element_names: tuple[str, ...]
 ) -> TargetMapping:
-    """Return the map from the values of a streamed target to the coordinates of the digits."""
+    """Return the map that converts the values of a streamed target to coordinates of the digits."""
     hand = model.hand
     values = np.zeros((model.coordinate_count, len(element_names)))
     digits = list[int]()
@@ -163,7 +163,7 @@ def mapping_of_stream(
 
 
 def stream_refusal_reason(model: HandModel, request: OpenStreamRequest) -> str:
-    """Return the reason why a hand cannot follow a stream, or an empty text if the hand can follow it."""
+    """Return the reason why a hand cannot follow a stream, or an empty text if it can."""
     hand = model.hand
     expected = {"joint": hand.joints, "tension": hand.tendon_names}.get(
         request.space, hand.digit_names
@@ -185,7 +185,7 @@ def stream_refusal_reason(model: HandModel, request: OpenStreamRequest) -> str:
 
 
 def stream_plan_or_refusal(model: HandModel, request: OpenStreamRequest) -> StreamPlan | str:
-    """Return the plan of the stream that a request opens, or the reason for refusing the request."""
+    """Return the plan of the stream that a request opens, or the reason why the request is refused."""
     if reason := stream_refusal_reason(model, request):
         return reason
     min_rate_hz = MIN_STREAM_PERIODS_BEFORE_HOLD * 1e3 / model.hand.stream.hold_after_ms
@@ -209,11 +209,11 @@ More than one Newton step can be necessary, because the slope does not include g
 
 
 def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vector) -> Vector:
-    """Return the nearest coordinates at which taut tendons can balance springs and gravity [rad].
+    """Return the nearest coordinates [rad] at which taut tendons can balance springs and gravity.
 
     A tendon that flexes the outer joints also flexes the inner joints. To bend only the outer
-    joints, an inner tendon would have to push. The safety monitor would report the inner tendon as
-    slack.
+    joints, an inner tendon would have to push, and would become slack. The safety monitor would
+    report a fault because of the slack tendon.
 
     Args:
         digit: model of the digit.
@@ -236,7 +236,7 @@ def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vect
 
 
 def _is_held_by_each_tendon(digit: DigitModel) -> bool:
-    """Return True for a digit that has several coordinates and the same number of tendons.
+    """Return True for a digit with several coordinates and with as many tendons as coordinates.
 
     In a digit with as many tendons as coordinates, the posture determines the tension of every
     tendon.
@@ -258,12 +258,12 @@ def streamed_digits(model: HandModel, stream: StreamPlan) -> tuple[int, ...]:
 
 
 def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector]:
-    """Return stiffness and damping of a stream's motion loop (N,), as fractions of the values in the gains.
+    """Return stiffness (N,) and damping (N,) of a stream's motion loop, as fractions of the values in the gains.
 
     The stiffness of a joint is the stiffness of the tendon's loop [N/m] times the square of the
     tendon's moment arm. If the damping is proportional to the square root of the stiffness, the
-    damping ratio stays the same. Stiffness and damping never exceed the values in the gains, with
-    which the motion loop is stable.
+    damping ratio stays the same. The motion loop is stable with the values in the gains. Stiffness
+    and damping never exceed the values in the gains.
     """
     stiffness = np.ones(model.tendon_count)
     damping = np.ones(model.tendon_count)
@@ -288,7 +288,7 @@ def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector
 def target_tensions(
     model: HandModel, stream: StreamPlan, values: Vector, present_tensions: Vector, q: Vector
 ) -> Vector:
-    """Return the tensions (N,) for a target [N], before the limits are applied.
+    """Return the tensions (N,) [N] that a target requires, before the limits are applied.
 
     Args:
         model: model of the hand.
@@ -319,7 +319,7 @@ def target_tensions(
 def streamed_goals(
     progress: ProgramProgress, digits: tuple[int, ...], tension: tuple[Vector, ...] | None
 ) -> ProgramProgress:
-    """Return the progress with new goals for the digits that follow a stream.
+    """Return a copy of the progress, with new goals for the digits that follow a stream.
 
     Args:
         progress: progress with the present goals.
@@ -355,7 +355,7 @@ def stop_moving_digits(
     coordinate_bounds: tuple[tuple[Vector, Vector], ...],
     streamed_digits_only: bool,
 ) -> ProgramProgress:
-    """Return the progress with new goals that bring moving digits to rest.
+    """Return a copy of the progress, with new goals that bring moving digits to rest.
 
     Args:
         progress: progress with the present goals.
@@ -392,11 +392,13 @@ _CHECKED_FRACTIONS = np.linspace(0.0, 1.0, 33)[1:]
 def blended_move(
     reference: Vector, end: Vector, duration: float, coordinate_bounds: tuple[Vector, Vector]
 ) -> MinimumJerk:
-    """Return a move that begins with the position, rate and acceleration of a reference.
+    """Return a move that continues the motion of a reference and ends at rest.
 
-    The move ends at rest. If an earlier fast motion faded out during the whole of a long move, the
-    joints would go far beyond the start and the end of the move. The function therefore halves the
-    fade-out time, which is the duration at first, until the joints stay within their range.
+    The move begins with the position, rate and acceleration of the reference. The initial rate and
+    acceleration fade out during the first part of the move. If a fast motion faded out slowly, the
+    joints would go far beyond the start and the end of the move. The function therefore starts with
+    a fade-out time that equals the duration of the move. The function then halves the fade-out time
+    until the joints stay within their range.
 
     Args:
         reference: (3, n) position, rate and acceleration at the start [rad, s].

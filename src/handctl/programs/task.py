@@ -52,7 +52,7 @@ The controller uses the reserved names for the start of a program and for load c
 class MovePhase(Document):
     """Move to joint angles along a minimum-jerk path.
 
-    Digits without an angle keep their positions.
+    Digits for which the phase gives no angle keep their positions.
     """
 
     kind: Literal["move"]
@@ -81,9 +81,9 @@ class ClosePhase(Document):
 
 
 class HoldPhase(Document):
-    """Hold a tension or a tip force with the digits in contact.
+    """Hold a tension or a tip force in the digits that are in contact.
 
-    The other digits keep their present positions.
+    Digits without contact keep their present positions.
     """
 
     kind: Literal["hold"]
@@ -113,7 +113,8 @@ class HoldPhase(Document):
 class ReleasePhase(Document):
     """Lower the tensions.
 
-    From the next phase on, the digits count as free. To hold, they need a new contact.
+    After the release, all digits count as digits without contact. A later hold phase applies to a
+    digit only after a new contact.
     """
 
     kind: Literal["release"]
@@ -126,7 +127,7 @@ class ReleasePhase(Document):
 class FollowPhase(Document):
     """Follow a curve through given angles, from rest to rest.
 
-    The digits must already be at the start.
+    When the phase begins, the digits must already be at the first point of the curve.
     """
 
     kind: Literal["follow"]
@@ -176,10 +177,10 @@ def _peak_speed(times_s: tuple[float, ...], angles: tuple[float, ...]) -> float:
 
 @functools.lru_cache(maxsize=32)
 def interpolating_curve(times_s: tuple[float, ...], angles: tuple[float, ...]) -> CurveTrajectory:
-    """Return the curve of one coordinate through given angles [rad] at given times [s].
+    """Return the curve on which one coordinate has given angles [rad] at given times [s].
 
-    The check of a task computes the curves of its digits, which takes up to 1 ms per curve. A phase
-    that begins in a later tick gets the curves from the cache.
+    The computation of a curve takes up to 1 ms. The check of a task computes all curves, and a
+    phase that begins later takes the curves from the cache.
     """
     return CurveTrajectory.curve_through_points(times_s, angles, 1)
 
@@ -209,7 +210,7 @@ class Task(Document):
 
 
 class TrajectoryFile(Document):
-    """A motion from another program, given as positions at times."""
+    """A motion that another program has computed, given as positions at times."""
 
     schema_: int = Field(alias="schema", ge=1, le=1)
     name: str
@@ -233,8 +234,8 @@ def load_trajectory(path: Path) -> Task:
 def phase_key(index: int, phase: TaskPhase) -> str:
     """Return the location of a phase in error messages, for example ``phase[grasp]``.
 
-    The location of a phase without a name contains its number, counted from 0. Messages about the
-    file format contain phase locations in the same form.
+    If a phase has no name, the location contains the number of the phase, counted from 0. Messages
+    about the file format contain phase locations in the same form.
     """
     return f"phase[{phase.name if 'name' in phase.model_fields_set else index}]"
 
@@ -268,7 +269,7 @@ def load_task(path: Path) -> Task:
 
 
 class DigitShape(NamedTuple):
-    """Number of angles and tensions that a task is allowed to give for a digit, and the names of the digit's joints.
+    """Number of angles and number of tensions that a task may give for a digit, and the names of the digit's joints.
 
     Attributes:
         coordinates: number of coordinates of the digit, each with an angle.
@@ -283,7 +284,7 @@ class DigitShape(NamedTuple):
 
 
 def shapes_of_digits(hand: Hand) -> dict[str, DigitShape]:
-    """Return for each digit the number of values that a task is allowed to give, by the name of the digit."""
+    """Return the number of values that a task may give for each digit, by the name of the digit."""
     counts = {
         name: tendon_slice.stop - tendon_slice.start
         for name, tendon_slice in hand.digit_tendons.items()
@@ -374,7 +375,7 @@ def _check_count(
 
 
 def _digit_of_joint(digit_shapes: Mapping[str, DigitShape] | None) -> dict[str, str]:
-    """Return the name of the digit of each joint, by the name of the joint."""
+    """Return, for the name of each joint, the name of the digit to which the joint belongs."""
     return {joint: name for name, shape in (digit_shapes or {}).items() for joint in shape.joints}
 
 
@@ -390,7 +391,7 @@ def value_for_digit(value: float | dict[str, Value], digit: str) -> float | Valu
 
 
 def joint_values(value: float | Mapping[str, Value], digit: "DigitModel") -> dict[int, Value]:
-    """Return the values of a phase for joints of a digit, by the index of the joint."""
+    """Return the values that a phase gives for single joints of a digit, by the index of the joint in the digit."""
     if not isinstance(value, Mapping):
         return {}
     return {j: value[name] for j, name in enumerate(digit.joint_names) if name in value}
@@ -399,7 +400,7 @@ def joint_values(value: float | Mapping[str, Value], digit: "DigitModel") -> dic
 def end_angles(
     value: float | dict[str, DigitAnglesDeg], digit: "DigitModel", present_angles: Vector
 ) -> DigitAnglesDeg | Vector | None:
-    """Return the coordinates of a digit at the end of a phase [deg].
+    """Return the coordinates [deg] of a digit at the end of a phase.
 
     Return None if the phase contains no angle for the digit.
 

@@ -67,7 +67,7 @@ def check_task_for_hand(
 def check_speed(task: Task, models: Sequence[DigitModel], task_name: str) -> None:
     """Check that no move of a task exceeds the largest joint speed.
 
-    The check includes all positions at which the phases before a move can end.
+    The check considers all positions from which a move can start after the earlier phases.
 
     Args:
         task: task with the right number of values for each digit.
@@ -122,10 +122,10 @@ def check_speed(task: Task, models: Sequence[DigitModel], task_name: str) -> Non
 
 
 def _check_curves(phase: FollowPhase, models: Sequence[DigitModel], task_name: str) -> None:
-    """Check that no prismatic joint is too fast on the curve of a phase.
+    """Check that no prismatic joint moves too fast along the curve of a follow phase.
 
-    The check of a task file assumes that all joints are hinges, because the task file does not
-    contain the joint types.
+    A task file does not contain the joint types. The earlier check of the task file therefore
+    treats all joints as hinges.
     """
     for model in models:
         for name in (model.name, *model.joint_names):
@@ -144,7 +144,7 @@ def _check_curves(phase: FollowPhase, models: Sequence[DigitModel], task_name: s
 def _coordinates_after_phase(
     phase: TaskPhase, digit: DigitModel, present_angles: Vector
 ) -> Vector | None:
-    """Return the coordinates that a digit has after a phase [deg].
+    """Return the coordinates [deg] that a digit has after a phase.
 
     The phase begins at ``present_angles``.
 
@@ -265,8 +265,8 @@ def check_tip_force(task: Task, hand: Hand, task_name: str) -> None:
     """Check that a task requires no tip force from digits with fewer tendons than joints.
 
     In a digit with fewer tendons than joints, the tensions determine only combinations of joint
-    torques, but not the force at the tip. When a task required a tip force of 4 N, fingers of the
-    hand `jamia` curled up on a wall, and pressed with 23 to 56 N.
+    torques, but not the force at the tip. In a test, fingers of the hand `jamia` had to press on a
+    wall with 4 N. The fingers curled up and pressed with 23 to 56 N.
 
     Args:
         task: task that has passed ``check_task``.
@@ -297,7 +297,7 @@ def check_tip_force(task: Task, hand: Hand, task_name: str) -> None:
 def check_slip_limit(task: Task, hand: Hand, task_name: str) -> None:
     """Check that no slip limit is below the tension of the hold phase.
 
-    With a slip limit below the hold tension, the tension could not rise after slip.
+    If the slip limit were below the hold tension, the tension could not rise after slip.
 
     Args:
         task: task that has passed ``check_task``.
@@ -329,9 +329,10 @@ def check_slip_limit(task: Task, hand: Hand, task_name: str) -> None:
 def _required_angles(
     phase: MovePhase | ClosePhase | FollowPhase, name: str
 ) -> Iterable[float | tuple[float, ...]]:
-    """Return the angles that a digit must reach in a phase.
+    """Return the angles [deg] that a digit must reach in a phase.
 
-    The result is one angle for all coordinates, or one angle for each coordinate.
+    An entry of the result is one angle for all coordinates, or a tuple with one angle for each
+    coordinate.
     """
     if isinstance(phase, FollowPhase):
         angles = phase.angle_deg.get(name)

@@ -76,7 +76,7 @@ class TaskProgram:
     task: Task
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the first step of the program. The hand is not armed in the first step."""
+        """Return the progress at the start of the program, when the hand is not armed yet."""
         return ProgramProgress.initial(len(model.digits), "start")
 
     def advance(
@@ -100,7 +100,7 @@ class TaskProgram:
     def begin_first_phase(
         self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
-        """Begin with the first phase of the task. The tendons of the hand are already taut."""
+        """Begin the first phase of the task. The tendons of the hand must already be taut."""
         zero_contact_ticks = (0,) * len(model.digits)
         return self._enter_phase(
             model, replace(progress, step=0, touching=zero_contact_ticks), estimate, t
@@ -124,8 +124,9 @@ class TaskProgram:
     ) -> ProgressAndEvents:
         """Wait until all tendons have been taut for some time.
 
-        A tick with a slack tendon reduces the count of ticks by one. Noise of the tension thus
-        delays the start of the task, but does not restart the wait.
+        The program counts the ticks without a slack tendon. Each tick with a slack tendon reduces
+        this count by one. Tension noise therefore delays the start of the task, but the count does
+        not start again from 0.
         """
         slack = slack_tendons(model, estimate)
         ticks = max(0, progress.touching[0] + (-1 if slack else 1))
@@ -237,9 +238,9 @@ class TaskProgram:
     def _hold_tension(
         self, model: HandModel, phase: HoldPhase, d: int, name: str, estimate: HandEstimate
     ) -> Vector | None:
-        """Return the tension targets (n_t,) of a digit that holds [N].
+        """Return the tension targets (n_t,) [N] of a digit in a hold phase.
 
-        The phase contains a tension or a tip force, from which the targets are computed. Return
+        The targets are computed from the tension or the tip force that the phase contains. Return
         None if the digit keeps its goal.
         """
         digit = model.digits[d]
@@ -283,8 +284,8 @@ class TaskProgram:
     ) -> ProgressAndEvents:
         """Detect the contact of closing digits, and make these digits hold their tension.
 
-        The estimated tip force of a digit that carries other digits, such as a wrist, has no
-        meaning. A carrying digit continues its motion.
+        For a digit that carries other digits, such as a wrist, the estimated tip force has no
+        meaning. A digit that carries other digits continues its motion.
         """
         phase = self.task.phase[progress.step - 1]
         if not isinstance(phase, ClosePhase):
@@ -380,7 +381,7 @@ def _closing_digits(
     phase: MovePhase | FollowPhase | ClosePhase | HoldPhase | ReleasePhase,
     progress: ProgramProgress,
 ) -> tuple[bool, ...]:
-    """Return True for each digit that closes until contact.
+    """Return, for each digit, True if the digit is still closing and has no contact yet.
 
     The tuple is empty in a phase that is not a close phase.
     """
@@ -414,9 +415,9 @@ def _grip_plan(
     stiffness_N_per_mm: float,
     slip_limit: float | tuple[tuple[str, float], ...] | None,
 ) -> GripPlan:
-    """Return stiffness and slip limit of the grip for a hold phase.
+    """Return the grip plan of a hold phase, which contains stiffness and slip limits.
 
-    The returned slip limit has a number for each tendon.
+    The grip plan has one slip limit for each tendon.
 
     Args:
         model: model of the hand.
@@ -460,8 +461,8 @@ def _curve_of_digit(
 ) -> CurveTrajectory | None:
     """Return the curve that a digit follows in a phase.
 
-    Return None if the phase contains no angles for the digit. Joints without angles keep their
-    positions.
+    Return None if the phase contains no angles for the digit. Joints for which the phase contains
+    no angles keep their positions.
     """
     count = digit.coupling.shape[1]
     if digit.name in phase.angle_deg:
@@ -489,9 +490,9 @@ def _curve_of_digit(
 
 @functools.lru_cache(maxsize=64)
 def contact_margin_without_cells(model: HandModel, d: int) -> float:
-    """Return the additional contact threshold of digit d, which has tendons without load cells [N].
+    """Return the force [N] that tendons without load cells add to the contact threshold of digit d.
 
-    The addition is 0 if all tendons of the digit have load cells.
+    The result is 0 if all tendons of the digit have load cells.
     """
     digit = model.digits[d]
     margin = float(model.margin_without_cell[digit.tendons].mean())
@@ -504,7 +505,7 @@ def contact_margin_without_cells(model: HandModel, d: int) -> float:
 
 
 def contact_threshold(goal: DigitGoal, joints: int, moving_threshold_N: float, t: float) -> float:
-    """Return the smallest tip force that counts as contact [N].
+    """Return the smallest tip force [N] that counts as contact.
 
     Args:
         goal: goal of the digit.

@@ -1,13 +1,13 @@
-"""Commands that the controller, with other gains, would have given in a recorded run.
+"""Commands that the controller would have given with other gains, computed for a recorded run.
 
 The new commands are compared with the logged commands in numbers and in a figure. The controller is
-executed on the measurements in the log. The figure thus shows the new command in each tick, but not
-the motion that the new commands would cause.
+executed on the measurements in the log. The figure shows the new command in each tick. The figure
+does not show the motion that the new commands would cause.
 
-The measurements in the log are the result of the old commands. The new commands do not fit the old
-measurements. If the commands contradict the measurements, the safety monitor can see a fault and
-relax the hand. When the safety monitor has relaxed the hand, the commands no longer depend on the
-gains, and the comparison ends.
+The measurements in the log are the result of the old commands, so the new commands and the
+measurements do not match. If the commands contradict the measurements, the safety monitor can see a
+fault and relax the hand. When the safety monitor has relaxed the hand, the commands no longer
+depend on the gains, and the comparison ends.
 """
 
 from pathlib import Path
@@ -50,7 +50,10 @@ class CommandCollector:
         self._tension.append(tick_output.telemetry.tension_goal)
 
     def comparable_ticks(self, log: RunLog) -> int:
-        """Return the number of ticks before the first tick whose mode or reaction to faults differs from the log."""
+        """Return the number of ticks that can be compared with the log.
+
+        The first tick whose mode or reaction to faults differs from the log ends the comparison.
+        """
         mode, action = np.array(self._reactions).T
         is_different = (mode != log.mode) | (action != log.action)
         return int(np.argmax(is_different)) if is_different.any() else len(is_different)
@@ -75,7 +78,7 @@ def command_differences(
 ) -> dict[str, dict[str, dict[str, float]]]:
     """Return the RMS and the peak of the difference between new and logged commands.
 
-    The torque of each motor is in N m, and the tension of each tendon is in N.
+    The result has torques [N m] by motor and tensions [N] by tendon.
 
     Args:
         log: log of the run.
@@ -98,11 +101,11 @@ def command_differences(
 def draw_commands(
     path: Path, log: RunLog, commands: CommandCollector, tick_count: int, title: str
 ) -> None:
-    """Draw the tension and the torque of each tendon as a PNG file.
+    """Draw the commanded tension and motor torque of each tendon as a PNG file.
 
-    The figure shows the logged commands and the commands with other gains. When the other gains
-    have caused a different reaction to a fault, later ticks cannot be compared. The later part of
-    the figure has a grey background.
+    The figure shows the logged commands and the commands with other gains. After the first tick
+    with a different reaction to a fault, the commands cannot be compared. In the figure, a grey
+    background marks the ticks that cannot be compared.
 
     Args:
         path: PNG file to write.

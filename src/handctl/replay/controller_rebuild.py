@@ -1,4 +1,4 @@
-"""Reconstruction of the controller of a recorded run from the log."""
+"""Reconstruction of a controller from the log of its run."""
 
 from importlib.metadata import version
 from typing import TypeVar
@@ -49,7 +49,7 @@ def logged_setup(log: RunLog) -> RunSetup:
 def rebuild_controller(log: RunLog, gains: Gains | None = None) -> Controller:
     """Rebuild the controller of a recorded run.
 
-    The controller has the gains in the log, or the given gains.
+    The controller gets the given gains, or the gains in the log if none are given.
 
     Raises:
         LogError: a required record is missing from the log.
@@ -81,7 +81,7 @@ def _read_attachment(log: RunLog, name: str, model: type[AttachmentT]) -> Attach
 
 
 def _versions_text(log: RunLog) -> tuple[str, str]:
-    """Return two texts for an error message: the version that wrote the log, and the version that reads the log."""
+    """Return two texts for an error message: the handctl version that wrote the log, and the version that reads it."""
     metadata = log.header.metadata
     writer = metadata.get("version", UNKNOWN_IDENTITY)
     writer_code = metadata.get("code", UNKNOWN_IDENTITY)

@@ -4,8 +4,8 @@ The joint angles in the actions of the episode must pass the same checks as a tr
 
 The dataset must have the file layout of LeRobot's codebase version 3.0. An action has an element
 such as `index_j1.pos_rad` for every hinge of the hand, and `jaw_j1.pos_m` for every prismatic
-joint. The plug-in `lerobot_robot_handctl` and the command `log export --lerobot` write actions with
-elements of these names. All other elements of an action, such as tensions, are ignored.
+joint. The plug-in `lerobot_robot_handctl` and the command `log export --lerobot` write elements
+with these names. All other elements of an action, such as tensions, are ignored.
 """
 
 import json
@@ -51,7 +51,7 @@ def find_episode(
     period: float,
     speed_deg_s: float | None = None,
 ) -> RecordedGoals:
-    """Return the motion of an episode: a smooth curve of joint angles with one value for each control period.
+    """Return the motion of an episode as a smooth curve of joint angles, sampled in each control period.
 
     Args:
         dataset_folder: folder of the dataset, with `meta` and `data`.
@@ -199,7 +199,7 @@ def _read_table(path: Path, columns: list[str]) -> pa.Table:
 def _joint_angles(
     actions: Array, dataset_info: Mapping[str, Any], hand: Hand, dataset_folder: Path
 ) -> Array:
-    """Return the joint angles (frames, J) in actions, in the order of the hand's joints [rad].
+    """Return the joint angles (frames, J) [rad] that the actions contain, in the order of the hand's joints.
 
     Raises:
         ConfigError: the actions lack a joint of the hand.
@@ -220,7 +220,7 @@ def _joint_angles(
 
 
 def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Array:
-    """Return the angles (frames, J), limited to the ranges of the joints.
+    """Limit angles (frames, J) to the ranges of the joints, and return the result.
 
     An angle up to ``MAX_CLIP_DISTANCE_DEG`` outside the range of its joint is set to the nearer
     limit of the range.
@@ -246,7 +246,7 @@ def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Ar
 
 
 def _limit_angle_steps(angles: Array, max_step: Array) -> Array:
-    """Limit the change of joint angles per frame.
+    """Limit the change of joint angles from frame to frame.
 
     The returned angles (frames, J) follow the given angles, but change by at most `max_step` (J,)
     [rad] per frame.
@@ -262,7 +262,9 @@ def _limit_angle_steps(angles: Array, max_step: Array) -> Array:
 def _smooth_curve(
     angles: Array, rate: float, hand: Hand, period: float, episode_name: str
 ) -> RecordedGoals:
-    """Return a smooth curve through angles, with a point for each control period. The curve begins and ends at rest.
+    """Return a smooth curve through the given angles, sampled in each control period.
+
+    The curve begins and ends at rest.
 
     Raises:
         ConfigError: a joint moves too fast on the curve.
@@ -285,5 +287,5 @@ def _smooth_curve(
 
 
 def _value_text(value: object) -> str:
-    """Return a wrong value from a dataset as text for an error message."""
+    """Return an invalid value of a dataset as text for an error message."""
     return printable_text(repr(value))[:40]

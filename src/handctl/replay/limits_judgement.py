@@ -1,4 +1,4 @@
-"""Judgement of a recorded run by other safety limits.
+"""Judgement of a recorded run by new safety limits.
 
 The judgement lists the ticks in which the new limits would have stopped the hand. For each listed
 tick, the judgement gives the reading that exceeds the limit.
@@ -35,7 +35,7 @@ TensionLimit = Annotated[float, Field(gt=0, le=1000)]
 class LimitsFile(Document):
     """Content of a limits file.
 
-    A limit that the file does not contain keeps the value that it had in the run.
+    If the limits file does not contain a limit, the value from the run applies.
     """
 
     schema_: int = Field(1, alias="schema", ge=1, le=1)
@@ -91,7 +91,7 @@ class LimitsJudgement:
 
 
 def load_limits(path: Path, controller: Controller) -> SafetyLimits:
-    """Return the limits of a controller, after the values in a limits file have replaced the old values.
+    """Return the limits of a controller, with the values of a limits file in place of the old values.
 
     Raises:
         ConfigError: the file cannot be read or names a tendon that the hand does not have.
@@ -136,7 +136,7 @@ def load_limits(path: Path, controller: Controller) -> SafetyLimits:
 def judge_by_limits(
     log: RunLog, path: Path, progress: Callable[[int], None] | None = None
 ) -> LimitsJudgement:
-    """Judge every tick of a run by other safety limits, and return the effect of the new limits.
+    """Judge every tick of a run by new safety limits, and return the effect of these limits.
 
     The log itself is not changed.
 
@@ -163,8 +163,8 @@ def _judge_ticks(
 ) -> LimitsJudgement:
     """Judge each tick with the new limits.
 
-    The judgement of a tick starts from the logged state. Only the debounce counters and the latched
-    faults follow from the new limits.
+    The judgement of a tick starts from the logged state of the controller. Only the debounce
+    counters and the latched faults are carried from tick to tick under the new limits.
     """
     controller_with_new_limits = replace(controller, replacement_limits=limits)
     state = controller.initial_state()
@@ -226,5 +226,5 @@ def _judge_ticks(
 
 
 def _fault_id_in_text(event: TickEvent) -> str:
-    """Return the id of the fault at the start of an event's text."""
+    """Return the fault id with which the text of an event begins."""
     return event.text.partition(" ")[0]

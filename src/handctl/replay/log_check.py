@@ -10,7 +10,7 @@ from handctl.replay.controller_rebuild import logged_hand
 
 
 def check_log(log: RunLog) -> list[str]:
-    """Return one line for each defect of a log, after reading every byte of the log.
+    """Read every byte of a log, and return one line for each defect.
 
     Raises:
         LogError: a chunk of the log is damaged.
@@ -62,10 +62,9 @@ def _check_clock(log: RunLog) -> Iterator[str]:
 
 
 def _check_frame_time_stamps(log: RunLog) -> Iterator[str]:
-    """Yield a line for each CAN frame whose time stamp is later than the tick that read the frame.
+    """Yield a line if CAN frames have time stamps after the end of the tick that read the frames.
 
-    A time stamp that is later than the tick comes from another clock than the clock of the
-    controller.
+    A time stamp after the end of the tick does not come from the clock of the controller.
     """
     late_stamp_count = 0
     first_tick = -1
@@ -80,7 +79,7 @@ def _check_frame_time_stamps(log: RunLog) -> Iterator[str]:
 
 
 def _check_hashes(log: RunLog) -> Iterator[str]:
-    """Check the identity of the hand, and check that no hash of the controller's state occurs twice."""
+    """Check the identity of the hand, and check that no two ticks have the same hash of the controller's state."""
     logged_identity = log.header.metadata.get("identity", "")
     computed_identity = logged_hand(log).identity
     if logged_identity != computed_identity:
@@ -91,7 +90,7 @@ def _check_hashes(log: RunLog) -> Iterator[str]:
 
 
 def _check_hash_chain(log: RunLog) -> Iterator[str]:
-    """Check the hash chain of the log, and name the first tick with a wrong hash."""
+    """Check the hash chain of the log, and yield a line that names the first tick with a wrong hash."""
     hash_before = first_hash_of_run(log.header)
     broken_chunks = list[int]()
     ticks = zip(

@@ -24,7 +24,7 @@ Logs of earlier versions of handctl, for example, lack the topic of the hash cha
 
 
 class _StoredTick(NamedTuple):
-    """Tick as a log stores it: number, Tick message, packed telemetry, and hash in the hash chain."""
+    """Tick as it is stored in a log: number, Tick message, packed telemetry, and hash in the hash chain."""
 
     k: int
     message: bytes
@@ -33,13 +33,14 @@ class _StoredTick(NamedTuple):
 
 
 def describe_damaged_log(path: Path) -> str:
-    """Return a description of the first damage and the first wrong tick of a log.
+    """Return a text that describes the first damage of a log, and names the first wrong tick.
 
     If the log has no damage, the returned text is empty.
 
-    The hash chain shows a changed tick even if the checksums of the file were adjusted to the
-    change. If all hashes of the chain are right, the damage is in topics that are computed from the
-    ticks. If the damage is in computed topics, the result names the ticks of the damaged chunk.
+    Even if somebody has changed a tick and adjusted the checksums of the file, the hash chain shows
+    the change. If all hashes of the chain are right, the damage lies in topics that are computed
+    from the ticks. If only computed topics are damaged, the result names the ticks of the damaged
+    chunk.
 
     Raises:
         LogError: the file is not a log of handctl.
@@ -78,7 +79,7 @@ def describe_damaged_log(path: Path) -> str:
 
 
 def _intact_content(file: LogFile, chunk: ChunkLocation) -> tuple[bytes, str]:
-    """Return the part of a chunk that can be decompressed, and a description of the defect of the chunk."""
+    """Return the part of a chunk that can be decompressed, and a text that describes the defect of the chunk."""
     try:
         return file.chunk_content(chunk), ""
     except LogError as error:
@@ -129,7 +130,7 @@ def _chunk_ticks(
 
 
 def _last_intact_tick_text(intact_content: bytes) -> str:
-    """Return a text about the last undamaged tick before the damage."""
+    """Return a text that names the last intact tick before the damage."""
     return (
         f"after tick {int.from_bytes(intact_content[:8], 'little', signed=True)}"
         if intact_content

@@ -1,7 +1,7 @@
-"""Checks of a hand file that involve several of its sections.
+"""Checks that compare several sections of a hand file.
 
-The checks of several sections are about references, lengths of lists, tendon routing, limits and
-CAN identifiers.
+The checks cover references between sections, lengths of lists, tendon routing, limits and CAN
+identifiers.
 """
 
 from __future__ import annotations
@@ -119,13 +119,13 @@ MistakeIterator = Iterator[FileMistake]
 
 
 def check_hand(hand: Hand) -> MistakeIterator:
-    """Yield the remaining mistakes of a hand whose sections are valid one by one.
+    """Yield the mistakes that the separate validation of each section cannot find.
 
-    If a reference or a list length is wrong, the function leaves out the checks that need valid
-    references and list lengths.
+    Some checks need valid references and list lengths. The function skips these checks if a
+    reference or a list length is wrong.
 
     Args:
-        hand: hand whose single sections are already valid.
+        hand: hand of which every section has already been validated separately.
     """
     hand_mistakes = [*check_names(hand), *check_sections(hand.digit, hand.tendon)]
     hand_mistakes += check_mesh_keys(hand.mount, "palm_mesh", PALM_POSE_KEYS, "mount")
@@ -148,7 +148,7 @@ def check_hand(hand: Hand) -> MistakeIterator:
 
 
 def check_names(hand: Hand) -> MistakeIterator:
-    """Yield a mistake for each name that two sections of the same kind have."""
+    """Yield a mistake for each name that two sections of the same kind share."""
     for key in ("bus", "digit", "tendon", "motor"):
         yield from _check_unique(
             [section.name for section in getattr(hand, key)], key + "[{}].name"
@@ -156,9 +156,9 @@ def check_names(hand: Hand) -> MistakeIterator:
 
 
 def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> MistakeIterator:
-    """Yield the mistakes within single digits and single tendons.
+    """Yield the mistakes that lie within one digit or within one tendon.
 
-    The checks of a single digit or tendon need no other section of the hand file.
+    The check of a digit or a tendon reads no other section of the hand file.
     """
     for digit in digits:
         yield from _check_digit(digit)
@@ -180,7 +180,7 @@ def _check_unique(names: Iterable[str], key_path: str) -> MistakeIterator:
 
 
 def _check_digit(digit: Digit) -> MistakeIterator:
-    """Check a digit: the lengths of its lists, the order of its joint limits, and its links."""
+    """Check the list lengths, the joint limits and the links of a digit."""
     location = f"digit[{digit.name}]"
     links = len(digit.link_length_m)
     size_mistakes = [
@@ -221,9 +221,10 @@ def _check_digit(digit: Digit) -> MistakeIterator:
 
 
 def _check_joint_values(digit: Digit, key_path: str) -> MistakeIterator:
-    """Check the keys of revolute and of prismatic joints.
+    """Check the number of values in each key for revolute joints and in each key for prismatic joints.
 
-    A key must have one value for each joint of the type to which the key belongs.
+    A key for revolute joints must have one value per revolute joint. A key for prismatic joints
+    must have one value per prismatic joint.
     """
     prismatic_count = digit.is_prismatic.count(True)
     revolute_count = len(digit.is_prismatic) - prismatic_count
@@ -253,7 +254,7 @@ def _check_joint_values(digit: Digit, key_path: str) -> MistakeIterator:
 def _check_coupled_types(
     digit: Digit, coupling: tuple[tuple[float, ...], ...], key_path: str
 ) -> MistakeIterator:
-    """Check that each coordinate of a coupled digit moves joints of one type."""
+    """Check that each coordinate of a coupled digit moves only revolute or only prismatic joints."""
     for i, column in enumerate(zip(*coupling, strict=False)):
         kinds = {
             kind for kind, ratio in zip(digit.is_prismatic, column, strict=False) if ratio != 0.0
@@ -267,7 +268,7 @@ def _check_coupled_types(
 def check_mesh_keys(
     section: Digit | Mount, mesh: str, keys: Iterable[str], key_path: str
 ) -> MistakeIterator:
-    """Check that meshes exist if a section has a scale or a pose for meshes, and that no scale is 0."""
+    """Check that a section with keys for mesh scale or mesh pose also names a mesh. A scale must not be 0."""
     for key in keys:
         if getattr(section, mesh) is None and getattr(section, key) is not None:
             yield FileMistake(
@@ -371,7 +372,7 @@ def _check_joint_type(hand: Hand, key: str, joint: str, key_path: str) -> Mistak
 
 
 def _check_motors(hand: Hand) -> MistakeIterator:
-    """Check that each tendon names an existing motor that no other tendon names, and that each motor has a tendon."""
+    """Check that each tendon has its own motor, that all named motors exist, and that each motor has a tendon."""
     tendon_by_motor: dict[str, str] = {}
     motor_mistakes: list[FileMistake] = []
     for tendon in hand.tendon:
@@ -403,10 +404,10 @@ def _check_name(key_path: str, name: str, valid_names: tuple[str, ...]) -> Mista
 
 
 def _check_mounts(hand: Hand) -> MistakeIterator:
-    """Check that the hand file contains each carried digit after the digit that carries it.
+    """Check that each digit comes later in the hand file than the digit on which it is mounted.
 
-    Between a carrying digit and a carried digit, the hand file is allowed to contain only digits
-    that the carrying digit also carries, directly or through other digits.
+    All digits that a digit carries, directly or through other digits, must follow the carrying
+    digit without a gap.
     """
     line: list[str] = []
     for digit in hand.digit:
@@ -421,16 +422,16 @@ def _check_mounts(hand: Hand) -> MistakeIterator:
                     location,
                     "each digit right after the one that carries it, or after others on it",
                 )
-        # The next digit is allowed to be mounted on this digit, or on one of the digits that carry
-        # this digit.
+        # The next digit may be mounted on this digit, or on one of the digits that carry this
+        # digit.
         line = [*line[: line.index(carrier) + 1 if carrier in line else 0], digit.name]
 
 
 def _check_tendon_order(hand: Hand) -> MistakeIterator:
     """Check that each tendon moves a single digit, and that the tendons are in the order of the digits.
 
-    A tendon is allowed to cross only the joints of its digit, and the joints of digits that carry
-    its digit.
+    A tendon that moves a digit may cross the joints of this digit, and the joints of the digits
+    that carry it. The tendon must not cross other joints.
     """
     last_digit_index = 0
     for tendon in hand.tendon:
@@ -528,7 +529,11 @@ def _check_moment_arm_range(hand: Hand, tendon: Tendon, joint: str) -> MistakeIt
 
 
 def _check_routing(hand: Hand, digit: Digit) -> MistakeIterator:
-    """Check that the tendons of a digit can move every coordinate (R B has full column rank), and cross every joint."""
+    """Check that the tendons of a digit can move every coordinate, and that each joint is crossed by a tendon.
+
+    The tendons can move every coordinate if the product R B of moment arms and coupling matrix has
+    full column rank.
+    """
     tendons = hand.digit_tendons[digit.name]
     joints = hand.digit_joints[digit.name]
     arms = hand.moment_arms[tendons, joints]
@@ -562,7 +567,7 @@ def _check_routing(hand: Hand, digit: Digit) -> MistakeIterator:
 
 
 def moment_arm_key_for_joint(hand: Hand, joint: str) -> str:
-    """Return the key of a tendon's moment arm at a joint.
+    """Return the key that contains the moment arm of a tendon at a joint.
 
     For a prismatic joint, the key is ``excursion_ratio``.
     """
@@ -571,7 +576,7 @@ def moment_arm_key_for_joint(hand: Hand, joint: str) -> str:
 
 
 def _moment_arm_rank(arm_matrix: NDArray[np.float64]) -> int:
-    """Return the rank of the matrix R B of a digit."""
+    """Return the rank of R B, the product of a digit's moment arms and coupling matrix."""
     values = np.linalg.svd(arm_matrix, compute_uv=False)
     return (
         int((values > MIN_SINGULAR_VALUE_RATIO * values.max(initial=0.0)).sum())
@@ -581,7 +586,7 @@ def _moment_arm_rank(arm_matrix: NDArray[np.float64]) -> int:
 
 
 def _check_limits(tendon: Tendon) -> MistakeIterator:
-    """Check that the tension limits of a tendon increase in the order from the floor to the breaking force."""
+    """Check that the tension limits of a tendon are in ascending order, from the floor to the breaking force."""
     values = {key: getattr(tendon, key) for key in TENSION_LIMIT_KEYS}
     breaking_force = tendon.rated_breaking_force_N
     is_too_high = False
@@ -614,7 +619,8 @@ def _check_limits(tendon: Tendon) -> MistakeIterator:
 def _check_pretension(tendon: Tendon) -> MistakeIterator:
     """Check the pretension of a spool pair, and check that the pair has no tension floor.
 
-    With the pretension, no tendon of the pair is allowed to exceed the limits for the net tension.
+    The limits of a spool pair apply to its net tension. The pretension must be so small that
+    neither tendon of the pair exceeds these limits.
 
     For a net tension u and a pretension p, the pulling tendon has the tension max(p + u / 2, u).
     """
@@ -673,7 +679,11 @@ def _check_spool_pairs(hand: Hand, digit: Digit) -> MistakeIterator:
 
 
 def _check_drive(tendon: Tendon, motor: Motor) -> MistakeIterator:
-    """Check that a drive's torque limit fits the tendon's ``drive_limit_N``, and that the motor can reach the limit."""
+    """Check that a motor's ``torque_max_N_m`` equals the tendon's ``drive_limit_N`` within 1 %, at the spool.
+
+    The function also checks that ``torque_max_N_m`` is not larger than the peak torque of the
+    motor.
+    """
     location = f"motor[{motor.name}].torque_max_N_m"
     limit = tendon.drive_limit_N * motor.spool_radius_m
     if abs(motor.torque_max_N_m - limit) > 0.01 * limit:
@@ -688,7 +698,7 @@ def _check_drive(tendon: Tendon, motor: Motor) -> MistakeIterator:
 
 
 def _check_control(hand: Hand, tendon: Tendon, motor: Motor) -> MistakeIterator:
-    """Check the keys of a motor for the position loop in the drive.
+    """Check the keys that configure the position loop in the drive of a motor.
 
     Only a motor with ``control = "position"`` is allowed to have keys for the position loop.
     """
@@ -715,7 +725,10 @@ def _check_control(hand: Hand, tendon: Tendon, motor: Motor) -> MistakeIterator:
 
 
 def _check_stream(stream: StreamLimits) -> MistakeIterator:
-    """Check that a hand without new streamed targets begins to hold before it begins to relax."""
+    """Check that ``relax_after_ms`` is longer than ``hold_after_ms``.
+
+    After the last streamed target, the hand first holds its position and later relaxes its tendons.
+    """
     if stream.relax_after_ms <= stream.hold_after_ms:
         expected = f"more than hold_after_ms = {stream.hold_after_ms:g} ms"
         yield FileMistake(f"{stream.relax_after_ms:g}", "stream.relax_after_ms", expected)
@@ -741,9 +754,10 @@ def _check_identifiers(hand: Hand) -> MistakeIterator:
 
 
 def _frame_identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
-    """Yield (bus, identifier, key path) for all CAN frames of a hand.
+    """Yield (bus, identifier, key path) for each CAN frame of a hand.
 
-    For a motor with another protocol, the pair of protocol and node number replaces the identifier.
+    This module does not know the identifiers of some protocols. For a motor with such a protocol, a
+    text with protocol and node number replaces the identifier.
     """
     for protocol, identifier, use_text in IDS_SHARED_BY_MOTORS:
         for bus in {motor.bus for motor in hand.motor if motor.protocol == protocol}:
@@ -761,7 +775,7 @@ def _frame_identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
 
 
 def _motor_identifiers(motor: Motor) -> Iterator[tuple[object, str]]:
-    """Yield (identifier, key path) for all CAN frames of a motor."""
+    """Yield (identifier, key path) for each CAN frame of a motor."""
     location = f"motor[{motor.name}].node_id"
     if motor.protocol == "mit":
         yield motor.node_id, location
@@ -774,9 +788,9 @@ def _motor_identifiers(motor: Motor) -> Iterator[tuple[object, str]]:
         for service_base_id in CANOPEN_FRAME_IDS:
             yield service_base_id + motor.node_id, location
     elif motor.protocol == "moteus":
-        # The first identifier belongs to moteus requests, with the source number 0 and the bit that
-        # asks for a reply. The second identifier belongs to moteus replies, and has 11 bits if it
-        # is small enough.
+        # The first identifier belongs to moteus requests. It contains the source number 0 and the
+        # bit that asks for a reply. The second identifier belongs to moteus replies, and has 11
+        # bits if it is small enough.
         yield EXTENDED_ID_FLAG | 0x8000 | motor.node_id, location
         number = motor.node_id << 8
         yield number if number < STANDARD_IDS else number | EXTENDED_ID_FLAG, location

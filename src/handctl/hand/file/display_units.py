@@ -42,7 +42,7 @@ class DisplayUnits(NamedTuple):
 
     @classmethod
     def of(cls, is_prismatic: ArrayLike) -> "DisplayUnits":
-        """Return the units of positions (n,). The argument is True for each position of a prismatic joint."""
+        """Return the units of positions (n,). ``is_prismatic`` is True for each position of a prismatic joint."""
         prismatic_mask = np.asarray(is_prismatic, dtype=np.bool_)
         # The factors of hinges are the same as in math.degrees and math.radians.
         return cls(
@@ -62,9 +62,10 @@ class DisplayUnits(NamedTuple):
         return np.asarray(np.asarray(values, dtype=np.float64) * self.si_factor)
 
     def as_equivalent_angles(self, values: ArrayLike) -> Array:
-        """Convert positions (.., n) [rad or m] to rad.
+        """Convert positions (.., n) [rad or m] to angles [rad] that can be compared with each other.
 
-        One displayed mm of a prismatic joint counts as one deg of a hinge.
+        The angle of a hinge stays the same. For a prismatic joint, a distance of 1 mm becomes an
+        angle of 1 deg.
         """
         return np.asarray(np.asarray(values, dtype=np.float64) / (self.si_factor / (np.pi / 180.0)))
 

@@ -118,8 +118,8 @@ SECTIONS_ALLOWED_IN_DIGITS = ("tendon", "motor")
 def _meaning_of_missing_key(key_location: Sequence[str | int], model: type[BaseModel]) -> str:
     """Return a text about the value that the file should contain for a missing key.
 
-    The text contains the form of the missing section or value, and the first sentence of the key's
-    description.
+    The text says which form the section or value must have, such as "a list", and adds the first
+    sentence of the key's description.
     """
     field = _field_of_key(key_location, model)
     if field is None:
@@ -211,7 +211,7 @@ def _unknown_key_mistake(
 ) -> FileMistake:
     """Return the mistake for an unknown key.
 
-    The valid value in the mistake is the most similar valid key.
+    As the valid value, the mistake proposes the most similar valid key.
     """
     if key_location[0] == "motor" and key_location[-1] == "mode":
         return FileMistake(
@@ -230,9 +230,9 @@ def with_paths_in_hand_file(
 ) -> list[FileMistake]:
     """Return the mistakes with their key paths in the hand file.
 
-    A key path in the hand file replaces the key path in the resolved content (the content without
-    defaults and templates). Many sections can use the same value of a default or a template. If a
-    value in the hand file causes several mistakes, only the first mistake is returned.
+    The given key paths belong to the resolved content, in which values have replaced all defaults
+    and templates. Many sections can use the same value of a default or a template. If a value in
+    the hand file causes several mistakes, only the first mistake is returned.
 
     Args:
         mistakes: mistakes whose key paths belong to the resolved content of the hand file.
@@ -273,8 +273,8 @@ def group_mistakes(mistakes: Iterable[FileMistake]) -> list[FileMistake]:
 def shortened_list(section_names: Sequence[str]) -> str:
     """Join names to a text with commas.
 
-    From a list of more than three names, write the first two names, and the number of the other
-    names.
+    If there are more than three names, the text contains the first two names and the number of the
+    other names.
     """
     return (
         ", ".join(section_names)
@@ -284,9 +284,9 @@ def shortened_list(section_names: Sequence[str]) -> str:
 
 
 def lines_by_text(name_text_pairs: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-    """Return one line for each different text: the names that belong to the text, and the text.
+    """Return one line for each distinct text. A line has the form "names: text".
 
-    The lines are in the order of the first name in each line.
+    The texts keep the order in which they first occur in ``name_text_pairs``.
 
     Args:
         name_text_pairs: pairs of a name and its text.
@@ -300,8 +300,8 @@ def lines_by_text(name_text_pairs: Iterable[tuple[str, str]]) -> tuple[str, ...]
 def _path_in_file(path: str, origin_of_path: Mapping[str, str]) -> str:
     """Convert a key path of a hand file's resolved content to the key path in the hand file.
 
-    The function looks for the longest beginning of the key path that is a key of
-    ``origin_of_path``, and replaces this beginning. The rest of the key path is unchanged.
+    The function replaces the longest prefix of the key path that ``origin_of_path`` contains. The
+    rest of the key path is unchanged.
     """
     known_path = path
     while known_path:
@@ -316,7 +316,7 @@ def _path_in_file(path: str, origin_of_path: Mapping[str, str]) -> str:
 
 
 def key_path(content: Any, key_location: Sequence[str | int]) -> str:
-    """Return a readable key path such as ``digit[index].link_mass_kg[1]``, with the names of list entries."""
+    """Return a readable key path such as ``digit[index].link_mass_kg[1]``, in which list entries have names."""
     path = ""
     for key_or_index in key_location:
         try:

@@ -150,7 +150,7 @@ class _SectionLine:
 
 
 def usable_tendons(imported_hand: ImportedHand) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the described tendons that are possible in a hand file, and notes about all other tendons.
+    """Return the tendons of a robot description that a hand file can contain, and a note about each other tendon.
 
     The table of each tendon has ``digit``, ``name``, ``motor``, ``tension_max``, ``is_spool_pair``,
     ``sliding`` and ``arms``. The keys of ``arms`` are the short names of joints.
@@ -274,7 +274,7 @@ def imported_hand_text(
 def _placeholder_tendons(
     digit: ModelDigit, import_answers: ImportAnswers
 ) -> Iterable[dict[str, Any]]:
-    """Yield placeholder tendons for a digit, with moment arms if the user has answered the question about them."""
+    """Yield placeholder tendons for a digit. The tendons have moment arms if the user has given a pulley radius."""
     joints = [f"j{i + 1}" for i in range(len(digit.joints))]
     prismatic_joints = _sliding_joints(digit)
     arm = None if import_answers.pulley_mm is None else 1e-3 * import_answers.pulley_mm
@@ -387,10 +387,9 @@ def _sensor_node(import_answers: ImportAnswers) -> str:
 
 
 def _common_lines(imported_hand: ImportedHand, import_answers: ImportAnswers) -> list[_SectionLine]:
-    """Return lines for the values of digits that the robot description does not contain.
+    """Return lines for the digit values that are missing in the robot description.
 
-    In the new hand file, one line for all digits stands for each value that the robot description
-    does not contain.
+    Each missing value has a single line in the new hand file, which applies to all digits.
     """
     all_links = [link for digit in imported_hand.digits for link in digit.links]
     is_known_by_key = {"link_radius_m": any(link.radius for link in all_links)}
@@ -411,7 +410,7 @@ def _common_lines(imported_hand: ImportedHand, import_answers: ImportAnswers) ->
 
 
 def _digit_lines(digit: ModelDigit, import_answers: ImportAnswers) -> list[_SectionLine]:
-    """Return lines for the values of a digit that the robot description contains."""
+    """Return lines for the values that the robot description gives for a digit."""
     links = digit.links
     lines = [_SectionLine("name", f'"{digit.name}"')]
     if digit.carrier is not None:
@@ -458,7 +457,7 @@ def _digit_lines(digit: ModelDigit, import_answers: ImportAnswers) -> list[_Sect
 
 
 def _palm_mesh_lines(mesh: ModelMesh | None) -> Iterable[_SectionLine]:
-    """Yield lines for the mesh of the palm. The lines omit keys with their default value."""
+    """Yield lines for the mesh of the palm. A key that has its default value gets no line."""
     if mesh is None:
         return
     yield _SectionLine("palm_mesh", quoted_string(mesh.file))
@@ -471,7 +470,7 @@ def _palm_mesh_lines(mesh: ModelMesh | None) -> Iterable[_SectionLine]:
 
 
 def _mesh_lines(link_meshes: Sequence[ModelMesh | None]) -> Iterable[_SectionLine]:
-    """Yield lines for the meshes of a digit. The lines omit keys with their default value."""
+    """Yield lines for the meshes of a digit. A key that has its default value gets no line."""
     if not any(link_meshes):
         return
     no_mesh = ModelMesh("", np.ones(3), np.zeros(3), np.eye(3))
@@ -529,7 +528,7 @@ def _joint_lines(digit: ModelDigit, import_answers: ImportAnswers) -> Iterable[_
 
 
 def _key_for_joint_type(key: str, is_prismatic: bool) -> str:
-    """Return the key itself for a revolute joint, or the corresponding key for a prismatic joint."""
+    """Return a key for revolute joints, or the corresponding key for prismatic joints."""
     return PRISMATIC_KEYS[REVOLUTE_KEYS.index(key)] if is_prismatic else key
 
 
@@ -580,7 +579,7 @@ def _drive_lines(
 
 
 def _tendon_lines(import_answers: ImportAnswers) -> Iterable[_SectionLine]:
-    """Yield lines for the values of tendons that are the same for all tendons."""
+    """Yield lines for the values that all tendons have in common."""
     tension = import_answers.tension_N
     value_by_key: dict[str, float | None] = {
         "stiffness_N_per_m": None,
@@ -601,7 +600,7 @@ def _tendon_lines(import_answers: ImportAnswers) -> Iterable[_SectionLine]:
 
 
 def _motor_lines(import_answers: ImportAnswers) -> Iterable[_SectionLine]:
-    """Yield lines for the values of motors that are the same for all motors."""
+    """Yield lines for the values that all motors have in common."""
     torque = None
     if import_answers.tension_N is not None and import_answers.spool_mm is not None:
         torque = DRIVE_LIMIT_RATIO * import_answers.tension_N * 1e-3 * import_answers.spool_mm
@@ -633,7 +632,7 @@ def _motor_lines(import_answers: ImportAnswers) -> Iterable[_SectionLine]:
 
 
 def _todo_line(section: type[Section], key: str) -> _SectionLine:
-    """Return the line for a key whose value is missing, with ``"TODO"`` as the value."""
+    """Return the line for a key without a known value. The value in the line is ``"TODO"``."""
     todo_verb = "set" if key in KEYS_CHOSEN_BY_USER else "measure"
     return _SectionLine(
         key,
@@ -674,7 +673,7 @@ def _inertia_moments(inertia: Array) -> Array:
 
 
 def _rpy_deg_text(rotation: Array) -> str:
-    """Return roll, pitch and yaw of a rotation (3, 3) as text [deg]."""
+    """Return a text with roll, pitch and yaw [deg] of a rotation (3, 3)."""
     return _number_list_text(np.degrees(rpy_of_rotation(rotation)))
 
 

@@ -28,9 +28,9 @@ VALUE_DEFINITIONS = {kind: f"{name}Values" for kind, name in SECTION_DEFINITIONS
 
 
 def hand_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a hand file of schema 2.
+    """Return the JSON Schema of hand files with the format version ``schema = 2``.
 
-    Hand files of schema 1 also satisfy the JSON Schema.
+    Hand files with ``schema = 1`` also satisfy the JSON Schema.
 
     In the JSON Schema, every key of a digit, tendon or motor is optional, because a default or
     template can contain the value. ``handctl config check`` reports missing keys.
@@ -86,9 +86,10 @@ def hand_schema_text() -> str:
 
 
 def _add_short_forms_of_digit(digit_schema: dict[str, Any]) -> None:
-    """Extend the definition of a digit by the forms of schema 2.
+    """Add the short forms of hand-file schema 2 to the JSON Schema of a digit.
 
-    The short forms of schema 2 are not valid in hand files of schema 1.
+    In a short form, the digit contains its tendons and motors, or a single number stands for a
+    list. Hand files of schema 1 must not contain short forms.
     """
     properties = digit_schema["properties"]
     for kind in TABLE_KINDS_IN_DIGIT:

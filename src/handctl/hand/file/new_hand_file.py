@@ -1,6 +1,6 @@
 """Text of a new hand file from a few answers of the user.
 
-In the new hand file, a comment marks each assumed number.
+In the new hand file, a comment marks each number that is only an assumption.
 """
 
 import json
@@ -122,7 +122,7 @@ class NewHandAnswers:
 
     @property
     def palm(self) -> float:
-        """Return the distance between the two sides of digits [mm].
+        """Return the distance between the two rows of digits on the palm [mm].
 
         The default distance leaves space for a thick object.
         """
@@ -130,7 +130,7 @@ class NewHandAnswers:
 
     @property
     def palm_width_for_thick_object(self) -> float:
-        """Return the distance between both sides of the palm [mm] that leaves space for a thick object."""
+        """Return the distance between the two rows of digits [mm] that leaves space for a thick object."""
         return (
             max(SMALLEST_OBJECT_MM, OBJECT_DIAMETER_RATIO * self.digit_length_mm)
             + self.width_mm
@@ -139,7 +139,7 @@ class NewHandAnswers:
 
     @property
     def joint_moment_arm_mm(self) -> float:
-        """Return the moment arm of the tendons at the joints [mm].
+        """Return the moment arm [mm] of the tendons at the joints.
 
         By default, the moment arm is in proportion to the length of the digits.
         """
@@ -151,7 +151,8 @@ class NewHandAnswers:
 def check_new_hand_answers(answers: NewHandAnswers) -> None:
     """Check the user's answers about a new hand before the hand file is written.
 
-    The checks of the hand file find all other mistakes in the answers.
+    Mistakes that this function does not find are found later, by the checks of the finished hand
+    file.
 
     Raises:
         ConfigError: the name, a number of digits, the distance between the sides of the palm, or
@@ -176,7 +177,7 @@ def check_new_hand_answers(answers: NewHandAnswers) -> None:
 
 
 def check_springs(tendons: str | None, spring_torques_text: str | None) -> None:
-    """Check that each digit can be opened, either by springs or by a tendon.
+    """Check that springs or a tendon can open each digit.
 
     If a digit has a single tendon, the tendon only closes the digit, and springs must open the
     digit.
@@ -279,7 +280,7 @@ def _digit_names(answers: NewHandAnswers) -> list[tuple[str, int]]:
 
 
 def _mount_positions(answers: NewHandAnswers) -> list[float]:
-    """Return the position of each digit along the axes of the hinges [m], first for the fingers.
+    """Return the position of each digit in the direction of the hinge axes [m]. The fingers come first.
 
     If the two sides of the palm have different numbers of digits, each digit faces a gap between
     two digits of the other side. If the tips of two digits faced each other, the tips would meet
@@ -380,7 +381,7 @@ joint_noise_rad = 0.001            # standard deviation of an encoder sample"""
 
 
 def _digit_values(answers: NewHandAnswers) -> str:
-    """Return the text with the values of digits that are the same for all digits."""
+    """Return the text with the values that all digits have in common."""
     lengths = [1e-3 * length for length in answers.links_mm]
     width = 1e-3 * answers.width_mm
     masses = [DENSITY_KG_M3 * length * width**2 for length in lengths]
@@ -445,11 +446,11 @@ def _closing_tendons(answers: NewHandAnswers) -> list[int]:
 
 
 def _moment_arms(answers: NewHandAnswers, tendon: int) -> list[float]:
-    """Return the moment arm of a digit's tendon at each joint that the tendon crosses [m].
+    """Return the moment arm [m] of a digit's tendon at each joint that the tendon crosses.
 
     Closing tendon i crosses all joints up to joint i. If a digit has n joints, one tendon opens the
-    digit, and n tendons close it. If the tensions of the n closing tendons are equal, the opening
-    tendon balances them with n times the tension of one closing tendon. The moment arm of the
+    digit, and n tendons close it. If the n closing tendons have equal tensions, the opening tendon
+    needs n times the tension of one closing tendon to balance all of them. The moment arm of the
     opening tendon at a joint is in proportion to the number of tendons that close the joint.
 
     Args:
@@ -466,7 +467,7 @@ def _moment_arms(answers: NewHandAnswers, tendon: int) -> list[float]:
 
 
 def _tendon_values(answers: NewHandAnswers) -> str:
-    """Return the text with the values of tendons that are the same for all tendons."""
+    """Return the text with the values that all tendons have in common."""
     trip_tension_text = _number_text(TENSION_TRIP_RATIO * answers.tension_N)
     return f"""[default.tendon]
 stiffness_N_per_m = 1.0e5          # ASSUMED: handctl identify measures it
@@ -484,7 +485,7 @@ drive_limit_N = {_number_text(DRIVE_LIMIT_RATIO * answers.tension_N)}           
 
 
 def _motor_values(answers: NewHandAnswers, drive_options: Mapping[str, Any]) -> str:
-    """Return the text with the values of motors that are the same for all motors."""
+    """Return the text with the values that all motors have in common."""
     torque = DRIVE_LIMIT_RATIO * answers.tension_N * 1e-3 * answers.spool_mm
     return f"""[default.motor]                    # quantities at the spool, after the gear
 protocol = "{answers.protocol}"

@@ -1,7 +1,7 @@
 """Types of the values in a hand file. Each type has a range of values that are plausible for a robot hand.
 
 The plausible ranges include the values of all usual hands, but not values in wrong units. For
-example, the length of a link is too large by a factor of 1000 if the user gives it in millimetres.
+example, a link length that the user gives in millimetres is too large by a factor of 1000.
 """
 
 import re
@@ -37,7 +37,7 @@ def validation_error(valid_value: str) -> PydanticCustomError:
 
 @dataclass(frozen=True, eq=False)
 class CheckedType:
-    """Validation of one type of value, as a function and as a JSON Schema.
+    """Validator for one type of value, given both as a function and as a JSON Schema.
 
     pydantic uses the function ``check``. Editors use the JSON Schema ``schema``.
 
@@ -97,13 +97,13 @@ class NumberRange:
 
 
 def number_in_range(minimum: float, maximum: float, unit: str = "", hint: str = "") -> CheckedType:
-    """Return the validation of a number between two limits, see ``NumberRange``."""
+    """Return a validator for numbers between two limits, see ``NumberRange``."""
     number = NumberRange(minimum, maximum, unit, hint)
     return CheckedType(number, number.schema)
 
 
 def integer_in_range(minimum: int, maximum: int) -> CheckedType:
-    """Return the validation of an integer between two limits."""
+    """Return a validator for integers between two limits."""
 
     def check_value(value: Any) -> int:
         """Return the value if it is valid."""
@@ -115,7 +115,7 @@ def integer_in_range(minimum: int, maximum: int) -> CheckedType:
 
 
 def text_choice(*allowed_words: str) -> CheckedType:
-    """Return the validation of a text that must be one of the given words."""
+    """Return a validator for texts that must be one of the given words."""
 
     def check_value(value: Any) -> str:
         """Return the value if it is one of the given words."""
@@ -165,7 +165,7 @@ def _check_options(value: Any) -> dict[str, bool | int | float | str]:
 
 
 def zero_or_number_in_range(minimum: float, maximum: float, unit: str, hint: str) -> CheckedType:
-    """Return the validation of a number that must be 0 or between two limits, see ``NumberRange``."""
+    """Return a validator for numbers that must be 0 or between two limits, see ``NumberRange``."""
     number = NumberRange(minimum, maximum, unit, hint)
 
     def check_value(value: Any) -> float:
@@ -184,7 +184,7 @@ def zero_or_number_in_range(minimum: float, maximum: float, unit: str, hint: str
 def number_or_list(
     number_range: NumberRange, entry_range: NumberRange, *allowed_counts: int
 ) -> CheckedType:
-    """Return the validation of a value that is a number or a list of numbers.
+    """Return a validator for values that are a number or a list of numbers.
 
     Args:
         number_range: check of a single number.
@@ -250,7 +250,7 @@ def _check_moment_arm(value: Any) -> float | dict[str, tuple[float, ...]]:
 def _checked_numbers(
     values: Any, key: str, min_length: int, max_length: int, max_magnitude: float
 ) -> tuple[float, ...]:
-    """Check the length of the list at a key and the magnitude of its numbers, and return the list."""
+    """Check the length of a list and the magnitude of the numbers in the list, and return the list."""
     expected = f"{min_length} to {max_length} numbers from {-max_magnitude:g} to {max_magnitude:g} in {key}"
     if not isinstance(values, list | tuple) or not min_length <= len(values) <= max_length:
         raise validation_error(expected)

@@ -4,7 +4,7 @@ A hand file of schema 2 contains repeated values only once. The conversion keeps
 file.
 
 The conversion does not change the spelling of a value, for example ``0x1A0`` or ``6.384e-3``. A
-comment stays beside its value.
+comment stays on the same line as the value that it describes.
 """
 
 import re
@@ -44,7 +44,7 @@ MIN_SECTIONS_TO_SHARE = 2
 class TomlEntry:
     """Line of a hand file.
 
-    A line contains a key with its value and a comment, or only a comment.
+    A line of a hand file contains either a key with its value and a comment, or only a comment.
 
     Attributes:
         key: key of the line, empty for a blank line and for a line with only a comment.
@@ -169,7 +169,7 @@ def _parse_entry(key: str, item: Item) -> list[TomlEntry]:
 
 
 def _trailing_comments(block: TomlTable) -> list[str]:
-    """Remove the comment lines at the end of a table, and return them.
+    """Remove the comment lines at the end of a table, and return the removed lines.
 
     The comment lines at the end of a table belong to the next table.
     """
@@ -265,8 +265,8 @@ def _move_sections_into_digits(
 ) -> None:
     """Move each tendon or motor into its digit.
 
-    The name of each tendon or motor must begin with the name of its digit. If one name begins
-    otherwise, the function moves no tendon and no motor.
+    The name of each tendon or motor must begin with the name of its digit. If any name begins
+    differently, the function moves no tendon and no motor.
     """
     moved_tables: list[tuple[TomlTable, str, TomlTable]] = []
     digits = {block.values()["name"]: block for block in tables_of_kind["digit"]}
@@ -313,7 +313,7 @@ def _move_sections_into_digits(
 
 
 def _remove_values_to_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
-    """Remove the values that digits with equal links have in common, and return templates with these values."""
+    """Remove the values that digits with equal links have in common, and return templates that contain these values."""
     groups: dict[str, list[TomlTable]] = {}
     for block in digits:
         groups.setdefault(str(block.values().get("link_length_m")), []).append(block)

@@ -13,15 +13,15 @@ from handctl.hand.file.display_units import DisplayUnits
 
 
 class Section(BaseModel):
-    """Table of a hand file, which is frozen and accepts no unknown keys."""
+    """Base class of all tables of a hand file. A table is immutable and accepts no unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Return a copy of the section with the given fields replaced.
 
-        pydantic also copies the cached properties, which were computed from the old fields. The
-        copied section computes its properties again.
+        pydantic also copies the cached properties, which belong to the old fields. This method
+        deletes the cached properties in the copy, so that the copy computes new ones.
         """
         section_copy = super().model_copy(update=update, deep=deep)
         for name in section_copy.__dict__.keys() - type(self).model_fields.keys():
@@ -380,8 +380,8 @@ class Digit(Section):
     def _add_default_springs(cls, section_content: Any) -> Any:
         """Add return springs with stiffness 0 to a digit without springs.
 
-        Antagonistic tendons open a digit without springs. A digit without revolute joints needs no
-        key of revolute joints.
+        A digit without springs is opened by antagonistic tendons. A digit without revolute joints
+        needs no key of revolute joints.
         """
         if not isinstance(section_content, dict):
             return section_content
@@ -401,7 +401,7 @@ class Digit(Section):
 
     @property
     def is_prismatic(self) -> tuple[bool, ...]:
-        """Return for each joint if it is prismatic, in the order from the palm to the tip."""
+        """Return True for each prismatic joint and False for each revolute joint, in order from palm to tip."""
         if self.joint_type is None:
             return (False,) * len(self.link_length_m)
         return tuple(kind == PRISMATIC for kind in self.joint_type)
@@ -413,7 +413,10 @@ class Digit(Section):
 
     @property
     def axes(self) -> tuple[tuple[float, float, float], ...]:
-        """Return the axis of each joint in the frame of its link, from the hand file or by default."""
+        """Return the axis of each joint in the frame of the joint's link.
+
+        The default axis is y for prismatic joints and z for hinges.
+        """
         if self.joint_axis is not None:
             return self.joint_axis
         return tuple(
@@ -421,7 +424,10 @@ class Digit(Section):
         )
 
     def joint_values(self, key: str) -> tuple[float, ...]:
-        """Return a value for each joint, from a key for revolute joints or from the corresponding key in metres.
+        """Return the value of a quantity for each joint of the digit.
+
+        The value of a revolute joint comes from ``key``, and the value of a prismatic joint from
+        the corresponding key in metres.
 
         Args:
             key: one of ``REVOLUTE_KEYS``. The values of prismatic joints are in SI units. The
@@ -436,12 +442,12 @@ class Digit(Section):
 
     @property
     def display_units(self) -> DisplayUnits:
-        """Return the units in which a user sees the positions of the joints, (n,)."""
+        """Return the units (n,) in which joint positions are displayed."""
         return DisplayUnits.of(self.is_prismatic)
 
     @property
     def joint_limits(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return the smallest and the largest position of each joint [rad or m]."""
+        """Return the smallest and the largest position [rad or m] of each joint."""
         units = self.display_units
         low, high = (
             tuple(np.where(self.is_prismatic, values, units.si(values)).tolist())
@@ -451,7 +457,7 @@ class Digit(Section):
 
     @property
     def displayed_joint_limits(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return the smallest and the largest position of each joint in displayed units [deg or mm]."""
+        """Return the smallest and the largest position of each joint in the displayed units, deg or mm."""
         units = self.display_units
         low, high = (
             tuple(np.where(self.is_prismatic, units.to_display_units(values), values).tolist())
@@ -461,7 +467,7 @@ class Digit(Section):
 
     @property
     def rated_loads(self) -> tuple[float, ...] | None:
-        """Return the largest torque or force that each joint withstands [N m or N].
+        """Return the largest torque [N m] or force [N] that each joint withstands.
 
         Return None if the largest torque or force of a joint is not known.
         """
@@ -543,7 +549,7 @@ class Tendon(Section):
     @model_validator(mode="before")
     @classmethod
     def _add_default_tendon_keys(cls, section_content: Any) -> Any:
-        """Add the keys that a tendon in a hand file is allowed to omit.
+        """Add the keys that the hand file may omit for a tendon.
 
         A spool pair has a tension floor of 0, because its net tension can be positive or negative.
         A tendon that moves only prismatic joints has no moment arms.
@@ -561,11 +567,11 @@ class Tendon(Section):
 
     @property
     def arms(self) -> dict[str, Any]:
-        """Return the tendon's entries of R by joint: moment arms [m], or excursion ratios for prismatic joints."""
+        """Return the tendon's moment arm [m], or excursion ratio for a prismatic joint, by the name of the joint."""
         return {**self.moment_arm_m, **self.excursion_ratio}
 
     def moment_arm_key(self, joint: str) -> str:
-        """Return the name of the key that contains the tendon's entry of R for a joint."""
+        """Return the key that contains the tendon's moment arm or excursion ratio at a joint."""
         return "excursion_ratio" if joint in self.excursion_ratio else "moment_arm_m"
 
 
@@ -625,5 +631,5 @@ class Motor(Section):
 
     @property
     def closes_position_loop(self) -> bool:
-        """Return True if the drive controls the position of a moving digit."""
+        """Return True if the position loop runs in the drive while the digit moves."""
         return self.control == "position"

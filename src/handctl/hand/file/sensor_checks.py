@@ -1,7 +1,6 @@
 """Checks of the section ``sensor_node`` in a hand file.
 
-The checks of the sensor node are about the keys of its protocol, the sensor channels and the
-measuring range.
+The checks cover the keys of the sensor protocol, the sensor channels and the measuring range.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ MIN_TENSION_NOISE_N = 1e-3
 
 
 def check_sensor_node(hand: Hand) -> Iterator[FileMistake]:
-    """Yield the mistakes of the section ``sensor_node`` that only a comparison of several keys shows."""
+    """Yield the mistakes of the section ``sensor_node`` that appear only when several keys are compared."""
     node = hand.sensor_node
     foreign_keys, protocol = (
         (HANDCTL_NODE_KEYS, HANDCTL_PROTOCOL) if node.is_cia404 else (CIA404_KEYS, CIA404_PROTOCOL)
@@ -120,7 +119,8 @@ def _check_amplifiers(node: SensorNode) -> Iterator[FileMistake]:
 def _check_range(hand: Hand) -> Iterator[FileMistake]:
     """Check that the measuring range of the load cells includes the largest tension.
 
-    The function also checks that the process value can represent the measuring range.
+    The function also checks that a 32-bit process value of the amplifier can represent the
+    measuring range.
     """
     node, location = hand.sensor_node, "sensor_node.range_N"
     if node.range_N is None:

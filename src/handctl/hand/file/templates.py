@@ -65,9 +65,10 @@ KeyPathOrigins = dict[str, str]
 
 
 class ValueLayer(NamedTuple):
-    """Values for a section from a single table of the hand file, and the key path of the table.
+    """Layer of values for a section. All values of a layer come from one table of the hand file.
 
-    Values of a later layer replace values of an earlier layer.
+    Values of a later layer replace values of an earlier layer. ``path`` is the key path of the
+    table.
     """
 
     values: TableContent
@@ -92,10 +93,10 @@ class ResolvedContent(NamedTuple):
 def resolve_templates(content: TableContent) -> ResolvedContent:
     """Replace the defaults and templates of a hand file by the values for which they stand.
 
-    The function does not change content of schema 1.
+    The function does not change the content of a file with schema 1.
 
-    If the value of a section is not a table, the function does not change the value. The later
-    validation of the content reports such a value with a better message.
+    If the value of a section is not a table, the function does not change the value. A later
+    validation of the content reports the wrong value with a better message.
     """
     content, spelling_mistakes = _with_correct_table_names(content)
     tables = [key for key in TEMPLATE_TABLES if key in content]
@@ -165,10 +166,10 @@ def _with_correct_table_names(
 
 
 class _TemplateResolver:
-    """Resolution of one hand file, with the content of the hand file and the sections resolved so far."""
+    """Resolver that stores the content of one hand file and the sections that have been resolved so far."""
 
     def __init__(self, content: TableContent) -> None:
-        """Store the content of a hand file that is to be resolved."""
+        """Store the content of the hand file whose defaults and templates are to be replaced."""
         self.content = content
         self.origins: KeyPathOrigins = {}
         self.mistakes: list[FileMistake] = []
@@ -237,7 +238,7 @@ class _TemplateResolver:
     def shared_layers(
         self, section_kind: str, section_layers: Sequence[ValueLayer]
     ) -> Iterator[ValueLayer]:
-        """Yield the layers of the default for a kind of section, and of the template that the section names."""
+        """Yield the values that a section takes from the default of its kind, and from the template that it names."""
         default_section = self.content.get("default")
         default: TableContent = default_section if isinstance(default_section, Mapping) else {}
         for key, values in default.items():
@@ -316,7 +317,9 @@ class _TemplateResolver:
         section_layers: list[ValueLayer],
         motors: TableContent,
     ) -> dict[str, Any]:
-        """Return a tendon or motor that a digit contains, with the full names of itself, its motor and its joints.
+        """Return a tendon or motor of a digit.
+
+        Full names replace the short names of the section, its motor and its joints.
 
         Args:
             section_kind: kind of section.
@@ -346,7 +349,7 @@ class _TemplateResolver:
     def _write_full_joint_names(
         self, values: dict[str, Any], path: str, key: str, digit: str
     ) -> None:
-        """Replace short names of joints in a table of a tendon by full names.
+        """Replace the short joint names in a table of a tendon by full joint names.
 
         Args:
             values: values of the tendon, modified in place.
@@ -443,7 +446,7 @@ def _copy_of_lists(value: Any) -> Any:
 def _template_layers_by_name(
     layers: Sequence[ValueLayer], kind: str
 ) -> dict[str, list[ValueLayer]]:
-    """Return the layers of each tendon or motor that a digit contains, by the short name."""
+    """Return the value layers of each tendon or motor in a digit, by the short name of the tendon or motor."""
     layers_by_name: dict[str, list[ValueLayer]] = {}
     for layer in layers:
         tables = layer.values.get(kind)
@@ -485,6 +488,6 @@ def _list_of_tables(value: Any) -> list[TableContent]:
 
 
 def _section_label(section: TableContent, position: int) -> str:
-    """Return the name of a section for key paths, or its position if it has no name."""
+    """Return the name by which key paths identify a section, or the position of a section without a name."""
     name = section.get("name")
     return name if isinstance(name, str) and name else str(position)

@@ -13,7 +13,7 @@ from handctl.printing import escape_surrogates
 def toml_text(content: Mapping[str, Any]) -> str:
     """Write content as TOML text: first plain values, then tables and arrays of tables.
 
-    The text omits values that are None and empty inline tables.
+    The text omits empty inline tables, and values that are None.
     """
     lines = _value_lines(content)
     for key, value in content.items():
@@ -29,7 +29,7 @@ def _value_lines(table_content: Mapping[str, Any], inline_tables: bool = False) 
     """Return the lines with the values of a table, one line for each value."""
 
     def is_single_line_value(value: Any) -> bool:
-        """Return True for a value whose text is a single line of the table."""
+        """Return True for a value that the table can contain in one line ``key = value``."""
         return (
             bool(inline_tables and value)
             if isinstance(value, Mapping)

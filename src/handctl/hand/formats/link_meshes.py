@@ -64,7 +64,7 @@ class LinkMesh:
         return PurePath(self.file).suffix.lower()
 
     def to_link_frame(self, triangles: Array) -> Array:
-        """Transform triangles (n, 3, 3) of the mesh file to the frame of the link [m]."""
+        """Transform triangles (n, 3, 3) of the mesh file to the frame of the link, in metres."""
         return np.asarray(triangles * self.scale @ self.rotation.T + self.position)
 
 
@@ -88,7 +88,7 @@ def meshes_of_hand(hand: Hand) -> tuple[LinkMesh, ...]:
 def _link_mesh(
     link_name: str, key: str, file_path: str, scale: Any, position: Any, rpy_deg: Any
 ) -> LinkMesh:
-    """Return the mesh of a link. An argument that is None gets its default value."""
+    """Return the mesh of a link. For an argument that is None, the function uses a default value."""
     scale = 1.0 if scale is None else scale
     axis_scales = (scale, scale, scale) if isinstance(scale, float) else scale
     return LinkMesh(

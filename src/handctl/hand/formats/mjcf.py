@@ -65,7 +65,7 @@ def mjcf_text(hand: Hand, mesh_of_link: Mapping[str, LinkMesh] = NO_MESHES) -> s
 def _add_palm(link_element: ET.Element, hand: Hand, carrier: str | None) -> None:
     """Add the digits that are mounted on a link, and a box behind these digits.
 
-    The digits do not collide with the box behind them.
+    A digit does not collide with the box behind the digits.
     """
     centre, size = palm_box(hand, carrier)
     name = "palm" if carrier is None else f"{carrier}_palm"
@@ -211,8 +211,8 @@ def _add_tendons(model_root: ET.Element, hand: Hand) -> None:
     """Add two elements for each tendon: a fixed tendon of MuJoCo with constant moment arms, and a motor.
 
     The motor of a single tendon (not a spool pair) only pulls. The motor of a spool pair can pull
-    in both directions. If a moment arm depends on the joint angle, the fixed tendon has the mean of
-    the moment arm.
+    in both directions. If a moment arm depends on the joint angle, the fixed tendon of MuJoCo gets
+    the mean of this moment arm.
     """
     tendons = ET.SubElement(model_root, "tendon")
     actuators = ET.SubElement(model_root, "actuator")

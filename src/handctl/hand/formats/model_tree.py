@@ -83,9 +83,9 @@ class ModelMesh:
         )
 
     def seen_from_frame(self, frame_rotation: Array, frame_origin: Array) -> "ModelMesh":
-        """Return the mesh as seen from another frame of the link.
+        """Return a copy of the mesh whose pose is given in another frame of the link.
 
-        The arguments are the rotation (3, 3) and the origin (3,) [m] of the other frame, in the
+        The arguments give the rotation (3, 3) and the origin (3,) [m] of the other frame in the
         present frame.
         """
         return replace(
@@ -97,7 +97,9 @@ class ModelMesh:
 
 @dataclass(frozen=True, eq=False)
 class ModelLink:
-    """Link of a robot description, with the joint at its start. The origin of the link's frame is in this joint.
+    """Link of a robot description, together with the joint at the start of the link.
+
+    The origin of the link's frame is in this joint.
 
     Attributes:
         name: name of the link in the description.
@@ -204,7 +206,7 @@ class ModelLink:
 
 @dataclass(frozen=True, eq=False)
 class ModelDigit:
-    """Chain of links of a robot description, in the frames of a hand file.
+    """Digit that was read from a chain of links of a robot description. The link frames are those of a hand file.
 
     Attributes:
         name: name of the digit.
@@ -237,7 +239,7 @@ class ModelDigit:
 
     @property
     def coupling(self) -> Array:
-        """Return the matrix (n, n_c) of joint angles per unit of each independent joint.
+        """Return the coupling matrix (n, n_c), which maps the angles of the independent joints to all joint angles.
 
         A joint that follows a joint of another digit counts as independent.
         """
@@ -280,14 +282,14 @@ class _LinkChain:
 def digits_from_links(
     links: Sequence[ModelLink], source_name: str
 ) -> tuple[tuple[ModelDigit, ...], Array, Array]:
-    """Return the digits of a robot description's tree of links, and the frame of the palm.
+    """Return the digits that the link tree of a robot description contains, and the frame of the palm.
 
     Each digit comes after the digit that carries it.
 
     The palm frame of the hand is the root frame of the description. If the digits do not point
-    along the x axis of the root frame, the palm frame is turned by multiples of 90 degrees. If the
-    foremost mount is far from the plane x = 0, the palm frame is also shifted, so that the foremost
-    mount lies in the plane.
+    along the x axis of the root frame, the palm frame is turned by multiples of 90 degrees. The
+    palm frame is also shifted if the foremost mount of a digit is far from the plane x = 0. After
+    the shift, the foremost mount lies in the plane x = 0.
 
     Args:
         links: all links, where the parent of a link comes before the link.
@@ -370,7 +372,7 @@ def _link_chains(links: Sequence[ModelLink]) -> Iterator[_LinkChain]:
 
 
 def _digit_name(links: Sequence[ModelLink], used_names: set[str], digit_count: int) -> str:
-    """Return an unused name for a digit.
+    """Return a name for a digit that no other digit has.
 
     The name is the common beginning of the names of all joints or links in the digit. If the names
     have no usable common beginning, the name of the digit contains a number.
@@ -402,9 +404,9 @@ def _digit_name(links: Sequence[ModelLink], used_names: set[str], digit_count: i
 def _link_frames(
     links: Sequence[ModelLink], chains: Sequence[_LinkChain], source_name: str
 ) -> dict[int, tuple[Array, float]]:
-    """Return the new frame (3, 3) and the length [m] of each link.
+    """Return the rotation (3, 3) of the new frame and the length [m] of each link.
 
-    The new frame of a link is given relative to the frame in the robot description.
+    The rotation is relative to the frame that the link has in the robot description.
     """
     frames = {}
     for chain in chains:
@@ -446,7 +448,7 @@ def _link_frame(link: ModelLink, link_end: Array, is_last_link: bool) -> tuple[A
 
 
 def _link_end(links: Sequence[ModelLink], i: int, location: str) -> Array:
-    """Return the end (3,) of the last link of a digit, in the frame of the link [m].
+    """Return the end (3,) [m] of the last link of a digit, in the frame of this link.
 
     Raises:
         ConfigError: neither a named frame nor a shape shows where the link ends.

@@ -75,7 +75,7 @@ def urdf_text(hand: Hand, mesh_of_link: Mapping[str, LinkMesh] = NO_MESHES) -> s
 
 
 def palm_box(hand: Hand, carrier: str | None) -> tuple[Array, Array]:
-    """Return centre (3,) and side lengths (3,) of the box behind all digits that are mounted on a link [m].
+    """Return centre (3,) [m] and side lengths (3,) [m] of the box behind all digits that are mounted on a link.
 
     Args:
         hand: description of the hand.
@@ -90,10 +90,10 @@ def palm_box(hand: Hand, carrier: str | None) -> tuple[Array, Array]:
 
 
 def shape_length(hand: Hand, digit: Digit, i: int) -> float:
-    """Return the length of the simple shape for link i [m].
+    """Return the length [m] of the simple shape for link i.
 
-    If the link carries digits, its shape is shorter by its radius. With the shorter length, the
-    round end of the shape ends where the link ends.
+    If the link carries digits, its shape is shorter by the radius of the shape. The round end of
+    the shape then ends where the link ends.
     """
     length = digit.link_length_m[i]
     is_last = i == len(digit.link_length_m) - 1
@@ -109,7 +109,7 @@ def _add_palm(
 ) -> None:
     """Add a box behind all digits that a link carries.
 
-    The box behind the digits has no mass, because the palm does not move.
+    The box needs no mass, because the palm does not move.
     """
     centre, size = palm_box(hand, carrier)
     if mesh and carrier is None:
@@ -178,11 +178,11 @@ def _add_joint(robot_element: ET.Element, hand: Hand, digit: Digit, i: int) -> N
 def coupled_joints(hand: Hand, digit: Digit) -> dict[int, tuple[int, float]]:
     """Return for each coupled joint of a digit the joint that it follows, and the ratio of the two joint angles.
 
-    The keys of the result are the indices of the coupled joints. A value is the index of the
-    leading joint, and the ratio. The coupling of a digit with spool pairs is rigid. In a digit
-    without spool pairs, the springs determine the coupling. Such a coupling is valid only in free
-    motion, so the joints count as independent. A joint that depends on several coordinates follows
-    no single joint, and is left out.
+    The keys of the result are the indices of the coupled joints. Each value of the result contains
+    the index of the leading joint, and the ratio. The coupling of a digit with spool pairs is
+    rigid. In a digit without spool pairs, the springs determine the coupling. A coupling by springs
+    is valid only in free motion, so the function returns no coupled joints for this digit. A joint
+    that depends on several coordinates follows no single joint, and is left out.
     """
     if digit.coupling is None or not hand.is_pair[hand.digit_tendons[digit.name]].any():
         return {}

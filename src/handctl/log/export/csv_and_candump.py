@@ -99,9 +99,9 @@ def column_unit(column: str, prismatic: Collection[str] = ()) -> str:
 def column_title(column: str, prismatic: Collection[str] = ()) -> str:
     """Return the title of a column, for example `tension/index_tendon [N]`.
 
-    If the name of the column already contains the unit, the title is the name.
+    If the name of the column already contains the unit, the title is the unchanged name.
 
-    The arguments are the same as those of `column_unit`.
+    The function has the same arguments as `column_unit`.
     """
     return column if column in INTEGER_COLUMNS else f"{column} [{column_unit(column, prismatic)}]"
 
@@ -133,7 +133,7 @@ def table_blocks(log: RunLog) -> Iterator[TableBlock]:
 def export_csv(log: RunLog, path: Path) -> int:
     """Write a log as CSV with one row for each tick, and return the number of rows.
 
-    Each number is written with enough digits to restore its exact value. NaN becomes an empty
+    Each number has enough digits to restore the exact value of the number. NaN becomes an empty
     field. The first row contains the titles of the columns with their units: `tension/index_tendon
     [N]`.
 
@@ -181,9 +181,9 @@ def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
     """Yield the time [ns], the direction (R or T) and the content of all CAN frames, in the order of their times.
 
     The time of a received frame is its arrival. The time of a sent frame is the start of its tick.
-    If a tick reads a frame that arrived after the start of the tick, the sent frames of the tick
-    get the latest arrival time of the received frames. On a local bus, every received frame arrives
-    after the start of the tick, because a frame arrives when the tick reads the bus.
+    If a tick has read frames that arrived after the start of the tick, its sent frames get the
+    latest arrival time. On a local bus, every received frame arrives after the start of the tick,
+    because a frame arrives when the tick reads the bus.
     """
     pending_frames: list[tuple[int, str, Frame]] = []
     complete_until_ns = 0

@@ -66,7 +66,7 @@ The first key is the name of the feature, and the second key is the name of the 
 
 
 class _Episode(NamedTuple):
-    """Frames of a dataset that are computed from one log.
+    """Frames that are computed from one log and form one episode of a dataset.
 
     Attributes:
         vector_features: names and values (frames, n) of each vector feature.
@@ -212,7 +212,7 @@ def _video_statistics(episode_videos: Sequence[EpisodeVideo]) -> dict[str, list[
 
 
 def _video_feature(episode_videos: Sequence[EpisodeVideo], fps: int) -> dict[str, Any]:
-    """Return the declaration of a camera's images for `meta/info.json`."""
+    """Return the entry of `meta/info.json` that declares the images of a camera."""
     height, width = episode_videos[0].height, episode_videos[0].width
     encoding = {
         "codec": "h264",
@@ -255,8 +255,8 @@ def _check_same_hand_and_rate(
 def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
     """Return, for each frame of the dataset, the index of the tick from which the frame takes its values.
 
-    A frame takes its values from the last tick at or before its time, even if ticks are missing in
-    the log.
+    A frame takes the values of the last tick at or before the time of the frame, even if ticks are
+    missing in the log.
 
     Raises:
         LogError: the hand was never active, or the ticks are out of order.
@@ -315,10 +315,10 @@ def _standard_deviation_name(name: str) -> str:
 
 
 def _fill_missing_values(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
-    """Return a telemetry field (frames, n) in which each NaN is replaced by a number.
+    """Return a telemetry field (frames, n) with a number in place of each NaN.
 
-    A NaN is replaced by the last number above it in the same column. If there is no number above
-    the NaN, the first number below the NaN replaces it. A column without any number becomes zero.
+    The last number above a NaN in the same column replaces the NaN. If there is no number above the
+    NaN, the first number below the NaN replaces it. A column without any number becomes zero.
     """
     values = log.field(name)[rows]
     for column in values.T:
@@ -350,7 +350,7 @@ def _scalar_features(
 
 
 def _task_description(log: RunLog) -> str:
-    """Return the description of the task that a log shows."""
+    """Return the description of the task that the recorded run carried out."""
     try:
         task = parse_toml(
             log.header.attachments.get("task.toml", b"").decode(), "task.toml in the log"
@@ -362,7 +362,7 @@ def _task_description(log: RunLog) -> str:
 
 
 def _frame_table(names: dict[str, list[str]], values: dict[str, NDArray[Any]]) -> pa.Table:
-    """Return the table of all frames. The features in `names` are vectors."""
+    """Return the table of all frames. The features that `names` contains are vectors, and all others are scalars."""
     columns = {}
     for name, table in values.items():
         flat_values = pa.array(
@@ -477,9 +477,9 @@ def _info_content(
 
 
 def _feature_statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
-    """Return the statistics of a feature of the dataset over all given frames.
+    """Return the statistics of a dataset feature, computed over all given frames.
 
-    LeRobot normalises a feature with the statistics of the feature.
+    LeRobot normalises a feature with the statistics that this function returns.
     """
     table = np.asarray(values, np.float64).reshape(len(values), -1)
     statistics = {

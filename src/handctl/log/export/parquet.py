@@ -2,8 +2,8 @@
 
 The table has one row for each tick, and one column for each number of a tick.
 
-Columns with text are dictionary-encoded, which means that each different text is stored only once.
-The metadata of a numeric column contain the unit under the key `unit`.
+Columns with text are dictionary-encoded: a text that occurs several times in a column is stored
+only once. The metadata of a numeric column contain the unit under the key `unit`.
 """
 
 from pathlib import Path

@@ -167,7 +167,7 @@ def _count_similar_records(content: bytes, offset: int, size: int) -> int:
 
 
 def _count_equal_heads(head_bytes: bytes, message_head: bytes, count_limit: int) -> int:
-    """Count how many elements at the start of `head_bytes` equal `message_head`.
+    """Count how many consecutive elements of `head_bytes`, from the first on, equal `message_head`.
 
     At least one element of `head_bytes` must differ from `message_head`.
     """

@@ -1,4 +1,4 @@
-"""Description of the hand that a log contains."""
+"""Hand description that is stored in a log."""
 
 from contextlib import suppress
 

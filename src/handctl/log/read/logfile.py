@@ -32,15 +32,16 @@ ERRORS_OF_DAMAGED_FILES = (
 class LogErrorContext:
     """Context `with LogErrorContext(where)`.
 
-    If a bad file causes an exception in the context, the context raises a LogError with the
-    position in the file instead. A log is read in thousands of pieces, and each piece needs a
-    context. A class is faster here than a generator function with `contextmanager`.
+    If a bad file causes an exception inside the context, the context replaces this exception by a
+    LogError. The LogError contains the position in the file. A log is read in thousands of pieces,
+    and each piece needs a context. This class is faster than a generator function with
+    `contextmanager`.
     """
 
     __slots__ = ("where",)
 
     def __init__(self, log_name: str) -> None:
-        """Store the position in the file, for the message of an error."""
+        """Store the position in the file, which an error message will contain."""
         self.where = log_name
 
     def __enter__(self) -> None:
@@ -143,7 +144,8 @@ class LogFile:
     def range_crc(self, start: int, end: int, value: int = 0) -> int:
         """Return the CRC-32 of a part of the file, calculated piece by piece.
 
-        With ``value``, the result is the CRC-32 of the bytes before the part and the part together.
+        If ``value`` is the CRC-32 of the preceding bytes, the result is the CRC-32 of these bytes
+        and the part together.
 
         Args:
             start: start of the part [bytes].

@@ -1,4 +1,4 @@
-"""Reader of arrays, ticks and events of a recorded run.
+"""Reader of telemetry arrays, ticks and events from the log of a run.
 
 The reader also accepts an incomplete or damaged log file.
 """
@@ -92,7 +92,10 @@ class _SnapshotMapping(Mapping[int, bytes]):
     """
 
     def __init__(self, chunks: dict[int, int], read: Callable[[int, int], bytes]) -> None:
-        """Store the function that reads a snapshot, and the index of each snapshot's chunk by tick number."""
+        """Store the function that reads a snapshot.
+
+        `chunks` gives the index of the chunk with the snapshot of each tick.
+        """
         self._chunks = chunks
         self._read = read
 
@@ -229,7 +232,7 @@ class RunLog:
 
     @property
     def _tick_heads(self) -> NDArray[np.void]:
-        """Return the part of constant length at the start of each Tick message (ticks,)."""
+        """Return the first part (ticks,) of each Tick message. The first part has a constant length."""
         return self._chunk_index.tick_heads
 
     def __len__(self) -> int:
@@ -243,22 +246,22 @@ class RunLog:
 
     @property
     def t_ns(self) -> NDArray[np.int64]:
-        """Return the time of each tick since the start of the run (ticks,) [ns]."""
+        """Return the time (ticks,) [ns] of each tick since the start of the run."""
         return self._tick_heads["t_ns"]
 
     @property
     def times(self) -> Array:
-        """Return the time of each tick since the start of the run (ticks,) [s]."""
+        """Return the time (ticks,) [s] of each tick since the start of the run."""
         return np.asarray(self.t_ns * 1e-9, np.float64)
 
     @property
     def late_ns(self) -> NDArray[np.int64]:
-        """Return the lateness of each tick (ticks,) [ns]."""
+        """Return the lateness (ticks,) [ns] of each tick."""
         return self._tick_heads["late_ns"]
 
     @property
     def state_hash(self) -> NDArray[np.void]:
-        """Return the 8-byte hash of the controller's state after each tick (ticks,)."""
+        """Return the 8-byte hashes (ticks,) of the controller's state after each tick."""
         return self._tick_heads["state_hash"]
 
     @property
@@ -280,8 +283,8 @@ class RunLog:
     def field(self, name: str) -> Array:
         """Return a field of the telemetry (ticks, n).
 
-        Unknown values are NaN. If a log of an earlier version does not have the field, all its
-        values are NaN.
+        Unknown values are NaN. If a log of an earlier version does not contain the field, the
+        function returns only NaN.
 
         Args:
             name: name of the field, one of `core.tick_types.TELEMETRY_FIELDS`.
@@ -445,7 +448,7 @@ class RunLog:
 
     @property
     def first_tick_of_chunk(self) -> NDArray[np.intp]:
-        """Return the index of the first tick in each chunk (chunks + 1,).
+        """Return the indices (chunks + 1,) of the first tick in each chunk.
 
         The last element is the number of all ticks.
         """
@@ -470,16 +473,17 @@ class RunLog:
     def _events_and_phases(self) -> tuple[list[LoggedEvent], list[PhaseChange]]:
         """Return the events of the controller, and the starts of the grasp phases.
 
-        Most Tick messages have no events, and equal ends. Equal ends without events are decoded
-        only once.
+        A Tick message ends with the phase and the events. Most messages without events end with the
+        same bytes, which the function decodes only once.
         """
         events: list[LoggedEvent] = []
         phases: list[PhaseChange] = []
         phase_of_tail: dict[bytes, str] = {}
         for index, (chunk, message) in enumerate(self._located_messages()):
             with LogErrorContext(self._file.position_text(chunk.offset)):
-                # All ticks of one phase without events end with the same bytes: the phase and empty
-                # lists. Because of the cache, equal ends of messages are decoded only once.
+                # All messages of one phase that have no events end with the same bytes: the phase
+                # and empty lists. The cache `phase_of_tail` contains the phase of each end that has
+                # been decoded.
                 tail_bytes = message[message_layout(message).tail_offset :]
                 phase = phase_of_tail.get(tail_bytes)
                 if phase is None:

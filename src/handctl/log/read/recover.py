@@ -87,9 +87,11 @@ def recover_log(path: Path, output_path: Path) -> RecoveryReport:
 def scan_damaged(file: LogFile, scan: RecordScan) -> str:
     """Scan a file like `scan_records`.
 
-    If the file has a defect, return the description of the defect instead of raising an error.
+    If the file has a defect, return a text that describes the defect. An error is raised only if
+    the file does not begin like an MCAP file.
 
-    After the call, `scan` contains the intact records before and after a damaged record.
+    After the call, `scan` contains the intact records. Intact records after a damaged record are
+    included if the end of the damaged record is known.
     """
     try:
         scan_records(file, scan, skip_chunk_content=True)
@@ -171,5 +173,5 @@ def _copy_chunk(file: LogFile, chunk: ChunkLocation, new_container: McapContaine
 
 
 def _message_offsets(shape: tuple[int, ...]) -> "np.ndarray[tuple[int], np.dtype[np.uint64]]":
-    """Return the offsets (n,) [bytes] of n messages of equal length within their block."""
+    """Return the offsets (n,) [bytes] in a block at which n messages of equal length begin."""
     return np.arange(shape[0], dtype=np.uint64) * np.uint64(shape[1])

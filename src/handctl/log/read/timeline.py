@@ -55,8 +55,8 @@ def phase_of_each_tick(
 def check_tick_times(t_ns: NDArray[np.int64], period_ns: int) -> None:
     """Raise an error if the ticks are out of order, or if nearly all ticks of the run are missing.
 
-    Without the check of the tick times, a log with wrong times could require a table that does not
-    fit into memory.
+    Without the check, a log with wrong tick times could require a table that does not fit into
+    memory.
 
     Args:
         t_ns: (ticks,) times of the ticks [ns].

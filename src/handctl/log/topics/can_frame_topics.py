@@ -146,7 +146,7 @@ class _DirectionTopics:
 
 
 def _join_records(channel: int, log_times: TimeArray, records: list[bytes]) -> MessageBlock:
-    """Return one block with all given Message records, in order."""
+    """Join the given Message records to one block, in their order."""
     end_offsets = np.cumsum([0, *map(len, records)], dtype=np.uint64)
     return MessageBlock(channel, b"".join(records), log_times, end_offsets[:-1])
 

@@ -1,9 +1,9 @@
 """Topic with readings of the wall clock and the monotonic clock.
 
-Both clocks are read at the same moment, every ten seconds. The readings of both clocks show whether
-the wall clock was set during the run. The recorder, and not the controller, reads both clocks. The
-log of a run in lockstep contains no readings of clocks, because its messages depend only on the
-ticks.
+The wall clock and the monotonic clock are read at the same moment, every ten seconds. The readings
+of both clocks show whether the wall clock was set during the run. The recorder, and not the
+controller, reads both clocks. The log of a lockstep run contains no readings of clocks. In a
+lockstep run, every message of the log depends only on the ticks.
 """
 
 import struct

@@ -83,7 +83,7 @@ def encode_parameter_event(
 
 
 def encode_enum_message(t_ns: int, number: int, name: str) -> bytes:
-    """Encode a message of type GraspPhase, Mode or Action from handctl_msgs, with header, number and name."""
+    """Encode a message handctl_msgs/GraspPhase, Mode or Action. The message contains header, number and name."""
     writer = _stamped_writer(t_ns)
     writer.put_string("")
     writer.put_number("B", number)
@@ -94,7 +94,7 @@ def encode_enum_message(t_ns: int, number: int, name: str) -> bytes:
 def _changed_indexes(
     timed_values: list[tuple[int, str]], last_value: tuple[int, str] | None
 ) -> list[int]:
-    """Return the indices of all values that differ from the value before them."""
+    """Return the index of each value that differs from the previous value."""
     previous_values = [last_value, *timed_values[:-1]]
     return [index for index, value in enumerate(timed_values) if value != previous_values[index]]
 
@@ -149,7 +149,7 @@ class EventTopics:
         return [block for block in [*blocks, *self._line_messages(batch, stamps)] if block.data]
 
     def _line_messages(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
-        """Return a message for each log line of a batch, and for each tick that changes gains."""
+        """Return one message for each log line of a batch, and one message for each tick in which gains change."""
         line_indexes: list[int] = []
         lines: list[bytes] = []
         gain_indexes = []
@@ -174,7 +174,7 @@ class EventTopics:
 
 
 def _index_array(values: list[int]) -> NDArray[np.intp]:
-    """Return indexes as an array that numpy accepts as an index, even if the list is empty."""
+    """Return a list of indices as an integer array. numpy would convert an empty list to a float array."""
     return np.array(values, np.intp)
 
 

@@ -1,4 +1,6 @@
-"""Hash chain over the ticks of a log. After a change of any byte of a tick, the hash of the tick is wrong.
+"""Hash chain over the ticks of a log.
+
+If any byte of a tick is changed, the stored hash of the tick is no longer correct.
 
 The chain shows if the log was damaged, or if an attached file was replaced. The chain is not a
 signature. An attacker who changes the log can compute all hashes again. The last hash is in the end
@@ -26,7 +28,7 @@ HASH_SIZE = 8
 def first_hash(
     metadata: Mapping[str, str], gains: Mapping[str, str], attachments: Mapping[str, bytes]
 ) -> bytes:
-    """Compute the hash with which the hash chain begins.
+    """Compute the first hash of the hash chain.
 
     The hash covers all data of the header, except the entries about the machine and the date.
     """
@@ -47,7 +49,7 @@ def first_hash(
 
 
 def first_hash_of_run(header: RunHeader) -> bytes:
-    """Return the hash with which the hash chain of a run begins."""
+    """Return the first hash of a run's hash chain."""
     return first_hash(
         header.metadata,
         header.gains,

@@ -70,8 +70,8 @@ def temperature_template() -> MessageTemplate:
     """Return the template of a sensor_msgs/Temperature message with unknown variance.
 
     The `frame_id` of the message is the name of the palm's frame, because the motors are mounted
-    behind the palm. If the frame of the message were not in /tf, the viewer Rerun would find
-    several root frames and show no hand.
+    behind the palm. The topic /tf must contain the frame of the message. Otherwise the viewer Rerun
+    would find several root frames and show no hand.
     """
     writer = TemplateWriter()
     writer.put_header(ROOT_FRAME)
@@ -81,10 +81,10 @@ def temperature_template() -> MessageTemplate:
 
 
 class HealthTopics:
-    """Topics with the status of motors, buses and controller, and with the temperatures of the motors.
+    """Topics for the status of motors, buses and controller, and for the motor temperatures.
 
-    A status message is written every second. A status message is also written after a change of the
-    mode, of the safety action or of the state of a drive.
+    A status message is written every second. A status message is also written when the mode, the
+    safety action or the state of a drive changes.
     """
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
@@ -161,7 +161,7 @@ class HealthTopics:
         return np.flatnonzero(has_changed | (np.diff(periods, prepend=last_period) != 0))
 
     def _count_frames(self, batch: TickBatch, first_tick: int, tick_end: int) -> None:
-        """Count the frames and io events of the ticks whose indices are from `first_tick` to `tick_end` - 1."""
+        """Add the frames and io events of the ticks with the indices `first_tick` to `tick_end` - 1 to the counts."""
         for direction, frames in enumerate((batch.received, batch.sent)):
             first_row, end_row = np.searchsorted(frames.tick_indexes, (first_tick, tick_end))
             bus = np.bincount(frames.frames["bus"][first_row:end_row], minlength=len(self._frames))
@@ -194,7 +194,7 @@ class HealthTopics:
         return [controller, *self._bus_statuses(), *self._motor_statuses(batch.numbers[tick_index])]
 
     def _count_texts(self) -> dict[str, str]:
-        """Return the number of io events of each kind as a text, by the name of the event."""
+        """Return a text with the number of io events for each event name."""
         return {f"io {name}": str(number) for name, number in self._io_events.items()}
 
     def _bus_statuses(self) -> list[DiagnosticStatus]:

@@ -63,7 +63,7 @@ class TopicRegistry:
 
 @dataclass(frozen=True, slots=True)
 class MessageStamps:
-    """Log time and sequence number of each of n messages.
+    """Log times and sequence numbers of n messages.
 
     Attributes:
         log_times: (n,) uint64, log times as UNIX times [ns].

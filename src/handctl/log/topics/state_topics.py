@@ -60,7 +60,7 @@ _TOPIC_NOTES = {
 
 
 def moment_arms(header: RunHeader) -> FloatArray:
-    """Return the moment arms R (N, J) of the tendons of a hand [m].
+    """Return the moment arms R (N, J) [m] of the tendons of a hand.
 
     If a moment arm depends on the joint angle, R contains the mean of this moment arm over the
     range of the joint.
@@ -74,7 +74,7 @@ def _hand_from_header(header: RunHeader) -> Hand:
 
 
 def spool_pair_pretensions(header: RunHeader) -> dict[str, float]:
-    """Return the pretension of each spool pair of the hand [N], by the name of the pair."""
+    """Return the pretension [N] of each spool pair of the hand, by the name of the pair."""
     tendons = tomllib.loads(header.hand_toml)["tendon"]
     return {
         tendon["name"]: tendon["pretension_N"] for tendon in tendons if "pretension_N" in tendon
@@ -103,7 +103,10 @@ def wrench_template(frame_id: str) -> MessageTemplate:
 
 
 def statistics_values(number: int) -> MessageTemplate:
-    """Return the template of a pal_statistics_msgs/StatisticsValues with names_version 1 and `number` values."""
+    """Return the template of a pal_statistics_msgs/StatisticsValues message.
+
+    The message has `number` values and names_version 1.
+    """
     writer = TemplateWriter()
     writer.put_header()
     writer.put_float_sequence("values", number)
@@ -254,11 +257,11 @@ class StateTopics:
         return blocks
 
     def _tendon_torque(self, tension: FloatArray, q: FloatArray) -> FloatArray:
-        """Return the joint torques R^T f (n, J) from the tensions f at joint angles q [N m].
+        """Return the joint torques R^T f (n, J) [N m] that the tensions f cause at joint angles q.
 
         The sum is computed in a fixed order, so that the result of a tick does not depend on n. In
-        a matrix product, the order of the additions, and with the order the rounding, can depend on
-        n.
+        a matrix product, the order of the additions can depend on n, and a different order changes
+        the rounding.
         """
         torque = np.zeros((len(tension), self._arms.shape[1]))
         arms = (
@@ -271,7 +274,7 @@ class StateTopics:
         return torque
 
     def _pair_tensions(self, tension: FloatArray) -> FloatArray:
-        """Return the tensions of both tendons of all P spool pairs (n, 2 P) [N], see ``estimation.spool_pair``."""
+        """Return the tensions (n, 2 P) [N] of both tendons of all P spool pairs, see ``estimation.spool_pair``."""
         names = list(self._header.tendons)
         net_tension = tension[:, [names.index(name) for name in self._pretension]]
         both_tensions = np.stack([net_tension, -net_tension], axis=2)
@@ -292,7 +295,7 @@ class StateTopics:
         }
 
     def _cycle_values(self, batch: TickBatch) -> dict[str, NDArray[np.generic]]:
-        """Return the timing of each tick [s]: period, lateness, and time from the previous tick to the last reply."""
+        """Return the timing of each tick [s]: period, lateness, and time between previous tick and last reply."""
         start = batch.t_ns + batch.late_ns
         first_k, first_start = self._last or (int(batch.k[0]) - 1, -1)
         previous_start = np.concatenate([[first_start], start[:-1]])

@@ -34,7 +34,7 @@ Nearly all other topics can be computed from the ticks, the telemetry and the he
 class TopicSet:
     """Converter from ticks to the messages of all topics.
 
-    The division of the ticks into batches has no effect on the messages.
+    The messages do not depend on how the ticks are divided into batches.
     """
 
     def __init__(self, header: RunHeader) -> None:
@@ -69,7 +69,7 @@ class TopicSet:
         return list(self._registry.channels.values())
 
     def latched_messages(self) -> list[MessageBlock]:
-        """Return the messages that are written only once, when the time of the run is 0."""
+        """Return the messages that are written only once, at the start of the run (time 0)."""
         stamps = MessageStamps(
             np.array([self._header.offset_ns], np.uint64), np.zeros(1, np.uint32)
         )

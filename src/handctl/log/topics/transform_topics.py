@@ -1,6 +1,6 @@
 """Topics with the transforms between the frames of the hand's links.
 
-With these topics, a viewer can show the hand without knowing its kinematics.
+With the transforms, a viewer that knows nothing about the kinematics of the hand can show the hand.
 """
 
 import math
@@ -102,7 +102,7 @@ def link_frames(hand_toml: str) -> list[LinkFrame]:
 def multiply_quaternions(
     left_quaternion: tuple[Any, ...], right_quaternion: tuple[Any, ...]
 ) -> tuple[Any, ...]:
-    """Return the product of two quaternions x, y, z, w, given as numbers or arrays."""
+    """Return the product of two quaternions (x, y, z, w). Each component is a number or an array."""
     a, b, c, d = left_quaternion
     x, y, z, w = right_quaternion
     return (
@@ -123,10 +123,10 @@ def link_quaternions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.floa
 
 
 def link_positions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the origin of a link in the frame of its parent (n, 3) [m].
+    """Return the origin (n, 3) [m] of a link in the frame of the parent link.
 
-    The joint positions `q` (n,) are in rad or m. A hinge does not move the origin of its link. For
-    a hinge, the result has one row.
+    The joint positions `q` (n,) are in rad or m. A hinge does not move the origin of its link. The
+    result for a hinge therefore has a single row.
     """
     if not link.is_prismatic:
         return np.array([link.position])
@@ -151,9 +151,9 @@ def _transform_stream(channel: int, link_frames: list[LinkFrame]) -> MessageStre
 
 
 class TfTopics:
-    """Topics /tf_static, with a single message, and /tf, with 50 messages per second.
+    """Topics /tf_static and /tf. The topic /tf_static has a single message, and /tf has 50 messages per second.
 
-    If a joint angle is not known, the rotation of its link is NaN.
+    If the angle of a joint is unknown, the rotation of the link at this joint is NaN.
     """
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:

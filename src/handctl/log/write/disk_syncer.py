@@ -1,9 +1,9 @@
 """Sync of a file to disk.
 
 The caller does not wait for the sync. On a busy machine, a sync can take so long that the pipe to
-the recorder becomes full. Instead of the recorder, a process that the recorder has forked calls
-fdatasync. In the forked process, only the log file and two pipes are open. The forked process ends
-when the recorder ends.
+the recorder becomes full. The recorder therefore forks a process that calls fdatasync. In the
+forked process, only the log file and two pipes are open. The forked process ends when the recorder
+ends.
 """
 
 import itertools
@@ -26,9 +26,9 @@ def sync_to_disk(descriptor: int) -> None:
 
 
 class DiskSyncer:
-    """Callable object that starts a sync of a file to the disk.
+    """Callable object. Each call starts a sync of a file to the disk and does not wait for its end.
 
-    If a sync fails, one of the next calls raises the error of the failed sync.
+    If a sync fails, a later call raises the error.
     """
 
     def __init__(self) -> None:

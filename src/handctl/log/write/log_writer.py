@@ -93,7 +93,7 @@ class LogWriter:
     """Writer of the log file of a run.
 
     After a write has failed, the writer closes the file. Ticks that arrive after the failure are
-    counted as lost, and not written.
+    not written, and are counted as lost.
 
     Attributes:
         ticks: number of ticks written or waiting for the next chunk.
@@ -213,7 +213,7 @@ class LogWriter:
             )
 
     def _is_chunk_end(self, t_ns: int, is_chunk_start: bool) -> bool:
-        """Return True if the current chunk must end with this tick.
+        """Return True if this tick must be the last tick of the current chunk.
 
         In a lockstep run, the chunks end at fixed times. In other runs, a chunk ends after
         CHUNK_SPAN_NS.
@@ -248,7 +248,7 @@ class LogWriter:
             self._close_after_failure(error)
 
     def _clock_pair(self, t_ns: int) -> list[MessageBlock]:
-        """Return a message with new readings of both clocks.
+        """Return a message with new readings of the wall clock and the monotonic clock.
 
         If less than CLOCK_PAIR_PERIOD_NS has passed since the last readings, return no message.
         """

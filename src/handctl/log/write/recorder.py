@@ -1,6 +1,6 @@
-"""The controller's end of the pipe to the recorder process.
+"""Connection between the controller and the recorder process, on the side of the controller.
 
-In real time, the controller sends a record without waiting.
+In a real-time run, the controller sends a record without waiting.
 """
 
 import fcntl
@@ -253,8 +253,8 @@ class Recorder:
     def _pipe_level_events(self) -> list[IoEvent]:
         """Return an event if the pipe has become more than half full since the last call.
 
-        A deterministic run never gets the event of a filling pipe, because the level in the pipe
-        depends on the machine. A deterministic run waits while the pipe is full.
+        A deterministic run never gets the event "filling", because the number of bytes in the pipe
+        depends on the speed of the machine. When the pipe is full, a deterministic run waits.
         """
         if self._lossless:
             return []

@@ -66,7 +66,7 @@ def send_note(note: dict[str, object]) -> None:
 
 
 def report_event(event: str, number: int) -> None:
-    """Send an event of the log writer to the controller as a note."""
+    """Send a note to the controller about an event of the log writer."""
     send_note({"event": event, "number": number})
 
 
@@ -108,7 +108,11 @@ class RecorderSession:
     """
 
     def __init__(self) -> None:
-        """Create a session without a log file. The first records name the log file and open this file."""
+        """Create a session without a log file.
+
+        The session opens the log file after it has received the path of the file and the run
+        header.
+        """
         self.path = Path()
         self._min_free_bytes = 0
         self._splitter = RecordSplitter()

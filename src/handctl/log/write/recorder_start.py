@@ -1,10 +1,11 @@
-"""Functions that start the recorder process, either for a run or before the run is planned.
+"""Functions that start the recorder process, either for a run or in advance.
 
-A recorder process that is started in advance gets the path and the header of the run later. The
-recorder process needs half a second for its imports. If a command records a run, the command starts
-the recorder process before the command imports other modules (`prestarted_recorder_process`). The
-command and the recorder process then import their modules at the same time, on two cores. This
-module itself imports only a few modules, so that the command can start the recorder process early.
+A recorder process that is started in advance later receives the path of the log and the header of
+the run. The recorder process needs half a second for its imports. A command that records a run
+first starts the recorder process, and then imports its other modules (see
+`prestarted_recorder_process`). The command and the recorder process then import their modules at
+the same time, on two cores. This module itself imports only a few modules, so that the command can
+start the recorder process early.
 """
 
 import os
@@ -63,8 +64,8 @@ def start_recorder_process() -> RecorderProcess:
 def prestarted_recorder_process() -> Iterator[None]:
     """Start a recorder process in advance.
 
-    The first recorder that is created in the `with` block uses the process. If no recorder has used
-    the process, it is ended at the end of the `with` block.
+    The first recorder that is created in the `with` block uses the process. A process that no
+    recorder has used is ended at the end of the `with` block.
     """
     _started_ahead.append(start_recorder_process())
     try:

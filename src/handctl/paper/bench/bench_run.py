@@ -28,7 +28,7 @@ RATE_HZ = 500.0
 
 @dataclass
 class BenchRecording:
-    """Measurements in every tick of a run on the simulated test bench, and the phases of the task.
+    """Measurements and task phases of a run on the simulated test bench, for every tick.
 
     Attributes:
         t_ns: time of each tick [ns].
@@ -82,7 +82,7 @@ def run_bench_task(
 
 @cache
 def _hand_model(hand_file: str) -> HandModel:
-    """Return the model of a hand, and design the gains for this hand.
+    """Return the model of a hand, including the gains that are designed for this hand.
 
     The function caches the model, because the design of the gains takes about a second.
     """

@@ -71,9 +71,9 @@ class TendonCurve:
 def blocked_hand(knee_tensions: tuple[float, ...]) -> Hand:
     """Return the hand of the test bench, with all joints clamped.
 
-    The force-displacement curve of each tendon has a knee. The argument gives the tension at the
-    knee [N] of the first tendon, the second tendon, and so on. Tendons without a given tension keep
-    their knees.
+    The force-displacement curve of each tendon has a knee. ``knee_tensions`` contains the tension
+    at the knee [N] of the first tendon, the second tendon, and so on. Tendons without a tension in
+    ``knee_tensions`` keep the knee that the hand file gives.
     """
     content = copy.deepcopy(load_hand(HAND_NAME).content)
     for digit in content["digit"]:
@@ -84,7 +84,7 @@ def blocked_hand(knee_tensions: tuple[float, ...]) -> Hand:
 
 
 def measure_tendons(folder: Path) -> dict[str, Any]:
-    """Pull the tendons of index and middle finger, and return the measurements as plain values.
+    """Pull the tendons of index finger and middle finger, and return the measurements as plain values.
 
     Args:
         folder: folder for the files of the experiment.
@@ -133,7 +133,7 @@ def _pull_task(tension: dict[str, float]) -> Task:
 
 
 def curve_of_tendon(measured_curve: Mapping[str, Any], noise_N: float) -> TendonCurve:
-    """Return the force-displacement curve of a measurement, with the stiffness and the knee of the curve.
+    """Return the measured force-displacement curve of a tendon, and the stiffness and the knee of this curve.
 
     Args:
         measured_curve: result of `measure_tendons` for one tendon.

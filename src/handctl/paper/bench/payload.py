@@ -79,9 +79,9 @@ def search_grip_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
     """Return the tension of each digit for a grip with 6 N per finger, and the start time of the grip.
 
     The search increases the tension in steps. The returned tension is interpolated between the
-    tension steps. Because of friction, the normal force depends on the earlier tensions of the
-    grip. Therefore a second grip starts directly with the interpolated tension. With the normal
-    forces in the second grip, the function corrects the tension once. The thumb must balance the
+    tension steps. Because of friction, the normal force also depends on the earlier tension steps.
+    Therefore a second grip begins directly with the interpolated tension. From the normal forces in
+    the second grip, the function computes one correction of the tension. The thumb must balance the
     fingers. Therefore the tension of the thumb is the mean tension of the fingers. In all runs with
     the same diameter, the grip begins at the same time.
     """
@@ -117,7 +117,7 @@ def search_grip_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
 def _tension_for_normal_forces(
     normal_forces_by_step: Array, target_normal_forces: Array
 ) -> dict[str, float]:
-    """Return the tension of each digit at which the fingers press with the given normal forces [N].
+    """Return the tension [N] of each digit at which the fingers press with the given normal forces [N].
 
     The tensions are interpolated between the tension steps of the search. The measured forces have
     the shape (steps, digits).
@@ -136,7 +136,7 @@ def _tension_for_normal_forces(
 def load_until_slip(
     folder: Path, diameter_mm: float, load_axis: str, grip_result: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Grip the cylinder, load it with a force until it slips, and return the result as plain values."""
+    """Grip a cylinder, pull the cylinder with a growing force until it slips, and return the result as plain values."""
     tension = grip_result["tension_N"]
     hold_phase = _hold_phase("load", tension, GRIP_SETTLING_S + LOAD_DURATION_S)
     start = grip_result["began_s"] + GRIP_SETTLING_S
@@ -215,12 +215,12 @@ def _grip_cylinder(
 
 
 def _phase_end_ns(recording: BenchRecording, phase_name: str) -> int:
-    """Return the time of the last tick of a phase [ns]."""
+    """Return the time [ns] of the last tick of a phase."""
     return recording.t_ns[int(np.flatnonzero(recording.mask_of_phase(phase_name))[-1])]
 
 
 def _mean_normal_forces(truth: TruthRecord, until_ns: int) -> list[float]:
-    """Return the normal force of each digit, averaged over the rows before a given time [N]."""
+    """Return the normal force [N] of each digit, averaged over the ground-truth samples before a given time."""
     end = int(np.searchsorted(truth.t_ns, until_ns))
     times = truth.t_ns[end - AVERAGED_ROW_COUNT : end]
     return [
@@ -230,12 +230,12 @@ def _mean_normal_forces(truth: TruthRecord, until_ns: int) -> list[float]:
 
 
 def _object_positions(truth: TruthRecord, t_ns: Any) -> Array:
-    """Return the positions of the object at given times (times, 3) [m]."""
+    """Return the positions (times, 3) [m] of the object at given times."""
     return truth.interpolated_columns([f"object/{axis}" for axis in "xyz"], t_ns)
 
 
 def _find_slip(truth: TruthRecord, first_row: int, end_row: int) -> tuple[int, str]:
-    """Return the row of the ground truth at which the object slips, and the name of the slip criterion."""
+    """Return the index of the ground-truth sample at which the object slips, and the name of the slip criterion."""
     positions = _object_positions(truth, truth.t_ns[first_row:end_row])
     window = round(SPEED_WINDOW_S * 1000)
     object_motion = np.linalg.norm(positions - positions[0], axis=1)
@@ -254,7 +254,7 @@ def _find_slip(truth: TruthRecord, first_row: int, end_row: int) -> tuple[int, s
 
 
 def friction_bound_kg(payload_result: Mapping[str, Any]) -> float:
-    """Return the largest mass that the hand can hold according to Coulomb friction [kg].
+    """Return the largest mass [kg] that the hand can hold according to Coulomb friction.
 
     The mass is computed from the measured normal forces of the digits and the palm on the object.
     """
@@ -263,9 +263,9 @@ def friction_bound_kg(payload_result: Mapping[str, Any]) -> float:
 
 
 def payload_errata(payload_results: Sequence[Mapping[str, Any]]) -> list[ErrataItem]:
-    """Return one item of the errata for each load case.
+    """Return one errata item for each load case.
 
-    A load case is a combination of a diameter and an axis.
+    A load case is a combination of a cylinder diameter and a load axis.
     """
     rows = []
     for result in payload_results:
@@ -291,7 +291,9 @@ def payload_errata(payload_results: Sequence[Mapping[str, Any]]) -> list[ErrataI
 
 
 def payload_table(payload_results: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, ...], ...]:
-    """Return a table that compares measured payloads with the formula of the paper and with the limits of friction.
+    """Return a table that compares measured with calculated payloads.
+
+    The calculated payloads come from the formula of the paper and from Coulomb friction.
 
     The first row contains the titles of the columns.
     """

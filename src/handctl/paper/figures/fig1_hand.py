@@ -96,7 +96,7 @@ def _set_axes(axes: Any) -> None:
 
 
 def _finger_and_thumb() -> tuple[Any, Any]:
-    """Return the description of one finger and of the thumb of the paper's hand."""
+    """Return two digits of the paper's hand: one finger and the thumb."""
     return src.paper_finger(), src.paper_thumb()
 
 

@@ -1,6 +1,7 @@
 """Fig. 4 and 6 of the paper: moments at the joints of a straight digit.
 
-At each joint, the figures compare the moment of a force on the tip with the moment of the tendon.
+At each joint, the figures compare two moments: the moment of a force on the tip, and the moment of
+the tendon.
 """
 
 from typing import Any
@@ -13,7 +14,7 @@ STATICS_FIGURE_SIZE_IN = (9.6, 4.2)
 
 
 def draw_statics_figure(figure: Any) -> None:
-    """Draw a finger and the thumb, with the moments at their joints for a force of 1 N at the tip."""
+    """Draw a finger and the thumb, and the joint moments that a force of 1 N at the tip causes."""
     left_axes, right_axes = figure.subplots(1, 2, width_ratios=(1.0, 0.62), sharey=True)
     _draw_digit(left_axes, src.paper_finger(), "Finger: M₁ = 55F, M₂ = 25F, M₃ = 10F", "T = 18.33F")
     _draw_digit(right_axes, src.paper_thumb(), "Thumb: M₁ = 25F, M₂ = 10F", "T = 8.33F")

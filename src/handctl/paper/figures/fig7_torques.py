@@ -1,6 +1,6 @@
 """Fig. 7 of the paper: components of the torque that closes a digit.
 
-A second figure shows T_1 by Eq. 10, once for the printed equation and once for the corrected
+A second figure shows the torque T_1 of Eq. 10, computed from the printed and from the corrected
 equation.
 """
 
@@ -25,9 +25,9 @@ LINK_TORQUE_CAUSES = TORQUE_CAUSES[:3]
 
 
 def draw_torque_figure(figure: Any) -> None:
-    """Draw the torques of finger and thumb at three speeds.
+    """Draw the torques that close a finger and the thumb at three speeds.
 
-    Below each plot, a second plot shows the torques of the links on a larger scale.
+    Below each plot, a second plot shows the torques caused by the links on a larger scale.
     """
     rows = figure.subplots(
         4, len(CLOSING_DURATIONS_S), sharey="row", height_ratios=(1.15, 1, 1.15, 1)
@@ -91,7 +91,7 @@ def _add_tension_axis(axes: Any, moment_arm_m: float, is_labelled: bool) -> None
 
 
 def draw_eq10_figure(figure: Any) -> None:
-    """Draw T_1 as Eq. 10 gives it, both as printed and as corrected.
+    """Draw the torque T_1 of Eq. 10, computed from the printed and from the corrected equation.
 
     Both plots show both curves. The first plot has the scale of the printed equation, and the
     second plot has the scale of the corrected equation.

@@ -99,7 +99,7 @@ def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
 def draw_payloads(figure: Any, payload_results: Sequence[Mapping[str, Any]]) -> None:
     """Draw the payload for each axis and diameter as a bar.
 
-    Draw the motion of the object as a curve over the increasing load.
+    Draw the displacement of the object as a curve over the increasing load.
     """
     grid = figure.add_gridspec(2, len(payload.LOAD_DIRECTIONS), height_ratios=(1.25, 1.0))
     _draw_payload_bars(figure.add_subplot(grid[0, :]), payload_results)
@@ -172,7 +172,7 @@ def _draw_lines(axes: Any) -> None:
 def _draw_load_traces(
     axes: Any, load_axis: str, payload_results: Sequence[Mapping[str, Any]]
 ) -> None:
-    """Draw the displacement of the object over the load along an axis."""
+    """Draw how far the object has moved as the load along one axis increases."""
     gravity = float(src.GRAVITY_M_PER_S2)
     for result, colour in zip(payload_results, AXIS_COLOURS, strict=True):
         axes.plot(

@@ -1,6 +1,6 @@
-"""Assumptions of the model of the paper that the paper does not state.
+"""Assumptions of the paper's model that the text of the paper does not mention.
 
-For each assumption, the module gives the effect on the numbers of the paper.
+For each assumption, the module computes its effect on the numbers of the paper.
 """
 
 from fractions import Fraction
@@ -39,7 +39,11 @@ def assumption_errata() -> list[ErrataItem]:
 
 
 def _check_one_tendon() -> list[ErrataItem]:
-    """Check whether T r_p = M can be true at every joint of a straight finger at the same time."""
+    """Check whether one tendon can balance the tip force at every joint of a straight finger.
+
+    The condition is T r_p = M at each joint, with the tension T, the pulley radius r_p and the
+    moment M of the tip force.
+    """
     tip_distances = src.tip_distances_mm(src.paper_finger())
     given_ratio = src.tension_per_newton(src.paper_finger()) * src.PULLEY_RADIUS_MM
     rows = []
@@ -93,7 +97,7 @@ def _check_coupling() -> list[ErrataItem]:
 
 
 def _check_grip_balance() -> list[ErrataItem]:
-    """Check whether three fingers with 6 N each and a thumb with 10 N are in balance."""
+    """Check whether the forces of three fingers (6 N each) and of the thumb (10 N) balance each other."""
     fingers = src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N
     tension = fingers * src.tension_per_newton(src.paper_thumb())
     torque = tension * src.SPOOL_RADIUS_MM / 1000
@@ -109,7 +113,7 @@ def _check_grip_balance() -> list[ErrataItem]:
 
 
 def _check_two_sided_payload() -> list[ErrataItem]:
-    """Calculate the payload with friction on both sides of the object, and compare it with the printed payload."""
+    """Compare the printed payload with the payload that friction on both sides of the object holds."""
     fingers = src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N
     two_sided_payload_kg = 2 * src.payload_kg(fingers)
     payload_limit = 2 * src.payload_kg(src.THUMB_GRIP_FORCE_N)
@@ -143,7 +147,7 @@ def _check_bending() -> ErrataItem:
 
 
 def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_ANGLES_DEG) -> Array:
-    """Return the normal forces at the middles of three links (3,) [N].
+    """Return the normal forces (3,) [N] that act at the middles of three links.
 
     The normal forces balance the tendon, which runs over equal pulleys.
     """

@@ -1,4 +1,4 @@
-"""Equations 1 to 12 of the paper, term by term: the printed term, its readings, and the correct term.
+"""Equations 1 to 12 of the paper, term by term. Each term has a printed form, possible readings, and a correct form.
 
 The correct terms (`correct_form`) follow from Lagrange's equations. The tests derive the correct
 terms with sympy. If the printed form of a term is ambiguous, because an operator is missing or a

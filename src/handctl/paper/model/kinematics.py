@@ -1,4 +1,4 @@
-"""Section 4 of the paper: checks of Eq. 1 and 2, of the angles in Eq. 1 and 2, and of the reach of a fingertip."""
+"""Checks of section 4 of the paper: Eq. 1 and 2, the angles in these equations, and the reach of a fingertip."""
 
 from collections.abc import Callable
 
@@ -25,7 +25,7 @@ def paper_digit(name: str) -> DigitModel:
 
 
 def points_in_plane(model: DigitModel, q: Array) -> Array:
-    """Return the positions of the joints and the tip in the plane of a digit, (n + 1, 2) [m]."""
+    """Return the positions (n + 1, 2) [m] of the joints and the tip in the plane of a digit."""
     return from_palm_frame(model, joint_points(model, q))[:, :2]
 
 
@@ -42,7 +42,7 @@ def kinematics_errata() -> list[ErrataItem]:
 
 
 def fingertip_path(name: str, angles: Array) -> Array:
-    """Return the positions of a fingertip (angles, 2) when all joints of the digit have the same angle [mm]."""
+    """Return the positions (angles, 2) [mm] of a fingertip when all joints of the digit have the same angle."""
     model = paper_digit(name)
     return 1000.0 * np.array(
         [points_in_plane(model, np.full(model.joint_count, angle))[-1] for angle in angles]
@@ -50,7 +50,7 @@ def fingertip_path(name: str, angles: Array) -> Array:
 
 
 def reachable_tips(name: str, samples_per_joint: int) -> Array:
-    """Return the tip positions (points, 2) that a digit could reach if its joints moved independently [mm]."""
+    """Return the tip positions (points, 2) [mm] that a digit could reach if its joints moved independently."""
     model = paper_digit(name)
     axes = [
         np.linspace(low, high, samples_per_joint)
@@ -102,7 +102,7 @@ def _check_paths() -> list[ErrataItem]:
 
 
 def _lengths_text(name: str) -> list[str]:
-    """Return the lengths of a digit's links as text [mm]."""
+    """Return a text with the lengths [mm] of a digit's links."""
     return [
         str(length)
         for length in src.exact_millimetres(src.paper_hand().digit_named(name).link_length_m)
@@ -110,7 +110,7 @@ def _lengths_text(name: str) -> list[str]:
 
 
 def _check_general_position() -> list[ErrataItem]:
-    """Check the position of the fingertip that section 4 states, at random joint angles.
+    """Check the formula of section 4 for the position of the fingertip, at random joint angles.
 
     In section 4, the first coordinate is L1 cos q1 + L2 cos(q1 + q2) + .., and the second
     coordinate is the same sum with sines.
@@ -162,7 +162,7 @@ def _check_hinge_chain() -> ErrataItem:
 
 
 def _check_kind_of_angle() -> ErrataItem:
-    """Check whether Eq. 6 and Eq. 1-2 can be true for the same kind of angle, relative or absolute.
+    """Check whether Eq. 6 and Eq. 1-2 can be true with the same kind of angle, relative or absolute.
 
     Eq. 6 gives the potential energy only with absolute angles, but Eq. 1-2 are true only with
     relative angles.

@@ -2,8 +2,8 @@
 
 The correct terms follow from Lagrange's equations.
 
-All derivatives are calculated with complex steps. Derivatives with complex steps are exact except
-for rounding errors, and need no algebra by hand.
+All derivatives are calculated with complex steps. Complex-step derivatives are exact except for
+rounding errors. No derivative has to be derived by hand.
 """
 
 from collections.abc import Mapping, Sequence
@@ -68,7 +68,7 @@ def random_states() -> StateSamples:
 
 
 def finger_states(digit: DigitModel) -> StateSamples:
-    """Return random motions for the lengths, masses and inertias of the given digit."""
+    """Return random motions, combined with the lengths, masses and inertias of the given digit."""
     states = dict(random_states())
     for i in range(3):
         states |= {f"I{i + 1}": digit.inertias[i, 2, 2], f"m{i + 1}": digit.masses[i]}
@@ -82,7 +82,7 @@ def relative_deviation(printed_value: Any, correct_value: Any) -> float:
 
 
 def lagrange_torques(states: StateSamples) -> list[Array]:
-    """Return the torques T_i (3, STATES) that follow from the correct energies by Eq. 7 to 9 [N m].
+    """Return the torques T_i (3, STATES) [N m] that follow from the correct energies by Eq. 7 to 9.
 
     T_i = d/dt(∂L/∂θ̇_i) − ∂L/∂θ_i.
     """
@@ -160,7 +160,7 @@ def _term_item(term: EquationTerm) -> ErrataItem:
 
 
 def _wrong_dimensions_text(term: EquationTerm) -> str:
-    """Return the text "dimensions" if a reading of a term has wrong dimensions, and otherwise an empty text."""
+    """Return the text "dimensions" if a reading of a term has wrong dimensions. Otherwise, return an empty text."""
     for reading in term.readings:
         try:
             if reading.dimension(SYMBOL_DIMENSIONS) != ENERGY_DIMENSION:
@@ -171,10 +171,11 @@ def _wrong_dimensions_text(term: EquationTerm) -> str:
 
 
 def _asymmetry_text(term: EquationTerm) -> str:
-    """Compare the printed coefficient of a term with the printed coefficient of the mirror term.
+    """Compare the printed coefficients of two terms that must be equal because the inertia matrix is symmetric.
 
-    If the coefficients differ, return a text about the difference. If the coefficients are equal,
-    return an empty text.
+    The second term is the term whose identifier is ``mirror_id``. If the coefficients differ,
+    return a text about the difference. If the coefficients are equal, or if there is no second
+    term, return an empty text.
     """
     if not term.mirror_id:
         return ""
@@ -243,7 +244,8 @@ def _check_joint_torque(
 ) -> ErrataItem:
     """Check whether T_i in the paper is the torque at joint i.
 
-    In fact, the motors at the joints must produce the torques tau = S^T T.
+    T_i belongs to an absolute link angle. The torques at the joints are tau = S^T T, where S is a
+    lower triangular matrix of ones.
     """
     joints = joint_torques(digit, states)
     is_equal = relative_deviation(model[0], joints[:, 0]) < RELATIVE_TOLERANCE
@@ -277,16 +279,17 @@ def paper_finger() -> DigitModel:
 
 
 def joint_torques(digit: DigitModel, states: StateSamples) -> Array:
-    """Return the joint torques (STATES, 3) from the inverse dynamics of handctl [N m]."""
+    """Return the joint torques (STATES, 3) [N m] from the inverse dynamics of handctl."""
     q, dq, ddq = (_relative_from_absolute(states, "d" * order + "th") for order in (0, 1, 2))
     rows = zip(q.tolist(), dq.tolist(), ddq.tolist(), strict=True)
     return np.array([inverse_dynamics(digit, *row) for row in rows])
 
 
 def model_torques(digit: DigitModel, states: StateSamples) -> list[Array]:
-    """Convert joint torques tau of handctl to torques T for absolute angles.
+    """Return the torques T for absolute link angles, computed from handctl's joint torques tau.
 
-    The equation is T = S^-T tau. Each torque has the shape (STATES,) and the unit N m.
+    The conversion is T_i = tau_i - tau_(i+1), and the last torque is unchanged. Each torque has the
+    shape (STATES,) and the unit N m.
     """
     tau = joint_torques(digit, states)
     return [tau[:, 0] - tau[:, 1], tau[:, 1] - tau[:, 2], tau[:, 2]]

@@ -1,4 +1,4 @@
-"""Dynamics of section 7 in a motion.
+"""Dynamics of section 7 of the paper, computed along a closing motion of a digit.
 
 The torque that closes a digit is divided into components. Each component of the torque has one
 cause.
@@ -30,7 +30,7 @@ TORQUE_CAUSES = ("inertia", "Coriolis", "gravity", "springs", "motor inertia")
 
 @dataclass(frozen=True, slots=True)
 class ClosingTorques:
-    """Torques that close a digit along a minimum-jerk path, while all joint angles are equal.
+    """Torques that close a digit along a minimum-jerk path on which all joints have the same angle.
 
     Attributes:
         digit: name of the digit.
@@ -49,12 +49,12 @@ class ClosingTorques:
     moment_arm_m: float
 
     def peak_tension(self, cause: str) -> float:
-        """Return the largest tension that is necessary because of one cause of the torque [N]."""
+        """Return the largest tension [N] that one component of the torque requires."""
         return float(np.abs(self.torque_by_cause[cause]).max()) / self.moment_arm_m
 
 
 def upright_digit(name: str) -> DigitModel:
-    """Return a digit whose plane is vertical and whose weight opens it, as in Eq. 6."""
+    """Return a digit that moves in a vertical plane and is opened by its weight, as in Eq. 6."""
     model = DigitModel.from_hand(src.paper_hand(), name)
     return model.with_gravity(
         model.mount_rotation @ np.array([0.0, -float(src.GRAVITY_M_PER_S2), 0.0])
@@ -93,9 +93,10 @@ def closing_torques(name: str, duration_s: float) -> ClosingTorques:
 
 
 def closing_torque_t1(duration_s: float) -> tuple[Array, Array, Array]:
-    """Return the times [s], and the torque T_1 of a closing finger at these times [N m].
+    """Return times [s], and the torque T_1 [N m] of a closing finger at these times, in two forms.
 
-    T_1 is computed with the printed form and with the corrected form of Eq. 10.
+    The first torque is computed from the printed form of Eq. 10, and the second torque from the
+    corrected form.
     """
     digit = upright_digit("index")
     times = np.linspace(0.0, duration_s, SAMPLE_COUNT)
@@ -123,7 +124,7 @@ def motion_errata() -> list[ErrataItem]:
 
 
 def _check_static_torque() -> ErrataItem:
-    """Check whether T_1 of Eq. 10 is the torque that holds a straight finger at joint 1.
+    """Check whether T_1 of Eq. 10 is the torque at joint 1 that holds a straight finger.
 
     In fact, the holding torque at joint 1 is the sum of T_1 to T_3 in Eq. 10 to 12.
     """

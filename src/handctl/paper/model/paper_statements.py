@@ -106,7 +106,7 @@ def _check_number_of_fingers() -> ErrataItem:
 
 
 def _depends_on_rate(energy_terms: Sequence[EquationTerm], name: str) -> bool:
-    """Return True if the energy of the given terms depends on the named rate."""
+    """Return True if the energy of the given terms depends on the joint rate with the given name."""
     states = random_states()
     shifted_states = {**states, name: states[name] + 1.0}
     change = sum(
@@ -117,7 +117,7 @@ def _depends_on_rate(energy_terms: Sequence[EquationTerm], name: str) -> bool:
 
 
 def _check_phalanges() -> ErrataItem:
-    """Check whether the energy of each link is independent of the other links.
+    """Check whether the energy of each link is independent of the motion of the other links.
 
     If the links were separate fingers, the energies would be independent.
     """
@@ -168,9 +168,9 @@ def _check_lengths() -> ErrataItem:
 
 
 def _check_axis_of_inertia() -> ErrataItem:
-    """Compare the energy of a bar with its moments of inertia about the axes y and z.
+    """Check about which axis, y or z, the moment of inertia determines the kinetic energy of a turning bar.
 
-    The bar turns in the x-y plane, and the energy is the kinetic energy of the bar.
+    The bar turns in the x-y plane. The paper states that the moment of inertia is about the y axis.
     """
     length = 30.0
     height = 8.0

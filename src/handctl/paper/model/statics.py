@@ -1,6 +1,6 @@
 """Sections 5 and 6 of the paper: moments, tension, torque, payload and wire.
 
-All values of this module are calculated from numbers of the paper.
+This module calculates all values from numbers of the paper.
 """
 
 import math
@@ -46,7 +46,7 @@ def number_item(
 ) -> ErrataItem:
     """Return an errata item about a printed number.
 
-    The verdict on the printed number follows from the printed decimal digits.
+    The verdict compares the printed digits with the exact value.
 
     The argument `symbol` is the text that the paper prints after the number.
     """
@@ -190,7 +190,7 @@ def _check_formulas() -> list[ErrataItem]:
 
 
 def _check_finger() -> list[ErrataItem]:
-    """Check the printed tension and torque of the finger."""
+    """Check the tendon tension and the torque that the paper prints for a finger."""
     tension = src.tension_per_newton(src.paper_finger())
     torque = tension * src.SPOOL_RADIUS_MM / 1000
     tension_item = number_item(
@@ -297,7 +297,7 @@ def _check_knee() -> list[ErrataItem]:
 
 
 def _check_thumb() -> list[ErrataItem]:
-    """Check the printed tension and torque of the thumb."""
+    """Check the tendon tension and the torque that the paper prints for the thumb."""
     tension = src.tension_per_newton(src.paper_thumb())
     torque = tension * src.SPOOL_RADIUS_MM / 1000
     first_item = number_item(
@@ -327,7 +327,10 @@ def _check_thumb() -> list[ErrataItem]:
 
 
 def _missing_radius() -> ErrataItem:
-    """Calculate the pulley radius, which the paper does not state, from the printed tension 8.33 F."""
+    """Calculate the pulley radius that the paper does not state.
+
+    The radius follows from the tendon tension 8.33 F, which the paper prints for the tip force F.
+    """
     printed_formula = "r_p = mm"
     # All numbers that are rounded to 8.33 correspond to an interval of pulley radii. The interval
     # of the radii contains exactly one whole number of millimetres.
