@@ -213,5 +213,5 @@ class LogRunner:
 
 
 def refusal_error(error: ValueError, k: int) -> LogError:
-    """Return the error to raise if the controller refuses the inputs of tick `k`."""
+    """Return the exception for a log in which the controller refuses the inputs of tick `k`."""
     return LogError(f"the controller refuses: {error}", f"tick {k}", "a value that fits")
