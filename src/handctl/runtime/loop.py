@@ -131,7 +131,7 @@ class StopSignals:
         self.converted_count = 0
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        """Count a received signal, as the signal handler of the process."""
+        """Count a received signal. The operating system calls this object as the signal handler of the process."""
         self.received_count += 1
 
     def take_request(self) -> tuple[str, ...]:
@@ -156,13 +156,13 @@ class StopSignals:
 
 
 def _skip_snapshot(entry: TickIn, state: object) -> None:
-    """Do nothing. If the run has no recorder of snapshots, this function replaces the recorder."""
+    """Do nothing with the state after a tick. A run that records no snapshots calls this function."""
 
 
 def _skip_publication(entry: TickIn, tick_output: TickOut, state: object, sent_ns: int) -> None:
     """Do nothing.
 
-    A run that no program observes uses this function in place of the publication.
+    A run that does not publish its ticks to other programs calls this function.
     """
 
 

@@ -127,7 +127,7 @@ def judge_tick(
 
 
 def _latched_fault_of(finding: FaultFinding) -> LatchedFault:
-    """Return the latched fault of a finding: the fault's identifier and its place."""
+    """Convert a finding to a latched fault: the identifier of the fault, and the name of the affected part."""
     return LatchedFault(finding.fault.id, finding.part_name)
 
 

@@ -160,7 +160,7 @@ class LocalBus:
         return size
 
     def _report_lost_hub(self) -> None:
-        """Begin the lasting state ``enodev``. Every later call of ``take_events`` reports that the hub has ended."""
+        """Begin the lasting state ``enodev``. From now on, every call of ``take_events`` reports that the hub has ended."""
         self._closed = True
         self._events.set_persistent_event("enodev", True)
 
@@ -221,7 +221,7 @@ class LocalBus:
             self._dropped = hub_drop_count
 
     def _take_control(self, can_id: int, data: bytes) -> None:
-        """Process a frame that is a queue report from the hub, or an error frame."""
+        """Process a control frame: either an error frame, or a report of the hub about the transmit queue."""
         if can_id == QUEUE_REPORT_ID:
             self._transmitted_count, self._queue_frames = QUEUE_REPORT_STRUCT.unpack(data)
         else:
@@ -271,7 +271,7 @@ class LocalBus:
         return accepted
 
     def _pack_records(self, frames: Sequence[Frame]) -> bytes | memoryview:
-        """Pack frames into the records of the hub, and return the records."""
+        """Convert frames to the records that are sent to the hub, and return the records."""
         if not isinstance(frames, Frames):
             for frame in frames:
                 check_payload_size(frame)

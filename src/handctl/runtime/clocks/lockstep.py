@@ -88,7 +88,7 @@ def load_simulator(entry: str, **options: object) -> LockstepSimulator:
 
 
 class LockstepClock:
-    """Clock that stops while the controller and the simulator compute.
+    """Virtual clock of a run, which stands still while the controller and the simulator compute.
 
     A call of ``wait`` for the next tick advances the simulator by one control period.
 
@@ -103,7 +103,7 @@ class LockstepClock:
     """
 
     def __init__(self, peer: LockstepSimulator, period_ns: int) -> None:
-        """Start at tick 0 and at the time 0 of the simulator.
+        """Set the clock to tick 0, and to the time 0 of the simulator.
 
         The argument ``period_ns`` is the control period [ns].
         """
@@ -154,7 +154,7 @@ class LockstepClock:
         return self.k * self.period_ns
 
     def clock_statistics(self) -> dict[str, str]:
-        """Return an empty mapping, because virtual time is the same in every run."""
+        """Return an empty mapping, because virtual time has no statistics: it never pauses and is never late."""
         return {}
 
 

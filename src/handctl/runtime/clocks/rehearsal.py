@@ -40,7 +40,7 @@ As a result, the clock sometimes tries whether a rehearsal has become shorter.
 
 @dataclass
 class Rehearsal:
-    """Rehearsals of a run, with their expected duration.
+    """Rehearsals of ticks during one run. The object also estimates how long the next rehearsal will take.
 
     Attributes:
         execute_steps: function that executes two steps of the last tick again, and yields between
@@ -94,7 +94,7 @@ class Rehearsal:
 
 
 def _follow_time(expected_ns: float, measured_ns: float) -> float:
-    """Return the expected time after an update by a measured time. The expected time rises faster than it falls."""
+    """Update an expected time with a measured time, and return the result. An expected time rises faster than it falls."""
     difference_ns = measured_ns - expected_ns
     share = RISE_SHARE if difference_ns > 0 else FALL_SHARE
     return min(expected_ns + share * difference_ns, MAX_GROWTH * expected_ns)

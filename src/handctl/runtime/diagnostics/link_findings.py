@@ -1,4 +1,4 @@
-"""Findings about a CAN interface. Each problem has a command or advice to correct it."""
+"""Findings about a CAN interface. The finding of a problem contains a command or advice that corrects it."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

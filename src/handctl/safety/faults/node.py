@@ -1,6 +1,7 @@
 """Rows N01 to N17 of the fault catalogue: faults of drives and sensors.
 
-The inventory before arming checks the rows N03 and N12.
+Before arming, in the mode INVENTORY, the controller checks that no node is missing (N03) and that
+no drive has wrong settings (N12).
 """
 
 from handctl.safety.faults.bus import MALFORMED_WINDOW_TICKS, SILENCE_TIME_REASON
