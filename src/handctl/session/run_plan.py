@@ -50,7 +50,7 @@ class OperatorDisplay(Protocol):
 
 @dataclass(frozen=True)
 class RunPlan:
-    """Plan of a run, with all settings of the run after their check.
+    """Plan of a run: all settings of the run, after the settings have been checked.
 
     Attributes:
         hand: description of the hand.

@@ -1,6 +1,6 @@
 """Loading of tasks, trajectories and scenes.
 
-Tasks, trajectories and scenes are packaged or in files.
+Some tasks, trajectories and scenes belong to the package handctl. All others are files of the user.
 
 Each task is checked against the hand.
 """

@@ -160,7 +160,7 @@ class LocalBus:
         return size
 
     def _report_lost_hub(self) -> None:
-        """Begin the lasting state ``enodev``. From now on, every call of ``take_events`` reports that the hub has ended."""
+        """Begin the lasting state ``enodev``. From now on, each call of ``take_events`` reports the end of the hub."""
         self._closed = True
         self._events.set_persistent_event("enodev", True)
 

@@ -94,7 +94,7 @@ class Rehearsal:
 
 
 def _follow_time(expected_ns: float, measured_ns: float) -> float:
-    """Update an expected time with a measured time, and return the result. An expected time rises faster than it falls."""
+    """Update an expected time with a measured time, and return the result. The result rises faster than it falls."""
     difference_ns = measured_ns - expected_ns
     share = RISE_SHARE if difference_ns > 0 else FALL_SHARE
     return min(expected_ns + share * difference_ns, MAX_GROWTH * expected_ns)

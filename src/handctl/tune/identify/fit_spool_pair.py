@@ -8,8 +8,8 @@ F is the net tension at the spool. In free motion, F balances the force n. The f
 the inertia, the weight and the damping of the links, and the friction of both tendons. The stretch
 of the pair is the travel of the spool minus the excursion of the joints. The characteristic g gives
 the stretch at a net tension F. The stiffness of the pair is 2 k while both tendons are taut, and k
-if F exceeds twice the pretension p. Above the knee of a tendon, the stiffness is that of the hand
-file, multiplied by the same factor as k.
+if F exceeds twice the pretension p. At a tension called the knee, the stiffness of a tendon
+changes. Beyond the knee, the stiffness in the hand file is multiplied by the same factor as k.
 
 No sensor of a spool pair measures a force. Therefore all forces are measured in units of the
 drive's torque. If a motor makes 10 % less torque than commanded, inertia, friction and tendon
@@ -221,7 +221,7 @@ def _mean_wrap_angles(digit: DigitModel, tendon: int, q: Array) -> Array:
 
 
 def select_windows(windows: MotorWindows, selection_mask: NDArray[np.bool_]) -> MotorWindows:
-    """Return the windows of a motor for which a mask is True."""
+    """Select the windows of a motor for which ``selection_mask`` is True, and return them."""
     field_names = ("t", "tension", "acceleration", "speed", "sign", "commands")
     return replace(
         windows, **{name: getattr(windows, name)[selection_mask] for name in field_names}
@@ -233,8 +233,10 @@ def _joint_motion(
     mean_derivatives: Array,
     data_of_tendons: Sequence[TendonData],
 ) -> tuple[Array, Array, Array]:
-    """Return angles, rates and accelerations (m, joints) of a digit, computed from the motion of its pairs (n_t, 3, m).
+    """Compute the joint motion of a digit from the motion of its spool pairs, and return three arrays (m, joints).
 
+    The three arrays are the angles, the rates and the accelerations of the joints. The argument
+    `mean_derivatives` (n_t, 3, m) contains the travel, the speed and the acceleration of each pair.
     The joint motion is computed without the stretch of the tendons. The joint angles are shifted so
     that their mean equals the mean of the joint readings. Without joint readings, the calibrated
     motor zeros determine the joint angles.
@@ -330,7 +332,7 @@ def spool_pair_stretch(
     """Return the stretch of a spool pair (m,) [m]: the travel of the spool minus the excursion of the joints.
 
     The stretch lengthens the first tendon and shortens the second tendon, until the second tendon
-    is slack. The net tension is the difference of their tensions.
+    is slack. The net tension is the difference between the tensions of the two tendons.
 
     Args:
         net_tension: net tension of the pair (m,) [N].

@@ -118,8 +118,8 @@ def _lacks_needed_encoders(hand: Hand, digit: str) -> bool:
     """Return True if a digit has springs and several tendons, but no joint encoders.
 
     In a digit with several tendons, the tension of a single tendon does not show the load of the
-    springs. The torques at a joint are in balance only at the present joint angle. Therefore a
-    joint encoder would have to measure the joint angle.
+    springs. The load of the springs follows from the torque balance of each joint. The torque
+    balance contains the joint angle, which only a joint encoder can measure.
     """
     tendons = hand.digit_tendons[digit]
     has_springs = hand.digit_named(digit).has_springs
