@@ -29,7 +29,7 @@ class BusLoadCalculator:
     """
 
     def __init__(self, run: RunInfo) -> None:
-        """Compute a table with the longest possible time of a frame of each length on each bus.
+        """For each bus and each frame length, compute how long a frame occupies the bus at most.
 
         Args:
             run: data about the run and the hand, with the buses and the control period.
