@@ -229,7 +229,7 @@ def _true_touch_mask(hand: Hand, truth: TruthRecord, t_ns: NDArray[np.int64]) ->
 
 
 def _failed_score(peak_tension_N: float, failure_text: str, shortfall: float = 0.0) -> GainScore:
-    """Return the score of gains that did not finish the exercise. All objectives have the worst value."""
+    """Return the score of gains without a valid result of the exercise. All objectives have the worst value."""
     return GainScore(
         OBJECTIVE_OF_FAILED_RUN,
         OBJECTIVE_OF_FAILED_RUN,

@@ -169,7 +169,7 @@ class SharedClock(RealClock):
         )
 
     def _pause_at_gate(self) -> None:
-        """If the clock has passed its gate, add a pause that sets the clock back to the gate.
+        """Add a pause that sets the clock back to its gate, if the clock has passed the gate.
 
         For the simulator, time does not jump back, because the simulator has never used a time
         after the gate.

@@ -29,7 +29,7 @@ class BusLoadCalculator:
     """
 
     def __init__(self, run: RunInfo) -> None:
-        """For each bus and each frame length, compute how long a frame occupies the bus at most.
+        """Compute how long a frame of each length occupies each bus at most.
 
         Args:
             run: data about the run and the hand, with the buses and the control period.
