@@ -25,7 +25,7 @@ INITIAL_WAKE_UP_DELAY_NS = 30_000
 """Assumed delay of the first wake-up [ns]."""
 RISE_SHARE = 1 / 4
 FALL_SHARE = 1 / 16
-"""Shares of the difference by which an expected time rises after a longer time, and falls after a shorter time."""
+"""Fractions of the difference between measured and expected time by which the expected time rises and falls."""
 MAX_GROWTH = 1.25
 """Largest factor by which an expected time grows at once.
 

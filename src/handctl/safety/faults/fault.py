@@ -72,8 +72,9 @@ class CatalogueRow(NamedTuple):
         moteus: visibility with moteus. The text is empty if the visibility equals ``mit``, because
             both protocols answer each command once.
         robstride: visibility with RobStride. The text is empty if the visibility equals ``mit``.
-        reaction_time_start: event from which the longest reaction time counts, as the end of a
-            sentence. The text is empty if the reaction time counts from the failure itself.
+        reaction_time_start: event from which the longest reaction time counts, as a clause that can
+            follow the word "after". The text is empty if the reaction time counts from the failure
+            itself.
     """
 
     id: str
@@ -180,9 +181,9 @@ DECLARED_ROWS: list[CatalogueRow] = []
 DECLARED_FAULTS: list[Fault] = []
 """All faults, in the order of their declaration."""
 DETECTOR_ROWS: list[tuple[Fault, str]] = []
-"""Fault and kind of instance for each row of the detectors' result table.
+"""Fault and kind of part for each row of the evidence table, in which the detectors store their results.
 
-The kinds of instances of one fault have adjacent rows.
+If a fault can affect several kinds of parts, the rows of these kinds are adjacent.
 """
 
 

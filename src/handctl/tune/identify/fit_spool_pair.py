@@ -88,10 +88,11 @@ Rotor and links accelerate together. Therefore only the model of the links can s
 of the rotor from the inertia of the links.
 """
 LINK_INERTIA_ERROR = 0.13
-"""Standard deviation of the error of the rotor's inertia because of the links, as a fraction of the links' inertia.
+"""Standard deviation of the rotor-inertia error that the links cause, as a fraction of the links' inertia.
 
 If the links are heavier than the rotor, a small error of the links is a large error of the rotor.
-The fit does not know this error. The error widens the confidence interval after the fit.
+The model of the fit does not include the error that the links cause. Therefore the confidence
+interval of the rotor's inertia is widened after the fit.
 """
 INITIAL_NOISE_N = 0.3
 """Assumed standard deviation of the motor equation's residuals in the first fit [N].
@@ -101,7 +102,7 @@ The second fit uses the standard deviation that the residuals of the first fit s
 MIN_NOISE_N = 0.02
 """Smallest standard deviation that the fit uses for the residuals of the motor equation [N]."""
 PRETENSION_START_FACTORS = (1.0, 1.5, 2.2)
-"""Factors of the pretension of the hand file with which the fit starts, once for each factor."""
+"""Factors by which the pretension in the hand file is multiplied. The fit is started once with each product."""
 STRETCH_GRID_POINTS = 65
 """Number of points at which the net tension of a pair is computed, to find the stretch at a net tension."""
 MIN_READINGS = 3

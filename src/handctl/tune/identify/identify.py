@@ -417,7 +417,7 @@ def result_table(result_of_tendon: dict[str, TendonResult], is_verbose: bool = F
 
     Args:
         result_of_tendon: results by the name of the tendon.
-        is_verbose: True to add lines about combinations of parameters and joint intervals.
+        is_verbose: True to add lines about combinations of parameters and simultaneous intervals.
     """
     lines = [
         "coherence: fraction of the motion of a tendon that the motor force explains, 0 to 1; "
