@@ -54,7 +54,7 @@ def relative_error(difference: TickDifference) -> float:
 
 @dataclass(slots=True)
 class DifferenceTally:
-    """Counts of the differences that were found so far.
+    """Counts of the differences that were found so far between the computed and the logged outputs.
 
     The docstring of LogExecution explains the attributes of the tally.
     """

@@ -86,7 +86,7 @@ class ProgressCounts:
         return add_executed_ticks
 
     def report_total(self) -> None:
-        """Report the number of ticks that all processes have executed."""
+        """Report how many ticks all processes together have executed."""
         self._progress(int(self._done.sum()))
 
 

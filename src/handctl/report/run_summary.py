@@ -371,7 +371,7 @@ def judge_angles(
     active_mask: NDArray[np.bool_],
     hold_masks: list[NDArray[np.bool_]],
 ) -> dict[str, dict[str, Any]]:
-    """Return the errors of the estimated joint angles of each digit in the settled ticks of holds.
+    """Return the errors of the estimated joint angles of each digit, in those ticks of the holds that are settled.
 
     If a run has no settled ticks, the errors come from all ticks in which the hand is active.
 

@@ -34,7 +34,7 @@ T = TypeVar("T", covariant=True)
 
 
 class TickInProgress(Protocol[T]):
-    """Interface of a tick that has begun, as the control loop uses it. See ``controller.tick.TickInProgress``."""
+    """Interface through which the control loop executes the rest of a tick. See ``controller.tick.TickInProgress``."""
 
     @property
     def state(self) -> T:

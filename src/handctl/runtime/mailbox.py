@@ -303,7 +303,8 @@ class StatusWatcher:
     def close(self) -> None:
         """Remove the socket.
 
-        The controller removes this watcher from its list when it sends the next status line.
+        When the controller sends the next status line, the controller removes this watcher from its
+        list.
         """
         self.socket.close()
         self.path.unlink(missing_ok=True)

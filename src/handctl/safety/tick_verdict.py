@@ -42,7 +42,7 @@ class LatchedFault(NamedTuple):
 
 
 class ReportedFault(NamedTuple):
-    """Fault that is reported in the present tick, with the number of consecutive ticks with a report of the fault."""
+    """Fault that is reported in the present tick. The attribute ``ticks`` counts consecutive ticks with a report."""
 
     id: str
     part_name: str

@@ -53,7 +53,7 @@ def _exchange_objects(peer: LockstepSimulator, t_ns: int, records: RecordArray) 
 
 
 def load_simulator_object(entry: str, user: str) -> Callable[..., Any]:
-    """Return the class or function of the simulator that has the name ``module:name``.
+    """Import a class or a function of a simulator by its name ``module:name``, and return the object.
 
     Args:
         entry: name of the class or function, ``module:name``.
@@ -121,7 +121,7 @@ class LockstepClock:
 
         The new run begins one tick after the last frames of the previous run were sent. The
         simulator still receives the last frames of the previous run, because they disable the
-        drives. The simulator's answers to these frames are discarded, because no bus is open
+        drives. The simulator's answers to the last frames are discarded, because no bus is open
         between two runs.
         """
         if self.frames_to_simulator:

@@ -4,8 +4,8 @@ A digit that tendons both close and open has either spool pairs, or n + 1 tendon
 no springs.
 
 First, the digit sweeps about a middle posture. In the sweeps, the joints first move together. Then
-the joints move against each other. In these sweeps, the motors wind up a part of the tendons, and
-pay out the rest. After the sweeps, the digit oscillates. At the end, the tendons are stretched
+the joints move against each other. In all sweeps, the motors wind up some of the tendons, and pay
+out the other tendons. After the sweeps, the digit oscillates. At the end, the tendons are stretched
 while the digit is pressed against its lower stops.
 """
 

@@ -132,10 +132,10 @@ def _lacks_needed_encoders(hand: Hand, digit: str) -> bool:
 
 
 def _is_interval_narrow(name: str, half_width: float, width: float) -> bool:
-    """Return True if the confidence interval of a parameter is narrow enough.
+    """Return True if the confidence interval is so narrow that the parameter counts as identified.
 
-    The width of the confidence interval is compared with the value of the parameter. For the
-    parameter `delay`, the width of the interval is compared with a millisecond.
+    Half of the width of the interval is compared with the absolute value of the parameter. For the
+    parameter `delay`, half of the width is compared with ``DELAY_SCALE_S``.
     """
     scale = DELAY_SCALE_S if name == "delay" else abs(half_width)
     return bool(width < MAX_HALF_WIDTH * scale)

@@ -332,7 +332,7 @@ class RestTest:
     def with_limit_fraction(self, fraction: float) -> "RestTest":
         """Return a copy of the test that allows oscillations up to ``fraction`` of the limits.
 
-        Both tests share the measurements of the plant without feedback.
+        The copy and this test share the measurements of the plant without feedback.
         """
         return replace(self, fraction=fraction, reason="", _reason_by_gains={})
 
