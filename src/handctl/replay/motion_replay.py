@@ -1,7 +1,7 @@
 """Repetition of a recorded motion.
 
-This module converts the targets in a log to a motion program. It also compares the recorded run
-with the run that repeats the motion.
+This module converts the targets in a log to a motion program that repeats the motion. The module
+also compares the recorded run with the repetition.
 """
 
 from typing import Any
@@ -76,8 +76,8 @@ def count_missing_ticks(log: RunLog) -> int:
 def recorded_targets(log: RunLog, period: float) -> RecordedGoals:
     """Return the targets of a recorded run, converted to another control period.
 
-    While a digit holds a tension, the digit has no joint targets. If this was so in the tick before
-    or after a sample time, the joint targets at this sample time are NaN.
+    While a digit holds a tension, the digit has no joint targets. At a sample time, the joint
+    targets of a digit are NaN if the digit held a tension in the tick before or after this time.
 
     Args:
         log: log of the run.

@@ -1,8 +1,8 @@
 """Requests to a running controller. The controller confirms each request.
 
-A datagram can get lost in three cases: the controller is paused, the mailbox of the controller is
-full, or the socket belongs to a killed process. Every request contains a unique name. The
-controller confirms a request by a status line that contains the name of the request.
+A request does not reach the controller in three cases: the controller is paused, the mailbox of the
+controller is full, or the socket belongs to a killed process. Every request contains a unique name.
+The controller confirms a request by a status line that contains the name of the request.
 """
 
 import itertools

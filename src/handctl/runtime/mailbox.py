@@ -190,7 +190,7 @@ class RequestSender:
     """Sender of requests that need no reply from the controller."""
 
     def __init__(self, name: str) -> None:
-        """Open a socket that sends to the controller of bus ``name``. The controller can also start later."""
+        """Open a socket for requests to the controller of bus ``name``. The controller can also start later."""
         self._path = str(mailbox_path(name))
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)

@@ -390,7 +390,7 @@ def _axis_lengths(hand: Hand) -> dict[str, int]:
 def _describe_run(plan: RunPlan) -> dict[str, object]:
     """Return constants of a run, by name: the hand file, the control rate and the time scale.
 
-    A program that receives the observations of a run needs the constants.
+    Programs need the constants to interpret the observations of the run.
     """
     return {
         "hand_toml": plan.hand.to_toml(),

@@ -1,6 +1,6 @@
 """Loading of tasks, trajectories and scenes.
 
-Some tasks, trajectories and scenes belong to the package handctl. All others are files of the user.
+Tasks, trajectories and scenes either belong to the package handctl, or are files of the user.
 
 Each task is checked against the hand.
 """

@@ -31,7 +31,7 @@ def _identity_conversion(t_ns: int) -> int:
     """Return an unchanged CLOCK_MONOTONIC time.
 
     A bus converts the reception times of its frames with a given function. A program that executes
-    no run gives this function, because without a run there is no other time scale.
+    no run uses this function, because only a run has a time that differs from CLOCK_MONOTONIC.
     """
     return t_ns
 

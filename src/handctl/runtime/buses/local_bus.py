@@ -5,10 +5,10 @@ of the bus. A batch of frames is sent or read with a single system call.
 
     can_id 32 | length 8 | flags 8 | dropped 16 | data 64 x 8
 
-A record has 72 bytes, in the layout of ``struct canfd_frame`` of Linux. The two reserved bytes of
-each record are a counter, modulo 65536. The counter is the number of frames that the hub has
-dropped instead of sending them to this receiver. A Unix socket reports no times of reception.
-Therefore each frame on the local bus gets the time at which the host read it.
+A record has 72 bytes, in the layout of ``struct canfd_frame`` of Linux. The two reserved bytes of a
+record count, modulo 65536, how many frames the hub has dropped that should have reached the
+receiver of the record. A Unix socket reports no times of reception. Therefore each frame on the
+local bus gets the time at which the host read it.
 """
 
 import socket

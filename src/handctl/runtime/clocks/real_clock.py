@@ -3,7 +3,7 @@
 Each tick has an absolute deadline on CLOCK_MONOTONIC. The time of the run can be slower or faster
 than wall time.
 
-The module ``lockstep`` has the clock with virtual time.
+The module ``lockstep`` contains another clock, for virtual time.
 """
 
 import time

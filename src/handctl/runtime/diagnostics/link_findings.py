@@ -1,4 +1,4 @@
-"""Findings about a CAN interface. The finding of a problem contains a command or advice that corrects it."""
+"""Findings about a CAN interface. If a finding is a problem, the finding contains a command or advice."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

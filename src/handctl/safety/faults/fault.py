@@ -1,10 +1,11 @@
 """Types for faults and for rows of the fault catalogue, and functions that declare faults and rows.
 
 A row of the fault catalogue describes a possible failure. A fault is a condition that the
-controller checks in every tick, and belongs to one row. If a row has several faults, these are the
-stages of the row, such as B11a and B11b. Rows and faults are declared in the modules ``bus``,
-``node``, ``tendon`` and ``host``. Each declaration is the only source of four things: the tables in
-the documents, the deadlines in the tests that inject faults, the event texts, and the reactions.
+controller checks in every tick. Each fault belongs to one row. If a row has several faults, such as
+B11a and B11b, the faults are called the stages of the row. Rows and faults are declared in the
+modules ``bus``, ``node``, ``tendon`` and ``host``. Each declaration is the only source of four
+things: the tables in the documents, the deadlines in the tests that inject faults, the event texts,
+and the reactions.
 
 There are two ways to find a fault. Compiled code in ``core.detectors`` detects a fault that is
 declared with the argument ``fault_places``. The argument ``fault_places`` lists the kinds of parts
@@ -113,8 +114,8 @@ class CatalogueRow(NamedTuple):
 class Fault:
     """Fault that the controller checks in every tick.
 
-    A fault belongs to one row of the catalogue. If a row has several faults, these are the stages
-    of the row.
+    A fault belongs to one row of the catalogue. If a row has several faults, the faults are called
+    the stages of the row.
 
     Attributes:
         id: identifier of the row, followed by a letter if the row has stages.

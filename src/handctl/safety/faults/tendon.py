@@ -83,7 +83,7 @@ in simulation, and can be below one count on hardware.
 """
 MIN_REPEATED_READINGS = 8
 REPEAT_WINDOW = 16
-"""Shortest run of repeated readings that is a fault, and number of readings from which chance is estimated."""
+"""Two numbers of readings: successive repeated readings that can be a fault, and readings to estimate chance."""
 SATURATED_CELL_TICKS = 3
 """Number of consecutive ticks with a saturated load cell after which there is a fault."""
 DERAILED_TENDON_DEG = 15.0

@@ -141,8 +141,8 @@ def average_in_bins(
 def _central_rates(travel: Array, period: float, half_window: int) -> tuple[Array, Array]:
     """Compute the speed and the acceleration of a tendon from its travel by central differences, and return both.
 
-    A difference uses the samples `half_window` control periods before and after its time. At the
-    two ends of the data, speed and acceleration are zero.
+    The difference at a sample uses the samples `half_window` control periods before and after this
+    sample. At the two ends of the data, speed and acceleration are zero.
     """
     speed = np.zeros_like(travel)
     acceleration = np.zeros_like(travel)

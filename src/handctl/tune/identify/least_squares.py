@@ -119,8 +119,8 @@ def _parameter_covariance(
 
     The degrees of freedom are calculated for independent noise with a standard deviation of 1, and
     not from the residuals. If the degrees of freedom were calculated from the residuals, a single
-    block with large residuals could be harmful. The friction, for example, could have fewer than
-    three degrees of freedom.
+    block with large residuals would have too much influence. The friction, for example, could have
+    fewer than three degrees of freedom.
 
     Source: Bell & McCaffrey 2002, for the linear jackknife over clusters (CR3), and for
     Satterthwaite's degrees of freedom with a working model of the noise.

@@ -2,15 +2,14 @@
 
 The first design method varies the authority of each loop. The authority is a motor force [N] that
 sets the weights of the LQR cost by Bryson's rule. A motor force as large as the authority costs as
-much as the errors ``position_error_m`` or ``speed_error_m_s`` in the gains. The first method finds
-the largest authority with which all plants have the required margins. The second design method
-places the poles at given frequencies. More authority makes a loop faster and its margins smaller.
-Therefore the design finds, for each tendon alone, the largest authority with sufficient margins.
-The smallest authority of all tendons becomes the common ``force_N``. A tendon that permits more
-than twice the common authority gets a separate force. So a digit with little authority, such as a
-heavy wrist, does not make other digits slow. The eigenvalues of the closed loop confirm the
-reported margins. A function that the caller provides, such as a simulation, confirms the designed
-gains.
+much as the errors ``position_error_m`` or ``speed_error_m_s`` in the gains. More authority makes a
+loop faster and its margins smaller. Therefore the first method finds, for each tendon alone, the
+largest authority with which all plants have the required margins. The smallest authority of all
+tendons becomes the common ``force_N``. A tendon that permits more than twice the common authority
+gets a separate force. So a digit with little authority, such as a heavy wrist, does not make other
+digits slow. The second design method places the poles at given frequencies. The eigenvalues of the
+closed loop confirm the reported margins. A function that the caller provides, such as a simulation,
+confirms the designed gains.
 
 The second method uses an equation for a plant with one input, and with weights on position and
 speed. The characteristic polynomial d of the closed loop satisfies
