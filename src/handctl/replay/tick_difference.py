@@ -50,7 +50,7 @@ class TelemetryColumns(NamedTuple):
 
     @staticmethod
     def from_header(header: RunHeader) -> "TelemetryColumns":
-        """Return the column names for a log with this header."""
+        """Return the column names for a log that has the given header."""
         pairs = [
             (field, name)
             for field in TELEMETRY_FIELDS

@@ -314,7 +314,8 @@ def judge_grasp(
 ) -> dict[str, Any]:
     """Return the motion of the object in a hold, and the forces on the fingertips: estimated and true.
 
-    If the table never sank, the object still rests on the table, and its motion is NaN.
+    If the table never sank, the object still rests on the table, and the motion of the object is
+    NaN.
 
     Args:
         log: log of the run.

@@ -58,8 +58,9 @@ def report_absent_controller(bus: str) -> Iterator[None]:
 
     An UnconfirmedError tells the operator to switch off the power. The power of a simulated hand
     need not be switched off. A simulated bus without a mailbox has no controller. A killed
-    controller leaves its mailbox behind, so the UnconfirmedError remains in this case. On a real
-    bus, the UnconfirmedError also remains, because the controller can belong to another user.
+    controller leaves its mailbox behind, so the UnconfirmedError remains if a mailbox exists. On a
+    real bus, the UnconfirmedError always remains, because the controller can belong to another
+    user.
 
     Args:
         bus: bus to which the block sends a request.

@@ -378,7 +378,7 @@ def _build_loop(
 
 
 def _axis_lengths(hand: Hand) -> dict[str, int]:
-    """Return the number of joints, tendons, motors and digits of a hand, with the names of these kinds as keys."""
+    """Return the numbers of a hand's joints, tendons, motors and digits, with the keys "joint", "tendon", and so on."""
     return {
         "joint": len(hand.joints),
         "tendon": len(hand.tendon),

@@ -1,9 +1,9 @@
 """Sending and receiving of many datagrams in one system call.
 
 The module uses ``sendmmsg`` and ``recvmmsg`` of Linux with reused buffers. The ``socket`` module of
-Python offers neither of these two calls. With one system call for each frame, the system calls
-would take longer than all other work of an exchange of frames.
-Source: man 2 recvmmsg, man 7 socket (SO_TIMESTAMPNS, SO_RXQ_OVFL), man 3 cmsg.
+Python offers neither ``sendmmsg`` nor ``recvmmsg``. With one system call for each frame, the system
+calls would take longer than all other work of an exchange of frames. Source: man 2 recvmmsg, man 7
+socket (SO_TIMESTAMPNS, SO_RXQ_OVFL), man 3 cmsg.
 """
 
 import ctypes

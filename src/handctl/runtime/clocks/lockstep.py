@@ -120,9 +120,9 @@ class LockstepClock:
         """Begin another run.
 
         The new run begins one tick after the last frames of the previous run were sent. The
-        simulator still receives the last frames of the previous run, because they disable the
-        drives. The simulator's answers to the last frames are discarded, because no bus is open
-        between two runs.
+        simulator still receives the last frames of the previous run, because the last frames
+        disable the drives. The simulator's answers to the last frames are discarded, because no bus
+        is open between two runs.
         """
         if self.frames_to_simulator:
             self.wait(self.k + 1)

@@ -38,7 +38,7 @@ class TickClock(Protocol):
     def clock_statistics(self) -> dict[str, str]:
         """Return facts about the clock as texts, by the name of the fact.
 
-        The recorder writes these facts at the end of the log.
+        The recorder writes the facts about the clock at the end of the log.
         """
         ...
 

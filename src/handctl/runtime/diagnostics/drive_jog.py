@@ -63,7 +63,7 @@ class JogGoal(NamedTuple):
 
 
 class JogResult(NamedTuple):
-    """Result of a jog, as the drive has reported it.
+    """Result of a jog, computed from the values that the drive has reported.
 
     Attributes:
         failure: reason why the motion stopped early, in one line. The text is empty if the motion

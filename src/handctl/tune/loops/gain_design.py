@@ -126,7 +126,7 @@ class GainDesign:
         )
 
     def as_weights(self) -> Gains:
-        """Convert the designed gains to gains with the default authority, and return them.
+        """Convert the designed gains to gains with the default authority, and return the result.
 
         The errors in the gains are multiplied by the same factor as the authority. The returned
         gains describe the same controller as the designed gains, because LQR depends only on ratios

@@ -1,10 +1,10 @@
 """Margins of a control loop: gain, phase, disk and delay margin, crossover frequency and step response.
 
 A search needs thousands of margins. Each margin is therefore calculated from a frequency response.
-The tests compare the calculated margins with those of the Python package `control`. The eigenvalues
-of the closed loop confirm the reported margins. If the gain, the phase or the delay of a loop
-changes by less than its margin, no pole reaches the unit circle.
-Source: balanced disk margin 1 / max |S - 1/2| (Seiler, Packard, Gahinet, 2020).
+The tests compare the calculated margins with the results of the Python package `control`. The
+eigenvalues of the closed loop confirm the reported margins. If the gain, the phase or the delay of
+a loop changes by less than its margin, no pole reaches the unit circle. Source: balanced disk
+margin 1 / max |S - 1/2| (Seiler, Packard, Gahinet, 2020).
 """
 
 import math

@@ -255,7 +255,7 @@ def _open_study(plan: SearchPlan, path: Path) -> Any:
 
 
 def _truncate_partial_line(path: Path) -> None:
-    """Remove the last line of a journal if it is incomplete, for example after a power failure.
+    """Remove the last line of a journal if the line is incomplete, for example after a power failure.
 
     Without the removal, Optuna would append its next entry to the incomplete line.
 
