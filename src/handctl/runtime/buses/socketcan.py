@@ -124,7 +124,7 @@ class SocketCanBus:
 
         Usually all datagrams are of the same kind (classical or CAN FD), have similar time stamps,
         and no frame was lost before them. If all datagrams have these properties, the datagrams are
-        converted as one batch. If not, each datagram is converted separately.
+        converted as one batch. In all other cases, each datagram is converted separately.
         """
         size = self._in.common_datagram_size(count, self._dropped)
         frames = (

@@ -27,7 +27,7 @@ def read_boot_clock_ns() -> int:
 
 
 class SuspendWatch:
-    """Detector of suspends of the machine. Each call of ``take_events`` compares CLOCK_BOOTTIME with CLOCK_MONOTONIC."""
+    """Detector of suspends of the machine. Each call of ``take_events`` compares CLOCK_BOOTTIME and CLOCK_MONOTONIC."""
 
     def __init__(
         self,

@@ -82,9 +82,9 @@ def fit_travel(
     joint_noise: float,
     elasticity: TendonElasticity,
 ) -> TendonFit:
-    """Return the fit of a tendon.
+    """Replace the stiffness and the moment arm in the fit of a tendon, and return the new fit.
 
-    The stiffness and the moment arm of the tendon are fitted to the travel of the tendon.
+    The new stiffness and the new moment arm are fitted to the travel of the tendon.
 
     If there are too few joint-encoder readings, the function returns the given fit unchanged.
 
