@@ -54,7 +54,7 @@ def relative_error(difference: TickDifference) -> float:
 
 @dataclass(slots=True)
 class DifferenceTally:
-    """Counts of the differences that were found so far.
+    """Counts of the differences that were found so far between the computed and the logged outputs.
 
     The docstring of LogExecution explains the attributes of the tally.
     """
@@ -213,5 +213,5 @@ class LogRunner:
 
 
 def refusal_error(error: ValueError, k: int) -> LogError:
-    """Return the error to raise if the controller refuses the inputs of tick `k`."""
+    """Return the exception for a log in which the controller refuses the inputs of tick `k`."""
     return LogError(f"the controller refuses: {error}", f"tick {k}", "a value that fits")

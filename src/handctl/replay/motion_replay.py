@@ -1,7 +1,7 @@
 """Repetition of a recorded motion.
 
-The functions convert the recorded targets to a program, and compare the recorded run with its
-repetition.
+This module converts the targets in a log to a motion program that repeats the motion. The module
+also compares the recorded run with the repetition.
 """
 
 from typing import Any
@@ -76,8 +76,8 @@ def count_missing_ticks(log: RunLog) -> int:
 def recorded_targets(log: RunLog, period: float) -> RecordedGoals:
     """Return the targets of a recorded run, converted to another control period.
 
-    A digit that held a tension had no joint targets. If a digit held a tension in the tick before
-    or after the requested time, its joint targets are NaN.
+    While a digit holds a tension, the digit has no joint targets. At a sample time, the joint
+    targets of a digit are NaN if the digit held a tension in the tick before or after this time.
 
     Args:
         log: log of the run.
@@ -149,7 +149,7 @@ def compare_replay(original_log: RunLog, replayed_log: RunLog) -> dict[str, Any]
 
 
 def followed_duration_s(original_log: RunLog, replayed_log: RunLog) -> float:
-    """Return the time for which a replay followed the recorded run [s]."""
+    """Return how long a replay followed the recorded run [s]."""
     start, end = active_interval(original_log)
     replay_start = _playback_start(replayed_log)
     if replay_start is None:

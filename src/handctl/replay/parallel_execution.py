@@ -1,11 +1,11 @@
 """Re-execution of a log in several processes. Each process starts from a snapshot in the log.
 
-Each process executes a part of the log. A part of the log starts from a snapshot, and the hash of
-the snapshot is in the log. If the controller's state at the end of the previous part has the same
-hash as the snapshot, a serial execution would reach the same state. If the hashes are equal, the
-results of the two parts are combined. If the hashes differ, one process executes the rest of the
-log serially. The result of a parallel execution is always equal to the result of a serial
-execution.
+The log is divided into consecutive parts, and each process executes one part. Where one part ends
+and the next part begins, two hashes are compared. One hash comes from the state that the earlier
+process has computed. The other hash is the logged hash of the snapshot from which the later process
+has started. If the hashes are equal, a serial execution would reach the same state, and the results
+of the two parts are combined. If the hashes differ, one process executes the rest of the log
+serially. The result of a parallel execution is always equal to the result of a serial execution.
 """
 
 import json
@@ -37,7 +37,7 @@ PROGRESS_PERIOD_S = 0.2
 class LogPart(NamedTuple):
     """Part of a log: the ticks from index `start` to `stop` - 1.
 
-    The object also contains the controller's state before the first tick of the part.
+    The attribute `state` is the controller's state before the first tick of the part.
     """
 
     start: int
@@ -48,7 +48,8 @@ class LogPart(NamedTuple):
 class WorkerProcess(NamedTuple):
     """Worker process with its part of the log.
 
-    The worker writes the result to a pipe. The class has the read end of this pipe.
+    The worker writes the result to a pipe. The attribute `pipe` is the file descriptor of the read
+    end.
     """
 
     process: int
@@ -57,7 +58,7 @@ class WorkerProcess(NamedTuple):
 
 
 class ProgressCounts:
-    """Number of ticks that each process has executed, in shared memory."""
+    """Counts of the executed ticks, one count per process, in memory that all processes share."""
 
     def __init__(self, processes: int, progress: Callable[[int], None]) -> None:
         """Allocate shared memory for one tick count per process.
@@ -73,8 +74,8 @@ class ProgressCounts:
     def counter_of_process(self, process_index: int) -> Callable[[int], None]:
         """Return a function that counts the executed ticks of a process.
 
-        In the first process, which is the calling process, this function also reports the total
-        progress.
+        For process 0, which is the calling process, the returned function also reports the progress
+        of all processes.
         """
 
         def add_executed_ticks(ticks: int) -> None:
@@ -85,7 +86,7 @@ class ProgressCounts:
         return add_executed_ticks
 
     def report_total(self) -> None:
-        """Report the number of ticks that all processes have executed."""
+        """Report how many ticks all processes together have executed."""
         self._progress(int(self._done.sum()))
 
 
@@ -165,7 +166,7 @@ def split_log(runner: LogRunner, worker_count: int) -> list[LogPart]:
 
 
 def _state_after_tick(runner: LogRunner, tick_index: int) -> ControllerState | None:
-    """Return the controller's state in the snapshot after a tick.
+    """Read the snapshot that was recorded after a tick, and return the controller's state.
 
     Returns:
         the state, or None if this version cannot read the snapshot, or if the hash of the state
@@ -184,7 +185,7 @@ def _state_after_tick(runner: LogRunner, tick_index: int) -> ControllerState | N
 def _start_worker(
     runner: LogRunner, log_part: LogPart, add_executed_ticks: Callable[[int], None]
 ) -> WorkerProcess:
-    """Start the execution of a part of a log in a forked copy of this process."""
+    """Fork this process, and execute a part of the log in the child process."""
     return WorkerProcess(
         *run_in_forked_copy(lambda: _result_json(runner, log_part, add_executed_ticks)), log_part
     )

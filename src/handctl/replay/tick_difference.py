@@ -1,4 +1,4 @@
-"""Differences between a logged tick and a computed tick: fields, values, and distances in units in the last place."""
+"""Differences between a logged and a computed tick: fields, values, and distances in ULPs (units in the last place)."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -41,7 +41,8 @@ class TickDifference(NamedTuple):
 class TelemetryColumns(NamedTuple):
     """Names for the columns of `Telemetry.to_bytes`, the array with all telemetry of a tick.
 
-    A name consists of the telemetry field, and of a joint, tendon, motor or digit.
+    Each column has two names: the name of a telemetry field, and the name of a joint, tendon, motor
+    or digit.
     """
 
     field_names: tuple[str, ...]
@@ -49,7 +50,7 @@ class TelemetryColumns(NamedTuple):
 
     @staticmethod
     def from_header(header: RunHeader) -> "TelemetryColumns":
-        """Return the column names for a log with this header."""
+        """Return the column names for a log that has the given header."""
         pairs = [
             (field, name)
             for field in TELEMETRY_FIELDS
@@ -141,7 +142,7 @@ def state_difference(
     logged_state: ControllerState,
     computed_state: ControllerState,
 ) -> TickDifference | None:
-    """Return the first field in which two states of the controller differ, in the order of the schema.
+    """Compare two states of the controller field by field, and return the first difference, or None.
 
     Args:
         header: header of the log.

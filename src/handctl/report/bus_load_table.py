@@ -2,9 +2,10 @@
 
 The table gives the time that the frames of one tick need, for hands with 4 and with 11 motors. The
 time includes the frames with commands, the frames with feedback and the frames with load-cell
-readings. If the drive protocol needs SYNC frames, the time also includes the SYNC frames. A
-load-cell frame contains the readings of four tendons in 8 bytes, or the readings of all tendons in
-one CAN FD frame. The bus load of one particular hand file is computed by ``controller.bus_load``.
+readings. If the drive protocol needs SYNC frames, the time also includes the SYNC frames. With
+classical CAN, a load-cell frame contains 8 bytes with the readings of four tendons. With CAN FD, a
+single frame contains the readings of all tendons. The bus load of one particular hand file is
+computed by ``controller.bus_load``.
 """
 
 from typing import Any, NamedTuple

@@ -10,7 +10,8 @@ from handctl.log.read.reader import RunLog
 class FrameCounts(NamedTuple):
     """Count of late frames, count of lost frames, and count of ticks without replies during a run.
 
-    Ticks without replies can be the reason for late frames.
+    The replies that are missing in a tick can arrive in the next tick, and then count as late
+    frames.
 
     Attributes:
         late_frames: number of load-cell frames that answer an older SYNC frame than the latest one.
@@ -29,7 +30,8 @@ class FrameCounts(NamedTuple):
 def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
     """Count the late frames, the lost frames and the ticks without replies during a run.
 
-    Each frame with load-cell readings is compared with the last SYNC before the frame.
+    A frame with load-cell readings counts as late if it answers an older SYNC frame than the latest
+    one.
     """
     node = make_sensors(hand)
     sync_counter = -1

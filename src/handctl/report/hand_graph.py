@@ -113,7 +113,7 @@ def text_graph(hand: Hand) -> str:
 
 
 def _sensors_text(hand: Hand) -> str:
-    """Describe the kind of the sensor node of a hand in words."""
+    """Return the kind of a hand's sensor node as text."""
     node = hand.sensor_node
     if not node.is_cia404:
         return "sensor node"

@@ -196,7 +196,7 @@ def _draw_angles(
 def _draw_command_and_truth(
     axes: Any, log: RunLog, goal_values: Array | None, true_values: Array | None
 ) -> None:
-    """Draw the command and the true value of the simulated plant beside the estimate."""
+    """Add two lines to a plot of an estimate: the command, and the true value from the simulator."""
     if true_values is not None:
         axes.plot(log.times, true_values, color=PLANT_COLOUR, linewidth=0.7)
     if goal_values is not None:
@@ -270,9 +270,9 @@ def _draw_forces(
 
 
 def _mark_phases(axes_grid: Any, log: RunLog) -> None:
-    """Mark the start of each phase and the first fault in all rows.
+    """Mark the start of each phase and the first fault by a line in every plot.
 
-    The names are written in the first row.
+    The names of the phases and of the fault are written in the first row of plots.
     """
     error = ("error", "fault")
     faults = [event for event in log.events if (event.event.level, event.event.name) == error]

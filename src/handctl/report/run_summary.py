@@ -97,8 +97,8 @@ def hold_windows(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
     A mask is True where the hold is settled.
 
     A hold is settled if a digit touches an object, and if the target tensions have been constant
-    for SETTLING_TIME_S. Only tendons that follow a tension target count. If a tendon holds an
-    angle, the target tension of this tendon changes with the load.
+    for SETTLING_TIME_S. The target tension of a tendon that holds an angle changes with the load.
+    Therefore only the tendons that follow a tension target are checked.
     """
     goal = np.where(_holding_mask(log, hand), np.nan_to_num(log.field("tension_goal")), 0.0)
     in_contact = log.field("contact").any(axis=1)
@@ -128,7 +128,7 @@ def hold_windows(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
 
 
 def _kind_by_phase_name(log: RunLog) -> dict[str, str]:
-    """Return the kind of each phase of the task in a log, by name of the phase.
+    """Return a mapping from the name of each task phase in a log to the kind of the phase.
 
     The result is empty if the log has no valid task.
     """
@@ -159,8 +159,8 @@ def mean_angles(hand: Hand, q: Array) -> Array:
 
     The mean of the joint angles q of a digit is weighted with the moment arms r of the joints:
     sum(r q) / sum(r). For a digit that has only prismatic joints, the result is in m. If a digit
-    has both hinges and prismatic joints, the position of a prismatic joint is converted with the
-    scale of ``DisplayUnits``.
+    has both hinges and prismatic joints, the position of a prismatic joint is converted to rad with
+    the scale of ``DisplayUnits``.
     """
     columns = []
     for name in hand.digit_names:
@@ -253,10 +253,10 @@ def judge_tension(
     active_mask: NDArray[np.bool_],
     hold_masks: list[NDArray[np.bool_]],
 ) -> dict[str, Any]:
-    """Return the errors of the estimated, the measured and, during holds, the true tensions.
+    """Return three kinds of tension errors: of the estimates, of the load cells, and of the control in holds.
 
-    The errors of estimates and load-cell readings are their differences from the true tensions. The
-    errors of the true tensions are their differences from the commanded tensions.
+    The estimates and the load-cell readings are compared with the true tensions. The error of the
+    control is the difference between the commanded and the true tension.
 
     Args:
         log: log of the run.
@@ -314,7 +314,8 @@ def judge_grasp(
 ) -> dict[str, Any]:
     """Return the motion of the object in a hold, and the forces on the fingertips: estimated and true.
 
-    If the table never sank, the object still rests on the table, and its motion is NaN.
+    If the table never sank, the object still rests on the table, and the motion of the object is
+    NaN.
 
     Args:
         log: log of the run.
@@ -371,7 +372,7 @@ def judge_angles(
     active_mask: NDArray[np.bool_],
     hold_masks: list[NDArray[np.bool_]],
 ) -> dict[str, dict[str, Any]]:
-    """Return the errors of the estimated joint angles of each digit in the settled ticks of holds.
+    """Return the errors of the estimated joint angles of each digit, in those ticks of the holds that are settled.
 
     If a run has no settled ticks, the errors come from all ticks in which the hand is active.
 
@@ -435,7 +436,10 @@ TEXT_BY_ANGLE_SOURCE = {
 
 
 def angle_rows(angle_summaries: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
-    """Return one row (title and text) for each digit that has an estimated standard deviation of its joint angles."""
+    """Return table rows (title, text) about the estimated joint angles: source, standard deviation and error.
+
+    Each digit that has an estimated standard deviation has one row. Other digits have no row.
+    """
     rows = []
     for name, angle in angle_summaries.items():
         if angle["sigma_deg"] != angle["sigma_deg"]:

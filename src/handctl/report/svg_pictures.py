@@ -225,7 +225,7 @@ def _draw_scale_bar(
 
 
 def _middle_ticks_of_phases(log: RunLog) -> list[tuple[str, int]]:
-    """Return the name and the index of the middle tick of each phase in which the hand is active."""
+    """Return the name of each phase in which the hand is active, and the index of the phase's middle tick."""
     changes = log.phases
     end_ticks = [change.k for change in changes[1:]] + log.k[-1:].tolist()
     middle_ticks = [

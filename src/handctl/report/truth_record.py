@@ -181,7 +181,7 @@ def find_truth(given_file: Path | None, log_path: Path, log: RunLog) -> TruthRec
 
 
 def _complete_rows(file_content: bytes, column_count: int) -> bytes:
-    """Return the part of the data that ends with the last complete row.
+    """Return the given bytes without an incomplete last row.
 
     If a simulator is killed, the last row in its truth file can be incomplete.
     """

@@ -1,8 +1,8 @@
 """Requests to a running controller. The controller confirms each request.
 
-The controller may not receive a datagram, because the controller is paused, because its mailbox is
-full, or because the socket belongs to a killed process. Every request contains a unique name. The
-controller confirms a request by a status line that contains the name of the request.
+A request does not reach the controller in three cases: the controller is paused, the mailbox of the
+controller is full, or the socket belongs to a killed process. Every request contains a unique name.
+The controller confirms a request by a status line that contains the name of the request.
 """
 
 import itertools
@@ -41,7 +41,7 @@ StatusLine = dict[str, Any]
 
 
 def open_watcher(bus: str, command_word: str) -> StatusWatcher:
-    """Open a watcher of the controller on a bus, for a single request.
+    """Open a socket to send one request to the controller of a bus, and to receive the controller's status lines.
 
     Raises:
         UnconfirmedError: the folder of the sockets cannot be trusted.
@@ -57,8 +57,10 @@ def report_absent_controller(bus: str) -> Iterator[None]:
     """Replace an UnconfirmedError by a BusError if the bus is local and has no mailbox.
 
     An UnconfirmedError tells the operator to switch off the power. The power of a simulated hand
-    need not be switched off. If a controller was killed, its mailbox still exists. For a real bus,
-    the UnconfirmedError remains, because the controller may run as another user.
+    need not be switched off. A simulated bus without a mailbox has no controller. A killed
+    controller leaves its mailbox behind, so the UnconfirmedError remains if a mailbox exists. On a
+    real bus, the UnconfirmedError always remains, because the controller can belong to another
+    user.
 
     Args:
         bus: bus to which the block sends a request.

@@ -1,4 +1,4 @@
-"""Limit of the time for which a fault is allowed to hold the hand.
+"""Time limit for the safety reaction HOLD, in which a fault stops the motion of the hand.
 
 The limit applies to runs that no operator watches. While a fault holds the hand, the time of the
 motion program does not advance. If the gains make a hand oscillate, the fault of a noisy encoder

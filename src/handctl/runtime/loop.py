@@ -2,7 +2,7 @@
 
 In each tick, the loop waits for the deadline, receives frames, and begins the tick. In the middle
 of a tick, the loop reads requests and streamed targets, and sends commands. At the end of a tick,
-it concludes and records the tick. The same loop runs in real time and in lockstep.
+the loop concludes and records the tick. The same loop runs in real time and in lockstep.
 
 If a tick is missed, the loop never executes it later. After missed deadlines, the loop skips the
 numbers of the missed ticks. The next executed tick decides whether the gap in the tick numbers is a
@@ -34,7 +34,7 @@ T = TypeVar("T", covariant=True)
 
 
 class TickInProgress(Protocol[T]):
-    """Interface of a tick that has begun, as the control loop uses it. See ``controller.tick.TickInProgress``."""
+    """Interface through which the control loop executes the rest of a tick. See ``controller.tick.TickInProgress``."""
 
     @property
     def state(self) -> T:
@@ -131,7 +131,7 @@ class StopSignals:
         self.converted_count = 0
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        """Count a received signal, as the signal handler of the process."""
+        """Count a received signal. The operating system calls this object as the signal handler of the process."""
         self.received_count += 1
 
     def take_request(self) -> tuple[str, ...]:
@@ -156,13 +156,13 @@ class StopSignals:
 
 
 def _skip_snapshot(entry: TickIn, state: object) -> None:
-    """Do nothing. If the run has no recorder of snapshots, this function replaces the recorder."""
+    """Do nothing with the state after a tick. A run that records no snapshots calls this function."""
 
 
 def _skip_publication(entry: TickIn, tick_output: TickOut, state: object, sent_ns: int) -> None:
     """Do nothing.
 
-    A run that no program observes uses this function in place of the publication.
+    A run that does not publish its ticks to other programs calls this function.
     """
 
 
@@ -224,8 +224,9 @@ class ControlLoop(Generic[S]):
     def rehearse_tick(self) -> Iterator[None]:
         """Execute the first two steps of the last tick again, and yield between the steps.
 
-        These two steps use most of the code and the data of a tick, see ``clocks.rehearsal``. Neither
-        requests nor commands are part of a rehearsal, and its result is discarded.
+        The first two steps use most of the code and the data of a tick, see ``clocks.rehearsal``. A
+        rehearsal includes neither requests nor commands, and the result of the rehearsal is
+        discarded.
         """
         if self._rehearsed_inputs:
             tick = self.begin_tick(*self._rehearsed_inputs)
@@ -346,7 +347,7 @@ class ControlLoop(Generic[S]):
         """Run ticks until the end of the run, beginning with the state in ``last_state``.
 
         ``last_state`` has a single entry, which is the state after the last commands. After an
-        error, the disabling of the drives begins with this state.
+        error, the loop disables the drives, beginning with the state in ``last_state``.
         """
         k = 0
         mode = HandMode.SILENT

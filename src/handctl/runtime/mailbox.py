@@ -134,7 +134,7 @@ class Mailbox:
 
 @contextmanager
 def bus_lock(name: str) -> Iterator[None]:
-    """Lock a bus without a mailbox, so that no other controller can use the bus.
+    """Lock a bus, so that no other controller can use the bus. This function opens no mailbox for requests.
 
     Raises:
         BusError: another controller uses the bus, or the lock cannot be created.
@@ -190,7 +190,7 @@ class RequestSender:
     """Sender of requests that need no reply from the controller."""
 
     def __init__(self, name: str) -> None:
-        """Open a socket for the controller of bus ``name``. The controller may also start later."""
+        """Open a socket for requests to the controller of bus ``name``. The controller can also start later."""
         self._path = str(mailbox_path(name))
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -224,7 +224,7 @@ class StatusWatcher:
     _numbers = itertools.count()
 
     def __init__(self, name: str) -> None:
-        """Bind a socket to watch the controller of bus ``name``. The controller may also start later.
+        """Bind a socket to watch the controller of bus ``name``. The controller can also start later.
 
         Raises:
             BusError: the socket cannot be created.
@@ -303,7 +303,8 @@ class StatusWatcher:
     def close(self) -> None:
         """Remove the socket.
 
-        The controller removes this watcher from its list when it sends the next status line.
+        When the controller sends the next status line, the controller removes this watcher from its
+        list.
         """
         self.socket.close()
         self.path.unlink(missing_ok=True)

@@ -250,7 +250,7 @@ class ObservationReader:
         return None
 
     def next_record(self) -> NDArray[np.void] | None:
-        """Return the record after the last returned record.
+        """Return the record that follows the record returned by the previous call.
 
         If the next record has not been written yet, return None. If the next record has already
         been overwritten, return the oldest usable record in the ring.

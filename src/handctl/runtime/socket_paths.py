@@ -165,7 +165,7 @@ def _user_name(user_id: int) -> str:
 
 
 def _file_name(spec: str) -> str:
-    """Convert a bus specification to the text with which the names of its files begin."""
+    """Convert a bus specification to the first part of the file names of the bus's sockets and shared files."""
     return spec.replace(":", "_").replace("/", "_")
 
 

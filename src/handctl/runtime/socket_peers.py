@@ -65,5 +65,5 @@ def is_served_by_same_user(link: socket.socket) -> bool:
 
 
 def is_trusted_user(user_id: int) -> bool:
-    """Return True if a user is allowed to send commands to the hand of the user of this process."""
+    """Return True if a user is root or the user of this process. No other user is allowed to command the hand."""
     return user_id in (0, os.geteuid())

@@ -1,1 +1,1 @@
-"""Safety of the hand: declarations of faults, reactions and thresholds, and the choice of the reaction."""
+"""Safety of the hand: the faults, the thresholds, the reactions, and the choice of the reaction to active faults."""

@@ -27,7 +27,7 @@ MIN_FLOOD_FRAMES = 64
 """Smallest threshold for a flooded bus [frames per tick]. A small hand sends fewer frames."""
 SOFT_TEMPERATURE_LIMIT_DEGC = 70.0
 HARD_TEMPERATURE_LIMIT_DEGC = 85.0
-"""Drive temperatures at which the tension limit begins to fall, and at which it reaches the tension floor [degC]."""
+"""Drive temperatures at which the tension limit begins to fall, and at which this limit equals the floor [degC]."""
 
 
 def tick_count_for_time(seconds: float, period: float, min_ticks: int) -> int:

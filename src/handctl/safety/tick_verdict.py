@@ -42,7 +42,7 @@ class LatchedFault(NamedTuple):
 
 
 class ReportedFault(NamedTuple):
-    """Fault that is reported in the present tick, with the number of consecutive ticks with a report of the fault."""
+    """Fault that is reported in the present tick. The attribute ``ticks`` counts consecutive ticks with a report."""
 
     id: str
     part_name: str
@@ -127,7 +127,7 @@ def judge_tick(
 
 
 def _latched_fault_of(finding: FaultFinding) -> LatchedFault:
-    """Return the latched fault of a finding: the fault's identifier and its place."""
+    """Convert a finding to a latched fault: the identifier of the fault, and the name of the affected part."""
     return LatchedFault(finding.fault.id, finding.part_name)
 
 

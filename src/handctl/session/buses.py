@@ -35,7 +35,7 @@ def parse_bus_arguments(bus_arguments: Sequence[str]) -> dict[str, str]:
 
 
 def refuse_default_hand(bus_specs: Sequence[str], location: str) -> None:
-    """Raise an error if a bus may have real motors, for an operator who has named no hand.
+    """Raise an error if a bus may have real motors. Commands call this function if the operator has named no hand.
 
     On a bus with real motors, the operator must name the hand, because the limits of the default
     hand belong to other motors and tendons.

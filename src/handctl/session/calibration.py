@@ -47,7 +47,7 @@ def load_calibration(path: Path, hand: Hand) -> Calibration:
 def find_calibration(
     path: Path, hand: Hand, is_file_given: bool, buses: Sequence[str] = ()
 ) -> tuple[Calibration | None, str]:
-    """Return the calibration in a file if the hand may be armed with this calibration.
+    """Read a calibration file, and return the calibration if arming of the hand with this calibration is allowed.
 
     Args:
         path: path of the calibration file, which need not exist yet.
@@ -171,8 +171,8 @@ def identified_parameters_in_file(path: Path | None, hand: Hand) -> IdentifiedPa
     If ``path`` is None, the result is empty.
 
     A simulated run uses no values of a calibration file except the identified parameters. The tares
-    and zeros of a simulated hand are valid for one seed and one start. The identified parameters of
-    a simulated hand are valid for all seeds and starts.
+    and zeros of a simulated hand are valid for one seed and one start of the simulator. The
+    identified parameters of a simulated hand are valid for all seeds and starts.
 
     Raises:
         ConfigError: the file cannot be read, is for another hand, or contains no identified

@@ -30,7 +30,7 @@ DefaultGainsFunction = Callable[[Hand], Gains]
 
 @dataclass(frozen=True, slots=True)
 class GainsWithSources:
-    """Gains with the source of each value.
+    """Gains of a run, and the source from which each value was taken.
 
     Attributes:
         gains: gains that the run uses.

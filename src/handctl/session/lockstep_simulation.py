@@ -2,8 +2,8 @@
 
 All programs that need a run in lockstep begin the run with this module.
 
-``simulate_controller`` executes a whole run. ``SimulatedRun`` executes single ticks.
-``SimulatorSettings.lockstep_clock`` provides the clock of runs with a log.
+``simulate_controller`` executes a whole run. ``SimulatedRun`` executes single ticks. A run that
+writes a log uses the clock from ``SimulatorSettings.lockstep_clock``.
 """
 
 import math

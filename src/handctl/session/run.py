@@ -378,7 +378,7 @@ def _build_loop(
 
 
 def _axis_lengths(hand: Hand) -> dict[str, int]:
-    """Return how many joints, tendons, motors and digits a hand has, by name."""
+    """Return the numbers of a hand's joints, tendons, motors and digits, with the keys "joint", "tendon", and so on."""
     return {
         "joint": len(hand.joints),
         "tendon": len(hand.tendon),
@@ -388,9 +388,9 @@ def _axis_lengths(hand: Hand) -> dict[str, int]:
 
 
 def _describe_run(plan: RunPlan) -> dict[str, object]:
-    """Return the hand file, the control rate and the time scale of a run, by name.
+    """Return constants of a run, by name: the hand file, the control rate and the time scale.
 
-    Programs that receive the observations of the run need these constants.
+    Programs need the constants to interpret the observations of the run.
     """
     return {
         "hand_toml": plan.hand.to_toml(),
@@ -443,7 +443,7 @@ STATUS_RATE_HZ = 50.0
 
 @dataclass(slots=True)
 class PublishedState:
-    """Values for the status lines, from the latest state of the controller.
+    """Values that the status lines show, copied from the latest state of the controller.
 
     Attributes:
         commander: client that commands the hand, or None if every client is allowed to start to

@@ -50,7 +50,7 @@ class OperatorDisplay(Protocol):
 
 @dataclass(frozen=True)
 class RunPlan:
-    """Plan of a run, with all settings of the run after their check.
+    """Plan of a run: all settings of the run, after the settings have been checked.
 
     Attributes:
         hand: description of the hand.
@@ -307,7 +307,7 @@ def default_control_rate(hand: Hand) -> float:
 def protocol_hint_lines(hand: Hand) -> tuple[str, ...]:
     """Return one line for each drive protocol that has a hint for the operator.
 
-    Each line contains the names of the motors with the drive protocol.
+    Each line contains the names of the motors that use the protocol.
     """
     hints = ((motor.name, PROTOCOL_TRAITS[motor.protocol].hint) for motor in hand.motor)
     return lines_by_text((name, hint) for name, hint in hints if hint)

@@ -1,6 +1,6 @@
 """Loading of tasks, trajectories and scenes.
 
-Tasks, trajectories and scenes are packaged or in files.
+Tasks, trajectories and scenes either belong to the package handctl, or are files of the user.
 
 Each task is checked against the hand.
 """

@@ -18,7 +18,7 @@ ADVISED_TIME_SCALE_FRACTION = 0.7
 def late_run_advice(plan: RunPlan, outcome: RunOutcome) -> str:
     """Return advice for a simulated run that failed because ticks or answers were late.
 
-    For a run that did not fail for this reason, the result is an empty text.
+    For a run that did not fail because of lateness, the result is an empty text.
     """
     if not (plan.is_simulated and outcome.was_too_slow):
         return ""

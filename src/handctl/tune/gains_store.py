@@ -184,8 +184,9 @@ class GainsStore:
     ) -> GainsFile:
         """Write gains to the history with the next number, and then make them the present gains.
 
-        A user can replace the file of the present gains by a file whose gains the history lacks.
-        The new gains are then recorded as the successor of the newest entry.
+        The new entry of the history names the entry that it replaces, usually the present gains. A
+        user can replace the file of the present gains by a file that is not in the history. After
+        such a replacement, the new entry names the newest entry of the history.
         """
         present_gains = self.present_gains()
         entries = self.history_entries()

@@ -119,7 +119,7 @@ class VerifyLimits:
 
 @dataclass(frozen=True, slots=True)
 class GainsRollback:
-    """Record of a return to the old gains during a verification.
+    """Record of an event in a verification: the observer requested the old gains again.
 
     Attributes:
         t_s: time at which the return was requested [s].
@@ -237,7 +237,7 @@ class VerifyObserver:
         )
 
     def _request_gains(self, gains: Gains, present_gains: Gains) -> None:
-        """Request new gains from the controller, without the gains that a running controller cannot change."""
+        """Send the controller a request that contains all gains which a running controller can change."""
         # The running controller keeps the present force of each tendon that the request does not
         # mention. Therefore the request must set the forces of all tendons.
         value_by_key = values_by_key(gains) | {

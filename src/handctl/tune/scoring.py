@@ -135,7 +135,7 @@ def _score_table(score: GainScore) -> dict[str, Any]:
 def score_exercise(
     hand: Hand, model: HandModel, plant_factors: Mapping[str, float], seed: int
 ) -> GainScore:
-    """Calculate the score of one run of the exercise on a simulated plant, without the margins.
+    """Calculate the score of one run of the exercise on a simulated plant. The score does not include the margins.
 
     Args:
         hand: description of the hand.
@@ -229,7 +229,7 @@ def _true_touch_mask(hand: Hand, truth: TruthRecord, t_ns: NDArray[np.int64]) ->
 
 
 def _failed_score(peak_tension_N: float, failure_text: str, shortfall: float = 0.0) -> GainScore:
-    """Return a score with the worst objectives, for gains without a valid result of the exercise."""
+    """Return the score of gains without a valid result of the exercise. All objectives have the worst value."""
     return GainScore(
         OBJECTIVE_OF_FAILED_RUN,
         OBJECTIVE_OF_FAILED_RUN,
@@ -255,7 +255,7 @@ def digit_angles(hand: Hand, q: Array) -> Array:
 
 
 class GroundTruth(NamedTuple):
-    """Reference for a score: the true values from the simulator.
+    """Values with which a score compares the goals: the true values from the simulator.
 
     On hardware, the estimates of the controller replace the true values.
 
@@ -286,7 +286,7 @@ def score_ticks(
     torque: Array,
     truth: GroundTruth,
 ) -> GainScore:
-    """Return the score of the given ticks of an exercise, without the margins.
+    """Return the score of the given ticks of an exercise. The score does not include the margins.
 
     Args:
         t_ns: (ticks,) times of the ticks [ns].

@@ -3,8 +3,8 @@
 Command: `python -m handctl.view.live_view LOG [ARGUMENT OF THE VIEWER ...]`.
 
 The process of the live view only reads the log, and does not depend on the controller. The process
-of the live view ends when the log ends, when the viewer is closed, or on SIGTERM. If the process
-ends because of the end of the log or SIGTERM, the viewer remains open.
+of the live view ends when the log ends, when the viewer is closed, or on SIGTERM. After the end of
+the log or SIGTERM, the viewer remains open.
 """
 
 import os

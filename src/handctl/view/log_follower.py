@@ -123,7 +123,7 @@ def follow_log(
 def _follow_until_end(follower: LogFollower, running_viewer: Viewer, stop: TerminationFlag) -> None:
     """Send new chunks until the log ends or stops growing.
 
-    Closing the viewer or a stop request also ends the loop.
+    The loop also ends after a stop request, or when the user closes the viewer.
     """
     last_chunk_time = time.monotonic()
     while not (follower.has_log_ended or stop.requested) and running_viewer.process.poll() is None:

@@ -17,7 +17,7 @@ class LogTail:
     """
 
     def __init__(self, path: Path) -> None:
-        """Begin to read before the first chunk of a log.
+        """Set the reading position before the first chunk of a log.
 
         Args:
             path: path of the growing log.

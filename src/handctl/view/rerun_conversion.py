@@ -138,8 +138,8 @@ def chunks_of_log(
 def _start_time_ns(chunk: Chunk) -> int:
     """Return the log time of the first row of a chunk [ns].
 
-    For a chunk without times, the result is -1. With this result, a chunk without times comes
-    first.
+    For a chunk without times, the result is -1. In a sorted list, a chunk without times therefore
+    comes first.
     """
     return int(times_since_start(chunk, 0)[0]) if LOG_TIME_TIMELINE in chunk.timeline_names else -1
 

@@ -23,15 +23,15 @@ operator.
 
 
 def real_buses(specs: Sequence[str]) -> list[str]:
-    """Return the specifications of buses that may have real motors."""
+    """Select the specifications of those buses to which real motors may be connected, and return them."""
     return [spec for spec in specs if not spec.startswith(SIMULATED_PREFIXES)]
 
 
 def _identity_conversion(t_ns: int) -> int:
     """Return an unchanged CLOCK_MONOTONIC time.
 
-    A program without a run opens its buses with this function, because only a run has a time of its
-    own.
+    A bus converts the reception times of its frames with a given function. A program that executes
+    no run uses this function, because only a run has a time that differs from CLOCK_MONOTONIC.
     """
     return t_ns
 

@@ -167,7 +167,7 @@ class FrameStructs:
     ) -> tuple[Frames, bool]:
         """Return the first ``count`` structs as frames.
 
-        The second returned value is True if one of these frames is an error frame.
+        The second returned value is True if one of the returned frames is an error frame.
 
         Args:
             count: number of structs to read.

@@ -21,7 +21,7 @@ class Bus(Protocol):
     def name(self) -> str:
         """Return the specification of the bus, such as ``local:demo``.
 
-        Events of the bus contain this text in their field ``where``.
+        The field ``where`` of each event of the bus contains the specification.
         """
         ...
 

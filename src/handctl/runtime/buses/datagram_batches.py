@@ -1,9 +1,9 @@
 """Sending and receiving of many datagrams in one system call.
 
 The module uses ``sendmmsg`` and ``recvmmsg`` of Linux with reused buffers. The ``socket`` module of
-Python offers neither of these two calls. With one system call for each frame, the system calls
-would take longer than all other work of an exchange of frames.
-Source: man 2 recvmmsg, man 7 socket (SO_TIMESTAMPNS, SO_RXQ_OVFL), man 3 cmsg.
+Python offers neither ``sendmmsg`` nor ``recvmmsg``. With one system call for each frame, the system
+calls would take longer than all other work of an exchange of frames. Source: man 2 recvmmsg, man 7
+socket (SO_TIMESTAMPNS, SO_RXQ_OVFL), man 3 cmsg.
 """
 
 import ctypes
@@ -109,7 +109,8 @@ as 0.
 class DatagramSlots:
     """Buffers of equal size for datagrams.
 
-    The kernel headers of the class point to these buffers.
+    The object also contains one ``struct mmsghdr`` per buffer, through which the kernel finds the
+    buffer.
 
     Attributes:
         count: number of slots.
@@ -162,11 +163,11 @@ class DatagramSlots:
     def common_datagram_size(self, count: int, known_loss_count: int) -> int:
         """Return the common size of the first ``count`` datagrams [bytes].
 
-        If each datagram must be read separately, return 0. The datagrams have a common size if all
-        of them have the same length and a time stamp, and if no loss counter has a new value. After
-        the first lost datagram, the kernel adds the loss counter to every datagram. The method
-        stores the result for the latest header bytes, because the kernel usually writes the same
-        header bytes in every tick.
+        If the datagrams have no common size, return 0. The caller must then read each datagram
+        separately. The datagrams have a common size if all of them have the same length and a time
+        stamp, and if no loss counter has a new value. After the first lost datagram, the kernel
+        adds the loss counter to every datagram. The method keeps the latest header bytes and their
+        result, because the header bytes are usually the same in every tick.
 
         Args:
             count: number of received datagrams.
@@ -226,9 +227,9 @@ class DatagramSlots:
         return times
 
     def set_datagram_lengths(self, lengths: NDArray[np.uint64]) -> None:
-        """Set the number of bytes to send from each slot.
+        """Set how many bytes of each slot the next call of ``send_datagrams`` sends.
 
-        ``lengths`` contains the numbers for the first ``len(lengths)`` slots.
+        Element i of ``lengths`` is the number of bytes in slot i.
         """
         self._sizes[: len(lengths)] = lengths
 

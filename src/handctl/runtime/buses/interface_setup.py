@@ -57,9 +57,9 @@ def interface_setup_commands(
 def interface_setup_text(
     channel: str, bitrate: int, data_bitrate: int | None, interface_exists: bool
 ) -> str:
-    """Return the commands of ``interface_setup_commands`` in one line.
+    """Return the commands of ``interface_setup_commands`` in one line, with ``sudo`` before each command.
 
-    A user who is not root can run the returned line.
+    A user who is not root can run the returned line with the rights of ``sudo``.
     """
     commands = interface_setup_commands(channel, bitrate, data_bitrate, interface_exists)
     return " && ".join(f"sudo {shlex.join(command)}" for command in commands)

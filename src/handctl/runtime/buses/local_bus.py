@@ -6,9 +6,9 @@ of the bus. A batch of frames is sent or read with a single system call.
     can_id 32 | length 8 | flags 8 | dropped 16 | data 64 x 8
 
 A record has 72 bytes, in the layout of ``struct canfd_frame`` of Linux. The two reserved bytes of a
-record count the frames that the hub has dropped for the receiver of the record. A Unix socket
-reports no times of reception. Therefore each frame on the local bus gets the time at which the host
-read it.
+record count, modulo 65536, how many frames the hub has dropped that should have reached the
+receiver of the record. A Unix socket reports no times of reception. Therefore each frame on the
+local bus gets the time at which the host read it.
 """
 
 import socket
@@ -160,7 +160,7 @@ class LocalBus:
         return size
 
     def _report_lost_hub(self) -> None:
-        """Begin the lasting state ``enodev``. Every later call of ``take_events`` reports that the hub has ended."""
+        """Begin the lasting state ``enodev``. From now on, each call of ``take_events`` reports the end of the hub."""
         self._closed = True
         self._events.set_persistent_event("enodev", True)
 
@@ -221,7 +221,7 @@ class LocalBus:
             self._dropped = hub_drop_count
 
     def _take_control(self, can_id: int, data: bytes) -> None:
-        """Process a frame that is a queue report from the hub, or an error frame."""
+        """Process a control frame: either an error frame, or a report of the hub about the transmit queue."""
         if can_id == QUEUE_REPORT_ID:
             self._transmitted_count, self._queue_frames = QUEUE_REPORT_STRUCT.unpack(data)
         else:
@@ -271,7 +271,7 @@ class LocalBus:
         return accepted
 
     def _pack_records(self, frames: Sequence[Frame]) -> bytes | memoryview:
-        """Pack frames into the records of the hub, and return the records."""
+        """Convert frames to the records that are sent to the hub, and return the records."""
         if not isinstance(frames, Frames):
             for frame in frames:
                 check_payload_size(frame)

@@ -123,8 +123,8 @@ class SocketCanBus:
         """Convert the received datagrams to frames.
 
         Usually all datagrams are of the same kind (classical or CAN FD), have similar time stamps,
-        and follow no lost frame. Datagrams with these properties are converted as one batch. If the
-        datagrams lack one of these properties, each datagram is converted separately.
+        and no frame was lost before them. If all datagrams have these properties, the datagrams are
+        converted as one batch. In all other cases, each datagram is converted separately.
         """
         size = self._in.common_datagram_size(count, self._dropped)
         frames = (
@@ -138,10 +138,10 @@ class SocketCanBus:
         return frames
 
     def _convert_uniform_batch(self, count: int, fd_flag: int) -> Frames | None:
-        """Return the frames of a batch with datagrams of one kind.
+        """Convert a batch of datagrams that are all of the same kind (classical or CAN FD), and return the frames.
 
-        If the batch contains an error frame or a doubtful time stamp, return None. If the result is
-        None, the caller converts each frame separately.
+        If the batch contains an error frame, or if the time stamps are not in a plausible range,
+        return None. If the result is None, the caller converts each frame separately.
         """
         frames, has_error_frames = self._structs.read(
             count, 0, self._index, ALL_FLAGS if fd_flag else 0, fd_flag
@@ -314,7 +314,7 @@ def _interface_problem(can_socket: socket.socket, channel: str, fd_mode: bool) -
 
 
 def _read_interface_number(can_socket: socket.socket, channel: str, request: int) -> int:
-    """Ask the kernel for a number about an interface, in the network namespace of the socket."""
+    """Read the flags, the MTU or the queue length of an interface in the socket's network namespace."""
     # Layout of struct ifreq: name 16 bytes | flags 16 bits, or MTU 32 bits, or queue length 32 bits
     # | padding
     answer = fcntl.ioctl(can_socket, request, struct.pack("=16sI20x", channel.encode(), 0))

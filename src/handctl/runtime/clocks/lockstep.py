@@ -53,7 +53,7 @@ def _exchange_objects(peer: LockstepSimulator, t_ns: int, records: RecordArray) 
 
 
 def load_simulator_object(entry: str, user: str) -> Callable[..., Any]:
-    """Return the class or function of the simulator that has the name ``module:name``.
+    """Import a class or a function of a simulator by its name ``module:name``, and return the object.
 
     Args:
         entry: name of the class or function, ``module:name``.
@@ -88,7 +88,7 @@ def load_simulator(entry: str, **options: object) -> LockstepSimulator:
 
 
 class LockstepClock:
-    """Clock that stops while the controller and the simulator compute.
+    """Virtual clock of a run, which stands still while the controller and the simulator compute.
 
     A call of ``wait`` for the next tick advances the simulator by one control period.
 
@@ -103,7 +103,7 @@ class LockstepClock:
     """
 
     def __init__(self, peer: LockstepSimulator, period_ns: int) -> None:
-        """Start at tick 0 and at the time 0 of the simulator.
+        """Set the clock to tick 0, and to the time 0 of the simulator.
 
         The argument ``period_ns`` is the control period [ns].
         """
@@ -120,9 +120,9 @@ class LockstepClock:
         """Begin another run.
 
         The new run begins one tick after the last frames of the previous run were sent. The
-        simulator still receives the last frames of the previous run, because they disable the
-        drives. The simulator's answers to these frames are discarded, because no bus is open
-        between two runs.
+        simulator still receives the last frames of the previous run, because the last frames
+        disable the drives. The simulator's answers to the last frames are discarded, because no bus
+        is open between two runs.
         """
         if self.frames_to_simulator:
             self.wait(self.k + 1)
@@ -154,7 +154,7 @@ class LockstepClock:
         return self.k * self.period_ns
 
     def clock_statistics(self) -> dict[str, str]:
-        """Return an empty mapping, because virtual time is the same in every run."""
+        """Return an empty mapping, because virtual time has no statistics: it never pauses and is never late."""
         return {}
 
 

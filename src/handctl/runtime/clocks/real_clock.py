@@ -3,7 +3,7 @@
 Each tick has an absolute deadline on CLOCK_MONOTONIC. The time of the run can be slower or faster
 than wall time.
 
-The virtual time of lockstep is in the module ``lockstep``.
+The module ``lockstep`` contains another clock, for virtual time.
 """
 
 import time
@@ -28,7 +28,7 @@ class TickClock(Protocol):
         ...
 
     def wait(self, k: int) -> int:
-        """Wait for the deadline of tick k, and return the time since the deadline [ns], 0 or more."""
+        """Wait for the deadline of tick k, and return the lateness: the time since the deadline [ns], 0 or more."""
         ...
 
     def now_ns(self) -> int:
@@ -38,7 +38,7 @@ class TickClock(Protocol):
     def clock_statistics(self) -> dict[str, str]:
         """Return facts about the clock as texts, by the name of the fact.
 
-        The recorder writes these facts at the end of the log.
+        The recorder writes the facts about the clock at the end of the log.
         """
         ...
 

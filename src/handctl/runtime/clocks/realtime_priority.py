@@ -83,11 +83,10 @@ def realtime_priority(level: int = 60) -> Iterator[bool]:
 def keep_processors_awake() -> Iterator[bool]:
     """Keep idle processors awake during a ``with`` block.
 
-    Yield True if the system permits that processors stay awake. Without this permission, idle
-    processors sleep. A sleeping processor can take a millisecond to wake up, above all in a virtual
-    machine. Idle processors stay awake as long as a process keeps ``CPU_LATENCY_FILE`` open after
-    writing a latency of 0.
-    Source: Linux, Documentation/power/pm_qos_interface.
+    Yield True if the system permits that processors stay awake. Without the permission of the
+    system, idle processors sleep. A sleeping processor can take a millisecond to wake up, above all
+    in a virtual machine. Idle processors stay awake as long as a process keeps ``CPU_LATENCY_FILE``
+    open after writing a latency of 0. Source: Linux, Documentation/power/pm_qos_interface.
     """
     try:
         descriptor = os.open(CPU_LATENCY_FILE, os.O_WRONLY | os.O_CLOEXEC)

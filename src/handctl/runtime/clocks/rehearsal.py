@@ -25,7 +25,7 @@ INITIAL_WAKE_UP_DELAY_NS = 30_000
 """Assumed delay of the first wake-up [ns]."""
 RISE_SHARE = 1 / 4
 FALL_SHARE = 1 / 16
-"""Shares of the difference by which an expected time rises after a longer time, and falls after a shorter time."""
+"""Fractions of the difference between measured and expected time by which the expected time rises and falls."""
 MAX_GROWTH = 1.25
 """Largest factor by which an expected time grows at once.
 
@@ -40,7 +40,7 @@ As a result, the clock sometimes tries whether a rehearsal has become shorter.
 
 @dataclass
 class Rehearsal:
-    """Rehearsals of a run, with their expected duration.
+    """Rehearsals of ticks during one run. The object also estimates how long the next rehearsal will take.
 
     Attributes:
         execute_steps: function that executes two steps of the last tick again, and yields between
@@ -94,7 +94,7 @@ class Rehearsal:
 
 
 def _follow_time(expected_ns: float, measured_ns: float) -> float:
-    """Return the expected time after an update by a measured time. The expected time rises faster than it falls."""
+    """Update an expected time with a measured time, and return the result. The result rises faster than it falls."""
     difference_ns = measured_ns - expected_ns
     share = RISE_SHARE if difference_ns > 0 else FALL_SHARE
     return min(expected_ns + share * difference_ns, MAX_GROWTH * expected_ns)

@@ -24,8 +24,9 @@ The simulator creates a file with six 64-bit integers, and both processes map th
     version | gate [ns] | sum of the pauses [ns] | ticks sent | ticks answered | reached [ns]
 
 The controller writes the second, third and fourth integer of the file. The simulator writes the
-other integers. The gate and the reached time are CLOCK_MONOTONIC minus the pauses, without the time
-scale. No lock is needed, because a 64-bit integer is written in one operation.
+other integers. The gate and the reached time are values of CLOCK_MONOTONIC minus the pauses, and
+are not multiplied by the time scale. No lock is needed, because a 64-bit integer is written in one
+operation.
 """
 
 import mmap
@@ -91,7 +92,7 @@ class ClockFile:
             raise ValueError(f"{path}: version {self.numbers[0]}; expected {CLOCK_FILE_VERSION}")
 
     def close(self) -> None:
-        """Open the gate of the clock, and unmap the file.
+        """Set the gate to a time that is never reached, and unmap the file.
 
         After this call, the simulator continues without the controller.
         """
@@ -168,9 +169,9 @@ class SharedClock(RealClock):
         )
 
     def _pause_at_gate(self) -> None:
-        """Set the clock back to its gate by a pause, if the clock has passed the gate.
+        """Add a pause that sets the clock back to its gate, if the clock has passed the gate.
 
-        No jump back in time occurs in the simulator, because the simulator has never seen a time
+        For the simulator, time does not jump back, because the simulator has never used a time
         after the gate.
         """
         self._numbers[PAUSED_INDEX] += max(0, self._read_clock_ns() - self._numbers[GATE_INDEX])

@@ -27,14 +27,14 @@ def read_boot_clock_ns() -> int:
 
 
 class SuspendWatch:
-    """Detector of suspends of the machine. Each call of ``take_events`` compares two clocks."""
+    """Detector of suspends of the machine. Each call of ``take_events`` compares CLOCK_BOOTTIME and CLOCK_MONOTONIC."""
 
     def __init__(
         self,
         read_boot_clock: Callable[[], int] = read_boot_clock_ns,
         read_monotonic_clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """Read both clocks for the first time.
+        """Store the present difference between the two clocks, as the reference of the first ``take_events``.
 
         Args:
             read_boot_clock: clock that continues during a suspend [ns].
@@ -45,7 +45,7 @@ class SuspendWatch:
         self._difference_ns = self._clock_difference()
 
     def _clock_difference(self) -> int | None:
-        """Return the difference of both clocks [ns].
+        """Return the boot clock minus the monotonic clock [ns].
 
         If the reading of the clocks was interrupted, return None.
         """

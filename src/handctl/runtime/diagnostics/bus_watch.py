@@ -79,7 +79,7 @@ class BusWatch:
     k: int = 0
 
     def __post_init__(self) -> None:
-        """Set each drive to its initial state, without readings."""
+        """Initialise the states of all drives and load-cell amplifiers, and the readings of all sensors."""
         self.states = [drive.initial_state() for drive in self.drives]
         node = self.sensors
         self.amplifiers = [amplifier.initial_state() for amplifier in node.amplifiers]
@@ -138,9 +138,9 @@ class BusWatch:
         self.k += 1
 
     def send_release(self) -> None:
-        """Send the frames that announce the end of this host to the drives.
+        """Send each drive its release frames, which say that this host has ended.
 
-        After the frames of this method, the host sends no more frames.
+        The host must send no frames after this call.
         """
         pairs = zip(self.drives, self.states, strict=True)
         self._send([frame for drive, state in pairs for frame in drive.release_frames(state)])
@@ -165,8 +165,8 @@ class BusWatch:
     def _receive(self, frame: Frame) -> None:
         """Process a received frame.
 
-        Every load-cell amplifier gets the frame first. A frame with sensor readings then updates
-        the readings, and all drives get any other frame.
+        First, every load-cell amplifier processes the frame. If the frame contains sensor readings,
+        the readings are then stored. A frame without sensor readings is processed by every drive.
         """
         group = self._group.get(frame.can_id, -1) if frame.bus == self.sensors.bus else -1
         for i, amplifier in enumerate(self.sensors.amplifiers):

@@ -86,7 +86,7 @@ def _read_identity(network: canopen.Network, node_id: int) -> CanopenIdentity:
 
 
 def _upload_object(node: canopen.RemoteNode, index: int, subindex: int) -> bytes:
-    """Return the content of an object.
+    """Read an object of the drive by SDO, and return the content.
 
     If the drive refuses the request or does not answer, the content is empty.
     """

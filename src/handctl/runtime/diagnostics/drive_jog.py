@@ -63,7 +63,7 @@ class JogGoal(NamedTuple):
 
 
 class JogResult(NamedTuple):
-    """Result of a jog, as the drive has reported it.
+    """Result of a jog, computed from the values that the drive has reported.
 
     Attributes:
         failure: reason why the motion stopped early, in one line. The text is empty if the motion
@@ -170,7 +170,7 @@ class _JogExecution:
         return ""
 
     def execute_motion(self) -> str:
-        """Move the shaft for the duration of the goal.
+        """Move the shaft as the goal of the jog demands, until the duration in the goal is over.
 
         Return the reason why the motion stopped early, or an empty text.
         """
@@ -203,7 +203,7 @@ class _JogExecution:
         return ""
 
     def _command_at(self, t_s: float) -> float:
-        """Return the command at a time since the start of the motion [s]."""
+        """Return the command for the time ``t_s`` [s] after the start of the motion."""
         goal = self._goal
         if not self._is_position_mode:
             return self._ramped_command(goal.target)

@@ -28,9 +28,9 @@ VELOCITY_WINDOW_TICKS = 4
 
 
 def _zero_torque_command(state: DriveState) -> float:
-    """Return a torque of zero.
+    """Return a torque of zero, which is the idle command in torque mode.
 
-    In torque mode, a torque of zero does not move the shaft.
+    The idle command is the command that does not move the shaft.
     """
     return 0.0
 
@@ -132,11 +132,11 @@ class DriveRig:
     def run_until(
         self, target: DriveTarget, is_condition_met: Callable[[DriveState], bool], timeout_s: float
     ) -> bool:
-        """Run ticks with the idle command until ``is_condition_met`` returns True for the state of the drive.
+        """Run ticks with the idle command until the drive's state fulfils the condition ``is_condition_met``.
 
-        Return False if ``is_condition_met`` does not return True within ``timeout_s`` [s]. The
-        timeout counts only executed ticks. If missed ticks counted too, a late host would give the
-        drive too few ticks for its answers.
+        The idle command does not move the shaft. If the state does not fulfil the condition within
+        ``timeout_s`` [s], return False. The timeout counts only executed ticks. If missed ticks
+        counted too, a late host would give the drive too few ticks for its answers.
         """
         return any(
             is_condition_met(self.run_tick(target))

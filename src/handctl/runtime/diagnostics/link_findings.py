@@ -1,4 +1,4 @@
-"""Findings about a CAN interface. Each problem has a command or advice to correct it."""
+"""Findings about a CAN interface. If a finding is a problem, the finding contains a command or advice."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,17 +1,18 @@
 """Types for faults and for rows of the fault catalogue, and functions that declare faults and rows.
 
-A row of the fault catalogue describes a possible failure. A fault is a row of the catalogue or a
-stage of a row. The controller checks each fault in every tick. Each row and each fault is declared
-once, in the module of its kind: ``bus``, ``node``, ``tendon`` or ``host``. The tables in the
-documents, the deadlines in the fault campaign, the event texts and the reactions all come from the
-declarations of rows and faults.
+A row of the fault catalogue describes a possible failure. A fault is a condition that the
+controller checks in every tick. Each fault belongs to one row. If a row has several faults, such as
+B11a and B11b, the faults are called the stages of the row. Rows and faults are declared in the
+modules ``bus``, ``node``, ``tendon`` and ``host``. Each declaration is the only source of four
+things: the tables in the documents, the deadlines in the tests that inject faults, the event texts,
+and the reactions.
 
 There are two ways to find a fault. Compiled code in ``core.detectors`` detects a fault that is
 declared with the argument ``fault_places``. The argument ``fault_places`` lists the kinds of parts
-that the fault can affect, such as motors or tendons. The declaration returns the row of the fault
-in the detectors' table of results. Detectors use the row of the fault as in
-``evidence[N07_NOISY_ENCODER, motor]``. A fault with the argument ``reports`` is reported by a bus,
-the host or the recorder.
+that the fault can affect, such as motors or tendons. The function ``declare_fault`` returns an
+index: the row of the evidence table in which the detectors store their results about the fault. An
+example is ``evidence[N07_NOISY_ENCODER, motor]``, where N07_NOISY_ENCODER is the index. A fault
+with the argument ``reports`` is reported by a bus, the host or the recorder.
 """
 
 from dataclasses import dataclass
@@ -72,8 +73,9 @@ class CatalogueRow(NamedTuple):
         moteus: visibility with moteus. The text is empty if the visibility equals ``mit``, because
             both protocols answer each command once.
         robstride: visibility with RobStride. The text is empty if the visibility equals ``mit``.
-        reaction_time_start: event from which the longest reaction time counts, as the end of a
-            sentence. The text is empty if the reaction time counts from the failure itself.
+        reaction_time_start: event from which the longest reaction time counts, as a clause that can
+            follow the word "after". The text is empty if the reaction time counts from the failure
+            itself.
     """
 
     id: str
@@ -93,7 +95,7 @@ class CatalogueRow(NamedTuple):
     reaction_time_start: str = ""
 
     def visibility(self, protocol: str) -> str:
-        """Return how the failure is visible with a drive protocol.
+        """Return the visibility of the failure with a drive protocol: detected, replaced by a weaker sign, or lost.
 
         The argument ``protocol`` is one of ``VERIFIABLE_PROTOCOLS``.
         """
@@ -101,7 +103,7 @@ class CatalogueRow(NamedTuple):
         return visibility or self.mit
 
     def max_reaction_time_ms(self, rate_hz: float) -> float:
-        """Return the longest time from the failure to the reaction, for a control rate [ms].
+        """Return the longest permitted time from the failure to the reaction at the control rate ``rate_hz`` [ms].
 
         The reaction time does not include ``odrive_extra_ms``.
         """
@@ -112,7 +114,8 @@ class CatalogueRow(NamedTuple):
 class Fault:
     """Fault that the controller checks in every tick.
 
-    A fault is a row of the catalogue, or a stage of a row.
+    A fault belongs to one row of the catalogue. If a row has several faults, the faults are called
+    the stages of the row.
 
     Attributes:
         id: identifier of the row, followed by a letter if the row has stages.
@@ -179,9 +182,9 @@ DECLARED_ROWS: list[CatalogueRow] = []
 DECLARED_FAULTS: list[Fault] = []
 """All faults, in the order of their declaration."""
 DETECTOR_ROWS: list[tuple[Fault, str]] = []
-"""Fault and kind of instance for each row of the detectors' result table.
+"""Fault and kind of part for each row of the evidence table, in which the detectors store their results.
 
-The kinds of instances of one fault have adjacent rows.
+If a fault can affect several kinds of parts, the rows of these kinds are adjacent.
 """
 
 

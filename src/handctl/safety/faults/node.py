@@ -1,6 +1,7 @@
 """Rows N01 to N17 of the fault catalogue: faults of drives and sensors.
 
-The inventory before arming checks the rows N03 and N12.
+Before arming, in the mode INVENTORY, the controller checks that no node is missing (N03) and that
+no drive has wrong settings (N12).
 """
 
 from handctl.safety.faults.bus import MALFORMED_WINDOW_TICKS, SILENCE_TIME_REASON
@@ -26,7 +27,7 @@ STUCK_SENSOR_TIME_S = 0.1
 STUCK_SENSOR_GOAL_CHANGE_M = 0.5e-3
 STUCK_SENSOR_TENSION_CHANGE_N = 8.0
 STUCK_SENSOR_JOINT_CHANGE_DEG = 10.0
-"""Thresholds for a stuck sensor: duration of a constant reading, and motion of each reference of the sensor.
+"""Thresholds for a stuck sensor: duration of a constant reading, and changes of related signals meanwhile.
 
 A motor's encoder is stuck if its reading is constant while the goal moves by 0.5 mm, or while the
 tension changes by 8 N (80 um of tendon stretch). In a digit with several tendons and load cells,
@@ -81,9 +82,9 @@ PULL_AFTER_CUT_N = 10.0
 REPORTED_PULL_AFTER_CUT_N = 1.0
 """Thresholds for a tendon that is still pulled after a cut: time [s], fraction of the tension at the cut, tension [N].
 
-The last threshold is for the motor force that the drive reports, in addition to one step of the
-reported force. A drive without torque reports less than 0.1 N in simulation, and the reading of a
-load cell drifts by newtons.
+The last threshold is for the motor force that the drive reports. The resolution of the reported
+force is added to this threshold. A drive without torque reports less than 0.1 N in simulation, and
+the reading of a load cell drifts by newtons.
 
 ``PULL_AFTER_CUT_TIME_S`` after a cut of the torque, tendons of the packaged hands have at most a
 third of their tension if the motor is off, and at least 0.74 of their tension if the motor still

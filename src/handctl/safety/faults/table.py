@@ -13,7 +13,7 @@ FAULT_CATALOGUE: tuple[CatalogueRow, ...] = tuple(declared.DECLARED_ROWS)
 """All rows of the catalogue."""
 
 DETECTOR_ROWS: tuple[tuple[Fault, str], ...] = tuple(declared.DETECTOR_ROWS)
-"""Fault and kind of instance for each row of the detectors' result table."""
+"""Fault and kind of part for each row of the evidence table, in which the detectors store their results."""
 DEBOUNCE_TICKS = np.array([fault.debounce_ticks for fault, _ in DETECTOR_ROWS], dtype=np.int64)
 """(rows,) number of consecutive ticks with a fault after which the fault becomes active."""
 ACTION_NUMBERS = np.array([int(fault.action) for fault, _ in DETECTOR_ROWS], dtype=np.int64)

@@ -28,10 +28,11 @@ TAUT_BEFORE_SNAP_TIME_S = 0.1
 
 A tendon counts as snapped if more than ``SNAP_MIN_COMMAND_N`` is commanded and its tension is below
 ``SNAP_TENSION_FRACTION`` of the command, while the spool winds faster than ``SNAP_SPOOL_SPEED``. A
-tendon counts as snapped only if it was taut within the last ``TAUT_BEFORE_SNAP_TIME_S``, so a slack
-tendon whose spool takes it up does not count as snapped. The second spool speed is for tendons
-without load cell. Of 60 random streams to ``orca_like``, 6 ended with a false T01 at 0.03 m/s, and
-none at 0.06 m/s. With joint encoders, the fault T08 reports a torn tendon without load cell sooner.
+tendon counts as snapped only if it was taut within the last ``TAUT_BEFORE_SNAP_TIME_S``. Therefore
+a slack tendon does not count as snapped while the spool takes up the slack. The second spool speed
+is for tendons without load cell. Of 60 random streams to ``orca_like``, 6 ended with a false T01 at
+0.03 m/s, and none at 0.06 m/s. With joint encoders, the fault T08 reports a torn tendon without
+load cell sooner.
 """
 FREE_SPOOL_SPEED_FRACTION = 0.6
 MIN_SNAP_SPOOL_SPEED = 0.01
@@ -61,8 +62,9 @@ The reaction is RELAX. If the power stages of two drives are exchanged, the tens
 tendons drive each other. With exchanged power stages, the excess tension rises from 10 to 80 N in
 30 ms. Without a fault, and with three times the usual noise, the excess tension stays below 3 N.
 
-A tension that is too small is judged only by ``RESIDUAL_TRIP_N``. The slower judgement by
-``RESIDUAL_TRIP_N`` gives a drive that switches off the time to report its own error.
+A tension that is too small is judged only by ``RESIDUAL_TRIP_N``. The judgement by
+``RESIDUAL_TRIP_N`` is slower. If a drive switches itself off, the drive therefore has time to
+report its own error.
 """
 EXCESS_FRICTION_WARN_N = 3.0
 """Friction in excess of the friction in the hand file above which there is a fault [N]."""
@@ -81,7 +83,7 @@ in simulation, and can be below one count on hardware.
 """
 MIN_REPEATED_READINGS = 8
 REPEAT_WINDOW = 16
-"""Number of repeated readings from which chance is tested as the cause, and number of readings for that test."""
+"""Two numbers of readings: successive repeated readings that can be a fault, and readings to estimate chance."""
 SATURATED_CELL_TICKS = 3
 """Number of consecutive ticks with a saturated load cell after which there is a fault."""
 DERAILED_TENDON_DEG = 15.0

@@ -1,10 +1,11 @@
 """Detection of a contact during the sweeps of a digit, from the residuals of the fit.
 
-If a closing digit touches an obstacle, an additional tension grows from the angle of the contact
-on. The fit attributes most of the additional tension to the springs, but no parameter can reproduce
-the kink in the curve. Therefore a ramp of tension is added to the linearised fit, and is determined
-together with all parameters. The joint angle at which the ramp begins is varied. The score of the
-contact is the height of the ramp in standard deviations. Source: score test (Rao 1948).
+If a closing digit touches an obstacle, an additional tension occurs. The additional tension begins
+at the joint angle of the contact, and grows while the digit closes further. The fit attributes most
+of the additional tension to the springs, but no parameter can reproduce the kink in the curve.
+Therefore a ramp of tension is added to the linearised fit, and is determined together with all
+parameters. The joint angle at which the ramp begins is varied. The score of the contact is the
+height of the ramp in standard deviations. Source: score test (Rao 1948).
 
 A contact that lasts during the whole sweep causes no kink. If a contact blocks one of n joints
 during the whole sweep, the digit behaves like a free digit with different springs. The stiffness of

@@ -1,10 +1,11 @@
 """Motions from which the parameters of a digit can be identified, if tendons both close and open the digit.
 
-A digit that tendons close and open has n + 1 tendons and no springs, or it has spool pairs.
+A digit that tendons both close and open has either spool pairs, or n + 1 tendons for n joints and
+no springs.
 
 First, the digit sweeps about a middle posture. In the sweeps, the joints first move together. Then
-the joints move against each other. In these sweeps, the motors wind up a part of the tendons, and
-pay out the rest. After the sweeps, the digit oscillates. At the end, the tendons are stretched
+the joints move against each other. In all sweeps, the motors wind up some of the tendons, and pay
+out the other tendons. After the sweeps, the digit oscillates. At the end, the tendons are stretched
 while the digit is pressed against its lower stops.
 """
 
@@ -258,9 +259,10 @@ def _swing_amplitudes(
 
 
 def _tension_limits(hand: Hand, digit: DigitModel) -> tuple[Array, Array]:
-    """Return the tension floors and the largest stretch tensions of a digit's tendons [N].
+    """Return two limits of each tendon's tension [N]: the tension floor, and the largest tension in a stretch.
 
-    The floors and the stretch tensions have the shape (n_t,) each.
+    The tension floor is the smallest tension that is ever commanded. Each limit has the shape
+    (n_t,).
     """
     tendons = hand.tendon[digit.tendons]
     floor = np.array([tendon.tension_floor_N for tendon in tendons])
@@ -281,7 +283,7 @@ def _balanced_tensions(hand: Hand, digit: DigitModel) -> Array:
 
 
 def _stretched_tensions(hand: Hand, digit: DigitModel) -> tuple[Array, list[tuple[Array, Array]]]:
-    """Return tensions [N]: those that hold a digit at rest, and the lower and upper tensions of each stretch.
+    """Return the tensions that hold a digit at rest, and the lower and the upper tensions of each stretch [N].
 
     The tendons are stretched while the digit is pressed against its lower stops.
 

@@ -10,8 +10,10 @@ motion, the torques at each joint are in balance:
 The excursions of the joints and the stretch of the tendon add up to the travel: sum r_i q_i + f / k
 = x - o. If a moment arm depends on the joint angle, the integral of the moment arm replaces r_i
 q_i. The equations are solved for the tension f, because the noise of the encoder is negligible
-compared with the noise of the load cell. S, P and m are factors of the springs, preloads and masses
-in the hand file. Source: capstan equation, virtual work, equations of motion of `hand.dynamics`.
+compared with the noise of the load cell. Here, f is the tension, k is the stiffness of the tendon,
+x is the travel of the spool, and o is an offset of the travel. S, P and m are factors that multiply
+the springs, the preloads and the masses in the hand file. Source: capstan equation, virtual work,
+equations of motion of `hand.dynamics`.
 """
 
 from dataclasses import dataclass
@@ -137,9 +139,10 @@ def average_in_bins(
 
 
 def _central_rates(travel: Array, period: float, half_window: int) -> tuple[Array, Array]:
-    """Return the speed and the acceleration for a series of travels, from differences over `half_window` periods.
+    """Compute the speed and the acceleration of a tendon from its travel by central differences, and return both.
 
-    Speed and acceleration are zero at the two ends of the data.
+    The difference at a sample uses the samples `half_window` control periods before and after this
+    sample. At the two ends of the data, speed and acceleration are zero.
     """
     speed = np.zeros_like(travel)
     acceleration = np.zeros_like(travel)

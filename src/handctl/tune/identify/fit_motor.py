@@ -4,10 +4,10 @@ With the weak form, no measured signal has to be differentiated.
 
     K u(t - d) = J/r w' + b/r w + tau_c/r sgn w + r f      per window: all terms times a window, integrated by parts
 
-Here, u is the commanded force, converted to the tendon, w is the speed of the spool, and f is the
-tension at the load cell. All terms are forces, converted to the tendon [N]. Source: modulating
-functions (Shinbrot 1954). Integration by parts moves the derivatives from the signals to the
-window. The derivatives of the window function are known exactly.
+Here, u is the commanded motor torque, converted to a force at the tendon. The variable w is the
+speed of the spool, and f is the tension at the load cell. All terms are forces at the tendon [N].
+Source: modulating functions (Shinbrot 1954). Integration by parts moves the derivatives from the
+signals to the window. The derivatives of the window function are known exactly.
 """
 
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ At lower speeds of the spool, the sign of the friction is not known.
 class MotorWindows:
     """Signals of a motor and its tendon, averaged with a time window.
 
-    Each array has the shape (m,). All forces are converted to the tendon.
+    Each array has the shape (m,). Motor torques are converted to forces at the tendon.
 
     Attributes:
         t: time at the centre of each window [s].
@@ -70,7 +70,7 @@ class MotorWindows:
     noise_ratio: float
 
     def delayed_command(self, delay: float) -> Array:
-        """Return the command averaged with each window (m,) [N], if commands take effect after a delay [s]."""
+        """Average the commanded force over each window (m,) [N]. Commands take effect after a ``delay`` [s]."""
         weights = np.diff(_window_integral((self.offsets + delay) / self.half_window_s))
         return np.asarray(self.commands @ weights)
 

@@ -8,8 +8,8 @@ F is the net tension at the spool. In free motion, F balances the force n. The f
 the inertia, the weight and the damping of the links, and the friction of both tendons. The stretch
 of the pair is the travel of the spool minus the excursion of the joints. The characteristic g gives
 the stretch at a net tension F. The stiffness of the pair is 2 k while both tendons are taut, and k
-if F exceeds twice the pretension p. Above the knee of a tendon, the stiffness is that of the hand
-file, multiplied by the same factor as k.
+if F exceeds twice the pretension p. At a tension called the knee, the stiffness of a tendon
+changes. Beyond the knee, the stiffness in the hand file is multiplied by the same factor as k.
 
 No sensor of a spool pair measures a force. Therefore all forces are measured in units of the
 drive's torque. If a motor makes 10 % less torque than commanded, inertia, friction and tendon
@@ -88,10 +88,11 @@ Rotor and links accelerate together. Therefore only the model of the links can s
 of the rotor from the inertia of the links.
 """
 LINK_INERTIA_ERROR = 0.13
-"""Standard deviation of the error of the rotor's inertia because of the links, as a fraction of the links' inertia.
+"""Standard deviation of the rotor-inertia error that the links cause, as a fraction of the links' inertia.
 
 If the links are heavier than the rotor, a small error of the links is a large error of the rotor.
-The fit does not know this error. The error widens the confidence interval after the fit.
+The model of the fit does not include the error that the links cause. Therefore the confidence
+interval of the rotor's inertia is widened after the fit.
 """
 INITIAL_NOISE_N = 0.3
 """Assumed standard deviation of the motor equation's residuals in the first fit [N].
@@ -101,7 +102,7 @@ The second fit uses the standard deviation that the residuals of the first fit s
 MIN_NOISE_N = 0.02
 """Smallest standard deviation that the fit uses for the residuals of the motor equation [N]."""
 PRETENSION_START_FACTORS = (1.0, 1.5, 2.2)
-"""Factors of the pretension of the hand file with which the fit starts, once for each factor."""
+"""Factors by which the pretension in the hand file is multiplied. The fit is started once with each product."""
 STRETCH_GRID_POINTS = 65
 """Number of points at which the net tension of a pair is computed, to find the stretch at a net tension."""
 MIN_READINGS = 3
@@ -221,7 +222,7 @@ def _mean_wrap_angles(digit: DigitModel, tendon: int, q: Array) -> Array:
 
 
 def select_windows(windows: MotorWindows, selection_mask: NDArray[np.bool_]) -> MotorWindows:
-    """Return the windows of a motor for which a mask is True."""
+    """Select the windows of a motor for which ``selection_mask`` is True, and return them."""
     field_names = ("t", "tension", "acceleration", "speed", "sign", "commands")
     return replace(
         windows, **{name: getattr(windows, name)[selection_mask] for name in field_names}
@@ -233,8 +234,10 @@ def _joint_motion(
     mean_derivatives: Array,
     data_of_tendons: Sequence[TendonData],
 ) -> tuple[Array, Array, Array]:
-    """Return angles, rates and accelerations (m, joints) of a digit, computed from the motion of its pairs (n_t, 3, m).
+    """Compute the joint motion of a digit from the motion of its spool pairs, and return three arrays (m, joints).
 
+    The three arrays are the angles, the rates and the accelerations of the joints. The argument
+    `mean_derivatives` (n_t, 3, m) contains the travel, the speed and the acceleration of each pair.
     The joint motion is computed without the stretch of the tendons. The joint angles are shifted so
     that their mean equals the mean of the joint readings. Without joint readings, the calibrated
     motor zeros determine the joint angles.
@@ -330,7 +333,7 @@ def spool_pair_stretch(
     """Return the stretch of a spool pair (m,) [m]: the travel of the spool minus the excursion of the joints.
 
     The stretch lengthens the first tendon and shortens the second tendon, until the second tendon
-    is slack. The net tension is the difference of their tensions.
+    is slack. The net tension is the difference between the tensions of the two tendons.
 
     Args:
         net_tension: net tension of the pair (m,) [N].

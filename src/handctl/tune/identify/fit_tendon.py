@@ -150,7 +150,12 @@ class TendonFitProblem:
         )
 
     def start_parameters(self) -> Array:
-        """Return the initial scaled parameters (15 + k,), which come from the hand file."""
+        """Return the scaled parameters at which the fit starts (15 + k,).
+
+        The first 15 parameters start at the values from `parameter_scales`. The stretch offset is
+        an exception, and starts at an estimate from the data. The other k parameters describe the
+        drift of the load cell, and start at zero.
+        """
         first_parameters = np.ones(len(PARAMETER_NAMES))
         first_parameters[PARAMETER_NAMES.index("delay")] = 1.0
         first_parameters[PARAMETER_NAMES.index("stretch_offset")] = (
@@ -330,13 +335,13 @@ class TendonFit:
         return self.half_widths_of(1)
 
     def half_widths_of(self, parameter_count: int) -> dict[str, float]:
-        """Return half of the widths of joint confidence intervals.
+        """Return half of the width of each parameter's simultaneous confidence interval.
 
         With a probability of 95 %, all of `parameter_count` parameters are in their intervals at
         the same time.
 
-        Source: Sidak (1967). If the parameters are not independent of each other, the joint
-        confidence intervals are wider than necessary.
+        Source: Sidak (1967). If the parameters are not independent of each other, the simultaneous
+        intervals are wider than necessary.
         """
         standard_deviations = (
             np.sqrt(np.diag(self.covariance))[: len(PARAMETER_NAMES)]
@@ -428,7 +433,7 @@ def merge_solution(
     parameter_names: tuple[str, ...],
     source_rows: Sequence[int],
 ) -> TendonFit:
-    """Return a fit in which the named parameters are replaced by the results of an independent fit.
+    """Return a copy of a fit, in which the results of an independent fit replace the named parameters.
 
     Args:
         fit: fit of one tendon's parameters.

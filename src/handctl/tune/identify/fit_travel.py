@@ -3,11 +3,12 @@
     x = m s(q) + f_l / k + o(t) + d x'
 
 The travel x of the spool is the sum of the joints' excursion s(q) and the tendon's stretch f_l / k.
-The linear tension f_l is the tension that a tendon without a knee would have at the same stretch.
-The factor m multiplies the moment arms of the hand file. The joint encoders are read a short time d
-before or after the motor encoders. While the spool turns with the speed x', the time difference d
-adds the term d x'. The offset o follows the drift of the load cell. The equation of the travel
-contains neither joint stops nor return springs.
+At a tension called the knee, the stiffness of a tendon changes. The linear tension f_l is the
+tension that a tendon without a knee would have at the same stretch. The factor m multiplies the
+moment arms of the hand file. The joint encoders are read a short time d before or after the motor
+encoders. While the spool turns with the speed x', the time difference d adds the term d x'. The
+offset o follows the drift of the load cell. The equation of the travel contains neither joint stops
+nor return springs.
 """
 
 from dataclasses import replace
@@ -81,9 +82,9 @@ def fit_travel(
     joint_noise: float,
     elasticity: TendonElasticity,
 ) -> TendonFit:
-    """Return the fit of a tendon.
+    """Replace the stiffness and the moment arm in the fit of a tendon, and return the new fit.
 
-    The stiffness and the moment arm of the tendon are fitted to the travel of the tendon.
+    The new stiffness and the new moment arm are fitted to the travel of the tendon.
 
     If there are too few joint-encoder readings, the function returns the given fit unchanged.
 

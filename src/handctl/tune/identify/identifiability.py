@@ -118,8 +118,8 @@ def _lacks_needed_encoders(hand: Hand, digit: str) -> bool:
     """Return True if a digit has springs and several tendons, but no joint encoders.
 
     In a digit with several tendons, the tension of a single tendon does not show the load of the
-    springs. The torques at a joint are in balance only at the present joint angle. Therefore a
-    joint encoder would have to measure the joint angle.
+    springs. The load of the springs follows from the torque balance of each joint. The torque
+    balance contains the joint angle, which only a joint encoder can measure.
     """
     tendons = hand.digit_tendons[digit]
     has_springs = hand.digit_named(digit).has_springs
@@ -132,10 +132,10 @@ def _lacks_needed_encoders(hand: Hand, digit: str) -> bool:
 
 
 def _is_interval_narrow(name: str, half_width: float, width: float) -> bool:
-    """Return True if the confidence interval of a parameter is narrow enough.
+    """Return True if the confidence interval is so narrow that the parameter counts as identified.
 
-    The width of the confidence interval is compared with the value of the parameter. For the
-    parameter `delay`, the width of the interval is compared with a millisecond.
+    Half of the width of the interval is compared with the absolute value of the parameter. For the
+    parameter `delay`, half of the width is compared with ``DELAY_SCALE_S``.
     """
     scale = DELAY_SCALE_S if name == "delay" else abs(half_width)
     return bool(width < MAX_HALF_WIDTH * scale)

@@ -119,7 +119,8 @@ class TendonResult:
     def reason_by_invalid_quantity(self) -> dict[str, str]:
         """Return, for each quantity without a valid value, the reason why the value is not valid.
 
-        The parameters of the fit come first. Quantities that the fit does not contain follow.
+        In the result, the parameters of the fit come before quantities that the fit does not
+        contain.
         """
         reason_by_parameter = dict(text.split(": ", 1) for text in self.identifiability.missing)
         invalid_reasons = dict.fromkeys(self.identifiability.names, "invalid because of a contact")
@@ -416,7 +417,7 @@ def result_table(result_of_tendon: dict[str, TendonResult], is_verbose: bool = F
 
     Args:
         result_of_tendon: results by the name of the tendon.
-        is_verbose: True to add lines about combinations of parameters and joint intervals.
+        is_verbose: True to add lines about combinations of parameters and simultaneous intervals.
     """
     lines = [
         "coherence: fraction of the motion of a tendon that the motor force explains, 0 to 1; "
@@ -466,7 +467,7 @@ def _identified_row(result: TendonResult, key: str) -> str:
 
 
 def _parameter_summary_lines(result: TendonResult) -> list[str]:
-    """Return lines about all parameters of a tendon together: joint intervals, combinations and correlations."""
+    """Return lines about all parameters of a tendon together: simultaneous intervals, combinations, correlations."""
     names = result.identified_names
     half_widths = result.fit.half_widths
     simultaneous_half_widths = result.fit.half_widths_of(max(1, len(names)))

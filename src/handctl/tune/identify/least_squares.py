@@ -118,8 +118,9 @@ def _parameter_covariance(
     block. The covariance is never smaller than the covariance for independent noise.
 
     The degrees of freedom are calculated for independent noise with a standard deviation of 1, and
-    not from the residuals. With the residuals, a single block with large residuals could leave
-    fewer than three degrees of freedom for the friction.
+    not from the residuals. If the degrees of freedom were calculated from the residuals, a single
+    block with large residuals would have too much influence. The friction, for example, could have
+    fewer than three degrees of freedom.
 
     Source: Bell & McCaffrey 2002, for the linear jackknife over clusters (CR3), and for
     Satterthwaite's degrees of freedom with a working model of the noise.

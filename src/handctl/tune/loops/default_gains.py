@@ -1,9 +1,9 @@
 """Default gains of a hand: the packaged gains, with ``motion.force_N`` reduced for a sufficient gain margin.
 
-The packaged ``motion.force_N`` was chosen for the packaged hands. With this force, a hand with
-light motors, small pulleys or tendons without load cells can oscillate. If a motion loop has a gain
-margin below ``MIN_PACKAGED_MARGIN_DB``, the default is the largest force with which every motion
-loop has the gain margin ``MIN_GAIN_MARGIN_DB``.
+The packaged ``motion.force_N`` was chosen for the packaged hands. Another hand can oscillate with
+the packaged force, for example because of light motors, small pulleys or missing load cells. If a
+motion loop has a gain margin below ``MIN_PACKAGED_MARGIN_DB``, the default is the largest force
+with which every motion loop has the gain margin ``MIN_GAIN_MARGIN_DB``.
 """
 
 import math
@@ -30,9 +30,10 @@ MIN_FORCE_FRACTION = 0.04
 def default_gains(hand: Hand, rate_hz: float) -> Gains:
     """Return the gains of a hand for which no gains file exists.
 
-    A packaged hand keeps its packaged gains. If another hand has a gain margin below
-    ``MIN_PACKAGED_MARGIN_DB``, it gets the largest force that gives the gain margin. If no force
-    gives the gain margin, the packaged gains stay unchanged, and ``handctl config check`` warns.
+    A packaged hand keeps its packaged gains. If a motion loop of another hand has a gain margin
+    below ``MIN_PACKAGED_MARGIN_DB``, ``motion.force_N`` is reduced, see
+    ``largest_force_with_margin``. If no force leads to a sufficient gain margin, the packaged gains
+    stay unchanged, and ``handctl config check`` warns.
 
     Args:
         hand: description of the hand.

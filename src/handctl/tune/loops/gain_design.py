@@ -1,15 +1,15 @@
 """Design of gains by one of two methods.
 
-The first design method finds the largest authority that keeps the margins on all plants. The second
-design method places the poles at given frequencies. The authority of a loop is the parameter of LQR
-that the first method varies. By Bryson's rule, a motor force as large as the authority costs as
+The first design method varies the authority of each loop. The authority is a motor force [N] that
+sets the weights of the LQR cost by Bryson's rule. A motor force as large as the authority costs as
 much as the errors ``position_error_m`` or ``speed_error_m_s`` in the gains. More authority makes a
-loop faster and its margins smaller. Therefore the design finds, for each tendon alone, the largest
-authority with sufficient margins. The smallest authority of all tendons becomes the common
-``force_N``. A tendon that permits more than twice the common authority gets a separate force. So a
-digit with little authority, such as a heavy wrist, does not make other digits slow. The eigenvalues
-of the closed loop confirm the reported margins. A function that the caller provides, such as a
-simulation, confirms the designed gains.
+loop faster and its margins smaller. Therefore the first method finds, for each tendon alone, the
+largest authority with which all plants have the required margins. The smallest authority of all
+tendons becomes the common ``force_N``. A tendon that permits more than twice the common authority
+gets a separate force. So a digit with little authority, such as a heavy wrist, does not make other
+digits slow. The second design method places the poles at given frequencies. The eigenvalues of the
+closed loop confirm the reported margins. A function that the caller provides, such as a simulation,
+confirms the designed gains.
 
 The second method uses an equation for a plant with one input, and with weights on position and
 speed. The characteristic polynomial d of the closed loop satisfies
@@ -126,10 +126,11 @@ class GainDesign:
         )
 
     def as_weights(self) -> Gains:
-        """Return the designed gains with the default authority, and with errors that are scaled to match.
+        """Convert the designed gains to gains with the default authority, and return the result.
 
-        The returned gains describe the same controller as the designed gains, because LQR depends
-        only on ratios of weights.
+        The errors in the gains are multiplied by the same factor as the authority. The returned
+        gains describe the same controller as the designed gains, because LQR depends only on ratios
+        of weights.
         """
         defaults = Gains()
         gains = self.gains
@@ -173,7 +174,7 @@ def linear_factors(plant_factors: Mapping[str, float]) -> PlantFactors:
 def gains_with_poles(
     model: HandModel, kind: LoopKind, frequency_hz: float, damping: float
 ) -> Gains:
-    """Return gains with which a loop has a pair of poles with a given natural frequency and damping.
+    """Return gains that place a pair of poles of a loop at a given natural frequency and damping ratio.
 
     Args:
         model: model of the hand with its present gains.
@@ -204,7 +205,7 @@ def gains_with_poles(
 def _scaled_tendon_forces(
     gains: Gains, motion_factor: float, tension_factor: float
 ) -> list[dict[str, Any]]:
-    """Multiply the separate forces of single tendons by factors, and return the gains entries of these tendons.
+    """Multiply each tendon's separate forces by factors, and return the ``tendon`` section of the gains.
 
     The motion loop and the tension loop have different factors.
     """
@@ -424,7 +425,7 @@ def design_gains(
 def _models_with_decreasing_force(
     model: HandModel, plants: tuple[PlantFactors, ...]
 ) -> Iterator[HandModel]:
-    """Yield the model, and then models with decreasing authority, as long as they keep the margins."""
+    """Yield the model, and then models with smaller and smaller authority, except models without sufficient margins."""
     yield model
     for step in range(1, MAX_UNIFORM_REDUCTIONS + 1):
         weaker_model = _model_with_scaled_forces(model, math.exp(-step * FORCE_SEARCH_STEP))
@@ -457,7 +458,7 @@ def _model_with_motion_gains(model: HandModel, **values: float) -> HandModel:
 def model_with_largest_force(
     model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...]
 ) -> HandModel | None:
-    """Return the model in which the loop of each tendon keeps the margins with the largest authority.
+    """Give each tendon the largest authority with which its loop keeps the margins, and return the model.
 
     If a tendon influences the loops of other tendons, all tendons have equal forces. If no
     authority keeps the margins, return None.
@@ -552,7 +553,7 @@ def _rounded_force(force_logarithm: float) -> float:
 
 
 def _without_tendon_forces(gains: Gains, kind: LoopKind) -> Gains:
-    """Remove the separate forces of all tendons in one loop from the gains, and return the new gains."""
+    """Return a copy of the gains without the separate forces of single tendons for one kind of loop."""
     removed_key = f"{kind}_force_N"
     entries = [tendon_gains.model_copy(update={removed_key: None}) for tendon_gains in gains.tendon]
     kept_entries = [

@@ -330,7 +330,8 @@ exactly one.
 class _LinearController:
     """Filter and linear control law of a hand.
 
-    The filter and the control law work on a state block.
+    The filter and the control law read and write a state block, the array that contains the state
+    of the controller.
 
     Attributes:
         model: model of the hand with its gains, without limits and without motor friction.
@@ -370,9 +371,9 @@ class _LinearController:
 def _operating_point(
     model: HandModel, tendon: int, kind: LoopKind
 ) -> tuple[_TickFunction, Matrix, Matrix, Matrix]:
-    """Return the tick function of a tendon, the state and the readings at the operating point, and small steps.
+    """Return four things: a tendon's tick function, the state and the readings at the operating point, and step sizes.
 
-    The steps are the small steps of the finite differences, one for each state and each reading.
+    The step sizes belong to the finite differences. Each state and each reading has a step size.
     """
     controller = _LinearController(model)
     operating_point = _operating_point_state(controller, tendon, kind)
@@ -493,8 +494,8 @@ def _half_closed_coordinates(digit: DigitModel) -> Matrix:
 def _winding_rates(model: HandModel, d: int, tendon: int, speed: float) -> Matrix:
     """Return the coordinate rates (n_c,) at which a digit winds up one tendon with a given speed [m/s].
 
-    If the tendon belongs to another digit, all tendons of digit ``d`` are wound up at the given
-    speed.
+    The index ``tendon`` is an index in the hand. If the tendon does not belong to digit ``d``, all
+    tendons of this digit are wound up at the given speed.
     """
     digit = model.digits[d]
     arms = digit.with_moment_arms_at(

@@ -1,10 +1,10 @@
 """Margins of a control loop: gain, phase, disk and delay margin, crossover frequency and step response.
 
 A search needs thousands of margins. Each margin is therefore calculated from a frequency response.
-The tests compare the calculated margins with those of the Python package `control`. The eigenvalues
-of the closed loop confirm the reported margins. If the gain, the phase or the delay of a loop
-changes by less than its margin, no pole reaches the unit circle.
-Source: balanced disk margin 1 / max |S - 1/2| (Seiler, Packard, Gahinet, 2020).
+The tests compare the calculated margins with the results of the Python package `control`. The
+eigenvalues of the closed loop confirm the reported margins. If the gain, the phase or the delay of
+a loop changes by less than its margin, no pole reaches the unit circle. Source: balanced disk
+margin 1 / max |S - 1/2| (Seiler, Packard, Gahinet, 2020).
 """
 
 import math
@@ -237,7 +237,7 @@ def _largest_confirmed_margin(
     is_confirmed: Callable[[float], bool],
     step_count: int = MARGIN_STEP_COUNT,
 ) -> float:
-    """Return the largest value up to a linear margin that the eigenvalues confirm.
+    """Reduce the margin of a linear model to the largest value that the eigenvalues confirm, and return the value.
 
     The function tests several fractions of the margin. All fractions up to the result are
     confirmed. The function does not test the last hundredth of a margin, because the frequency
@@ -299,7 +299,7 @@ def margins_by_loop(
 def worst_loop(
     margins_by_loop: dict[tuple[str, LoopKind], LoopMargins],
 ) -> tuple[tuple[str, LoopKind], LoopMargins]:
-    """Return tendon, kind and margins of the loop with the largest shortfall."""
+    """Return tendon, kind and margins of the loop that lacks the largest fraction of a required margin."""
     return max(margins_by_loop.items(), key=lambda loop_and_margins: loop_and_margins[1].shortfall)
 
 

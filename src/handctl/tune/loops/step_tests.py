@@ -255,7 +255,8 @@ def is_loop_ringing(model: HandModel, factors: PlantFactors) -> bool:
 
     The oscillations are measured from `REST_DURATION_S - EVALUATED_DURATION_S` after the step. At
     the start of the measurement, the oscillation of the loop must be below `MAX_HOLD_SWING_N`. The
-    oscillating eigenvalues are the same at every tension below the knee of the tendon.
+    result is valid at every tension up to the knee of a tendon, because the stiffness of the tendon
+    is constant up to the knee.
 
     Args:
         model: model of the hand with its gains.
@@ -295,9 +296,9 @@ class RestTest:
     """Test of gains in a lockstep simulation. The hand must come to rest with the tested gains.
 
     The test simulates up to three plants of the ensemble: the nominal plant, the plant with the
-    smallest margins, and the plant with the highest friction. The last simulated plant is a nominal
-    plant with the lowest friction of all ensembles. A simulation is necessary because the linear
-    models neglect friction.
+    smallest margins, and the plant with the highest friction. In addition, the test simulates a
+    nominal plant whose friction is the lowest that an ensemble can contain. A simulation is
+    necessary because the linear models neglect friction.
 
     The links of a digit that presses on an object can chatter even at constant motor torque. The
     chatter is a property of the plant. First, the test measures the oscillation of the same plant
@@ -331,7 +332,7 @@ class RestTest:
     def with_limit_fraction(self, fraction: float) -> "RestTest":
         """Return a copy of the test that allows oscillations up to ``fraction`` of the limits.
 
-        Both tests share the measurements of the plant without feedback.
+        The copy and this test share the measurements of the plant without feedback.
         """
         return replace(self, fraction=fraction, reason="", _reason_by_gains={})
 

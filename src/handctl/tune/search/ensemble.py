@@ -76,9 +76,10 @@ FACTOR_BY_PARAMETER = {
 
 
 def factor_half_widths(identified: Mapping[str, IdentifiedParameters]) -> dict[str, float]:
-    """Return the half width of the range of each factor.
+    """Return, for each factor, half of the width of the factor's range.
 
-    The range of a factor contains all 95 % confidence intervals of an identification.
+    A factor is relative to the identified value of a parameter. The range of the factor contains
+    the 95 % confidence interval of this parameter for each tendon.
 
     Args:
         identified: identified parameters, by the name of the tendon.

@@ -64,7 +64,7 @@ class SearchPlan:
         return gains_with_values(self.gains, gain_values, "study") if trial_number else self.gains
 
     def trial_job(self, trial_number: int, gain_values: Mapping[str, float]) -> dict[str, Any]:
-        """Return the job by which a worker computes the score of a trial.
+        """Return the job of a trial: the data from which a worker computes the score of the trial.
 
         The costs of all trials are relative to the first trial. Therefore the worker simulates the
         first trial even if the margins of its gains are too small.
@@ -255,7 +255,7 @@ def _open_study(plan: SearchPlan, path: Path) -> Any:
 
 
 def _truncate_partial_line(path: Path) -> None:
-    """Remove the last line of a journal if it is incomplete, for example after a power failure.
+    """Remove the last line of a journal if the line is incomplete, for example after a power failure.
 
     Without the removal, Optuna would append its next entry to the incomplete line.
 
@@ -278,7 +278,7 @@ def _run_batch(
     workers: SearchWorkers,
     show_result: Callable[[SearchResult], None],
 ) -> None:
-    """Compute the missing scores of the present batch, and report them in the order of the trials."""
+    """Compute the missing scores of the present batch, and report the scores in the order of the trials."""
     finished_count = len(_finished_trials(study))
     trials = _unscored_trials(study, plan, finished_count)[: plan.trials - finished_count]
     jobs = [plan.trial_job(finished_count + i, trial.params) for i, trial in enumerate(trials)]

@@ -44,7 +44,7 @@ class InProcessWorkers:
     def compute_scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
         """Yield the index and the score of each job.
 
-        The interface `SearchWorkers` describes the order.
+        The order is the same as in the interface `SearchWorkers`.
         """
         for i, job in enumerate(jobs):
             yield i, evaluate_job(job)
@@ -89,7 +89,7 @@ class ProcessPool:
     def compute_scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
         """Yield the index and the score of each job.
 
-        The interface `SearchWorkers` describes the order.
+        The order is the same as in the interface `SearchWorkers`.
 
         Raises:
             ConfigError: a job is invalid, or every worker that tries a job dies.
@@ -179,7 +179,8 @@ class DaskCluster:
     def compute_scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
         """Yield the index and the score of each job.
 
-        The interface `SearchWorkers` describes the order. Dask repeats the jobs of a lost worker.
+        The order is the same as in the interface `SearchWorkers`. Dask repeats the jobs of a lost
+        worker.
         """
         from distributed import as_completed
 

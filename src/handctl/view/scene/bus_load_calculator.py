@@ -29,7 +29,7 @@ class BusLoadCalculator:
     """
 
     def __init__(self, run: RunInfo) -> None:
-        """Compute a table with the longest possible time of a frame of each length on each bus.
+        """Compute how long a frame of each length occupies each bus at most.
 
         Args:
             run: data about the run and the hand, with the buses and the control period.

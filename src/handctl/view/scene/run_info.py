@@ -100,5 +100,5 @@ class RunInfo:
 
 
 def _missing_fields(field_slices: dict[str, slice]) -> list[tuple[str, str]]:
-    """Return each telemetry field that a log lacks, as (name, axis). The axis is for example ``joint``."""
+    """Return (name, axis) of each telemetry field that a log lacks. An example of an axis is ``joint``."""
     return [(name, axis) for name, axis in TELEMETRY_AXES.items() if name not in field_slices]
