@@ -158,7 +158,7 @@ def _read_scene(path: Any, location: str) -> Scene:
         scene_content = tomllib.loads(path.read_text("utf-8"))
         grasp_object = _parse_object(scene_content.get("object"))
         support = _parse_support(scene_content.get("support"))
-        load = _parse_load(scene_content.get("load"))
+        load = _growing_load(scene_content.get("load"))
         scene = Scene(
             scene_content["name"],
             grasp_object,
@@ -240,7 +240,7 @@ def _parse_support(support_section: dict[str, Any] | None) -> SinkingTable | Non
     return SinkingTable(**{keys[key]: value for key, value in support_section.items()})
 
 
-def _parse_load(load_section: dict[str, Any] | None) -> GrowingLoad | None:
+def _growing_load(load_section: dict[str, Any] | None) -> GrowingLoad | None:
     """Build the load from its section in the scene file.
 
     The direction of the load is scaled to a unit vector.

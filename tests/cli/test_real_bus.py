@@ -117,11 +117,9 @@ def test_the_calibration_of_a_simulated_hand_arms_no_real_hand(work_folder, caps
         reason = json.loads(capsys.readouterr().out)["commissioning"]
         assert (reason == "") == is_used, bus
         assert ("of a simulated hand" in reason) != is_used
-    command_with_calibration = [*dry_run, "--calibration", str(path), "--bus"]
-    assert "is of a simulated hand" in refusal_line(
-        capsys, *command_with_calibration, "socketcan:can0"
-    )
-    assert main([*command_with_calibration, "local:a"]) == 0
+    run_command = [*dry_run, "--calibration", str(path), "--bus"]
+    assert "is of a simulated hand" in refusal_line(capsys, *run_command, "socketcan:can0")
+    assert main([*run_command, "local:a"]) == 0
 
 
 def run_at_terminal(typed_answer: str) -> tuple[int, str]:

@@ -72,7 +72,7 @@ def filter_state(model: HandModel, regime: TendonRegime, **state_values: float) 
     return FilterState.tendons_in_regime(x.ravel(), regime, stopped=False)
 
 
-def tension_explained_by_contact(
+def estimated_contact_tension(
     model: HandModel, regime: TendonRegime, tendon_speed: float
 ) -> np.ndarray:
     """Return the part of each tension [N] that the filter explains with a contact.
@@ -93,7 +93,7 @@ def tension_explained_by_contact(
 
 def test_damping_of_a_moving_digit_is_no_contact(model: HandModel) -> None:
     tension_at_rest, tension_in_motion = (
-        tension_explained_by_contact(model, TendonRegime.FREE, rate) for rate in (0.0, 0.05)
+        estimated_contact_tension(model, TendonRegime.FREE, rate) for rate in (0.0, 0.05)
     )
     np.testing.assert_allclose(
         tension_in_motion - tension_at_rest, -0.05 * model.tendon_constants.load_damping, rtol=1e-9
@@ -102,7 +102,7 @@ def test_damping_of_a_moving_digit_is_no_contact(model: HandModel) -> None:
 
 
 def test_a_slack_tendon_bears_no_contact_wherever_its_digit_is(model: HandModel) -> None:
-    assert not tension_explained_by_contact(model, TendonRegime.SLACK, 0.0).any()
+    assert not estimated_contact_tension(model, TendonRegime.SLACK, 0.0).any()
 
 
 def used_measurements(model: HandModel, state: FilterState, measured: SensorReadings) -> np.ndarray:

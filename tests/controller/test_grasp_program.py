@@ -117,7 +117,7 @@ class ProgramRun:
 
 
 @pytest.fixture
-def taut_estimate(model: HandModel) -> SyntheticEstimate:
+def estimate_of_taut_tendons(model: HandModel) -> SyntheticEstimate:
     return estimate_under_tension(model, 5.0)
 
 
@@ -137,18 +137,22 @@ def hand_in_contact(
 
 
 def test_phases_come_in_the_order_of_the_task_and_last_as_long(
-    model: HandModel, taut_estimate: SyntheticEstimate
+    model: HandModel, estimate_of_taut_tendons: SyntheticEstimate
 ) -> None:
     run = ProgramRun(model)
     assert {goal.kind for goal in run.progress.goals} == {GoalKind.LIMP}, "limp until active"
-    assert run.run_until_phase("tighten", taut_estimate) <= 2 * model.period
+    assert run.run_until_phase("tighten", estimate_of_taut_tendons) <= 2 * model.period
     assert {goal.kind for goal in run.progress.goals} == {GoalKind.TENSION}
-    assert run.run_until_phase("home", taut_estimate) == pytest.approx(0.3, abs=2.1 * model.period)
+    assert run.run_until_phase("home", estimate_of_taut_tendons) == pytest.approx(
+        0.3, abs=2.1 * model.period
+    )
     assert {goal.kind for goal in run.progress.goals} == {GoalKind.MOTION}
-    assert run.run_until_phase("preshape", taut_estimate) == pytest.approx(
+    assert run.run_until_phase("preshape", estimate_of_taut_tendons) == pytest.approx(
         0.2, abs=1.1 * model.period
     )
-    assert run.run_until_phase("close", taut_estimate) == pytest.approx(0.3, abs=1.1 * model.period)
+    assert run.run_until_phase("close", estimate_of_taut_tendons) == pytest.approx(
+        0.3, abs=1.1 * model.period
+    )
     estimate_with_all_contacts = hand_in_contact(model, dict.fromkeys(model.hand.digit_names, 12.0))
     assert run.run_until_phase("hold", estimate_with_all_contacts) == pytest.approx(
         0.01, abs=0.01
@@ -156,14 +160,18 @@ def test_phases_come_in_the_order_of_the_task_and_last_as_long(
     assert run.run_until_phase("release", estimate_with_all_contacts) == pytest.approx(
         0.4, abs=1.1 * model.period
     )
-    assert run.run_until_phase("open", taut_estimate) == pytest.approx(0.1, abs=1.1 * model.period)
-    assert run.run_until_phase("end", taut_estimate) == pytest.approx(0.2, abs=1.1 * model.period)
+    assert run.run_until_phase("open", estimate_of_taut_tendons) == pytest.approx(
+        0.1, abs=1.1 * model.period
+    )
+    assert run.run_until_phase("end", estimate_of_taut_tendons) == pytest.approx(
+        0.2, abs=1.1 * model.period
+    )
     assert run.progress.finished
     assert not run.progress.failure
     names = ["home", "preshape", "close", "hold", "release", "open", "task complete"]
     assert run.phase_history == ["tighten: taking up slack", *names]
     progress_after = run.progress
-    run.tick(taut_estimate)
+    run.tick(estimate_of_taut_tendons)
     assert run.progress is progress_after, "nothing comes after the end"
 
 
@@ -179,33 +187,37 @@ def test_a_tendon_that_stays_loose_ends_the_run_with_its_name(model: HandModel) 
     assert run.events[-1].level == "error"
 
 
-def test_tightening_must_last(model: HandModel, taut_estimate: SyntheticEstimate) -> None:
+def test_tightening_must_last(
+    model: HandModel, estimate_of_taut_tendons: SyntheticEstimate
+) -> None:
     """A slack tendon delays the end of the phase ``tighten``, but only up to a time limit."""
     run = ProgramRun(model)
-    run.run_until_phase("tighten", taut_estimate)
+    run.run_until_phase("tighten", estimate_of_taut_tendons)
     for seconds, estimate in (
-        (0.2, taut_estimate),
+        (0.2, estimate_of_taut_tendons),
         (0.1, slack_hand_estimate(model)),
-        (0.1, taut_estimate),
+        (0.1, estimate_of_taut_tendons),
         (0.5, slack_hand_estimate(model)),
     ):
         for _ in range(round(seconds / model.period)):
             run.tick(estimate)
-    assert run.run_until_phase("home", taut_estimate) == pytest.approx(0.3, abs=3.1 * model.period)
+    assert run.run_until_phase("home", estimate_of_taut_tendons) == pytest.approx(
+        0.3, abs=3.1 * model.period
+    )
 
 
 def test_noise_that_makes_every_fifth_look_slack_delays_tightening_only(
-    model: HandModel, taut_estimate: SyntheticEstimate
+    model: HandModel, estimate_of_taut_tendons: SyntheticEstimate
 ) -> None:
     run = ProgramRun(model)
-    run.run_until_phase("tighten", taut_estimate)
+    run.run_until_phase("tighten", estimate_of_taut_tendons)
     while run.progress.phase == "tighten":
         for estimate in (
             slack_hand_estimate(model),
-            taut_estimate,
-            taut_estimate,
-            taut_estimate,
-            taut_estimate,
+            estimate_of_taut_tendons,
+            estimate_of_taut_tendons,
+            estimate_of_taut_tendons,
+            estimate_of_taut_tendons,
         ):
             run.tick(estimate)
     assert run.progress.phase == "home"
@@ -213,12 +225,14 @@ def test_noise_that_makes_every_fifth_look_slack_delays_tightening_only(
 
 
 def test_tendon_slack_in_every_second_tick_never_counts_as_tight(
-    model: HandModel, taut_estimate: SyntheticEstimate
+    model: HandModel, estimate_of_taut_tendons: SyntheticEstimate
 ) -> None:
     run = ProgramRun(model)
-    run.run_until_phase("tighten", taut_estimate)
+    run.run_until_phase("tighten", estimate_of_taut_tendons)
     while not run.progress.finished:
-        run.tick(slack_hand_estimate(model) if run.progress.touching[0] else taut_estimate)
+        run.tick(
+            slack_hand_estimate(model) if run.progress.touching[0] else estimate_of_taut_tendons
+        )
     assert run.t == pytest.approx(TIGHTEN_TIMEOUT_S, abs=4 * model.period)
     assert run.progress.failure in (
         "not taut after 4 s: now one tendon, now another",
@@ -227,10 +241,10 @@ def test_tendon_slack_in_every_second_tick_never_counts_as_tight(
 
 
 def test_motions_begin_where_the_digit_is(
-    model: HandModel, taut_estimate: SyntheticEstimate
+    model: HandModel, estimate_of_taut_tendons: SyntheticEstimate
 ) -> None:
     run = ProgramRun(model)
-    run.run_until_phase("home", taut_estimate)
+    run.run_until_phase("home", estimate_of_taut_tendons)
     estimate_at_04_rad = estimate_under_tension(model, 5.0, 0.4)
     run.run_until_phase("preshape", estimate_at_04_rad)
     names = model.hand.digit_names
@@ -247,9 +261,9 @@ def test_motions_begin_where_the_digit_is(
             np.testing.assert_allclose(goal.trajectory.end, 0.0, err_msg="not named: as before")
 
 
-def begin_closing(model: HandModel, taut_estimate: SyntheticEstimate) -> ProgramRun:
+def begin_closing(model: HandModel, estimate_of_taut_tendons: SyntheticEstimate) -> ProgramRun:
     run = ProgramRun(model)
-    run.run_until_phase("close", taut_estimate)
+    run.run_until_phase("close", estimate_of_taut_tendons)
     return run
 
 
@@ -273,9 +287,9 @@ def tension_for_tip_force(model: HandModel, tip_force_N: float) -> float:
 
 
 def test_contact_is_a_force_at_the_tip_that_lasts(
-    model: HandModel, taut_estimate: SyntheticEstimate
+    model: HandModel, estimate_of_taut_tendons: SyntheticEstimate
 ) -> None:
-    run, threshold = begin_closing(model, taut_estimate), model.gains.contact.threshold_N
+    run, threshold = begin_closing(model, estimate_of_taut_tendons), model.gains.contact.threshold_N
     weak_contact_estimate = hand_in_contact(
         model, {"index": tension_for_tip_force(model, 0.95 * threshold)}
     )
@@ -331,9 +345,9 @@ def test_tip_force_estimate_equals_the_applied_force(model: HandModel) -> None:
 
 
 def test_a_digit_that_touches_later_joins_the_grasp(
-    model: HandModel, taut_estimate: SyntheticEstimate
+    model: HandModel, estimate_of_taut_tendons: SyntheticEstimate
 ) -> None:
-    run = begin_closing(model, taut_estimate)
+    run = begin_closing(model, estimate_of_taut_tendons)
     run.run_until_contact(hand_in_contact(model, {"index": 12.0, "thumb": 12.0}, tension=5.0))
     held_digits = [model.hand.digit_names.index(name) for name in ("index", "thumb")]
     assert [i for i, c in enumerate(run.progress.contact) if c] == held_digits
@@ -369,10 +383,10 @@ def test_a_wrist_never_touches_and_keeps_its_motion(hand_name: str, wrist_force:
 
 
 def test_closing_without_contact_ends_with_a_message(
-    model: HandModel, taut_estimate: SyntheticEstimate
+    model: HandModel, estimate_of_taut_tendons: SyntheticEstimate
 ) -> None:
-    run = begin_closing(model, taut_estimate)
-    took = run.run_until_phase("hold", taut_estimate)
+    run = begin_closing(model, estimate_of_taut_tendons)
+    took = run.run_until_phase("hold", estimate_of_taut_tendons)
     distance_rad = math.radians(80.0)
     longest = 15 / 8 * distance_rad / math.radians(100.0)
     assert took == pytest.approx(longest + SETTLE_AFTER_CLOSE_S, abs=2 * model.period)
@@ -383,9 +397,9 @@ def test_closing_without_contact_ends_with_a_message(
 
 
 def test_only_named_digits_in_contact_hold(
-    model: HandModel, taut_estimate: SyntheticEstimate
+    model: HandModel, estimate_of_taut_tendons: SyntheticEstimate
 ) -> None:
-    run = begin_closing(model, taut_estimate)
+    run = begin_closing(model, estimate_of_taut_tendons)
     estimate_in_contact = hand_in_contact(model, {"index": 12.0, "ring": 12.0})
     run.run_until_contact(estimate_in_contact)
     names = model.hand.digit_names
@@ -397,9 +411,9 @@ def test_only_named_digits_in_contact_hold(
 
 
 def test_release_waits_for_the_tension_to_fall(
-    model: HandModel, taut_estimate: SyntheticEstimate
+    model: HandModel, estimate_of_taut_tendons: SyntheticEstimate
 ) -> None:
-    run = begin_closing(model, taut_estimate)
+    run = begin_closing(model, estimate_of_taut_tendons)
     estimate_in_contact = hand_in_contact(model, {"index": 12.0})
     run.run_until_contact(estimate_in_contact)
     run.run_until_phase("release", estimate_in_contact)
@@ -412,7 +426,10 @@ def test_release_waits_for_the_tension_to_fall(
 
 
 def run_release(
-    model: HandModel, taut_estimate: SyntheticEstimate, tension: float, **release_fields: float
+    model: HandModel,
+    estimate_of_taut_tendons: SyntheticEstimate,
+    tension: float,
+    **release_fields: float,
 ) -> tuple[ProgramRun, float]:
     """Return a run of the grasp program after its release phase, and the duration of the release phase [s].
 
@@ -425,7 +442,7 @@ def run_release(
         ],
     }
     run, estimate_in_contact = ProgramRun(model, task), hand_in_contact(model, {"index": 12.0})
-    run.run_until_phase("close", taut_estimate)
+    run.run_until_phase("close", estimate_of_taut_tendons)
     run.run_until_contact(estimate_in_contact)
     run.run_until_phase("release", estimate_in_contact)
     return run, run.run_until_phase("open", estimate_under_tension(model, tension))
@@ -439,9 +456,9 @@ def run_release(
     (50.0, 12.0, 12.0, True),
 ])  # fmt: skip
 def test_a_release_that_does_not_let_go_is_reported(
-    model, taut_estimate, tension, settle_time_s, expected_duration_s, is_reported
+    model, estimate_of_taut_tendons, tension, settle_time_s, expected_duration_s, is_reported
 ) -> None:
-    run, lasted = run_release(model, taut_estimate, tension, settle_s=settle_time_s)
+    run, lasted = run_release(model, estimate_of_taut_tendons, tension, settle_s=settle_time_s)
     assert lasted == pytest.approx(expected_duration_s, abs=0.1)
     warnings = [(event.where, event.text) for event in run.events if event.level == "warn"]
     assert warnings == (
@@ -452,12 +469,12 @@ def test_a_release_that_does_not_let_go_is_reported(
 
 
 def test_released_digit_needs_a_new_contact_to_hold(
-    model: HandModel, taut_estimate: SyntheticEstimate
+    model: HandModel, estimate_of_taut_tendons: SyntheticEstimate
 ) -> None:
     close, hold, release = GRASP_TASK["phase"][2:5]
     phases = [close, hold, release, {**close, "name": "again"}, {**hold, "name": "more"}]
     run = ProgramRun(model, {**GRASP_TASK, "phase": phases})
-    run.run_until_phase("close", taut_estimate)
+    run.run_until_phase("close", estimate_of_taut_tendons)
     estimate_in_contact, index = (
         hand_in_contact(model, {"index": 12.0}),
         model.hand.digit_names.index("index"),
@@ -466,10 +483,10 @@ def test_released_digit_needs_a_new_contact_to_hold(
     run.run_until_phase("release", estimate_in_contact)
     run.tick(estimate_under_tension(model, 20.0))
     assert run.progress.contact[index], "until it has let go"
-    run.run_until_phase("again", taut_estimate)
+    run.run_until_phase("again", estimate_of_taut_tendons)
     assert not any(run.progress.contact), "free again"
     assert {goal.kind for goal in run.progress.goals} == {GoalKind.MOTION}, "all close"
-    assert run.run_until_phase("more", taut_estimate) > 0.3
+    assert run.run_until_phase("more", estimate_of_taut_tendons) > 0.3
     assert not any(run.progress.contact)
     assert [event.text for event in run.events if event.level == "warn"] == [
         "more: no digit is in contact"
@@ -477,7 +494,7 @@ def test_released_digit_needs_a_new_contact_to_hold(
 
 
 def test_a_digit_that_is_held_stays_so_while_others_close(
-    model: HandModel, taut_estimate: SyntheticEstimate
+    model: HandModel, estimate_of_taut_tendons: SyntheticEstimate
 ) -> None:
     """A digit that holds an object continues to hold it during a second close phase.
 
@@ -485,7 +502,7 @@ def test_a_digit_that_is_held_stays_so_while_others_close(
     """
     close, hold = GRASP_TASK["phase"][2:4]
     run = ProgramRun(model, {**GRASP_TASK, "phase": [close, hold, {**close, "name": "again"}]})
-    run.run_until_phase("close", taut_estimate)
+    run.run_until_phase("close", estimate_of_taut_tendons)
     estimate_in_contact, index = (
         hand_in_contact(model, {"index": 12.0}),
         model.hand.digit_names.index("index"),
@@ -497,11 +514,11 @@ def test_a_digit_that_is_held_stays_so_while_others_close(
 
 
 def test_a_goal_tip_force_becomes_the_tension_that_makes_it(
-    model: HandModel, taut_estimate: SyntheticEstimate
+    model: HandModel, estimate_of_taut_tendons: SyntheticEstimate
 ) -> None:
     phases = [{"kind": "close"}, {"kind": "hold", "tip_force_N": {"index": 4.0}}]
     run = ProgramRun(model, {**GRASP_TASK, "phase": phases})
-    run.run_until_phase("close", taut_estimate)
+    run.run_until_phase("close", estimate_of_taut_tendons)
     estimate_in_contact = hand_in_contact(model, {"index": 12.0})
     run.run_until_contact(estimate_in_contact)
     run.run_until_phase("hold", estimate_in_contact)
@@ -514,7 +531,7 @@ def test_a_goal_tip_force_becomes_the_tension_that_makes_it(
 
 
 def test_contact_ends_with_the_next_move(
-    model: HandModel, taut_estimate: SyntheticEstimate
+    model: HandModel, estimate_of_taut_tendons: SyntheticEstimate
 ) -> None:
     phases = [
         {"kind": "close"},
@@ -522,17 +539,17 @@ def test_contact_ends_with_the_next_move(
         {"kind": "close", "name": "again"},
     ]
     run = ProgramRun(model, {**GRASP_TASK, "phase": phases})
-    run.run_until_phase("close", taut_estimate)
+    run.run_until_phase("close", estimate_of_taut_tendons)
     run.run_until_contact(hand_in_contact(model, {"index": 12.0}))
-    run.run_until_phase("move", taut_estimate)
+    run.run_until_phase("move", estimate_of_taut_tendons)
     assert not any(run.progress.contact)
     assert {goal.kind for goal in run.progress.goals} == {GoalKind.MOTION}
-    run.run_until_phase("again", taut_estimate)
+    run.run_until_phase("again", estimate_of_taut_tendons)
     assert not any(run.progress.touching)
 
 
 def test_a_list_gives_each_joint_its_angle_and_each_tendon_its_tension(
-    model: HandModel, taut_estimate: SyntheticEstimate
+    model: HandModel, estimate_of_taut_tendons: SyntheticEstimate
 ) -> None:
     size = len(model.digits[0].reduced_moment_arms)
     angles, tensions = [10.0, 20.0, 30.0][:size], [11.0, 12.0, 13.0][:size]
@@ -542,11 +559,11 @@ def test_a_list_gives_each_joint_its_angle_and_each_tendon_its_tension(
         {"kind": "hold", "tension_N": {"index": tensions}},
     ]
     run = ProgramRun(model, {**GRASP_TASK, "phase": phases})
-    run.run_until_phase("move", taut_estimate)
+    run.run_until_phase("move", estimate_of_taut_tendons)
     goal = run.progress.goals[0]
     assert goal.trajectory is not None
     np.testing.assert_allclose(np.degrees(goal.trajectory.end), angles)
-    run.run_until_phase("close", taut_estimate)
+    run.run_until_phase("close", estimate_of_taut_tendons)
     run.run_until_contact(hand_in_contact(model, {"index": 12.0}))
-    run.run_until_phase("hold", taut_estimate)
+    run.run_until_phase("hold", estimate_of_taut_tendons)
     np.testing.assert_allclose(run.progress.goals[0].tension, tensions)

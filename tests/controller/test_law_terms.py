@@ -232,15 +232,17 @@ def test_a_slack_tendon_with_a_small_setpoint_still_gets_friction_compensation(
     model: HandModel,
 ) -> None:
     slack_estimate = slack_hand_estimate(model)
-    taut_estimate = slack_estimate._replace(is_slack=np.zeros(model.tendon_count, dtype=bool))
+    estimate_of_taut_tendons = slack_estimate._replace(
+        is_slack=np.zeros(model.tendon_count, dtype=bool)
+    )
     state = ControlLawState.initial_state_at_tensions(np.full(model.tendon_count, 0.5))
     goals = holding_goals(model, 0.5)
     slack_torque = run_control_law_tick(model, state, slack_estimate, goals, EVALUATION_TIME_S)[
         1
     ].torque
-    taut_torque = run_control_law_tick(model, state, taut_estimate, goals, EVALUATION_TIME_S)[
-        1
-    ].torque
+    taut_torque = run_control_law_tick(
+        model, state, estimate_of_taut_tendons, goals, EVALUATION_TIME_S
+    )[1].torque
     np.testing.assert_allclose(
         (slack_torque - taut_torque) / model.tendon_constants.spool_radius,
         model.tendon_constants.coulomb_friction,

@@ -28,7 +28,7 @@ class ExampleHoldStep(Document):
     spare: ExampleMoveStep | None = None
 
 
-class ExamplePlanPart(Document):
+class PartSection(Document):
     """Part of an example plan."""
 
     name: str
@@ -39,7 +39,7 @@ class ExamplePlanDocument(Document):
     """Example document that has a field of each kind."""
 
     name: str
-    part: tuple[ExamplePlanPart, ...] = ()
+    part: tuple[PartSection, ...] = ()
     made: str = ""
     step: tuple[Annotated[ExampleMoveStep | ExampleHoldStep, Field(discriminator="kind")], ...] = ()
     point: dict[str, float] = Field(default_factory=dict)

@@ -57,7 +57,7 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
         if args.within is None
         else is_within_tolerance(execution, args.within)
     )
-    present_version = (version("handctl"), code_identity())
+    running_version = (version("handctl"), code_identity())
     writer_text = _writer_text(log)
     result = {
         "log": str(args.recorded),
@@ -72,9 +72,9 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
         else None,
         "largest": execution.largest_difference._asdict() if execution.largest_difference else None,
         "same": has_passed,
-        "version": present_version[0],
+        "version": running_version[0],
         "version_logged": writer_text[0],
-        "code": present_version[1],
+        "code": running_version[1],
         "code_logged": writer_text[1],
         "wall_s": execution.wall_s,
         "cpu_s": execution.cpu_s,
@@ -99,10 +99,10 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
                 f"ticks {gap.last_tick_before + 1} to {gap.first_tick_after - 1} are missing in the log, "
                 "so the ticks after them differ"
             )
-        if execution.differing_ticks and writer_text != present_version:
+        if execution.differing_ticks and writer_text != running_version:
             print_escaped(
                 "the log was written by handctl {}, code {}; this is handctl {}, code {}".format(
-                    *writer_text, *present_version
+                    *writer_text, *running_version
                 )
             )
         if not has_passed and not execution.different_decisions and args.within is None:

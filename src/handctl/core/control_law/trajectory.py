@@ -48,17 +48,19 @@ class BlendTrajectory:
         """Return the blend's position [rad], velocity [rad/s] and acceleration [rad/s^2] at time t [s], (3, n)."""
         T = self.duration
         s = min(max(t / T, 0.0), 1.0)
-        speed_basis = np.array((
+        speed_polynomials = np.array((
             T * s * (1.0 + s * s * (-6.0 + s * (8.0 - 3.0 * s))),
             1.0 + s * s * (-18.0 + s * (32.0 - 15.0 * s)),
             s * (-36.0 + s * (96.0 - 60.0 * s)) / T,
         ))  # fmt: skip
-        acceleration_basis = np.array((
+        acceleration_polynomials = np.array((
             0.5 * T * T * s * s * (1.0 + s * (-3.0 + s * (3.0 - s))),
             0.5 * T * s * (2.0 + s * (-9.0 + s * (12.0 - 5.0 * s))),
             1.0 + s * (-9.0 + s * (18.0 - 10.0 * s)),
         ))  # fmt: skip
-        return np.outer(speed_basis, self.speed) + np.outer(acceleration_basis, self.acceleration)
+        return np.outer(speed_polynomials, self.speed) + np.outer(
+            acceleration_polynomials, self.acceleration
+        )
 
 
 @dataclass(frozen=True, slots=True)

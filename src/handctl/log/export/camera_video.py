@@ -245,14 +245,14 @@ def histogram_statistics(
     values = np.arange(PIXEL_VALUE_COUNT) / (PIXEL_VALUE_COUNT - 1)
     total = histogram.sum(axis=1)
     mean = histogram @ values / total
-    spread = np.sqrt(np.maximum(histogram @ values**2 / total - mean**2, 0.0))
+    standard_deviation = np.sqrt(np.maximum(histogram @ values**2 / total - mean**2, 0.0))
     present_levels = [np.flatnonzero(channel) for channel in histogram]
     cumulative_fractions = np.cumsum(histogram, axis=1) / total[:, None]
     statistics = {
         "min": values[[pixel_values[0] for pixel_values in present_levels]],
         "max": values[[pixel_values[-1] for pixel_values in present_levels]],
         "mean": mean,
-        "std": spread,
+        "std": standard_deviation,
     }
     for percent in percentiles:
         pixel_values = [

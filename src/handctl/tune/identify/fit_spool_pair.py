@@ -469,7 +469,7 @@ class SpoolPairProblem:
         stretch_residuals = (
             np.where(is_measured, self.stretch(z) - stretch_from_tension, 0.0) / noise
         )
-        spread = np.array(
+        prior_deviations = np.array(
             [
                 *(
                     SPOOL_PAIR_PRIOR_DEVIATIONS.get(name, DEFAULT_PRIOR_DEVIATION)
@@ -480,7 +480,7 @@ class SpoolPairProblem:
             ]
         )
         return np.concatenate(
-            [motor_residuals, stretch_residuals, (z - self.start_parameters) / spread]
+            [motor_residuals, stretch_residuals, (z - self.start_parameters) / prior_deviations]
         )
 
     def parameter_bounds(self) -> tuple[Array, Array]:

@@ -90,8 +90,8 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
             name for name in BALANCE_PARAMETERS if not _is_parameter_excited(jacobian, name)
         )
         reasons |= dict.fromkeys(unexcited_names, MISSING_ENCODERS_REASON)
-    spread = np.sqrt(np.diag(fit.covariance))
-    correlation = fit.covariance / np.outer(spread, spread)
+    standard_deviations = np.sqrt(np.diag(fit.covariance))
+    correlation = fit.covariance / np.outer(standard_deviations, standard_deviations)
     pairs = [
         (a, b, float(correlation[PARAMETER_NAMES.index(a), PARAMETER_NAMES.index(b)]))
         for a in names
@@ -131,14 +131,14 @@ def _lacks_needed_encoders(hand: Hand, digit: str) -> bool:
     )
 
 
-def _is_interval_narrow(name: str, half_width: float, width: float) -> bool:
+def _is_interval_narrow(name: str, value: float, half_width: float) -> bool:
     """Return True if the confidence interval is so narrow that the parameter counts as identified.
 
     Half of the width of the interval is compared with the absolute value of the parameter. For the
     parameter `delay`, half of the width is compared with ``DELAY_SCALE_S``.
     """
-    scale = DELAY_SCALE_S if name == "delay" else abs(half_width)
-    return bool(width < MAX_HALF_WIDTH * scale)
+    scale = DELAY_SCALE_S if name == "delay" else abs(value)
+    return bool(half_width < MAX_HALF_WIDTH * scale)
 
 
 def _is_parameter_excited(jacobian: Array, name: str) -> bool:
