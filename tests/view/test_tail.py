@@ -86,7 +86,7 @@ def test_every_byte_of_growth_within_a_chunk_is_safe(jamia_log_path: Path, tmp_p
 def test_a_call_reads_no_record_again(
     jamia_log_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Reproduce a defect: each call of the follower scanned all records of the log, several times per second."""
+    """Reproduce a defect: several times per second, the reader of a growing log read all records again."""
     whole_content, path, new_chunks_path = (
         jamia_log_path.read_bytes(),
         tmp_path / "run.mcap",
