@@ -210,7 +210,8 @@ def _command_prefix_for_amx(job: Path) -> list[str]:
     """Return the words that the guest system needs in front of its command on a processor with AMX registers.
 
     User-mode Linux alone does not save the AMX registers of a processor. The returned words load a
-    library that corrects this defect. On a processor without AMX, the returned list is empty.
+    library with which user-mode Linux can run on a processor with AMX. On a processor without AMX,
+    the returned list is empty.
     """
     if "amx_tile" not in Path("/proc/cpuinfo").read_text(
         encoding="utf-8"

@@ -70,7 +70,7 @@ class FaultObserver:
     def reset(self) -> None:
         """Prepare the observer for a new run.
 
-        The observer then has caused no fault yet, and has recorded no mode of the hand.
+        After the reset, the observer has caused no fault, and has recorded no mode of the hand.
         """
         self.done_ns, self.modes, self.pulled, self.left = (
             0,
