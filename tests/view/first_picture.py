@@ -40,7 +40,7 @@ def main() -> None:
 def _time_first_picture(data_received: threading.Event) -> None:
     """Wait until the viewer of the present process has received data.
 
-    After that, save a picture, print the times, and close the viewer.
+    When data have arrived, save a picture, print the times, and close the viewer.
     """
     viewer = _find_viewer()
     client = _connect_client(viewer)

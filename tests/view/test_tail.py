@@ -21,8 +21,8 @@ from handctl.view.scene.topic_converters import TopicConverters
 def growing_file_sizes(log_bytes: bytes, seed: int) -> list[int]:
     """Return the file sizes at which a growing log is read, in order.
 
-    The first file size is 64 KiB, and the last file size is that of the whole log. The file sizes
-    between these two are random.
+    The first file size is 64 KiB, and the last file size is that of the whole log. All other file
+    sizes are random.
     """
     source = random.Random(seed)
     first_size = 64 << 10
