@@ -1,7 +1,7 @@
 """Test the search for gains.
 
-All kinds of worker processes give the same result, no trial of the search is lost, and an
-interrupted search can be resumed.
+The result of a search does not depend on the kind of its worker processes. No trial of the search
+is lost, and an interrupted search can be resumed.
 """
 
 import os
@@ -79,7 +79,7 @@ def test_search_result_does_not_depend_on_the_processes(
 def test_the_sampler_knows_which_trials_keep_their_margins(
     search_plan: SearchPlan, search_result: SearchResult, tmp_path: Path
 ) -> None:
-    """The sampler of Optuna uses the stability margins of all trials as constraints, also of trials with random gains.
+    """Optuna's sampler uses the stability margins of each trial as constraints, even if the trial has random gains.
 
     Optuna prints no warnings.
     """
@@ -98,7 +98,7 @@ def test_the_sampler_knows_which_trials_keep_their_margins(
 
 
 class RecordedWorkers:
-    """Workers of a search that return the scores of an earlier search."""
+    """Workers that compute no scores, but return the scores of an earlier search."""
 
     def __init__(self, search_result: SearchResult) -> None:
         self.found = search_result
@@ -114,7 +114,7 @@ class RecordedWorkers:
 
 
 class InterruptedWorkers:
-    """Workers of a search that raise KeyboardInterrupt after some jobs, as after Ctrl-C."""
+    """Workers that raise KeyboardInterrupt after some jobs, as if the user had pressed Ctrl-C."""
 
     def __init__(self, completed_jobs: int) -> None:
         self.left = completed_jobs
@@ -159,7 +159,7 @@ def test_interrupted_search_gives_the_same_result(
 
 
 class FakeWorkers:
-    """Workers of a search that compute a score from the gains with a formula, without a simulation."""
+    """Workers that compute the score of a trial from its gains by a formula, instead of by a simulation."""
 
     def compute_scores(
         self, jobs: Sequence[dict[str, Any]]
@@ -205,8 +205,8 @@ def test_search_resumes_from_a_truncated_journal(
 ) -> None:
     """In this test, the journal of a search is cut off in the middle of a line.
 
-    In a part of the test cases, the cut is after the random trials, among the trials that the
-    sampler has chosen.
+    In some test cases, the journal ends within the random trials. In other test cases, the journal
+    ends within the later trials, which the sampler has chosen.
     """
     longer_plan, complete_result, journal = long_search
     path, lines = tmp_path / "study", journal.splitlines(keepends=True)
@@ -301,7 +301,7 @@ def test_a_dask_cluster_finds_what_one_process_finds(
 
 def test_two_searches_do_not_share_a_journal(search_plan: SearchPlan, tmp_path: Path) -> None:
     class WorkersWithSecondSearch(InProcessWorkers):
-        """Workers that try to start a second search with the journal of the first search, which still runs."""
+        """Workers that, during their own search, try to start a second search with the same journal."""
 
         def compute_scores(
             self, jobs: Sequence[dict[str, Any]]

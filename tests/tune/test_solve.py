@@ -1,8 +1,9 @@
 """Test the jackknife method, which computes the confidence intervals of a fit.
 
-The jackknife method leaves out one block of time after the other.
+The jackknife method divides the rows of a log into short time blocks. For each block, the method
+computes the residuals of a fit without the rows of this block.
 
-If a log is damaged, all its rows can be in one block of time.
+In a damaged log, all rows can have nearly the same time, so that all rows are in one time block.
 """
 
 import time
@@ -30,7 +31,7 @@ def test_rows_are_in_one_block_each(seed: int) -> None:
 
 @pytest.mark.parametrize("time_span_s", [0.0, 0.1, 20.0])
 def test_equal_times_take_a_few_seconds_at_most(time_span_s: float) -> None:
-    """Reproduce a defect: the jackknife method took minutes for 4000 rows in one block of time."""
+    """Reproduce a defect: if 4000 rows were in one time block, the jackknife method took minutes."""
     random = np.random.default_rng(0)
     jacobian, residual = random.normal(size=(4010, 10)), random.normal(size=4010)
     begin = time.process_time()
@@ -44,7 +45,7 @@ def test_equal_times_take_a_few_seconds_at_most(time_span_s: float) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_block_with_large_residuals_leaves_the_degrees_of_freedom(seed: int) -> None:
-    """A block of time with large residuals does not reduce the degrees of freedom.
+    """A time block with large residuals does not reduce the number of degrees of freedom.
 
     Earlier defect: a block with large residuals left only three degrees of freedom, so the
     confidence intervals were 1.5 times as wide.
@@ -68,7 +69,7 @@ def test_a_block_with_large_residuals_leaves_the_degrees_of_freedom(seed: int) -
 def test_a_parameter_without_data_has_a_spread_of_its_prior() -> None:
     """A parameter on which the data do not depend keeps the standard deviation of its prior.
 
-    Earlier defect: the data of a digit that hardly moved caused a warning about an overflow.
+    Earlier defect: if a digit had hardly moved, the fit of its data caused an overflow warning.
     """
     jacobian = np.vstack([np.column_stack([np.ones(100), np.full(100, 1e-160)]), np.eye(2)])
     with np.errstate(all="raise", under="ignore"):

@@ -1,6 +1,7 @@
 """Test that designed gains are stable.
 
-The tests use eigenvalues, stability margins that are found by trial, and runs in lockstep.
+The tests check eigenvalues and simulate runs in lockstep. They also compare computed stability
+margins with margins that are found by trying many values.
 """
 
 import math
@@ -66,8 +67,8 @@ torque than the motor has, even at the operating point.
 def random_gains(seed: int, gain_range: float = 10.0) -> Gains:
     """Return random gains.
 
-    The returned LQR weights, the integral gain and the filter parameters differ from the default
-    gains by up to the factor ``gain_range``.
+    Each returned LQR weight, the integral gain and each filter parameter differ from their default
+    values by at most the factor ``gain_range``.
     """
     random = np.random.default_rng(seed)
 
@@ -112,8 +113,8 @@ def model_with_force_weight(force_N: float) -> HandModel:
 def test_a_law_at_its_limit_is_judged_as_the_linear_law(force_N: float) -> None:
     """At its torque limit, the output of the control law does not depend on its inputs.
 
-    The linear model must be computed from the gains, because differences of the output are zero at
-    the torque limit.
+    At the torque limit, finite differences of the output are zero, so the linear model must be
+    computed from the gains.
     """
     model = model_with_force_weight(force_N)
     K = controller_system(model, 0, LoopKind.TENSION)
@@ -171,7 +172,8 @@ def test_an_unstable_loop_has_no_margin(jamia: HandModel) -> None:
 def margins_by_brute_force(system: LinearSystem) -> tuple[float, float]:
     """Find the gain margin [dB] and the phase margin [deg] of a loop by trying many values.
 
-    At a stability margin, an eigenvalue of the closed loop just leaves the unit circle.
+    If the gain or the phase changes by exactly the stability margin, an eigenvalue of the closed
+    loop reaches the unit circle.
     """
 
     def radius(factor: complex) -> float:
@@ -227,7 +229,7 @@ def check_design_is_stable(model: HandModel, gain_design: GainDesign, seed: int)
 
 @pytest.mark.parametrize("seed", SEED_RANGE if NIGHTLY else SEED_RANGE[:1])
 def test_design_is_stable_by_its_eigenvalues(seed: int) -> None:
-    """All eigenvalues of a design's loops are inside the unit circle, even without a test in simulation."""
+    """All eigenvalues of a design's loops are inside the unit circle, even if no simulation has tested the design."""
     model = model_of("jamia", seed, 3.0)
     gain_design = design_gains(
         model, tuple(linear_factors(plant_factors) for plant_factors in sample_ensemble(2, seed))
@@ -241,8 +243,8 @@ def test_design_is_stable_by_its_eigenvalues(seed: int) -> None:
 def test_written_design_is_stable(hand_name: str, seed: int) -> None:
     """If ``tune design`` writes gains, all eigenvalues of the loops are inside the unit circle.
 
-    With the written gains, the simulated hand comes to rest, even with a seed that the design has
-    not used.
+    With the written gains, the simulated hand comes to rest, even with a random seed that the
+    design has not used.
     """
     model, factors = model_of(hand_name, seed, 3.0), sample_ensemble(2, seed)
     plants = tuple(linear_factors(factor) for factor in factors)
@@ -259,8 +261,8 @@ def test_written_design_is_stable(hand_name: str, seed: int) -> None:
 def test_tendons_that_share_joints_keep_their_margins_together() -> None:
     """Reproduce a defect: ``tune design`` gave up for n_plus_1.
 
-    The design gave the first tendon of a finger a large force weight of its own. This large force
-    weight lowered the gain margins of the other tendons of the finger below 6 dB.
+    The design gave only the first tendon of a finger a large force weight. This large force weight
+    lowered the gain margins of the other tendons of the finger below 6 dB.
     """
     model = HandModel.from_hand(load_hand("n_plus_1"), Gains(), 250.0)
     plants = (linear_factors({}),)
@@ -297,8 +299,8 @@ def rest_test_of(model: HandModel, friction_fraction: float = 1.0) -> RestTest:
 def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
     """Reproduce a defect.
 
-    A digit without load cells that closed with 30 N caused the fault T01 (a tendon snapped).
-    Because of the fault T01, every step test of the gains ended early.
+    In a hand without load cells, a digit that closed with 30 N caused the fault T01 (a tendon
+    snapped). Because of the fault T01, every step test of the gains ended early.
     """
     model = HandModel.from_hand(load_hand("orca_like"), Gains(), CONTROL_RATES_HZ["orca_like"])
     swing_amplitude = simulate_swing(model.hand, model, {}, 0)
@@ -329,7 +331,7 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
 ) -> None:
     """The rest test refuses gains if the tension oscillates in the simulated hand with the lowest friction.
 
-    In this test, all other hands of the ensemble come to rest.
+    In this test, all hands of the ensemble come to rest except the hand with the lowest friction.
     """
     model = HandModel.from_hand(
         load_hand(hand_name), Gains(), CONTROL_RATES_HZ.get(hand_name, 200.0)
@@ -357,9 +359,9 @@ def test_one_peak_in_five_runs_does_not_decide_about_gains(
 ) -> None:
     """Reproduce a defect: the seed of the sensor noise decided whether the same gains passed or failed.
 
-    The links of a pressed digit slip at random times. A slip causes a peak of several newtons. The
-    cause of the defect was the number of runs: a single run of each plant (simulated hand) decided
-    about a design.
+    The links of a pressed digit slip at random times. A slip causes a peak of several newtons.
+    Earlier, the design simulated each plant (simulated hand) only once, so that a single slip
+    decided the result.
     """
     runs = [5.0, 0.9, 1.0, 0.9, 1.1]
 
@@ -376,7 +378,7 @@ def test_one_peak_in_five_runs_does_not_decide_about_gains(
 def test_a_design_keeps_a_distance_from_the_limits(
     monkeypatch: pytest.MonkeyPatch, jamia: HandModel
 ) -> None:
-    """A hand with an oscillation of 1.6 N counts as at rest.
+    """A hand with an oscillation of 1.6 N counts as at rest, but a design with this oscillation is refused.
 
     With other sensor noise, an oscillation of 1.6 N could grow beyond the limit of 2 N.
     """
@@ -396,7 +398,7 @@ def rest_test_with(
     chatter_by_plant: tuple[float, ...],
     oscillation_by_plant: tuple[float, ...],
 ) -> RestTest:
-    """Return a `RestTest` in which each tendon has a given oscillation [N].
+    """Return a `RestTest` whose simulated tendons oscillate by given amounts [N].
 
     ``chatter_by_plant`` is the oscillation without feedback, and ``oscillation_by_plant`` is the oscillation with the
     gains.
@@ -459,7 +461,7 @@ def test_an_oscillating_loop_is_not_hidden_by_chatter(
 def test_gains_that_fail_at_the_least_friction_are_refused(
     monkeypatch: pytest.MonkeyPatch, jamia: HandModel
 ) -> None:
-    """If even the run without feedback fails, the oscillation of the hand without feedback is unknown.
+    """If the run without feedback ends with a fault, the oscillation of the hand without feedback is unknown.
 
     If the oscillation without feedback is unknown, the gains are refused.
     """

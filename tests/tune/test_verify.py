@@ -143,9 +143,10 @@ GRIPPER_FOLDER = Path(__file__).parents[1] / "hand"
 def test_the_tracking_limit_holds_for_prismatic_joints(
     hand_file: str, joint_index: int, lag_rad_or_m: float, expected_reason: str
 ) -> None:
-    """Reproduce a defect: no lag of a prismatic joint counted as too large.
+    """Reproduce a defect: handctl accepted every lag of a prismatic joint, however large the lag was.
 
-    The lag of a prismatic joint is a length in metres, but handctl compared it with 0.35 rad.
+    The lag of a prismatic joint is a length in metres, but handctl compared this length with 0.35
+    rad.
     """
     hand = load_hand(GRIPPER_FOLDER / hand_file)
     observer = VerifyObserver(hand, GAINS_WITHOUT_RINGING, GAINS_WITHOUT_RINGING)
@@ -175,10 +176,10 @@ def test_the_tracking_limit_holds_for_prismatic_joints(
 def test_a_lag_of_a_prismatic_joint_counts_like_an_angle(
     hand_file: str, lag_by_joint: list[float], tracking_deg: float
 ) -> None:
-    """Reproduce a defect: the score used metres as if they were rad.
+    """Reproduce a defect: the score of a run treated the lag of a prismatic joint [m] as an angle [rad].
 
-    Because of the wrong unit, a lag of 1 mm counted as 0.06 deg. A lag of 1 mm must count as 0.1
-    rad.
+    Because of the wrong unit, a lag of 1 mm counted as 0.06 deg. In the score, a lag of 1 mm must
+    count as much as a lag of 0.1 rad.
     """
     hand = load_hand(GRIPPER_FOLDER / hand_file)
     goal = np.zeros((2, len(hand.joints)))
@@ -196,7 +197,7 @@ def test_a_lag_of_a_prismatic_joint_counts_like_an_angle(
 
 
 def test_the_proposed_command_has_quoted_names(capsys: pytest.CaptureFixture[str]) -> None:
-    """Reproduce a defect: the shell split a file name with a space in the command that handctl proposed."""
+    """Reproduce a defect: in the command that handctl proposed, the shell split a file name that contained a space."""
     result = {
         "judged_by": "truth", "returned": None, "amplitudes": (), "log": "a.mcap", "picture": "a.png",
         "verified": True,

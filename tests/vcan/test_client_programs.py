@@ -1,7 +1,7 @@
 """Run motor clients of other authors, each in an environment of its own, with simulated drives on real SocketCAN.
 
-The clients open a SocketCAN interface themselves. For this reason, the tests run the clients in a
-virtual machine with a SocketCAN interface.
+The clients open a SocketCAN interface themselves, so the tests run them in a virtual machine that
+has a SocketCAN interface.
 
 The virtual machine has no network, so the tests make the Python environments of the clients before
 the virtual machine starts. The tests with motor clients run only in nightly test runs. If pip

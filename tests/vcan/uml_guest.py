@@ -207,10 +207,11 @@ def _guest_command(job: Path) -> list[str]:
 
 
 def _command_prefix_for_amx(job: Path) -> list[str]:
-    """Return the words that precede the command of the guest system.
+    """Return the words that the guest system needs in front of its command on a processor with AMX registers.
 
-    The guest system does not save the AMX registers of a processor, so a processor with AMX needs
-    these words. For other processors, the returned list is empty.
+    User-mode Linux alone does not save the AMX registers of a processor. The returned words load a
+    library with which user-mode Linux can run on a processor with AMX. On a processor without AMX,
+    the returned list is empty.
     """
     if "amx_tile" not in Path("/proc/cpuinfo").read_text(
         encoding="utf-8"

@@ -1,8 +1,8 @@
 """Measure the time that `handctl view LOG` needs for its first picture: `python tests/view/first_picture.py LOG`.
 
-The measurement begins with the start of the process. It ends when a viewer without a screen has
-drawn a picture with data. The program prints the measured time as JSON. The JSON output also
-contains the CPU times of handctl and of the viewer until the first picture.
+The measurement begins with the start of the process. The measurement ends when a viewer without a
+screen has drawn a picture with data. The program prints the measured time as JSON. The JSON output
+also contains the CPU times of handctl and of the viewer until the first picture.
 """
 
 import json
@@ -40,7 +40,7 @@ def main() -> None:
 def _time_first_picture(data_received: threading.Event) -> None:
     """Wait until the viewer of the present process has received data.
 
-    After that, save a picture, print the times, and close the viewer.
+    When data have arrived, save a picture, print the times, and close the viewer.
     """
     viewer = _find_viewer()
     client = _connect_client(viewer)

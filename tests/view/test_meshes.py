@@ -26,8 +26,8 @@ from tests.hand.mesh_files import hand_with_meshes, write_meshes
 def mesh_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write the log of a hand with meshes on some links, and return its path.
 
-    After that, delete the mesh files. Without mesh files, the log is the only source of the meshes,
-    as on another machine.
+    When the log is complete, delete the mesh files. Without mesh files, the log is the only source
+    of the meshes, as on another machine.
     """
     folder = tmp_path_factory.mktemp("meshes")
     files = folder / "files"

@@ -21,8 +21,8 @@ from handctl.view.scene.topic_converters import TopicConverters
 def growing_file_sizes(log_bytes: bytes, seed: int) -> list[int]:
     """Return the file sizes at which a growing log is read, in order.
 
-    The first file size is 64 KiB, and the last file size is that of the whole log. The file sizes
-    between these two are random.
+    The first file size is 64 KiB, and the last file size is that of the whole log. All other file
+    sizes are random.
     """
     source = random.Random(seed)
     first_size = 64 << 10
@@ -86,7 +86,7 @@ def test_every_byte_of_growth_within_a_chunk_is_safe(jamia_log_path: Path, tmp_p
 def test_a_call_reads_no_record_again(
     jamia_log_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Reproduce a defect: each call of the follower scanned all records of the log, several times per second."""
+    """Reproduce a defect: several times per second, the reader of a growing log read all records again."""
     whole_content, path, new_chunks_path = (
         jamia_log_path.read_bytes(),
         tmp_path / "run.mcap",

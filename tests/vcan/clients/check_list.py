@@ -36,7 +36,7 @@ class CheckList:
     def check_eventually(
         self, check_name: str, read_value: Callable[[], object], expected_value: object
     ) -> None:
-        """Report a check that passes as soon as a repeatedly read value is the expected one.
+        """Read a value repeatedly, and report the check as passed as soon as the value is the expected one.
 
         Args:
             check_name: the property that is checked.

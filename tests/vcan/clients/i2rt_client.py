@@ -1,4 +1,4 @@
-"""Test the class for a motor chain in i2rt with four simulated DM4310 motors on vcan0.
+"""Test the motor-chain class of the library i2rt with four simulated DM4310 motors on vcan0.
 
 The program needs an environment with the package ``dreamscale-i2rt``, which installs i2rt.
 """
@@ -38,7 +38,7 @@ WATCHDOG_UNITS = 8000
 
 
 def check_registers(checks: CheckList) -> None:
-    """Let i2rt compare the registers of the motors with the declared motor types."""
+    """Let i2rt compare the registers of the motors with the motor types that the program declares."""
 
     def verify_motors(
         motors: list[tuple[int, str]], mode: str, repairs_settings: bool = False

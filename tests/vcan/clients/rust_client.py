@@ -36,7 +36,7 @@ def make_robot() -> Any:
 
 
 def command_rows(*columns: Any) -> Any:
-    """Return the command of all motors, with one row for each motor.
+    """Return an array with the commands of all motors, in which each motor has one row.
 
     The caller gives each column as one number for all motors, or as one number for each motor.
     """

@@ -146,9 +146,9 @@ def wait_for_bus_event(bus: Bus, event_kind: str) -> list[Frame]:
 
 
 def test_a_full_transmit_queue_refuses_and_is_an_event(slow_tunnel: tuple[str, str]) -> None:
-    """In this test, frames pass a queue of ten frames and after it a wire of 50 kbit/s.
+    """In this test, sent frames wait in a queue that holds ten frames, and then pass a simulated wire of 50 kbit/s.
 
-    The Linux module netem simulates the slow wire, because vcan alone never refuses a frame.
+    The Linux module netem simulates the slow wire. A vcan interface alone never refuses a frame.
     """
     sender, receiver = (
         open_bus(f"socketcan:{name}", BUS_INDEX, NOMINAL_BITRATE, convert_time=int)

@@ -1,4 +1,4 @@
-"""Test the faults of the host that only root can cause.
+"""Test the host faults that only the user root can cause.
 
 During a run, the test sets the wall clock of the guest system, or takes one of its CAN interfaces
 down.
@@ -56,9 +56,9 @@ def set_interface_up(can_interface: str, is_up: bool) -> None:
 
 
 class FaultObserver:
-    """Observer of a controller run.
+    """Observer that causes faults in the controller run that it observes.
 
-    The observer causes faults one after the other while the hand pulls its tendons.
+    While the hand pulls its tendons, the observer executes one fault action after the other.
 
     See ``session.run.RunObserver``.
     """
@@ -70,7 +70,7 @@ class FaultObserver:
     def reset(self) -> None:
         """Prepare the observer for a new run.
 
-        Reset the record of the caused faults and of the modes.
+        After the reset, the observer has caused no fault, and has recorded no mode of the hand.
         """
         self.done_ns, self.modes, self.pulled, self.left = (
             0,
@@ -95,9 +95,9 @@ class FaultObserver:
 
 
 def run_tendon_pull(work_folder: Path, observer: FaultObserver) -> tuple[RunOutcome, TruthFile]:
-    """Arm a hand, pull every tendon, relax and disarm it.
+    """Arm a hand, pull every tendon, relax the tendons, and disarm the hand.
 
-    The observer causes faults while the hand pulls its tendons.
+    While the hand pulls its tendons, ``observer`` causes faults.
     """
     path = hand_file(work_folder, ["mit"])
     hand = load_hand(str(path))

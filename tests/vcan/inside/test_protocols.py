@@ -1,4 +1,4 @@
-"""Arm a hand, pull its tendons and disarm it over real SocketCAN.
+"""Test that a hand on real SocketCAN can be armed, can pull its tendons, and can be disarmed.
 
 The tests use each drive protocol, and a hand on two buses.
 
@@ -100,7 +100,8 @@ def simulated_hand_process(
 class HandDrives:
     """The drives of a hand on real CAN sockets, without a controller.
 
-    The drives run tick by tick on a slowed clock, with SYNC.
+    In each tick, an object of this class sends a SYNC frame and the commands of all drives. The
+    clock of the ticks can be slower than real time.
     """
 
     def __init__(self, hand_path: Path, bus_texts: Sequence[str], time_scale: float) -> None:
@@ -189,7 +190,7 @@ def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
 def run_tendon_pull(
     hand_path: Path, bus_options: Sequence[str], work_folder: Path
 ) -> tuple[RunOutcome, TruthFile]:
-    """Arm a hand, pull every tendon for a moment, relax and disarm it.
+    """Arm a hand, pull every tendon for a moment, relax the tendons, and disarm the hand.
 
     Return the outcome of the run, and the true values from the simulator.
     """
