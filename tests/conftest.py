@@ -108,7 +108,7 @@ class RepeatAfterStallPlugin:
     tries.
 
     In some tests, simulated time runs slower than real time. In a repetition of such a test,
-    simulated time runs even slower, by the factor of the fixture ``attempt_time_scale``. The slower
+    simulated time runs even slower, by the factor of the fixture ``time_scale_of_attempt``. The slower
     simulated time runs, the less effect a stall of the machine has. A defect has the same effect at
     any speed.
 
@@ -181,7 +181,7 @@ class RepeatAfterStallPlugin:
 
 
 @pytest.fixture
-def attempt_time_scale(request: pytest.FixtureRequest) -> float:
+def time_scale_of_attempt(request: pytest.FixtureRequest) -> float:
     """Return the factor of a test's time scale: 1 in the first try, and a smaller factor in each repetition."""
     return float(TIME_SCALE_PER_REPEAT ** (getattr(request.node, "execution_count", 1) - 1))
 

@@ -98,7 +98,7 @@ class CachedReplies:
         self.batches: dict[bytes, CommandBatch] = {}
 
     def replies_to_records(self, records: bytes) -> bytes:
-        """Return the replies of all nodes to frame records that arrived together, as frame records."""
+        """Return the frame records with the replies of all nodes to some frame records that arrived together."""
         batch_start = RECORD_SIZE if frame_of(records).can_id == self.sync else 0
         commands = records[batch_start:]
         # The two bytes of the identifiers, for all records.

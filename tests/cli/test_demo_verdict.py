@@ -113,13 +113,13 @@ def test_a_hand_of_two_buses_needs_no_bus_named(work_folder, capsys):
 
 
 @pytest.mark.realtime
-def test_a_hand_of_two_buses_works_in_real_time(work_folder, attempt_time_scale):
+def test_a_hand_of_two_buses_works_in_real_time(work_folder, time_scale_of_attempt):
     (work_folder / "buses.toml").write_text(toml_text(two_buses()))
     (work_folder / "bend.toml").write_text(
         'schema = 1\nname = "bend"\n[[phase]]\nkind = "move"\nangle_deg = 20.0\n'
     )
     words = ("--hand", "buses.toml", "--task", "bend.toml", "--scene", "none", "--log", "x.mcap")
-    done = run_handctl("demo", "--json", *words, *make_time_scale_options(attempt_time_scale))
+    done = run_handctl("demo", "--json", *words, *make_time_scale_options(time_scale_of_attempt))
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["failure"] == ""
 

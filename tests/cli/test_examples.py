@@ -105,10 +105,10 @@ def repeat_until_success(run_in_shell, command_line):
 
 @pytest.mark.realtime
 def test_examples_work_beside_a_simulator_and_a_running_hand(
-    run_in_shell, start_in_background, attempt_time_scale
+    run_in_shell, start_in_background, time_scale_of_attempt
 ):
     simulator, run = EXAMPLE_BY_COMMAND["stop"].parallel_commands
-    start_in_background(f"{simulator} --time-scale {TIME_SCALE * attempt_time_scale:g}")
+    start_in_background(f"{simulator} --time-scale {TIME_SCALE * time_scale_of_attempt:g}")
     repeat_until_success(run_in_shell, "handctl fault kinds --bus local:demo")
     for words in EXAMPLES_WITH_SIMULATOR:
         if words != "fault inject":  # the injected fault would disturb the run of this example

@@ -166,8 +166,8 @@ def test_gains_that_give_no_controller_are_not_applied(work_folder, capsys):
 
 
 @pytest.mark.realtime
-def test_set_on_a_running_hand_is_in_its_log(work_folder, attempt_time_scale):
-    scale = make_time_scale_options(attempt_time_scale)
+def test_set_on_a_running_hand_is_in_its_log(work_folder, time_scale_of_attempt):
+    scale = make_time_scale_options(time_scale_of_attempt)
     handctl = [sys.executable, "-m", "handctl.cli"]
     sim = [
         sys.executable,

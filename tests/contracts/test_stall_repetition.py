@@ -21,10 +21,10 @@ STALLED_TRIES = []
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("stalled", [True, False])
-def test_each_repeat_runs_in_slower_time(stalled, request, attempt_time_scale):
+def test_each_repeat_runs_in_slower_time(stalled, request, time_scale_of_attempt):
     STALLED_TRIES.append(stalled)
     expected = TIME_SCALE_PER_REPEAT ** (STALLED_TRIES.count(stalled) - 1)
-    assert attempt_time_scale == pytest.approx(expected), "each try in slower time"
+    assert time_scale_of_attempt == pytest.approx(expected), "each try in slower time"
     repeats = request.config.pluginmanager.get_plugin("repeats")
     if stalled:
         os.kill(repeats.pause_meter.pids[0], signal.SIGSTOP)

@@ -97,12 +97,12 @@ def check_picture(picture_name):
 
 
 @contextmanager
-def simulated_hand(attempt_time_scale, *words, name="jamia"):
+def simulated_hand(time_scale_of_attempt, *words, name="jamia"):
     """Run the simulated hand of the examples in slowed time.
 
     Yield the command-line options for a controller of the simulated hand.
     """
-    scale = make_time_scale_options(TIME_SCALE * attempt_time_scale)
+    scale = make_time_scale_options(TIME_SCALE * time_scale_of_attempt)
     write_homed_calibration(Path("c.toml"), load_hand(name))
     with running_simulator(
         "-m",
@@ -119,8 +119,8 @@ def simulated_hand(attempt_time_scale, *words, name="jamia"):
 
 
 @REALTIME_MARK
-def test_connect_and_move(attempt_time_scale):
-    with simulated_hand(attempt_time_scale, "--scene", "none") as options:
+def test_connect_and_move(time_scale_of_attempt):
+    with simulated_hand(time_scale_of_attempt, "--scene", "none") as options:
         out = run_example("connect_and_move.py", *options)
     angles = [numbers_in(line)[-1] for line in out.splitlines() if line.endswith("deg")]
     assert len(angles) == 11
@@ -129,8 +129,8 @@ def test_connect_and_move(attempt_time_scale):
 
 
 @REALTIME_MARK
-def test_stream_sine(attempt_time_scale):
-    with simulated_hand(attempt_time_scale, "--scene", "none") as options:
+def test_stream_sine(time_scale_of_attempt):
+    with simulated_hand(time_scale_of_attempt, "--scene", "none") as options:
         out = run_example("stream_sine.py", *options)
     accepted = re.search(r"accepted=(\d+), clipped=0", out)
     assert accepted
@@ -142,8 +142,8 @@ def test_stream_sine(attempt_time_scale):
 
 
 @REALTIME_MARK
-def test_retarget(attempt_time_scale):
-    with simulated_hand(attempt_time_scale, "--scene", "none", name="jamia11") as options:
+def test_retarget(time_scale_of_attempt):
+    with simulated_hand(time_scale_of_attempt, "--scene", "none", name="jamia11") as options:
         out = run_example("retarget.py", *options)
     assert "accepted=300" in out
     # The limit of the error was 6 mm in an earlier version of the test. In that version, the
@@ -158,8 +158,8 @@ def test_retarget(attempt_time_scale):
 
 
 @REALTIME_MARK
-def test_teleoperate(attempt_time_scale):
-    with simulated_hand(attempt_time_scale, "--scene", "none") as options:
+def test_teleoperate(time_scale_of_attempt):
+    with simulated_hand(time_scale_of_attempt, "--scene", "none") as options:
         out = run_example(
             "teleoperate.py", *options, stdin_text="index=40 middle=20\nnonsense\nthumb=10\n"
         )
@@ -181,12 +181,12 @@ def test_single_motor():
 
 
 @REALTIME_MARK
-def test_notebook(attempt_time_scale, monkeypatch):
+def test_notebook(time_scale_of_attempt, monkeypatch):
     notebook = nbformat.read(EXAMPLES_FOLDER / "notebook.ipynb", as_version=4)
     assert not any(cell.get("outputs") for cell in notebook.cells), (
         "the notebook is stored without outputs"
     )
-    with simulated_hand(attempt_time_scale, "--scene", "cylinder") as options:
+    with simulated_hand(time_scale_of_attempt, "--scene", "cylinder") as options:
         monkeypatch.setenv("HANDCTL_OPTIONS", " ".join(options))
         NotebookClient(
             notebook, timeout=240, kernel_name="python3", resources={"metadata": {"path": "."}}

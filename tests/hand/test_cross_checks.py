@@ -16,7 +16,7 @@ JAMIA_HAND_CONTENT = hand_content("jamia")
 
 @pytest.fixture
 def refusal_of_edit(refusal):
-    """Return a function that edits the packaged hand and returns the error line without the file name."""
+    """Return a function that changes values of the packaged hand, and returns the resulting error message."""
 
     def refusal_line(content_edit):
         content = copy.deepcopy(JAMIA_HAND_CONTENT)

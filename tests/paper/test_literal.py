@@ -55,7 +55,7 @@ def run_with_equation(equation_form: str) -> tuple[set[str], str]:
 
 
 @pytest.fixture(scope="module")
-def outcome_by_equation() -> dict[str, tuple[set[str], str]]:
+def outcomes_of_both_equations() -> dict[str, tuple[set[str], str]]:
     return {
         equation_form: run_with_equation(equation_form)
         for equation_form in ("printed", "corrected")
@@ -63,15 +63,15 @@ def outcome_by_equation() -> dict[str, tuple[set[str], str]]:
 
 
 def test_the_printed_equation_fails_the_model_s_tests(
-    outcome_by_equation: dict[str, tuple[set[str], str]],
+    outcomes_of_both_equations: dict[str, tuple[set[str], str]],
 ) -> None:
-    failed_tests, last_line = outcome_by_equation["printed"]
+    failed_tests, last_line = outcomes_of_both_equations["printed"]
     assert failed_tests >= TESTS_OF_EQUATION_10, last_line
 
 
 def test_the_corrected_equation_passes_them(
-    outcome_by_equation: dict[str, tuple[set[str], str]],
+    outcomes_of_both_equations: dict[str, tuple[set[str], str]],
 ) -> None:
-    failed_tests, last_line = outcome_by_equation["corrected"]
+    failed_tests, last_line = outcomes_of_both_equations["corrected"]
     assert not failed_tests
     assert "passed" in last_line

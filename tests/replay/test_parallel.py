@@ -32,7 +32,7 @@ ExecuteSerialAndParallel = Callable[..., tuple[LogExecution, LogExecution]]
 
 
 @pytest.fixture
-def execute_serial_and_parallel(
+def serial_and_parallel_executions(
     recorded_grasp_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> ExecuteSerialAndParallel:
     """Return a function that executes the ticks of a log twice: in one process, and in three processes.
@@ -130,22 +130,22 @@ def test_a_log_has_a_snapshot_every_second(recorded_grasp_log: Path) -> None:
 
 
 def test_three_processes_find_no_difference_where_one_finds_none(
-    execute_serial_and_parallel: ExecuteSerialAndParallel,
+    serial_and_parallel_executions: ExecuteSerialAndParallel,
 ) -> None:
-    one_process, three_processes = execute_serial_and_parallel()
+    one_process, three_processes = serial_and_parallel_executions()
     assert results_without_times(three_processes) == results_without_times(one_process)
     assert (one_process.differing_ticks, three_processes.differing_ticks) == (0, 0)
 
 
 @pytest.mark.parametrize("first_wrong_tick", [150, 199, 200, 201, 330])
 def test_three_processes_find_the_first_difference_wherever_it_is(
-    execute_serial_and_parallel: ExecuteSerialAndParallel, first_wrong_tick: int
+    serial_and_parallel_executions: ExecuteSerialAndParallel, first_wrong_tick: int
 ) -> None:
     """One test case for each process changes a field of the controller state in the part that this process executes.
 
     In some test cases, the changed tick is at the border between two parts of the log.
     """
-    one_process, three_processes = execute_serial_and_parallel(
+    one_process, three_processes = serial_and_parallel_executions(
         change_state_at_tick("travel", first_wrong_tick)
     )
     assert one_process.first_difference is not None
@@ -153,13 +153,13 @@ def test_three_processes_find_the_first_difference_wherever_it_is(
 
 
 def test_the_first_field_of_the_state_that_differs_is_named(
-    execute_serial_and_parallel: ExecuteSerialAndParallel,
+    serial_and_parallel_executions: ExecuteSerialAndParallel,
 ) -> None:
     def change(state_before: ControllerState, entry: TickIn) -> None:
         if entry.k >= 150:
             state_before.view("nis_mean")[1] += 1e-6
 
-    one_process, _ = execute_serial_and_parallel(change)
+    one_process, _ = serial_and_parallel_executions(change)
     assert one_process.first_state_difference is not None
     assert (one_process.first_state_difference.field, one_process.first_state_difference.k) == (
         "state nis_mean",
@@ -183,14 +183,14 @@ def test_a_decision_that_differs_is_named(recorded_grasp_log: Path) -> None:
 
 
 def test_a_refusal_of_the_controller_is_reported_with_any_number_of_processes(
-    execute_serial_and_parallel: ExecuteSerialAndParallel,
+    serial_and_parallel_executions: ExecuteSerialAndParallel,
 ) -> None:
     def change(state_before: ControllerState, entry: TickIn) -> None:
         if entry.k == 330:
             raise ValueError("no such angle")
 
     with pytest.raises(LogError, match="no such angle"):
-        execute_serial_and_parallel(change)
+        serial_and_parallel_executions(change)
 
 
 def test_a_wrong_snapshot_is_not_used_as_a_start(

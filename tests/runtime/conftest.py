@@ -45,13 +45,13 @@ def started_processes():
 
 
 @pytest.fixture
-def time_scale_options(request, attempt_time_scale):
+def time_scale_options(request, time_scale_of_attempt):
     """Return the command-line options for the time scale of a test.
 
     A test module can define its own ``TIME_SCALE``.
     """
     return make_time_scale_options(
-        getattr(request.module, "TIME_SCALE", TIME_SCALE) * attempt_time_scale
+        getattr(request.module, "TIME_SCALE", TIME_SCALE) * time_scale_of_attempt
     )
 
 

@@ -41,9 +41,9 @@ def commissioned_hand(work_folder) -> CommissionedHand:
 
 
 @pytest.mark.realtime
-def test_invalid_clients_do_not_disturb_a_run(commissioned_hand, attempt_time_scale):
+def test_invalid_clients_do_not_disturb_a_run(commissioned_hand, time_scale_of_attempt):
     rows = measure_clients(
-        TESTED_CLIENTS, LOCAL_BUS, TIME_SCALE * attempt_time_scale, commissioned_hand
+        TESTED_CLIENTS, LOCAL_BUS, TIME_SCALE * time_scale_of_attempt, commissioned_hand
     )
     hand = load_hand("jamia")
     assert list(rows) == TESTED_CLIENTS

@@ -26,12 +26,12 @@ def all_batches(controller_count, seed, time_scale):
 
 
 @pytest.mark.timeout(300 + 15 * CONTROLLER_COUNT)
-def test_drives_remove_torque_and_logs_end_with_the_last_tick(attempt_time_scale):
+def test_drives_remove_torque_and_logs_end_with_the_last_tick(time_scale_of_attempt):
     # A controller locks all its memory. To need less memory, the controllers of this test are forks
     # of a small process instead of the large process of all tests.
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         runs = pool.apply(
-            all_batches, (CONTROLLER_COUNT, 20261121, TIME_SCALE * attempt_time_scale)
+            all_batches, (CONTROLLER_COUNT, 20261121, TIME_SCALE * time_scale_of_attempt)
         )
     assert [run for run in runs if not run.torque_ended_in_time] == [], (
         "torque is left after the drives' watchdog"

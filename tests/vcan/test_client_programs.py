@@ -121,7 +121,7 @@ def _pip_failure_reason(text: str) -> str:
 
 
 @pytest.fixture
-def client_python(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+def client_python_path(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     """Return the path of the Python interpreter in an environment with a client."""
     name = str(request.node.callspec.params["name"])
     folder = Path(os.environ.get("HANDCTL_CLIENT_ENVIRONMENTS") or tmp_path) / name
@@ -129,22 +129,24 @@ def client_python(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return folder / "bin" / "python"
 
 
-def _client_variables(client_python: Path) -> dict[str, str]:
+def _client_variables(client_python_path: Path) -> dict[str, str]:
     """Return the environment variables that a client needs. The package odrive loads libusb by its file name."""
     code = "import libusb_package; print(libusb_package.get_library_path())"
     result = subprocess.run(
-        [str(client_python), "-c", code], capture_output=True, text=True, check=False
+        [str(client_python_path), "-c", code], capture_output=True, text=True, check=False
     )
     if result.returncode:
         return {}
-    link = client_python.parent / "libusb-1.0.so.0"
+    link = client_python_path.parent / "libusb-1.0.so.0"
     link.unlink(missing_ok=True)
     link.symlink_to(result.stdout.strip())
     return {"LD_LIBRARY_PATH": str(link.parent)}
 
 
 @pytest.mark.parametrize("name", CLIENT_PROGRAMS)
-def test_a_client_of_another_author_passes_all_its_checks(name: str, client_python: Path) -> None:
+def test_a_client_of_another_author_passes_all_its_checks(
+    name: str, client_python_path: Path
+) -> None:
     kind, reason = uml_guest.vcan_access()
     if not kind:
         pytest.skip(reason)
@@ -155,11 +157,11 @@ def test_a_client_of_another_author_passes_all_its_checks(name: str, client_pyth
             sys.executable,
             "-m",
             "tests.vcan.clients.client_runner",
-            str(client_python),
+            str(client_python_path),
             f"tests.vcan.clients.{program.module}",
             *program.drive_arguments,
         ],
-        _client_variables(client_python),
+        _client_variables(client_python_path),
         RUN_TIMEOUT_S,
         output.append,
     )

@@ -1,7 +1,7 @@
 """Check of the user at the other end of a Unix socket. Only the user of this process and root are trusted.
 
-The folder of the sockets already excludes other users (see ``socket_paths``). The check of the user
-at the other end is a second protection. On Linux the kernel reports the user of a sender. On other
+The folder of the sockets already excludes other users (see ``socket_paths``). The check by this
+module is a second protection. On Linux the kernel reports the user of a sender. On other
 systems every sender is trusted.
 """
 

@@ -13,9 +13,9 @@ from tests.drives.bench_process import run_simulated_drives
 CLIENT_TIMEOUT_S = 240.0
 
 
-def main(client_python: str, client_module: str, *drive_options: str) -> int:
+def main(client_python_path: str, client_module: str, *drive_options: str) -> int:
     with run_simulated_drives("socketcan:vcan0", *drive_options):
-        command = [client_python, "-m", client_module]
+        command = [client_python_path, "-m", client_module]
         return subprocess.run(command, check=False, timeout=CLIENT_TIMEOUT_S).returncode
 
 

@@ -148,7 +148,7 @@ class NewHandAnswers:
         )
 
 
-def check_new_hand_answers(answers: NewHandAnswers) -> None:
+def check_new_hand_answers(hand_answers: NewHandAnswers) -> None:
     """Check the user's answers about a new hand before the hand file is written.
 
     Mistakes that this function does not find are found later, by the checks of the finished hand
@@ -158,22 +158,22 @@ def check_new_hand_answers(answers: NewHandAnswers) -> None:
         ConfigError: the name, a number of digits, the distance between the sides of the palm, or
             the lengths of the links are wrong.
     """
-    check_name(answers.name)
-    for option, count in (("--fingers", answers.fingers), ("--opposed", answers.opposed)):
+    check_name(hand_answers.name)
+    for option, count in (("--fingers", hand_answers.fingers), ("--opposed", hand_answers.opposed)):
         if not 0 <= count <= MAX_DIGITS_PER_SIDE:
             raise ConfigError(f"{count}", option, f"0 to {MAX_DIGITS_PER_SIDE}")
-    if answers.fingers + answers.opposed == 0:
+    if hand_answers.fingers + hand_answers.opposed == 0:
         raise ConfigError("no digit", "--fingers", "a digit at least")
-    min_palm_width = answers.width_mm + 2 * CLEARANCE_MM
-    if answers.opposed and answers.fingers and answers.palm < min_palm_width:
+    min_palm_width = hand_answers.width_mm + 2 * CLEARANCE_MM
+    if hand_answers.opposed and hand_answers.fingers and hand_answers.palm < min_palm_width:
         raise ConfigError(
-            f"{answers.palm:g}",
+            f"{hand_answers.palm:g}",
             "--palm",
             f"at least {min_palm_width:g} mm, for an object between the digits",
         )
-    if not answers.links_mm:
+    if not hand_answers.links_mm:
         raise ConfigError("no link", "--links", "the length of each link in millimetres")
-    check_springs(answers.tendons, answers.springs)
+    check_springs(hand_answers.tendons, hand_answers.springs)
 
 
 def check_springs(tendons: str | None, spring_torques_text: str | None) -> None:
@@ -205,12 +205,12 @@ def check_name(name: str) -> None:
         raise ConfigError(repr(name), "--name", "letters, digits and _, first a letter")
 
 
-def opposition_warnings(answers: NewHandAnswers) -> tuple[str, ...]:
+def opposition_warnings(hand_answers: NewHandAnswers) -> tuple[str, ...]:
     """Return a warning that proposes opposed digits if all digits are on one side."""
-    digits = answers.fingers + answers.opposed
-    if answers.fingers and answers.opposed:
+    digits = hand_answers.fingers + hand_answers.opposed
+    if hand_answers.fingers and hand_answers.opposed:
         return ()
-    option = "--fingers" if answers.opposed else "--opposed"
+    option = "--fingers" if hand_answers.opposed else "--opposed"
     return (
         f"{option} 0: all digits are on one side; the same number on two sides is "
         f"--fingers {digits - 1} --opposed 1"
@@ -220,38 +220,41 @@ def opposition_warnings(answers: NewHandAnswers) -> tuple[str, ...]:
     )
 
 
-def palm_warnings(answers: NewHandAnswers) -> tuple[str, ...]:
+def palm_warnings(hand_answers: NewHandAnswers) -> tuple[str, ...]:
     """Return one line for each warning that the palm is too narrow for digits that face each other."""
     # Digits with a single straight link touch even thin objects before their tips meet.
     sufficient_palm_width = (
-        answers.palm_width_for_thick_object
-        if len(answers.links_mm) > 1
-        else answers.width_mm + MIN_OBJECT_SPACE_OF_STRAIGHT_DIGITS_MM
+        hand_answers.palm_width_for_thick_object
+        if len(hand_answers.links_mm) > 1
+        else hand_answers.width_mm + MIN_OBJECT_SPACE_OF_STRAIGHT_DIGITS_MM
     )
-    if answers.fingers != answers.opposed or answers.palm >= sufficient_palm_width:
+    if hand_answers.fingers != hand_answers.opposed or hand_answers.palm >= sufficient_palm_width:
         return ()
     return (
-        f"--palm {answers.palm:g}: tips of {answers.digit_length_mm:g} mm digits may meet around an object that fits, "
-        f"and not press on it; expected {sufficient_palm_width:.0f} mm, shorter links, or a finger more on one side",
+        f"--palm {hand_answers.palm:g}: tips of {hand_answers.digit_length_mm:g} mm digits may meet around an object "
+        f"that fits, and not press on it; expected {sufficient_palm_width:.0f} mm, shorter links, or a finger more "
+        "on one side",
     )
 
 
-def new_hand_text(answers: NewHandAnswers, drive_options: Mapping[str, Any], can_fd: bool) -> str:
+def new_hand_text(
+    hand_answers: NewHandAnswers, drive_options: Mapping[str, Any], can_fd: bool
+) -> str:
     """Return the text of a hand file (schema 2) for a new hand.
 
     Args:
-        answers: the user's answers, already checked.
+        hand_answers: the user's hand_answers, already checked.
         drive_options: options of a drive of the protocol.
         can_fd: True if the protocol of the drives needs a bus with CAN FD.
     """
-    file_sections = [_tables_before_digits(answers, can_fd), _digit_values(answers)]
-    file_sections += [_tendon_values(answers), _motor_values(answers, drive_options)]
-    motors = _motor_names(answers)
-    buses = _bus_names(answers)
-    digits_per_bus = _digits_per_bus(answers)
-    digits = zip(_digit_names(answers), _mount_positions(answers), strict=True)
+    file_sections = [_tables_before_digits(hand_answers, can_fd), _digit_values(hand_answers)]
+    file_sections += [_tendon_values(hand_answers), _motor_values(hand_answers, drive_options)]
+    motors = _motor_names(hand_answers)
+    buses = _bus_names(hand_answers)
+    digits_per_bus = _digits_per_bus(hand_answers)
+    digits = zip(_digit_names(hand_answers), _mount_positions(hand_answers), strict=True)
     for number, ((name, side), z) in enumerate(digits):
-        y = (0.5 - side) * answers.palm * 1e-3
+        y = (0.5 - side) * hand_answers.palm * 1e-3
         bus = buses[number // digits_per_bus]
         # On each bus, the node numbers begin at 1.
         first_node_id = number % digits_per_bus * len(motors) + 1
@@ -269,27 +272,27 @@ def new_hand_text(answers: NewHandAnswers, drive_options: Mapping[str, Any], can
     return "\n\n".join(file_sections) + "\n"
 
 
-def _digit_names(answers: NewHandAnswers) -> list[tuple[str, int]]:
+def _digit_names(hand_answers: NewHandAnswers) -> list[tuple[str, int]]:
     """Return name and side of each digit. Side 0 of the palm has the fingers, and side 1 has the opposed digits."""
     fingers = [
         FINGER_NAMES[i] if i < len(FINGER_NAMES) else f"finger_{i + 1}"
-        for i in range(answers.fingers)
+        for i in range(hand_answers.fingers)
     ]
-    opposed = ["thumb" if i == 0 else f"thumb_{i + 1}" for i in range(answers.opposed)]
+    opposed = ["thumb" if i == 0 else f"thumb_{i + 1}" for i in range(hand_answers.opposed)]
     return [*((name, 0) for name in fingers), *((name, 1) for name in opposed)]
 
 
-def _mount_positions(answers: NewHandAnswers) -> list[float]:
+def _mount_positions(hand_answers: NewHandAnswers) -> list[float]:
     """Return the position of each digit in the direction of the hinge axes [m]. The fingers come first.
 
     If the two sides of the palm have different numbers of digits, each digit faces a gap between
     two digits of the other side. If the tips of two digits faced each other, the tips would meet
     before the digits press on an object.
     """
-    counts = (answers.fingers, answers.opposed)
-    spacing_of_passing_digits = answers.width_mm * 2 + DIGIT_SIDE_CLEARANCE_MM
+    counts = (hand_answers.fingers, hand_answers.opposed)
+    spacing_of_passing_digits = hand_answers.width_mm * 2 + DIGIT_SIDE_CLEARANCE_MM
     digit_spacing = max(
-        answers.width_mm + DIGIT_SIDE_CLEARANCE_MM,
+        hand_answers.width_mm + DIGIT_SIDE_CLEARANCE_MM,
         min(spacing_of_passing_digits, MAX_DIGIT_ROW_WIDTH_MM / max(1, max(counts) - 1)),
     )
     # If the numbers of digits differ, but both are even or both are odd, one row of digits is moved
@@ -303,67 +306,67 @@ def _mount_positions(answers: NewHandAnswers) -> list[float]:
     return places
 
 
-def _bus_names(answers: NewHandAnswers) -> list[str]:
+def _bus_names(hand_answers: NewHandAnswers) -> list[str]:
     """Return the names of the buses."""
-    count = math.ceil((answers.fingers + answers.opposed) / _digits_per_bus(answers))
+    count = math.ceil((hand_answers.fingers + hand_answers.opposed) / _digits_per_bus(hand_answers))
     return ["main", *(f"bus_{i + 1}" for i in range(1, count))]
 
 
-def _digits_per_bus(answers: NewHandAnswers) -> int:
+def _digits_per_bus(hand_answers: NewHandAnswers) -> int:
     """Return the largest number of digits per bus.
 
     All motors of a digit are on the same bus.
     """
-    digits = answers.fingers + answers.opposed
-    needs_fast_bus = answers.springs == answers.cells == "none"
+    digits = hand_answers.fingers + hand_answers.opposed
+    needs_fast_bus = hand_answers.springs == hand_answers.cells == "none"
     motors_per_bus = MOTORS_PER_FAST_BUS if needs_fast_bus else MOTORS_PER_BUS
-    buses = math.ceil(digits / max(1, motors_per_bus // len(_motor_names(answers))))
+    buses = math.ceil(digits / max(1, motors_per_bus // len(_motor_names(hand_answers))))
     return math.ceil(digits / buses)
 
 
-def _motor_names(answers: NewHandAnswers) -> list[str]:
+def _motor_names(hand_answers: NewHandAnswers) -> list[str]:
     """Return the short names of the motors of a digit."""
-    if answers.tendons == "one":
+    if hand_answers.tendons == "one":
         return ["motor"]
-    closing = [f"m{i + 1}" for i in range(len(answers.links_mm))]
-    return closing if answers.springs == "all" else [*closing, EXTENSOR]
+    closing = [f"m{i + 1}" for i in range(len(hand_answers.links_mm))]
+    return closing if hand_answers.springs == "all" else [*closing, EXTENSOR]
 
 
-def _tables_before_digits(answers: NewHandAnswers, can_fd: bool) -> str:
+def _tables_before_digits(hand_answers: NewHandAnswers, can_fd: bool) -> str:
     """Return the text of the hand file before the first digit."""
-    tendons = "one tendon per digit" if answers.tendons == "one" else "one tendon per joint"
-    if answers.springs == "none":
+    tendons = "one tendon per digit" if hand_answers.tendons == "one" else "one tendon per joint"
+    if hand_answers.springs == "none":
         tendons += " and one that opens the digit"
     bitrate = "bitrate = 1_000_000"
     if can_fd:
         bitrate += "\ndata_bitrate = 5_000_000         # ASSUMED: as set in the drives"
-    buses = "\n\n".join(f'[[bus]]\nname = "{name}"\n{bitrate}' for name in _bus_names(answers))
+    buses = "\n\n".join(f'[[bus]]\nname = "{name}"\n{bitrate}' for name in _bus_names(hand_answers))
     return f"""# Written by handctl config init. SI units, named in each key. Measure or look up what is marked ASSUMED.
 # handctl config check --hand FILE finds mistakes, handctl demo --lockstep --hand FILE is the first
 # grasp.
 schema = 2
-name = "{answers.name}"
-description = "{answers.fingers + answers.opposed} digits of {len(answers.links_mm)} joints, {tendons}"
+name = "{hand_answers.name}"
+description = "{hand_answers.fingers + hand_answers.opposed} digits of {len(hand_answers.links_mm)} joints, {tendons}"
 
 [mount]
 gravity_m_s2 = [0.0, 0.0, -9.81]   # palm frame: x out of the palm, y from thumb to fingers, z along the hinges
 
-{buses}{_sensor_table(answers)}"""
+{buses}{_sensor_table(hand_answers)}"""
 
 
-def _sensor_table(answers: NewHandAnswers) -> str:
+def _sensor_table(hand_answers: NewHandAnswers) -> str:
     """Return the text of the section ``sensor_node``, or an empty text for a hand without sensors."""
-    if answers.cells == answers.encoders == "none":
+    if hand_answers.cells == hand_answers.encoders == "none":
         return ""
-    sync, base = SENSOR_IDS.get(answers.protocol, SENSOR_IDS["mit"])
+    sync, base = SENSOR_IDS.get(hand_answers.protocol, SENSOR_IDS["mit"])
     cells = (
         '"all"                    # a load cell at every tendon'
-        if answers.cells == "all"
+        if hand_answers.cells == "all"
         else '[]                       # no load cells; "all" for one at every tendon'
     )
     encoders = (
         '"all"                     # an encoder at every joint'
-        if answers.encoders == "all"
+        if hand_answers.encoders == "all"
         else '[]                        # no joint encoders; "all" for one at every joint'
     )
     return f"""
@@ -374,16 +377,16 @@ sync_id = {sync:s}
 base_id = {base:s}
 tendons = {cells}
 joints = {encoders}
-joint_decimation = {ENCODER_DECIMATION if answers.encoders == "all" else 1}
-tension_noise_N = {_number_text(answers.tension_N * 0.005)}              # ASSUMED standard deviation of a sample
-tension_bias_drift_N = {_number_text(answers.tension_N * 0.01)}         # ASSUMED, per 100 s
+joint_decimation = {ENCODER_DECIMATION if hand_answers.encoders == "all" else 1}
+tension_noise_N = {_number_text(hand_answers.tension_N * 0.005)}              # ASSUMED standard deviation of a sample
+tension_bias_drift_N = {_number_text(hand_answers.tension_N * 0.01)}         # ASSUMED, per 100 s
 joint_noise_rad = 0.001            # standard deviation of an encoder sample"""
 
 
-def _digit_values(answers: NewHandAnswers) -> str:
+def _digit_values(hand_answers: NewHandAnswers) -> str:
     """Return the text with the values that all digits have in common."""
-    lengths = [1e-3 * length for length in answers.links_mm]
-    width = 1e-3 * answers.width_mm
+    lengths = [1e-3 * length for length in hand_answers.links_mm]
+    width = 1e-3 * hand_answers.width_mm
     masses = [DENSITY_KG_M3 * length * width**2 for length in lengths]
     inertias = [
         mass * (length**2 + width**2) / 12 for mass, length in zip(masses, lengths, strict=True)
@@ -400,27 +403,27 @@ def _digit_values(answers: NewHandAnswers) -> str:
         "joint_max_deg = 95.0",
         "joint_damping_N_m_s_per_rad = 5e-4 # ASSUMED",
         "joint_armature_kg_m2 = 1e-6        # ASSUMED: pulley and pin",
-        *_spring_lines(answers),
+        *_spring_lines(hand_answers),
     ]
-    if answers.tendons == "one" and count > 1:
+    if hand_answers.tendons == "one" and count > 1:
         coupling = _list_text([[1.0]] * count)
         lines.append(
             f"coupling = {coupling}   # springs equal on equal pulleys: all joints turn alike"
         )
-    for i, motor in enumerate(_motor_names(answers)):
-        short_name = "tendon" if answers.tendons == "one" else f"t{i + 1}"
+    for i, motor in enumerate(_motor_names(hand_answers)):
+        short_name = "tendon" if hand_answers.tendons == "one" else f"t{i + 1}"
         if motor == EXTENSOR:
             short_name = EXTENSOR
         arms = ", ".join(
-            f"j{j + 1} = {_number_text(arm)}" for j, arm in enumerate(_moment_arms(answers, i))
+            f"j{j + 1} = {_number_text(arm)}" for j, arm in enumerate(_moment_arms(hand_answers, i))
         )
         lines.append(f'tendon.{short_name} = {{ motor = "{motor}", moment_arm_m = {{ {arms} }} }}')
     return "\n".join(lines)
 
 
-def _spring_lines(answers: NewHandAnswers) -> list[str]:
+def _spring_lines(hand_answers: NewHandAnswers) -> list[str]:
     """Return the lines about the return springs of a digit, or no lines for a digit without springs."""
-    if answers.springs == "none":
+    if hand_answers.springs == "none":
         return []
     # All tendons that cross a joint close the joint. If all tensions are at the tension floor, the
     # spring of a joint must open the joint against all tendons that cross it.
@@ -428,10 +431,10 @@ def _spring_lines(answers: NewHandAnswers) -> list[str]:
         OPENING_TORQUE_RATIO
         * tendons
         * 1e-3
-        * answers.joint_moment_arm_mm
+        * hand_answers.joint_moment_arm_mm
         * TENSION_FLOOR_N
         / PRELOAD_RAD
-        for tendons in _closing_tendons(answers)
+        for tendons in _closing_tendons(hand_answers)
     ]
     return [
         f"spring_stiffness_N_m_per_rad = {_list_text(stiffness)}   # ASSUMED: opens against the tension floor",
@@ -439,13 +442,13 @@ def _spring_lines(answers: NewHandAnswers) -> list[str]:
     ]
 
 
-def _closing_tendons(answers: NewHandAnswers) -> list[int]:
+def _closing_tendons(hand_answers: NewHandAnswers) -> list[int]:
     """Return the number of tendons that close each joint of a digit."""
-    count = len(answers.links_mm)
-    return [1] * count if answers.tendons == "one" else [count - i for i in range(count)]
+    count = len(hand_answers.links_mm)
+    return [1] * count if hand_answers.tendons == "one" else [count - i for i in range(count)]
 
 
-def _moment_arms(answers: NewHandAnswers, tendon: int) -> list[float]:
+def _moment_arms(hand_answers: NewHandAnswers, tendon: int) -> list[float]:
     """Return the moment arm [m] of a digit's tendon at each joint that the tendon crosses.
 
     Closing tendon i crosses all joints up to joint i. If a digit has n joints, one tendon opens the
@@ -454,43 +457,44 @@ def _moment_arms(answers: NewHandAnswers, tendon: int) -> list[float]:
     opening tendon at a joint is in proportion to the number of tendons that close the joint.
 
     Args:
-        answers: the user's answers.
+        hand_answers: the user's hand_answers.
         tendon: index of the tendon among the tendons of the digit.
     """
-    arm = 1e-3 * answers.joint_moment_arm_mm
-    count = len(answers.links_mm)
-    if answers.tendons == "one":
+    arm = 1e-3 * hand_answers.joint_moment_arm_mm
+    count = len(hand_answers.links_mm)
+    if hand_answers.tendons == "one":
         return [arm] * count
     if tendon < count:
         return [arm] * (tendon + 1)
-    return [-arm * crossing / count for crossing in _closing_tendons(answers)]
+    return [-arm * crossing / count for crossing in _closing_tendons(hand_answers)]
 
 
-def _tendon_values(answers: NewHandAnswers) -> str:
+def _tendon_values(hand_answers: NewHandAnswers) -> str:
     """Return the text with the values that all tendons have in common."""
-    trip_tension_text = _number_text(TENSION_TRIP_RATIO * answers.tension_N)
+    trip_tension_text = _number_text(TENSION_TRIP_RATIO * hand_answers.tension_N)
+    drive_limit_text = _number_text(DRIVE_LIMIT_RATIO * hand_answers.tension_N)
     return f"""[default.tendon]
 stiffness_N_per_m = 1.0e5          # ASSUMED: handctl identify measures it
 damping_N_s_per_m = 30.0           # ASSUMED
-knee_N = {_number_text(answers.strength_N / 3)}                     # ASSUMED: linear up to here
+knee_N = {_number_text(hand_answers.strength_N / 3)}                     # ASSUMED: linear up to here
 stiffness_beyond_ratio = 0.5       # ASSUMED
 knee_width_m = 0.3e-3              # ASSUMED
 friction_coefficient = 0.08        # ASSUMED: 0.05 lined, 0.15 dry
 wrap_angle_rad = 1.5708            # ASSUMED: before the first joint pulley
-rated_breaking_force_N = {_number_text(answers.strength_N)}
+rated_breaking_force_N = {_number_text(hand_answers.strength_N)}
 tension_floor_N = {TENSION_FLOOR_N}
-tension_max_N = {_number_text(answers.tension_N)}
+tension_max_N = {_number_text(hand_answers.tension_N)}
 tension_trip_N = {trip_tension_text}              # above this one valid sample relaxes the hand
-drive_limit_N = {_number_text(DRIVE_LIMIT_RATIO * answers.tension_N)}              # torque_max_N_m / spool_radius_m"""
+drive_limit_N = {drive_limit_text}              # torque_max_N_m / spool_radius_m"""
 
 
-def _motor_values(answers: NewHandAnswers, drive_options: Mapping[str, Any]) -> str:
+def _motor_values(hand_answers: NewHandAnswers, drive_options: Mapping[str, Any]) -> str:
     """Return the text with the values that all motors have in common."""
-    torque = DRIVE_LIMIT_RATIO * answers.tension_N * 1e-3 * answers.spool_mm
+    torque = DRIVE_LIMIT_RATIO * hand_answers.tension_N * 1e-3 * hand_answers.spool_mm
     return f"""[default.motor]                    # quantities at the spool, after the gear
-protocol = "{answers.protocol}"
+protocol = "{hand_answers.protocol}"
 bus = "main"
-spool_radius_m = {_number_text(1e-3 * answers.spool_mm)}
+spool_radius_m = {_number_text(1e-3 * hand_answers.spool_mm)}
 inertia_kg_m2 = 1.3e-4             # ASSUMED: rotor and gear
 viscous_N_m_s_per_rad = 1e-3       # ASSUMED
 coulomb_N_m = 0.015                # ASSUMED
@@ -501,7 +505,7 @@ position_range_rad = 12.5          # as in the drive's registers
 velocity_range_rad_s = 50.0        # as in the drive's registers
 direction = 1                      # 1 if positive torque winds; handctl commission checks it
 zero_rad = 0.0
-watchdog_ms = 50{options_line(answers.protocol, drive_options, answers.cells == "all")}"""
+watchdog_ms = 50{options_line(hand_answers.protocol, drive_options, hand_answers.cells == "all")}"""
 
 
 def options_line(protocol: str, drive_options: Mapping[str, Any], has_cells: bool) -> str:

@@ -1,6 +1,6 @@
 """Export of a log as a Parquet table.
 
-The table has one row for each tick, and one column for each number of a tick.
+The table has one row for each tick. Each column contains one value of all ticks, such as the tension of a tendon.
 
 Columns with text are dictionary-encoded: a text that occurs several times in a column is stored
 only once. The metadata of a numeric column contain the unit under the key `unit`.
