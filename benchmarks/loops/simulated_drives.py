@@ -21,6 +21,8 @@ from firmware_sim.lockstep_hand import LockstepHand
 from firmware_sim.realtime_priority import request_realtime_priority
 
 CANFD_PAYLOAD_BYTES = 64
+LARGEST_MOTOR_ID = 0xFF
+"""Largest identifier of a command to a drive. Requests to read or write a register have larger identifiers."""
 SPECIAL_COMMAND_PREFIX = b"\xff" * 7
 ENABLE_COMMAND = SPECIAL_COMMAND_PREFIX + b"\xfc"
 ENABLED_STATE = 1
@@ -107,7 +109,8 @@ class CachedReplies:
         if batch and SPECIAL_COMMAND_PREFIX not in commands:
             sync_replies = self.replies_to(frame_of(records)) if batch_start else b""
             return sync_replies + batch.replies_to(commands)
-        self.batches.clear()
+        if SPECIAL_COMMAND_PREFIX in commands:
+            self.batches.clear()
         frames, _ = split_records(records, 0)
         replies = b"".join(map(self.replies_to, frames))
         cached_replies = [
@@ -124,9 +127,10 @@ class CachedReplies:
 
     def replies_to(self, frame: Frame) -> bytes:
         """Return the replies of all nodes to a frame, as frame records of the local bus."""
-        if frame.can_id != self.sync and (
-            frame.can_id > 0xFF or frame.data.startswith(SPECIAL_COMMAND_PREFIX)
-        ):
+        if frame.can_id != self.sync and frame.can_id > LARGEST_MOTOR_ID:
+            # The host reads or writes a register.
+            return b"".join(map(pack_record, self.rig.world.receive(frame)))
+        if frame.can_id != self.sync and frame.data.startswith(SPECIAL_COMMAND_PREFIX):
             self.replies.clear()
             if frame.data == ENABLE_COMMAND:
                 self.pull_tendon(frame.can_id)
